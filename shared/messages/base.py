@@ -1,0 +1,41 @@
+"""What every message on the bus has in common."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Vector3 = tuple[float, float, float]
+# Upper triangle of a symmetric 3x3 matrix, row by row: NN NE ND EE ED DD.
+Symmetric3 = tuple[float, float, float, float, float, float]
+Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
+Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
+Name = Annotated[str, Field(max_length=64)]
+Reason = Annotated[str, Field(max_length=400)]
+
+
+class Message(BaseModel):
+    """A frozen, strictly typed record; unknown fields of a newer producer are ignored."""
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False, extra="ignore")
+
+
+class Stamped(Message):
+    """A measurement with its two stamps on the OBU time line."""
+
+    sampled_ns: int  # when the value was true
+    received_ns: int  # when its bytes arrived at the driver
+    source: Name  # which device
+
+
+class RawBytes(Message):
+    """Bytes of a device as they are; on the bus the payload is `data`, the rest user properties."""
+
+    received_ns: int
+    source: Name
+    data: bytes
+
+
+class Tick(Message):
+    """The passage of time, given by the runtime; not on the bus."""
+
+    now_ns: int

@@ -1,0 +1,30 @@
+"""What inertial measurement units say."""
+
+from pydantic import model_validator
+
+from .base import Message, Name, RawBytes, Vector3
+
+
+class ImuRaw(RawBytes):
+    """Bytes that an inertial measurement unit sent (Xbus)."""
+
+
+class ImuSamples(Message):
+    """One or more consecutive inertial samples in body axes (forward, right, down)."""
+
+    received_ns: int
+    source: Name
+    sampled_ns: tuple[int, ...]
+    specific_force_body_m_s2: tuple[Vector3, ...]
+    angular_rate_body_rad_s: tuple[Vector3, ...]
+    saturated: bool = False
+    temperature_k: float | None = None
+    pressure_pa: float | None = None
+    magnetic_field_body: Vector3 | None = None  # of the last sample, in units of the calibration field
+
+    @model_validator(mode="after")
+    def _equal_lengths(self) -> "ImuSamples":
+        n = len(self.sampled_ns)
+        if not n or len(self.specific_force_body_m_s2) != n or len(self.angular_rate_body_rad_s) != n:
+            raise ValueError("stamps, forces and rates differ in number, or there is none")
+        return self

@@ -1,0 +1,103 @@
+"""What the fusion core says, and the truth that only the simulator knows."""
+
+from enum import StrEnum
+
+from .base import Latitude, Longitude, Message, Name, Reason, Symmetric3, Vector3
+
+
+class NavigationPhase(StrEnum):
+    """How far the navigation filter has come."""
+
+    WAITING_FOR_IMU = "waiting_for_imu"
+    LEVELLING = "levelling"
+    WAITING_FOR_GNSS = "waiting_for_gnss"
+    WAITING_FOR_HEADING = "waiting_for_heading"
+    NAVIGATING = "navigating"
+    COASTING = "coasting"
+
+
+class NavigationSolution(Message):
+    """Position, velocity and attitude of the IMU with their uncertainty (1 sigma)."""
+
+    sampled_ns: int
+    phase: NavigationPhase
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    height_ellipsoid_m: float
+    velocity_ned_m_s: Vector3
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    position_cov_ned_m2: Symmetric3
+    velocity_cov_ned_m2_s2: Symmetric3
+    attitude_cov_ned_rad2: Symmetric3
+    angular_rate_body_rad_s: Vector3  # bias removed
+    accelerometer_bias_m_s2: Vector3
+    gyroscope_bias_rad_s: Vector3
+    stationary: bool
+    gnss_age_s: float | None = None  # since the stamp of the last fix that was used
+
+
+class NavigationState(Message):
+    """What the filter is doing and why; published when it changes and once a second."""
+
+    sampled_ns: int
+    phase: NavigationPhase
+    since_ns: int
+    reason: Reason
+    fixes_used: int
+    fixes_rejected: int
+    samples_used: int
+    samples_rejected: int
+    imu_gaps: int
+    resets: int
+
+
+class AidingKind(StrEnum):
+    """What a measurement that aids the filter is made of."""
+
+    GNSS_POSITION = "gnss_position"
+    GNSS_VELOCITY = "gnss_velocity"
+    ZERO_VELOCITY = "zero_velocity"
+    ZERO_ANGULAR_RATE = "zero_angular_rate"
+    COURSE = "course"
+
+
+class AidingUpdate(Message):
+    """One measurement as the filter saw it: innovation, its size, and whether it was used."""
+
+    sampled_ns: int
+    source: Name
+    kind: AidingKind
+    innovation: tuple[float, ...]  # measured - predicted, in the unit of the kind (m, m/s, rad/s, rad)
+    innovation_sd: tuple[float, ...]
+    test_ratio: float  # normalised innovation squared over its limit: above 1 the gate rejects
+    used: bool
+    reason: Reason | None = None
+
+
+class LastPosition(Message):
+    """Where the vehicle was last known to be, kept over a power-off."""
+
+    sampled_ns: int
+    utc_ns: int | None
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    height_ellipsoid_m: float
+    yaw_rad: float
+    position_sd_ned_m: Vector3
+    yaw_sd_rad: float
+
+
+class TruthState(Message):
+    """Where the simulated vehicle really is; never for layers 2 to 4."""
+
+    sampled_ns: int
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    height_ellipsoid_m: float
+    velocity_ned_m_s: Vector3
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    angular_rate_body_rad_s: Vector3

@@ -1,0 +1,149 @@
+"""What the unit says of itself: mode, health, ages, outages, recording, origin."""
+
+from enum import StrEnum
+
+from .base import Message, Name, Reason
+
+
+class Mode(StrEnum):
+    """What the on-board unit is doing."""
+
+    BOOT = "boot"
+    DETECTING = "detecting"
+    CONFIGURING = "configuring"
+    ALIGNING = "aligning"
+    MEASURING = "measuring"
+    DEGRADED = "degraded"
+    SHUTTING_DOWN = "shutting_down"
+
+
+class ModeState(Message):
+    """The mode of the unit, since when and why, and the sources that it chose."""
+
+    sampled_ns: int
+    mode: Mode
+    since_ns: int
+    reason: Reason
+    gnss_source: Name | None = None
+    imu_source: Name | None = None
+    speed_source: Name | None = None
+
+
+class ProcessState(StrEnum):
+    """Life states of a process, after Homie."""
+
+    INIT = "init"
+    READY = "ready"
+    ALERT = "alert"
+    DISCONNECTED = "disconnected"  # ended as asked
+    LOST = "lost"  # last will
+
+
+class ProcessHealth(Message):
+    """Birth, heartbeat, farewell or last will of one process."""
+
+    process: Name
+    state: ProcessState
+    incarnation: int  # start of this life on the OBU time line [ns]
+    sent_ns: int
+    messages_in: int = 0
+    messages_out: int = 0
+    dropped: int = 0  # forgotten by a full queue
+    rejects: dict[str, int] = {}  # bad input by kind
+    reconnections: int = 0
+    cpu_s: float = 0.0
+    rss_bytes: int = 0
+    last_error: Reason | None = None
+
+
+class Freshness(StrEnum):
+    """How old the newest message of a topic is, against its own rate."""
+
+    FRESH = "fresh"
+    LATE = "late"
+    STALE = "stale"
+    NEVER = "never"
+    QUIET = "quiet"  # a topic without a rate
+
+
+class TopicAge(Message):
+    """Rate, age and latency of one topic."""
+
+    topic: Name
+    freshness: Freshness
+    age_s: float | None
+    rate_hz: float
+    count: int
+    latency_p50_s: float | None = None  # from `received_ns` or `sampled_ns` to the observer
+    latency_p99_s: float | None = None
+    cause: Reason | None = None  # the process or device behind the silence
+
+
+class ProcessAge(Message):
+    """How a process looks from outside."""
+
+    process: Name
+    state: ProcessState | None
+    silent: bool
+    heartbeat_age_s: float | None
+    restarts: int
+
+
+class DeadlineReport(Message):
+    """Every topic and every process against its deadline."""
+
+    now_ns: int
+    topics: tuple[TopicAge, ...]
+    processes: tuple[ProcessAge, ...]
+
+
+class Outage(Message):
+    """Something that was silent: what, since when, and, once it is over, for how long."""
+
+    what: Name  # a topic, a process, or "broker"
+    since_ns: int
+    until_ns: int | None
+    cause: Reason
+
+
+class RecordingState(Message):
+    """What is being recorded, and how much room is left."""
+
+    now_ns: int
+    recording: bool
+    file: Name | None
+    bytes_written: int
+    messages: int
+    dropped: int
+    free_bytes: int
+    reason: Reason | None = None
+
+
+class OriginKind(StrEnum):
+    """Where the data of this bus come from."""
+
+    LIVE = "live"
+    SIMULATED = "simulated"
+    REPLAY = "replay"
+
+
+class Origin(Message):
+    """Where the data come from, repeated so that nobody takes a simulation for a vehicle."""
+
+    now_ns: int
+    kind: OriginKind
+    name: Name  # scenario, recording or vehicle
+    seed: int | None = None
+    speed: float = 1.0
+
+
+class Consumed(Message):
+    """The order in which a process consumed its messages, so that its work can be repeated exactly.
+
+    Each run is (topic, producer, incarnation of the producer, first sequence number, count);
+    a tick is ("tick", "", its stamp, 0, 1).
+    """
+
+    process: Name
+    incarnation: int
+    runs: tuple[tuple[str, str, int, int, int], ...]

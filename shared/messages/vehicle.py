@@ -1,0 +1,23 @@
+"""What the vehicle's own network says."""
+
+from .base import RawBytes, Stamped
+
+
+class CanRaw(RawBytes):
+    """CAN frames as lines of a candump log, stamped on the OBU time line."""
+
+
+class VehicleSpeed(Stamped):
+    """Speed of the vehicle as one number: OBD-II, tachograph or dashboard."""
+
+    speed_m_s: float
+    resolution_m_s: float | None = None
+
+
+class WheelSpeeds(Stamped):
+    """Speed of each wheel over ground; a wheel without a sensor is missing."""
+
+    front_left_m_s: float | None = None
+    front_right_m_s: float | None = None
+    rear_left_m_s: float | None = None
+    rear_right_m_s: float | None = None

@@ -1,0 +1,104 @@
+"""The topics of the bus: one row an edge. Everything else about who may say what to whom is derived."""
+
+from dataclasses import dataclass
+
+from . import messages as m
+from .processes import PROCESSES
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One kind of message on the bus.
+
+    `rate_hz` is the expected rate (None: whenever it happens), `silent_after_s` the age after which
+    the newest message is stale, `expiry_s` how long the broker keeps a retained one, and `persist`
+    says that the newest message outlives a power-off.
+    """
+
+    name: str
+    message: type[m.Message]
+    purpose: str
+    producers: tuple[str, ...]
+    consumers: tuple[str, ...] = ()
+    rate_hz: float | None = None
+    silent_after_s: float | None = None
+    qos: int = 0
+    retain: bool = False
+    expiry_s: int | None = None
+    persist: bool = False
+
+    @property
+    def per_process(self) -> bool:
+        """Whether the producer's name is the last level of the topic."""
+        return self.name.endswith("/+")
+
+
+EVERYONE = tuple(row.name for row in PROCESSES)
+
+TOPICS = (
+    Topic("gnss/raw", m.GnssRaw, "bytes from the GNSS receiver",
+          ("sensors.gnss", "sensors.simulator"), ("parsers.gnss",), rate_hz=1.0, silent_after_s=5.0),
+    Topic("imu/raw", m.ImuRaw, "bytes from the inertial measurement unit",
+          ("sensors.imu", "sensors.simulator"), ("parsers.imu",), rate_hz=100.0, silent_after_s=1.0),
+    Topic("can/raw", m.CanRaw, "frames from the vehicle's CAN bus",
+          ("sensors.can", "sensors.simulator"), ("parsers.can",), rate_hz=10.0, silent_after_s=5.0),
+    Topic("gnss/write", m.GnssWrite, "bytes to the GNSS receiver",
+          ("parsers.gnss",), ("sensors.gnss", "sensors.simulator"), qos=1),
+    Topic("gnss/fix", m.GnssFix, "position and velocity of the antenna, one message an epoch",
+          ("parsers.gnss",), ("controller.mode", "core.fusion"), rate_hz=1.0, silent_after_s=5.0),
+    Topic("gnss/satellites", m.GnssSatellites, "satellites in view",
+          ("parsers.gnss",), (), rate_hz=1.0, silent_after_s=10.0),
+    Topic("gnss/configuration", m.GnssConfiguration, "what the receiver was found to be set to",
+          ("parsers.gnss",), ("controller.mode",), qos=1, retain=True),
+    Topic("imu/sample", m.ImuSamples, "specific force and angular rate in body axes",
+          ("parsers.imu",), ("controller.mode", "core.fusion"), rate_hz=100.0, silent_after_s=1.0),
+    Topic("vehicle/speed", m.VehicleSpeed, "speed of the vehicle by OBD-II",
+          ("parsers.can",), ("controller.mode", "core.fusion"), rate_hz=1.0, silent_after_s=5.0),
+    Topic("vehicle/wheel_speed", m.WheelSpeeds, "speed of each wheel",
+          ("parsers.can",), ("core.fusion",), rate_hz=10.0, silent_after_s=5.0),
+    Topic("gnss/configure", m.GnssConfigure, "what the receiver shall be set to",
+          ("controller.mode",), ("parsers.gnss",), qos=1),
+    Topic("mode/state", m.ModeState, "what the unit is doing",
+          ("controller.mode",), (), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
+    Topic("navigation/last_position", m.LastPosition, "where the vehicle was last known to be",
+          ("controller.mode",), ("core.fusion",), qos=1, retain=True, persist=True),
+    Topic("navigation/solution", m.NavigationSolution, "where the vehicle is, with covariance",
+          ("core.fusion",), ("controller.mode",), rate_hz=10.0, silent_after_s=2.0),
+    Topic("navigation/state", m.NavigationState, "what the navigation filter is doing and why",
+          ("core.fusion",), ("controller.mode",), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
+    Topic("navigation/aiding", m.AidingUpdate, "each measurement as the filter saw it",
+          ("core.fusion",), ()),
+    Topic("deadline/report", m.DeadlineReport, "age and rate of every topic and process",
+          ("monitoring.health",), (), rate_hz=2.0, silent_after_s=5.0),
+    Topic("outage/event", m.Outage, "what was lost, and for how long",
+          ("monitoring.health",), (), qos=1),
+    Topic("recording/state", m.RecordingState, "what is being recorded",
+          ("monitoring.recorder",), (), rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True, expiry_s=30),
+    Topic("origin/state", m.Origin, "whether the data are live, simulated or replayed",
+          ("sensors.gnss", "sensors.imu", "sensors.can", "sensors.simulator"), (),
+          rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True, expiry_s=10),
+    Topic("truth/state", m.TruthState, "where the simulated vehicle really is",
+          ("sensors.simulator",), (), rate_hz=10.0, silent_after_s=5.0),
+    Topic("health/+", m.ProcessHealth, "birth, heartbeat, farewell and last will of a process",
+          EVERYONE, (), rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
+    Topic("consumed/+", m.Consumed, "the order in which a process consumed its messages",
+          EVERYONE, (), rate_hz=1.0, silent_after_s=10.0),
+)  # fmt: skip
+BY_NAME = {topic.name: topic for topic in TOPICS}
+BY_MESSAGE = {topic.message: topic for topic in TOPICS}
+
+
+def topic_of(name: str) -> Topic | None:
+    """Find the row of a topic's name without prefix; None for a name that the contract does not hold."""
+    return BY_NAME.get(name) or BY_NAME.get(name.rsplit("/", 1)[0] + "/+")
+
+
+def subscriptions(process: str) -> tuple[Topic, ...]:
+    """List what a process listens to."""
+    everything = any(row.observes_all for row in PROCESSES if row.name == process)
+    return tuple(t for t in TOPICS if everything or process in t.consumers)
+
+
+def publications(process: str) -> tuple[Topic, ...]:
+    """List what a process may say."""
+    return tuple(t for t in TOPICS if process in t.producers)
