@@ -1,0 +1,250 @@
+"""Xbus, the wire format of Xsens motion trackers: messages, and the fields of an MTData2 message.
+
+A message is FA, bus id FF, message id, length (FF: two more bytes of length follow), payload, and a
+checksum that makes the sum of all bytes after FA a multiple of 256. All numbers are big-endian.
+Source: Xsens, "MT Low Level Communication Protocol Documentation", chapters 2 and 5.3.
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+HEADER = b"\xfa\xff"
+MTDATA2 = 0x36
+MAX_PAYLOAD_BYTES = 2048
+
+# Data identifiers without their format bits: the low two bits are the number format
+# (0 float32, 1 fixed 12.20, 2 fixed 16.32, 3 float64), the next two the reference frame.
+TEMPERATURE = 0x0810  # [°C]
+UTC_TIME = 0x1010
+PACKET_COUNTER = 0x1020
+SAMPLE_TIME_FINE = 0x1060  # [100 µs]
+SAMPLE_TIME_COARSE = 0x1070  # [s]
+QUATERNION = 0x2010
+EULER_ANGLES = 0x2030  # [deg]
+BARO_PRESSURE = 0x3010  # [Pa]
+DELTA_V = 0x4010  # [m/s]
+ACCELERATION = 0x4020  # [m/s²] specific force
+RATE_OF_TURN = 0x8020  # [rad/s]
+DELTA_Q = 0x8030
+MAGNETIC_FIELD = 0xC020  # 1 is the field where it was calibrated
+STATUS_BYTE = 0xE010
+STATUS_WORD = 0xE020
+
+CLIPPED = 0x3F << 8  # bits 8 to 13 of the status word: accelerometer and gyroscope x, y, z
+
+_INTEGERS = {
+    PACKET_COUNTER: ">H",
+    SAMPLE_TIME_FINE: ">I",
+    SAMPLE_TIME_COARSE: ">I",
+    BARO_PRESSURE: ">I",
+    STATUS_BYTE: ">B",
+    STATUS_WORD: ">I",
+}
+_REALS = {
+    TEMPERATURE: 1,
+    QUATERNION: 4,
+    EULER_ANGLES: 3,
+    DELTA_V: 3,
+    ACCELERATION: 3,
+    RATE_OF_TURN: 3,
+    DELTA_Q: 4,
+    MAGNETIC_FIELD: 3,
+}
+_SIZES = (4, 4, 6, 8)  # bytes of a number in each format
+
+
+@dataclass(frozen=True, slots=True)
+class XbusMessage:
+    """One message with a good checksum."""
+
+    mid: int
+    payload: bytes
+
+
+def encode_message(mid: int, payload: bytes) -> bytes:
+    """Frame a payload; raises ValueError for one that is longer than Xbus allows."""
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        raise ValueError(f"a payload of {len(payload)} bytes exceeds {MAX_PAYLOAD_BYTES}")
+    size = bytes([len(payload)]) if len(payload) < 255 else struct.pack(">BH", 255, len(payload))
+    body = bytes([0xFF, mid]) + size + payload
+    return b"\xfa" + body + bytes([-sum(body) & 0xFF])
+
+
+def encode_mtdata2(fields: Mapping[int, bytes]) -> bytes:
+    """Frame a measurement: data identifier (with format bits) -> data."""
+    return encode_message(MTDATA2, b"".join(struct.pack(">HB", i, len(data)) + data for i, data in fields.items()))
+
+
+def encode_field(data_id: int, *values: float) -> bytes:
+    """Encode the data of one field in the number format that its identifier asks for.
+
+    Parameters
+    ----------
+    data_id : int
+        Data identifier with its format bits, such as ``ACCELERATION`` (float32) or ``ACCELERATION | 1``.
+    *values : float
+        The numbers of the field, in its unit.
+
+    Returns
+    -------
+    bytes
+        The data, to be handed to `encode_mtdata2`.
+
+    Raises
+    ------
+    ValueError
+        The identifier is unknown, the count is wrong, or a value does not fit the format.
+    """
+    kind = data_id & 0xFFF0
+    try:
+        if kind in _INTEGERS:
+            return struct.pack(_INTEGERS[kind], *(int(value) for value in values))
+        if _REALS.get(kind) != len(values):
+            raise ValueError(f"field {data_id:#06x} cannot hold {len(values)} numbers")
+        return b"".join(_encode_real(value, data_id & 3) for value in values)
+    except (struct.error, OverflowError) as error:
+        raise ValueError(f"field {data_id:#06x}: {error}") from error
+
+
+def _encode_real(value: float, number_format: int) -> bytes:
+    if number_format == 1:
+        return struct.pack(">i", round(value * 2**20))
+    if number_format == 2:  # the 32 bits of the fraction go first
+        scaled = round(value * 2**32)
+        return struct.pack(">Ih", scaled & 0xFFFFFFFF, scaled >> 32)
+    return struct.pack(">f" if number_format == 0 else ">d", value)
+
+
+def split_mtdata2(payload: bytes) -> Iterator[tuple[int, bytes]]:
+    """Split a measurement into (data identifier, data); raises ValueError at a field that is cut off."""
+    position = 0
+    while position < len(payload):
+        if position + 3 > len(payload) or position + 3 + payload[position + 2] > len(payload):
+            raise ValueError(f"a field is cut off at byte {position}")
+        data_id, size = struct.unpack_from(">HB", payload, position)
+        yield data_id, payload[position + 3 : position + 3 + size]
+        position += 3 + size
+
+
+def decode_mtdata2(payload: bytes, rejects: Counter[str]) -> dict[int, tuple[float, ...]]:
+    """Decode every field that can be decoded.
+
+    Parameters
+    ----------
+    payload : bytes
+        Payload of an MTData2 message.
+    rejects : Counter
+        Receives ``bad_field`` for a field of the wrong size, ``cut_field`` for one that is cut off. Fields
+        that this module does not know are passed over in silence.
+
+    Returns
+    -------
+    dict
+        Data identifier without format bits -> its numbers; they may be NaN or infinite if the device said so.
+    """
+    values: dict[int, tuple[float, ...]] = {}
+    try:
+        for data_id, data in split_mtdata2(payload):
+            kind = data_id & 0xFFF0
+            if kind not in _INTEGERS and kind not in _REALS:
+                continue
+            try:
+                values[kind] = decode_field(data_id, data)
+            except ValueError:
+                rejects["bad_field"] += 1
+    except ValueError:
+        rejects["cut_field"] += 1
+    return values
+
+
+def decode_field(data_id: int, data: bytes) -> tuple[float, ...]:
+    """Decode the numbers of one field; raises ValueError for an unknown identifier or a wrong size."""
+    layout, scale = _layout(data_id)
+    if len(data) != layout.size:
+        raise ValueError(f"field {data_id:#06x} has {len(data)} bytes, not {layout.size}")
+    numbers: tuple[float, ...] = layout.unpack(data)
+    if scale == 1:
+        return numbers
+    if scale == 2**20:
+        return tuple(number / scale for number in numbers)
+    return tuple(whole + fraction / scale for fraction, whole in zip(numbers[::2], numbers[1::2], strict=True))
+
+
+@cache
+def _layout(data_id: int) -> tuple[struct.Struct, int]:
+    kind, number_format = data_id & 0xFFF0, data_id & 3
+    if kind in _INTEGERS:
+        return struct.Struct(_INTEGERS[kind]), 1
+    if kind not in _REALS:
+        raise ValueError(f"field {data_id:#06x} is unknown")
+    codes: Sequence[tuple[str, int]] = (("f", 1), ("i", 2**20), ("Ih", 2**32), ("d", 1))
+    code, scale = codes[number_format]
+    return struct.Struct(">" + code * _REALS[kind]), scale
+
+
+class XbusReader:
+    """Finds the messages in a stream of bytes that may hold garbage, and counts what it passes over.
+
+    `rejects` counts `garbage_bytes`, `bad_checksum` and `oversize`. The buffer never holds more than one
+    message and the chunk that was fed. After a bad message the search goes on at its second byte, so that
+    a good message inside a false one is found.
+    """
+
+    def __init__(self, rejects: Counter[str] | None = None) -> None:
+        self.rejects: Counter[str] = Counter() if rejects is None else rejects
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> Iterator[XbusMessage]:
+        """Take the next bytes and yield the messages that they complete."""
+        self._buffer += data
+        yield from list(self._messages())
+
+    def _messages(self) -> Iterable[XbusMessage]:
+        buffer, start = self._buffer, 0
+        while True:
+            found = _find_header(buffer, start)
+            self._count("garbage_bytes", found - start)
+            start = found
+            frame = _frame(buffer, start)
+            if frame is None:
+                break
+            body, end = frame
+            if end - body > MAX_PAYLOAD_BYTES:
+                fault = "oversize"
+            elif end >= len(buffer):
+                break
+            elif sum(buffer[start + 1 : end + 1]) & 0xFF:
+                fault = "bad_checksum"
+            else:
+                yield XbusMessage(buffer[start + 2], bytes(buffer[body:end]))
+                start = end + 1
+                continue
+            self._count(fault, 1)
+            self._count("garbage_bytes", 1)
+            start += 1
+        del buffer[:start]
+
+    def _count(self, kind: str, n: int) -> None:
+        if n:
+            self.rejects[kind] += n
+
+
+def _find_header(buffer: bytearray, start: int) -> int:
+    found = buffer.find(HEADER, start)
+    if found >= 0:
+        return found
+    return len(buffer) - 1 if buffer[start:].endswith(b"\xfa") else len(buffer)
+
+
+def _frame(buffer: bytearray, start: int) -> tuple[int, int] | None:
+    """Locate the payload (start, end) of the message at `start`; None while its length is not known."""
+    if len(buffer) < start + 4:
+        return None
+    if buffer[start + 3] != 0xFF:
+        return start + 4, start + 4 + buffer[start + 3]
+    if len(buffer) < start + 6:
+        return None
+    return start + 6, start + 6 + int.from_bytes(buffer[start + 4 : start + 6])
