@@ -1,0 +1,1 @@
+"""What the `obu` command does, one file a command."""

@@ -1,0 +1,1 @@
+"""Layer 3: what the unit should be doing now."""

@@ -1,0 +1,1 @@
+"""Layer 4: where we are, and how far to trust it."""

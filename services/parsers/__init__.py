@@ -1,0 +1,1 @@
+"""Layer 2: bytes to typed messages in SI units, and back."""

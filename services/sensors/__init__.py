@@ -1,0 +1,1 @@
+"""Layer 1: devices to raw bytes, stamped."""

@@ -2,6 +2,8 @@
 
 from enum import StrEnum
 
+from pydantic import Field
+
 from .base import Message, Name, Reason
 
 
@@ -49,7 +51,7 @@ class ProcessHealth(Message):
     messages_in: int = 0
     messages_out: int = 0
     dropped: int = 0  # forgotten by a full queue
-    rejects: dict[str, int] = {}  # bad input by kind
+    rejects: dict[str, int] = Field(default_factory=dict)  # bad input by kind
     reconnections: int = 0
     cpu_s: float = 0.0
     rss_bytes: int = 0

@@ -1,0 +1,46 @@
+"""Messages to and from what travels on the bus: short topic name, payload, user properties."""
+
+from collections.abc import Mapping
+
+from pydantic import ValidationError
+
+from .errors import BadPayload
+from .messages import Message, RawBytes
+from .topics import BY_MESSAGE, topic_of
+
+MAXIMUM_PAYLOAD = 1 << 20  # a hostile sender shall not fill the memory
+
+
+def topic_name(message: Message) -> str:
+    """Give the short topic name that a message travels on."""
+    topic = BY_MESSAGE[type(message)]
+    if not topic.per_process:
+        return topic.name
+    return topic.name[:-1] + str(message.process)  # type: ignore[attr-defined]  # the contract test holds it
+
+
+def encode(message: Message) -> tuple[bytes, dict[str, str]]:
+    """Encode a message as payload and user properties."""
+    if isinstance(message, RawBytes):
+        return message.data, {"received_ns": str(message.received_ns), "source": message.source}
+    return message.model_dump_json(exclude_none=True).encode(), {}
+
+
+def decode(name: str, payload: bytes, properties: Mapping[str, str]) -> Message:
+    """Decode what came on a topic, or raise `BadPayload` with the reason."""
+    topic = topic_of(name)
+    if topic is None:
+        raise BadPayload(f"{name} is no topic of the contract")
+    if len(payload) > MAXIMUM_PAYLOAD:
+        raise BadPayload(f"{len(payload)} bytes on {name}")
+    try:
+        if issubclass(topic.message, RawBytes):
+            stamp, source = int(properties["received_ns"]), properties["source"]
+            return topic.message(received_ns=stamp, source=source, data=payload)
+        return topic.message.model_validate_json(payload)
+    except KeyError as error:
+        raise BadPayload(f"{name} without the user property {error}") from error
+    except ValidationError as error:
+        raise BadPayload(f"{name}: {error.errors()[0]['msg']}") from error
+    except ValueError as error:
+        raise BadPayload(f"{name}: {error}") from error

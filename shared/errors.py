@@ -1,0 +1,23 @@
+"""The errors of the on-board unit.
+
+ObuError
+├── UserError            something the user can mend; its text says how
+├── BadPayload           a message on the bus that breaks the contract
+└── BadRecording         a recording that cannot be read at all
+"""
+
+
+class ObuError(Exception):
+    """Base of every error that the unit raises itself."""
+
+
+class UserError(ObuError):
+    """Something that the user can mend: one sentence what, one what to try next."""
+
+
+class BadPayload(ObuError):
+    """A message on the bus that breaks the contract."""
+
+
+class BadRecording(ObuError):
+    """A recording that cannot be read at all."""
