@@ -1,0 +1,185 @@
+"""Rotations in three dimensions: vectors, matrices, quaternions, and roll, pitch and yaw.
+
+Matrices are named to_from_from, so that products read: `v_n = ned_from_body @ v_b`. Quaternions are Hamilton's,
+(w, x, y, z), of unit length and with w >= 0, and turn as their matrix does.
+"""
+
+from math import asin, atan2, cos, sin, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+_SMALL_ANGLE = 1e-4  # [rad] below it, three terms of the series are exact to rounding
+
+
+def skew(vector: npt.ArrayLike) -> FloatArray:
+    """Matrix sk(a), shape (3, 3), of the vector product: sk(a) b = a x b."""
+    x, y, z = np.asarray(vector, dtype=np.float64).tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def matrix_from_rotation_vector(rotation_vector: npt.ArrayLike) -> FloatArray:
+    """Rotation matrix of a turn about an axis: the matrix exponential of sk(a).
+
+    Parameters
+    ----------
+    rotation_vector : array_like, shape (3,)
+        [rad] Direction is the axis, length the angle.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        The rotation that takes a vector along with the turn.
+
+    Notes
+    -----
+    Rodrigues' formula, which is exact::
+
+        exp(sk(a)) = I + sin|a|/|a| sk(a) + (1 - cos|a|)/|a|² sk(a)²
+    """
+    S = skew(rotation_vector)
+    angle2 = 0.5 * float((S * S).sum())
+    angle = sqrt(angle2)
+    if angle < _SMALL_ANGLE:
+        first, second = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+    else:
+        first, second = sin(angle) / angle, (1.0 - cos(angle)) / angle2
+    return np.eye(3) + first * S + second * (S @ S)
+
+
+def average_matrix_from_rotation_vector(rotation_vector: npt.ArrayLike) -> FloatArray:
+    """Mean of the rotation matrix while a body turns evenly by a rotation vector.
+
+    Parameters
+    ----------
+    rotation_vector : array_like, shape (3,)
+        [rad] The whole turn.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Not a rotation matrix itself; the unit matrix for no turn.
+
+    Notes
+    -----
+    ::
+
+        mean of exp(s sk(a)), s = 0..1  =  I + (1 - cos|a|)/|a|² sk(a) + (1 - sin|a|/|a|)/|a|² sk(a)²
+
+    References
+    ----------
+    P. Groves, 2nd ed., eq. 5.84.
+    """
+    S = skew(rotation_vector)
+    angle2 = 0.5 * float((S * S).sum())
+    angle = sqrt(angle2)
+    if angle < _SMALL_ANGLE:
+        first, second = 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
+    else:
+        first, second = (1.0 - cos(angle)) / angle2, (1.0 - sin(angle) / angle) / angle2
+    return np.eye(3) + first * S + second * (S @ S)
+
+
+def rotation_vector_from_matrix(matrix: npt.ArrayLike) -> FloatArray:
+    """Rotation vector [rad], shape (3,), of a rotation matrix; its length is at most pi."""
+    w, x, y, z = quaternion_from_matrix(matrix)
+    sine = sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < 1e-12 else 2.0 * atan2(sine, w) / sine
+    return scale * np.array([x, y, z])
+
+
+def ned_from_body(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Rotation matrix from body axes (forward, right, down) to north, east and down.
+
+    Parameters
+    ----------
+    roll, pitch, yaw : float
+        [rad] Applied in the order yaw, pitch, roll from NED to body: right side down, nose up, nose clockwise
+        from north are positive.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        C_nb = R_z(yaw) R_y(pitch) R_x(roll).
+    """
+    sr, cr, sp, cp, sy, cy = sin(roll), cos(roll), sin(pitch), cos(pitch), sin(yaw), cos(yaw)
+    return np.array(
+        [
+            [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
+            [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
+            [-sp, sr * cp, cr * cp],
+        ]
+    )
+
+
+def roll_pitch_yaw(matrix: npt.ArrayLike) -> Vector:
+    """Roll, pitch and yaw [rad] of the rotation matrix NED from body; at pitch ±90° roll is 0."""
+    C = np.asarray(matrix, dtype=np.float64)
+    pitch = asin(max(-1.0, min(1.0, -float(C[2, 0]))))
+    if abs(C[2, 0]) > 1.0 - 1e-12:
+        return 0.0, pitch, atan2(-float(C[0, 1]), float(C[1, 1]))
+    return atan2(float(C[2, 1]), float(C[2, 2])), pitch, atan2(float(C[1, 0]), float(C[0, 0]))
+
+
+def matrix_from_quaternion(quaternion: Quaternion) -> FloatArray:
+    """Rotation matrix, shape (3, 3), of a unit quaternion."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_matrix(matrix: npt.ArrayLike) -> Quaternion:
+    """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix.
+
+    Notes
+    -----
+    Divides by the largest of the four components, so that no rotation is near a singularity.
+
+    References
+    ----------
+    S. Shepperd, "Quaternion from rotation matrix", J. Guidance and Control 1(3), 1978.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(matrix, dtype=np.float64).tolist()
+    candidates = (
+        (1.0 + a + e + i, h - f, c - g, d - b),
+        (h - f, 1.0 + a - e - i, b + d, c + g),
+        (c - g, b + d, 1.0 - a + e - i, f + h),
+        (d - b, c + g, f + h, 1.0 - a - e + i),
+    )
+    w, x, y, z = max(candidates, key=lambda q: sum(component * component for component in q))
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    scale = -1.0 / norm if w < 0.0 else 1.0 / norm
+    return w * scale, x * scale, y * scale, z * scale
+
+
+def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
+    """Hamilton's product: the turn `right` followed by the turn `left`."""
+    a, b, c, d = left
+    e, f, g, h = right
+    return (
+        a * e - b * f - c * g - d * h,
+        a * f + b * e + c * h - d * g,
+        a * g - b * h + c * e + d * f,
+        a * h + b * g - c * f + d * e,
+    )
+
+
+def quaternion_from_rotation_vector(rotation_vector: Vector) -> Quaternion:
+    """Unit quaternion of a turn about an axis [rad]; w < 0 for turns of more than pi."""
+    x, y, z = rotation_vector
+    angle2 = x * x + y * y + z * z
+    if angle2 < _SMALL_ANGLE**2:
+        scale, w = 0.5 - angle2 / 48.0, 1.0 - angle2 / 8.0
+    else:
+        half = 0.5 * sqrt(angle2)
+        scale, w = 0.5 * sin(half) / half, cos(half)
+    return w, scale * x, scale * y, scale * z
