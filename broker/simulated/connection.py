@@ -1,0 +1,186 @@
+"""One TCP connection: bytes to packets, packets to the broker, keep-alive."""
+
+import asyncio
+import logging
+import socket
+from typing import cast
+
+from .broker import Broker
+from .framing import Framer
+from .packets import (
+    PINGRESP,
+    Acknowledge,
+    Connect,
+    Disconnect,
+    Kind,
+    Packet,
+    Ping,
+    Publish,
+    Subscribe,
+    Unsubscribe,
+    UnsupportedVersion,
+    decode,
+    encode_connack,
+    encode_disconnect,
+    encode_puback,
+    encode_refusal,
+    encode_suback,
+)
+from .properties import Properties, Property
+from .session import Delivery, Session
+from .wire import ProtocolError, Reason
+
+log = logging.getLogger(__name__)
+UNSENT_BYTES = 262_144  # in the transport; beyond it, messages wait in the session's bounded queue
+
+
+class Connection(asyncio.Protocol):
+    """A client, from its first byte to its last."""
+
+    def __init__(self, broker: Broker, connections: set["Connection"]) -> None:
+        self.writable = True
+        self._broker = broker
+        self._connections = connections
+        self._framer = Framer(broker.limits.packet_bytes)
+        self._session: Session | None = None
+        self._ended = False
+        self._silent_after_s = broker.limits.connect_within_s
+        self._heard_s = 0.0
+        self._timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Set up a connection that has just been accepted."""
+        self._transport = cast(asyncio.Transport, transport)
+        self._loop = asyncio.get_running_loop()
+        self._connections.add(self)
+        transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._transport.set_write_buffer_limits(UNSENT_BYTES)
+        self._heard_s = self._loop.time()
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        """Handle the packets that are complete; a packet that is refused ends the connection."""
+        self._heard_s = self._loop.time()
+        try:
+            for first, body in self._framer.feed(data):
+                if self._ended:
+                    return
+                packet = decode(first, body)
+                if self._session is None:
+                    self._greet(packet)
+                else:
+                    self._handle(packet, self._session)
+        except UnsupportedVersion as refused:
+            self._broker.tally.note("refused version", f"MQTT protocol level {refused.level}, wants 5")
+            self._transport.write(encode_refusal(refused.level))
+            self._close(will=False)
+        except ProtocolError as refused:
+            who = self._session.client_id if self._session else "a newcomer"
+            self._broker.tally.note("protocol error", f"{who}: {refused}")
+            self.end(refused.reason)
+
+    def pause_writing(self) -> None:
+        """Note that the client reads slower than it is written to."""
+        self.writable = False
+
+    def resume_writing(self) -> None:
+        """Send what waited while the client was slow."""
+        self.writable = True
+        if self._session is not None and self._session.writer is self:
+            self._session.pump(self._broker.now_s())
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End with the will: the client took no leave."""
+        self._close(will=True)
+        self._connections.discard(self)
+
+    def write(self, frame: bytes) -> None:
+        """Send the bytes of one packet."""
+        self._transport.write(frame)
+
+    def end(self, reason: Reason, *, will: bool = True) -> None:
+        """Close the connection, with a farewell that says why."""
+        if not self._ended:
+            self.write(encode_disconnect(reason) if self._session else encode_connack(reason))
+        self._close(will=will)
+
+    def abort(self) -> None:
+        """Close without waiting for what is unsent."""
+        self._transport.abort()
+
+    def _close(self, *, will: bool) -> None:
+        if self._ended:
+            return
+        self._ended = True
+        if self._timer is not None:
+            self._timer.cancel()
+        self._loop.call_later(1.0, self.abort)  # for one who does not read the farewell
+        self._transport.close()
+        if self._session is not None:
+            self._broker.leave(self._session, will=will)
+
+    def _watch(self) -> None:
+        """End a connection that has been silent for too long; looks once per period, not once per packet."""
+        silent_s = self._loop.time() - self._heard_s
+        if silent_s >= self._silent_after_s:
+            self._broker.tally.note("silent", self._session.client_id if self._session else "a newcomer")
+            self.end(Reason.KEEP_ALIVE_TIMEOUT)
+        else:
+            self._timer = self._loop.call_later(self._silent_after_s - silent_s, self._watch)
+
+    def _handle(self, packet: Packet, session: Session) -> None:
+        match packet:
+            case Publish():
+                reason = self._broker.receive(packet, session)
+                if packet.qos:
+                    self.write(encode_puback(packet.packet_id, reason))
+            case Acknowledge():
+                session.acknowledge(packet.packet_id, self._broker.now_s())
+            case Ping():
+                self.write(PINGRESP)
+            case Subscribe():
+                self._subscribe(packet, session)
+            case Unsubscribe():
+                self.write(encode_suback(Kind.UNSUBACK, packet.packet_id, self._broker.unsubscribe(packet, session)))
+            case Disconnect():
+                self._take_leave(packet, session)
+            case Connect():
+                raise ProtocolError(Reason.PROTOCOL_ERROR, "a second CONNECT")
+
+    def _greet(self, request: Packet) -> None:
+        if not isinstance(request, Connect):
+            raise ProtocolError(Reason.PROTOCOL_ERROR, "the first packet is not CONNECT")
+        limits = self._broker.limits
+        session, present = self._broker.connect(request, self)
+        numbers = {
+            Property.MAXIMUM_QOS: 1,
+            Property.MAXIMUM_PACKET_SIZE: limits.packet_bytes,
+            Property.SUBSCRIPTION_IDENTIFIER_AVAILABLE: 0,
+            Property.SHARED_AVAILABLE: 0,
+        }
+        if request.properties.numbers.get(Property.SESSION_EXPIRY_S, 0) != session.expiry_s:
+            numbers[Property.SESSION_EXPIRY_S] = session.expiry_s
+        texts = {} if request.client_id else {Property.ASSIGNED_CLIENT_ID: session.client_id}
+        self.write(encode_connack(Reason.SUCCESS, session_present=present, properties=Properties(numbers, texts)))
+        self._session = session
+        if self._timer is not None:
+            self._timer.cancel()
+        if request.keep_alive_s:
+            self._silent_after_s = 1.5 * request.keep_alive_s
+            self._watch()
+        log.info("client %s connected as %s", session.client_id, session.user)
+        session.resume(self._broker.now_s())
+
+    def _subscribe(self, request: Subscribe, session: Session) -> None:
+        reasons, kept = self._broker.subscribe(request, session)
+        self.write(encode_suback(Kind.SUBACK, request.packet_id, reasons))
+        for message, deadline_s, _ in kept:
+            session.send(Delivery(message, deadline_s), self._broker.now_s())
+
+    def _take_leave(self, packet: Disconnect, session: Session) -> None:
+        expiry_s = packet.properties.numbers.get(Property.SESSION_EXPIRY_S, session.expiry_s)
+        if expiry_s and not session.expiry_s:
+            raise ProtocolError(Reason.PROTOCOL_ERROR, "a session that was to end with the connection")
+        session.expiry_s = min(expiry_s, self._broker.limits.session_expiry_s)
+        log.info("client %s took leave with reason %#x", session.client_id, packet.reason)
+        self._close(will=packet.reason != Reason.SUCCESS)
