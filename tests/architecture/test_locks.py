@@ -1,0 +1,45 @@
+"""The lock files pin what pyproject.toml asks for, and nothing but versions."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def pins(name: str) -> dict[str, str]:
+    lines = (ROOT / name).read_text().splitlines()
+    return dict(line.split("==", 1) for line in lines)
+
+
+def wanted(*, development: bool) -> list[Requirement]:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    texts: list[str] = project["dependencies"] + (project["optional-dependencies"]["dev"] if development else [])
+    return [Requirement(text) for text in texts]
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
+def test_every_line_is_one_exact_version(name: str) -> None:
+    for line in (ROOT / name).read_text().splitlines():
+        assert re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*", line), f"{name}: {line!r}; run `make lock`"
+
+
+@pytest.mark.parametrize(("name", "development"), [("requirements.lock", False), ("requirements-dev.lock", True)])
+def test_what_the_project_asks_for_is_pinned_within_its_bounds(name: str, development: bool) -> None:
+    pinned = pins(name)
+    for requirement in wanted(development=development):
+        version = pinned.get(canonicalize_name(requirement.name))
+        assert version is not None, f"{name} lacks {requirement.name}; run `make lock`"
+        assert requirement.specifier.contains(version), f"{name}: {version} is outside {requirement}; run `make lock`"
+
+
+def test_the_tests_run_on_the_versions_that_the_vehicle_runs() -> None:
+    assert pins("requirements.lock").items() <= pins("requirements-dev.lock").items()
+
+
+def test_the_vehicle_gets_no_test_tools() -> None:
+    assert not pins("requirements.lock").keys() & {"pytest", "mypy", "ruff", "playwright", "hypothesis"}
