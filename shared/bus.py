@@ -59,11 +59,19 @@ class Bus:
 
     `receive` must be called at least every 0.2 s: it runs the network loop, the heartbeat and the
     reconnection. QoS 0 messages published while the broker is away are lost and counted, QoS 1
-    messages wait for it in a bounded queue.
+    messages wait for it in a bounded queue. An observer only listens: it has no last will and no
+    heartbeat, and there may be several of one name.
     """
 
     def __init__(
-        self, process: str, vehicle: str, address: BrokerAddress, subscriptions: Sequence[Topic], state_dir: Path
+        self,
+        process: str,
+        vehicle: str,
+        address: BrokerAddress,
+        subscriptions: Sequence[Topic],
+        state_dir: Path,
+        *,
+        observer: bool = False,
     ) -> None:
         self.process, self.vehicle, self.address, self.state_dir = process, vehicle, address, state_dir
         self.vehicle_toml = ""
@@ -82,6 +90,7 @@ class Bus:
         self._next_heartbeat = self._next_attempt = 0.0
         self._attempts = 0
         self._host = psutil.Process()
+        self._observer = observer
         self._client = self._make_client()
 
     def now_ns(self) -> int:
@@ -134,7 +143,8 @@ class Bus:
     def close(self) -> None:
         """Say farewell and disconnect; the last will is not sent."""
         if self.connected:
-            self.publish(self.health(ProcessState.DISCONNECTED))
+            if not self._observer:
+                self.publish(self.health(ProcessState.DISCONNECTED))
             deadline = time.monotonic() + 0.5
             while (self._client.want_write() or self._waiting) and self.connected and time.monotonic() < deadline:
                 self._exchange(0.05)
@@ -160,9 +170,19 @@ class Bus:
         )
 
     def _make_client(self) -> paho.Client:
-        client = paho.Client(CallbackAPIVersion.VERSION2, client_id=self.process, protocol=paho.MQTTv5)
+        identity = f"{self.process}-{self._host.pid}" if self._observer else self.process
+        client = paho.Client(CallbackAPIVersion.VERSION2, client_id=identity, protocol=paho.MQTTv5)
         client.username_pw_set(self.address.username or self.process, self.address.password)
         client.max_queued_messages_set(QUEUE_LENGTH)
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.on_message = self._on_message
+        client.on_socket_open = _no_delay
+        if not self._observer:
+            self._leave_will(client)
+        return client
+
+    def _leave_will(self, client: paho.Client) -> None:
         will = ProcessHealth(
             process=self.process, state=ProcessState.LOST, incarnation=self.incarnation, sent_ns=self.incarnation
         )
@@ -176,11 +196,6 @@ class Bus:
                 {"from": self.process, "life": str(self.incarnation), "seq": "0"}, PacketTypes.WILLMESSAGE
             ),
         )
-        client.on_connect = self._on_connect
-        client.on_disconnect = self._on_disconnect
-        client.on_message = self._on_message
-        client.on_socket_open = _no_delay
-        return client
 
     def _connect(self, timeout_s: float) -> None:
         wait = self._next_attempt - time.monotonic()
@@ -222,7 +237,7 @@ class Bus:
 
     def _heartbeat(self) -> None:
         now = time.monotonic()
-        if self.connected and now >= self._next_heartbeat:
+        if self.connected and not self._observer and now >= self._next_heartbeat:
             self._next_heartbeat = now + HEARTBEAT_S
             self.publish(self.health(ProcessState.READY))
 

@@ -1,0 +1,81 @@
+# Everything is set up by the first target that needs it: `make demo` or `make test`, and nothing else.
+
+VENV ?= .venv
+PYTHON := $(VENV)/bin/python
+SUDO := $(shell [ "$$(id -u)" = 0 ] || command -v sudo)
+APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
+SEED ?= 1
+SCENARIO ?= urban
+
+.PHONY: help setup demo test check up down docs lock papers bench picture clean
+.DEFAULT_GOAL := help
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(VENV)/.installed $(VENV)/.dashboard ## install what the unit needs into $(VENV)
+
+# Debian's python3 comes without venv; every other Python brings it.
+$(VENV)/bin/python:
+	@python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed, this is $$(python3 --version)"; exit 1; }
+	@python3 -c 'import ensurepip, venv' 2>/dev/null || { echo "installing python3-venv"; $(APT) update && $(APT) install -y --no-install-recommends python3-venv; }
+	@python3 -m venv $(VENV)
+
+$(VENV)/.installed: requirements.lock pyproject.toml | $(VENV)/bin/python
+	@echo "installing the Python packages (about a minute)"
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
+
+$(VENV)/.dashboard: services/monitoring/status/dashboard/package-lock.json deploy/install_dashboard.py | $(VENV)/.installed
+	@echo "installing the dashboard's libraries"
+	@$(PYTHON) deploy/install_dashboard.py
+	@touch $@
+
+$(VENV)/.testing: requirements-dev.lock | $(VENV)/.installed $(VENV)/.dashboard
+	@echo "installing what the tests need"
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
+	@$(PYTHON) deploy/install_dashboard.py --testing
+	@touch $@
+
+# The tests talk to a real Mosquitto, a real Chromium and a real gpsd; where they cannot be installed, their tests skip and say so.
+$(VENV)/.debian: | $(VENV)/.testing
+	@deploy/install_test_programs.sh "$(SUDO)"
+	@touch $@
+
+demo: setup ## drive a simulated car here and print the dashboard's address
+	@$(PYTHON) -m services demo --scenario $(SCENARIO) --seed $(SEED)
+
+test: $(VENV)/.debian ## run every check that CI runs
+	@$(MAKE) --no-print-directory check
+
+check: | $(VENV)/.testing ## the checks alone, on what is installed
+	@$(PYTHON) -m ruff check .
+	@$(PYTHON) -m ruff format --check .
+	@$(PYTHON) -m mypy
+	@$(PYTHON) -m pytest -n auto --dist loadgroup -m "not slow" $(PYTEST_ARGS)
+
+up: ## start the containers
+	docker compose up --detach --build
+
+down: ## stop the containers
+	docker compose down
+
+docs: setup ## print docs/reference and broker/acl.conf from the code
+	@$(PYTHON) -m services reference docs/reference
+	@$(PYTHON) -m broker.acl > broker/acl.conf
+
+lock: | $(VENV)/.testing ## write the lock files anew from what is installed
+	@$(PYTHON) deploy/lock.py
+
+papers: setup ## reproduce the papers' numbers (minutes)
+	@$(PYTHON) -m services papers navigation
+
+bench: $(VENV)/.debian ## measure beside C and print the ratios (minutes)
+	@$(PYTHON) -m benchmarks
+
+picture: $(VENV)/.debian ## take the README's picture anew from a running demo
+	@$(PYTHON) docs/picture.py
+
+clean: ## remove what set-up and runs have made
+	rm -rf $(VENV) .obu services/monitoring/status/dashboard/node_modules .pytest_cache .mypy_cache .ruff_cache

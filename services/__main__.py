@@ -1,0 +1,34 @@
+"""The `obu` command."""
+
+import sys
+
+from shared.errors import UserError
+from shared.processes import BY_NAME
+
+
+def main() -> None:
+    """Run the command line; an error of the user's making is one sentence on standard error."""
+    try:
+        if sys.argv[1:2] == ["run"] and len(sys.argv) == 3 and sys.argv[2] in BY_NAME:
+            run(sys.argv[2])  # the processes of a vehicle start without the weight of the command line
+        else:
+            from services.commands.cli import app
+
+            app(prog_name="obu")
+    except UserError as error:
+        print(f"obu: {error}", file=sys.stderr)  # noqa: T201  # this is the command line
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def run(name: str) -> None:
+    """Run one process of the unit."""
+    from shared.config import load_vehicle
+    from shared.live import run_process
+
+    run_process(name, load_vehicle())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""`obu demo`: the whole unit on this machine with simulated sensors, and its balance at the end."""
+
+import json
+import sys
+import time
+import tomllib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress, TimeElapsedColumn
+
+from shared.bus import Bus
+from shared.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
+from shared.errors import BadPayload, UserError
+from shared.topics import TOPICS
+
+from .balance import Balance, Summary
+from .local import broker_command, free_port, fresh_folder, port_or_free, unit
+from .supervisor import Supervisor
+
+SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
+OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw")
+START_LIMIT_S = 60.0
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """What the demo is asked to do."""
+
+    scenario: str
+    seed: int
+    duration_s: float | None
+    json_output: bool
+    http_port: int
+    broker: str  # auto, mosquitto or simulated
+    vehicle: Path = SIMULATED
+
+
+def run(options: DemoOptions) -> int:
+    """Start everything, watch it, and print the balance at the end."""
+    folder = fresh_folder(state_dir().resolve() / "demo")
+    port, http_port = free_port(), port_or_free(options.http_port)
+    vehicle_path = folder / "vehicle.toml"
+    vehicle = _vehicle(options, http_port)
+    vehicle_path.write_text(vehicle.text, encoding="utf-8")
+    environment = {
+        "OBU_VEHICLE": str(vehicle_path),
+        "OBU_BROKER": f"mqtt://127.0.0.1:{port}",
+        "OBU_STATE": str(folder),
+    }
+    (folder / "logs").mkdir()
+    supervisor = unit(vehicle, environment, folder / "logs")
+    supervisor.add("broker", broker_command(folder, port, options.broker))
+    console = Console(stderr=True)
+    console.print(f"[bold]OBU demo[/]: scenario {options.scenario}, seed {options.seed}; logs in {folder / 'logs'}")
+    address = f"http://127.0.0.1:{http_port}"
+    bus = Bus("observer", vehicle.name, BrokerAddress.parse(environment["OBU_BROKER"]),
+              [t for t in TOPICS if t.name in OBSERVED], folder, observer=True)  # fmt: skip
+    balance = Balance(vehicle)
+    try:
+        _watch(supervisor, bus, balance, options, console, address)
+        summary = balance.summary(supervisor.alive(), len(supervisor.children), _restarts(supervisor))
+    finally:
+        bus.close()
+        supervisor.stop()
+    _print(summary, options, console)
+    return 0 if summary.healthy else 1
+
+
+def _restarts(supervisor: Supervisor) -> int:
+    return sum(child.restarts for child in supervisor.children.values())
+
+
+def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
+    """Take the file of the simulated vehicle and put the demo's choices into it."""
+    base = load_vehicle(options.vehicle)
+    tables: dict[str, Table] = {name: dict(table) for name, table in base.tables.items()}
+    simulator = tables.setdefault("sensors.simulator", {})
+    simulator.update(scenario=options.scenario, seed=options.seed)
+    tables.setdefault("monitoring.status", {}).update(port=http_port)
+    lines = [
+        line
+        for name, table in tables.items()
+        for line in (f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items()), "")
+    ]
+    text = "\n".join(lines)
+    tomllib.loads(text)
+    return parse_vehicle(text, "the demo's vehicle file")
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(v) for v in value) + "]"
+    return json.dumps(value)  # strings, numbers and booleans are written alike in JSON and TOML
+
+
+def _watch(
+    supervisor: Supervisor, bus: Bus, balance: Balance, options: DemoOptions, console: Console, address: str
+) -> None:
+    """Run until the duration is over, or for ever; the clock starts with the first solution."""
+    started = time.monotonic()
+    measuring_since: float | None = None
+    with Progress(*Progress.get_default_columns(), TimeElapsedColumn(), console=console,
+                  disable=not console.is_terminal) as progress:  # fmt: skip
+        task = progress.add_task("waiting for the first solution", total=options.duration_s)
+        while measuring_since is None or options.duration_s is None or \
+                time.monotonic() - measuring_since < options.duration_s:  # fmt: skip
+            supervisor.watch()
+            for envelope in bus.receive(0.1):
+                try:
+                    balance.add(envelope.topic, envelope.decode(), envelope.received_ns)
+                except BadPayload as error:
+                    raise UserError(f"the demo heard a broken message: {error}; please report it") from error
+            if measuring_since is None and balance.messages:
+                measuring_since = time.monotonic()
+                console.print(f"dashboard: [bold link={address}]{address}[/]   (end with Ctrl-C)")
+                progress.update(task, description="driving")
+            if measuring_since is None and time.monotonic() - started > START_LIMIT_S:
+                raise UserError(f"nothing was heard from the sensors in {START_LIMIT_S:.0f} s; "
+                                f"see the logs in {bus.state_dir / 'logs'}")  # fmt: skip
+            if measuring_since is not None:
+                progress.update(task, completed=time.monotonic() - measuring_since)
+
+
+def _print(summary: Summary, options: DemoOptions, console: Console) -> None:
+    if options.json_output:
+        print(json.dumps(asdict(summary)))
+        return
+    console.print("\n[bold]What was seen[/]")
+    for name, value in asdict(summary).items():
+        console.print(f"  {name:32} {value if value is not None else '-'}")
+    sys.stderr.flush()
+
+
+__all__ = ["DemoOptions", "run"]

@@ -1,0 +1,54 @@
+"""The pages of docs/reference that are printed from code."""
+
+import importlib
+import json
+from pathlib import Path
+from typing import cast
+
+from shared.config import Section
+from shared.contract import Json, asyncapi_json, processes_table, table, topics_table
+from shared.processes import PROCESSES
+
+HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
+
+
+def configuration_pages() -> str:
+    """Print every setting of every process."""
+    parts = []
+    for row in PROCESSES:
+        config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
+        schema = cast(Json, config.model_json_schema())
+        fields = cast("dict[str, Json]", schema.get("properties", {}))
+        rows = [
+            (f"`{name}`", _kind(field), f"`{json.dumps(field.get('default'))}`", str(field.get("description", "")))
+            for name, field in fields.items()
+        ]
+        body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
+        parts.append(f"## [{row.name}]\n\n{body}\n")
+    return "\n".join(parts)
+
+
+def pages() -> dict[str, str]:
+    """Make every page of docs/reference that is printed from code: file name and text."""
+    return {
+        "topics.md": f"{HEAD}# Topics\n\nEach topic is `obu/<vehicle>/` and the name below.\n\n{topics_table()}\n",
+        "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
+        "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file a vehicle, one section a process; "
+        f"the section `[vehicle]` holds its `name`.\n\n{configuration_pages()}",
+        "asyncapi.json": asyncapi_json() + "\n",
+    }
+
+
+def write_pages(folder: Path) -> list[Path]:
+    """Write the printed pages into docs/reference."""
+    written = []
+    for name, text in pages().items():
+        (folder / name).write_text(text, encoding="utf-8")
+        written.append(folder / name)
+    return written
+
+
+def _kind(field: Json) -> str:
+    if "anyOf" in field:
+        return " or ".join(str(option.get("type", "table")) for option in cast("list[Json]", field["anyOf"]))
+    return str(field.get("type", "table"))

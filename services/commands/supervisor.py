@@ -1,0 +1,109 @@
+"""Keeps a set of processes alive: starts them, starts them again when they end, stops them in time."""
+
+import logging
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+log = logging.getLogger(__name__)
+
+BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
+SETTLED_S = 10.0  # a life this long forgives the deaths before it
+STOP_S = 4.0
+
+
+@dataclass
+class Child:
+    """One supervised process: how to start it, and how it has fared."""
+
+    name: str
+    command: Sequence[str]
+    log_file: Path | None
+    process: subprocess.Popen[bytes] | None = None
+    started: float = 0.0
+    next_start: float = 0.0
+    failures: int = 0
+    restarts: int = 0
+    exit_codes: list[int] = field(default_factory=list)
+
+
+class Supervisor:
+    """Starts each child, and again with growing pauses when it ends before it is told to."""
+
+    def __init__(self, environment: Mapping[str, str], log_folder: Path | None = None) -> None:
+        self._environment = dict(environment)
+        self._log_folder = log_folder
+        self.children: dict[str, Child] = {}
+
+    def add(self, name: str, command: Sequence[str]) -> None:
+        """Take a child into care; `watch` starts it."""
+        log_file = self._log_folder / f"{name}.log" if self._log_folder else None
+        self.children[name] = Child(name, command, log_file)
+
+    def add_process(self, name: str) -> None:
+        """Take a process of the unit into care."""
+        self.add(name, [sys.executable, "-m", "services", "run", name])
+
+    def watch(self) -> None:
+        """Start what is due and notice what has ended; call it a few times a second."""
+        now = time.monotonic()
+        for child in self.children.values():
+            if child.process is None:
+                if now >= child.next_start:
+                    self._start(child)
+            elif (code := child.process.poll()) is not None:
+                self._ended(child, code, now)
+
+    def stop(self) -> None:
+        """End every child: SIGTERM, and SIGKILL for who has not gone after four seconds."""
+        for child in self.children.values():
+            if child.process is not None and child.process.poll() is None:
+                child.process.send_signal(signal.SIGTERM)
+                child.process.send_signal(signal.SIGCONT)  # a stopped child cannot hear the other
+        deadline = time.monotonic() + STOP_S
+        for child in self.children.values():
+            if child.process is None:
+                continue
+            try:
+                child.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                log.warning("%s did not end in %.0f s and was killed", child.name, STOP_S)
+                child.process.kill()
+                child.process.wait()
+
+    def alive(self) -> int:
+        """Count the children that run."""
+        return sum(c.process is not None and c.process.poll() is None for c in self.children.values())
+
+    def _start(self, child: Child) -> None:
+        output = child.log_file.open("ab") if child.log_file else None
+        try:
+            child.process = subprocess.Popen(
+                [*_end_with_parent(), *child.command],
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT if output else None,
+            )
+        finally:
+            if output:
+                output.close()
+        child.started = time.monotonic()
+
+    def _ended(self, child: Child, code: int, now: float) -> None:
+        child.failures = 0 if now - child.started > SETTLED_S else child.failures + 1
+        pause = BACK_OFF_S[min(max(child.failures - 1, 0), len(BACK_OFF_S) - 1)]
+        child.process, child.next_start = None, now + pause
+        child.restarts += 1
+        child.exit_codes = [*child.exit_codes[-9:], code]
+        log.warning("%s ended with %d, starting it again in %.1f s", child.name, code, pause)
+
+
+def _end_with_parent() -> list[str]:
+    """Have the kernel send SIGTERM to a child when the supervisor itself is killed, where util-linux is there."""
+    return ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []

@@ -1,0 +1,44 @@
+"""`obu tail`: live messages of a running unit."""
+
+import json
+import time
+
+from shared.bus import Bus, Envelope
+from shared.config import VehicleFile, broker_address, state_dir
+from shared.errors import UserError
+from shared.messages import RawBytes
+from shared.topics import TOPICS, topic_of
+
+PATIENCE_S = 5.0
+
+
+def follow(name: str, vehicle: VehicleFile, count: int | None) -> int:
+    """Print messages of one topic, or of all, until Ctrl-C or until `count` of them have come."""
+    topic = topic_of(name)
+    if topic is None and name != "#":
+        raise UserError(f"there is no topic {name!r}; `obu topics` lists them")
+    wanted = TOPICS if topic is None else (topic,)
+    bus = Bus("observer", vehicle.name, broker_address(), wanted, state_dir(), observer=True)
+    started, seen = time.monotonic(), 0
+    try:
+        while count is None or seen < count:
+            for envelope in bus.receive(0.2):
+                if name in ("#", envelope.topic) or (topic is not None and topic.per_process):
+                    print(_line(envelope), flush=True)
+                    seen += 1
+                    if seen == count:
+                        break
+            if not bus.connected and time.monotonic() - started > PATIENCE_S:
+                raise UserError(
+                    f"{bus.last_error or 'no broker answers'}; is the unit running? Set OBU_BROKER to its broker"
+                )
+    finally:
+        bus.close()
+    return 0
+
+
+def _line(envelope: Envelope) -> str:
+    topic = topic_of(envelope.topic)
+    raw = topic is not None and issubclass(topic.message, RawBytes)
+    body = envelope.payload.hex() if raw else json.loads(envelope.payload)
+    return json.dumps({"topic": envelope.topic, "from": envelope.producer, "seq": envelope.sequence, "message": body})
