@@ -1,0 +1,300 @@
+"""Writes a recording: MCAP in compressed chunks, each complete in itself and written in one go."""
+
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from ..bus import Envelope
+from .channels import IRREGULAR, MAXIMUM_CHANNELS, Key, encoding_of, fields_of, key_of, metadata_of, schema_of
+
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK_BYTES = 256 * 1024
+VEHICLE_FILE = "vehicle.toml"
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+MESSAGE_OVERHEAD = MESSAGE_HEAD.size - 9
+SUMMARY_ORDER = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+
+
+class Output(Protocol):
+    """The part of an unbuffered file that the writer needs."""
+
+    def write(self, data: memoryview, /) -> int | None:
+        """Write what fits, and say how much that was."""
+        ...
+
+    def truncate(self, size: int, /) -> int:
+        """Cut the file."""
+        ...
+
+    def seek(self, offset: int, /) -> int:
+        """Go there."""
+        ...
+
+    def fileno(self) -> int:
+        """Give the number of the open file."""
+        ...
+
+    def close(self) -> None:
+        """Close the file."""
+        ...
+
+
+def open_new(path: Path) -> Output:
+    """Create a file that must not exist yet, without a buffer of its own."""
+    return path.open("xb", buffering=0)
+
+
+class ChunkInProgress:
+    """Messages that are not in the file yet, and where in the chunk each of them starts."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.stamps: dict[int, list[int]] = {}  # channel -> log time, offset, log time, offset, ...
+
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        return sum(map(len, self.stamps.values())) // 2
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """First and last log time."""
+        times = [time for entries in self.stamps.values() for time in entries[::2]]
+        return min(times), max(times)
+
+    def add(self, channel: Channel, head: tuple[int, int, int], data: bytes) -> None:
+        """Add a message with its sequence number, log time and publish time."""
+        if channel.id not in self.stamps:
+            self.stamps[channel.id] = []
+            self.data += packed(channel)
+        self.stamps[channel.id] += head[1], len(self.data)
+        self.data += MESSAGE_HEAD.pack(Opcode.MESSAGE, MESSAGE_OVERHEAD + len(data), channel.id, *head)
+        self.data += data
+
+    def indexes(self) -> dict[int, bytes]:
+        """Pack the message index of each channel."""
+        return {
+            id_: struct.pack(
+                f"<BQHI{len(entries)}Q", Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), id_, 8 * len(entries), *entries
+            )
+            for id_, entries in self.stamps.items()
+        }
+
+
+class RecordingWriter:
+    """One recording in the making.
+
+    Each chunk repeats the channels that it uses, so that it can be read without the ones before it.
+    A write that fails (a full disk) raises `OSError`, loses that chunk, and leaves the file as it
+    was after the chunk before.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        vehicle: str = "",
+        vehicle_toml: str = "",
+        chunk_bytes: int = CHUNK_BYTES,
+        opener: Callable[[Path], Output] = open_new,
+    ) -> None:
+        self.path = path
+        self.messages = 0  # that are in the file
+        self.bytes_written = 0
+        self._chunk_bytes = chunk_bytes
+        self._file = opener(path)
+        self._compressor = zstandard.ZstdCompressor()
+        self._channels: dict[Key | None, Channel] = {}
+        self._schemas: dict[str, Schema] = {}
+        self._summary = {opcode: bytearray() for opcode in SUMMARY_ORDER}
+        self._counts: dict[int, int] = {}
+        self._span = (1 << 64) - 1, 0
+        self._chunks = 0
+        self._chunk = ChunkInProgress()
+        self._start(vehicle, vehicle_toml)
+
+    def write(self, envelope: Envelope) -> None:
+        """Add a message; once the chunk is full it goes to the file."""
+        key = key_of(envelope)
+        if key not in self._channels and len(self._channels) >= MAXIMUM_CHANNELS:
+            key = None
+        channel = self._channels.get(key) or self._new_channel(key)
+        fields = fields_of(envelope, key)
+        self._chunk.add(channel, (fields.sequence, max(envelope.received_ns, 0), fields.publish_time), fields.data)
+        if len(self._chunk.data) >= self._chunk_bytes:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the chunk in progress to the file; what was flushed outlives this process."""
+        if not self._chunk.stamps:
+            return
+        chunk, self._chunk = self._chunk, ChunkInProgress()
+        data, (first, last) = bytes(chunk.data), chunk.span
+        record = Chunk(
+            compression="zstd",
+            data=self._compressor.compress(data),
+            message_start_time=first,
+            message_end_time=last,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+        start, head, indexes = self.bytes_written, packed(record), chunk.indexes()
+        self._append(head, *indexes.values())
+        self._summary[Opcode.CHUNK_INDEX] += _chunk_index(record, start, len(head), indexes)
+        self._span = min(self._span[0], first), max(self._span[1], last)
+        self._chunks += 1
+        self.messages += chunk.messages
+        for id_, entries in chunk.stamps.items():
+            self._counts[id_] = self._counts.get(id_, 0) + len(entries) // 2
+
+    def fileno(self) -> int:
+        """Give the number of the open file, for `os.fdatasync`."""
+        return self._file.fileno()
+
+    def abandon(self) -> None:
+        """Close the file as it is, as a crash would leave it."""
+        self._file.close()
+
+    def close(self) -> None:
+        """Finish the file with its summary, so that every MCAP tool opens it."""
+        try:
+            self.flush()
+            self._append(self._ending())
+        finally:
+            self._file.close()
+
+    def _start(self, vehicle: str, vehicle_toml: str) -> None:
+        self._append(MAGIC, packed(Header("", "obu")))
+        described = Metadata("obu", {"vehicle": vehicle})
+        position = self.bytes_written
+        self._append(packed(described))
+        self._summary[Opcode.METADATA_INDEX] += packed(
+            MetadataIndex(position, self.bytes_written - position, described.name)
+        )
+        text = vehicle_toml.encode()
+        position = self.bytes_written
+        self._append(packed(Attachment(0, 0, VEHICLE_FILE, "application/toml", text)))
+        self._summary[Opcode.ATTACHMENT_INDEX] += packed(
+            AttachmentIndex(position, self.bytes_written - position, 0, 0, len(text), VEHICLE_FILE, "application/toml")
+        )
+
+    def _new_channel(self, key: Key | None) -> Channel:
+        topic = IRREGULAR if key is None else key[0]
+        channel = Channel(
+            id=len(self._channels) + 1,
+            topic=topic,
+            message_encoding=encoding_of(topic),
+            metadata={} if key is None else metadata_of(key),
+            schema_id=self._schema_id(topic),
+        )
+        self._channels[key] = channel
+        self._summary[Opcode.CHANNEL] += packed(channel)
+        return channel
+
+    def _schema_id(self, topic: str) -> int:
+        described = schema_of(topic)
+        if described is None:
+            return 0
+        name, text = described
+        if name not in self._schemas:
+            schema = Schema(id=len(self._schemas) + 1, name=name, encoding="jsonschema", data=text)
+            self._schemas[name] = schema
+            self._chunk.data += packed(schema)
+            self._summary[Opcode.SCHEMA] += packed(schema)
+        return self._schemas[name].id
+
+    def _append(self, *parts: bytes) -> None:
+        data = memoryview(b"".join(parts))
+        rest = data
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
+        except OSError:
+            self._file.truncate(self.bytes_written)
+            self._file.seek(self.bytes_written)
+            raise
+        self.bytes_written += len(data)
+
+    def _ending(self) -> bytes:
+        """Pack the end of the data, the summary, its offsets, the footer and the closing magic."""
+        self._summary[Opcode.STATISTICS] += packed(self._statistics())
+        data_end = packed(DataEnd(0))
+        start = position = self.bytes_written + len(data_end)
+        body, offsets = b"", b""
+        for opcode, group in self._summary.items():
+            if group:
+                offsets += packed(SummaryOffset(opcode, position, len(group)))
+            body += group
+            position += len(group)
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, position)
+        crc = zlib.crc32(body + offsets + head)
+        return data_end + body + offsets + packed(Footer(start, position, crc)) + MAGIC
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=1,
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=self._chunks,
+            message_count=self.messages,
+            message_end_time=self._span[1],
+            message_start_time=self._span[0] if self.messages else 0,
+            metadata_count=1,
+            schema_count=len(self._schemas),
+        )
+
+
+def _chunk_index(record: Chunk, start: int, length: int, indexes: dict[int, bytes]) -> bytes:
+    offsets, position = {}, start + length
+    for id_, index in indexes.items():
+        offsets[id_] = position
+        position += len(index)
+    return packed(
+        ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=start,
+            compression=record.compression,
+            compressed_size=len(record.data),
+            message_end_time=record.message_end_time,
+            message_index_length=position - start - length,
+            message_index_offsets=offsets,
+            message_start_time=record.message_start_time,
+            uncompressed_size=record.uncompressed_size,
+        )
+    )
+
+
+def packed(record: McapRecord) -> bytes:
+    """Pack a record with its opcode and length."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]  # mcap annotates it by half
