@@ -1,5 +1,6 @@
 """`python -m broker.acl`: the broker's access list, derived from the lists of topics and of processes."""
 
+import argparse
 import sys
 from collections.abc import Iterator
 
@@ -7,19 +8,27 @@ from shared.processes import PROCESSES, ProcessRow
 from shared.topics import Topic, publications, subscriptions
 
 ANY_VEHICLE = "+"
+OBSERVER = "observer"  # whoever only looks: `obu tail`, the demo's balance
 HEAD = """\
 # Who may say what to whom: printed by `python -m broker.acl`, never edited by hand.
-# A process logs in with its own name. Anyone else may neither read nor write.
+# A process logs in with its own name, and whoever only looks as `observer`.
 """
+NOBODY_ELSE = "# Anyone else may neither read nor write.\n"
 
 
-def access_list(vehicle: str = ANY_VEHICLE) -> str:
-    """Print the access list, in the format of Mosquitto's `acl_file`, for one vehicle or for any."""
-    return HEAD + "".join(f"\nuser {row.name}\n" + "".join(_lines(row, vehicle)) for row in PROCESSES)
+def access_list(vehicle: str = ANY_VEHICLE, *, nameless_read: bool = False) -> str:
+    """Print the access list in the format of Mosquitto's `acl_file`.
 
-
-def _lines(row: ProcessRow, vehicle: str) -> Iterator[str]:
+    It holds for one vehicle or for any; clients without a name may read everything or, ordinarily, nothing.
+    """
     prefix = f"obu/{vehicle}/"
+    everything = f"topic read {prefix}#\n"
+    nameless = f"\n# Clients without a name may read.\n{everything}" if nameless_read else NOBODY_ELSE
+    users = (f"\nuser {row.name}\n" + "".join(_lines(row, prefix)) for row in PROCESSES)
+    return f"{HEAD}{nameless}\nuser {OBSERVER}\n{everything}{''.join(users)}"
+
+
+def _lines(row: ProcessRow, prefix: str) -> Iterator[str]:
     if row.observes_all:
         yield f"topic read {prefix}#\n"
     else:
@@ -32,5 +41,14 @@ def _own(topic: Topic, process: str) -> str:
     return topic.name.removesuffix("+") + process if topic.per_process else topic.name
 
 
+def main() -> None:
+    """Print the access list."""
+    parser = argparse.ArgumentParser(prog="python -m broker.acl", description="Print the broker's access list.")
+    parser.add_argument("--vehicle", default=ANY_VEHICLE, help="name of the only vehicle (default: any)")
+    parser.add_argument("--nameless-read", action="store_true", help="clients without a name may read everything")
+    options = parser.parse_args()
+    sys.stdout.write(access_list(options.vehicle, nameless_read=options.nameless_read))
+
+
 if __name__ == "__main__":
-    sys.stdout.write(access_list(*sys.argv[1:2]))
+    main()

@@ -13,10 +13,10 @@ from .wire import Reason
 class Limits:
     """Bounds on what a client can make the broker hold."""
 
-    packet_bytes: int = 1_048_576
+    packet_bytes: int = 1_114_112  # 1 MiB of payload, 64 KiB of the rest
     queue_messages: int = 1_000
     queue_bytes: int = 16_777_216  # of payload
-    in_flight: int = 1_000
+    in_flight: int = 100
     session_expiry_s: int = 3_600
     sessions: int = 500
     subscriptions: int = 500  # a session
