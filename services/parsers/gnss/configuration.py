@@ -1,0 +1,153 @@
+"""Asks a u-blox receiver of generation 9 or later for what the controller wants, and reads back what took effect.
+
+Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), UBX-CFG-VALSET, UBX-CFG-VALGET, UBX-ACK.
+"""
+
+import struct
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+
+from shared.messages import GnssConfiguration, GnssConfigure, GnssWrite
+
+from .framer import UBX_SYNC, ubx_checksum
+
+ACK, CFG = 0x05, 0x06
+VALSET, VALGET = 0x8A, 0x8B
+RAM = 1  # the layer of VALSET that a restart of the receiver forgets; VALGET calls the same layer 0
+MAX_KEYS = 64
+PATIENCE_TICKS = 3  # seconds without an answer
+PORTS = ("UART1", "USB")
+
+
+class Configurator:
+    """One request at a time: writes it, then reads it back; a newer request replaces the one that waits."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._request: GnssConfigure | None = None
+        self._refused = False
+        self._ticks = 0
+
+    def request(self, wanted: GnssConfigure, now_ns: int) -> Iterator[GnssWrite | GnssConfiguration]:
+        """Yield the bytes that set and poll the wanted values, or at once why that cannot be done."""
+        self._request, self._refused, self._ticks = wanted, False, 0
+        try:
+            values = wanted_values(wanted)
+        except ValueError as error:
+            yield from self._answer({}, str(error))
+            return
+        for data in (valset(values), valget(tuple(values))):
+            yield GnssWrite(received_ns=now_ns, source=self._source, data=data)
+
+    def take(self, frame: bytes) -> Iterator[GnssConfiguration]:
+        """Take a UBX frame; yield the answer that it completes."""
+        if self._request is None or len(frame) < 10:
+            return
+        kind, payload = (frame[2], frame[3]), frame[6:-2]
+        if kind == (CFG, VALGET):
+            refusal = "the receiver refused UBX-CFG-VALSET: it may not know one of the messages"
+            yield from self._answer(read_values(payload), refusal if self._refused else None)
+        elif kind == (ACK, 0) and payload[0] == CFG and payload[1] == VALSET:
+            self._refused = True
+        elif kind == (ACK, 0) and payload[0] == CFG and payload[1] == VALGET:
+            yield from self._answer(
+                {}, "the receiver refused UBX-CFG-VALGET: it may be older than generation 9, or not know one message"
+            )
+
+    def tick(self) -> Iterator[GnssConfiguration]:
+        """Give up on a receiver that does not answer; called once a second."""
+        self._ticks += 1
+        if self._request and self._ticks >= PATIENCE_TICKS:
+            yield from self._answer({}, "the receiver does not answer: check that its receiving line is connected")
+
+    def _answer(self, values: dict[int, int], fault: str | None) -> Iterator[GnssConfiguration]:
+        if (wanted := self._request) is None:
+            return
+        self._request = None
+        keys = _database()
+        period_ms, cycles = values.get(keys["CFG_RATE_MEAS"]), values.get(keys["CFG_RATE_NAV"], 1)
+        messages = tuple(name for name in wanted.messages if any(values.get(key) for key in _message_keys(name)))
+        period_s = period_ms * cycles / 1000 if period_ms else None
+        fault = fault or _difference(wanted, period_s, messages)
+        yield GnssConfiguration(
+            request_id=wanted.request_id,
+            source=self._source,
+            accepted=fault is None,
+            navigation_period_s=period_s,
+            messages=messages,
+            reason=fault,
+        )
+
+
+def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
+    """Translate a request to configuration keys and values; raises ValueError with what to change."""
+    keys = _database()
+    period_ms = round(wanted.navigation_period_s * 1000)
+    if not 25 <= period_ms <= 65535:
+        raise ValueError(f"a navigation period of {wanted.navigation_period_s} s is outside 0.025 to 65.535 s")
+    values = {keys["CFG_RATE_MEAS"]: period_ms, keys["CFG_RATE_NAV"]: 1}
+    for name in wanted.messages:
+        if not (found := _message_keys(name)):
+            known = [
+                key[15:-4].replace("_", "-") for key in keys if key.startswith("CFG_MSGOUT_UBX_") and key[-3:] == "USB"
+            ]
+            near = get_close_matches(name, known, n=1)
+            raise ValueError(f"u-blox has no message {name}" + (f"; did you mean {near[0]}?" if near else ""))
+        values.update(dict.fromkeys(found, 1))
+    if len(values) > MAX_KEYS:
+        raise ValueError(f"{len(wanted.messages)} messages are too many for one request: at most {MAX_KEYS // 2 - 1}")
+    return values
+
+
+def valset(values: dict[int, int]) -> bytes:
+    """Encode UBX-CFG-VALSET for the RAM layer."""
+    items = b"".join(struct.pack("<I", key) + value.to_bytes(_size(key), "little") for key, value in values.items())
+    return _frame(VALSET, bytes((0, RAM, 0, 0)) + items)
+
+
+def valget(keys: Sequence[int]) -> bytes:
+    """Encode the poll of UBX-CFG-VALGET for the RAM layer."""
+    return _frame(VALGET, bytes(4) + struct.pack(f"<{len(keys)}I", *keys))
+
+
+def read_values(payload: bytes) -> dict[int, int]:
+    """Decode keys and values of an answer of UBX-CFG-VALGET, as far as it goes."""
+    values: dict[int, int] = {}
+    position = 4
+    while position + 4 < len(payload):
+        key = int.from_bytes(payload[position : position + 4], "little")
+        end = position + 4 + _size(key)
+        values[key] = int.from_bytes(payload[position + 4 : end], "little")
+        position = end
+    return values
+
+
+def _size(key: int) -> int:
+    return (1, 1, 1, 2, 4, 8, 8, 8)[key >> 28 & 7]
+
+
+def _frame(message_id: int, payload: bytes) -> bytes:
+    body = struct.pack("<BBH", CFG, message_id, len(payload)) + payload
+    return UBX_SYNC + body + ubx_checksum(body)
+
+
+def _message_keys(name: str) -> list[int]:
+    keys = _database()
+    names = (f"CFG_MSGOUT_UBX_{name.replace('-', '_')}_{port}" for port in PORTS)
+    return [keys[key] for key in names if key in keys]
+
+
+def _database() -> dict[str, int]:
+    # Imported on the first request: a receiver that is never configured does not pay for it.
+    from pyubx2.ubxtypes_configdb import UBX_CONFIG_DATABASE
+
+    return {name: int(entry[0]) for name, entry in UBX_CONFIG_DATABASE.items()}
+
+
+def _difference(wanted: GnssConfigure, period_s: float | None, messages: tuple[str, ...]) -> str | None:
+    missing = [name for name in wanted.messages if name not in messages]
+    if missing:
+        return f"the receiver does not send {', '.join(missing)}"[:400]
+    if period_s is None or abs(period_s - wanted.navigation_period_s) > 1e-3:
+        return f"the receiver's navigation period is {period_s} s, not {wanted.navigation_period_s} s"
+    return None

@@ -1,0 +1,196 @@
+"""Finds UBX, NMEA and RTCM 3 messages in a stream of bytes that may hold garbage."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum, auto
+from functools import reduce
+from itertools import accumulate
+from operator import xor
+
+UBX_SYNC = b"\xb5\x62"
+MAX_UBX_PAYLOAD = 4096  # RXM-RAWX of 120 signals is 3856
+MAX_NMEA = 256  # NMEA says 82, receivers with proprietary sentences do not listen
+MAX_BUFFER = 2 * MAX_UBX_PAYLOAD
+
+
+class Protocol(Enum):
+    """What a frame is written in."""
+
+    UBX = auto()
+    NMEA = auto()
+    RTCM = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One whole message with a good checksum, framing included."""
+
+    protocol: Protocol
+    data: bytes
+
+
+class _Incomplete(Exception):
+    """The rest of the frame has not arrived yet."""
+
+
+class _Bad(Exception):
+    """No frame begins here; the text is the kind of reject."""
+
+
+class Framer:
+    """Cuts a stream into frames; what is between them is counted and forgotten.
+
+    `rejects` counts `garbage_bytes` and, of false or damaged frames, `ubx_checksum`, `ubx_length`,
+    `nmea_checksum`, `nmea_form`, `rtcm_checksum` and `cut_frame`. After a bad frame the search goes on at its
+    second byte, and a frame that is still incomplete gives way to a whole one inside it: a damaged length neither
+    swallows nor delays the messages that follow.
+    """
+
+    def __init__(self, rejects: Counter[str] | None = None) -> None:
+        self.rejects: Counter[str] = Counter() if rejects is None else rejects
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take the next bytes and return the frames that they complete."""
+        frames: list[Frame] = []
+        for start in range(0, len(data), MAX_UBX_PAYLOAD):
+            self._buffer += data[start : start + MAX_UBX_PAYLOAD]
+            frames.extend(self._frames())
+        return frames
+
+    def _frames(self) -> Iterator[Frame]:
+        buffer, position = self._buffer, 0
+        while True:
+            start = _next_start(buffer, position)
+            self._pass_over(start - position)
+            position = start
+            if start == len(buffer):
+                break
+            try:
+                frame = _frame_at(buffer, position)
+            except _Bad as fault:
+                self.rejects[str(fault)] += 1
+                self._pass_over(1)
+                position += 1
+                continue
+            except _Incomplete:
+                inner = _whole_frame_after(buffer, position + 1)
+                if inner is None:
+                    break
+                self.rejects["cut_frame"] += 1
+                self._pass_over(inner - position)
+                position = inner
+                continue
+            yield frame
+            position += len(frame.data)
+        del buffer[:position]
+
+    def _pass_over(self, n: int) -> None:
+        if n:
+            self.rejects["garbage_bytes"] += n
+
+
+def _next_start(buffer: bytearray, position: int) -> int:
+    """Find the first byte at which a frame may begin."""
+    candidates = (buffer.find(sync, position) for sync in (b"\xb5", b"$", b"\xd3"))
+    return min((c for c in candidates if c >= 0), default=len(buffer))
+
+
+def _frame_at(buffer: bytearray, start: int) -> Frame:
+    first = buffer[start]
+    if first == UBX_SYNC[0]:
+        return _ubx(buffer, start)
+    if first == ord("$"):
+        return _nmea(buffer, start)
+    return _rtcm(buffer, start)
+
+
+def _whole_frame_after(buffer: bytearray, position: int) -> int | None:
+    """Find a complete UBX or NMEA frame inside an incomplete one."""
+    for sync, read in ((UBX_SYNC, _ubx), (b"$G", _nmea)):
+        found = buffer.find(sync, position)
+        while found >= 0:
+            try:
+                read(buffer, found)
+            except (_Bad, _Incomplete):
+                found = buffer.find(sync, found + 1)
+            else:
+                return found
+    return None
+
+
+def _ubx(buffer: bytearray, start: int) -> Frame:
+    if len(buffer) < start + 2:
+        raise _Incomplete
+    if buffer[start + 1] != UBX_SYNC[1]:
+        raise _Bad("ubx_sync")
+    if len(buffer) < start + 6:
+        raise _Incomplete
+    size = int.from_bytes(buffer[start + 4 : start + 6], "little")
+    if size > MAX_UBX_PAYLOAD:
+        raise _Bad("ubx_length")
+    end = start + 8 + size
+    if len(buffer) < end:
+        raise _Incomplete
+    if ubx_checksum(bytes(buffer[start + 2 : end - 2])) != buffer[end - 2 : end]:
+        raise _Bad("ubx_checksum")
+    return Frame(Protocol.UBX, bytes(buffer[start:end]))
+
+
+def _nmea(buffer: bytearray, start: int) -> Frame:
+    end = buffer.find(b"\n", start, start + MAX_NMEA)
+    sentence = bytes(buffer[start + 1 : len(buffer) if end < 0 else end])[:MAX_NMEA]
+    if not sentence.rstrip(b"\r").isascii() or b"$" in sentence or any(c < 32 for c in sentence.rstrip(b"\r")):
+        raise _Bad("nmea_form")
+    if end < 0:
+        if len(buffer) - start >= MAX_NMEA:
+            raise _Bad("nmea_form")
+        raise _Incomplete
+    body, star, digits = sentence.rstrip(b"\r").rpartition(b"*")
+    if not star or len(digits) != 2:
+        raise _Bad("nmea_form")
+    try:
+        expected = int(digits, 16)
+    except ValueError as error:
+        raise _Bad("nmea_form") from error
+    if reduce(xor, body, 0) != expected:
+        raise _Bad("nmea_checksum")
+    return Frame(Protocol.NMEA, bytes(buffer[start : end + 1]))
+
+
+def _rtcm(buffer: bytearray, start: int) -> Frame:
+    if len(buffer) < start + 3:
+        raise _Incomplete
+    if buffer[start + 1] & 0xFC:  # six reserved bits
+        raise _Bad("rtcm_form")
+    end = start + 6 + int.from_bytes(buffer[start + 1 : start + 3])
+    if len(buffer) < end:
+        raise _Incomplete
+    if crc24q(bytes(buffer[start:end])):
+        raise _Bad("rtcm_checksum")
+    return Frame(Protocol.RTCM, bytes(buffer[start:end]))
+
+
+def ubx_checksum(data: bytes) -> bytes:
+    """Sum the bytes and their running sums, modulo 256 (8-bit Fletcher, RFC 1145)."""
+    running = list(accumulate(data))
+    return bytes(((running[-1] if running else 0) & 0xFF, sum(running) & 0xFF))
+
+
+def crc24q(data: bytes) -> int:
+    """Compute the cyclic redundancy check of RTCM 3 (Qualcomm's polynomial 0x1864CFB); 0 over a whole frame."""
+    crc = 0
+    for byte in data:
+        crc = (crc << 8 & 0xFFFFFF) ^ _CRC_TABLE[crc >> 16 ^ byte]
+    return crc
+
+
+def _crc_entry(value: int) -> int:
+    crc = value << 16
+    for _ in range(8):
+        crc = crc << 1 ^ (0x1864CFB if crc & 0x800000 else 0)
+    return crc
+
+
+_CRC_TABLE = tuple(_crc_entry(value) for value in range(256))

@@ -1,0 +1,54 @@
+"""Turns UBX and NMEA bytes into fixes and satellites, and commands into UBX."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from pydantic import Field
+
+from shared.config import Section
+from shared.messages import GnssConfigure, GnssRaw, GnssWrite, Message, Tick
+
+from .receiver import Output, Receiver
+
+MAX_RECEIVERS = 8
+
+
+class Config(Section):
+    """Settings of the GNSS parser."""
+
+    minimum_delay_s: float = Field(default=0.05, ge=0.0)  # from the epoch to its first byte, at best
+
+
+class Process:
+    """One `Receiver` a source; knows no more of time than the stamps of its messages."""
+
+    def __init__(self, config: Config) -> None:
+        self.rejects: Counter[str] = Counter()
+        self._config = config
+        self._receivers: dict[str, Receiver] = {}
+        self._now_ns = 0
+
+    def handle(self, message: Message) -> Iterator[Output | GnssWrite]:
+        """Take bytes, a command or a tick."""
+        match message:
+            case GnssRaw():
+                self._now_ns = message.received_ns
+                if receiver := self._receiver(message.source):
+                    yield from receiver.take(message)
+            case GnssConfigure():
+                if receiver := self._receiver(message.source):
+                    yield from receiver.configurator.request(message, self._now_ns)
+            case Tick():
+                self._now_ns = message.now_ns
+                for receiver in self._receivers.values():
+                    yield from receiver.configurator.tick()
+
+    def _receiver(self, source: str) -> Receiver | None:
+        if source not in self._receivers:
+            if len(self._receivers) >= MAX_RECEIVERS:
+                self.rejects["too_many_sources"] += 1
+                return None
+            self._receivers[source] = Receiver(
+                source, minimum_delay_s=self._config.minimum_delay_s, rejects=self.rejects
+            )
+        return self._receivers[source]

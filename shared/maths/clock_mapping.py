@@ -1,0 +1,148 @@
+"""Maps the clock of a device to the OBU time line, from stamps alone.
+
+Each arrival gives one offset, received - device time = clock offset + drift · time + delay, delay >= 0. The
+arrivals that waited least lie on a line, the lower envelope of the offsets; that line is the device's clock.
+"""
+
+from collections import deque
+from itertools import pairwise
+
+NS = 1_000_000_000
+Point = tuple[float, float]
+
+
+class ClockMapping:
+    """The lower envelope of (device time, received - device time) over a sliding window.
+
+    Parameters
+    ----------
+    minimum_delay_s : float
+        [s] The part of the delay that every arrival has, which an envelope cannot see.
+    window_s : float
+        [s] How long an arrival counts. The cheapest arrival of each second is kept.
+    maximum_drift : float
+        [s/s] Largest rate at which two healthy clocks part.
+
+    Notes
+    -----
+    The slope is that of the edge of the lower convex hull below the mean time of the points: of all lines under
+    the points it has the least sum of vertical distances. Where the points span less than a quarter of the
+    window, the slope is 0, since jitter over a short time looks like drift. The line starts anew when the device's
+    clock steps: back, forward by more than `STEP_S`, or when each arrival of `STEP_S` · 10 is late by more than that.
+
+    References
+    ----------
+    S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay measurements",
+    IEEE INFOCOM 1999, section III.
+    """
+
+    STEP_S = 0.5
+
+    def __init__(self, minimum_delay_s: float = 0.0, window_s: float = 60.0, maximum_drift: float = 200e-6) -> None:
+        self.resets = -1  # the first arrival is not a reset
+        self._minimum_delay_ns = round(minimum_delay_s * NS)
+        self._window_s = window_s
+        self._maximum_drift = maximum_drift
+        self._points: deque[Point] = deque()  # one a second: (device time, offset), both [s] since the origin
+        self._device_origin_ns = self._offset_origin_ns = 0
+        self._last_device_ns = self._last_stamp_ns = 0
+        self._slope = self._intercept = 0.0
+        self._late_since: float | None = None
+
+    def stamp(self, device_ns: int, received_ns: int) -> int:
+        """Give the time at which the device took a sample.
+
+        Parameters
+        ----------
+        device_ns : int
+            [ns, device clock] When the sample was taken; unwrapped.
+        received_ns : int
+            [ns, OBU time line] When its bytes arrived.
+
+        Returns
+        -------
+        int
+            [ns, OBU time line] Never after the arrival. Successive stamps rise, and are at least half the device's own
+            interval apart as long as that does not put them after their arrival.
+        """
+        if self.resets < 0 or self._stepped(device_ns, received_ns):
+            self._restart(device_ns, received_ns)
+        time_s, offset_s = self._add(device_ns, received_ns)
+        excess_ns = round((offset_s - self._intercept - self._slope * time_s) * NS)
+        stamp_ns = received_ns - excess_ns - self._minimum_delay_ns
+        stamp_ns = max(stamp_ns, self._last_stamp_ns + (device_ns - self._last_device_ns) // 2)
+        stamp_ns = max(min(stamp_ns, received_ns), self._last_stamp_ns + 1)
+        self._last_device_ns, self._last_stamp_ns = device_ns, stamp_ns
+        return stamp_ns
+
+    @property
+    def drift(self) -> float:
+        """Rate at which the OBU time line gains on the device's clock [s/s]."""
+        return self._slope
+
+    def _relative(self, device_ns: int, received_ns: int) -> Point:
+        time_s = (device_ns - self._device_origin_ns) / NS
+        return time_s, (received_ns - device_ns - self._offset_origin_ns) / NS
+
+    def _stepped(self, device_ns: int, received_ns: int) -> bool:
+        time_s, offset_s = self._relative(device_ns, received_ns)
+        excess_s = offset_s - self._intercept - self._slope * time_s
+        if device_ns < self._last_device_ns or excess_s < -self.STEP_S:
+            return True
+        if received_ns < self._last_stamp_ns - self.STEP_S * NS:
+            return True  # the time line itself went back: another recording
+        if excess_s < self.STEP_S:
+            self._late_since = None
+            return False
+        if self._late_since is None:
+            self._late_since = time_s
+        return time_s - self._late_since > 10 * self.STEP_S
+
+    def _restart(self, device_ns: int, received_ns: int) -> None:
+        self.resets += 1
+        self._points.clear()
+        self._device_origin_ns, self._offset_origin_ns = device_ns, received_ns - device_ns
+        self._last_device_ns = device_ns
+        self._last_stamp_ns = min(self._last_stamp_ns, received_ns - 1)
+        self._slope = self._intercept = 0.0
+        self._late_since = None
+
+    def _add(self, device_ns: int, received_ns: int) -> Point:
+        point = self._relative(device_ns, received_ns)
+        points = self._points
+        if points and int(points[-1][0]) == int(point[0]):
+            if point[1] < points[-1][1]:
+                points[-1] = point
+            self._intercept = min(self._intercept, point[1] - self._slope * point[0])
+            return point
+        points.append(point)
+        while points[0][0] < point[0] - self._window_s:
+            points.popleft()
+        self._slope = self._best_slope()
+        self._intercept = min(offset - self._slope * time for time, offset in points)
+        return point
+
+    def _best_slope(self) -> float:
+        points = self._points
+        if points[-1][0] - points[0][0] < self._window_s / 4:
+            return 0.0
+        mean = sum(time for time, _ in points) / len(points)
+        hull = lower_hull(points)
+        for (t0, y0), (t1, y1) in pairwise(hull):
+            if t1 >= mean:
+                return min(max((y1 - y0) / (t1 - t0), -self._maximum_drift), self._maximum_drift)
+        return 0.0
+
+
+def lower_hull(points: "deque[Point] | list[Point]") -> list[Point]:
+    """Find the lower convex hull of points that are sorted by their first coordinate (Andrew's monotone chain)."""
+    hull: list[Point] = []
+    for point in points:
+        while len(hull) >= 2 and _turn(hull[-2], hull[-1], point) <= 0:
+            hull.pop()
+        hull.append(point)
+    return hull
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
