@@ -3,7 +3,8 @@
 ObuError
 ├── UserError            something the user can mend; its text says how
 ├── BadPayload           a message on the bus that breaks the contract
-└── BadRecording         a recording that cannot be read at all
+├── BadRecording         a recording that cannot be read at all
+└── FilterDiverged       an estimator whose numbers no longer mean anything
 """
 
 
@@ -21,3 +22,7 @@ class BadPayload(ObuError):
 
 class BadRecording(ObuError):
     """A recording that cannot be read at all."""
+
+
+class FilterDiverged(ObuError):
+    """An estimator whose numbers no longer mean anything."""
