@@ -142,6 +142,7 @@ class Bus:
 
     def close(self) -> None:
         """Say farewell and disconnect; the last will is not sent."""
+        self.stopping = True
         if self.connected:
             if not self._observer:
                 self.publish(self.health(ProcessState.DISCONNECTED))

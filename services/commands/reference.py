@@ -1,7 +1,9 @@
 """The pages of docs/reference that are printed from code."""
 
 import importlib
+import inspect
 import json
+import re
 from pathlib import Path
 from typing import cast
 
@@ -19,8 +21,9 @@ def configuration_pages() -> str:
         config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
         schema = cast(Json, config.model_json_schema())
         fields = cast("dict[str, Json]", schema.get("properties", {}))
+        meanings = _comments(config)
         rows = [
-            (f"`{name}`", _kind(field), f"`{json.dumps(field.get('default'))}`", str(field.get("description", "")))
+            (f"`{name}`", _kind(field), f"`{json.dumps(field.get('default'))}`", meanings.get(name, ""))
             for name, field in fields.items()
         ]
         body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
@@ -46,6 +49,13 @@ def write_pages(folder: Path) -> list[Path]:
         (folder / name).write_text(text, encoding="utf-8")
         written.append(folder / name)
     return written
+
+
+def _comments(config: type[Section]) -> dict[str, str]:
+    """Read the comment behind each setting: it says what the name cannot."""
+    lines = inspect.getsource(config).splitlines()
+    found = (re.match(r"    (\w+):.*?\s#\s(.*)", line) for line in lines)
+    return {match[1]: match[2] for match in found if match}
 
 
 def _kind(field: Json) -> str:

@@ -1,0 +1,78 @@
+"""Who may import whom: a process knows `shared` and itself, and its mathematics knows no I/O."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from shared.processes import PROCESSES
+
+ROOT = Path(__file__).parents[2]
+# What a file that is not process.py may import besides its own folder: no bus, no clock, no files, no logging.
+PURE = {
+    "bisect", "collections", "cmath", "dataclasses", "datetime", "enum", "fractions", "functools", "hashlib", "heapq",
+    "html", "ipaddress", "itertools", "json", "math", "operator", "random", "re", "statistics", "string", "struct",
+    "types", "typing", "collections.abc", "numpy", "numpy.typing", "pydantic", "pyubx2", "pynmea2", "prometheus_client",
+}  # fmt: skip
+PURE_SHARED = {"shared.maths", "shared.messages", "shared.xbus", "shared.processes", "shared.topics", "shared.errors"}
+
+
+def files_of(process: str) -> list[Path]:
+    return sorted((ROOT / "services" / Path(*process.split("."))).rglob("*.py"))
+
+
+def imports_of(path: Path) -> set[str]:
+    """List the modules that a file imports, relative ones made absolute."""
+    package = list(path.relative_to(ROOT).with_suffix("").parts[:-1])
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            if module in ("shared", "services") or (node.level and not node.module):
+                found |= {f"{module}.{alias.name}" for alias in node.names}
+            else:
+                found.add(module)
+    return found
+
+
+@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+def test_a_process_imports_shared_and_its_own_folder_only(row) -> None:  # type: ignore[no-untyped-def]
+    own = f"services.{row.name}"
+    for path in files_of(row.name):
+        foreign = {
+            name for name in imports_of(path)
+            if name.split(".")[0] in ("services", "broker", "tests", "benchmarks")
+            and not (name == own or name.startswith(own + "."))
+        }  # fmt: skip
+        assert not foreign, f"{path.relative_to(ROOT)} imports {foreign}"
+
+
+@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+def test_every_file_but_process_py_does_no_input_and_output(row) -> None:  # type: ignore[no-untyped-def]
+    own = f"services.{row.name}"
+    for path in files_of(row.name):
+        if path.name in ("process.py", "__init__.py") or row.layer in (1, 5):
+            continue
+        strange = {
+            name for name in imports_of(path)
+            if name not in PURE and name.split(".")[0] not in PURE
+            and not name.startswith(own) and not any(name.startswith(pure) for pure in PURE_SHARED)
+        }  # fmt: skip
+        assert not strange, f"{path.relative_to(ROOT)} imports {strange}: mathematics does no I/O"
+
+
+def test_shared_does_not_import_what_is_built_on_it() -> None:
+    for path in (ROOT / "shared").rglob("*.py"):
+        upward = {name for name in imports_of(path) if name.split(".")[0] in ("services", "broker", "tests")}
+        assert not upward, f"{path.relative_to(ROOT)} imports {upward}"
+
+
+def test_every_process_of_the_table_has_a_folder_and_every_folder_a_row() -> None:
+    folders = {
+        ".".join(path.parent.relative_to(ROOT / "services").parts)
+        for path in (ROOT / "services").glob("*/*/process.py")
+    }
+    assert folders == {row.name for row in PROCESSES}

@@ -1,0 +1,69 @@
+"""The supervisor: what ends is started again, and the end is the end."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.commands.supervisor import Supervisor
+
+SLEEPER = [sys.executable, "-c", "import time; time.sleep(60)"]
+DEAF = [sys.executable, "-c", "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"]
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
+    made = Supervisor(os.environ, tmp_path)
+    yield made
+    made.stop()
+
+
+def watch_until(supervisor: Supervisor, condition: object, limit_s: float = 10.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():  # type: ignore[operator]
+        assert time.monotonic() < deadline, "it did not happen in time"
+        supervisor.watch()
+        time.sleep(0.02)
+
+
+def test_a_killed_child_is_started_again(supervisor: Supervisor) -> None:
+    supervisor.add("sleeper", SLEEPER)
+    watch_until(supervisor, lambda: supervisor.alive() == 1)
+    child = supervisor.children["sleeper"]
+    assert child.process
+    child.process.kill()
+    watch_until(supervisor, lambda: child.restarts == 1 and supervisor.alive() == 1)
+    assert child.exit_codes == [-signal.SIGKILL]
+
+
+def test_a_child_that_ends_at_once_is_started_with_growing_pauses(supervisor: Supervisor) -> None:
+    supervisor.add("failing", [sys.executable, "-c", "raise SystemExit(3)"])
+    child = supervisor.children["failing"]
+    watch_until(supervisor, lambda: child.restarts == 2)
+    pause = child.next_start - time.monotonic()
+    assert 0.3 < pause <= 0.5
+    assert child.exit_codes == [3, 3]
+
+
+def test_what_a_child_says_is_kept(supervisor: Supervisor, tmp_path: Path) -> None:
+    supervisor.add("speaker", [sys.executable, "-c", "print('a word')"])
+    watch_until(supervisor, lambda: supervisor.children["speaker"].restarts >= 1)
+    assert "a word" in (tmp_path / "speaker.log").read_text()
+
+
+def test_the_end_comes_within_five_seconds_even_for_the_deaf(supervisor: Supervisor) -> None:
+    supervisor.add("deaf", DEAF)
+    supervisor.add("stopped", SLEEPER)
+    watch_until(supervisor, lambda: supervisor.alive() == 2)
+    time.sleep(0.3)  # let the deaf one close its ears
+    stopped = supervisor.children["stopped"].process
+    assert stopped
+    stopped.send_signal(signal.SIGSTOP)
+    started = time.monotonic()
+    supervisor.stop()
+    assert time.monotonic() - started < 5.0
+    assert supervisor.alive() == 0
