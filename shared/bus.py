@@ -6,6 +6,7 @@ decodes, and the heartbeat is sent from that loop, so that a process that hangs 
 
 import contextlib
 import logging
+import os
 import select
 import socket
 import time
@@ -89,6 +90,7 @@ class Bus:
         self._sequence = 0
         self._next_heartbeat = self._next_attempt = 0.0
         self._attempts = 0
+        self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
         self._host = psutil.Process()
         self._observer = observer
         self._client = self._make_client()
@@ -241,6 +243,8 @@ class Bus:
         if self.connected and not self._observer and now >= self._next_heartbeat:
             self._next_heartbeat = now + HEARTBEAT_S
             self.publish(self.health(ProcessState.READY))
+            if self._alive_file:
+                Path(self._alive_file).touch()
 
     def _on_connect(
         self,
