@@ -1,0 +1,1 @@
+"""The state of the unit for people and programs: dashboard, JSON, metrics."""

@@ -1,0 +1,90 @@
+"""What the web server may give away: an allow list, its content types, and the policy that the browser must keep."""
+
+import gzip
+import re
+from base64 import b64encode
+from collections.abc import Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+
+PAGES = ("index.html", "style.css", "main.js", "store.js", "words.js", "parts.js", "now.js", "closeup.js", "system.js")
+LIBRARIES = {
+    "preact.js": "preact/dist/preact.mjs",
+    "hooks.js": "preact/hooks/dist/hooks.mjs",
+    "htm.js": "htm/dist/htm.module.js",
+    "signals-core.js": "@preact/signals-core/dist/signals-core.mjs",
+    "signals.js": "@preact/signals/dist/signals.mjs",
+    "uplot.js": "uplot/dist/uPlot.iife.min.js",
+    "uplot.css": "uplot/dist/uPlot.min.css",
+}
+DOCUMENTATION = {
+    "swagger-ui.js": "swagger-ui-dist/swagger-ui-bundle.js",
+    "swagger-ui.css": "swagger-ui-dist/swagger-ui.css",
+}  # megabytes: read when asked for
+TYPES = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+}
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+_INLINE = re.compile(r"<script(?![^>]*\bsrc=)[^>]*>(.*?)</script>", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One file, compressed once."""
+
+    content_type: str
+    compressed: bytes
+    etag: str
+
+    def plain(self) -> bytes:
+        """Give the file as it is, for a client that takes no gzip."""
+        return gzip.decompress(self.compressed)
+
+
+def make_asset(name: str, content: bytes) -> Asset:
+    """Prepare a file for sending."""
+    kind = TYPES[name.rsplit(".", 1)[1]]
+    return Asset(kind, gzip.compress(content, 9, mtime=0), f'"{sha256(content).hexdigest()[:20]}"')
+
+
+def make_assets(files: Mapping[str, bytes]) -> dict[str, Asset]:
+    """Prepare every file that was found, by its path on the server."""
+    return {path: make_asset(path, content) for path, content in files.items()}
+
+
+def security_policy(page: str) -> str:
+    """Allow a page its own files and its own inline scripts, the import map, by their hashes, and nothing else.
+
+    A browser takes an import map only inline; its hash keeps the policy free of 'unsafe-inline'.
+    """
+    hashes = " ".join(f"'sha256-{b64encode(sha256(m.encode()).digest()).decode()}'" for m in _INLINE.findall(page))
+    scripts = f"'self' {hashes}".strip()
+    return (
+        f"default-src 'self'; script-src {scripts}; img-src 'self' data:; object-src 'none'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+
+
+def documentation_policy(page: str) -> str:
+    """Allow Swagger UI, beyond that, the style attributes that it writes."""
+    return security_policy(page) + "; style-src 'self' 'unsafe-inline'"
+
+
+def fingerprint(found: Mapping[str, Asset]) -> str:
+    """Name this edition of the dashboard, so that a page that is older than its server reloads."""
+    return sha256("".join(found[path].etag for path in sorted(found)).encode()).hexdigest()[:12]
+
+
+MISSING = """<!doctype html><html lang="en"><meta charset="utf-8"><title>OBU: dashboard not set up</title>
+<h1>The dashboard's libraries are not installed</h1>
+<p>The unit itself is running: <a href="/api/state">/api/state</a> shows what it knows.</p>
+<p>To set the dashboard up, run <code>make setup</code> in the project's folder, then start this process again.</p>
+</html>"""

@@ -1,0 +1,135 @@
+"""What flows on one topic, and how one process is doing: counts, rates, latencies, ages."""
+
+from collections import deque
+from itertools import pairwise
+from math import ceil
+
+from shared.bus import Envelope
+from shared.errors import BadPayload
+from shared.messages import Consumed, Freshness, Message, ProcessHealth, ProcessState, RawBytes
+from shared.topics import Topic
+
+from . import ages
+
+RATE_WINDOW_S = 10
+SAMPLES = 256
+EAGER_UP_TO_HZ = 20.0
+SPARSE = 16  # of a faster topic one message in so many is decoded, unless somebody looks
+LATENCY_MAXIMUM_S = 60.0  # beyond, the stamp is of another time line
+
+
+def stamp_ns(message: Message) -> int | None:
+    """Find when a message was true, or else when it was sent, on the OBU time line."""
+    for name in ("sampled_ns", "sent_ns", "now_ns", "received_ns"):
+        value = getattr(message, name, None)
+        if value is not None:
+            return int(value[-1] if isinstance(value, tuple) else value)
+    return None
+
+
+def percentile(values: list[float], share: float) -> float | None:
+    """Give the smallest value that a share of all values does not exceed; None of nothing."""
+    if not values:
+        return None
+    return sorted(values)[max(ceil(share * len(values)) - 1, 0)]
+
+
+class TopicFlow:
+    """The traffic of one topic as seen here."""
+
+    def __init__(self, name: str, topic: Topic) -> None:
+        self.name, self.topic = name, topic
+        self.limits = ages.limits_of(topic)
+        self.count = 0
+        self.newest: Envelope | None = None
+        self.message: Message | None = None  # the newest that was decoded
+        self.updated_ns: int | None = None  # when the newest one came, or was said if the broker had kept it
+        self.rate_hz = 0.0
+        self.latency_p50_s: float | None = None
+        self.latency_p99_s: float | None = None
+        self.latencies_s: deque[float] = deque(maxlen=SAMPLES)
+        self._arrivals_ns: deque[int] = deque(maxlen=64)
+        self._seconds: deque[int] = deque(maxlen=RATE_WINDOW_S)
+        self._counted = 0
+        lazy = issubclass(topic.message, RawBytes | Consumed)
+        self._decode_every = 0 if lazy else 1 if (topic.rate_hz or 0.0) <= EAGER_UP_TO_HZ else SPARSE
+
+    def note(self, envelope: Envelope) -> Message | None:
+        """Take one message; returns it if it was decoded, None if it can wait, or raises `BadPayload`."""
+        self.count += 1
+        self.newest, self.message, self.updated_ns = envelope, None, envelope.received_ns
+        if not envelope.retained:
+            self._arrivals_ns.append(envelope.received_ns)
+        said_ns = int(envelope.properties["received_ns"]) if "received_ns" in envelope.properties else None
+        if envelope.retained or (self._decode_every and self.count % self._decode_every == 0):
+            said_ns = stamp_ns(self.decoded())
+        if said_ns is not None and envelope.retained:
+            self.updated_ns = min(said_ns, envelope.received_ns)
+        elif said_ns is not None and 0 <= (latency_s := (envelope.received_ns - said_ns) * 1e-9) < LATENCY_MAXIMUM_S:
+            self.latencies_s.append(latency_s)
+        return self.message
+
+    def decoded(self) -> Message:
+        """Decode the newest message, once."""
+        if self.newest is None:
+            raise BadPayload(f"nothing has come on {self.name}")
+        if self.message is None:
+            self.message = self.newest.decode()
+        return self.message
+
+    def roll(self) -> None:
+        """Close a second: renew the rate and the latencies."""
+        self._seconds.append(self.count - self._counted)
+        self._counted = self.count
+        self.rate_hz = sum(self._seconds) / len(self._seconds)
+        latencies = list(self.latencies_s)
+        self.latency_p50_s, self.latency_p99_s = percentile(latencies, 0.5), percentile(latencies, 0.99)
+
+    def age_s(self, now_ns: int) -> float | None:
+        """Age of the newest message; None if there is none."""
+        return None if self.updated_ns is None else max((now_ns - self.updated_ns) * 1e-9, 0.0)
+
+    def freshness(self, now_ns: int) -> Freshness:
+        """Judge the age of the newest message."""
+        return ages.freshness(self.age_s(now_ns), self.limits)
+
+    @property
+    def jitter_s(self) -> float | None:
+        """Standard deviation of the time between arrivals; None of fewer than three."""
+        stamps = list(self._arrivals_ns)
+        gaps = [(b - a) * 1e-9 for a, b in pairwise(stamps)]
+        if len(gaps) < 2:
+            return None
+        mean = sum(gaps) / len(gaps)
+        return float((sum((gap - mean) ** 2 for gap in gaps) / (len(gaps) - 1)) ** 0.5)
+
+
+class ProcessFlow:
+    """The life of one process as its health messages tell it."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.health: ProcessHealth | None = None
+        self.heartbeat_ns: int | None = None
+        self.restarts = 0
+        self.cpu_share: float | None = None  # of one core
+        self.in_hz: float | None = None
+        self.out_hz: float | None = None
+        self.last_error: str | None = None
+
+    def note(self, health: ProcessHealth, heartbeat_ns: int) -> None:
+        """Take one health message."""
+        before = self.health
+        same_life = before is not None and before.incarnation == health.incarnation
+        self.restarts += before is not None and health.incarnation > before.incarnation
+        self.last_error = health.last_error or (self.last_error if same_life else None)
+        self.heartbeat_ns = heartbeat_ns
+        if health.state in (ProcessState.LOST, ProcessState.DISCONNECTED) and before is not None:
+            # A will was written at birth: what is known of this life stays known, except that it is over.
+            self.health = before.model_copy(update={"state": health.state, "incarnation": health.incarnation})
+            return
+        self.health = health
+        if before is not None and same_life and (elapsed_s := (health.sent_ns - before.sent_ns) * 1e-9) > 0.1:
+            self.cpu_share = (health.cpu_s - before.cpu_s) / elapsed_s
+            self.in_hz = (health.messages_in - before.messages_in) / elapsed_s
+            self.out_hz = (health.messages_out - before.messages_out) / elapsed_s

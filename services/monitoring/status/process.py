@@ -1,0 +1,108 @@
+"""Serves the state of the unit: dashboard, JSON, metrics. The bus in the main thread, the web server beside it."""
+
+import logging
+import socket
+import threading
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import uvicorn
+from pydantic import Field
+
+from shared.bus import Bus
+from shared.config import Section, parse_vehicle
+from shared.errors import BadPayload, ObuError, UserError
+
+from .metrics import StateCollector, registry_of
+from .pages import read_pages
+from .state import State
+from .stream import Stream
+from .web import Api, make_app, make_server
+
+log = logging.getLogger(__name__)
+
+DASHBOARD = Path(__file__).parent / "dashboard"
+ADDRESS_FILE = "status.address"
+
+
+class Config(Section):
+    """Where to listen, and how much to remember."""
+
+    host: str = "127.0.0.1"  # "0.0.0.0" shows the dashboard to the whole network
+    port: int = Field(8080, ge=0, le=65535)  # 0: any free one
+    history_s: float = Field(900.0, gt=0, le=86_400)
+    static_dir: str | None = None  # another dashboard than the one beside this file
+    allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
+    clients_maximum: int = Field(16, ge=1, le=256)
+
+
+class Process:
+    """Keeps the newest of everything and shows it."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+
+    def run(self, bus: Bus) -> None:
+        """Take in the bus and serve the web until told to stop."""
+        listener = listen(self._config.host, self._config.port)
+        expected = parse_vehicle(bus.vehicle_toml).processes
+        state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s)
+        lock = threading.Lock()
+        server = self._make_server(state, lock, bus)
+        thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
+        thread.start()
+        self._announce(listener, bus)
+        while not bus.stopping:
+            take_in(bus, state, lock)
+            if not thread.is_alive():
+                raise ObuError("the web server has ended; the line before says why")
+        server.should_exit = True
+        thread.join(3.0)
+        (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)
+
+    def _make_server(self, state: State, lock: threading.Lock, bus: Bus) -> uvicorn.Server:
+        folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
+        collector = StateCollector(state, bus.now_ns, lock, software_version())
+        api = Api(state, lock, bus.now_ns, registry_of(collector), self._config.history_s)
+        stream = Stream(state, lock, bus.now_ns, self._config.clients_maximum)
+        app = make_app(api, read_pages(folder), stream, self._config.allowed_hosts)
+        return make_server(app, 4 * self._config.clients_maximum + 16)
+
+    def _announce(self, listener: socket.socket, bus: Bus) -> None:
+        host, port = listener.getsockname()[:2]
+        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        address = f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
+        (bus.state_dir / ADDRESS_FILE).write_text(address)
+        log.info("dashboard at %s, listening on %s port %d", address, host, port)
+
+
+def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
+    """Receive once, and let time pass."""
+    envelopes = bus.receive(0.05)
+    with lock:
+        for envelope in envelopes:
+            try:
+                state.receive(envelope)
+            except BadPayload as error:
+                bus.rejects["payload"] += 1
+                bus.last_error = str(error)[:400]
+        state.tick(bus.now_ns(), broker=bus.connected)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Open the port, or say whose setting to change."""
+    try:
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        raise UserError(
+            f"cannot listen on {host} port {port}: {error.strerror or error}; "
+            "set another port under [monitoring.status] in the vehicle's file (0 takes any free one)"
+        ) from error
+
+
+def software_version() -> str:
+    """Name the installed version."""
+    try:
+        return version("obu")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,215 @@
+"""A pretended on-board unit: a bus without a broker, on which a vehicle drives a circle.
+
+It exists so that the web pages can be tested in states that a real unit takes minutes to reach. Its
+messages are made by the contract's own types and codec; what it says of the world is arithmetic.
+"""
+
+import math
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Iterator
+from pathlib import Path
+
+from shared import codec
+from shared import messages as m
+from shared.bus import Envelope
+
+RADIUS_M, SPEED_M_S = 60.0, 9.0
+LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
+METRES_PER_DEG = 111_200.0
+LIFE = 1_000
+SIMULATED = (
+    "sensors.simulator", "parsers.gnss", "parsers.imu", "parsers.can", "controller.mode",
+    "core.fusion", "monitoring.recorder", "monitoring.health", "monitoring.status",
+)  # fmt: skip
+VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
+
+
+class FakeBus:
+    """Has the face of `shared.bus.Bus`; what is fed is what is received."""
+
+    def __init__(self, state_dir: Path, vehicle: str = "truck-07") -> None:
+        self.state_dir, self.vehicle, self.vehicle_toml = state_dir, vehicle, VEHICLE_TOML
+        self.stopping, self.connected = False, True
+        self.rejects: Counter[str] = Counter()
+        self.last_error: str | None = None
+        self.offset_ns = 1_795_000_000 * 10**9 - time.monotonic_ns()
+        self.unit: FakeUnit | None = None
+        self._fed: deque[Envelope] = deque()
+        self._sequence = 0
+        self._lock = threading.Lock()
+
+    def now_ns(self) -> int:
+        """Read the time line."""
+        return time.monotonic_ns() + self.offset_ns
+
+    def feed(self, message: m.Message, producer: str, *, delay_s: float = 0.0008) -> None:
+        """Put a message onto the bus as that process."""
+        payload, properties = codec.encode(message)
+        self.feed_bytes(codec.topic_name(message), payload, producer, properties, delay_s=delay_s)
+
+    def feed_bytes(
+        self, topic: str, payload: bytes, producer: str, properties: dict[str, str] | None = None, *, delay_s: float = 0
+    ) -> None:
+        """Put any payload onto the bus, a bad one as well."""
+        with self._lock:
+            self._sequence += 1
+            now_ns = self.now_ns() + int(delay_s * 1e9)
+            self._fed.append(Envelope(topic, payload, properties or {}, now_ns, producer, LIFE, self._sequence))
+
+    def receive(self, timeout_s: float) -> list[Envelope]:
+        """Hand over what is due."""
+        time.sleep(min(timeout_s, 0.01))
+        if self.unit is not None:
+            self.unit.step()
+        with self._lock:
+            due = list(self._fed)
+            self._fed.clear()
+        return due if self.connected else []
+
+
+class FakeUnit:
+    """Feeds what a whole unit says, at its rates; its attributes break it."""
+
+    def __init__(self, bus: FakeBus) -> None:
+        self.bus, self.started_ns = bus, bus.now_ns()
+        self.silent: set[str] = set()  # processes that have stopped (SIGSTOP)
+        self.lost: set[str] = set()  # processes that were killed
+        self.rejecting = False
+        self.coasting = False
+        self.lives: Counter[str] = Counter()
+        self._due: dict[str, int] = {}
+        bus.unit = self
+
+    def step(self) -> None:
+        """Say everything that is due now."""
+        now_ns = self.bus.now_ns()
+        for name, rate_hz, make in (
+            ("imu", 100.0, self._imu), ("fast", 10.0, self._fast), ("slow", 1.0, self._slow),
+            ("beat", 2.0, self._heartbeats), ("origin", 0.5, self._origin),
+        ):  # fmt: skip
+            due_ns = self._due.setdefault(name, now_ns)
+            if now_ns < due_ns:
+                continue
+            self._due[name] = max(due_ns + int(1e9 / rate_hz), now_ns - 200_000_000)
+            for producer, message in make(now_ns):
+                if producer not in self.silent | self.lost:
+                    self.bus.feed(message, producer)
+
+    def kill(self, process: str) -> None:
+        """End a process without a farewell, as the broker's last will tells it."""
+        self.lost.add(process)
+        now_ns = self.bus.now_ns()
+        will = m.ProcessHealth(process=process, state=m.ProcessState.LOST, incarnation=LIFE, sent_ns=now_ns)
+        self.bus.feed(will, process)
+
+    def revive(self, process: str) -> None:
+        """Start a process again."""
+        self.lost.discard(process)
+        self.silent.discard(process)
+        self.lives[process] += 1
+
+    def _angle(self, now_ns: int) -> float:
+        return (now_ns - self.started_ns) * 1e-9 * SPEED_M_S / RADIUS_M
+
+    def _place(self, now_ns: int, north_m: float = 0.0, east_m: float = 0.0) -> tuple[float, float]:
+        angle = self._angle(now_ns)
+        north, east = RADIUS_M * math.sin(angle) + north_m, -RADIUS_M * math.cos(angle) + east_m
+        scale = METRES_PER_DEG * math.cos(math.radians(LATITUDE_DEG))
+        return LATITUDE_DEG + north / METRES_PER_DEG, LONGITUDE_DEG + east / scale
+
+    def _velocity(self, now_ns: int, factor: float = 1.0) -> m.Vector3:
+        angle = self._angle(now_ns)
+        speed = SPEED_M_S * factor
+        return (speed * math.cos(angle), speed * math.sin(angle), 0.0)
+
+    def _imu(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
+        if "imu" in self.silent:
+            return
+        yield "sensors.simulator", m.ImuRaw(received_ns=now_ns, source="imu0", data=b"\xfa\xff\x36" + bytes(60))
+        yield "parsers.imu", m.ImuSamples(
+            received_ns=now_ns, source="imu0", sampled_ns=(now_ns - 500_000,),
+            specific_force_body_m_s2=((0.1, 1.35, -9.8),), angular_rate_body_rad_s=((0.0, 0.0, 0.15),),
+        )  # fmt: skip
+
+    def _fast(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
+        wobble = 0.03 * math.sin(now_ns * 1e-9)
+        yield "sensors.simulator", m.CanRaw(received_ns=now_ns, source="can0", data=b"(0.0) can0 123#0011223344556677\n")
+        wheel = SPEED_M_S * (1.01 + wobble / 3)
+        yield "parsers.can", m.WheelSpeeds(
+            sampled_ns=now_ns, received_ns=now_ns, source="can0", rear_left_m_s=wheel - 0.2, rear_right_m_s=wheel + 0.2
+        )
+        latitude, longitude = self._place(now_ns)
+        velocity = self._velocity(now_ns)
+        yaw = (self._angle(now_ns) + math.pi) % (2 * math.pi) - math.pi
+        yield "sensors.simulator", m.TruthState(
+            sampled_ns=now_ns, latitude_deg=latitude, longitude_deg=longitude, height_ellipsoid_m=HEIGHT_M,
+            velocity_ned_m_s=velocity, roll_rad=0.0, pitch_rad=0.0, yaw_rad=yaw, angular_rate_body_rad_s=(0.0, 0.0, 0.15),
+        )  # fmt: skip
+        latitude, longitude = self._place(now_ns, 0.5 + 10 * wobble, -0.4)
+        yield "core.fusion", m.NavigationSolution(
+            sampled_ns=now_ns - 1_000_000, phase=self._phase(), latitude_deg=latitude, longitude_deg=longitude,
+            height_ellipsoid_m=HEIGHT_M + 0.3, velocity_ned_m_s=velocity, roll_rad=0.01, pitch_rad=-0.005, yaw_rad=yaw + 0.01,
+            position_cov_ned_m2=(0.6, 0.25, 0.0, 0.35, 0.0, 1.2), velocity_cov_ned_m2_s2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.02),
+            attitude_cov_ned_rad2=(1e-5, 0.0, 0.0, 1e-5, 0.0, 6e-5), angular_rate_body_rad_s=(0.0, 0.0, 0.15),
+            accelerometer_bias_m_s2=(0.02, -0.01, 0.03), gyroscope_bias_rad_s=(1e-4, 2e-4, -1e-4), stationary=False,
+            gnss_age_s=12.4 if self.coasting else (now_ns % 10**9) * 1e-9,
+        )  # fmt: skip
+
+    def _phase(self) -> m.NavigationPhase:
+        return m.NavigationPhase.COASTING if self.coasting else m.NavigationPhase.NAVIGATING
+
+    def _slow(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
+        yield "sensors.simulator", m.GnssRaw(received_ns=now_ns, source="gnss0", data=b"\xb5\x62\x01\x07" + bytes(96))
+        latitude, longitude = self._place(now_ns - 80_000_000, 1.4, 0.9)
+        velocity = self._velocity(now_ns, 1.4 if self.rejecting else 1.0)
+        yield "parsers.gnss", m.GnssFix(
+            sampled_ns=now_ns - 80_000_000, received_ns=now_ns, source="gnss0", utc_ns=now_ns - 80_000_000,
+            fix_type=m.FixType.THREE_D, carrier_solution=m.CarrierSolution.FLOAT, differential=True, satellites_used=17,
+            latitude_deg=latitude, longitude_deg=longitude, height_ellipsoid_m=HEIGHT_M + 1.0, velocity_ned_m_s=velocity,
+            ground_speed_m_s=math.hypot(*velocity[:2]) + 0.05, position_sd_ned_m=(0.9, 0.9, 1.8), hdop=0.8, pdop=1.4,
+            correction_age_s=1.2,
+        )  # fmt: skip
+        yield "parsers.gnss", self._satellites(now_ns)
+        for kind, ratio in ((m.AidingKind.GNSS_POSITION, 0.31), (m.AidingKind.GNSS_VELOCITY, 0.18)):
+            used = not (self.rejecting and kind is m.AidingKind.GNSS_VELOCITY)
+            yield "core.fusion", m.AidingUpdate(
+                sampled_ns=now_ns, source="gnss0", kind=kind, innovation=(0.4, -0.2, 0.1), innovation_sd=(1.1, 1.0, 2.0),
+                test_ratio=ratio if used else 4.7, used=used, reason=None if used else "beyond the gate",
+            )  # fmt: skip
+        yield "core.fusion", m.NavigationState(
+            sampled_ns=now_ns, phase=self._phase(), since_ns=self.started_ns, reason="position and heading are known",
+            fixes_used=412, fixes_rejected=3, samples_used=41_200, samples_rejected=0, imu_gaps=0, resets=0,
+        )  # fmt: skip
+        mode = m.Mode.DEGRADED if self.rejecting or self.coasting else m.Mode.MEASURING
+        yield "controller.mode", m.ModeState(
+            sampled_ns=now_ns, mode=mode, since_ns=self.started_ns, reason="all sources deliver", gnss_source="gnss0",
+            imu_source="imu0", speed_source="can0",
+        )  # fmt: skip
+        yield "monitoring.recorder", m.RecordingState(
+            now_ns=now_ns, recording=True, file="2026-11-21T02.mcap", bytes_written=(now_ns - self.started_ns) // 10_000,
+            messages=1000, dropped=0, free_bytes=41_000_000_000,
+        )  # fmt: skip
+
+    def _satellites(self, now_ns: int) -> m.GnssSatellites:
+        satellites = tuple(
+            m.Satellite(constellation=m.Constellation.GPS, number=n + 1, cn0_db_hz=30.0 + n % 15, used=n < 17)
+            for n in range(24)
+        )
+        return m.GnssSatellites(
+            sampled_ns=now_ns - 80_000_000, received_ns=now_ns, source="gnss0", satellites=satellites
+        )
+
+    def _heartbeats(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
+        elapsed_s = (now_ns - self.started_ns) * 1e-9
+        for index, name in enumerate(SIMULATED):
+            yield name, m.ProcessHealth(
+                process=name, state=m.ProcessState.READY, incarnation=LIFE + self.lives[name], sent_ns=now_ns,
+                messages_in=int(elapsed_s * (110 + 20 * index)), messages_out=int(elapsed_s * (20 + 11 * index)),
+                cpu_s=elapsed_s * (0.02 + 0.013 * index), rss_bytes=(31 + 3 * index) * 1_000_000,
+                rejects={"checksum": 3} if name == "parsers.gnss" else {},
+            )  # fmt: skip
+
+    def _origin(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
+        yield "sensors.simulator", m.Origin(now_ns=now_ns, kind=m.OriginKind.SIMULATED, name="city-loop", seed=7)
