@@ -1,0 +1,1 @@
+"""Drives a simulated vehicle and sends the bytes its devices would."""

@@ -1,0 +1,109 @@
+"""The vehicle with its inertial sensors and its antenna: what one seed of one scenario determines."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+
+from .imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE, SensorErrors
+from .scenarios import Scenario
+from .trajectory import Motion, Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+LEVER_ARM_B: Vector = (0.3, 0.0, -1.2)  # [m, body] from the IMU to the antenna
+
+
+class Stream(IntEnum):
+    """Independent random numbers of one seed."""
+
+    ROUTE = 1
+    GYROSCOPE = 2
+    ACCELEROMETER = 3
+    GNSS = 4
+    SATELLITES = 5
+    WHEELS = 6
+    CLOCKS = 7
+    ENVIRONMENT = 8
+
+
+@dataclass(frozen=True)
+class Readings:
+    """n steps of the motion, and what the inertial sensors read in them."""
+
+    motion: Motion
+    force_b: FloatArray  # shape (n, 3) [m/s², body]
+    rate_b: FloatArray  # shape (n, 3) [rad/s, body]
+
+
+class Vehicle:
+    """Drives a scenario, block by block; the length of the blocks changes nothing beyond rounding."""
+
+    def __init__(self, scenario: Scenario, seed: int, step: float) -> None:
+        rng = np.random.default_rng((seed, Stream.ROUTE))
+        self._trajectory = Trajectory(
+            scenario.course,
+            scenario.start,
+            stand=rng.uniform(*scenario.stand_s),
+            acceleration=scenario.acceleration_m_s2,
+            step=step,
+            rng=rng,
+        )
+        self.gyroscope = SensorErrors(MTI_630_GYROSCOPE, step, (seed, Stream.GYROSCOPE))
+        self.accelerometer = SensorErrors(MTI_630_ACCELEROMETER, step, (seed, Stream.ACCELEROMETER))
+
+    def advance(self, steps: int) -> Readings:
+        """Drive on by a number of steps."""
+        motion = self._trajectory.advance(steps)
+        moving = motion.speed[1:] > 0.0
+        return Readings(
+            motion,
+            motion.force_b + self.accelerometer.advance(moving),
+            motion.rate_b + self.gyroscope.advance(moving),
+        )
+
+
+@dataclass(frozen=True)
+class AntennaState:
+    """Where the GNSS antenna is and how it moves."""
+
+    position: Geodetic
+    velocity_n: Vector
+    covered: bool
+
+
+def antenna_at(motion: Motion, node: float, lever_b: Vector = LEVER_ARM_B) -> AntennaState:
+    """Carry the motion of the IMU over to the antenna.
+
+    Parameters
+    ----------
+    motion : Motion
+        A block of the true motion.
+    node : float
+        [-] Which node since the start; between two nodes of the block the motion is taken as linear,
+        which at 100 Hz is within 0.05 mm.
+    lever_b : tuple of float
+        [m, body] From the IMU to the antenna.
+
+    Returns
+    -------
+    AntennaState
+        With l = C lever: r + l, and v + C (w x lever) - w_ie x l.
+    """
+    index = min(int(node - motion.first), len(motion.rate_b) - 1)
+    share = node - motion.first - index
+    weights = np.array([1.0 - share, share])
+    pair = slice(index, index + 2)
+    C = np.tensordot(weights, motion.ned_from_body[pair], 1)
+    lever_n = C @ lever_b
+    moved = C @ np.cross(motion.rate_b[max(0, index - 1) if share == 0.0 else index], lever_b)
+    velocity = weights @ motion.velocity_n[pair] + moved - np.cross(motion.earth_rate_n[index], lever_n)
+    latitude, longitude, height = (weights @ motion.position[pair]).tolist()
+    north, east, down = lever_n.tolist()
+    position = geodetic_from_ned_difference((north, east, down), Geodetic(latitude, longitude, height))
+    v_north, v_east, v_down = velocity.tolist()
+    return AntennaState(position, (v_north, v_east, v_down), bool(motion.covered[index + (share > 0.5)]))
