@@ -1,0 +1,1 @@
+"""Layer 2, CAN: candump lines to vehicle and wheel speeds."""

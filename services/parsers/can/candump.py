@@ -1,0 +1,54 @@
+"""Reads the lines of a candump log: `(1436509052.249713) can0 7E8#03410D3200000000`."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+MAX_LINE = 256  # a CAN FD frame of 64 bytes takes 170
+# Remote frames (#R) and CAN FD (##) match no speed and are passed over as lines that are well formed.
+_LINE = re.compile(rb"\((\d{1,10})\.(\d{1,9})\) (\S{1,16}) ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)( [TR])?")
+_OTHER = re.compile(rb"\(\d{1,10}\.\d{1,9}\) \S{1,16} ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(R\d?|#[0-9A-Fa-f]+)( [TR])?")
+
+
+@dataclass(frozen=True, slots=True)
+class CanFrame:
+    """One classic data frame; `extended` tells an 11-bit identifier from a 29-bit one of the same value."""
+
+    time_ns: int
+    identifier: int
+    extended: bool
+    data: bytes
+
+
+class LineReader:
+    """Cuts bytes into lines and lines into frames; what is neither is counted as `line`."""
+
+    def __init__(self, rejects: Counter[str]) -> None:
+        self._rejects = rejects
+        self._rest = b""
+
+    def feed(self, data: bytes) -> Iterator[CanFrame]:
+        """Take the next bytes and yield the frames whose lines they complete."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > MAX_LINE:
+            self._rejects["line"] += 1
+            self._rest = b""
+        for line in lines:
+            frame = parse_line(line.strip())
+            if frame:
+                yield frame
+            elif line.strip() and not _OTHER.fullmatch(line.strip()):
+                self._rejects["line"] += 1
+
+
+def parse_line(line: bytes) -> CanFrame | None:
+    """Read one line; None if it is no classic data frame."""
+    match = _LINE.fullmatch(line)
+    if match is None:
+        return None
+    seconds, fraction, _, identifier, data = match.groups()[:5]
+    if len(data) % 2 or len(data) > 16:
+        return None
+    time_ns = int(seconds) * 1_000_000_000 + int(fraction.ljust(9, b"0"))
+    return CanFrame(time_ns, int(identifier, 16), len(identifier) == 8, bytes.fromhex(data.decode()))

@@ -1,0 +1,111 @@
+"""Reads wheel speeds out of frames as a DBC file describes them."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from .candump import CanFrame
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
+
+WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+UNITS_M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704}
+FASTEST_M_S = 150.0
+
+
+class WheelSpeedDecoder:
+    """Decodes the signals of a database that are named as wheel speeds.
+
+    Parameters
+    ----------
+    text : str
+        Content of the DBC file.
+    signals : mapping
+        Wheel (front_left, front_right, rear_left, rear_right) -> name of its signal.
+    period_ns : int
+        [ns] A frame that comes sooner after the last one of its identifier is passed over.
+    rejects : Counter
+        Receives `dbc_frame` (too short for its description) and `wheel_speed` (out of its range).
+
+    Raises
+    ------
+    ValueError
+        The text is no DBC file, a signal is not in it, or its unit is no unit of speed.
+    """
+
+    def __init__(self, text: str, signals: Mapping[str, str], period_ns: int, rejects: Counter[str]) -> None:
+        self._rejects = rejects
+        # A tenth of slack: a sender at exactly this period must not lose every second frame to its jitter.
+        self._period_ns = period_ns * 9 // 10
+        self._last_ns: dict[tuple[str, int], int] = {}
+        self._messages: dict[tuple[int, bool], tuple[Message, dict[str, tuple[str, float]]]] = {}
+        database = load(text)
+        for wheel, signal_name in signals.items():
+            self._add(database, wheel, signal_name)
+
+    def decode(self, frame: CanFrame, received_ns: int, source: str) -> dict[str, float]:
+        """Give wheel -> speed [m/s] of the wheels in this frame; empty for a frame without any."""
+        entry = self._messages.get((frame.identifier, frame.extended))
+        key = source, frame.identifier
+        if entry is None or 0 <= received_ns - self._last_ns.get(key, received_ns - self._period_ns) < self._period_ns:
+            return {}
+        message, wheels = entry
+        if len(frame.data) < message.length:
+            self._rejects["dbc_frame"] += 1
+            return {}
+        self._last_ns[key] = received_ns
+        values = message.decode(frame.data[: message.length], decode_choices=False)
+        speeds: dict[str, float] = {}
+        for signal_name, (wheel, unit_m_s) in wheels.items():
+            value = values[signal_name] if isinstance(values, dict) else None
+            speed_m_s = checked_speed(message.get_signal_by_name(signal_name), value, unit_m_s)
+            if speed_m_s is None:
+                self._rejects["wheel_speed"] += 1
+            else:
+                speeds[wheel] = speed_m_s
+        return speeds
+
+    def _add(self, database: "Database", wheel: str, signal_name: str) -> None:
+        for message in database.messages:
+            for signal in message.signals:
+                if signal.name == signal_name:
+                    if signal.unit not in UNITS_M_S:
+                        raise ValueError(
+                            f"signal {signal_name} has the unit {signal.unit!r}: m/s, km/h or mph is needed"
+                        )
+                    key = message.frame_id, message.is_extended_frame
+                    self._messages.setdefault(key, (message, {}))[1][signal_name] = wheel, UNITS_M_S[signal.unit]
+                    return
+        raise ValueError(f"there is no signal {signal_name!r}; the file has {_names(database)}")
+
+
+def checked_speed(signal: "Signal", value: object, unit_m_s: float) -> float | None:
+    """Convert a decoded value to m/s; None if it is no speed that the signal and a vehicle can have."""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    low = -math.inf if signal.minimum is None else signal.minimum
+    high = math.inf if signal.maximum is None else signal.maximum
+    speed_m_s = value * unit_m_s
+    return speed_m_s if low <= value <= high and abs(speed_m_s) <= FASTEST_M_S else None
+
+
+def load(text: str) -> "Database":
+    """Parse a DBC file; raises ValueError if it is none."""
+    # Heavy, and only vehicles with a DBC file need it.
+    from cantools.database import load_string
+    from cantools.database.can import Database
+    from cantools.database.errors import Error
+
+    try:
+        database = load_string(text, "dbc")
+    except Error as error:
+        raise ValueError(f"this is no DBC file: {error}") from error
+    if not isinstance(database, Database):
+        raise ValueError("this is no DBC file")
+    return database
+
+
+def _names(database: "Database") -> str:
+    return ", ".join(sorted(signal.name for message in database.messages for signal in message.signals)[:20])

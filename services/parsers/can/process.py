@@ -1,0 +1,96 @@
+"""Turns CAN frames into vehicle and wheel speeds."""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from pydantic import Field
+
+from shared.config import Section
+from shared.errors import UserError
+from shared.messages import CanRaw, Message, VehicleSpeed, WheelSpeeds
+
+from .candump import CanFrame, LineReader
+from .database import WheelSpeedDecoder
+from .standards import standard_speed
+
+NS = 1_000_000_000
+OLDEST_LINE_NS = 10 * NS
+MAX_SOURCES = 8
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+class WheelSignals(Section):
+    """Name of the signal of each wheel in the DBC file."""
+
+    front_left: str | None = None
+    front_right: str | None = None
+    rear_left: str | None = None
+    rear_right: str | None = None
+
+
+class Config(Section):
+    """Settings of the CAN parser; without a DBC file there are no wheel speeds."""
+
+    vehicle_speed_delay_s: float = Field(default=0.1, ge=0.0)  # from the wheels to the bus, filtered on the way
+    wheel_speed_delay_s: float = Field(default=0.02, ge=0.0)
+    wheel_speed_period_s: float = Field(default=0.1, ge=0.0)  # at most one message in so long
+    dbc_file: Path | None = None  # relative to the working folder or to the repository
+    wheel_speed_signals: WheelSignals = WheelSignals()
+
+
+class Process:
+    """Reads OBD-II and J1939 speeds by themselves, wheel speeds as the DBC file describes them."""
+
+    def __init__(self, config: Config) -> None:
+        self.rejects: Counter[str] = Counter()
+        self._config = config
+        self._readers: dict[str, LineReader] = {}
+        self._decoder = self._load(config)
+
+    def handle(self, message: Message) -> Iterator[VehicleSpeed | WheelSpeeds]:
+        """Take candump lines; nothing else concerns this process."""
+        if not isinstance(message, CanRaw):
+            return
+        if message.source not in self._readers and len(self._readers) >= MAX_SOURCES:
+            self.rejects["too_many_sources"] += 1
+            return
+        for frame in self._readers.setdefault(message.source, LineReader(self.rejects)).feed(message.data):
+            received_ns = self._received_ns(frame, message)
+            if speed := standard_speed(frame):
+                yield VehicleSpeed(
+                    sampled_ns=received_ns - round(self._config.vehicle_speed_delay_s * NS),
+                    received_ns=received_ns,
+                    source=f"{message.source}/{speed.name}",
+                    speed_m_s=speed.speed_m_s,
+                    resolution_m_s=speed.resolution_m_s,
+                )
+            if self._decoder and (speeds := self._decoder.decode(frame, received_ns, message.source)):
+                yield WheelSpeeds(
+                    sampled_ns=received_ns - round(self._config.wheel_speed_delay_s * NS),
+                    received_ns=received_ns,
+                    source=message.source,
+                    **{f"{wheel}_m_s": speed for wheel, speed in speeds.items()},
+                )
+
+    def _received_ns(self, frame: CanFrame, message: CanRaw) -> int:
+        """Believe the stamp of a line unless it contradicts that of its batch."""
+        if 0 <= message.received_ns - frame.time_ns < OLDEST_LINE_NS:
+            return frame.time_ns
+        self.rejects["line_stamp"] += 1
+        return message.received_ns
+
+    def _load(self, config: Config) -> WheelSpeedDecoder | None:
+        if config.dbc_file is None:
+            return None
+        signals = {wheel: name for wheel, name in config.wheel_speed_signals if name}
+        if not signals:
+            raise UserError("[parsers.can] has a dbc_file and no wheel_speed_signals: name the signal of each wheel")
+        try:
+            path = config.dbc_file if config.dbc_file.exists() else REPOSITORY / config.dbc_file
+            period_ns = round(config.wheel_speed_period_s * NS)
+            return WheelSpeedDecoder(path.read_text(encoding="latin-1"), signals, period_ns, self.rejects)
+        except (OSError, ValueError) as error:
+            raise UserError(
+                f"[parsers.can] dbc_file = {str(config.dbc_file)!r}: {error}; mend the path or the file"
+            ) from error
