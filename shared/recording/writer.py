@@ -2,12 +2,11 @@
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol
 
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -18,7 +17,6 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
-    McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
@@ -28,12 +26,11 @@ from mcap.records import (
 
 from ..bus import Envelope
 from .channels import IRREGULAR, MAXIMUM_CHANNELS, Key, encoding_of, fields_of, key_of, metadata_of, schema_of
+from .chunk import ChunkInProgress, packed
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 256 * 1024
 VEHICLE_FILE = "vehicle.toml"
-MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
-MESSAGE_OVERHEAD = MESSAGE_HEAD.size - 9
 SUMMARY_ORDER = (
     Opcode.SCHEMA,
     Opcode.CHANNEL,
@@ -73,43 +70,6 @@ def open_new(path: Path) -> Output:
     return path.open("xb", buffering=0)
 
 
-class ChunkInProgress:
-    """Messages that are not in the file yet, and where in the chunk each of them starts."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.stamps: dict[int, list[int]] = {}  # channel -> log time, offset, log time, offset, ...
-
-    @property
-    def messages(self) -> int:
-        """Number of messages."""
-        return sum(map(len, self.stamps.values())) // 2
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """First and last log time."""
-        times = [time for entries in self.stamps.values() for time in entries[::2]]
-        return min(times), max(times)
-
-    def add(self, channel: Channel, head: tuple[int, int, int], data: bytes) -> None:
-        """Add a message with its sequence number, log time and publish time."""
-        if channel.id not in self.stamps:
-            self.stamps[channel.id] = []
-            self.data += packed(channel)
-        self.stamps[channel.id] += head[1], len(self.data)
-        self.data += MESSAGE_HEAD.pack(Opcode.MESSAGE, MESSAGE_OVERHEAD + len(data), channel.id, *head)
-        self.data += data
-
-    def indexes(self) -> dict[int, bytes]:
-        """Pack the message index of each channel."""
-        return {
-            id_: struct.pack(
-                f"<BQHI{len(entries)}Q", Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), id_, 8 * len(entries), *entries
-            )
-            for id_, entries in self.stamps.items()
-        }
-
-
 class RecordingWriter:
     """One recording in the making.
 
@@ -124,6 +84,7 @@ class RecordingWriter:
         *,
         vehicle: str = "",
         vehicle_toml: str = "",
+        provenance: Mapping[str, str] | None = None,
         chunk_bytes: int = CHUNK_BYTES,
         opener: Callable[[Path], Output] = open_new,
     ) -> None:
@@ -140,7 +101,20 @@ class RecordingWriter:
         self._span = (1 << 64) - 1, 0
         self._chunks = 0
         self._chunk = ChunkInProgress()
-        self._start(vehicle, vehicle_toml)
+        self._metadata = {"obu": {"vehicle": vehicle}}
+        if provenance is not None:
+            self._metadata["provenance"] = dict(provenance)
+        try:
+            self._start(vehicle_toml)
+        except OSError:
+            self.abandon()
+            path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def pending(self) -> int:
+        """Messages that are not in the file yet."""
+        return self._chunk.messages
 
     def write(self, envelope: Envelope) -> None:
         """Add a message; once the chunk is full it goes to the file."""
@@ -192,14 +166,12 @@ class RecordingWriter:
         finally:
             self._file.close()
 
-    def _start(self, vehicle: str, vehicle_toml: str) -> None:
+    def _start(self, vehicle_toml: str) -> None:
         self._append(MAGIC, packed(Header("", "obu")))
-        described = Metadata("obu", {"vehicle": vehicle})
-        position = self.bytes_written
-        self._append(packed(described))
-        self._summary[Opcode.METADATA_INDEX] += packed(
-            MetadataIndex(position, self.bytes_written - position, described.name)
-        )
+        for name, described in self._metadata.items():
+            position = self.bytes_written
+            self._append(packed(Metadata(name, described)))
+            self._summary[Opcode.METADATA_INDEX] += packed(MetadataIndex(position, self.bytes_written - position, name))
         text = vehicle_toml.encode()
         position = self.bytes_written
         self._append(packed(Attachment(0, 0, VEHICLE_FILE, "application/toml", text)))
@@ -268,7 +240,7 @@ class RecordingWriter:
             message_count=self.messages,
             message_end_time=self._span[1],
             message_start_time=self._span[0] if self.messages else 0,
-            metadata_count=1,
+            metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
 
@@ -291,10 +263,3 @@ def _chunk_index(record: Chunk, start: int, length: int, indexes: dict[int, byte
             uncompressed_size=record.uncompressed_size,
         )
     )
-
-
-def packed(record: McapRecord) -> bytes:
-    """Pack a record with its opcode and length."""
-    builder = RecordBuilder()
-    record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]  # mcap annotates it by half

@@ -1,0 +1,1 @@
+"""Writes every message to disk."""

@@ -1,0 +1,105 @@
+"""The recorder: every message as it travelled, into files that leave room on the disk."""
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+from shared.bus import Bus, Envelope
+from shared.config import Section
+from shared.messages import RecordingState
+from shared.recording.folder import RecordingFolder
+from shared.recording.writer import Output, open_new
+
+from .retention import Limits, decide, file_name
+
+log = logging.getLogger(__name__)
+
+STATE_NS = 1_000_000_000
+RETRY_NS = 5_000_000_000
+
+
+class Config(Section):
+    """Where recordings go, how they are cut into files, and how much room they may take."""
+
+    folder: str = "recordings"  # below the state folder, unless absolute
+    chunk_bytes: int = 256 * 1024
+    flush_period_s: float = 0.5  # what a crash of the recorder costs at most
+    sync_period_s: float = 2.0  # what a power cut costs at most
+    rotate_bytes: int = 256 * 1024**2
+    rotate_period_s: float = 3600.0
+    maximum_total_bytes: int = 8 * 1024**3
+    minimum_free_bytes: int = 512 * 1024**2
+
+
+class Process:
+    """Writes message by message without decoding; a full disk stops it with a reason until there is room."""
+
+    def __init__(self, config: Config, opener: Callable[[Path], Output] = open_new) -> None:
+        self._config, self._opener = config, opener
+        self._limits = Limits(config.maximum_total_bytes, config.minimum_free_bytes)
+        self._reason: str | None = None
+        self._opened_ns = self._flush_ns = self._sync_ns = self._state_ns = self._retry_ns = 0
+
+    def run(self, bus: Bus) -> None:
+        """Record until told to stop."""
+        self._folder = RecordingFolder(bus.state_dir / self._config.folder, self._opener)
+        while not bus.stopping:
+            if bus.now_ns() >= self._state_ns:
+                self._state_ns = bus.now_ns() + STATE_NS
+                self._keep_house(bus)
+                bus.publish(self._state(bus))
+            self._write(bus.receive(0.1), bus.now_ns())
+        self._write(bus.receive(0.0), bus.now_ns())
+        self._close()
+
+    def _write(self, envelopes: list[Envelope], now_ns: int) -> None:
+        try:
+            self._folder.write(envelopes)
+            if now_ns >= self._flush_ns:
+                self._flush_ns = now_ns + round(self._config.flush_period_s * 1e9)
+                self._folder.flush()
+            if now_ns >= self._sync_ns:
+                self._sync_ns = now_ns + round(self._config.sync_period_s * 1e9)
+                self._folder.sync()
+        except OSError as error:
+            self._stop(f"cannot write: {error.strerror}", now_ns)
+
+    def _keep_house(self, bus: Bus) -> None:
+        """Make room, and begin a file where there is none or the one in progress is long enough."""
+        folder, now_ns = self._folder, bus.now_ns()
+        aged = now_ns - self._opened_ns >= self._config.rotate_period_s * 1e9
+        try:
+            if aged or folder.open_bytes >= self._config.rotate_bytes:
+                folder.close()
+            verdict = decide(folder.stored(), folder.free_bytes(), self._limits, open_name=folder.open_name)
+            for name in verdict.delete:
+                folder.delete(name)
+            if verdict.refusal:
+                self._stop(verdict.refusal, now_ns)
+            elif not folder.open_name and now_ns >= self._retry_ns:
+                folder.open(file_name(now_ns, bus.vehicle), vehicle=bus.vehicle, vehicle_toml=bus.vehicle_toml,
+                            chunk_bytes=self._config.chunk_bytes)  # fmt: skip
+                self._opened_ns, self._reason = now_ns, None
+        except OSError as error:
+            self._stop(f"cannot use {folder.path}: {error.strerror}", now_ns)
+
+    def _stop(self, reason: str, now_ns: int) -> None:
+        if reason != self._reason:
+            log.warning("not recording: %s", reason)
+        self._reason, self._retry_ns = reason[:400], now_ns + RETRY_NS
+        self._close()
+
+    def _close(self) -> None:
+        """Finish the file in progress as far as the disk lets us: the reader needs no summary."""
+        try:
+            self._folder.close()
+        except OSError as error:
+            log.warning("left a recording without its summary: %s", error.strerror)
+
+    def _state(self, bus: Bus) -> RecordingState:
+        folder = self._folder
+        return RecordingState(
+            now_ns=bus.now_ns(), recording=folder.open_name is not None, file=folder.open_name,
+            bytes_written=folder.bytes_written, messages=folder.messages, dropped=folder.lost + bus.dropped,
+            free_bytes=folder.free_bytes(), reason=self._reason,
+        )  # fmt: skip

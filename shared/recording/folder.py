@@ -1,0 +1,128 @@
+"""A folder of recordings, one of them in progress."""
+
+import logging
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..bus import Envelope
+from .writer import Output, RecordingWriter, open_new
+
+log = logging.getLogger(__name__)
+
+SUFFIX = ".mcap"
+KEEP_SUFFIX = ".keep"
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A recording in the folder; `kept` if a file of its name and `.keep` lies beside it."""
+
+    name: str
+    size_bytes: int
+    kept: bool = False
+
+
+class RecordingFolder:
+    """Recordings as files; what fails on the disk comes out as `OSError`."""
+
+    def __init__(self, path: Path, opener: Callable[[Path], Output] = open_new) -> None:
+        self.path = path
+        self._opener = opener
+        self._writer: RecordingWriter | None = None
+        self._received = self._closed_messages = self._closed_bytes = 0
+        self._syncing: Future[None] | None = None
+        self._sync_thread = ThreadPoolExecutor(1, "sync")
+
+    @property
+    def open_name(self) -> str | None:
+        """Name of the recording in progress."""
+        return self._writer.path.name if self._writer else None
+
+    @property
+    def open_bytes(self) -> int:
+        """Size of the recording in progress."""
+        return self._writer.bytes_written if self._writer else 0
+
+    @property
+    def messages(self) -> int:
+        """Messages that reached a file."""
+        return self._closed_messages + (self._writer.messages if self._writer else 0)
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes of all files that were written here."""
+        return self._closed_bytes + self.open_bytes
+
+    @property
+    def lost(self) -> int:
+        """Messages that were given and can reach no file any more."""
+        return self._received - self.messages - (self._writer.pending if self._writer else 0)
+
+    def stored(self) -> list[Stored]:
+        """List the recordings in the folder, which is made if it is missing."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        entries = {entry.name: entry for entry in os.scandir(self.path)}
+        return [
+            Stored(name, entry.stat().st_size, name + KEEP_SUFFIX in entries)
+            for name, entry in entries.items()
+            if name.endswith(SUFFIX)
+        ]
+
+    def free_bytes(self) -> int:
+        """Room that the disk has left for us."""
+        return shutil.disk_usage(self.path if self.path.exists() else self.path.parent).free
+
+    def delete(self, name: str) -> None:
+        """Remove a recording."""
+        log.info("deleting %s", name)
+        (self.path / name).unlink(missing_ok=True)
+
+    def open(self, name: str, *, vehicle: str, vehicle_toml: str, chunk_bytes: int) -> None:
+        """Begin a recording; a name that is taken gets a number."""
+        path, attempt = self.path / f"{name}{SUFFIX}", 1
+        while path.exists():
+            attempt += 1
+            path = self.path / f"{name}_{attempt}{SUFFIX}"
+        self._writer = RecordingWriter(
+            path, vehicle=vehicle, vehicle_toml=vehicle_toml, chunk_bytes=chunk_bytes, opener=self._opener
+        )
+
+    def write(self, envelopes: Iterable[Envelope]) -> None:
+        """Add messages to the recording in progress; without one they are lost."""
+        for envelope in envelopes:
+            self._received += 1
+            if self._writer:
+                self._writer.write(envelope)
+
+    def flush(self) -> None:
+        """Hand over to the system what is waiting."""
+        if self._writer:
+            self._writer.flush()
+
+    def sync(self) -> None:
+        """Ask the disk to store what it was given; in a thread, because a memory card may take a second."""
+        if self._syncing and self._syncing.done() and (error := self._syncing.exception()):
+            self._syncing = None
+            raise error
+        if self._writer and (self._syncing is None or self._syncing.done()):
+            self._syncing = self._sync_thread.submit(os.fdatasync, self._writer.fileno())
+
+    def close(self) -> None:
+        """Finish the recording in progress; a file without a message is removed."""
+        if (writer := self._writer) is None:
+            return
+        self._writer = None
+        if self._syncing:
+            self._syncing.exception()  # wait for it: the number of a closed file may be another's
+        try:
+            writer.close()
+        finally:
+            self._closed_messages += writer.messages
+            if writer.messages:
+                self._closed_bytes += writer.bytes_written
+            else:
+                writer.path.unlink(missing_ok=True)

@@ -1,0 +1,50 @@
+"""A bus without a broker, for the loops of processes that own theirs: time passes only by `receive`."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+from shared.bus import Bus, Envelope
+from shared.messages import Message
+
+
+class FakeBus:
+    """Feeds what a script says and keeps what was published; ends when the script does.
+
+    The script is called once a `receive` with the number of the call and returns the envelopes to
+    deliver, or None to stop the process.
+    """
+
+    def __init__(
+        self, state_dir: Path, script: Callable[[int], list[Envelope] | None], *, start_ns: int, step_ns: int = 10**8
+    ) -> None:
+        self.state_dir = state_dir
+        self.process, self.vehicle, self.vehicle_toml = "test", "car", '[vehicle]\nname = "car"\n'
+        self.stopping = False
+        self.connected = True
+        self.dropped = 0
+        self.published: list[Message] = []
+        self._script, self._step_ns = script, step_ns
+        self._now_ns = start_ns
+        self._calls = 0
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def publish(self, message: Message) -> None:
+        self.published.append(message)
+
+    def receive(self, timeout_s: float) -> list[Envelope]:
+        if self.stopping:
+            return []
+        delivered = self._script(self._calls)
+        self._calls += 1
+        self._now_ns += self._step_ns
+        if delivered is None:
+            self.stopping = True
+            return []
+        return delivered
+
+    def as_bus(self) -> Bus:
+        """Pass for a bus where one is asked for."""
+        return cast(Bus, self)

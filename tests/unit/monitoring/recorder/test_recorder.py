@@ -1,0 +1,200 @@
+import errno
+from pathlib import Path
+
+import pytest
+
+from services.monitoring.recorder.process import Config, Process
+from shared.bus import Envelope
+from shared.messages import RecordingState
+from shared.recording import Recording
+from tests.support.fake_bus import FakeBus
+
+START_NS = 1_790_000_000_000_000_000
+EASY = Config(minimum_free_bytes=0, sync_period_s=0.2)
+
+
+def envelope(k: int) -> Envelope:
+    return Envelope("mode/state", b'{"k":%d}' % k, {}, START_NS + k, "controller.mode", 1, k)
+
+
+class Script:
+    """One message a call, for so many calls."""
+
+    def __init__(self, calls: int) -> None:
+        self.calls = calls
+
+    def __call__(self, call: int) -> list[Envelope] | None:
+        return [envelope(call)] if call < self.calls else None
+
+
+def run(tmp_path: Path, config: Config, calls: int) -> list[RecordingState]:
+    bus = FakeBus(tmp_path, Script(calls), start_ns=START_NS)
+    Process(config).run(bus.as_bus())
+    return [message for message in bus.published if isinstance(message, RecordingState)]
+
+
+def recorded(folder: Path) -> list[int]:
+    found = []
+    for path in sorted(folder.glob("*.mcap")):
+        with Recording(path) as recording:
+            found += [message.sequence for message in recording]
+    return found
+
+
+def test_every_message_is_recorded_until_the_end(tmp_path: Path) -> None:
+    states = run(tmp_path, EASY, 55)
+
+    assert recorded(tmp_path / "recordings") == list(range(55))
+    assert [path.name for path in (tmp_path / "recordings").iterdir()] == ["20260921T141320Z_car.mcap"]
+    assert len(states) == 6
+    assert states[-1].recording
+    assert states[-1].file == "20260921T141320Z_car.mcap"
+    assert states[-1].messages >= 44
+    assert states[-1].dropped == 0
+
+
+def test_what_was_flushed_is_in_the_file_while_it_is_written(tmp_path: Path) -> None:
+    seen = []
+
+    def script(call: int) -> list[Envelope] | None:
+        if call == 30:
+            seen.extend(recorded(tmp_path / "recordings"))
+            return None
+        return [envelope(call)]
+
+    Process(EASY).run(FakeBus(tmp_path, script, start_ns=START_NS).as_bus())
+
+    assert seen == list(range(len(seen)))
+    assert len(seen) > 23  # half a second at ten messages a second may be missing
+
+
+def test_a_new_file_begins_when_the_old_is_old_enough_and_none_is_lost(tmp_path: Path) -> None:
+    run(tmp_path, Config(minimum_free_bytes=0, rotate_period_s=2.0), 55)
+
+    assert len(list((tmp_path / "recordings").glob("*.mcap"))) == 3
+    assert recorded(tmp_path / "recordings") == list(range(55))
+
+
+def test_a_new_file_begins_when_the_old_is_large_enough(tmp_path: Path) -> None:
+    run(tmp_path, Config(minimum_free_bytes=0, rotate_bytes=1), 30)
+
+    assert len(list((tmp_path / "recordings").glob("*.mcap"))) == 3
+    assert recorded(tmp_path / "recordings") == list(range(30))
+
+
+def test_old_recordings_make_room_but_not_those_to_be_kept(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for name in ("20200101T000000Z_car.mcap", "20200102T000000Z_car.mcap", "20200103T000000Z_car.mcap"):
+        (folder / name).write_bytes(bytes(100_000))
+    (folder / "20200101T000000Z_car.mcap.keep").touch()
+
+    run(tmp_path, Config(minimum_free_bytes=0, maximum_total_bytes=210_000), 20)
+
+    names = sorted(path.name for path in folder.glob("*.mcap"))
+    assert names == ["20200101T000000Z_car.mcap", "20200103T000000Z_car.mcap", "20260921T141320Z_car.mcap"]
+
+
+def test_a_disk_below_its_floor_is_not_written_to_and_the_state_says_why(tmp_path: Path) -> None:
+    states = run(tmp_path, Config(minimum_free_bytes=1 << 60), 25)
+
+    assert list((tmp_path / "recordings").iterdir()) == []
+    assert not any(state.recording for state in states)
+    assert states[-1].reason is not None
+    assert "must stay free" in states[-1].reason
+    assert states[-1].dropped == 20
+
+
+class Disk:
+    """Files on a disk that is full while `full` is set: a simulated fault, the rest is real."""
+
+    def __init__(self) -> None:
+        self.full = False
+
+    def open(self, path: Path) -> "DiskFile":
+        return DiskFile(self, path)
+
+
+class DiskFile:
+    def __init__(self, disk: Disk, path: Path) -> None:
+        self._disk, self._file = disk, path.open("xb", buffering=0)
+
+    def write(self, data: memoryview) -> int | None:
+        if not self._disk.full:
+            return self._file.write(data)
+        if len(data) > 20:
+            return self._file.write(data[:20])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def truncate(self, size: int) -> int:
+        return self._file.truncate(size)
+
+    def seek(self, offset: int) -> int:
+        return self._file.seek(offset)
+
+    def fileno(self) -> int:
+        return self._file.fileno()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def test_a_full_disk_stops_the_recorder_with_a_reason_and_it_resumes_by_itself(tmp_path: Path) -> None:
+    disk = Disk()
+
+    def script(call: int) -> list[Envelope] | None:
+        disk.full = 50 <= call < 100
+        return [envelope(call)] if call < 200 else None
+
+    bus = FakeBus(tmp_path, script, start_ns=START_NS)
+    Process(EASY, disk.open).run(bus.as_bus())
+
+    states = [message for message in bus.published if isinstance(message, RecordingState)]
+    assert [state.recording for state in states[1:5]] == [True] * 4
+    stopped = [state for state in states if not state.recording]
+    assert 5 <= len(stopped) <= 10
+    assert {state.reason for state in stopped} <= {
+        "cannot write: No space left on device",
+        f"cannot use {tmp_path / 'recordings'}: No space left on device",
+    }
+    assert states[-1].recording
+    assert states[-1].reason is None
+    found = recorded(tmp_path / "recordings")
+    assert found[:45] == list(range(45))
+    assert found[-90:] == list(range(110, 200))
+    assert found == sorted(set(found))
+    assert states[-1].dropped == 200 - len(found)
+
+
+def test_a_folder_that_cannot_be_made_is_a_reason_and_not_a_crash(tmp_path: Path) -> None:
+    (tmp_path / "recordings").write_text("a file where the folder should be")
+
+    states = run(tmp_path, EASY, 25)
+
+    assert not states[-1].recording
+    assert states[-1].reason is not None
+    assert states[-1].reason.startswith("cannot use ")
+
+
+def test_a_recording_left_by_a_crash_stays_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "recordings").mkdir()
+    left = tmp_path / "recordings" / "20260921T141320Z_car.mcap"
+    left.write_bytes(b"cut")
+
+    run(tmp_path, EASY, 20)
+
+    assert left.read_bytes() == b"cut"
+    assert recorded(tmp_path / "recordings") == list(range(20))
+
+
+def test_a_folder_outside_the_state_folder_is_taken(tmp_path: Path) -> None:
+    run(tmp_path / "state", Config(minimum_free_bytes=0, folder=str(tmp_path / "disk")), 5)
+
+    assert recorded(tmp_path / "disk") == list(range(5))
+
+
+@pytest.mark.parametrize("calls", [0, 3])
+def test_a_file_without_a_message_is_not_left_behind(tmp_path: Path, calls: int) -> None:
+    run(tmp_path, EASY, calls)
+
+    assert len(list((tmp_path / "recordings").iterdir())) == (1 if calls else 0)
