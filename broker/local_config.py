@@ -1,13 +1,19 @@
-"""Mosquitto's configuration for one run on a loopback port: `mosquitto.conf` with other places."""
+"""Mosquitto on a loopback port of this machine: where its program is, and `mosquitto.conf` with other places."""
 
 import os
+import shutil
 from pathlib import Path
 
 HERE = Path(__file__).parent
 OWN_PLACES = ("listener", "persistence_location", "acl_file", "log_dest", "user", "pid_file")
 
 
-def write(folder: Path, port: int) -> Path:
+def executable() -> str | None:
+    """Find Mosquitto's program; Debian keeps it where an ordinary user's PATH does not look."""
+    return shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
+
+
+def write(folder: Path, port: int, acl: Path = HERE / "acl.conf") -> Path:
     """Write a configuration that keeps every limit of `mosquitto.conf` but stays on this machine."""
     lines = [
         line
@@ -20,7 +26,7 @@ def write(folder: Path, port: int) -> Path:
         f"listener {port} 127.0.0.1",
         "socket_domain ipv4",
         f"persistence_location {store}/",
-        f"acl_file {HERE / 'acl.conf'}",
+        f"acl_file {acl}",
         "log_dest stderr",
     ]
     if os.geteuid() == 0:  # started by root it would give up its rights, and with them the folder

@@ -1,0 +1,40 @@
+"""Both brokers behind one interface, for tests that must hold on each: `start(kind, folder)`."""
+
+from pathlib import Path
+from typing import Protocol
+
+import pytest
+
+SIMULATED = "simulated"
+MOSQUITTO = "mosquitto"
+KINDS = (pytest.param(SIMULATED), pytest.param(MOSQUITTO, marks=pytest.mark.broker))
+
+
+class RunningBroker(Protocol):
+    """A broker on a free port of 127.0.0.1."""
+
+    kind: str
+    port: int
+
+    def stop(self) -> None:
+        """End it in an orderly way; may be called again."""
+
+    def restart(self) -> None:
+        """End it where it still runs, and start it again on the same port with what it has saved."""
+
+
+def start(kind: str, folder: Path, acl: str | None = None) -> RunningBroker:
+    """Start a broker that keeps its files in `folder`, with the unit's access list or with the text of another."""
+    from tests.support import mosquitto, simulated
+
+    return simulated.start(folder, acl) if kind == SIMULATED else mosquitto.start(folder, acl)
+
+
+def access_list(folder: Path, text: str | None) -> Path:
+    """Write an access list into the folder; without a text, find the unit's own."""
+    if text is None:
+        return Path(__file__).parents[2] / "broker" / "acl.conf"
+    path = folder / "acl.conf"
+    path.write_text(text)
+    path.chmod(0o600)
+    return path

@@ -1,0 +1,63 @@
+"""A real Mosquitto on a free loopback port, with the unit's configuration."""
+
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from broker import local_config
+from tests.support import brokers
+
+READY_WITHIN_S = 5.0
+
+
+class Mosquitto:
+    """A child process; its retained messages outlive a restart, as on the vehicle."""
+
+    kind = brokers.MOSQUITTO
+
+    def __init__(self, executable: str, folder: Path, acl: Path) -> None:
+        self._executable, self._folder = executable, folder
+        self.port = _free_port()
+        self._config = local_config.write(folder, self.port, acl)
+        self._process = self._run()
+
+    def stop(self) -> None:
+        """End it as the system does at power-off; it saves what it keeps."""
+        if self._process.poll() is None:
+            self._process.terminate()
+        self._process.wait(READY_WITHIN_S)
+
+    def restart(self) -> None:
+        """Start it again on the same port."""
+        self.stop()
+        self._process = self._run()
+
+    def _run(self) -> subprocess.Popen[bytes]:
+        with (self._folder / "mosquitto.log").open("ab") as log:
+            process = subprocess.Popen([self._executable, "-c", str(self._config)], stderr=log)
+        deadline = time.monotonic() + READY_WITHIN_S
+        while time.monotonic() < deadline and process.poll() is None:
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", self.port)) == 0:
+                    return process
+            time.sleep(0.02)
+        process.kill()
+        process.wait()
+        pytest.fail("Mosquitto does not start: " + (self._folder / "mosquitto.log").read_text())
+
+
+def start(folder: Path, acl: str | None = None) -> Mosquitto:
+    """Start one, or skip the test where there is none."""
+    executable = local_config.executable()
+    if executable is None:
+        pytest.skip("no mosquitto on this machine: `apt install mosquitto` brings it")
+    return Mosquitto(executable, folder, brokers.access_list(folder, acl))
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,31 @@
+"""The simulated broker in a thread of the test."""
+
+from pathlib import Path
+
+from broker import simulated
+from tests.support import brokers
+
+
+class Simulated:
+    """The simulated broker; what it keeps is lost when it stops."""
+
+    kind = brokers.SIMULATED
+
+    def __init__(self, acl: str) -> None:
+        self._acl = acl
+        self.handle = simulated.start(acl=simulated.parse(acl))
+        self.port = self.handle.port
+
+    def stop(self) -> None:
+        """End it."""
+        self.handle.stop()
+
+    def restart(self) -> None:
+        """Start it again, empty, on the same port."""
+        self.stop()
+        self.handle = simulated.start(self.port, acl=simulated.parse(self._acl))
+
+
+def start(folder: Path, acl: str | None = None) -> Simulated:
+    """Start one with the unit's access list, or with the text of another."""
+    return Simulated(brokers.access_list(folder, acl).read_text())
