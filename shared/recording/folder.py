@@ -3,13 +3,13 @@
 import logging
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..bus import Envelope
-from .writer import Output, RecordingWriter, open_new
+from .writer import Opener, RecordingWriter, open_new
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ class Stored:
 class RecordingFolder:
     """Recordings as files; what fails on the disk comes out as `OSError`."""
 
-    def __init__(self, path: Path, opener: Callable[[Path], Output] = open_new) -> None:
+    def __init__(self, path: Path, opener: Opener = open_new) -> None:
         self.path = path
         self._opener = opener
         self._writer: RecordingWriter | None = None

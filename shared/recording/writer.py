@@ -65,6 +65,9 @@ class Output(Protocol):
         ...
 
 
+Opener = Callable[[Path], Output]
+
+
 def open_new(path: Path) -> Output:
     """Create a file that must not exist yet, without a buffer of its own."""
     return path.open("xb", buffering=0)
@@ -86,7 +89,7 @@ class RecordingWriter:
         vehicle_toml: str = "",
         provenance: Mapping[str, str] | None = None,
         chunk_bytes: int = CHUNK_BYTES,
-        opener: Callable[[Path], Output] = open_new,
+        opener: Opener = open_new,
     ) -> None:
         self.path = path
         self.messages = 0  # that are in the file

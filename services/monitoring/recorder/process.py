@@ -1,14 +1,12 @@
 """The recorder: every message as it travelled, into files that leave room on the disk."""
 
 import logging
-from collections.abc import Callable
-from pathlib import Path
 
 from shared.bus import Bus, Envelope
 from shared.config import Section
 from shared.messages import RecordingState
 from shared.recording.folder import RecordingFolder
-from shared.recording.writer import Output, open_new
+from shared.recording.writer import Opener, open_new
 
 from .retention import Limits, decide, file_name
 
@@ -24,7 +22,6 @@ class Config(Section):
     folder: str = "recordings"  # below the state folder, unless absolute
     chunk_bytes: int = 256 * 1024
     flush_period_s: float = 0.5  # what a crash of the recorder costs at most
-    sync_period_s: float = 2.0  # what a power cut costs at most
     rotate_bytes: int = 256 * 1024**2
     rotate_period_s: float = 3600.0
     maximum_total_bytes: int = 8 * 1024**3
@@ -34,11 +31,11 @@ class Config(Section):
 class Process:
     """Writes message by message without decoding; a full disk stops it with a reason until there is room."""
 
-    def __init__(self, config: Config, opener: Callable[[Path], Output] = open_new) -> None:
+    def __init__(self, config: Config, opener: Opener = open_new) -> None:
         self._config, self._opener = config, opener
         self._limits = Limits(config.maximum_total_bytes, config.minimum_free_bytes)
         self._reason: str | None = None
-        self._opened_ns = self._flush_ns = self._sync_ns = self._state_ns = self._retry_ns = 0
+        self._opened_ns = self._flush_ns = self._state_ns = self._retry_ns = 0
 
     def run(self, bus: Bus) -> None:
         """Record until told to stop."""
@@ -58,9 +55,6 @@ class Process:
             if now_ns >= self._flush_ns:
                 self._flush_ns = now_ns + round(self._config.flush_period_s * 1e9)
                 self._folder.flush()
-            if now_ns >= self._sync_ns:
-                self._sync_ns = now_ns + round(self._config.sync_period_s * 1e9)
-                self._folder.sync()
         except OSError as error:
             self._stop(f"cannot write: {error.strerror}", now_ns)
 
@@ -80,6 +74,7 @@ class Process:
                 folder.open(file_name(now_ns, bus.vehicle), vehicle=bus.vehicle, vehicle_toml=bus.vehicle_toml,
                             chunk_bytes=self._config.chunk_bytes)  # fmt: skip
                 self._opened_ns, self._reason = now_ns, None
+            folder.sync()  # so that a power cut costs no more than a second or two
         except OSError as error:
             self._stop(f"cannot use {folder.path}: {error.strerror}", now_ns)
 

@@ -10,7 +10,7 @@ from shared.recording import Recording
 from tests.support.fake_bus import FakeBus
 
 START_NS = 1_790_000_000_000_000_000
-EASY = Config(minimum_free_bytes=0, sync_period_s=0.2)
+EASY = Config(minimum_free_bytes=0)
 
 
 def envelope(k: int) -> Envelope:
