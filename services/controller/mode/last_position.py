@@ -1,0 +1,46 @@
+"""When to write down where the vehicle is, and what."""
+
+from collections.abc import Iterator
+
+from shared.messages import LastPosition, NavigationPhase, NavigationSolution
+
+NS = 1_000_000_000
+
+
+class PositionKeeper:
+    """Hands over the position every `period_s` while navigating, at once when the vehicle stops, and at the end."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_ns = round(period_s * NS)
+        self._newest: NavigationSolution | None = None
+        self._kept_ns: int | None = None
+        self._was_stationary = False
+
+    def take(self, solution: NavigationSolution, utc_offset_ns: int | None) -> Iterator[LastPosition]:
+        """Take a solution; yield it if it is to be kept."""
+        if solution.phase not in (NavigationPhase.NAVIGATING, NavigationPhase.COASTING):
+            return
+        self._newest = solution
+        stopped = solution.stationary and not self._was_stationary
+        self._was_stationary = solution.stationary
+        due = self._kept_ns is None or not 0 <= solution.sampled_ns - self._kept_ns < self._period_ns
+        if solution.phase is NavigationPhase.NAVIGATING and (stopped or due):
+            yield from self.last(utc_offset_ns)
+
+    def last(self, utc_offset_ns: int | None) -> Iterator[LastPosition]:
+        """Yield the newest position, unless it has been kept already."""
+        solution = self._newest
+        if solution is None or solution.sampled_ns == self._kept_ns:
+            return
+        self._kept_ns = solution.sampled_ns
+        nn, _, _, ee, _, dd = solution.position_cov_ned_m2
+        yield LastPosition(
+            sampled_ns=solution.sampled_ns,
+            utc_ns=None if utc_offset_ns is None else solution.sampled_ns + utc_offset_ns,
+            latitude_deg=solution.latitude_deg,
+            longitude_deg=solution.longitude_deg,
+            height_ellipsoid_m=solution.height_ellipsoid_m,
+            yaw_rad=solution.yaw_rad,
+            position_sd_ned_m=(nn**0.5, ee**0.5, dd**0.5),
+            yaw_sd_rad=solution.attitude_cov_ned_rad2[5] ** 0.5,
+        )

@@ -1,0 +1,126 @@
+"""The state machine: what is known -> mode and reason. The first rule that gives a reason wins."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from shared.messages import Mode, NavigationPhase
+
+BOOT_S = 1.0
+IMU_SILENT_S = 3.0
+GNSS_SILENT_S = 5.0
+FIX_LOST_S = 3.0
+SOLUTION_SILENT_S = 2.0
+FUSION_SILENT_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Everything that decides the mode; an age is None for what has never been heard."""
+
+    uptime_s: float
+    imu_age_s: float | None = None
+    gnss_age_s: float | None = None  # of any message of a receiver
+    fix_age_s: float | None = None  # of a fix with a position
+    solution_age_s: float | None = None
+    state_age_s: float | None = None
+    phase: NavigationPhase | None = None
+    phase_reason: str = ""
+    configuring: str | None = None  # what is being asked of a receiver
+    configuration_fault: str | None = None  # why it did not do it
+    has_measured: bool = False
+
+
+Rule = Callable[[Facts], str | None]
+
+ALIGNING_REASONS = {
+    NavigationPhase.WAITING_FOR_IMU: "waiting for inertial samples",
+    NavigationPhase.LEVELLING: "levelling: let the vehicle stand still for a moment",
+    NavigationPhase.WAITING_FOR_GNSS: "waiting for a GNSS fix: give the antenna a view of the sky",
+    NavigationPhase.WAITING_FOR_HEADING: "waiting for the heading: drive straight ahead for a moment",
+}
+
+
+def decide(facts: Facts) -> tuple[Mode, str]:
+    """Find the mode and its reason."""
+    for mode, rule in RULES:
+        if reason := rule(facts):
+            return mode, reason
+    return Mode.ALIGNING, _aligning(facts)
+
+
+def _measuring(facts: Facts) -> str | None:
+    if facts.phase is not NavigationPhase.NAVIGATING or _older(facts.solution_age_s, SOLUTION_SILENT_S):
+        return None
+    if facts.configuration_fault:
+        return f"navigating, with the receiver as it is: {facts.configuration_fault}"
+    return "navigating"
+
+
+def _booting(facts: Facts) -> str | None:
+    return "starting" if facts.uptime_s < BOOT_S and not facts.has_measured else None
+
+
+def _detecting(facts: Facts) -> str | None:
+    missing = [name for name, age in (("IMU", facts.imu_age_s), ("GNSS receiver", facts.gnss_age_s)) if age is None]
+    if not missing or facts.has_measured:
+        return None
+    return f"no {' and no '.join(missing)} has been heard yet: check its cable and its device in the vehicle's file"
+
+
+def _configuring(facts: Facts) -> str | None:
+    return facts.configuring if not facts.has_measured else None
+
+
+def _no_imu(facts: Facts) -> str | None:
+    if not _older(facts.imu_age_s, IMU_SILENT_S):
+        return None
+    return f"no IMU samples{_for(facts.imu_age_s)}"
+
+
+def _no_fusion(facts: Facts) -> str | None:
+    age_s = facts.uptime_s if facts.state_age_s is None else facts.state_age_s
+    if _older(age_s, FUSION_SILENT_S):
+        return f"core.fusion has not been heard{_for(age_s)}"
+    if facts.has_measured and facts.phase in SOLVING and _older(facts.solution_age_s, SOLUTION_SILENT_S):
+        return f"no navigation solution{_for(facts.solution_age_s)}"
+    return None
+
+
+def _no_gnss(facts: Facts) -> str | None:
+    """Name what is behind a coasting filter."""
+    if not facts.has_measured:
+        return None
+    coasting = ": coasting" if facts.phase is NavigationPhase.COASTING else ""
+    if _older(facts.gnss_age_s, GNSS_SILENT_S):
+        return f"the GNSS receiver has been silent{_for(facts.gnss_age_s)}{coasting}"
+    if _older(facts.fix_age_s, FIX_LOST_S):
+        return f"no GNSS fix{_for(facts.fix_age_s)}{coasting}"
+    return f"coasting: {facts.phase_reason}" if coasting else None
+
+
+def _aligning(facts: Facts) -> str:
+    if facts.phase in ALIGNING_REASONS:
+        return ALIGNING_REASONS[facts.phase]
+    return "waiting for the navigation filter"
+
+
+def _older(age_s: float | None, limit_s: float) -> bool:
+    return age_s is None or age_s > limit_s
+
+
+def _for(age_s: float | None) -> str:
+    return "" if age_s is None else f" for {age_s:.0f} s"
+
+
+SOLVING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
+# SHUTTING_DOWN has no rule: it is what the process says when it is told to stop.
+RULES: tuple[tuple[Mode, Rule], ...] = (
+    (Mode.MEASURING, _measuring),
+    (Mode.BOOT, _booting),
+    (Mode.DETECTING, _detecting),
+    (Mode.CONFIGURING, _configuring),
+    # The cause before its consequences: without an IMU there is no solution either.
+    (Mode.DEGRADED, _no_imu),
+    (Mode.DEGRADED, _no_fusion),
+    (Mode.DEGRADED, _no_gnss),
+)

@@ -1,0 +1,115 @@
+"""What the controller remembers of the unit, and the facts that follow from it."""
+
+from dataclasses import dataclass, field
+
+from shared.messages import (
+    GnssFix,
+    ImuSamples,
+    Message,
+    Mode,
+    ModeState,
+    NavigationSolution,
+    NavigationState,
+    Tick,
+    VehicleSpeed,
+)
+
+from .rules import GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT_S, Facts, decide
+from .sources import Sources, age_s
+
+NS = 1_000_000_000
+SPEED_SILENT_S = 5.0
+NMEA = "/nmea"
+
+
+@dataclass(slots=True)
+class Unit:
+    """The newest of everything; time is the latest stamp that was seen."""
+
+    now_ns: int = 0
+    started_ns: int | None = None
+    receivers: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))
+    gnss: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))  # a receiver may speak UBX and NMEA
+    imu: Sources = field(default_factory=lambda: Sources(IMU_SILENT_S))
+    speed: Sources = field(default_factory=lambda: Sources(SPEED_SILENT_S))
+    fix_ns: int | None = None
+    utc_offset_ns: int | None = None  # UTC - OBU time line
+    solution: NavigationSolution | None = None
+    solution_ns: int | None = None
+    state: NavigationState | None = None
+    state_ns: int | None = None
+    has_measured: bool = False
+
+    def note(self, message: Message) -> str | None:
+        """Remember a message; give the name of the receiver that has just appeared with it, if one has."""
+        match message:
+            case Tick():
+                self._advance(message.now_ns)
+            case ImuSamples():
+                self._advance(message.received_ns)
+                self.imu.hear(message.source, self.now_ns)
+            case VehicleSpeed():
+                self._advance(message.received_ns)
+                self.speed.hear(message.source, self.now_ns)
+            case GnssFix():
+                return self._note_fix(message)
+            case NavigationSolution():
+                self._advance(message.sampled_ns)
+                self.solution, self.solution_ns = message, self.now_ns
+            case NavigationState():
+                self._advance(message.sampled_ns)
+                self.state, self.state_ns = message, self.now_ns
+        return None
+
+    def facts(self, configuring: str | None, configuration_fault: str | None) -> Facts:
+        """Sum up what is known now."""
+        solution_age_s, state_age_s = age_s(self.solution_ns, self.now_ns), age_s(self.state_ns, self.now_ns)
+        phase = self.state.phase if self.state else None
+        if self.solution and solution_age_s is not None and solution_age_s <= SOLUTION_SILENT_S:
+            phase = self.solution.phase  # ten times as fresh
+        return Facts(
+            uptime_s=age_s(self.started_ns, self.now_ns) or 0.0,
+            imu_age_s=self.imu.age_s(self.now_ns),
+            gnss_age_s=self.gnss.age_s(self.now_ns),
+            fix_age_s=age_s(self.fix_ns, self.now_ns),
+            solution_age_s=solution_age_s,
+            state_age_s=state_age_s,
+            phase=phase,
+            phase_reason=self.state.reason if self.state else "",
+            configuring=configuring,
+            configuration_fault=configuration_fault,
+            has_measured=self.has_measured,
+        )
+
+    def mode_state(self, facts: Facts, before: ModeState | None) -> ModeState:
+        """Decide the mode and choose the sources."""
+        mode, reason = decide(facts)
+        self.has_measured |= mode is Mode.MEASURING
+        return self.describe(mode, reason, before)
+
+    def describe(self, mode: Mode, reason: str, before: ModeState | None) -> ModeState:
+        """Describe a mode, which lasts since the state before if that had the same one."""
+        return ModeState(
+            sampled_ns=self.now_ns,
+            mode=mode,
+            since_ns=before.since_ns if before and before.mode is mode else self.now_ns,
+            reason=reason[:400],
+            gnss_source=self.gnss.choose(self.now_ns),
+            imu_source=self.imu.choose(self.now_ns),
+            speed_source=self.speed.choose(self.now_ns),
+        )
+
+    def _advance(self, stamp_ns: int) -> None:
+        self.now_ns = max(self.now_ns, stamp_ns)
+        if self.started_ns is None:
+            self.started_ns = self.now_ns
+
+    def _note_fix(self, fix: GnssFix) -> str | None:
+        self._advance(fix.received_ns)
+        if fix.latitude_deg is not None:
+            self.fix_ns = self.now_ns
+        if fix.utc_ns is not None:
+            self.utc_offset_ns = fix.utc_ns - fix.sampled_ns
+        self.gnss.hear(fix.source, self.now_ns, rank=fix.source.endswith(NMEA))  # UBX says more
+        receiver = fix.source.removesuffix(NMEA)
+        return receiver if self.receivers.hear(receiver, self.now_ns) else None
