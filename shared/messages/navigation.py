@@ -80,7 +80,7 @@ class LastPosition(Message):
     """Where the vehicle was last known to be, kept over a power-off."""
 
     sampled_ns: int
-    utc_ns: int | None
+    utc_ns: int | None = None
     latitude_deg: Latitude
     longitude_deg: Longitude
     height_ellipsoid_m: float

@@ -73,7 +73,7 @@ class TopicAge(Message):
 
     topic: Name
     freshness: Freshness
-    age_s: float | None
+    age_s: float | None = None
     rate_hz: float
     count: int
     latency_p50_s: float | None = None  # from `received_ns` or `sampled_ns` to the observer
@@ -85,9 +85,9 @@ class ProcessAge(Message):
     """How a process looks from outside."""
 
     process: Name
-    state: ProcessState | None
+    state: ProcessState | None = None
     silent: bool
-    heartbeat_age_s: float | None
+    heartbeat_age_s: float | None = None
     restarts: int
 
 
@@ -104,7 +104,7 @@ class Outage(Message):
 
     what: Name  # a topic, a process, or "broker"
     since_ns: int
-    until_ns: int | None
+    until_ns: int | None = None
     cause: Reason
 
 
@@ -113,7 +113,7 @@ class RecordingState(Message):
 
     now_ns: int
     recording: bool
-    file: Name | None
+    file: Name | None = None
     bytes_written: int
     messages: int
     dropped: int

@@ -99,3 +99,10 @@ def test_every_json_message_has_a_valid_schema() -> None:
 def test_the_printed_reference_is_what_the_code_says(name: str) -> None:
     page = ROOT / "docs" / "reference" / name
     assert page.read_text(encoding="utf-8") == reference.pages()[name], "print it anew with `make docs`"
+
+
+@pytest.mark.parametrize("kind", all_messages(), ids=lambda kind: kind.__name__)
+def test_what_may_be_missing_need_not_be_there(kind: type[BaseModel]) -> None:
+    for name, field in kind.model_fields.items():
+        if type(None) in typing.get_args(field.annotation):
+            assert not field.is_required(), f"{kind.__name__}.{name} is left out on the bus when it is None"

@@ -1,0 +1,278 @@
+"""The bus and the live runtime on real brokers: what arrives, what is lost, what comes back."""
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from shared.bus import Bus, Envelope
+from shared.config import BrokerAddress
+from shared.live import LiveReactor
+from shared.messages import (
+    Consumed,
+    GnssConfigure,
+    GnssRaw,
+    LastPosition,
+    Message,
+    ModeState,
+    ProcessHealth,
+    ProcessState,
+    Tick,
+)
+from shared.messages.operation import Mode
+from shared.topics import TOPICS, subscriptions
+from tests.support import brokers
+
+LAST = LastPosition(
+    sampled_ns=1, utc_ns=None, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0, yaw_rad=1.0,
+    position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.1,
+)  # fmt: skip
+
+
+@pytest.fixture(params=brokers.KINDS)
+def broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[brokers.RunningBroker]:
+    running = brokers.start(request.param, tmp_path)
+    yield running
+    running.stop()
+
+
+@pytest.fixture
+def make_bus(broker: brokers.RunningBroker, tmp_path: Path) -> Iterator[Callable[[str], Bus]]:
+    made: list[Bus] = []
+
+    def make(process: str) -> Bus:
+        observer = process == "observer"
+        topics = TOPICS if observer else subscriptions(process)
+        address = BrokerAddress("127.0.0.1", broker.port)
+        bus = Bus(process, "car", address, topics, tmp_path, observer=observer)
+        made.append(bus)
+        wait_for(lambda: bus.connected, bus)
+        if not observer:  # an observer shall find the retained messages itself
+            pump(0.1, *made)  # the broker has taken the subscriptions
+        return bus
+
+    yield make
+    for bus in made:
+        bus.close()
+
+
+def pump(seconds: float, *buses: Bus) -> list[Envelope]:
+    """Run every bus for a while and return what the last one heard."""
+    heard: list[Envelope] = []
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        for bus in buses:
+            got = bus.receive(0.01)
+        heard += got
+    return heard
+
+
+def wait_for(condition: Callable[[], bool], *buses: Bus, limit_s: float = 10.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        for bus in buses:
+            bus.receive(0.02)
+
+
+def raw(bus: Bus, data: bytes) -> GnssRaw:
+    return GnssRaw(received_ns=bus.now_ns(), source="gnss", data=data)
+
+
+def test_a_message_arrives_as_it_was_sent_with_its_sender_and_number(make_bus: Callable[[str], Bus]) -> None:
+    sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
+    sent = [raw(sensor, bytes([n])) for n in range(50)]
+    for message in sent:
+        sensor.publish(message)
+    heard = pump(0.3, sensor, parser)
+    assert [envelope.decode() for envelope in heard] == sent
+    assert {(e.producer, e.incarnation) for e in heard} == {("sensors.gnss", sensor.incarnation)}
+    assert [b.sequence - a.sequence for a, b in itertools.pairwise(heard)] == [1] * 49
+
+
+def test_a_process_hears_only_what_the_contract_gives_it(make_bus: Callable[[str], Bus]) -> None:
+    sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.imu")
+    sensor.publish(raw(sensor, b"x"))
+    assert pump(0.2, sensor, parser) == []
+
+
+def test_a_late_observer_finds_the_state_of_every_process(make_bus: Callable[[str], Bus]) -> None:
+    make_bus("core.fusion").receive(0.05)
+    observer = make_bus("observer")
+    heard = [e for e in pump(0.3, observer) if e.topic == "health/core.fusion"]
+    health = heard[0].decode()
+    assert isinstance(health, ProcessHealth)
+    assert health.state == ProcessState.READY
+
+
+def test_a_farewell_is_not_a_loss(make_bus: Callable[[str], Bus]) -> None:
+    process, observer = make_bus("core.fusion"), make_bus("observer")
+    process.close()
+    states = [e.decode() for e in pump(0.3, observer) if e.topic == "health/core.fusion"]
+    assert isinstance(states[-1], ProcessHealth)
+    assert states[-1].state == ProcessState.DISCONNECTED
+
+
+def test_the_bus_comes_back_after_the_broker_and_says_what_it_lost(
+    broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
+) -> None:
+    sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
+    controller = make_bus("controller.mode")
+    broker.stop()
+    wait_for(lambda: not (sensor.connected or parser.connected or controller.connected), sensor, parser, controller)
+    sensor.publish(raw(sensor, b"lost"))
+    controller.publish(GnssConfigure(request_id=7, source="gnss", navigation_period_s=1.0, messages=()))
+    broker.restart()
+    wait_for(lambda: parser.connected, parser)
+    pump(0.2, parser)
+    wait_for(lambda: sensor.connected and controller.connected, sensor, controller)
+    sensor.publish(raw(sensor, b"new"))
+    heard = [e.decode() for e in pump(0.5, sensor, controller, parser)]
+    assert sensor.dropped == 1 and sensor.reconnections == 1
+    assert [m.data for m in heard if isinstance(m, GnssRaw)] == [b"new"]
+    assert [m.request_id for m in heard if isinstance(m, GnssConfigure)] == [7]
+
+
+class Answering:
+    """A process of the controller's kind that states what it was given."""
+
+    def __init__(self) -> None:
+        self.given: list[Message] = []
+
+    def handle(self, message: Message) -> list[Message]:
+        self.given.append(message)
+        return []
+
+    def close(self) -> list[Message]:
+        return [LAST]
+
+
+def state(bus: Bus) -> ModeState:
+    return ModeState(sampled_ns=bus.now_ns(), mode=Mode.BOOT, since_ns=0, reason="test")
+
+
+def run_until(reactor: LiveReactor, bus: Bus, condition: Callable[[], bool], others: Callable[[], object]) -> None:
+    """Run a reactor in this thread until a condition holds, feeding others from the bus's own receive."""
+    original, deadline = bus.receive, time.monotonic() + 10.0
+
+    def receive(timeout_s: float) -> list[Envelope]:
+        others()
+        assert time.monotonic() < deadline, "it did not happen in time"
+        bus.stopping = bus.stopping or condition()
+        return original(min(timeout_s, 0.02))
+
+    bus.receive = receive  # type: ignore[method-assign]
+    reactor.run()
+
+
+def test_noise_on_a_topic_is_counted_and_the_process_goes_on(make_bus: Callable[[str], Bus]) -> None:
+    parser, controller, observer = make_bus("parsers.gnss"), make_bus("controller.mode"), make_bus("observer")
+    process = Answering()
+    good = {"sampled_ns": 1, "received_ns": 2, "source": "g", "fix_type": "none"}
+    fix_row = next(t for t in TOPICS if t.name == "gnss/fix")
+    for payload in (b"\xff\x00", b"{}", json.dumps(good | {"hdop": "NaN"}).encode(), json.dumps(good).encode()):
+        parser.send("gnss/fix", payload, {}, fix_row)
+    run_until(LiveReactor(process, controller), controller, lambda: bool(process.given), lambda: parser.receive(0.0))
+    assert len([m for m in process.given if not isinstance(m, Tick)]) == 1
+    assert controller.rejects["payload"] == 3
+    heard = [e for e in pump(0.3, controller, observer) if e.topic == "consumed/controller.mode"]
+    journals = [m for e in heard if isinstance(m := e.decode(), Consumed)]
+    runs = [run for journal in journals for run in journal.runs if run[0] == "gnss/fix"]
+    assert [(run[1], run[2], run[4]) for run in runs] == [("parsers.gnss", parser.incarnation, 1)]
+
+
+def test_what_was_said_before_the_end_is_given_back_at_the_next_start(
+    make_bus: Callable[[str], Bus], tmp_path: Path
+) -> None:
+    first = make_bus("controller.mode")
+    run_until(LiveReactor(Answering(), first), first, lambda: True, lambda: None)
+    assert (tmp_path / "saved-navigation-last_position.json").exists()
+    first.close()
+    second, process = make_bus("controller.mode"), Answering()
+    run_until(LiveReactor(process, second), second, lambda: bool(process.given), lambda: None)
+    assert process.given[0] == LAST
+
+
+def test_a_saved_state_that_cannot_be_read_is_ignored_and_counted(
+    make_bus: Callable[[str], Bus], tmp_path: Path
+) -> None:
+    (tmp_path / "saved-navigation-last_position.json").write_bytes(b'{"sampled_ns": 1, "latit')
+    bus, process = make_bus("controller.mode"), Answering()
+    bus.receive(0.05)
+    run_until(LiveReactor(process, bus), bus, lambda: True, lambda: None)
+    assert bus.rejects["saved state"] == 1
+    assert not any(isinstance(m, LastPosition) for m in process.given)
+
+
+def start_process(name: str, port: int, folder: Path, vehicle: str = "") -> subprocess.Popen[str]:
+    path = folder / "vehicle.toml"
+    path.write_text('[vehicle]\nname = "car"\n' + vehicle)
+    environment = {
+        "OBU_VEHICLE": str(path), "OBU_BROKER": f"mqtt://127.0.0.1:{port}", "OBU_STATE": str(folder),
+    }  # fmt: skip
+    return subprocess.Popen(
+        [sys.executable, "-m", "services", "run", name],
+        env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+
+
+def test_a_killed_process_is_declared_lost_at_once(
+    broker: brokers.RunningBroker, make_bus: Callable[[str], Bus], tmp_path: Path
+) -> None:
+    observer = make_bus("observer")
+    states: list[ProcessState] = []
+
+    def saw(state: ProcessState) -> Callable[[], bool]:
+        def look() -> bool:
+            for envelope in observer.receive(0.02):
+                if envelope.topic == "health/parsers.can" and isinstance(m := envelope.decode(), ProcessHealth):
+                    states.append(m.state)
+            return state in states
+
+        return look
+
+    process = start_process("parsers.can", broker.port, tmp_path)
+    wait_for(saw(ProcessState.READY))
+    process.kill()
+    killed = time.monotonic()
+    wait_for(saw(ProcessState.LOST))
+    assert time.monotonic() - killed < 1.0
+    process.communicate()
+
+
+def test_sigterm_ends_a_process_with_a_farewell_and_without_an_error(
+    broker: brokers.RunningBroker, make_bus: Callable[[str], Bus], tmp_path: Path
+) -> None:
+    observer = make_bus("observer")
+    process = start_process("parsers.can", broker.port, tmp_path)
+    wait_for(lambda: any(e.topic == "health/parsers.can" for e in observer.receive(0.02)))
+    process.send_signal(signal.SIGTERM)
+    output, _ = process.communicate(timeout=5.0)
+    assert process.returncode == 0
+    assert "Traceback" not in output
+
+
+def test_without_a_broker_a_process_waits_and_says_so(tmp_path: Path) -> None:
+    process = start_process("parsers.can", 1, tmp_path)
+    time.sleep(2.5)
+    assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    output, _ = process.communicate(timeout=5.0)
+    lines = [json.loads(line) for line in output.splitlines()]
+    assert [line["level"] for line in lines] == ["warning"]
+    assert "no broker at 127.0.0.1:1" in lines[0]["event"]
+
+
+def test_a_mistyped_setting_ends_in_one_sentence(tmp_path: Path) -> None:
+    process = start_process("core.fusion", 1, tmp_path, "[core.fusion]\nlever_arm_m = [0, 0, 0]\n")
+    output, _ = process.communicate(timeout=20.0)
+    assert process.returncode == 2
+    assert output.startswith("obu: ") and "lever_arm_body_m" in output
+    assert len(output.strip().splitlines()) == 1
