@@ -14,7 +14,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 PATIENCE_S = 5.0
-QUIET_S = 0.15  # on a loopback, what has not come by then was not sent
+QUIET_S = 0.1  # on a loopback, what has not come by then was not sent
 Pairs = Sequence[tuple[str, str]]
 
 

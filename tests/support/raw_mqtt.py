@@ -1,0 +1,48 @@
+"""An MQTT 5 client of bare bytes, for what a proper client would not do."""
+
+import socket
+
+
+def string(text: str) -> bytes:
+    """Write a UTF-8 string with its length."""
+    raw = text.encode()
+    return len(raw).to_bytes(2) + raw
+
+
+def packet(first: int, body: bytes) -> bytes:
+    """Write a packet of less than 16 kB."""
+    size = len(body)
+    return bytes((first, size) if size < 128 else (first, size % 128 | 128, size // 128)) + body
+
+
+def connect_packet(client_id: str, user: str, *, level: int = 5, properties: bytes = b"") -> bytes:
+    """Write a CONNECT with clean start, keep-alive 60 s and a user name."""
+    head = string("MQTT") + bytes((level, 0x82, 0, 60, len(properties))) + properties
+    return packet(0x10, head + string(client_id) + string(user))
+
+
+def subscribe(pattern: str, options: int = 0, properties: bytes = b"") -> bytes:
+    """Write a SUBSCRIBE with packet identifier 1."""
+    return packet(0x82, bytes((0, 1, len(properties))) + properties + string(pattern) + bytes((options,)))
+
+
+def connect(port: int, client_id: str, user: str) -> socket.socket:
+    """Connect and read the broker's consent."""
+    raw = socket.create_connection(("127.0.0.1", port), timeout=2)
+    raw.sendall(connect_packet(client_id, user))
+    answer = raw.recv(200)
+    assert answer[0] == 0x20, answer
+    assert answer[3] == 0, answer
+    return raw
+
+
+def read_all(raw: socket.socket, silent_after_s: float = 0.3) -> bytes:
+    """Read until the other side is silent or has closed."""
+    raw.settimeout(silent_after_s)
+    chunks = []
+    try:
+        while chunk := raw.recv(1 << 20):
+            chunks.append(chunk)
+    except (TimeoutError, ConnectionResetError):
+        pass
+    return b"".join(chunks)
