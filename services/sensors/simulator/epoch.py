@@ -1,0 +1,53 @@
+"""One navigation epoch of the simulated receiver: everything that its messages are made of."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from math import atan2, degrees, hypot
+
+from .reception import Fix
+from .sky import Constellation, Sky
+
+LEAP_SECONDS = 18  # GPS - UTC, since 2017
+WEEK_MS = 604_800_000
+GPS_EPOCH_UNIX_MS = 315_964_800_000  # 1980-01-06
+GEOID_M = 47.0  # [m] height of the geoid above the ellipsoid: central Italy
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """Time, fix and sky of one epoch."""
+
+    utc_ms: int  # since 1970
+    fix: Fix
+    sky: Sky
+    constellations: tuple[Constellation, ...]
+
+    @property
+    def itow_ms(self) -> int:
+        """GPS time of week."""
+        return (self.utc_ms - GPS_EPOCH_UNIX_MS + 1000 * LEAP_SECONDS) % WEEK_MS
+
+    @property
+    def utc(self) -> datetime:
+        """Calendar."""
+        return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=self.utc_ms)
+
+    @property
+    def satellites_used(self) -> int:
+        """How many satellites the fix is made of."""
+        return int(self.sky.used.sum()) if self.fix.valid else 0
+
+    @property
+    def ground_speed_m_s(self) -> float:
+        """Horizontal speed."""
+        return hypot(*self.fix.velocity_n[:2])
+
+    @property
+    def course_deg(self) -> float:
+        """Direction of motion, 0 to 360, clockwise from north; noise at rest."""
+        return degrees(atan2(self.fix.velocity_n[1], self.fix.velocity_n[0])) % 360.0
+
+    @property
+    def horizontal_sd_m(self) -> float:
+        """Standard deviation of the horizontal distance, as u-blox states it."""
+        return hypot(*self.fix.position_sd_n[:2])

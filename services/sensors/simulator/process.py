@@ -1,0 +1,81 @@
+"""Drives a simulated vehicle and sends the bytes its devices would."""
+
+import logging
+from typing import Literal
+
+from pydantic import field_validator
+
+from shared.bus import Bus
+from shared.config import Section
+from shared.errors import BadPayload
+from shared.messages import GnssWrite, Vector3
+
+from .receiver import SOURCE
+from .scenarios import scenario_of
+from .world import Equipment, World
+
+log = logging.getLogger(__name__)
+
+LATEST_NS = 1_000_000_000  # what would be later than this is not sent: the host was asleep
+
+
+class Config(Section):
+    """Settings of the simulator."""
+
+    scenario: str = "parking_lot"
+    seed: int = 1
+    protocols: tuple[Literal["ubx", "nmea"], ...] = ("ubx", "nmea")  # that the GNSS receiver starts with
+    mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)  # roll, pitch, yaw of the IMU's case in the vehicle
+
+    @field_validator("scenario")
+    @classmethod
+    def _exists(cls, name: str) -> str:
+        scenario_of(name)
+        return name
+
+    @field_validator("seed")
+    @classmethod
+    def _is_seed(cls, seed: int) -> int:
+        if seed < 0:
+            raise ValueError("a seed is 0 or more")
+        return seed
+
+
+class Process:
+    """Sends each message when it is due, by deadlines that do not drift."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+
+    def run(self, bus: Bus) -> None:
+        """Drive until told to stop."""
+        while not bus.stopping and not bus.connected:
+            bus.receive(0.1)
+        scenario = scenario_of(self._config.scenario, self._config.seed)
+        equipment = Equipment(self._config.protocols, self._config.mounting_rpy_deg)
+        world = World(scenario, self._config.seed, bus.now_ns(), equipment)
+        log.info("driving %s with seed %d: %s", scenario.name, self._config.seed, scenario.purpose)
+        for due_ns, message in world:
+            self._wait(bus, due_ns, world)
+            if bus.stopping:
+                return
+            if bus.now_ns() - due_ns > LATEST_NS:
+                bus.rejects["late"] += 1
+            else:
+                bus.publish(message)
+
+    def _wait(self, bus: Bus, due_ns: int, world: World) -> None:
+        """Serve the bus until the time has come, and once in any case."""
+        while not bus.stopping:
+            remaining_s = (due_ns - bus.now_ns()) * 1e-9
+            for envelope in bus.receive(min(max(remaining_s, 0.0), 0.1)):
+                try:
+                    written = envelope.decode()
+                except BadPayload as error:
+                    bus.rejects["payload"] += 1
+                    bus.last_error = str(error)[:400]
+                    continue
+                if isinstance(written, GnssWrite) and written.source == SOURCE:
+                    world.write(written.data, bus.now_ns())
+            if due_ns <= bus.now_ns():
+                return

@@ -1,0 +1,95 @@
+"""The simulated GNSS receiver: a u-blox ZED-F9P on a serial line of 115,200 baud."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from shared.messages import GnssRaw, Message
+
+from . import nmea, ubx
+from .devices import Delay, DeviceClock
+from .epoch import Epoch
+from .reception import Reception
+from .scenarios import Scenario
+from .settings import Settings
+from .sky import SkyModel
+from .vehicle import AntennaState, Stream
+
+SOURCE = "gnss0"
+MS = 1_000_000
+BYTE_NS = 10 * 1_000_000_000 // 115_200
+FULL_NS = 1_000_000_000  # of bytes are waiting: a receiver leaves the next epoch out
+ANSWER_NS = 8 * MS
+CHUNK_BYTES = (120, 330)  # what a read of a serial port returns
+HOST_ERROR_MS = 30.0  # of the host's clock at boot
+ENCODERS = {**ubx.ENCODERS, **nmea.ENCODERS}
+
+
+class Receiver:
+    """Turns antenna states into UBX and NMEA bytes, and obeys UBX-CFG-VALSET."""
+
+    def __init__(
+        self, scenario: Scenario, seed: int, start_ns: int, clocks: np.random.Generator, protocols: tuple[str, ...]
+    ) -> None:
+        self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
+        self.settings = Settings(protocols)
+        self._sky = SkyModel(scenario.constellations, (seed, Stream.SATELLITES))
+        # Satellite time is right; it is the host that started with an error and drifts.
+        self._clock = DeviceClock(clocks, latest_start_ns=1)
+        self._utc_start_ns = start_ns - round(clocks.uniform(-HOST_ERROR_MS, HOST_ERROR_MS) * MS)
+        self._delay = Delay(0.050, 0.004, 0.080, clocks)
+        self._chunks = np.random.default_rng((seed, Stream.SATELLITES, 1))
+        self._free_ns = 0  # when the line has sent everything
+        self._utc_ms = self._utc_start_ns // MS
+        self._reception, self._period_ms = self._retune()
+
+    @property
+    def next_epoch_ns(self) -> int:
+        """When the next epoch is, on the time line of the on-board unit."""
+        period_ms = self.settings.period_ms
+        utc_ms = (self._utc_ms // period_ms + 1) * period_ms
+        return self._start_ns + self._clock.true_ns(utc_ms * MS - self._utc_start_ns)
+
+    def navigate(self, antenna: AntennaState) -> Iterator[tuple[int, Message]]:
+        """Yield (arrival, message) of the next epoch, in the chunks of a serial port."""
+        epoch_ns = self.next_epoch_ns
+        period_ms = self.settings.period_ms
+        if period_ms != self._period_ms:
+            self._reception, self._period_ms = self._retune()
+        self._utc_ms = (self._utc_ms // period_ms + 1) * period_ms
+        index = (self._utc_ms - self._utc_start_ns // MS - 1) // period_ms
+        fix = self._reception.fix(index, antenna)
+        if self._free_ns > epoch_ns + FULL_NS:
+            return
+        sky = self._sky.at(
+            self._utc_ms * 1e-3,
+            antenna.position,
+            mask_deg=self._scenario.mask_deg,
+            loss_db=self._scenario.loss_db,
+            covered=antenna.covered,
+        )
+        epoch = Epoch(self._utc_ms, fix, sky, tuple(self._sky.rows))
+        data = b"".join(ENCODERS[name](epoch) for name in self.settings.due(index))
+        first = int(self._chunks.integers(*CHUNK_BYTES))
+        yield from self._send(data, self._delay.arrival_ns(epoch_ns) - first * BYTE_NS, first)
+
+    def write(self, data: bytes, now_ns: int) -> Iterator[tuple[int, Message]]:
+        """Yield (arrival, message) of what the receiver answers."""
+        answer = b"".join(self.settings.take(data))
+        if answer:
+            yield from self._send(answer, now_ns + ANSWER_NS, len(answer))
+
+    def _retune(self) -> tuple[Reception, int]:
+        period_ms = self.settings.period_ms
+        return Reception(self._scenario, self._seed, period_ms * 1e-3), period_ms
+
+    def _send(self, data: bytes, begin_ns: int, first: int) -> Iterator[tuple[int, Message]]:
+        """Cut bytes into chunks, each of which arrives with its last byte."""
+        begin_ns = max(begin_ns, self._free_ns)
+        position, size = 0, first
+        while position < len(data):
+            chunk = data[position : position + size]
+            position += len(chunk)
+            self._free_ns = begin_ns + position * BYTE_NS
+            yield self._free_ns, GnssRaw(received_ns=self._free_ns, source=SOURCE, data=chunk)
+            size = int(self._chunks.integers(*CHUNK_BYTES))

@@ -1,0 +1,143 @@
+"""The vehicle with all its devices: one stream of messages in the order in which they arrive."""
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count, takewhile
+
+import numpy as np
+
+from shared.messages import Message, Origin, OriginKind, TruthState
+
+from .can_bus import CanBus
+from .receiver import Receiver
+from .scenarios import Scenario, scenario_of
+from .tracker import Tracker
+from .trajectory import Motion
+from .vehicle import Readings, Stream, Vehicle, antenna_at
+
+NS = 1_000_000_000
+STEP_NS = 10_000_000
+BLOCK = 100  # [steps] are driven at once
+TRUTH_EVERY = 10  # steps
+ORIGIN_NS = 2 * NS
+DEFAULT_START_NS = 1_790_000_000 * NS  # 2026-09-21T14:13:20Z
+
+
+@dataclass(frozen=True)
+class Equipment:
+    """How the simulated vehicle is equipped."""
+
+    protocols: tuple[str, ...] = ("ubx", "nmea")
+    mounting_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the IMU's case, beyond lying flat
+
+
+class World:
+    """Drives for ever, one second at a time, so that its memory is bounded.
+
+    Iterate over it for (time at which a message arrives, message); `write` may be called between two messages.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, start_ns: int, equipment: Equipment | None = None) -> None:
+        equipment = equipment or Equipment()
+        clocks = np.random.default_rng((seed, Stream.CLOCKS))
+        self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
+        self._tracker = Tracker(seed, start_ns, clocks, equipment.mounting_rpy_deg)
+        self._step_ns = self._tracker.clock.period_ns(STEP_NS)
+        self._vehicle = Vehicle(scenario, seed, self._step_ns * 1e-9)
+        self._receiver = Receiver(scenario, seed, start_ns, clocks, equipment.protocols)
+        self._can = CanBus(seed, start_ns, clocks)
+        self._heap: list[tuple[int, int, Message | None]] = []  # None: a navigation epoch of the receiver
+        self._order = count()
+        self._motion: Motion | None = None
+        self._driven_ns = self._origin_ns = start_ns
+
+    def __iter__(self) -> Iterator[tuple[int, Message]]:
+        """Yield what arrives, and when; without end."""
+        self._push(self._receiver.next_epoch_ns, None)
+        while True:
+            while not self._heap or self._heap[0][0] > self._driven_ns:
+                self._drive()
+            due_ns, _, message = heapq.heappop(self._heap)
+            if message is not None:
+                yield due_ns, message
+                continue
+            motion = self._motion
+            if motion is not None:
+                antenna = antenna_at(motion, (due_ns - self._start_ns) / self._step_ns)
+                self._push_all(self._receiver.navigate(antenna))
+            self._push(self._receiver.next_epoch_ns, None)
+
+    def write(self, data: bytes, now_ns: int) -> None:
+        """Write bytes to the GNSS receiver."""
+        self._push_all(self._receiver.write(data, now_ns))
+
+    def _drive(self) -> None:
+        readings = self._vehicle.advance(BLOCK)
+        self._motion = readings.motion
+        begin_ns, end_ns = (self._start_ns + (readings.motion.first + n) * self._step_ns for n in (0, BLOCK))
+        self._push_all(self._tracker.sample(readings, self._step_ns))
+        self._push_all(self._can.listen(readings.motion, begin_ns, end_ns))
+        self._push_all(self._truth(readings))
+        while self._origin_ns < end_ns:
+            origin = Origin(
+                now_ns=self._origin_ns, kind=OriginKind.SIMULATED, name=self._scenario.name, seed=self._seed
+            )
+            self._push(self._origin_ns, origin)
+            self._origin_ns += ORIGIN_NS
+        self._driven_ns = end_ns
+
+    def _truth(self, readings: Readings) -> Iterator[tuple[int, Message]]:
+        motion = readings.motion
+        for i in range(TRUTH_EVERY, BLOCK + 1, TRUTH_EVERY):
+            sampled_ns = self._start_ns + (motion.first + i) * self._step_ns
+            latitude, longitude, height = motion.position[i].tolist()
+            roll, pitch, yaw = motion.attitude[i].tolist()
+            yield (
+                sampled_ns,
+                TruthState(
+                    sampled_ns=sampled_ns,
+                    latitude_deg=float(np.degrees(latitude)),
+                    longitude_deg=float(np.degrees(longitude)),
+                    height_ellipsoid_m=height,
+                    velocity_ned_m_s=tuple(motion.velocity_n[i].tolist()),
+                    roll_rad=roll,
+                    pitch_rad=pitch,
+                    yaw_rad=yaw,
+                    angular_rate_body_rad_s=tuple(motion.rate_b[i - 1].tolist()),
+                ),
+            )
+
+    def _push_all(self, arrivals: Iterator[tuple[int, Message]]) -> None:
+        for due_ns, message in arrivals:
+            self._push(due_ns, message)
+
+    def _push(self, due_ns: int, message: Message | None) -> None:
+        heapq.heappush(self._heap, (due_ns, next(self._order), message))
+
+
+def messages(
+    scenario: str, seed: int = 0, duration_s: float | None = None, start_ns: int = DEFAULT_START_NS
+) -> Iterator[Message]:
+    """Give what the simulated devices send, in the order of arrival, as fast as it is taken.
+
+    Parameters
+    ----------
+    scenario : str
+        Name of a scenario.
+    seed : int
+        The same seed gives the same bytes.
+    duration_s : float, optional
+        [s] How long; as long as the scenario if it is not given.
+    start_ns : int
+        [ns] Where on the time line the drive starts.
+
+    Yields
+    ------
+    Message
+        Raw bytes with their stamps of arrival, truth and origin.
+    """
+    row = scenario_of(scenario, seed)
+    end_ns = start_ns + round((duration_s or row.duration_s) * NS)
+    for _, message in takewhile(lambda arrival: arrival[0] <= end_ns, World(row, seed, start_ns)):
+        yield message
