@@ -72,7 +72,7 @@ class Connection(asyncio.Protocol):
                     self._handle(packet, self._session)
         except UnsupportedVersion as refused:
             self._broker.tally.note("refused version", f"MQTT protocol level {refused.level}, wants 5")
-            self._transport.write(encode_refusal(refused.level))
+            self.write(encode_refusal(refused.level))
             self._close(will=False)
         except ProtocolError as refused:
             who = self._session.client_id if self._session else "a newcomer"
@@ -95,8 +95,9 @@ class Connection(asyncio.Protocol):
         self._connections.discard(self)
 
     def write(self, frame: bytes) -> None:
-        """Send the bytes of one packet."""
-        self._transport.write(frame)
+        """Send the bytes of one packet, unless the client is gone and the loop has not said so yet."""
+        if not self._transport.is_closing():
+            self._transport.write(frame)
 
     def end(self, reason: Reason, *, will: bool = True) -> None:
         """Close the connection, with a farewell that says why."""

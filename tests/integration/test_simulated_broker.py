@@ -1,0 +1,282 @@
+"""The simulated broker against clients that are not ours, bytes that are not MQTT, and its own limits."""
+
+import contextlib
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from broker import simulated
+from broker.simulated import Handle, Limits
+from tests.support import raw_mqtt
+from tests.support.mqtt import Client
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def handle() -> Iterator[Handle]:
+    with simulated.start() as running:
+        yield running
+
+
+def serves(handle: Handle) -> bool:
+    """Whether a well-behaved pair of clients is served as usual."""
+    with Client(handle.port) as alice, Client(handle.port) as bob:
+        alice.connect()
+        bob.connect()
+        bob.subscribe("still/there")
+        alice.publish("still/there", "yes")
+        return bob.payloads() == ["yes"]
+
+
+# Clients that are not ours
+
+
+def mosquitto_client(program: str, port: int, *arguments: str) -> list[str]:
+    found = shutil.which(program)
+    if found is None:
+        pytest.skip(f"no {program} on this machine: `apt install mosquitto-clients` brings it")
+    return [found, "-V", "5", "-h", "127.0.0.1", "-p", str(port), *arguments]
+
+
+def listen(handle: Handle, *arguments: str, client_id: str = "listener") -> subprocess.Popen[str]:
+    """Start mosquitto_sub and wait until it is subscribed."""
+    command = mosquitto_client("mosquitto_sub", handle.port, "-i", client_id, *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 5
+    while not (found := handle.broker.sessions.get(client_id)) or not found.subscriptions:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return process
+
+
+@pytest.mark.broker
+def test_mosquittos_own_clients_exchange_messages_with_their_properties(handle: Handle) -> None:
+    listener = listen(handle, "-t", "car/+", "-q", "1", "-C", "2", "-F", "%t %q %r %P %C %p")
+    for qos in ("0", "1"):
+        command = mosquitto_client("mosquitto_pub", handle.port, "-t", "car/speed", "-q", qos, "-m", f"qos {qos}",
+                                   "-D", "publish", "user-property", "from", "tester",
+                                   "-D", "publish", "content-type", "text/plain")  # fmt: skip
+        subprocess.run(command, check=True, timeout=5)
+    output, _ = listener.communicate(timeout=5)
+    assert output.splitlines() == [f"car/speed {qos} 0 from:tester text/plain qos {qos}" for qos in (0, 1)]
+
+
+@pytest.mark.broker
+def test_mosquitto_sub_gets_the_retained_message_and_its_remaining_time(handle: Handle) -> None:
+    command = mosquitto_client("mosquitto_pub", handle.port, "-t", "car/state", "-r", "-m", "kept",
+                               "-D", "publish", "message-expiry-interval", "100")  # fmt: skip
+    subprocess.run(command, check=True, timeout=5)
+    command = mosquitto_client("mosquitto_sub", handle.port, "-t", "car/state", "-C", "1", "-F", "%r %E %p")
+    output = subprocess.run(command, check=True, timeout=5, capture_output=True, text=True).stdout
+    assert output.split() in (["1", "100", "kept"], ["1", "99", "kept"])
+
+
+@pytest.mark.broker
+@pytest.mark.parametrize("killed", [True, False])
+def test_mosquitto_subs_will_is_sent_when_it_is_killed_and_not_when_it_is_done(handle: Handle, killed: bool) -> None:
+    will = ("--will-topic", "car/lost", "--will-payload", "lost", "--will-qos", "1")
+    with Client(handle.port) as client:
+        client.connect()
+        client.subscribe("car/lost")
+        listener = listen(handle, "-t", "enough", "-C", "1", *will, client_id=f"doomed-{killed}")
+        if killed:
+            listener.kill()
+        else:
+            client.publish("enough", "x")
+        listener.communicate(timeout=5)
+        assert client.hears_nothing() is not killed
+
+
+@pytest.mark.broker
+def test_mosquitto_pub_is_told_in_words_what_is_not_supported(handle: Handle) -> None:
+    for arguments, words in (
+        (("-q", "2"), "QoS not supported"),
+        (("-V", "mqttv311"), "unacceptable protocol version"),
+    ):
+        command = [*mosquitto_client("mosquitto_pub", handle.port), "-t", "x", "-m", "x", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
+        assert words in done.stderr
+    assert handle.broker.tally.counts["refused version"] == 1
+
+
+# Bytes that are not MQTT
+
+
+@pytest.mark.parametrize(
+    ("sent", "answer"),
+    [
+        (b"GET / HTTP/1.1\r\nHost: " + b"x" * 60 + b"\r\n\r\n", "20030081"),
+        (b"\x10\xff\xff\xff\xff\xff", "20030081"),  # a length of five bytes
+        (b"\x10\xff\xff\xff\x7f", "20030095"),  # a length of 256 MB
+        (b"\xc0\x00", "20030082"),  # a ping before CONNECT
+        (raw_mqtt.packet(0x10, raw_mqtt.string("MQTT") + b"\x04\x02\0\x3c" + raw_mqtt.string("a")), "20020001"),
+        (raw_mqtt.packet(0x10, raw_mqtt.string("MQTT") + b"\x06\x02\0\x3c\0" + raw_mqtt.string("a")), "20030084"),
+        (raw_mqtt.packet(0x10, raw_mqtt.string("MQIsdp") + b"\x03\x02\0\x3c" + raw_mqtt.string("a")), "20020001"),
+        (raw_mqtt.connect_packet("a", "b", properties=b"\x15\0\x01x"), "2003008c"),  # an authentication method
+        (raw_mqtt.connect_packet("a" * 300, "b"), "20030097"),
+    ],
+)
+def test_a_newcomer_that_does_not_speak_mqtt_5_is_refused_and_let_go(handle: Handle, sent: bytes, answer: str) -> None:
+    with socket.create_connection(("127.0.0.1", handle.port), timeout=2) as raw:
+        raw.sendall(sent)
+        assert raw_mqtt.read_all(raw).hex().startswith(answer)
+    assert serves(handle)
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"),
+    [
+        (raw_mqtt.packet(0x34, raw_mqtt.string("a") + b"\0\1\0x"), 0x9B),  # QoS 2
+        (raw_mqtt.packet(0x36, raw_mqtt.string("a") + b"\0\1\0x"), 0x81),  # QoS 3
+        (raw_mqtt.packet(0x30, raw_mqtt.string("a") + b"\3\x23\0\1x"), 0x94),  # a topic alias
+        (raw_mqtt.packet(0x30, raw_mqtt.string("a/+") + b"\0x"), 0x90),
+        (raw_mqtt.packet(0x30, raw_mqtt.string("") + b"\0x"), 0x90),
+        (raw_mqtt.packet(0x30, b"\0\2\xc3\x28\0x"), 0x81),  # not UTF-8
+        (raw_mqtt.packet(0x30, raw_mqtt.string("a\0b") + b"\0x"), 0x81),
+        (raw_mqtt.packet(0x32, raw_mqtt.string("a") + b"\0\0\0x"), 0x82),  # packet identifier 0
+        (raw_mqtt.packet(0x30, raw_mqtt.string("a") + b"\x7f"), 0x81),  # properties beyond the end
+        (raw_mqtt.packet(0x30, raw_mqtt.string("a") + b"\2\x01\2x"), 0x82),  # payload format 2
+        (raw_mqtt.subscribe("a", properties=b"\x0b\1"), 0xA1),  # a subscription identifier
+        (raw_mqtt.subscribe("a", options=3), 0x81),
+        (raw_mqtt.packet(0x82, b"\0\1\0"), 0x82),  # no filter
+        (raw_mqtt.packet(0x80, b"\0\1\0\0\1a\0"), 0x81),  # wrong flags
+        (raw_mqtt.connect_packet("b", "b"), 0x82),  # a second CONNECT
+        (raw_mqtt.packet(0xF0, b"\0"), 0x82),  # AUTH
+        (raw_mqtt.packet(0xE0, b"\0\5\x11\0\0\0\x3c"), 0x82),  # DISCONNECT that begins a session
+    ],
+)
+def test_a_client_that_breaks_the_protocol_is_told_why_and_let_go(handle: Handle, sent: bytes, reason: int) -> None:
+    with raw_mqtt.connect(handle.port, "breaker", user="tester") as raw:
+        raw.sendall(sent)
+        assert raw_mqtt.read_all(raw) == bytes((0xE0, 1, reason))
+    assert serves(handle)
+
+
+def test_no_stream_of_bytes_stops_the_broker(handle: Handle, caplog: pytest.LogCaptureFixture) -> None:
+    """300 connections send proper packets with changed bytes; asyncio would log an exception that the broker lets out."""
+    generator = random.Random(7)
+    proper = [
+        raw_mqtt.packet(0x32, raw_mqtt.string("a/b") + b"\0\1" + b"\x07\x26\0\1k\0\1v" + b"payload"),
+        raw_mqtt.packet(0x31, raw_mqtt.string("a/b") + b"\5\2\0\0\0\1" + b"payload"),
+        raw_mqtt.subscribe("a/#", options=1),
+        raw_mqtt.packet(0xA2, b"\0\2\0" + raw_mqtt.string("a/#")),
+        raw_mqtt.packet(0x40, b"\0\1"),
+        raw_mqtt.packet(0xC0, b""),
+        raw_mqtt.packet(0xE0, b"\4"),
+    ]
+    for number in range(300):
+        stream = bytearray(b"".join(generator.choices(proper, k=6)))
+        for _ in range(generator.randrange(4)):
+            stream[generator.randrange(len(stream))] = generator.randrange(256)
+        with socket.create_connection(("127.0.0.1", handle.port), timeout=2) as raw:
+            raw.sendall(raw_mqtt.connect_packet(f"fuzz-{number % 10}", "tester"))
+            cut = generator.randrange(len(stream))
+            raw.sendall(stream[:cut])
+            with contextlib.suppress(ConnectionError):
+                raw.sendall(stream[cut:])
+    assert serves(handle)
+    assert [record.getMessage() for record in caplog.records if record.name == "asyncio"] == []
+
+
+# Its own limits
+
+
+def test_connections_that_never_say_connect_are_closed() -> None:
+    with simulated.start(limits=Limits(connect_within_s=0.2)) as handle:
+        with socket.create_connection(("127.0.0.1", handle.port), timeout=2) as raw:
+            assert raw_mqtt.read_all(raw, 1.0).hex() == "2003008d00"
+        assert serves(handle)
+
+
+def test_sessions_subscriptions_and_retained_messages_have_an_end() -> None:
+    limits = Limits(sessions=2, subscriptions=2, retained=2)
+    with simulated.start(limits=limits) as handle, Client(handle.port) as first, Client(handle.port) as second:
+        assert first.connect() == 0
+        assert second.connect() == 0
+        with Client(handle.port) as third:
+            assert third.connect() == "Quota exceeded"
+        assert first.subscribe("a", "b", "c", "b") == [1, 1, 0x97, 1]
+        assert [second.publish(topic, "x", retain=True) for topic in ("a", "b", "c", "a")] == [0, 0, 0x97, 0]
+
+
+def test_shared_subscriptions_are_refused_and_announced_as_such(handle: Handle) -> None:
+    with Client(handle.port) as client:
+        client.connect()
+        announced = client.connack_properties
+        assert getattr(announced, "MaximumQoS", None) == 1
+        assert getattr(announced, "SharedSubscriptionAvailable", None) == 0
+        assert getattr(announced, "SubscriptionIdentifierAvailable", None) == 0
+        assert getattr(announced, "TopicAliasMaximum", 0) == 0
+        assert client.subscribe("$share/group/a") == [0x9E]
+
+
+# As a process
+
+
+@pytest.fixture
+def process(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    acl = tmp_path / "acl.conf"
+    acl.write_text("user tester\ntopic readwrite #\n")
+    command = [sys.executable, "-m", "broker.simulated", "--port", "0", "--acl", str(acl)]
+    with (tmp_path / "log").open("w") as log:
+        running = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=log, text=True)
+    yield running
+    if running.poll() is None:
+        running.kill()
+    running.communicate()
+
+
+def test_the_process_prints_its_port_and_ends_within_a_second_of_sigterm(process: subprocess.Popen[str]) -> None:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line.startswith("listening on 127.0.0.1:")
+    with Client(int(line.split(":")[1])) as client:
+        client.will("test/lost", "lost")
+        client.connect()
+        started = time.monotonic()
+        os.kill(process.pid, signal.SIGTERM)
+        assert client.ends_with() == 0x8B
+        assert process.wait(2) == 0
+        assert time.monotonic() - started < 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("pattern read %c/#\n", "line 1 is neither"),
+        ("user a\ntopic read a/#/b\n", "line 2: 'a/#/b' is not a topic filter"),
+        (None, "cannot be read"),
+    ],
+)
+def test_a_bad_access_list_ends_in_one_sentence_that_says_what_to_try(
+    tmp_path: Path, text: str | None, words: str
+) -> None:
+    acl = tmp_path / "acl.conf"
+    if text is not None:
+        acl.write_text(text)
+    command = [sys.executable, "-m", "broker.simulated", "--port", "0", "--acl", str(acl)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=10, check=False)
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert done.stderr.rstrip().endswith("try `python -m broker.acl` for a valid one")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_port_that_is_taken_is_said_so(handle: Handle) -> None:
+    command = [sys.executable, "-m", "broker.simulated", "--port", str(handle.port)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=10, check=False)
+    assert done.returncode == 1
+    assert "address already in use" in done.stderr
+    assert done.stderr.rstrip().endswith("try --port 0 for any free port")
+    with pytest.raises(OSError, match="address already in use"):
+        simulated.start(handle.port)
