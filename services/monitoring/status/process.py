@@ -1,6 +1,7 @@
 """Serves the state of the unit: dashboard, JSON, metrics. The bus in the main thread, the web server beside it."""
 
 import logging
+import os
 import socket
 import threading
 from importlib.metadata import PackageNotFoundError, version
@@ -28,7 +29,8 @@ ADDRESS_FILE = "status.address"
 class Config(Section):
     """Where to listen, and how much to remember."""
 
-    host: str = "127.0.0.1"  # "0.0.0.0" shows the dashboard to the whole network
+    # "0.0.0.0" shows the dashboard to the whole network; a container sets it, since its published port decides there
+    host: str = Field(default_factory=lambda: os.environ.get("OBU_HTTP_HOST", "127.0.0.1"))
     port: int = Field(8080, ge=0, le=65535)  # 0: any free one
     history_s: float = Field(900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
