@@ -31,7 +31,7 @@ BLOCK = 1 << 14
 COMPRESSIONS = (b"", b"zstd")
 
 Buffer = mmap.mmap | bytes
-MALFORMED = (struct.error, EndOfFile, UnicodeDecodeError, ValueError)
+MALFORMED = (struct.error, EndOfFile, UnicodeDecodeError, ValueError, OverflowError)
 
 
 @dataclass(frozen=True)

@@ -308,3 +308,12 @@ def test_a_full_disk_leaves_the_chunks_before_it_and_no_part_of_the_next(tmp_pat
     assert 0 < len(found) == writer.messages < 100
     assert found == messages[: len(found)]
     assert (tmp_path / "a.mcap").stat().st_size == writer.bytes_written
+
+
+def test_provenance_comes_back_as_it_was_given(tmp_path: Path) -> None:
+    provenance = {"name": "a drive", "mapping": "# of\ntwo lines"}
+    RecordingWriter(tmp_path / "a.mcap", vehicle="car", provenance=provenance).close()
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert recording.metadata == {"obu": {"vehicle": "car"}, "provenance": provenance}
+    with (tmp_path / "a.mcap").open("rb") as file:
+        assert {record.name for record in make_reader(file).iter_metadata()} == {"obu", "provenance"}

@@ -1,0 +1,175 @@
+"""`obu import`: a folder of CSV files becomes a recording of typed messages."""
+
+import csv
+import hashlib
+import heapq
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table as Printed
+
+from shared.bus import Envelope
+from shared.codec import encode, topic_name
+from shared.config import VehicleFile, load_vehicle, parse_vehicle
+from shared.errors import UserError
+from shared.messages import ImuSamples, Message, TruthState
+from shared.recording import RecordingWriter
+from shared.topics import BY_MESSAGE
+
+from .importing.convert import Converted, Imported, convert, wanted_columns
+from .importing.mapping import Mapping, parse_mapping
+from .importing.schema import CsvFile
+from .importing.table import Table, read_table
+
+Advance = Callable[[int], None]
+ROWS_A_STEP = 1000
+
+
+def import_drive(
+    mapping: Annotated[Path, typer.Argument(help="TOML file that says what the columns mean.")],
+    folder: Annotated[Path, typer.Argument(help="Folder with the CSV files.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write.")] = Path("drive.mcap"),
+    vehicle: Annotated[
+        Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the one the mapping names.")
+    ] = None,
+) -> int:
+    """Turn a folder of CSV files (IMU, GNSS, speed, truth) into a recording.
+
+    Example: [bold]obu import deploy/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
+    """
+    text = _text(mapping)
+    spec = parse_mapping(text, str(mapping))
+    file = _vehicle(spec, mapping, vehicle)
+    for table in spec.files():
+        if not (folder / table.file).is_file():
+            raise UserError(f"{folder} holds no file {table.file!r}; give the folder that holds it, or mend {mapping}")
+    if output.exists():
+        raise UserError(f"{output} exists already; name another file with --output, or remove it")
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
+        parts = [_read(table, folder, spec.start_utc_s, progress) for table in spec.files()]
+        _write(output, parts, file, _provenance(spec, text, parts), progress)
+    _print_summary(output, parts)
+    return 0
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file of the drive and what became of it."""
+
+    name: str
+    sha256: str
+    converted: Converted
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise UserError(f"cannot read the mapping {path}: {reason}; see deploy/mappings/ for examples") from error
+
+
+def _vehicle(spec: Mapping, mapping: Path, vehicle: Path | None) -> VehicleFile:
+    """Read the vehicle's file, which goes into the recording."""
+    if vehicle is not None:
+        return load_vehicle(vehicle)
+    if spec.vehicle_file is not None:
+        return load_vehicle(mapping.parent / spec.vehicle_file)
+    return parse_vehicle("", "<no vehicle file>")
+
+
+def _read(spec: CsvFile, folder: Path, start_s: float, progress: Progress) -> Part:
+    path = folder / spec.file
+    task = progress.add_task(f"reading {spec.file}", total=path.stat().st_size)
+    digest = hashlib.sha256()
+
+    def lines() -> Iterator[str]:
+        with path.open("rb") as file:
+            for line in file:
+                digest.update(line)
+                progress.advance(task, len(line))
+                yield line.decode("utf-8", errors="replace")
+
+    table = _table(spec, lines())
+    return Part(spec.file, digest.hexdigest(), convert(spec, table, start_s=start_s))
+
+
+def _table(spec: CsvFile, lines: Iterator[str]) -> Table:
+    skipped = islice(lines, spec.skip_rows, None)
+    rows = csv.reader(skipped, delimiter=spec.separator, skipinitialspace=True)
+    try:
+        header = list(spec.header) or [name.strip() for name in next(rows, [])]
+        return read_table(rows, header, wanted_columns(spec), spec.file)
+    except csv.Error as error:
+        raise UserError(f"{spec.file} is no CSV file ({error}); check `file` and `separator` in the mapping") from error
+
+
+def _arrival_ns(message: Imported) -> int:
+    return message.sampled_ns if isinstance(message, TruthState) else message.received_ns
+
+
+def _provenance(spec: Mapping, text: str, parts: list[Part]) -> dict[str, str]:
+    """Say where the messages come from, and what `obu solve` may take for the truth."""
+    return {
+        "name": spec.name,
+        "mapping": text,
+        "files": json.dumps({part.name: part.sha256 for part in parts}),
+        "truth_is": spec.truth_is,
+        "truth_quantities": ",".join(spec.truth_quantities),
+    }
+
+
+def _write(
+    output: Path, parts: list[Part], vehicle: VehicleFile, provenance: dict[str, str], progress: Progress
+) -> None:
+    messages = heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns)
+    task = progress.add_task(f"writing {output.name}", total=sum(len(part.converted.messages) for part in parts))
+    draft = output.with_name(output.name + ".part")
+    sequence: dict[str, int] = {}
+    try:
+        draft.unlink(missing_ok=True)
+        writer = RecordingWriter(draft, vehicle=vehicle.name, vehicle_toml=vehicle.text, provenance=provenance)
+        for message in messages:
+            writer.write(_envelope(message, sequence))
+            progress.advance(task)
+        writer.close()
+        draft.rename(output)
+    except OSError as error:
+        raise UserError(f"cannot write {output}: {error.strerror}; choose another place with --output") from error
+
+
+def _envelope(message: Imported, sequence: dict[str, int]) -> Envelope:
+    name = topic_name(message)
+    producer = BY_MESSAGE[type(message)].producers[0]
+    payload, properties = encode(message)
+    sequence[producer] = sequence.get(producer, 0) + 1
+    return Envelope(name, payload, properties, _arrival_ns(message), producer, 0, sequence[producer])
+
+
+def _print_summary(output: Path, parts: list[Part]) -> None:
+    table = Printed(box=None, pad_edge=False)
+    for title in ("file", "rows", "samples", "rate", "span", "left out"):
+        table.add_column(title, justify="left" if title in ("file", "left out") else "right")
+    for part in parts:
+        stamps = [stamp for message in part.converted.messages for stamp in _stamps(message)]
+        span_s = (stamps[-1] - stamps[0]) * 1e-9 if stamps else 0.0
+        rate = f"{(len(stamps) - 1) / span_s:.2f} Hz" if span_s > 0.0 else "-"
+        left_out = ", ".join(f"{count} {reason}" for reason, count in part.converted.rejects.items()) or "none"
+        table.add_row(part.name, str(part.converted.rows), str(len(stamps)), rate, f"{span_s:.1f} s", left_out)
+    console = Console()
+    console.print(table)
+    console.print(f"wrote {output} ({output.stat().st_size / 1e6:.1f} MB); next: obu solve {output}", soft_wrap=True)
+
+
+def _stamps(message: Message) -> tuple[int, ...]:
+    if isinstance(message, ImuSamples):
+        return message.sampled_ns
+    return (getattr(message, "sampled_ns"),)  # noqa: B009  # every other imported message has one stamp

@@ -1,0 +1,1 @@
+"""CSV files of a drive become typed messages: the mapping says how, and nothing here touches a file."""

@@ -1,0 +1,59 @@
+"""When each row was true and when it arrived, on one time line."""
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import FloatArray
+
+from . import units
+from .schema import CsvFile
+from .table import Table
+
+Stamps = npt.NDArray[np.int64]
+
+
+def stamped(spec: CsvFile, table: Table, start_s: float) -> tuple[Table, Stamps, Stamps]:
+    """Put each row on the time line, and leave out rows that are not later than the one before.
+
+    Parameters
+    ----------
+    spec : CsvFile
+        Which columns are clocks, and what is known of their delays.
+    table : Table
+        The columns of the file.
+    start_s : float
+        [s] Unix time at which the clock of the file shows zero.
+
+    Returns
+    -------
+    table : Table
+        The rows that are left.
+    sampled, received : ndarray of int64, shape (rows,)
+        [ns] When each row was true, and when it arrived.
+
+    Notes
+    -----
+    With an arrival column a, the device's own clock c is put onto the host's by the row that took least::
+
+        sampled = c + min(a - c) - least_latency
+    """
+    time = spec.time
+    clock = table.row_numbers * (time.period_s or 0.0)
+    if time.column is not None:
+        clock = table[time.column] * units.TIME[time.unit]
+    if time.arrival_column is None:
+        sampled = clock + (time.offset_s - spec.stamps_late_s)
+        received = sampled + spec.latency_s
+    else:
+        arrival = table[time.arrival_column] * units.TIME[time.unit] + time.offset_s
+        sampled = clock + np.min(arrival - clock) - time.least_latency_s - spec.stamps_late_s
+        received = np.maximum.accumulate(np.maximum(arrival, sampled)) + spec.latency_s
+    later = np.r_[True, sampled[1:] > np.maximum.accumulate(sampled)[:-1]]
+    table = table.keep(later, "not later than the row before")
+    return table, _nanoseconds(sampled[later], start_s), _nanoseconds(received[later], start_s)
+
+
+def _nanoseconds(seconds: FloatArray, start_s: float) -> Stamps:
+    """Whole microseconds: what a double that counts seconds of Unix time can still tell apart."""
+    stamps: Stamps = (np.round(seconds * 1e6).astype(np.int64) + round(start_s * 1e6)) * 1000
+    return stamps

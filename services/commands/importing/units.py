@@ -1,0 +1,38 @@
+"""The units in which CSV files are written, each with its factor to the unit of our messages."""
+
+import difflib
+from collections.abc import Callable, Mapping
+from math import degrees, radians
+from typing import Annotated
+
+from pydantic import AfterValidator
+
+from shared.maths.earth import STANDARD_GRAVITY
+
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+FORCE = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}
+RATE = {"rad/s": 1.0, "deg/s": radians(1.0), "mdeg/s": radians(1e-3)}
+ANGLE = {"rad": 1.0, "deg": radians(1.0)}
+COORDINATE = {"deg": 1.0, "1e-7 deg": 1e-7, "rad": degrees(1.0)}  # latitude and longitude are degrees in messages
+LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048}
+SPEED = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0, "cm/s": 1e-2, "mm/s": 1e-3}
+
+
+def _known(units: Mapping[str, float]) -> Callable[[str], str]:
+    def check(unit: str) -> str:
+        if unit not in units:
+            near = difflib.get_close_matches(unit, units, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(units)}"
+            raise ValueError(f"{unit!r} is no unit here; {hint}")
+        return unit
+
+    return check
+
+
+TimeUnit = Annotated[str, AfterValidator(_known(TIME))]
+ForceUnit = Annotated[str, AfterValidator(_known(FORCE))]
+RateUnit = Annotated[str, AfterValidator(_known(RATE))]
+AngleUnit = Annotated[str, AfterValidator(_known(ANGLE))]
+CoordinateUnit = Annotated[str, AfterValidator(_known(COORDINATE))]
+LengthUnit = Annotated[str, AfterValidator(_known(LENGTH))]
+SpeedUnit = Annotated[str, AfterValidator(_known(SPEED))]

@@ -1,0 +1,97 @@
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from services.commands.import_drive import import_drive
+from shared.errors import UserError
+from shared.messages import GnssFix, ImuSamples
+from shared.recording import Recording
+
+MAPPING = """
+name = "yard"
+vehicle_file = "car.toml"
+truth_is = "fixes"
+
+[imu]
+file = "log.csv"
+separator = ";"
+skip_rows = 1
+time = { column = "t" }
+specific_force = { columns = ["ax", "ay", "az"], unit = "m/s2" }
+angular_rate = { columns = ["gx", "gy", "gz"], unit = "rad/s" }
+axes = ["forward", "right", "down"]
+
+[gnss]
+file = "fix.csv"
+header = ["t", "lat", "lon", "h"]
+time = { column = "t" }
+latitude = { column = "lat", unit = "deg" }
+longitude = { column = "lon", unit = "deg" }
+height = { column = "h", kind = "ellipsoid" }
+quality = "fixed"
+"""
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    (tmp_path / "m.toml").write_text(MAPPING)
+    (tmp_path / "car.toml").write_text('[vehicle]\nname = "yard"\n')
+    rows = "".join(f"{k * 0.01:.2f};0;0;-9.8;0;0;0;\n" for k in range(50))
+    (tmp_path / "log.csv").write_text("made by hand\nt; ax; ay; az; gx; gy; gz;\n" + rows)
+    (tmp_path / "fix.csv").write_text("0.1,49,6,300\n0.3,49,6,300\n")
+    return tmp_path
+
+
+def test_a_folder_of_csv_files_becomes_a_recording_in_order_of_arrival(
+    drive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert import_drive(drive / "m.toml", drive, drive / "out.mcap") == 0
+    with Recording(drive / "out.mcap") as recording:
+        messages = [envelope.decode() for envelope in recording]
+        assert not recording.problems
+        assert recording.attachments["vehicle.toml"].decode() == '[vehicle]\nname = "yard"\n'
+        provenance = recording.metadata["provenance"]
+    assert sum(isinstance(m, ImuSamples) for m in messages) == 50
+    assert [m.sampled_ns for m in messages if isinstance(m, GnssFix)] == [100_000_000, 300_000_000]
+    arrivals = [m.received_ns for m in messages if isinstance(m, GnssFix | ImuSamples)]
+    assert arrivals == sorted(arrivals)
+    assert provenance["mapping"] == MAPPING and provenance["truth_is"] == "fixes"
+    assert set(json.loads(provenance["files"])) == {"log.csv", "fix.csv"}
+    printed = capsys.readouterr()
+    assert "50" in printed.out and "obu solve" in printed.out
+    assert printed.err == "", "no progress bar where nobody watches"
+
+
+def test_the_same_folder_imported_twice_gives_the_same_bytes(drive: Path) -> None:
+    import_drive(drive / "m.toml", drive, drive / "a.mcap")
+    import_drive(drive / "m.toml", drive, drive / "b.mcap")
+    assert (drive / "a.mcap").read_bytes() == (drive / "b.mcap").read_bytes()
+
+
+def test_an_existing_recording_is_not_overwritten(drive: Path) -> None:
+    (drive / "out.mcap").write_bytes(b"precious")
+    with pytest.raises(UserError, match="exists already"):
+        import_drive(drive / "m.toml", drive, drive / "out.mcap")
+    assert (drive / "out.mcap").read_bytes() == b"precious"
+
+
+def test_a_missing_file_folder_mapping_or_vehicle_is_one_sentence(drive: Path) -> None:
+    empty = drive / "empty"
+    empty.mkdir()
+    with pytest.raises(UserError, match=r"holds no file 'log\.csv'"):
+        import_drive(drive / "m.toml", empty, drive / "out.mcap")
+    with pytest.raises(UserError, match="cannot read the mapping"):
+        import_drive(drive / "absent.toml", drive, drive / "out.mcap")
+    with pytest.raises(UserError, match="cannot read the vehicle's file"):
+        import_drive(drive / "m.toml", drive, drive / "out.mcap", drive / "absent.toml")
+    with pytest.raises(UserError, match="cannot write"):
+        import_drive(drive / "m.toml", drive, drive / "absent" / "out.mcap")
+
+
+def test_an_import_that_fails_leaves_nothing_in_the_place_of_its_result(drive: Path) -> None:
+    shutil.copy(drive / "fix.csv", drive / "log.csv")
+    with pytest.raises(UserError):
+        import_drive(drive / "m.toml", drive, drive / "out.mcap")
+    assert not (drive / "out.mcap").exists()
