@@ -29,8 +29,8 @@ ADDRESS_FILE = "status.address"
 class Config(Section):
     """Where to listen, and how much to remember."""
 
-    # "0.0.0.0" shows the dashboard to the whole network; a container sets it, since its published port decides there
-    host: str = Field(default_factory=lambda: os.environ.get("OBU_HTTP_HOST", "127.0.0.1"))
+    # an address to listen on, "0.0.0.0" for the whole network; without it OBU_HTTP_HOST, else 127.0.0.1
+    host: str | None = None
     port: int = Field(8080, ge=0, le=65535)  # 0: any free one
     history_s: float = Field(900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
@@ -46,7 +46,8 @@ class Process:
 
     def run(self, bus: Bus) -> None:
         """Take in the bus and serve the web until told to stop."""
-        listener = listen(self._config.host, self._config.port)
+        host = self._config.host or os.environ.get("OBU_HTTP_HOST", "127.0.0.1")
+        listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s)
         lock = threading.Lock()
