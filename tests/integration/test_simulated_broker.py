@@ -163,7 +163,7 @@ def test_a_client_that_breaks_the_protocol_is_told_why_and_let_go(handle: Handle
 
 
 def test_no_stream_of_bytes_stops_the_broker(handle: Handle, caplog: pytest.LogCaptureFixture) -> None:
-    """300 connections send proper packets with changed bytes; asyncio would log an exception that the broker lets out."""
+    """300 connections send packets with changed bytes; asyncio would log an exception that the broker lets out."""
     generator = random.Random(7)
     proper = [
         raw_mqtt.packet(0x32, raw_mqtt.string("a/b") + b"\0\1" + b"\x07\x26\0\1k\0\1v" + b"payload"),

@@ -1,0 +1,42 @@
+"""The broker's files say what the code says."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from broker.acl import access_list
+from broker.simulated import Limits
+from shared.codec import MAXIMUM_PAYLOAD
+
+ROOT = Path(__file__).parents[2]
+
+
+def setting(name: str) -> str:
+    found = re.findall(rf"^{name} (.*)$", (ROOT / "broker" / "mosquitto.conf").read_text(), re.MULTILINE)
+    assert len(found) == 1, f"{name} stands {len(found)} times in broker/mosquitto.conf"
+    return str(found[0])
+
+
+def test_the_access_list_in_the_repository_is_the_printed_one() -> None:
+    assert (ROOT / "broker" / "acl.conf").read_text() == access_list(), "run `make docs`"
+
+
+def test_the_command_prints_the_access_list() -> None:
+    command = [sys.executable, "-m", "broker.acl", "--vehicle", "car-7"]
+    printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=20).stdout
+    assert printed == access_list("car-7")
+
+
+def test_both_brokers_have_the_same_bounds() -> None:
+    limits = Limits()
+    assert int(setting("max_packet_size")) == limits.packet_bytes >= MAXIMUM_PAYLOAD + 65_536
+    assert int(setting("max_queued_messages")) == limits.queue_messages
+    assert int(setting("max_queued_bytes")) == limits.queue_bytes
+    assert int(setting("max_inflight_messages")) == limits.in_flight
+
+
+def test_mosquitto_sends_small_messages_at_once_and_offers_no_websockets() -> None:
+    assert setting("set_tcp_nodelay") == "true"
+    text = (ROOT / "broker" / "mosquitto.conf").read_text()
+    assert not re.search(r"^protocol ", text, re.MULTILINE)

@@ -1,0 +1,64 @@
+"""The access list: its format, and that the printed one gives each process exactly its row of the contract."""
+
+import itertools
+
+import pytest
+
+from broker.acl import access_list
+from broker.simulated import AclError, parse
+from shared.processes import PROCESSES, ProcessRow
+from shared.topics import TOPICS
+
+NAMES = [row.name for row in PROCESSES]
+PRINTED = parse(access_list())
+
+
+@pytest.mark.parametrize("row", PROCESSES, ids=NAMES)
+def test_a_process_may_do_what_its_row_says_and_no_more(row: ProcessRow) -> None:
+    for topic, owner in itertools.product(TOPICS, NAMES):
+        name = "obu/any-vehicle/" + topic.name.replace("+", owner)
+        reads = row.observes_all or row.name in topic.consumers
+        writes = row.name in topic.producers and (not topic.per_process or owner == row.name)
+        assert PRINTED.may_read(row.name, name) is reads
+        assert PRINTED.may_write(row.name, name) is writes
+
+
+@pytest.mark.parametrize("user", [None, "stranger", "core"])
+def test_anyone_else_may_do_nothing(user: str | None) -> None:
+    assert not PRINTED.may_subscribe(user, "#")
+    assert not PRINTED.may_write(user, "obu/v/gnss/raw")
+
+
+def test_an_observer_reads_everything_and_writes_nothing() -> None:
+    names = ["obu/v/" + topic.name.replace("+", "core.fusion") for topic in TOPICS]
+    assert all(PRINTED.may_read("observer", name) for name in names)
+    assert not any(PRINTED.may_write("observer", name) for name in names)
+
+
+def test_the_list_can_be_printed_for_one_vehicle_alone() -> None:
+    acl = parse(access_list("car-7"))
+    assert acl.may_write("core.fusion", "obu/car-7/navigation/solution")
+    assert not acl.may_write("core.fusion", "obu/car-8/navigation/solution")
+
+
+def test_clients_without_a_name_may_be_let_read() -> None:
+    acl = parse(access_list(nameless_read=True))
+    assert acl.may_read(None, "obu/v/navigation/solution")
+    assert not acl.may_write(None, "obu/v/navigation/solution")
+    assert not acl.may_read("stranger", "obu/v/navigation/solution")
+
+
+def test_topic_lines_mean_what_they_mean_to_mosquitto() -> None:
+    acl = parse("topic read all/#\n\n# a comment\nuser a b\ntopic mine/#\ntopic deny mine/secret\ntopic write read\n")
+    assert acl.may_read(None, "all/x")
+    assert not acl.may_read("a b", "all/x")
+    assert acl.may_write("a b", "mine/x")
+    assert acl.may_read("a b", "mine/x")
+    assert not acl.may_read("a b", "mine/secret")
+    assert acl.may_write("a b", "read")
+
+
+@pytest.mark.parametrize("line", ["pattern read %c/#", "user", "topic", "topic read a/#/b", "password x"])
+def test_a_line_that_is_not_understood_is_named(line: str) -> None:
+    with pytest.raises(AclError, match="line 2"):
+        parse(f"user a\n{line}\n")

@@ -1,0 +1,57 @@
+"""Filters against paho's own matcher, and against every topic of a small world."""
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paho.mqtt.client import topic_matches_sub
+
+from broker.simulated.topics import is_filter, is_name, matches, overlap
+
+names = st.lists(st.sampled_from(["a", "b", "", "$x"]), min_size=1, max_size=5).map("/".join).filter(bool)
+filters = (
+    st.tuples(
+        st.lists(st.sampled_from(["a", "b", "", "+", "$x"]), max_size=4), st.sampled_from(["a", "", "+", "#", "$x"])
+    )
+    .map(lambda parts: "/".join([*parts[0], parts[1]]))
+    .filter(bool)
+)
+EVERY_NAME = [
+    name
+    for depth in range(1, 5)
+    for levels in itertools.product(("a", "b", ""), repeat=depth)
+    if (name := "/".join(levels))
+]
+SMALL_FILTERS = [
+    "/".join(levels)
+    for depth in range(1, 4)
+    for levels in itertools.product(("a", "b", "+", "#"), repeat=depth)
+    if "#" not in levels[:-1]
+]
+
+
+@given(filters, names)
+def test_a_filter_takes_what_pahos_matcher_takes(pattern: str, topic: str) -> None:
+    assert matches(pattern, topic) == topic_matches_sub(pattern, topic)
+
+
+def test_two_filters_overlap_where_a_topic_is_taken_by_both() -> None:
+    taken = {pattern: {name for name in EVERY_NAME if matches(pattern, name)} for pattern in SMALL_FILTERS}
+    for one, other in itertools.product(SMALL_FILTERS, repeat=2):
+        assert overlap(one, other) == bool(taken[one] & taken[other]), (one, other)
+
+
+@pytest.mark.parametrize("pattern", ["#", "+", "a", "/", "a/#", "+/+", "a/+/b", "$SYS/#", "a//b"])
+def test_proper_filters_are_accepted(pattern: str) -> None:
+    assert is_filter(pattern)
+
+
+@pytest.mark.parametrize("pattern", ["", "a#", "#/a", "a/#/b", "a+", "+a/b", "a/b+"])
+def test_improper_filters_are_refused(pattern: str) -> None:
+    assert not is_filter(pattern)
+
+
+@given(filters)
+def test_a_name_is_a_filter_without_wildcards(pattern: str) -> None:
+    assert is_name(pattern) == (is_filter(pattern) and not {"+", "#"} & set(pattern.split("/")))
