@@ -29,8 +29,7 @@ ADDRESS_FILE = "status.address"
 class Config(Section):
     """Where to listen, and how much to remember."""
 
-    # an address to listen on, "0.0.0.0" for the whole network; without it OBU_HTTP_HOST, else 127.0.0.1
-    host: str | None = None
+    host: str | None = None  # "0.0.0.0" shows it to the whole network; without it OBU_HTTP_HOST, else 127.0.0.1
     port: int = Field(8080, ge=0, le=65535)  # 0: any free one
     history_s: float = Field(900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
