@@ -1,5 +1,6 @@
 """A bus without a broker, for the loops of processes that own theirs: time passes only by `receive`."""
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import cast
@@ -23,6 +24,9 @@ class FakeBus:
         self.stopping = False
         self.connected = True
         self.dropped = 0
+        self.sequence = 1
+        self.rejects: Counter[str] = Counter()
+        self.last_error: str | None = None
         self.published: list[Message] = []
         self._script, self._step_ns = script, step_ns
         self._now_ns = start_ns

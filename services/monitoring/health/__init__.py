@@ -1,0 +1,1 @@
+"""Holds every topic and process against its deadline."""

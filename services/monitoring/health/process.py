@@ -1,0 +1,59 @@
+"""The watchdog: every topic and process against its deadline, and outages with their cause."""
+
+from shared.bus import Bus, Envelope
+from shared.config import Section, parse_vehicle
+from shared.errors import BadPayload
+from shared.messages import ProcessHealth
+
+from .watch import Watch
+
+REPORT_NS = 500_000_000
+STEP_NS = 40_000_000
+
+
+class Config(Section):
+    """It has no settings: deadlines stand in the contract."""
+
+
+class Process:
+    """Reports ages twice a second, and outages as they begin and end."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+
+    def run(self, bus: Bus) -> None:
+        """Watch until told to stop."""
+        watch = Watch(parse_vehicle(bus.vehicle_toml).processes, bus.now_ns())
+        report_ns = step_ns = 0
+        while not bus.stopping:
+            for envelope in bus.receive(0.04):
+                _take(watch, envelope, bus)
+            now_ns = bus.now_ns()
+            if now_ns >= step_ns and bus.sequence:  # before its first word it never met the broker
+                step_ns = now_ns + STEP_NS
+                for outage in watch.step(now_ns, connected=bus.connected):
+                    bus.publish(outage)
+            if now_ns >= report_ns and bus.connected:
+                report_ns = now_ns + REPORT_NS
+                bus.publish(watch.report(now_ns))
+
+
+def _take(watch: Watch, envelope: Envelope, bus: Bus) -> None:
+    watch.take(
+        envelope.topic,
+        envelope.payload,
+        envelope.properties,
+        producer=envelope.producer,
+        received_ns=envelope.received_ns,
+        retained=envelope.retained,
+    )
+    if not envelope.topic.startswith("health/"):
+        return
+    try:
+        health = envelope.decode()
+    except BadPayload as error:
+        bus.rejects["payload"] += 1
+        bus.last_error = str(error)[:400]
+        return
+    if isinstance(health, ProcessHealth):
+        watch.take_health(health, envelope.received_ns, retained=envelope.retained)

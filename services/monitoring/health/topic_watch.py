@@ -1,0 +1,93 @@
+"""One topic as it looks from outside: how often, how old, how late."""
+
+import re
+from collections import deque
+from collections.abc import Mapping
+
+from shared.messages import Freshness, Message, RawBytes
+from shared.topics import Topic
+
+RATE_WINDOW_NS = 10_000_000_000
+LATENCIES = 256
+HEAD_BYTES = 300  # the stamps stand at the front of a payload
+STAMPS = ("received_ns", "sampled_ns", "now_ns", "sent_ns")
+
+
+def stamp_pattern(message: type[Message]) -> re.Pattern[bytes] | None:
+    """Build the search for the stamp in an encoded message: arrival at the driver, else when it was true."""
+    for name in STAMPS:
+        field = message.model_fields.get(name)
+        if field is not None and field.annotation is int:
+            return re.compile(rb'"%s":(\d{1,19})\b' % name.encode())
+    return None
+
+
+class TopicWatch:
+    """Counts, rates and ages of one row of the contract."""
+
+    def __init__(self, topic: Topic) -> None:
+        self.topic = topic
+        self.count = 0
+        self.newest_ns: int | None = None
+        self.producer: str | None = None
+        self._raw = issubclass(topic.message, RawBytes)
+        self._pattern = None if self._raw else stamp_pattern(topic.message)
+        self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
+        self._marks: deque[tuple[int, int]] = deque()
+        self._rate_hz = 0.0
+
+    def take(
+        self, producer: str, payload: bytes, properties: Mapping[str, str], received_ns: int, *, retained: bool
+    ) -> None:
+        """Note an arrival. A message that the broker had kept is as old as its own stamp says."""
+        stamp_ns = self._stamp(payload, properties)
+        if retained:
+            received_ns = min(received_ns, stamp_ns or received_ns)
+        elif stamp_ns is not None:
+            self._latencies_s.append((received_ns - stamp_ns) * 1e-9)
+        self.count += 1
+        self.producer = producer
+        self.newest_ns = max(self.newest_ns or 0, received_ns)
+
+    def rate_hz(self, now_ns: int) -> float:
+        """Give the rate over the last ten seconds; to be called a few times a second."""
+        if not self._marks:
+            self._marks.append((now_ns, self.count))
+        start_ns, start_count = self._marks[0]
+        if now_ns > start_ns:
+            self._rate_hz = (self.count - start_count) / ((now_ns - start_ns) * 1e-9)
+        if self._marks[-1][0] < now_ns:
+            self._marks.append((now_ns, self.count))
+        while len(self._marks) > 2 and self._marks[1][0] <= now_ns - RATE_WINDOW_NS:
+            self._marks.popleft()
+        return self._rate_hz
+
+    def latencies_s(self) -> tuple[float, float] | None:
+        """Give median and 99th percentile of the last messages' latency; None if they bear no stamp."""
+        if not self._latencies_s:
+            return None
+        ordered = sorted(self._latencies_s)
+        return ordered[len(ordered) // 2], ordered[min(len(ordered) * 99 // 100, len(ordered) - 1)]
+
+    def age_s(self, now_ns: int) -> float | None:
+        """Give the age of the newest message."""
+        return None if self.newest_ns is None else max(now_ns - self.newest_ns, 0) * 1e-9
+
+    def freshness(self, now_ns: int) -> Freshness:
+        """Judge the age: late after three periods or 0.5 s, stale after the topic's deadline."""
+        age_s, rate_hz = self.age_s(now_ns), self.topic.rate_hz
+        if age_s is None:
+            return Freshness.NEVER
+        if rate_hz is None:
+            return Freshness.QUIET
+        if age_s >= (self.topic.silent_after_s or max(10.0 / rate_hz, 5.0)):
+            return Freshness.STALE
+        return Freshness.LATE if age_s >= max(3.0 / rate_hz, 0.5) else Freshness.FRESH
+
+    def _stamp(self, payload: bytes, properties: Mapping[str, str]) -> int | None:
+        """Find the stamp without decoding the message."""
+        if self._raw:
+            text = properties.get("received_ns", "")
+            return int(text) if len(text) < 20 and text.isascii() and text.isdecimal() else None
+        match = self._pattern.search(payload, 0, HEAD_BYTES) if self._pattern else None
+        return int(match[1]) if match else None

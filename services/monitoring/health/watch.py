@@ -1,0 +1,203 @@
+"""The whole unit against its deadlines: ages, and outages with the cause at their root."""
+
+from collections.abc import Collection, Mapping
+
+from shared.messages import (
+    DeadlineReport,
+    Freshness,
+    Outage,
+    ProcessAge,
+    ProcessHealth,
+    ProcessState,
+    TopicAge,
+)
+from shared.processes import BY_NAME as PROCESS_ROWS
+from shared.topics import TOPICS, Topic, topic_of
+
+from .causes import Upstream, expected_topics, producers_of
+from .process_watch import Condition, ProcessWatch
+from .topic_watch import TopicWatch
+
+GRACE_NS = 120_000_000_000  # what was never seen is not missing before
+START_NS = 10_000_000_000  # what the broker kept from a former life of the unit counts only after this
+RETURN_NS = 2_000_000_000  # what everybody gets to come back after the broker did
+MUTE_NS = 1_200_000_000  # a broker from which not even our own heartbeat returns is not working
+STALL_NS = 1_000_000_000  # an observer that slept longer cannot tell who else was silent
+BROKER = "broker"
+GONE = (ProcessState.DISCONNECTED, ProcessState.LOST)
+
+
+class Watch:
+    """Follows every topic and process of one vehicle.
+
+    `configured` are the processes that should run here. Nothing but what it is told moves it:
+    messages by `take` and `take_health`, time by `step`.
+    """
+
+    def __init__(self, configured: Collection[str], now_ns: int) -> None:
+        self._started_ns = self._now_ns = self._heard_ns = now_ns
+        self._judged_from_ns = now_ns + START_NS
+        self._configured = frozenset(configured)
+        self._topics = {topic.name: TopicWatch(topic) for topic in TOPICS}
+        self._processes = {name: ProcessWatch(name) for name in PROCESS_ROWS if name in self._configured}
+        self._expected = expected_topics(self._configured)
+        self._open: dict[str, Outage] = {}
+        self._answering = True
+
+    def take(
+        self,
+        name: str,
+        payload: bytes,
+        properties: Mapping[str, str],
+        *,
+        producer: str,
+        received_ns: int,
+        retained: bool = False,
+    ) -> None:
+        """Note that a message came, without decoding it."""
+        self._heard_ns = max(self._heard_ns, received_ns)
+        topic = topic_of(name)
+        if topic is not None:
+            self._topics[topic.name].take(producer, payload, properties, received_ns, retained=retained)
+
+    def take_health(self, health: ProcessHealth, received_ns: int, *, retained: bool = False) -> None:
+        """Note what a process says of itself, or the broker of a process that it lost.
+
+        A process that nobody configured is watched from its birth to its farewell.
+        """
+        name = health.process
+        if name not in self._processes:
+            if name not in PROCESS_ROWS or retained or health.state in GONE:
+                return
+            self._processes[name] = ProcessWatch(name)
+        before = self._processes[name].state
+        self._processes[name].take(health, received_ns, retained=retained)
+        if before is not self._processes[name].state:
+            self._expected = expected_topics(self._present())
+
+    def step(self, now_ns: int, *, connected: bool) -> list[Outage]:
+        """Compare everything with its deadline; return the outages that began, ended or have another cause."""
+        slept = now_ns - self._now_ns > STALL_NS
+        answering = connected and (slept or now_ns - self._heard_ns < MUTE_NS)
+        if slept:
+            self._heard_ns = now_ns
+        if slept or (answering and not self._answering):
+            self._judged_from_ns = max(self._judged_from_ns, now_ns + RETURN_NS)
+        self._now_ns, self._answering = now_ns, answering
+        if not connected:
+            return self._begin({BROKER: "the connection to the broker broke"})
+        if not answering:
+            return self._begin({BROKER: "the broker is connected but delivers nothing"})
+        wrong = {**self._silent_processes(), **self._silent_topics()}
+        return [*self._end(wrong), *self._begin(wrong)]
+
+    def report(self, now_ns: int) -> DeadlineReport:
+        """Give the age of every topic that this vehicle has or should have, and of every process."""
+        return DeadlineReport(
+            now_ns=now_ns,
+            topics=tuple(
+                self._topic_age(watch, now_ns)
+                for name, watch in self._topics.items()
+                if watch.count or name in self._expected
+            ),
+            processes=tuple(self._process_age(watch, now_ns) for watch in self._processes.values()),
+        )
+
+    def _begin(self, wrong: Mapping[str, str | None]) -> list[Outage]:
+        """Open outages, or give open ones another cause; None holds one back until its cause is known."""
+        events = []
+        for what, cause in wrong.items():
+            known = self._open.get(what)
+            if cause is None or (known is not None and known.cause == cause):
+                continue
+            since_ns = known.since_ns if known else self._last_seen_ns(what)
+            self._open[what] = Outage(what=what, since_ns=since_ns, until_ns=None, cause=cause)
+            events.append(self._open[what])
+        return events
+
+    def _end(self, wrong: Collection[str]) -> list[Outage]:
+        """Close the outages of what was heard again."""
+        events = []
+        for what, outage in list(self._open.items()):
+            until_ns = self._last_seen_ns(what)
+            if what not in wrong and until_ns > outage.since_ns:
+                events.append(outage.model_copy(update={"until_ns": until_ns}))
+                del self._open[what]
+        return events
+
+    def _present(self) -> frozenset[str]:
+        """Name the processes that should run: those configured, and guests until their farewell."""
+        guests = {name for name, watch in self._processes.items() if watch.state is not ProcessState.DISCONNECTED}
+        return self._configured | guests
+
+    def _silent_processes(self) -> dict[str, str | None]:
+        conditions = {name: self._condition(name) for name in self._present()}
+        words = {
+            Condition.LOST: "was lost: it crashed, was killed, or its connection broke",
+            Condition.SILENT: "is connected but silent: it hangs or is overloaded",
+            Condition.ENDED: "ended as asked",
+            Condition.MISSING: "should run here but was never seen",
+        }
+        return {name: f"{name} {words[condition]}" for name, condition in conditions.items() if condition.down}
+
+    def _silent_topics(self) -> dict[str, str | None]:
+        upstream = Upstream(
+            self._present(), self._condition, self._stopped_ns, lambda topic: self._topics[topic.name].producer
+        )
+        return {
+            name: upstream.cause(watch.topic)
+            for name, watch in self._topics.items()
+            if not watch.topic.per_process and self._stopped_ns(watch.topic) is not None
+        }
+
+    def _condition(self, name: str) -> Condition:
+        if name not in self._processes:
+            return Condition.RUNNING  # not ours to watch, and it did speak
+        grace_over = self._now_ns - self._started_ns > GRACE_NS
+        return self._processes[name].condition(self._now_ns, self._judged_from_ns, grace_over=grace_over)
+
+    def _stopped_ns(self, topic: Topic) -> int | None:
+        """Say when a topic fell silent, 0 if it never spoke and should; None while it is well."""
+        watch = self._topics[topic.name]
+        if watch.newest_ns is None:
+            return 0 if self._is_missing(topic) else None
+        if topic.silent_after_s is None or watch.freshness(self._now_ns) is not Freshness.STALE:
+            return None
+        heard_ns = max(watch.newest_ns, self._judged_from_ns)
+        return watch.newest_ns if (self._now_ns - heard_ns) * 1e-9 >= topic.silent_after_s else None
+
+    def _is_missing(self, topic: Topic) -> bool:
+        """Whether a topic never came although its producers say nothing else either: not every device has all."""
+        if topic.name not in self._expected or self._now_ns - self._started_ns <= GRACE_NS:
+            return False
+        spoken = {watch.producer for watch in self._topics.values() if watch.topic.rate_hz and watch.topic.consumers}
+        return not spoken.intersection(producers_of(topic, self._present()))
+
+    def _last_seen_ns(self, what: str) -> int:
+        if what == BROKER:
+            return self._heard_ns
+        seen_ns = self._processes[what].seen_ns if what in self._processes else self._topics[what].newest_ns
+        return self._started_ns if seen_ns is None else seen_ns
+
+    def _topic_age(self, watch: TopicWatch, now_ns: int) -> TopicAge:
+        latencies = watch.latencies_s()
+        outage = self._open.get(watch.topic.name)
+        return TopicAge(
+            topic=watch.topic.name,
+            freshness=watch.freshness(now_ns),
+            age_s=watch.age_s(now_ns),
+            rate_hz=watch.rate_hz(now_ns),
+            count=watch.count,
+            latency_p50_s=latencies[0] if latencies else None,
+            latency_p99_s=latencies[1] if latencies else None,
+            cause=outage.cause if outage else None,
+        )
+
+    def _process_age(self, watch: ProcessWatch, now_ns: int) -> ProcessAge:
+        return ProcessAge(
+            process=watch.name,
+            state=watch.state,
+            silent=self._condition(watch.name).down,
+            heartbeat_age_s=watch.age_s(now_ns),
+            restarts=watch.restarts,
+        )
