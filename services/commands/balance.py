@@ -17,8 +17,10 @@ from shared.messages import (
     NavigationSolution,
     ProcessHealth,
     ProcessState,
+    TopicAge,
     TruthState,
 )
+from shared.topics import topic_of
 
 T = TypeVar("T")
 FloatArray = npt.NDArray[np.float64]
@@ -88,7 +90,8 @@ class Balance:
         fixes = [(f.sampled_ns, position) for f in self._fixes if (position := _fix_position(f)) is not None]
         gnss = self._errors(fixes, self._lever_b)
         ready = [h for h in self._health.values() if h.state == ProcessState.READY]
-        worst = max(self._report.topics, key=lambda t: t.age_s or 0.0, default=None) if self._report else None
+        dated = [t for t in self._report.topics if _has_deadline(t)] if self._report else []
+        worst = max(dated, key=lambda t: t.age_s or 0.0, default=None)
         return Summary(
             healthy=alive == expected and len(ready) >= expected - 1 and bool(self._solutions),
             duration_s=round((self._last_ns - self._first_ns) * 1e-9, 1),
@@ -126,6 +129,11 @@ class Balance:
             lever_n = rotation.ned_from_body(a.roll_rad, a.pitch_rad, a.yaw_rad) @ lever_b
             errors.append(np.array(earth.ned_from_geodetic_difference(said, true)) - lever_n)
         return np.array(errors).reshape(-1, 3)
+
+
+def _has_deadline(age: TopicAge) -> bool:
+    topic = topic_of(age.topic)
+    return topic is not None and topic.silent_after_s is not None and age.age_s is not None
 
 
 def _keep(items: list[T], item: T) -> None:

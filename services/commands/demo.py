@@ -1,6 +1,7 @@
 """`obu demo`: the whole unit on this machine with simulated sensors, and its balance at the end."""
 
 import json
+import logging
 import sys
 import time
 import tomllib
@@ -39,6 +40,7 @@ class DemoOptions:
 
 def run(options: DemoOptions) -> int:
     """Start everything, watch it, and print the balance at the end."""
+    logging.getLogger("shared").setLevel(logging.ERROR)  # the broker's absence at the start is expected
     folder = fresh_folder(state_dir().resolve() / "demo")
     port, http_port = free_port(), port_or_free(options.http_port)
     vehicle_path = folder / "vehicle.toml"
