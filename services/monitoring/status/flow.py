@@ -51,8 +51,8 @@ class TopicFlow:
         self._arrivals_ns: deque[int] = deque(maxlen=64)
         self._seconds: deque[int] = deque(maxlen=RATE_WINDOW_S)
         self._counted = 0
-        lazy = issubclass(topic.message, RawBytes | Consumed)
-        self._decode_every = 0 if lazy else 1 if (topic.rate_hz or 0.0) <= EAGER_UP_TO_HZ else SPARSE
+        fast = (topic.rate_hz or 0.0) > EAGER_UP_TO_HZ and not issubclass(topic.message, RawBytes)
+        self._decode_every = 0 if topic.message is Consumed else SPARSE if fast else 1
 
     def note(self, envelope: Envelope) -> Message | None:
         """Take one message; returns it if it was decoded, None if it can wait, or raises `BadPayload`."""
@@ -60,7 +60,7 @@ class TopicFlow:
         self.newest, self.message, self.updated_ns = envelope, None, envelope.received_ns
         if not envelope.retained:
             self._arrivals_ns.append(envelope.received_ns)
-        said_ns = int(envelope.properties["received_ns"]) if "received_ns" in envelope.properties else None
+        said_ns = None
         if envelope.retained or (self._decode_every and self.count % self._decode_every == 0):
             said_ns = stamp_ns(self.decoded())
         if said_ns is not None and envelope.retained:

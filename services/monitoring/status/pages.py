@@ -79,10 +79,11 @@ def _send(asset: Asset, request: Request, headers: Mapping[str, str]) -> Respons
 
 def read_pages(folder: Path) -> Pages:
     """Read what the server may give away."""
+    libraries = folder / "node_modules"
     wanted = {name: folder / name for name in assets.PAGES}
-    wanted |= {f"lib/{name}": folder / "node_modules" / path for name, path in assets.LIBRARIES.items()}
-    large = {name: folder / "node_modules" / path for name, path in assets.DOCUMENTATION.items()}
-    return Pages(
-        {name: path.read_bytes() for name, path in wanted.items() if path.is_file()},
-        large if all(path.is_file() for path in large.values()) else {},
-    )
+    wanted |= {f"lib/{name}": libraries / path for name, path in assets.LIBRARIES.items()}
+    large = {name: libraries / path for name, path in assets.DOCUMENTATION.items()}
+    files = {name: path.read_bytes() for name, path in wanted.items() if path.is_file()}
+    if "style.css" in files and (libraries / assets.LIBRARY_STYLE).is_file():
+        files["style.css"] = (libraries / assets.LIBRARY_STYLE).read_bytes() + files["style.css"]
+    return Pages(files, large if all(path.is_file() for path in large.values()) else {})

@@ -1,0 +1,252 @@
+// The shell around the pages: who speaks, whether it is connected, one sentence on trust, and the way about.
+import { render } from "preact";
+import { useEffect, useRef, useState } from "preact/hooks";
+import { clock, contract, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
+import { Drawer, Icon, StateIcon, bytes, copyText, duration, html, rate, seconds, timeOfDay } from "./parts.js";
+import { NowPage } from "./now.js";
+import { words } from "./words.js";
+
+const THEMES = ["auto", "light", "dark", "night"];
+const LOST_BAR_AFTER_S = 3;
+let systemPage = null; // loaded when it is first opened
+
+function useRoute() {
+  const [hash, setHash] = useState(location.hash);
+  useEffect(() => {
+    const changed = () => setHash(location.hash);
+    addEventListener("hashchange", changed);
+    return () => removeEventListener("hashchange", changed);
+  }, []);
+  const [path, query] = hash.replace(/^#\/?/, "").split("?");
+  return { page: path === "system" ? "system" : "now", query: new URLSearchParams(query) };
+}
+
+const go = (hash) => {
+  if (location.hash !== hash) location.hash = hash;
+};
+
+function Origin() {
+  const origin = state.value?.origin;
+  const kind = origin?.kind ?? "unknown";
+  const [word, name, meaning] = words.origin[kind];
+  return html`<p class="origin ${kind}" title=${meaning}><strong>${word}</strong>${origin && html`<span>${name(origin)}</span>`}</p>`;
+}
+
+function links() {
+  const c = state.value?.chain;
+  const up = link.value.open && isLive();
+  const known = up && c;
+  return [
+    ["browser", true, ""],
+    ["api", up, ""],
+    ["broker", known ? c.broker.ok : null, ""],
+    ["services", known && c.broker.ok ? c.services.ok : null, known ? `${c.services.up}/${c.services.of}` : ""],
+    ["sensors", known && c.broker.ok ? c.sensors.ok : null, known ? `${c.sensors.up}/${c.sensors.of}` : ""],
+  ];
+}
+
+function worstOf(chain) {
+  const t = words.chain.worst;
+  const c = state.value?.chain;
+  const worst = chain.find(([, ok]) => ok === false)?.[0];
+  if (!worst) return null;
+  if (worst === "services") return t.services(c.services.worst);
+  if (worst === "sensors") return c.sensors.worst ? t.sensors(c.sensors.worst) : t.noSensors;
+  return t[worst];
+}
+
+function Chain() {
+  clock.value;
+  const t = words.chain;
+  const chain = links();
+  const worst = worstOf(chain);
+  return html`<div class="chain" role="group" aria-label=${t.title}>
+    <ol>${chain.map(([name, ok, count]) => html`<li class=${ok === null ? "unknown" : ok ? "ok" : "bad"}>
+      <span class="dot" aria-hidden="true"></span>${t[name]}${count && html`<span class="count">${count}</span>`}<span class="sr"> ${ok === null ? t.unknown : ok ? t.ok : t.bad}</span>
+    </li>`)}</ol>
+    <p class=${worst ? "worst" : "dim"}>${worst ?? t.allUp}</p>
+  </div>`;
+}
+
+function Clock() {
+  clock.value;
+  const live = isLive() && !paused.value;
+  const shown = live ? nowMs() : (state.value?.now_ns ?? 0) / 1e6;
+  return html`<p class="clock ${live ? "" : "stopped"}"><span class="dim">${words.utc}</span> <time>${shown ? timeOfDay(shown) : "--:--:--"}</time>${!live && html`<span class="note">${words.utcStopped}</span>`}</p>`;
+}
+
+function Header({ onHelp }) {
+  const next = THEMES[(THEMES.indexOf(settings.value.theme) + 1) % THEMES.length];
+  return html`<header class="top">
+    <p class="unit"><span class="dim">${words.unit}</span> ${state.value?.vehicle ?? ""}</p>
+    <${Origin} /><${Chain} /><${Clock} />
+    <div class="tools">
+      <button class="ghost icon-only" onClick=${() => remember({ theme: next })} aria-label=${words.themeButton(words.theme[settings.value.theme])} title=${words.theme[settings.value.theme]}><${Icon} name="sun" /></button>
+      <button class="ghost icon-only" onClick=${onHelp} aria-label=${words.help} title=${words.help}><${Icon} name="help" /></button>
+    </div>
+  </header>`;
+}
+
+// Without a connection nothing is vouched for, whatever the last frame said.
+function verdict() {
+  const banner = state.value?.banner;
+  if (!banner) return { state: "stale", word: words.trust.stale, sentence: words.connecting, since_ns: null };
+  const lostS = link.value.lostAt === null ? 0 : (performance.now() - link.value.lostAt) / 1000;
+  if (!isLive() && (lostS > 1 || link.value.open)) return { ...banner, state: "stale", word: words.trust.stale, sentence: words.banner.disconnected, since_ns: state.value.now_ns };
+  return banner;
+}
+
+function Banner({ onWhy }) {
+  clock.value;
+  const v = verdict();
+  const since = v.since_ns && nowMs() ? duration(Math.max(0, (nowMs() - v.since_ns / 1e6) / 1000)) : null;
+  const spoken = useRef({ text: "", alarm: "" });
+  const text = `${v.word}. ${v.sentence}`;
+  if (spoken.current.text !== text) spoken.current = { text, alarm: v.state === "unsafe" ? text : "" };
+  useEffect(() => {
+    document.title = `${v.word} - ${state.value?.vehicle ?? ""} - OBU`;
+  }, [v.word, state.value?.vehicle]);
+  return html`<section class="banner ${v.state}" aria-label=${words.banner.label}>
+    <${Icon} name=${v.state} />
+    <p class="word">${v.word}</p>
+    <p class="sentence">${v.sentence}${since && html`<span class="since"> ${words.banner.since(since)}</span>`}</p>
+    ${state.value && html`<button class="why" onClick=${onWhy}>${words.banner.why}<${Icon} name="next" /></button>`}
+    <p class="sr" role="status">${v.state === "unsafe" ? "" : spoken.current.text}</p>
+    <p class="sr" role="alert">${spoken.current.alarm}</p>
+  </section>`;
+}
+
+function WhyDrawer({ onClose }) {
+  clock.value;
+  const { banner } = state.value;
+  const v = verdict();
+  const report = () => copyText([`${v.word}: ${v.sentence}`, ...banner.checks.map((c) => `- ${c.label}: ${words.check[c.state]}, ${c.text}`)].join("\n"));
+  return html`<${Drawer} title=${words.banner.drawer(v.word)} onClose=${onClose} head=${html`<button onClick=${report}>${words.copyReport}</button>`}>
+    <p class="lead-text">${v.sentence}</p>
+    <h3>${words.banner.action}</h3><p>${banner.action}</p>
+    <h3>${words.banner.checks}</h3>
+    <ul class="checks long">${banner.checks.map((c) => html`<li>
+      <${StateIcon} state=${c.state} word=${words.check[c.state]} />
+      <span>${c.link ? html`<a href=${`#/system?${c.link}`} onClick=${onClose} title=${words.banner.look(c.label)}>${c.label}</a>` : c.label}</span>
+      <span class="dim">${c.state === "off" ? `${words.trust.off}: ${c.text}` : c.text}</span>
+      ${c.ratio !== null && html`<span class="meter" aria-hidden="true"><span class=${c.state} style=${{ width: `${Math.min(c.ratio / 2, 1) * 100}%` }}></span></span>`}
+    </li>`)}</ul>
+  </${Drawer}>`;
+}
+
+function LostBar() {
+  clock.value;
+  const { lostAt, why, gap, open } = link.value;
+  const lostS = lostAt === null ? 0 : (performance.now() - lostAt) / 1000;
+  const [shownGap, setShownGap] = useState(null);
+  useEffect(() => {
+    if (!open || gap === null || gap < 1) return undefined;
+    setShownGap(gap);
+    const timer = setTimeout(() => setShownGap(null), 6000);
+    return () => clearTimeout(timer);
+  }, [open, gap]);
+  const visible = !open && lostS > LOST_BAR_AFTER_S;
+  return html`${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${state.value ? words.lost.bar(duration(lostS)) : words.lost.never} <span>${words.lost.why[why] ?? ""}</span></p></div>`}
+    ${outdated.value && html`<div class="bar"><p>${words.lost.outdated}</p><button onClick=${() => location.reload()}>${words.lost.reload}</button></div>`}
+    ${paused.value && html`<div class="bar"><p>${words.paused}</p><button onClick=${togglePause}>${words.resume}</button></div>`}
+    <p class=${shownGap === null ? "sr" : "bar back"} role="status">${shownGap === null ? "" : words.lost.back(duration(shownGap))}</p>`;
+}
+
+function Navigation({ page }) {
+  const problems = state.value?.problems.length ?? 0;
+  return html`<nav class="pages" aria-label=${words.navigation}><ul>
+    ${["now", "system"].map((name) => html`<li><a href=${`#/${name}`} aria-current=${page === name ? "page" : null}>
+      <${Icon} name=${name} />${words.pages[name]}${name === "system" && problems > 0 && html`<span class="badge">${problems}</span>`}</a></li>`)}
+  </ul></nav>`;
+}
+
+function Footer() {
+  if (!state.value) return null;
+  const t = words.footer;
+  const { bus, recording, problems } = state.value;
+  const first = problems[0];
+  const target = first && (first.what.includes("/") ? `topic=${first.what}` : `node=${first.what}`);
+  const live = link.value.open;
+  return html`<footer class="foot" aria-label=${t.label}>
+    ${live && html`<span>${t.rate(rate(bus.messages_hz))}</span>
+    ${bus.delay_p95_s != null && html`<span>${t.delay(seconds(bus.delay_p95_s))}</span>`}
+    <span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>
+    ${recording && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
+    <span class=${recording?.recording ? "rec" : ""}>${!recording ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
+    ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text)}</a>`
+      : html`<span class="push dim">${t.noProblems}</span>`}
+  </footer>`;
+}
+
+function HelpDrawer({ onClose }) {
+  const t = words.shortcuts;
+  return html`<${Drawer} title=${t.title} onClose=${onClose}>
+    <p class="lead-text">${t.intro}</p>
+    <label class="switch"><input type="checkbox" checked=${settings.value.shortcuts} onChange=${(e) => remember({ shortcuts: e.target.checked })} /> ${t.enabled}</label>
+    <dl class="keys">${t.rows.map(([key, what]) => html`<div><dt>${key.split(" ").map((k) => html`<kbd>${k}</kbd> `)}</dt><dd>${what}</dd></div>`)}</dl>
+    <h3>${t.states}</h3>
+    <ul class="checks long">${Object.entries(t.stateNotes).map(([s, note]) => html`<li><${StateIcon} state=${s} word="" /><span>${words.trust[s]}</span><span class="dim">${note}</span></li>`)}</ul>
+    <p class="links"><a href="/docs">${t.api}</a><a href="/metrics">${t.metrics}</a></p>
+  </${Drawer}>`;
+}
+
+function useKeys(open) {
+  useEffect(() => {
+    let before = "";
+    const pressed = (event) => {
+      const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
+      if (!settings.value.shortcuts || typing || event.ctrlKey || event.altKey || event.metaKey) return;
+      const key = event.key;
+      if (before === "g" && key === "n") go("#/now");
+      else if (before === "g" && key === "s") go("#/system");
+      else if (key === "?") open("help");
+      else if (key === "w" && state.value) open("why");
+      else if (key === "p") togglePause();
+      else if (key === "/") {
+        event.preventDefault();
+        go("#/system");
+        setTimeout(() => document.getElementById("find")?.focus(), 150);
+      }
+      before = key;
+    };
+    addEventListener("keydown", pressed);
+    return () => removeEventListener("keydown", pressed);
+  }, []);
+}
+
+function App() {
+  const { page, query } = useRoute();
+  const [drawer, setDrawer] = useState(null);
+  const [, loaded] = useState(0);
+  const heading = useRef(null);
+  useKeys(setDrawer);
+  useEffect(() => {
+    document.documentElement.dataset.theme = settings.value.theme;
+  }, [settings.value.theme]);
+  useEffect(() => {
+    if (page === "system" && !systemPage) {
+      import("./system.js").then((module) => {
+        systemPage = module.SystemPage;
+        loaded(1);
+      });
+    }
+  }, [page]);
+  const ready = state.value && contract.value;
+  const shown = !ready ? html`<p class="boot">${words.connecting}</p>`
+    : page === "now" ? html`<${NowPage} onWhy=${() => setDrawer("why")} />`
+    : systemPage ? html`<${systemPage} query=${query} go=${go} />` : null;
+  return html`<a class="skip" href="#content" onClick=${(e) => { e.preventDefault(); heading.current.focus(); }}>${words.skip}</a>
+    <${Header} onHelp=${() => setDrawer("help")} />
+    <${Banner} onWhy=${() => setDrawer("why")} />
+    <${LostBar} />
+    <div class="body"><${Navigation} page=${page} />
+      <main id="content" class=${link.value.open || !ready ? "" : "disconnected"}><h1 class="sr" ref=${heading} tabindex="-1">${words.pages[page]}</h1>${shown}</main></div>
+    <${Footer} />
+    ${drawer === "why" && ready && html`<${WhyDrawer} onClose=${() => setDrawer(null)} />`}
+    ${drawer === "help" && html`<${HelpDrawer} onClose=${() => setDrawer(null)} />`}`;
+}
+
+const root = document.getElementById("app");
+root.replaceChildren();
+render(html`<${App} />`, root);
+start();

@@ -1,0 +1,182 @@
+// The page that most people open: where the vehicle is, how well that is known, and what the sources say.
+import { useEffect, useRef, useState } from "preact/hooks";
+import { clock, freshness, history, link, nowMs, settings, state } from "./store.js";
+import {
+  Age, Card, Empty, Row, STATUS_STATE, StateIcon, compass, degrees, duration, fixed, html, metres, seconds, timeOfDay,
+} from "./parts.js";
+import { CloseUp } from "./closeup.js";
+import { words } from "./words.js";
+
+const KMH = 3.6;
+const TRUST_SPAN_S = 900;
+
+function PositionCard() {
+  const p = words.position;
+  const { solution: s, fix, satellites, navigation, truth, mode } = state.value;
+  clock.value;
+  if (!s) return html`<${Card} title=${p.title} id="position"><${Empty} title=${p.empty} why=${state.value.banner.sentence} /></${Card}>`;
+  const old = freshness("navigation/solution", s.updated_ns) === "stale" ? "old" : "";
+  const digits = s.ellipse.semi_major_m < 0.1 ? 7 : 6;
+  const off = truth?.error_north_m == null ? null : Math.hypot(truth.error_north_m, truth.error_east_m);
+  return html`<${Card} title=${p.title} id="position" aside=${html`<${Age} topic="navigation/solution" stamp=${s.updated_ns} />`}>
+    <div class="lead ${old}">
+      <dl class="coordinates">
+        <div><dt>${p.latitude}</dt><dd>${fixed(s.latitude_deg, digits)}<span aria-hidden="true">°</span><span class="sr"> ${p.degrees}</span></dd></div>
+        <div><dt>${p.longitude}</dt><dd>${fixed(s.longitude_deg, digits)}<span aria-hidden="true">°</span><span class="sr"> ${p.degrees}</span></dd></div>
+      </dl>
+      <p class="accuracy"><span>±</span> ${metres(s.ellipse.semi_major_m)} <span class="note">${p.error95}</span></p>
+    </div>
+    <dl class="rows ${old}">
+      <${Row} label=${p.speed} value=${fixed(s.speed_m_s * KMH, 1)} unit=${words.speed.unit} unitName=${words.speed.unitName} extra=${s.stationary ? p.standing : null} />
+      <${Row} label=${p.heading} value=${`${fixed(compass(s.heading_rad), 1).padStart(5, "0")}°`} extra=${`± ${fixed(degrees(s.heading_sd_rad), 1)}° (${p.sigma})`} />
+      <${Row} label=${p.height} value=${fixed(s.height_ellipsoid_m, 1)} unit="m" unitName="metres" extra=${`± ${metres(s.height_sd_m)} ${p.heightNote}`} />
+      <${Row} label=${p.phase} value=${p.phases[s.phase] ?? s.phase} extra=${navigation && s.phase !== "navigating" ? navigation.reason : null} />
+      <${Row} label=${p.gnssUsed} value=${s.gnss_age_s == null ? p.never : p.ago(seconds(Math.max(s.gnss_age_s, 0.1)))} />
+      ${off !== null && html`<${Row} label=${p.truthError} value=${metres(off)} />`}
+    </dl>
+    <${FixRows} fix=${fix} satellites=${satellites} mode=${mode} />
+  </${Card}>`;
+}
+
+function FixRows({ fix, satellites, mode }) {
+  const p = words.position;
+  if (!fix) return html`<p class="note block">${p.fix}: ${words.topics.never}</p>`;
+  const old = freshness("gnss/fix", fix.updated_ns) === "stale" ? "old" : "";
+  const carrier = p.carrier[fix.carrier_solution];
+  return html`<h3 class="divide">${p.fix}<${Age} topic="gnss/fix" stamp=${fix.updated_ns} /></h3>
+    <dl class="rows ${old}">
+      <${Row} label=${p.fix} value=${[p.fixType[fix.fix_type], carrier].filter(Boolean).join(", ")} />
+      <${Row} label=${p.satellites} value=${fix.satellites_used == null ? "-" : p.satellitesOf(fix.satellites_used, satellites?.in_view)} />
+      <${Row} label=${p.correction} value=${fix.correction_age_s == null ? p.correctionNone : p.correctionAge(`${fixed(fix.correction_age_s, 1)} s`)} />
+      ${mode && html`<${Row} label=${p.mode} value=${mode.mode.replaceAll("_", " ")} />`}
+    </dl>`;
+}
+
+function spans(nowNs) {
+  const timeline = state.value.timeline;
+  const from = nowNs - TRUST_SPAN_S * 1e9;
+  return timeline
+    .map((entry, i) => ({ state: entry.state, from: Math.max(entry.since_ns, from), to: timeline[i + 1]?.since_ns ?? nowNs }))
+    .filter((span) => span.to > from);
+}
+
+function TrustCard({ onWhy }) {
+  const t = words.trustCard;
+  clock.value;
+  const { now_ns: nowNs, banner } = state.value;
+  const bands = spans(nowNs);
+  const told = bands.slice(-6).map((b) => `${words.trust[b.state]} ${duration((b.to - b.from) / 1e9)}`).join(", ");
+  const share = (ns) => `${(100 * ns) / (TRUST_SPAN_S * 1e9)}%`;
+  return html`<${Card} title=${t.title} note=${t.span} id="trust" aside=${html`<button class="link" onClick=${onWhy}>${t.all}</button>`}>
+    <div class="band" role="img" aria-label=${t.label(told)}>
+      ${bands.map((b) => html`<span class="segment ${b.state}" style=${{ left: share(b.from - nowNs + TRUST_SPAN_S * 1e9), width: share(b.to - b.from) }}></span>`)}
+    </div>
+    <p class="axis" aria-hidden="true"><span>${t.ago}</span><span>${t.now}</span></p>
+    <ul class="checks">${banner.checks.map((c) => html`<li>
+      <${StateIcon} state=${c.state} word=${words.check[c.state]} /><span>${c.label}</span><span class="dim">${c.state === "off" ? words.check.off : c.text}</span>
+    </li>`)}</ul>
+  </${Card}>`;
+}
+
+function ServicesCard() {
+  const { processes, chain, bus } = state.value;
+  const shown = Object.entries(processes).filter(([, p]) => p.status !== "absent");
+  const order = ["lost", "missing", "silent", "ended", "alert", "waiting", "starting", "ready"];
+  shown.sort((a, b) => order.indexOf(a[1].status) - order.indexOf(b[1].status));
+  return html`<${Card} title=${words.services.title} id="services" note=${words.services.running(chain.services.up, chain.services.of)}
+    aside=${html`<a href="#/system">${words.services.details}</a>`}>
+    <ul class="services">${shown.map(([name, p]) => html`<li>
+      <a href=${`#/system?node=${name}`}><${StateIcon} state=${STATUS_STATE[p.status]} word=${words.status[p.status]} /><span>${name}</span>
+      <span class="dim">${p.status === "ready" ? `${Math.round((p.cpu_share ?? 0) * 100)} %` : words.status[p.status]}</span></a>
+    </li>`)}</ul>
+    ${bus.delay_p95_s != null && html`<p class="note block">${words.services.delay(seconds(bus.delay_p95_s))}</p>`}
+  </${Card}>`;
+}
+
+let library = null;
+function loadPlot() {
+  library ??= new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = "/lib/uplot.js";
+    script.onload = () => resolve(window.uPlot);
+    script.onerror = reject;
+    document.head.append(script);
+  });
+  return library;
+}
+
+const SERIES = [["fused", "speed_fused_m_s", []], ["gnss", "speed_gnss_m_s", [8, 4]], ["odometer", "speed_odometer_m_s", [2, 3]]];
+
+function plotData() {
+  const last = history.time_ns.at(-1) ?? 0;
+  const columns = SERIES.map(([, field]) => (history.fields[field] ?? []).map((v) => (v == null ? null : v * KMH)));
+  return [history.time_ns.map((ns) => (ns - last) / 1e9), ...columns];
+}
+
+function plotOptions(size) {
+  const style = getComputedStyle(document.documentElement);
+  const colour = (name) => style.getPropertyValue(name).trim();
+  const axis = { stroke: colour("--soft"), grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui" };
+  return {
+    ...size,
+    legend: { show: false },
+    cursor: { show: false },
+    padding: [8, 12, 0, 0],
+    scales: { x: { time: false, range: [-60, 0] }, y: { range: (_u, low, high) => [Math.max(0, Math.min(low ?? 0, (high ?? 0) - 10) - 2), (high ?? 8) + 3] } },
+    axes: [{ ...axis, values: (_u, ticks) => ticks.map((t) => (t === 0 ? words.trustCard.now : `${t} s`)), size: 30 }, { ...axis, size: 44 }],
+    series: [{}, ...SERIES.map(([name, , dash]) => ({ stroke: colour(`--${name}`), width: name === "fused" ? 2.5 : 2, dash, points: { show: false } }))],
+  };
+}
+
+function Plot({ theme }) {
+  const box = useRef(null);
+  const plot = useRef(null);
+  useEffect(() => {
+    let gone = false;
+    const size = () => ({ width: Math.max(box.current.clientWidth, 120), height: Math.max(box.current.clientHeight, 120) });
+    const observer = new ResizeObserver(() => plot.current?.setSize(size()));
+    loadPlot().then((Library) => {
+      if (gone) return;
+      plot.current = new Library(plotOptions(size()), plotData(), box.current);
+      observer.observe(box.current);
+    }, () => {});
+    return () => {
+      gone = true;
+      observer.disconnect();
+      plot.current?.destroy();
+    };
+  }, [theme]);
+  useEffect(() => plot.current?.setData(plotData()));
+  return html`<div class="plot" ref=${box}></div>`;
+}
+
+function newest(field) {
+  const value = history.fields[field]?.at(-1);
+  return value == null ? null : value * KMH;
+}
+
+function SpeedCard() {
+  const t = words.speed;
+  const [table, setTable] = useState(false);
+  state.value;
+  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+  const theme = settings.value.theme === "auto" ? (dark ? "dark" : "light") : settings.value.theme;
+  const values = SERIES.map(([name, field]) => [name, t[name], newest(field)]);
+  const any = SERIES.some(([, field]) => history.fields[field]?.some((v) => v != null));
+  const told = values.map(([, label, v]) => `${label} ${v === null ? words.topics.stale : `${v.toFixed(1)} ${t.unitName}`}`).join(", ");
+  const rows = history.time_ns.map((ns, i) => [ns, i]).filter(([, i]) => (history.time_ns.length - 1 - i) % 25 === 0).reverse();
+  return html`<${Card} title=${t.title} note=${t.last} id="speed" class="speed-card"
+    aside=${any && html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
+    ${!any ? html`<${Empty} title=${t.empty} />`
+      : table ? html`<div class="scroll" tabindex="0" role="region" aria-label=${t.title}><table class="plain"><thead><tr><th scope="col">${t.time}</th>${values.map(([, label]) => html`<th scope="col">${label}, ${t.unit}</th>`)}</tr></thead>
+          <tbody>${rows.map(([ns, i]) => html`<tr><th scope="row">${timeOfDay(ns / 1e6)}</th>${SERIES.map(([, f]) => html`<td>${fixed(history.fields[f]?.[i] == null ? null : history.fields[f][i] * KMH, 1)}</td>`)}</tr>`)}</tbody></table></div>`
+      : html`<div role="img" aria-label=${t.label(told)}><${Plot} theme=${theme} /></div>`}
+    <ul class="legend">${values.map(([name, label, v]) => html`<li><span class="key ${name}"></span><span>${label}</span><strong>${fixed(v, 1)}</strong><span class="dim">${t.unit}</span></li>`)}</ul>
+  </${Card}>`;
+}
+
+export function NowPage({ onWhy }) {
+  link.value;
+  nowMs();
+  return html`<div class="page now"><${CloseUp} /><${PositionCard} /><${TrustCard} onWhy=${onWhy} /><${SpeedCard} /><${ServicesCard} /></div>`;
+}

@@ -1,0 +1,145 @@
+// Small parts that every page uses: icons, numbers with units, ages, cards.
+import { h } from "preact";
+import { useEffect, useRef } from "preact/hooks";
+import htm from "htm";
+import { ageS, clock, freshness, link } from "./store.js";
+import { words } from "./words.js";
+
+export const html = htm.bind(h);
+
+const SHAPES = {
+  safe: html`<circle cx="12" cy="12" r="10" fill="currentColor" /><path d="m7 12.5 3.5 3.5 6.5-7.5" class="cut" />`,
+  caution: html`<path d="M12 2.5 22.5 21h-21z" fill="currentColor" stroke="currentColor" stroke-linejoin="round" />
+    <path d="M12 9v5.5m0 3v.2" class="cut" />`,
+  unsafe: html`<path d="M8 2h8l6 6v8l-6 6H8l-6-6V8z" fill="currentColor" /><path d="m8.5 8.5 7 7m0-7-7 7" class="cut" />`,
+  stale: html`<circle cx="12" cy="12" r="9" class="line" stroke-dasharray="4 3.1" />`,
+  off: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M6 18 18 6" class="line" />`,
+  info: html`<rect x="3" y="3" width="18" height="18" rx="3" fill="currentColor" /><path d="M12 11v6m0-10v.2" class="cut" />`,
+  now: html`<path d="m12 3 7 17-7-4-7 4z" class="line" />`,
+  system: html`<path d="M4 5h16M4 12h16M4 19h16" class="line" /><circle cx="9" cy="5" r="2" fill="currentColor" />
+    <circle cx="15" cy="12" r="2" fill="currentColor" /><circle cx="8" cy="19" r="2" fill="currentColor" />`,
+  sun: html`<circle cx="12" cy="12" r="4" class="line" />
+    <path d="M12 2v3m0 14v3M2 12h3m14 0h3M5 5l2 2m10 10 2 2M5 19l2-2M17 7l2-2" class="line" />`,
+  help: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M9.5 9.5a2.5 2.5 0 1 1 3.5 2.3c-.7.4-1 .9-1 1.7m0 3v.2" class="line" />`,
+  close: html`<path d="m6 6 12 12M18 6 6 18" class="line" />`,
+  plus: html`<path d="M12 5v14M5 12h14" class="line" />`,
+  minus: html`<path d="M5 12h14" class="line" />`,
+  next: html`<path d="m9 5 7 7-7 7" class="line" />`,
+};
+
+export const Icon = ({ name, class: extra = "" }) =>
+  html`<svg class="icon ${extra}" viewBox="0 0 24 24" aria-hidden="true" focusable="false">${SHAPES[name]}</svg>`;
+
+// A state as shape and colour; the word is beside it or read aloud.
+export const StateIcon = ({ state, word }) =>
+  html`<span class="state ${state}"><${Icon} name=${state} /><span class="sr">${word ?? words.trust[state]}: </span></span>`;
+
+export const STATUS_STATE = {
+  ready: "safe", starting: "info", alert: "caution", silent: "stale", lost: "unsafe", ended: "off",
+  waiting: "info", missing: "unsafe", absent: "off", unknown: "stale",
+};
+export const FRESH_STATE = { fresh: "safe", late: "caution", stale: "stale", never: "off", quiet: "info" };
+
+export const fixed = (value, digits) => (value == null ? words.age.bar : value.toFixed(digits));
+
+export function metres(value) {
+  if (value == null) return words.age.bar;
+  if (value >= 1000) return `${(value / 1000).toFixed(value < 10000 ? 1 : 0)} km`;
+  return `${value.toFixed(value < 1 ? 2 : value < 20 ? 1 : 0)} m`;
+}
+
+export function seconds(value) {
+  if (value == null) return words.age.bar;
+  if (value < 0.001) return `${(value * 1e6).toFixed(0)} µs`;
+  if (value < 1) return `${(value * 1000).toFixed(value < 0.01 ? 1 : 0)} ms`;
+  return duration(value);
+}
+
+// A span that people read: it does not twitch below a second.
+export function duration(value) {
+  if (value < 60) return `${Math.floor(value)} s`;
+  if (value < 3600) return `${Math.floor(value / 60)} min ${String(Math.floor(value % 60)).padStart(2, "0")} s`;
+  if (value < 86400) return `${Math.floor(value / 3600)} h ${String(Math.floor((value % 3600) / 60)).padStart(2, "0")} min`;
+  return `${Math.floor(value / 86400)} d ${Math.floor((value % 86400) / 3600)} h`;
+}
+
+export function bytes(value) {
+  if (value == null) return words.age.bar;
+  for (const [unit, size] of [["GB", 1e9], ["MB", 1e6], ["kB", 1e3]]) {
+    if (value >= size) return `${(value / size).toFixed(value < 10 * size ? 1 : 0)} ${unit}`;
+  }
+  return `${value} B`;
+}
+
+export const rate = (value) => (value == null ? words.age.bar : value >= 100 ? value.toFixed(0) : value.toFixed(1));
+export const timeOfDay = (ms, tenths = false) => new Date(ms).toISOString().slice(11, tenths ? 21 : 19);
+export const degrees = (rad) => (rad * 180) / Math.PI;
+export const compass = (rad) => ((degrees(rad) % 360) + 360) % 360;
+
+// How old a value is, in words that change their form when it is late or stale.
+export function Age({ topic, stamp }) {
+  clock.value; // read, so that the age goes on growing without any message
+  const age = ageS(stamp);
+  const state = freshness(topic, stamp);
+  const text =
+    age === null ? words.age.never
+    : state === "stale" ? words.age.stale(timeOfDay(stamp / 1e6), duration(age))
+    : state === "late" ? words.age.late(age < 10 ? `${age.toFixed(1)} s` : duration(age))
+    : age < 1 ? words.age.now
+    : duration(age);
+  return html`<span class="age ${state}">${text}</span>`;
+}
+
+export function Card({ title, note, class: extra = "", aside, id, children }) {
+  return html`<section class="card ${extra}" aria-labelledby=${id}>
+    <header><h2 id=${id}>${title}</h2>${note && html`<span class="note">${note}</span>`}<span class="aside">${aside}</span></header>
+    ${children}
+  </section>`;
+}
+
+// One line of a definition list; the unit's full name is what a screen reader says.
+export const Row = ({ label, value, unit, unitName, extra, dim }) => html`<div class="row">
+  <dt>${label}</dt>
+  <dd class=${dim ? "dim" : ""}>
+    <span class="value">${value}</span>${unit && html`<span class="unit" aria-hidden=${unitName ? "true" : null}>${" "}${unit}</span>`}${unitName && html`<span class="sr">${" "}${unitName}</span>`}${extra && html`<span class="extra">${" "}${extra}</span>`}
+  </dd>
+</div>`;
+
+export const Empty = ({ title, why, what }) => html`<div class="empty">
+  <${Icon} name="stale" /><p><strong>${title}</strong></p>${why && html`<p>${why}</p>`}${what && html`<p>${what}</p>`}
+</div>`;
+
+// A modal drawer: the browser's own dialog keeps the focus inside and gives it back.
+export function Drawer({ title, onClose, children, head, wide }) {
+  const ref = useRef(null);
+  useEffect(() => {
+    ref.current.showModal();
+  }, []);
+  return html`<dialog ref=${ref} class="drawer ${wide ? "wide" : ""}" aria-labelledby="drawer-title"
+    onClose=${onClose} onClick=${(event) => event.target === ref.current && ref.current.close()}>
+    <div class="inside">
+      <header>
+        <h2 id="drawer-title">${title}</h2>${head}
+        <button class="ghost icon-only" onClick=${() => ref.current.close()} aria-label=${words.close}><${Icon} name="close" /></button>
+      </header>
+      ${children}
+    </div>
+  </dialog>`;
+}
+
+// navigator.clipboard exists only over HTTPS; a unit on a local network is plain HTTP.
+export async function copyText(text) {
+  if (navigator.clipboard && window.isSecureContext) {
+    await navigator.clipboard.writeText(text);
+    return;
+  }
+  const area = document.createElement("textarea");
+  area.value = text;
+  area.className = "sr";
+  (document.querySelector("dialog[open]") ?? document.body).append(area);
+  area.select();
+  document.execCommand("copy");
+  area.remove();
+}
+
+export const isConnected = () => link.value.open;

@@ -1,0 +1,300 @@
+// The five layers, live: processes as lists, topics as lines between them, and a look inside each.
+import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
+import { clock, contract, freshness, link, nowMs, paused, state, togglePause } from "./store.js";
+import {
+  Age, Card, Drawer, Empty, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, copyText, duration, fixed, html, rate, seconds, timeOfDay,
+} from "./parts.js";
+import { words } from "./words.js";
+
+const w = words.system;
+const short = (name) => name.split(".")[1];
+const statusOf = (name) => (link.value.open ? state.value.processes[name].status : "unknown");
+const percent = (share) => (share == null ? words.age.bar : `${(share * 100).toFixed(share < 0.1 ? 1 : 0)} %`);
+
+function Node({ name, onHover }) {
+  const p = state.value.processes[name];
+  const status = statusOf(name);
+  const quiet = status === "absent";
+  return html`<li><a class="node ${STATUS_STATE[status]} ${quiet ? "quiet" : ""}" id=${`node-${name}`} href=${`#/system?node=${name}`}
+    aria-label=${w.node(name, words.status[status])}
+    onMouseEnter=${() => onHover(name)} onMouseLeave=${() => onHover(null)} onFocus=${() => onHover(name)} onBlur=${() => onHover(null)}>
+    <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word="" />${short(name)}</span>
+    <span class="figures">${quiet || status === "waiting" || status === "missing" ? words.status[status]
+      : status !== "ready" ? html`<strong>${words.status[status]}</strong>`
+      : html`${p.out_hz == null ? "" : `${rate(p.out_hz)}/s`}${p.latency_p99_s == null ? "" : ` · ${seconds(p.latency_p99_s)}`}`}</span>
+    ${p.restarts > 0 && html`<span class="figures">↻ ${p.restarts}</span>`}
+  </a></li>`;
+}
+
+// One line a topic and consumer; what observes everything is drawn once, as a rail.
+function edgesOf(rows) {
+  const observers = new Set(Object.keys(rows.processes).filter((name) => rows.processes[name].layer === 5));
+  const edges = [];
+  for (const [topic, row] of Object.entries(rows.topics)) {
+    for (const from of row.producers) {
+      for (const to of row.consumers) {
+        const heard = state.value.topics[topic]?.updated_ns != null;
+        const fitted = state.value.processes[from].status !== "absent" && state.value.processes[to].status !== "absent";
+        if (heard && fitted && !observers.has(to) && from !== to) edges.push({ topic, from, to });
+      }
+    }
+  }
+  return edges;
+}
+
+function layOut(box, edges, layers) {
+  const frame = box.getBoundingClientRect();
+  const ports = new Map();
+  const middle = (name) => {
+    const r = box.querySelector(`[id="node-${name}"]`).getBoundingClientRect();
+    return { left: r.left - frame.left, width: r.width, top: r.top - frame.top, bottom: r.bottom - frame.top, x: r.left - frame.left + r.width / 2 };
+  };
+  const ends = edges.map((edge) => {
+    const up = layers[edge.to].layer > layers[edge.from].layer;
+    const a = middle(edge.from);
+    const b = middle(edge.to);
+    const keys = [`${edge.from} ${up ? "top" : "bottom"}`, `${edge.to} ${up ? "bottom" : "top"}`];
+    keys.forEach((key, i) => ports.set(key, [...(ports.get(key) ?? []), { edge, x: i ? a.x : b.x }]));
+    return { edge, up, a, b, keys };
+  });
+  for (const list of ports.values()) list.sort((p, q) => p.x - q.x);
+  const at = (box2, key, edge) => {
+    const list = ports.get(key);
+    return box2.left + (box2.width * (list.findIndex((p) => p.edge === edge) + 1)) / (list.length + 1);
+  };
+  return ends.map(({ edge, up, a, b, keys }) => {
+    const x1 = at(a, keys[0], edge);
+    const x2 = at(b, keys[1], edge);
+    const [y1, y2] = up ? [a.top, b.bottom] : [a.bottom, b.top];
+    const bend = (y2 - y1) / 2;
+    return { ...edge, d: `M${x1} ${y1}C${x1} ${y1 + bend} ${x2} ${y2 - bend} ${x2} ${y2}`, x: (x1 + x2) / 2, y: (y1 + y2) / 2 };
+  });
+}
+
+function Edges({ box, hovered }) {
+  const [lines, setLines] = useState([]);
+  const edges = edgesOf(contract.value);
+  const key = edges.map((e) => `${e.topic}${e.to}`).join();
+  useLayoutEffect(() => {
+    const draw = () => box.current && setLines(layOut(box.current, edges, contract.value.processes));
+    draw();
+    const observer = new ResizeObserver(draw);
+    observer.observe(box.current);
+    return () => observer.disconnect();
+  }, [key]);
+  return html`<svg class="edges" aria-hidden="true">${lines.map((line) => {
+    const flow = state.value.topics[line.topic];
+    const fresh = freshness(line.topic, flow?.updated_ns);
+    const active = hovered === line.from || hovered === line.to;
+    const width = 1.25 + Math.log10(1 + (flow?.rate_hz ?? 0)) * 1.5;
+    return html`<g class="edge ${fresh} ${active ? "active" : hovered ? "away" : ""}">
+      <path d=${line.d} style=${{ strokeWidth: width }} />
+      ${active && html`<text x=${line.x} y=${line.y}>${line.topic} ${flow.rate_hz ? `${rate(flow.rate_hz)}/s` : ""} ${flow.latency_p99_s == null ? "" : seconds(flow.latency_p99_s)}</text>`}
+    </g>`;
+  })}</svg>`;
+}
+
+function LayersCard() {
+  const box = useRef(null);
+  const [hovered, setHovered] = useState(null);
+  const processes = Object.entries(contract.value.processes);
+  const { bus } = state.value;
+  return html`<${Card} title=${w.map} note=${w.mapNote} id="layers" class="layers-card">
+    <div class="layers" ref=${box}>
+      <${Edges} box=${box} hovered=${hovered} />
+      ${[5, 4, 3, 2, 1].map((layer) => html`
+        <section class="layer" aria-label=${`${layer} ${w.layers[layer - 1]}`}>
+          <h3><span class="number">${layer}</span>${w.layers[layer - 1]}<span class="note">${w.layerNotes[layer - 1]}</span></h3>
+          <ul>${processes.filter(([, p]) => p.layer === layer).map(([name]) => html`<${Node} key=${name} name=${name} onHover=${setHovered} />`)}</ul>
+        </section>
+        ${layer === 5 && html`<p class="rail"><span>${w.everything} · ${words.footer.rate(rate(bus.messages_hz))}</span></p>`}`)}
+    </div>
+  </${Card}>`;
+}
+
+function NodeDrawer({ name, onClose }) {
+  const p = state.value.processes[name];
+  const row = contract.value.processes[name];
+  clock.value;
+  const status = statusOf(name);
+  const topics = Object.entries(contract.value.topics);
+  const says = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
+  const hears = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
+  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${kind} ${n}`).join(", ");
+  const list = (names) => (names.length ? html`<ul class="tags">${names.map((t) => html`<li><a href=${`#/system?topic=${t}`}>${t}</a></li>`)}</ul>` : words.system.nothing);
+  return html`<${Drawer} title=${w.drawer(name)} onClose=${onClose}>
+    <p class="lead-text">${row.purpose}.</p>
+    <p class="verdict"><${StateIcon} state=${STATUS_STATE[status]} word="" /><strong>${words.status[status]}</strong> ${words.statusWhy[status]}</p>
+    <dl class="rows">
+      <${Row} label=${w.heartbeat} value=${html`<${Age} topic=${`health/${name}`} stamp=${p.heartbeat_ns} />`} />
+      <${Row} label=${w.uptime} value=${p.since_ns && status === "ready" ? duration(Math.max(0, (nowMs() - p.since_ns / 1e6) / 1000)) : "-"} />
+      <${Row} label=${w.restarts} value=${p.restarts} />
+      <${Row} label=${w.lastError} value=${p.last_error ?? w.noError} />
+      <${Row} label=${w.rate} value=${rate(p.out_hz)} unit="/s" unitName="messages a second" />
+      <${Row} label=${w.heard} value=${rate(p.in_hz)} unit="/s" unitName="messages a second" />
+      <${Row} label=${w.latency} value=${`${seconds(p.latency_p50_s)} / ${seconds(p.latency_p99_s)}`} />
+      <${Row} label=${w.cpu} value=${percent(p.cpu_share)} extra=${w.cpuNote} />
+      <${Row} label=${w.memory} value=${bytes(p.rss_bytes)} />
+      <${Row} label=${w.rejects} value=${rejects || w.none} />
+      <${Row} label=${w.dropped} value=${p.dropped ?? 0} />
+      <${Row} label=${w.reconnections} value=${p.reconnections ?? 0} />
+    </dl>
+    <h3>${w.says}</h3>${list([...says, `health/${name}`])}
+    <h3>${w.hears}</h3>${row.layer === 5 ? html`<p>${w.everything}</p>` : list(hears)}
+  </${Drawer}>`;
+}
+
+function numbersIn(message) {
+  const found = {};
+  const walk = (value, path) => {
+    if (typeof value === "number" && !path.endsWith("_ns")) found[path] = value;
+    else if (value && typeof value === "object") Object.entries(value).forEach(([k, v]) => walk(v, path ? `${path}.${k}` : k));
+  };
+  walk(message, "");
+  return found;
+}
+
+function Sparkline({ values, field }) {
+  const known = values.filter((v) => v != null);
+  if (known.length < 2) return null;
+  const [low, high] = [Math.min(...known), Math.max(...known)];
+  const y = (v) => (high === low ? 30 : 56 - (52 * (v - low)) / (high - low));
+  const points = values.map((v, i) => (v == null ? null : `${(i * 300) / 119} ${y(v)}`)).filter(Boolean).join("L");
+  return html`<figure class="spark"><svg viewBox="0 0 300 60" preserveAspectRatio="none" role="img" aria-label=${words.inspector.plotLabel(field, low, high)}><path d=${`M${points}`} /></svg>
+    <figcaption><span>${low.toPrecision(6)}</span><span>${high.toPrecision(6)}</span></figcaption></figure>`;
+}
+
+// Newest message of one topic, asked for twice a second while it is looked at.
+function useTopic(name) {
+  const [found, setFound] = useState({ data: null, text: "", error: null, past: [] });
+  useEffect(() => {
+    let stopped = false;
+    setFound({ data: null, text: "", error: null, past: [] });
+    const ask = async () => {
+      if (paused.value) return;
+      try {
+        const answer = await fetch(`/api/topics/${name}`);
+        const text = await answer.text();
+        if (stopped) return;
+        const data = JSON.parse(text);
+        setFound((before) => (answer.ok
+          ? { data, text: text.slice(text.indexOf('"message":') + 10, -1), error: null, past: [...before.past.slice(-119), numbersIn(data.message)] }
+          : { ...before, error: data.detail }));
+      } catch (problem) {
+        if (!stopped) setFound((before) => ({ ...before, error: problem.message }));
+      }
+    };
+    ask();
+    const timer = setInterval(ask, 500);
+    return () => {
+      stopped = true;
+      clearInterval(timer);
+    };
+  }, [name]);
+  return found;
+}
+
+// Indents JSON text as it came: parsing would round the nanoseconds.
+export function pretty(text) {
+  let depth = 0;
+  let quoted = false;
+  let out = "";
+  for (let i = 0; i < text.length; i += 1) {
+    const c = text[i];
+    if (c === '"' && text[i - 1] !== "\\") quoted = !quoted;
+    if (quoted) out += c;
+    else if (c === "{" || c === "[") out += text[i + 1] === "}" || text[i + 1] === "]" ? c : `${c}\n${"  ".repeat((depth += 1))}`;
+    else if (c === "}" || c === "]") out += text[i - 1] === "{" || text[i - 1] === "[" ? c : `\n${"  ".repeat((depth -= 1))}${c}`;
+    else if (c === ",") out += `,\n${"  ".repeat(depth)}`;
+    else if (c === ":") out += ": ";
+    else out += c;
+  }
+  return out.replace(/\[([^[\]{}]{0,120})\]/g, (_, inner) => `[${inner.replace(/\s+/g, " ").trim()}]`);
+}
+
+function TopicDrawer({ name, onClose }) {
+  const t = words.inspector;
+  const { data, text, error, past } = useTopic(name);
+  const [field, setField] = useState("");
+  const [copied, setCopied] = useState(false);
+  const row = contract.value.topics[name] ?? contract.value.topics[name.replace(/\/[^/]*$/, "/+")];
+  clock.value;
+  const fields = data ? Object.keys(numbersIn(data.message)) : [];
+  const copy = async () => {
+    await copyText(pretty(text));
+    setCopied(true);
+    setTimeout(() => setCopied(false), 1500);
+  };
+  const head = html`<button onClick=${togglePause} aria-pressed=${paused.value}>${paused.value ? words.resume : words.pause}</button>`;
+  return html`<${Drawer} title=${t.title(name)} onClose=${onClose} head=${head} wide>
+    <p class="lead-text">${row?.purpose}.</p>
+    ${error && html`<p class="verdict"><${StateIcon} state="caution" />${t.failed}: ${error}</p>`}
+    ${data && html`<dl class="rows two">
+      <${Row} label=${t.type} value=${data.type} />
+      <${Row} label=${t.from} value=${data.producer ?? "-"} />
+      <${Row} label=${t.rate} value=${rate(data.rate_hz)} unit="/s" unitName="messages a second" />
+      <${Row} label=${t.jitter} value=${seconds(data.jitter_s)} />
+      <${Row} label=${t.size} value=${data.bytes ?? "-"} unit=${data.bytes == null ? "" : t.bytes} />
+      <${Row} label=${t.age} value=${html`<span key=${data.sequence} class="flash"><${Age} topic=${name} stamp=${data.updated_ns} /></span>`} />
+      <${Row} label=${w.latency} value=${`${seconds(data.latency_p50_s)} / ${seconds(data.latency_p99_s)}`} />
+      <${Row} label=${t.retained} value=${`${data.retained ? t.yes : t.no}, ${t.qos} ${data.qos}`} />
+    </dl>`}
+    ${data && !data.message && html`<${Empty} title=${t.empty} why=${t.emptyWhy((row?.producers ?? []).join(", ") || name.split("/")[1])} />`}
+    ${data?.message && html`
+      <div class="field"><label for="field">${t.plot}</label><select id="field" value=${field} onChange=${(e) => setField(e.target.value)}>
+        <option value="">${t.plotNone}</option>${fields.map((f) => html`<option value=${f}>${f}</option>`)}</select></div>
+      ${field && html`<${Sparkline} field=${field} values=${past.map((n) => n[field] ?? null)} />`}
+      <h3>${t.message}<button class="push" onClick=${copy}>${copied ? words.copied : words.copy}</button></h3>
+      ${data.message.hexadecimal !== undefined && html`<p class="note block">${t.bytesNote}</p>`}
+      <pre tabindex="0" aria-label=${t.message}>${pretty(text)}</pre>`}
+  </${Drawer}>`;
+}
+
+function TopicsCard() {
+  const t = words.topics;
+  const [filter, setFilter] = useState("");
+  clock.value;
+  const all = Object.entries(state.value.topics);
+  const shown = all.filter(([name]) => (filter ? name.includes(filter.trim()) : !/^(health|consumed)\//.test(name)));
+  return html`<${Card} title=${t.title} id="topics" class="topics-card"
+    aside=${html`<input type="search" id="find" placeholder=${t.filter} aria-label=${t.filter} value=${filter} onInput=${(e) => setFilter(e.target.value)} />`}>
+    ${shown.length === 0 ? html`<p class="note block">${t.noMatch(filter)}</p>` : html`
+    <div class="scroll" tabindex="0" role="region" aria-label=${t.title}><table class="plain topics">
+      <thead><tr><th scope="col">${t.columns.topic}</th><th scope="col">${t.columns.state}</th><th scope="col" class="number">${t.columns.rate}</th><th scope="col" class="number wide-only">${t.columns.latency}</th><th scope="col" class="number">${t.columns.age}</th></tr></thead>
+      <tbody>${shown.map(([name, flow]) => {
+        const fresh = freshness(name, flow.updated_ns);
+        return html`<tr key=${name}><th scope="row"><a href=${`#/system?topic=${name}`} aria-label=${t.open(name)}>${name}</a></th>
+          <td><span class="with-icon"><${StateIcon} state=${FRESH_STATE[fresh]} word="" />${t[fresh]}</span></td>
+          <td class="number">${flow.rate_hz ? `${rate(flow.rate_hz)} ${t.perSecond}` : "-"}</td>
+          <td class="number wide-only">${seconds(flow.latency_p99_s)}</td>
+          <td class="number">${flow.updated_ns == null ? "-" : html`<${Age} topic=${name} stamp=${flow.updated_ns} />`}</td></tr>`;
+      })}</tbody></table></div>`}
+  </${Card}>`;
+}
+
+function OutagesCard() {
+  const t = words.outages;
+  clock.value;
+  const list = state.value.outages;
+  return html`<${Card} title=${t.title} note=${t.note} id="outages">
+    ${list.length === 0 ? html`<p class="note block">${t.empty}</p>` : html`<ul class="outages">${list.map((o) => {
+      const open = o.until_ns == null;
+      const span = Math.max(0, ((open ? nowMs() : o.until_ns / 1e6) - o.since_ns / 1e6) / 1000);
+      return html`<li key=${`${o.what}${o.since_ns}`} class=${open ? "open" : ""}>
+        <span><${StateIcon} state=${open ? "stale" : "info"} word="" /><strong>${o.what}</strong>${open && html` <em>${t.open}</em>`}</span>
+        <span class="number">${fixed(span, span < 10 ? 1 : 0)} s</span>
+        <span class="dim">${timeOfDay(o.since_ns / 1e6)} ${words.utc} · ${o.cause}</span>
+      </li>`;
+    })}</ul>`}
+  </${Card}>`;
+}
+
+export function SystemPage({ query, go }) {
+  const back = () => go("#/system");
+  const node = query.get("node");
+  const topic = query.get("topic");
+  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><${OutagesCard} />
+    ${node && contract.value.processes[node] && html`<${NodeDrawer} key=${node} name=${node} onClose=${back} />`}
+    ${topic && html`<${TopicDrawer} key=${topic} name=${topic} onClose=${back} />`}
+  </div>`;
+}
