@@ -1,0 +1,216 @@
+"""The whole unit on this machine, as `make demo` starts it: what happens when its parts are killed and stopped."""
+
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import psutil
+import pytest
+
+from shared.config import load_vehicle
+from shared.messages import Message, NavigationSolution, RawBytes
+from shared.offline import OfflineUnit, arrival_ns
+from shared.recording import Recording
+
+pytestmark = [pytest.mark.xdist_group("demo"), pytest.mark.broker]
+
+KINDS = ("mosquitto", "simulated")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass
+class Demo:
+    """A running demo, its dashboard's port and its folder."""
+
+    process: subprocess.Popen[str]
+    port: int
+    folder: Path
+
+    def get(self, path: str) -> dict[str, object]:
+        """Ask the API; an empty answer while it is away."""
+        try:
+            return dict(httpx.get(f"http://127.0.0.1:{self.port}{path}", timeout=2.0).json())
+        except (httpx.HTTPError, json.JSONDecodeError):
+            return {}
+
+    def child(self, mark: str) -> psutil.Process:
+        """Find a process of this demo by what stands in its command line."""
+        for process in psutil.Process(self.process.pid).children(recursive=True):
+            if mark in " ".join(process.cmdline()):
+                return process
+        raise AssertionError(f"no child with {mark!r}")
+
+    def wait(self, condition: Callable[[], bool], limit_s: float, what: str) -> float:
+        """Wait for a condition and say how long it took."""
+        started = time.monotonic()
+        while not condition():
+            assert time.monotonic() - started < limit_s, f"not within {limit_s} s: {what}"
+            time.sleep(0.1)
+        return time.monotonic() - started
+
+    def statuses(self) -> dict[str, str]:
+        """Say how each process looks from outside."""
+        processes = self.get("/api/health").get("processes", {})
+        assert isinstance(processes, dict)
+        return {name: str(entry["status"]) for name, entry in processes.items()}
+
+    def all_ready(self) -> bool:
+        found = self.statuses()
+        return len(found) >= 9 and set(found.values()) == {"ready"}
+
+    def solutions(self) -> int:
+        """Count the solutions that the page has seen."""
+        entry = self.get("/api/topics/navigation/solution")
+        return int(str(entry.get("count", 0)))
+
+
+def start_demo(folder: Path, *arguments: str) -> Demo:
+    port = free_port()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "services", "demo", "--port", str(port), *arguments],
+        env=os.environ | {"OBU_STATE": str(folder)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    return Demo(process, port, folder / "demo")
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def demo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
+    running = start_demo(tmp_path_factory.mktemp("demo"), "--broker", request.param)
+    running.wait(running.all_ready, 40.0, "every process is ready")
+    yield running
+    running.process.terminate()
+    running.process.communicate(timeout=10.0)
+
+
+def test_a_killed_process_is_back_and_its_outage_is_told(demo: Demo) -> None:
+    before = demo.child("run core.fusion")
+    before.kill()
+    demo.wait(lambda: demo.statuses().get("core.fusion") != "ready", 5.0, "the loss is seen")
+    took = demo.wait(demo.all_ready, 10.0, "core.fusion is back")
+    assert took < 10.0
+    assert demo.child("run core.fusion").pid != before.pid
+    demo.wait(lambda: "core.fusion" in json.dumps(demo.get("/api/outages")["closed"]), 5.0, "the outage is listed")
+
+
+def test_a_stopped_process_is_shown_as_silent_within_its_deadline(demo: Demo) -> None:
+    stopped = demo.child("run parsers.gnss")
+    stopped.suspend()
+    try:
+        # 2 s of silence are its deadline; the page asks twice a second.
+        took = demo.wait(lambda: demo.statuses().get("parsers.gnss") == "silent", 4.0, "the silence is seen")
+        assert took > 0.5, "it was called silent before its deadline"
+    finally:
+        stopped.resume()
+    demo.wait(demo.all_ready, 10.0, "it goes on")
+
+
+def test_the_broker_is_killed_and_everything_comes_back(demo: Demo, request: pytest.FixtureRequest) -> None:
+    mark = "broker.simulated" if "simulated" in request.node.name else "mosquitto.conf"
+    demo.child(mark).kill()
+    demo.wait(lambda: demo.get("/api/health").get("broker") is False, 5.0, "the page says that the broker is lost")
+    demo.wait(demo.all_ready, 10.0, "every process is connected again")
+    demo.wait(lambda: "broker" in json.dumps(demo.get("/api/outages")["closed"]), 5.0, "the outage is listed")
+
+
+def test_sigterm_ends_everything_within_five_seconds(demo: Demo) -> None:
+    children = psutil.Process(demo.process.pid).children(recursive=True)
+    started = time.monotonic()
+    demo.process.terminate()
+    output, errors = demo.process.communicate(timeout=10.0)
+    assert time.monotonic() - started < 5.0
+    assert "Traceback" not in output + errors
+    assert not [child for child in children if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
+    for log in (demo.folder / "logs").glob("*.log"):
+        assert "Traceback" not in log.read_text(), log.name
+
+
+def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Path) -> None:
+    demo = start_demo(tmp_path, "--scenario", "parking_lot", "--duration", "32", "--json")
+    output, errors = demo.process.communicate(timeout=120.0)
+    assert demo.process.returncode == 0, errors
+    summary = json.loads(output)
+    assert summary["processes_alive"] == summary["processes_expected"] == 10
+    assert summary["restarts"] == 0
+    assert summary["messages_per_second"] > 100
+    assert 0.0 < summary["fusion_position_rmse_m"] < 1.5
+    assert 0.0 < summary["gnss_position_rmse_m"] < 3.0
+    assert 0.0 < summary["end_to_end_latency_p50_ms"] <= summary["end_to_end_latency_p99_ms"]
+    assert summary["worst_topic_age_s"] is not None
+
+    (file,) = (tmp_path / "demo" / "recordings").glob("*.mcap")
+    verified = subprocess.run(
+        [sys.executable, "-m", "services", "verify", str(file)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    with Recording(file) as recording:
+        messages = [envelope.decode() for envelope in recording if not envelope.topic.startswith("consumed/")]
+    assert_live_and_offline_agree(messages, demo.folder / "vehicle.toml")
+
+
+def assert_live_and_offline_agree(messages: list[Message], vehicle: Path) -> None:
+    raw = sorted((m for m in messages if isinstance(m, RawBytes)), key=lambda m: arrival_ns(m) or 0)
+    live = {m.sampled_ns: m for m in messages if isinstance(m, NavigationSolution)}
+    first, second = (list(OfflineUnit(load_vehicle(vehicle)).run(raw)) for _ in range(2))
+    assert first == second, "two runs over the same bytes differ"
+    offline = {m.sampled_ns: m for m in first if isinstance(m, NavigationSolution)}
+    common = live.keys() & offline.keys()
+    assert len(common) > 0.95 * len(live) > 20
+    for stamp in common:
+        a, b = live[stamp], offline[stamp]
+        assert abs(a.latitude_deg - b.latitude_deg) * 111e3 < 0.01
+        assert abs(a.longitude_deg - b.longitude_deg) * 111e3 < 0.01
+        assert abs(a.height_ellipsoid_m - b.height_ellipsoid_m) < 0.01
+        turn = math.remainder(a.yaw_rad - b.yaw_rad, math.tau)
+        assert max(abs(turn), abs(a.roll_rad - b.roll_rad), abs(a.pitch_rad - b.pitch_rad)) < math.radians(0.01)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["demo", "--scenario", "moon"], "moon"),
+        (["up", "--vehicle", "gone.toml"], "gone.toml"),
+        (["run", "core.fusoin"], "did you mean core.fusion"),
+        (["tail", "no/topic"], "obu topics"),
+        (["solve", "gone.mcap"], "gone.mcap"),
+        (["verify", "gone.mcap"], "gone.mcap"),
+        (["import", "gone.toml", "."], "gone.toml"),
+    ],
+)
+def test_a_mistake_of_the_user_is_answered_in_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "services", *arguments], capture_output=True, text=True, timeout=60, check=False,
+        env=os.environ | {"OBU_STATE": str(tmp_path)},
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_port_in_use_sends_the_dashboard_to_a_free_one(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        done = subprocess.run(
+            [sys.executable, "-m", "services", "demo", "--port", str(port), "--duration", "2"],
+            env=os.environ | {"OBU_STATE": str(tmp_path)}, capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+    assert "dashboard: http://127.0.0.1:" in done.stderr
+    assert f"127.0.0.1:{port}" not in done.stderr
