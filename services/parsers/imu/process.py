@@ -11,6 +11,7 @@ from shared.messages import ImuRaw, ImuSamples, Message
 from .tracker import Matrix3, Tracker
 
 MAX_TRACKERS = 8
+TOLERANCE = 1e-4  # four decimals are enough
 
 
 class Config(Section):
@@ -29,9 +30,9 @@ class Config(Section):
     def _is_rotation(cls, rows: Matrix3) -> Matrix3:
         x, y, z = rows
         cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
-        unit = all(abs(sum(part * part for part in row) - 1) < 1e-6 for row in (x, y))
-        upright = abs(sum(a * b for a, b in zip(x, y, strict=True))) < 1e-6
-        if not (unit and upright and max(abs(a - b) for a, b in zip(cross, z, strict=True)) < 1e-6):
+        unit = all(abs(sum(part * part for part in row) - 1) < TOLERANCE for row in (x, y))
+        upright = abs(sum(a * b for a, b in zip(x, y, strict=True))) < TOLERANCE
+        if not (unit and upright and max(abs(a - b) for a, b in zip(cross, z, strict=True)) < TOLERANCE):
             raise ValueError(
                 "this is no rotation: rows must be unit vectors at right angles, the third = first x second"
             )

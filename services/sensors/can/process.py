@@ -1,0 +1,47 @@
+"""Reads the vehicle's CAN bus and, only where the vehicle's file says so, asks for OBD-II speed."""
+
+import time
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from shared.bus import Bus, Envelope
+from shared.can_device import check_can_url, open_can
+from shared.config import Section
+from shared.driver import Link, run_driver
+from shared.messages import CanRaw
+
+SPEED_REQUEST = bytes.fromhex("02010D0000000000")  # SAE J1979 mode 01, PID 0D
+
+
+class Config(Section):
+    """Settings of the CAN driver; `shared/can_device.py` lists the kinds of device."""
+
+    device: str = "socketcan://can0"
+    source: str = "can0"
+    obd_period_s: float = Field(default=0.0, ge=0.0)  # 0: listen only, send nothing ever
+    obd_identifier: int = Field(default=0x7DF, ge=0, le=0x1FFFFFFF)  # 0x18DB33F1 where identifiers have 29 bits
+
+
+class Process:
+    """Publishes the frames of a tenth of a second at a time, as lines of a candump log."""
+
+    def __init__(self, config: Config) -> None:
+        check_can_url(config.device)  # a wrong one is the user's to mend, at once
+        self._config = config
+        self._next_request = 0.0
+
+    def run(self, bus: Bus) -> None:
+        """Read until the bus stops."""
+        config = self._config
+        link = Link(lambda: open_can(config.device, config.obd_identifier, bus.now_ns), gap_s=0.05, chunk_s=0.08)
+
+        def ask(_envelopes: Sequence[Envelope]) -> None:
+            if config.obd_period_s and link.present and time.monotonic() >= self._next_request:
+                self._next_request = time.monotonic() + config.obd_period_s
+                link.write(bus, SPEED_REQUEST)
+
+        run_driver(bus, link, config.device, self._raw, ask)
+
+    def _raw(self, data: bytes, received_ns: int) -> CanRaw:
+        return CanRaw(received_ns=received_ns, source=self._config.source, data=data)

@@ -1,0 +1,44 @@
+"""Reads the GNSS receiver and writes what it is told."""
+
+from collections.abc import Sequence
+
+from shared.bus import Bus, Envelope
+from shared.config import Section
+from shared.device import open_device, split_url
+from shared.driver import Link, run_driver
+from shared.errors import BadPayload
+from shared.messages import GnssRaw, GnssWrite
+
+
+class Config(Section):
+    """Settings of the GNSS driver; `shared/device.py` lists the kinds of device."""
+
+    device: str = "serial:///dev/obu-gnss?baud=115200"
+    source: str = "gnss0"
+
+
+class Process:
+    """Publishes the receiver's bytes as they are."""
+
+    def __init__(self, config: Config) -> None:
+        split_url(config.device)  # a wrong one is the user's to mend, at once
+        self._config = config
+
+    def run(self, bus: Bus) -> None:
+        """Read until the bus stops."""
+        link = Link(lambda: open_device(self._config.device))
+        run_driver(bus, link, self._config.device, self._raw, lambda envelopes: self._write(bus, link, envelopes))
+
+    def _raw(self, data: bytes, received_ns: int) -> GnssRaw:
+        return GnssRaw(received_ns=received_ns, source=self._config.source, data=data)
+
+    def _write(self, bus: Bus, link: Link, envelopes: Sequence[Envelope]) -> None:
+        for envelope in envelopes:
+            try:
+                message = envelope.decode()
+            except BadPayload as error:
+                bus.rejects["payload"] += 1
+                bus.last_error = str(error)[:400]
+                continue
+            if isinstance(message, GnssWrite) and message.source == self._config.source:
+                link.write(bus, message.data)

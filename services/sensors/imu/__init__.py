@@ -1,0 +1,1 @@
+"""Layer 1, IMU: the inertial measurement unit."""

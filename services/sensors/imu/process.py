@@ -1,0 +1,29 @@
+"""Reads the inertial measurement unit."""
+
+from shared.bus import Bus
+from shared.config import Section
+from shared.device import open_device, split_url
+from shared.driver import Link, run_driver
+from shared.messages import ImuRaw
+
+
+class Config(Section):
+    """Settings of the IMU driver; `shared/device.py` lists the kinds of device."""
+
+    device: str = "serial:///dev/obu-imu?baud=115200"
+    source: str = "imu0"
+
+
+class Process:
+    """Publishes the unit's bytes as they are."""
+
+    def __init__(self, config: Config) -> None:
+        split_url(config.device)  # a wrong one is the user's to mend, at once
+        self._config = config
+
+    def run(self, bus: Bus) -> None:
+        """Read until the bus stops."""
+        run_driver(bus, Link(lambda: open_device(self._config.device)), self._config.device, self._raw)
+
+    def _raw(self, data: bytes, received_ns: int) -> ImuRaw:
+        return ImuRaw(received_ns=received_ns, source=self._config.source, data=data)

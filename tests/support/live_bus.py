@@ -1,0 +1,85 @@
+"""A bus without a broker that lives in real time, for the drivers of devices; run in a thread beside the test."""
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar, cast
+
+from shared import codec
+from shared.bus import Bus, Envelope
+from shared.messages import Message
+
+M = TypeVar("M", bound=Message)
+
+
+class LiveBus:
+    """Keeps what a driver publishes and delivers what `deliver` was given."""
+
+    def __init__(self) -> None:
+        self.vehicle, self.process = "car", "test"
+        self.stopping = False
+        self.connected = True
+        self.last_error: str | None = None
+        self.rejects: Counter[str] = Counter()
+        self.published: list[Message] = []
+        self.longest_gap_s = 0.0  # between two calls of `receive`
+        self._inbox: deque[Envelope] = deque()
+        self._last_call = time.monotonic()
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def publish(self, message: Message) -> None:
+        self.published.append(message)
+
+    def receive(self, timeout_s: float) -> list[Envelope]:
+        now = time.monotonic()
+        self.longest_gap_s = max(self.longest_gap_s, now - self._last_call)
+        if not self._inbox:
+            time.sleep(timeout_s)
+        self._last_call = time.monotonic()
+        return [self._inbox.popleft() for _ in range(len(self._inbox))]
+
+    def deliver(self, message: Message) -> None:
+        payload, properties = codec.encode(message)
+        self._inbox.append(Envelope(codec.topic_name(message), payload, properties, self.now_ns()))
+
+    def of(self, kind: type[M]) -> list[M]:
+        return [message for message in list(self.published) if isinstance(message, kind)]
+
+    def as_bus(self) -> Bus:
+        return cast(Bus, self)
+
+
+@contextmanager
+def running(run: Callable[[Bus], None]) -> Iterator[LiveBus]:
+    """Run a driver's loop in a thread; a fault in it fails the test."""
+    bus = LiveBus()
+    faults: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            run(bus.as_bus())
+        except BaseException as error:  # noqa: BLE001  # handed to the test below
+            faults.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield bus
+    finally:
+        bus.stopping = True
+        thread.join(5.0)
+    assert not thread.is_alive(), "the driver did not stop"
+    if faults:
+        raise faults[0]
+
+
+def eventually(condition: Callable[[], bool], within_s: float = 3.0) -> None:
+    """Wait for something to become true."""
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.005)

@@ -1,0 +1,34 @@
+import os
+import pty
+import tty
+
+import pytest
+
+from services.sensors.gnss.process import Config, Process
+from shared.errors import UserError
+from shared.messages import GnssRaw, GnssWrite
+from tests.support.live_bus import eventually, running
+
+
+def test_bytes_pass_both_ways_unchanged() -> None:
+    far, near = pty.openpty()
+    tty.setraw(near)
+    everything = bytes(range(256))
+    with running(Process(Config(device=f"serial://{os.ttyname(near)}", source="roof")).run) as bus:
+        eventually(lambda: bool(os.write(far, b"x") and bus.of(GnssRaw)))
+        bus.published.clear()
+        os.write(far, everything)
+        eventually(lambda: everything in b"".join(raw.data for raw in bus.of(GnssRaw)))
+        assert {raw.source for raw in bus.of(GnssRaw)} == {"roof"}
+        bus.deliver(GnssWrite(received_ns=1, source="roof", data=everything))
+        bus.deliver(GnssWrite(received_ns=1, source="another receiver", data=b"not for us"))
+        eventually(lambda: not bus._inbox)
+        assert os.read(far, 512) == everything
+        assert bus.longest_gap_s < 0.2
+    os.close(far)
+    os.close(near)
+
+
+def test_a_wrong_device_is_refused_at_the_start() -> None:
+    with pytest.raises(UserError, match="try serial"):
+        Process(Config(device="COM3"))
