@@ -24,12 +24,14 @@ def read_lines(device: Device, n: int, within_s: float = 3.0) -> list[str]:
     return data.decode().splitlines()
 
 
-def commands(far: int, n: int) -> bytes:
-    """Read commands to an adapter, each of which ends in a carriage return."""
+def commands(far: int, last: bytes) -> list[bytes]:
+    """Read commands to an adapter, each of which ends in a carriage return, up to one that begins with `last`."""
     data = b""
-    while data.count(b"\r") < n:
-        data += os.read(far, 100)
-    return data
+    while True:
+        data += os.read(far, 1)
+        words = [word for word in data.split(b"\r") if word]
+        if data.endswith(b"\r") and words and words[-1].startswith(last):
+            return words
 
 
 def without_stamps(lines: list[str]) -> list[str]:
@@ -95,12 +97,12 @@ def test_a_serial_adapter_speaks_lawicel() -> None:
     far, near = pty.openpty()
     tty.setraw(near)
     device = open_can(f"slcan://{os.ttyname(near)}?bitrate=250000", 0x7DF, time.monotonic_ns)
-    assert commands(far, 3) == b"C\rS5\rO\r"  # close, 250 kbit/s, open
+    assert commands(far, b"O") == [b"C", b"S5", b"O"]  # close, 250 kbit/s, open
     os.write(far, b"t7E8803410D3200000000\r")
     (line,) = read_lines(device, 1)
     assert without_stamps([line]) == [f"{Path(os.ttyname(near)).name} 7E8#03410D3200000000"]
     device.write(REQUEST)
-    assert commands(far, 1) == b"t7DF802010D0000000000\r"
+    assert commands(far, b"t")[-1] == b"t7DF802010D0000000000"
     os.close(far)
     with pytest.raises(DeviceLost):
         for _ in range(3):
