@@ -1,0 +1,61 @@
+"""What aids the filter. A new kind of measurement is one file with one class that has these three members."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.messages import AidingKind
+
+from .filter import ErrorStateFilter
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A measurement held against the filter: z = measured - predicted = H x + noise of covariance R."""
+
+    kind: AidingKind
+    z: FloatArray
+    H: FloatArray
+    R: FloatArray
+
+
+class Measurement(Protocol):
+    """Something that was measured at an instant."""
+
+    @property
+    def time_ns(self) -> int:
+        """When it was true, on the clock of the inertial samples."""
+        ...
+
+    @property
+    def received_ns(self) -> int:
+        """When it arrived at the driver."""
+        ...
+
+    @property
+    def source(self) -> str:
+        """Which device."""
+        ...
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Ways to hold it against the filter, each to be called after the one before has been used."""
+        ...
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one observation."""
+
+    time_ns: int
+    source: str
+    kind: AidingKind
+    innovation: tuple[float, ...]
+    innovation_sd: tuple[float, ...]
+    test_ratio: float
+    used: bool
+    reason: str | None = None

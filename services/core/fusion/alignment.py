@@ -1,0 +1,182 @@
+"""From inertial samples and the first fixes to a running filter: levelling, position, heading."""
+
+from math import cos, hypot, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import (
+    STANDARD_GRAVITY,
+    Geodetic,
+    earth_rate_n,
+    geodetic_from_ned_difference,
+    ned_from_geodetic_difference,
+)
+from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
+from shared.messages import NavigationPhase
+
+from . import error_model as em
+from .filter import ErrorStateFilter
+from .gnss import GnssPosition, GnssVelocity
+from .heading import REST_RATE_SD, Heading, Motion, Prior, drift_sd, heading_of_motion, motion_between, saved_heading
+from .levelling import Levelling, rest_gyroscope_bias
+from .settings import Settings
+from .strapdown import InertialState, rotate
+
+FloatArray = npt.NDArray[np.float64]
+
+BASELINE_S = 5.0  # longest time between two positions that give a course
+MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
+REST_VELOCITY_SD = 0.05  # [m/s]
+ARM_RATE_SD = 0.05  # [rad/s] by which the swing of the lever arm may be wrong
+REST_CORRELATION_S = 5.0  # GNSS errors closer than this are taken for one
+UNKNOWN_HEIGHT_SD = 100.0  # [m]
+
+
+class Alignment:
+    """Collects until a filter can be started, and says what it waits for.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the filter to be.
+    lost : ErrorStateFilter, optional
+        One that ran before, whose biases are still good.
+    yaw_sd : float, optional
+        [rad] How well its attitude is still known; if not given, not at all.
+    """
+
+    def __init__(self, settings: Settings, lost: ErrorStateFilter | None = None, yaw_sd: float | None = None) -> None:
+        self.how = ""  # the heading was found
+        self.seen_fix = False
+        self._settings = settings
+        self._lost = lost
+        self._saved: Prior | None = None
+        self._yaw_sd = yaw_sd
+        keep = lost is not None and yaw_sd is not None
+        self.levelling = (
+            Levelling(settings, lost.inertial.quaternion, lost.gyroscope_bias) if lost and keep else Levelling(settings)
+        )
+        self._motion: Motion | None = None
+        self._course: Heading | None = None
+        self._fixes: tuple[tuple[GnssPosition, float], ...] = ()  # newest last, with the yaw in the level frame
+        self._fixes_at_rest: tuple[GnssPosition, ...] = ()
+
+    def fork(self) -> "Alignment":
+        """Copy that goes its own way."""
+        twin = Alignment.__new__(Alignment)
+        twin.__dict__.update(self.__dict__)
+        twin.levelling = self.levelling.fork()
+        return twin
+
+    def remember(self, prior: Prior) -> None:
+        """Take a position and heading that were saved before the power went; only the first counts."""
+        self._saved = self._saved or prior
+
+    @property
+    def phase(self) -> NavigationPhase:
+        """What this alignment waits for."""
+        if not self.levelling.ready:
+            return NavigationPhase.LEVELLING
+        return NavigationPhase.WAITING_FOR_HEADING if self.seen_fix else NavigationPhase.WAITING_FOR_GNSS
+
+    @property
+    def reason(self) -> str:
+        """The same in words."""
+        match self.phase:
+            case NavigationPhase.LEVELLING:
+                return f"levelling, up to {self._settings.levelling_s:g} s at rest"
+            case NavigationPhase.WAITING_FOR_GNSS:
+                return "level, no position yet"
+            case _:
+                return f"no heading yet: drive at more than {self._settings.course_speed_m_s:g} m/s"
+
+    def see_velocity(self, seen: GnssVelocity) -> None:
+        """Take a velocity in, and the heading that it gives."""
+        self.levelling.see_speed(hypot(seen.velocity[0], seen.velocity[1]))
+        north, east, down = np.sqrt(seen.cov.diagonal()).tolist()
+        sd = (north, east, down if seen.axes == 3 else 1.0)
+        self._move(Motion(seen.time_ns, seen.velocity, sd, self._swing()))
+
+    def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
+        """Take a position in, and start the filter with it if all that it needs is known."""
+        self.seen_fix = True
+        recent = fix.time_ns - int(BASELINE_S * 1e9)
+        self._fixes = (*(pair for pair in self._fixes if pair[0].time_ns >= recent), (fix, self.levelling.yaw))
+        self._fixes_at_rest = (*self._fixes_at_rest[-99:], fix) if self.levelling.at_rest else ()
+        if self._motion is None or abs(fix.time_ns - self._motion.time_ns) > MOTION_AGE_S * 1e9:
+            self._move(self._motion_without_velocity(fix))
+        if self._motion is None or not self.levelling.ready:
+            return None
+        kept = None if self._yaw_sd is None else Heading(0.0, self._yaw_sd + drift_sd(self.levelling), "heading kept")
+        saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
+        heading = min((way for way in (kept, saved, self._course) if way), key=lambda way: way.sd, default=None)
+        return self._start(fix, self._motion, heading) if heading else None
+
+    def _move(self, motion: Motion | None) -> None:
+        self._motion = motion
+        self._course = heading_of_motion(motion, self.levelling, self._settings) if motion else None
+
+    def _swing(self) -> Vector:
+        """Velocity of the antenna against the IMU [m/s, level frame]."""
+        x, y, z = np.cross(self.levelling.rate, self._settings.lever_arm_body_m).tolist()
+        return rotate(self.levelling.quaternion, (x, y, z))
+
+    def _motion_without_velocity(self, fix: GnssPosition) -> Motion | None:
+        """Find the velocity of a vehicle whose receiver states none: at rest, or from an earlier position."""
+        if self.levelling.at_rest:
+            return Motion(fix.time_ns, (0.0, 0.0, 0.0), (REST_VELOCITY_SD,) * 3, (0.0, 0.0, 0.0))
+        newest = self._fixes[-1]
+        motions = (motion_between(earlier, newest) for earlier in reversed(self._fixes[:-1]))
+        return next((motion for motion in motions if motion), None)
+
+    def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
+        """Make the filter at the instant of the fix."""
+        self.how = heading.how
+        settings, arm = self._settings, self._settings.lever_arm_body_m
+        north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
+        quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
+        arm_n = rotate(quaternion, arm)
+        swing = rotate(north_from_level, motion.swing)
+        antenna, position_cov = self._position(fix)
+        velocity = (motion.velocity[0] - swing[0], motion.velocity[1] - swing[1], motion.velocity[2] - swing[2])
+        position = geodetic_from_ned_difference((-arm_n[0], -arm_n[1], -arm_n[2]), antenna)
+        bias, bias_cov = self._accelerometer_bias()
+        drift, drift_cov = self._gyroscope_bias(north_from_level, position.latitude)
+        tilt2 = self.levelling.tilt_sd**2 + float(bias_cov[0, 0]) / STANDARD_GRAVITY**2
+
+        P = np.zeros((em.SIZE, em.SIZE))
+        P[em.ATTITUDE, em.ATTITUDE] = np.diag([tilt2, tilt2, heading.sd**2])
+        P[em.VELOCITY, em.VELOCITY] = np.diag(np.square(motion.sd)) + (ARM_RATE_SD * hypot(*arm)) ** 2 * np.eye(3)
+        P[em.POSITION, em.POSITION] = position_cov
+        P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
+        P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
+        inertial = InertialState(fix.time_ns, quaternion, velocity, position)
+        return ErrorStateFilter(settings, inertial, P, bias, drift)
+
+    def _position(self, fix: GnssPosition) -> tuple[Geodetic, FloatArray]:
+        """Mean of the fixes of a rest, or the one fix of a vehicle that drives."""
+        cov = fix.cov + np.diag([0.0, 0.0, 0.0 if fix.axes == 3 else UNKNOWN_HEIGHT_SD**2])
+        rest = [other for other in self._fixes_at_rest if other.axes == fix.axes]
+        if len(rest) < 2:
+            return fix.position, cov
+        offsets = [ned_from_geodetic_difference(other.position, fix.position) for other in rest]
+        north, east, down = np.mean(offsets, axis=0).tolist()
+        span_s = (rest[-1].time_ns - rest[0].time_ns) * 1e-9
+        independent = min(float(len(rest)), 1.0 + span_s / REST_CORRELATION_S)
+        return geodetic_from_ned_difference((north, east, down), fix.position), cov / independent
+
+    def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:
+        if self._lost is not None:
+            return self._lost.accelerometer_bias, self._lost.P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS]
+        return (0.0, 0.0, 0.0), np.eye(3) * self._settings.accelerometer_bias_sd_m_s2**2
+
+    def _gyroscope_bias(self, north_from_level: Quaternion, latitude: float) -> tuple[Vector, FloatArray]:
+        at_rest = self.levelling.quaternion_at_rest
+        if at_rest is not None:
+            C = matrix_from_quaternion(quaternion_product(north_from_level, at_rest))
+            bias = rest_gyroscope_bias(self.levelling.rate_bias, C, earth_rate_n(latitude))
+            return bias, np.eye(3) * REST_RATE_SD**2
+        if self._lost is not None:
+            return self._lost.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
+        return (0.0, 0.0, 0.0), np.eye(3) * self._settings.gyroscope_bias_sd_rad_s**2

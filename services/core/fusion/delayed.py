@@ -1,0 +1,104 @@
+"""The engine with a memory: a measurement that comes late is used at the time at which it was true.
+
+The engine is kept as it was every few samples. A late measurement takes it back to before the measurement's stamp;
+from there all samples and measurements are taken again, in the order of their stamps. The result is that of a
+measurement that came in time.
+"""
+
+from bisect import bisect_right, insort
+from collections import deque
+
+from .aiding import Measurement, Outcome
+from .engine import Engine, Sample
+from .settings import Settings
+
+KEPT_EVERY = 8  # samples between two copies of the engine
+
+
+def _order(measurement: Measurement) -> tuple[int, int, str]:
+    return measurement.time_ns, measurement.received_ns, measurement.source
+
+
+class DelayedEngine:
+    """Engine for samples in order and measurements in any order, up to a time back."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.engine = Engine(settings)
+        self._horizon_ns = int(settings.history_s * 1e9)
+        self._samples: deque[Sample] = deque()
+        self._copies: deque[tuple[int, Engine]] = deque()  # (stamp, engine after the sample of this stamp)
+        self._measurements: list[Measurement] = []  # of the horizon and of the future
+        self._fresh = 0  # samples since the newest copy
+
+    def restarted(self, why: str) -> "DelayedEngine":
+        """Begin again from nothing, with the counts kept."""
+        fresh = DelayedEngine(self._settings)
+        fresh.engine.begin_after(self.engine.counts, why)
+        return fresh
+
+    def step(self, sample: Sample) -> list[Outcome]:
+        """Advance by one sample, newer than all before."""
+        last_ns = self.engine.last.time_ns if self.engine.last else sample.time_ns
+        outcomes = self.engine.step(sample, self._between(last_ns, sample.time_ns))
+        self._samples.append(sample)
+        self._fresh += 1
+        if self._fresh >= KEPT_EVERY or not self._copies:
+            self._keep(sample.time_ns)
+        return outcomes
+
+    def insert(self, measurement: Measurement) -> list[Outcome]:
+        """Use a measurement at its stamp: in the past by going back, in the future once it comes.
+
+        Returns
+        -------
+        list of Outcome
+            Of this measurement only; what the way back to now brings again has been told before.
+
+        Raises
+        ------
+        LookupError
+            It is older than the memory.
+        """
+        reached_ns = self.engine.last.time_ns if self.engine.last else None
+        if reached_ns is not None and measurement.time_ns <= reached_ns:
+            return self._go_back_for(measurement)
+        insort(self._measurements, measurement, key=_order)
+        return []
+
+    def _go_back_for(self, measurement: Measurement) -> list[Outcome]:
+        if self._copies[0][0] >= measurement.time_ns:
+            raise LookupError("older than the memory")
+        while self._copies[-1][0] >= measurement.time_ns:
+            self._copies.pop()
+        stamp, kept = self._copies[-1]
+        insort(self._measurements, measurement, key=_order)
+        self.engine = kept.fork()
+        self._fresh = 0
+        again = [sample for sample in self._samples if sample.time_ns > stamp]
+        outcomes: list[Outcome] = []
+        for sample in again:
+            outcomes += self.engine.step(sample, self._between(stamp, sample.time_ns))
+            stamp = sample.time_ns
+            self._fresh += 1
+            if self._fresh >= KEPT_EVERY:
+                self._copies.append((stamp, self.engine.fork()))
+                self._fresh = 0
+        return [o for o in outcomes if o.time_ns == measurement.time_ns and o.source == measurement.source]
+
+    def _between(self, after_ns: int, until_ns: int) -> list[Measurement]:
+        first = bisect_right(self._measurements, after_ns, key=lambda m: m.time_ns)
+        last = bisect_right(self._measurements, until_ns, key=lambda m: m.time_ns)
+        return self._measurements[first:last]
+
+    def _keep(self, stamp: int) -> None:
+        """Keep a copy, and forget what is beyond the horizon."""
+        self._copies.append((stamp, self.engine.fork()))
+        self._fresh = 0
+        oldest = stamp - self._horizon_ns
+        while len(self._copies) > 1 and self._copies[1][0] <= oldest:
+            self._copies.popleft()
+        while self._samples and self._samples[0].time_ns <= self._copies[0][0]:
+            self._samples.popleft()
+        while self._measurements and self._measurements[0].time_ns <= self._copies[0][0]:
+            self._measurements.pop(0)

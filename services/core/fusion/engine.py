@@ -1,0 +1,250 @@
+"""The estimator as a function of inertial samples and measurements in the order in which they were true."""
+
+from collections.abc import Sequence
+from math import radians
+from typing import NamedTuple
+
+from shared.errors import FilterDiverged
+from shared.maths.rotation import Vector
+from shared.messages import AidingKind, NavigationPhase
+
+from .aiding import Measurement, Observation, Outcome
+from .alignment import Alignment
+from .filter import ErrorStateFilter
+from .gnss import GnssPosition, GnssVelocity
+from .heading import Prior
+from .kalman import chi_square_limit
+from .settings import Settings
+from .standstill import PERIOD_S, Standstill
+from .stationary import StationaryDetector
+
+GAP_S = 0.05  # a longer step is a gap: carried over, and admitted in the covariance
+LOST_S = 1.0  # a longer one ends the solution, though not the attitude
+FORGOTTEN_S = 5.0  # a still longer one ends that too
+GAP_FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
+GAP_RATE_SD = 0.3  # [rad/s]
+LOST_YAW_SD = radians(20.0)
+# A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
+WIDENING = {
+    AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
+    AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
+}
+
+
+class Sample(NamedTuple):
+    """Mean specific force and angular rate [m/s², rad/s; body] of the time that ends at the stamp."""
+
+    time_ns: int
+    force: Vector
+    rate: Vector
+
+
+class Counts(NamedTuple):
+    """What was used and what was not."""
+
+    fixes_used: int = 0
+    fixes_rejected: int = 0
+    imu_gaps: int = 0
+    resets: int = 0
+
+
+class Engine:
+    """Alignment first, then the filter with its aiding, its gaps and its resets.
+
+    Everything that it knows is replaced and never changed in place, so that a `fork` is cheap and stays as it was.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.phase = NavigationPhase.WAITING_FOR_IMU
+        self.since_ns = 0
+        self.reason = "no inertial sample yet"
+        self.counts = Counts()
+        self.last: Sample | None = None
+        self.filter: ErrorStateFilter | None = None
+        self.accepted_ns: int | None = None  # stamp of the last position that was used
+        self.stationary = False
+        self._alignment: Alignment | None = Alignment(settings)
+        self._detector = StationaryDetector()
+        self._aided_ns = 0  # last standstill update
+        self._rejections = 0  # successive positions
+        self._why = ""  # the solution was lost
+
+    def fork(self) -> "Engine":
+        """Copy that goes its own way."""
+        twin = Engine.__new__(Engine)
+        twin.__dict__.update(self.__dict__)
+        twin.filter = self.filter.fork() if self.filter else None
+        twin._alignment = self._alignment.fork() if self._alignment else None
+        twin._detector = self._detector.fork()
+        return twin
+
+    def remember(self, prior: Prior) -> None:
+        """Take a saved position and heading, of use until the filter runs for the first time."""
+        if self._alignment is not None and self.counts.resets == 0:
+            self._alignment.remember(prior)
+
+    def begin_after(self, counts: Counts, why: str) -> None:
+        """Begin with the counts of an engine that was given up."""
+        self.counts = counts._replace(resets=counts.resets + 1)
+        self._why = why
+
+    def step(self, sample: Sample, due: Sequence[Measurement]) -> list[Outcome]:
+        """Advance to the stamp of a sample, using on the way the measurements that were true before it."""
+        if self.last is None:
+            self.last = sample
+            self._enter(
+                NavigationPhase.LEVELLING,
+                sample.time_ns,
+                f"levelling, after {self._why}" if self._why else "first inertial sample",
+            )
+            return []
+        gap_s = (sample.time_ns - self.last.time_ns) * 1e-9
+        held = self._bridge(gap_s, sample) if gap_s > GAP_S else sample
+        outcomes: list[Outcome] = []
+        for measurement in due:
+            self._advance(held, measurement.time_ns)
+            outcomes += self._aid(measurement)
+        self._advance(held, sample.time_ns)
+        self.last = sample
+        outcomes += self._watch_for_standstill(sample.time_ns, gap_s)
+        self._settle_phase(sample.time_ns)
+        return outcomes
+
+    def _advance(self, sample: Sample, time_ns: int) -> None:
+        """Carry alignment or filter to an instant within the step that the sample describes."""
+        assert self.last is not None
+        step_s = (time_ns - self.last.time_ns) * 1e-9
+        if step_s <= 0.0:
+            return
+        self.last = sample._replace(time_ns=time_ns)
+        try:
+            if self.filter is not None:
+                self.filter.advance(sample.force, sample.rate, time_ns)
+            elif self._alignment is not None:
+                self._alignment.levelling.advance(sample.force, sample.rate, step_s)
+        except FilterDiverged as error:
+            self._reset(time_ns, str(error), yaw_sd=None)
+
+    def _bridge(self, gap_s: float, sample: Sample) -> Sample:
+        """Decide what survives a gap, and what is taken to have happened in it: the mean of its two ends."""
+        assert self.last is not None
+        self.counts = self.counts._replace(imu_gaps=self.counts.imu_gaps + 1)
+        if gap_s > LOST_S:
+            yaw_sd = LOST_YAW_SD if gap_s <= FORGOTTEN_S else None
+            self.last = sample
+            self._lose(sample.time_ns, f"no inertial sample for {gap_s:.1f} s", yaw_sd, self.filter)
+            return sample
+        if self.filter is not None:
+            force_sd, rate_sd = GAP_FORCE_SD * gap_s, GAP_RATE_SD * gap_s
+            self.filter.widen(attitude_sd=rate_sd, velocity_sd=force_sd, position_sd=0.5 * force_sd * gap_s)
+        return Sample(sample.time_ns, _mean(self.last.force, sample.force), _mean(self.last.rate, sample.rate))
+
+    def _aid(self, measurement: Measurement) -> list[Outcome]:
+        """Hold a measurement against the filter, or hand it to the alignment."""
+        if self.filter is None:
+            self._align(measurement)
+            return []
+        outcomes = []
+        try:
+            for observe in measurement.observers():
+                outcomes.append(self._judge(self.filter, measurement, observe(self.filter)))
+        except FilterDiverged as error:
+            self._reset(measurement.time_ns, str(error), yaw_sd=None)
+        if self._is_astray(measurement.time_ns):
+            self._reset(measurement.time_ns, f"{self._rejections} positions in a row rejected", LOST_YAW_SD)
+            self._align(measurement)
+        return outcomes
+
+    def _judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
+        """Use an observation if its d² is within the limit of d²."""
+        correction = navigation.weigh(seen.z, seen.H, seen.R)
+        ratio = correction.distance2 / chi_square_limit(len(seen.z), self._settings.gate_false_alarm)
+        used = ratio <= 1.0
+        if used:
+            navigation.accept(correction)
+        elif seen.kind in WIDENING:
+            navigation.widen(**WIDENING[seen.kind])
+        if seen.kind is AidingKind.GNSS_POSITION:
+            self._count_position(measurement.time_ns, used)
+        return Outcome(
+            measurement.time_ns,
+            measurement.source,
+            seen.kind,
+            tuple(seen.z.tolist()),
+            tuple(correction.innovation_sd.tolist()),
+            ratio,
+            used,
+            None if used else "beyond the gate",
+        )
+
+    def _count_position(self, time_ns: int, used: bool) -> None:
+        counts = self.counts
+        if used:
+            self.counts = counts._replace(fixes_used=counts.fixes_used + 1)
+            self.accepted_ns, self._rejections = time_ns, 0
+        else:
+            self.counts = counts._replace(fixes_rejected=counts.fixes_rejected + 1)
+            self._rejections += 1
+
+    def _is_astray(self, time_ns: int) -> bool:
+        """Whether the receiver has contradicted the filter for so often and so long that the filter must be wrong."""
+        enough = self._rejections >= self._settings.reset_after_rejections
+        return enough and time_ns - (self.accepted_ns or 0) >= self._settings.reset_after_s * 1e9
+
+    def _align(self, measurement: Measurement) -> None:
+        """Give a measurement to the alignment, and start the filter if it can."""
+        assert self._alignment is not None
+        if isinstance(measurement, GnssVelocity):
+            self._alignment.see_velocity(measurement)
+        started = self._alignment.start_at(measurement) if isinstance(measurement, GnssPosition) else None
+        if started is None:
+            return
+        how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
+        self.filter, self._alignment, self._why = started, None, ""
+        self._detector = StationaryDetector()
+        self._count_position(measurement.time_ns, used=True)
+        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
+
+    def _watch_for_standstill(self, time_ns: int, step_s: float) -> list[Outcome]:
+        """Tell the filter at 10 Hz that the vehicle stands, for as long as it does."""
+        if self.filter is None:
+            self.stationary = self._alignment is not None and self._alignment.levelling.at_rest
+            return []
+        navigation = self.filter
+        velocity = navigation.inertial.velocity
+        self.stationary = self._detector.update(navigation.rate, navigation.acceleration, velocity, step_s)
+        if not (self.stationary and self._settings.zero_velocity) or time_ns - self._aided_ns < PERIOD_S * 1e9 - 1e6:
+            return []
+        self._aided_ns = time_ns
+        return self._aid(Standstill(time_ns, time_ns))
+
+    def _settle_phase(self, time_ns: int) -> None:
+        """Say what goes on, where that has changed."""
+        if self.filter is None:
+            assert self._alignment is not None
+            phase, reason = self._alignment.phase, self._alignment.reason
+        elif time_ns - (self.accepted_ns or 0) > self._settings.coasting_after_s * 1e9:
+            phase, reason = NavigationPhase.COASTING, "no position used lately"
+        else:
+            phase, reason = NavigationPhase.NAVIGATING, "positions are used again"
+        if phase is not self.phase:
+            self._enter(phase, time_ns, f"{reason}, after {self._why}" if self._why else reason)
+
+    def _enter(self, phase: NavigationPhase, time_ns: int, reason: str) -> None:
+        self.phase, self.since_ns, self.reason = phase, time_ns, reason
+
+    def _reset(self, time_ns: int, why: str, yaw_sd: float | None) -> None:
+        """Begin again, because the filter cannot be right."""
+        self.counts = self.counts._replace(resets=self.counts.resets + 1)
+        sound = self.filter if yaw_sd is not None else None
+        self._lose(time_ns, why, yaw_sd, sound)
+
+    def _lose(self, time_ns: int, why: str, yaw_sd: float | None, lost: ErrorStateFilter | None = None) -> None:
+        self._alignment = Alignment(self._settings, lost, yaw_sd)
+        self.filter, self._why, self._rejections = None, why, 0
+        self._enter(self._alignment.phase, time_ns, f"{self._alignment.reason}, after {why}")
+
+
+def _mean(first: Vector, second: Vector) -> Vector:
+    return 0.5 * (first[0] + second[0]), 0.5 * (first[1] + second[1]), 0.5 * (first[2] + second[2])

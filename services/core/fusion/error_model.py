@@ -1,0 +1,187 @@
+"""How errors of the mechanisation grow: x = (attitude, velocity, position, accelerometer bias, gyroscope bias).
+
+Errors are estimated minus true. The attitude error is a small rotation vector in NED axes, with which
+C_estimated = (I + sk(psi)) C; the position error is in metres NED; the biases are what is left of them after the
+correction already made, and are therefore added to it. x' = F x + noise.
+"""
+
+from math import cos, sin, tan
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import (
+    EARTH_RATE,
+    ECCENTRICITY_SQUARED,
+    curvature_radii,
+    earth_rate_n,
+    gravity,
+    transport_rate_n,
+)
+from shared.maths.rotation import Vector, skew
+
+from .strapdown import InertialState
+
+FloatArray = npt.NDArray[np.float64]
+
+ATTITUDE = slice(0, 3)
+VELOCITY = slice(3, 6)
+POSITION = slice(6, 9)
+ACCELEROMETER_BIAS = slice(9, 12)
+GYROSCOPE_BIAS = slice(12, 15)
+SIZE = 15
+
+
+def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArray) -> FloatArray:
+    """Matrix F of the error model.
+
+    Parameters
+    ----------
+    state : InertialState
+        Where the errors are linearised.
+    force_n : tuple of float
+        [m/s², NED] Specific force.
+    ned_from_body : ndarray, shape (3, 3)
+        [-] Attitude C.
+
+    Returns
+    -------
+    ndarray, shape (15, 15)
+        [1/s and mixed] Row block, column block in the order of the state.
+
+    Notes
+    -----
+    With w the rates w_ie and w_en, and D_v, D_p their derivatives by velocity and by position in metres::
+
+        psi' = -sk(w_ie + w_en) psi - D_v w_en dv - D_p(w_ie + w_en) dr + C b_g
+        dv'  = -sk(f_n) psi + [sk(v) D_v w_en - sk(w_en + 2 w_ie)] dv
+               + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr + C b_a
+        dr'  = dv + [turn and stretch of the local axes] dr
+
+    The change of the radii with latitude is neglected (0.5 % of the smallest blocks).
+
+    References
+    ----------
+    P. Groves, 2nd ed., eq. 14.63 to 14.71, here with the position in metres; equals
+    J. Zuriarrain Sosa et al., 2024, appendix A, after correction of its A6, A7 and A9.
+    """
+    latitude, _, height = state.position
+    north, east, down = state.velocity
+    meridian, transverse = curvature_radii(latitude)
+    meridian, transverse = meridian + height, transverse + height
+    tangent, secant2 = tan(latitude), 1.0 / cos(latitude) ** 2
+    earth, transport = np.array(earth_rate_n(latitude)), np.array(transport_rate_n(latitude, height, state.velocity))
+
+    by_velocity = np.array(
+        [[0.0, 1.0 / transverse, 0.0], [-1.0 / meridian, 0.0, 0.0], [0.0, -tangent / transverse, 0.0]]
+    )
+    earth_by_position = np.zeros((3, 3))
+    earth_by_position[:, 0] = -EARTH_RATE * sin(latitude) / meridian, 0.0, -EARTH_RATE * cos(latitude) / meridian
+    transport_by_position = np.array(
+        [
+            [0.0, 0.0, east / transverse**2],
+            [0.0, 0.0, -north / meridian**2],
+            [-east * secant2 / (transverse * meridian), 0.0, -east * tangent / transverse**2],
+        ]
+    )
+    velocity_skew = skew(state.velocity)
+
+    F = np.zeros((SIZE, SIZE))
+    F[ATTITUDE, ATTITUDE] = -skew(earth + transport)
+    F[ATTITUDE, VELOCITY] = -by_velocity
+    F[ATTITUDE, POSITION] = -(earth_by_position + transport_by_position)
+    F[ATTITUDE, GYROSCOPE_BIAS] = ned_from_body
+    F[VELOCITY, ATTITUDE] = -skew(force_n)
+    F[VELOCITY, VELOCITY] = velocity_skew @ by_velocity - skew(transport + 2.0 * earth)
+    F[VELOCITY, POSITION] = velocity_skew @ (transport_by_position + 2.0 * earth_by_position)
+    F[5, 8] += 2.0 * gravity(latitude, 0.0) / geocentric_radius(latitude)
+    F[VELOCITY, ACCELEROMETER_BIAS] = ned_from_body
+    F[POSITION, VELOCITY] = np.eye(3)
+    F[POSITION, POSITION] = [
+        [-down / meridian, 0.0, north / meridian],
+        [east * tangent / meridian, -(down + north * tangent) / transverse, east / transverse],
+        [0.0, 0.0, 0.0],
+    ]
+    return F
+
+
+def geocentric_radius(latitude: float) -> float:
+    """Distance [m] from the Earth's centre to the ellipsoid (Groves, 2nd ed., eq. 2.137)."""
+    transverse = curvature_radii(latitude)[1]
+    factor = 1.0 - ECCENTRICITY_SQUARED
+    return transverse * float(np.hypot(cos(latitude), factor * sin(latitude)))
+
+
+def noise_matrix(
+    *, gyroscope_psd: float, accelerometer_psd: float, accelerometer_bias_psd: float, gyroscope_bias_psd: float
+) -> FloatArray:
+    """Power spectral density of the noise that drives the errors.
+
+    Parameters
+    ----------
+    gyroscope_psd : float
+        [rad²/s] S_rg, square of the angle random walk.
+    accelerometer_psd : float
+        [m²/s³] S_ra, square of the velocity random walk.
+    accelerometer_bias_psd : float
+        [m²/s⁵] S_bad.
+    gyroscope_bias_psd : float
+        [rad²/s³] S_bgd.
+
+    Returns
+    -------
+    ndarray, shape (15,)
+        Diagonal of the matrix; times a short step it is the covariance that the step adds.
+
+    References
+    ----------
+    J. Zuriarrain Sosa et al., 2024, eq. A10, with the names of the two bias terms put right.
+    """
+    diagonal = np.zeros(SIZE)
+    diagonal[ATTITUDE] = gyroscope_psd
+    diagonal[VELOCITY] = accelerometer_psd
+    diagonal[ACCELEROMETER_BIAS] = accelerometer_bias_psd
+    diagonal[GYROSCOPE_BIAS] = gyroscope_bias_psd
+    return diagonal
+
+
+def antenna_position_matrix(arm_n: Vector) -> FloatArray:
+    """Matrix H, shape (3, 15), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
+    H = np.zeros((3, SIZE))
+    H[:, ATTITUDE] = skew(arm_n)
+    H[:, POSITION] = -np.eye(3)
+    return H
+
+
+def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatArray) -> FloatArray:
+    """Matrix H of GNSS minus predicted antenna velocity.
+
+    Parameters
+    ----------
+    arm_b : tuple of float
+        [m, body] Lever arm l from the IMU to the antenna.
+    rate_b : tuple of float
+        [rad/s, body] Angular rate w, bias removed.
+    ned_from_body : ndarray, shape (3, 3)
+        [-] Attitude C.
+
+    Returns
+    -------
+    ndarray, shape (3, 15)
+        The small term of the Earth's rate in the prediction is neglected.
+
+    Notes
+    -----
+    ::
+
+        H = [ sk(C (w x l)), -I, 0, 0, C sk(l) ]
+
+    References
+    ----------
+    P. Groves, 2nd ed., eq. 14.115; J. Zuriarrain Sosa et al., 2024, eq. A12.
+    """
+    H = np.zeros((3, SIZE))
+    H[:, ATTITUDE] = skew(ned_from_body @ np.cross(rate_b, arm_b))
+    H[:, VELOCITY] = -np.eye(3)
+    H[:, GYROSCOPE_BIAS] = ned_from_body @ skew(arm_b)
+    return H

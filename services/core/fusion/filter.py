@@ -1,0 +1,193 @@
+"""The error-state filter: a mechanisation, the covariance of its errors, and the corrections between them."""
+
+from math import isfinite, pi, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import FilterDiverged
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, gravity
+from shared.maths.rotation import (
+    Quaternion,
+    Vector,
+    matrix_from_quaternion,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+)
+
+from . import error_model as em
+from .kalman import Correction, correct, predict
+from .settings import Settings
+from .strapdown import InertialState, normalised, propagate
+
+FloatArray = npt.NDArray[np.float64]
+
+SHAKE_S = 1.0  # time constant of the measured vibration
+FASTEST_M_S = 500.0
+HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
+
+
+class ErrorStateFilter:
+    """Fifteen errors around a strapdown mechanisation; every correction is fed back at once.
+
+    Parameters
+    ----------
+    settings : Settings
+        Noise, periods.
+    inertial : InertialState
+        Where to start.
+    P : ndarray, shape (15, 15)
+        Covariance of the start, in the order of `error_model`.
+    accelerometer_bias, gyroscope_bias : tuple of float
+        [m/s²], [rad/s] Body axes, as far as known.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        inertial: InertialState,
+        P: FloatArray,
+        accelerometer_bias: Vector = (0.0, 0.0, 0.0),
+        gyroscope_bias: Vector = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.inertial = inertial
+        self.P = P
+        self.accelerometer_bias = accelerometer_bias
+        self.gyroscope_bias = gyroscope_bias
+        self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
+        self.force_n: Vector = (0.0, 0.0, -gravity(inertial.position.latitude, 0.0))
+        self._period_s = settings.covariance_period_s
+        self._settings = settings
+        self._last: tuple[Vector, Vector] | None = None  # sample as measured
+        self._force_shake = 0.0  # [m²/s³] power spectral density of what samples differ by from each other
+        self._rate_shake = 0.0  # [rad²/s]
+        self._since_s = 0.0  # of the covariance
+        self._impulse: Vector = (0.0, 0.0, 0.0)  # [m/s, NED] specific force summed over that time
+
+    def fork(self) -> "ErrorStateFilter":
+        """Copy that goes its own way; nothing that both hold is ever changed in place."""
+        twin = ErrorStateFilter.__new__(ErrorStateFilter)
+        twin.__dict__.update(self.__dict__)
+        return twin
+
+    @property
+    def ned_from_body(self) -> FloatArray:
+        """Attitude as a matrix, shape (3, 3)."""
+        return matrix_from_quaternion(self.inertial.quaternion)
+
+    @property
+    def acceleration(self) -> Vector:
+        """C f + g over the last sample [m/s², NED]: nothing at rest."""
+        position = self.inertial.position
+        return self.force_n[0], self.force_n[1], self.force_n[2] + gravity(position.latitude, position.height)
+
+    def advance(self, force: Vector, rate: Vector, time_ns: int) -> None:
+        """Carry the state to an instant with a sample [m/s², rad/s, body; as measured] that holds until then."""
+        bias = self.accelerometer_bias
+        drift = self.gyroscope_bias
+        step_s = (time_ns - self.inertial.time_ns) * 1e-9
+        if step_s <= 0.0:
+            return
+        self._feel_vibration(force, rate, step_s)
+        self.rate = (rate[0] - drift[0], rate[1] - drift[1], rate[2] - drift[2])
+        true_force = (force[0] - bias[0], force[1] - bias[1], force[2] - bias[2])
+        self.inertial, self.force_n = propagate(self.inertial, true_force, self.rate, time_ns)
+        x, y, z = self._impulse
+        north, east, down = self.force_n
+        self._impulse = (x + north * step_s, y + east * step_s, z + down * step_s)
+        self._since_s += step_s
+        if self._since_s >= self._period_s - 1e-9:
+            self.bring_covariance_up()
+
+    def _feel_vibration(self, force: Vector, rate: Vector, step_s: float) -> None:
+        """Measure white noise by the difference of successive samples, whose variance is twice its own."""
+        if self._last is not None:
+            (x, y, z), (a, b, c) = self._last
+            force2 = (force[0] - x) ** 2 + (force[1] - y) ** 2 + (force[2] - z) ** 2
+            rate2 = (rate[0] - a) ** 2 + (rate[1] - b) ** 2 + (rate[2] - c) ** 2
+            share, scale = min(1.0, step_s / SHAKE_S), step_s / 6.0
+            self._force_shake += share * (scale * force2 - self._force_shake)
+            self._rate_shake += share * (scale * rate2 - self._rate_shake)
+        self._last = (force, rate)
+
+    def _noise(self) -> FloatArray:
+        """Power spectral density of the errors' growth: that of the sensor, or of the vibration if it is more."""
+        settings, factor = self._settings, self._settings.vibration_factor
+        return em.noise_matrix(
+            gyroscope_psd=max(settings.angle_random_walk_rad_sqrt_s**2, factor * self._rate_shake),
+            accelerometer_psd=max(settings.velocity_random_walk_m_s_sqrt_s**2, factor * self._force_shake),
+            accelerometer_bias_psd=settings.accelerometer_bias_psd_m2_s5,
+            gyroscope_bias_psd=settings.gyroscope_bias_psd_rad2_s3,
+        )
+
+    def bring_covariance_up(self) -> None:
+        """Carry the covariance to the instant of the state."""
+        if self._since_s == 0.0:
+            return
+        x, y, z = self._impulse
+        mean_force = (x / self._since_s, y / self._since_s, z / self._since_s)
+        F = em.system_matrix(self.inertial, mean_force, self.ned_from_body)
+        self.P = predict(self.P, F, self._noise(), self._since_s)
+        self._since_s, self._impulse = 0.0, (0.0, 0.0, 0.0)
+        self._check()
+
+    def widen(self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0) -> None:
+        """Admit more error [rad, m/s, m] than the model knows of."""
+        self.bring_covariance_up()
+        widened = self.P.copy()
+        diagonal = np.einsum("ii->i", widened)
+        diagonal[em.ATTITUDE] += attitude_sd**2
+        diagonal[em.VELOCITY] += velocity_sd**2
+        diagonal[em.POSITION] += position_sd**2
+        self.P = widened
+
+    def weigh(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
+        """Work out what a measurement says, without believing it yet."""
+        self.bring_covariance_up()
+        return correct(self.P, z, H, R)
+
+    def accept(self, correction: Correction) -> None:
+        """Take the estimated errors out of the state, where they are zero from then on."""
+        x = correction.x.tolist()
+        self.P = correction.P
+        time_ns, quaternion, velocity, position = self.inertial
+        self.inertial = InertialState(
+            time_ns,
+            _turned_back(quaternion, (x[0], x[1], x[2])),
+            (velocity[0] - x[3], velocity[1] - x[4], velocity[2] - x[5]),
+            _moved_back(position, (x[6], x[7], x[8])),
+        )
+        bias, drift = self.accelerometer_bias, self.gyroscope_bias
+        self.accelerometer_bias = (bias[0] + x[9], bias[1] + x[10], bias[2] + x[11])
+        self.gyroscope_bias = (drift[0] + x[12], drift[1] + x[13], drift[2] + x[14])
+        self.rate = (self.rate[0] - x[12], self.rate[1] - x[13], self.rate[2] - x[14])
+        self._check()
+
+    def _check(self) -> None:
+        """Raise `FilterDiverged` where numbers have lost their meaning, rather than hand them on."""
+        least, trace = float(self.P.diagonal().min()), float(self.P.trace())
+        if not (isfinite(trace) and least > 0.0):
+            raise FilterDiverged("the covariance is no longer positive")
+        _, quaternion, velocity, position = self.inertial
+        if not isfinite(sum(quaternion) + sum(velocity) + sum(position)):
+            raise FilterDiverged("the state is no longer finite")
+        if max(map(abs, velocity)) > FASTEST_M_S:
+            raise FilterDiverged("the velocity is beyond any vehicle's")
+        if abs(position.latitude) > HIGHEST_LATITUDE:
+            raise FilterDiverged("the position is too near a pole")
+
+
+def _turned_back(quaternion: Quaternion, error: Vector) -> Quaternion:
+    """exp(-sk(psi)) C, exactly."""
+    back = quaternion_from_rotation_vector((-error[0], -error[1], -error[2]))
+    return normalised(quaternion_product(back, quaternion))
+
+
+def _moved_back(position: Geodetic, error: Vector) -> Geodetic:
+    return geodetic_from_ned_difference((-error[0], -error[1], -error[2]), position)
+
+
+def standard_deviations(P: FloatArray, block: slice) -> Vector:
+    """Square roots of the diagonal of a block of three."""
+    first, second, third = P.diagonal()[block].tolist()
+    return sqrt(first), sqrt(second), sqrt(third)

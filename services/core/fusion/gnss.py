@@ -1,0 +1,169 @@
+"""GNSS position and velocity of the antenna as measurements of the filter."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.maths.rotation import Vector
+from shared.messages import AidingKind
+
+from . import error_model as em
+from .aiding import Measurement, Observation
+from .filter import ErrorStateFilter
+from .settings import Settings
+from .strapdown import rotate
+
+FloatArray = npt.NDArray[np.float64]
+
+LARGEST_SD = 1e4  # [m, m/s] a receiver that knows nothing may say anything
+SMALLEST_EIGENVALUE = 1e-3  # [-] of a correlation matrix that is a matrix of correlations
+
+
+class Stamp(NamedTuple):
+    """When a measurement was true, when it arrived, and from which device."""
+
+    sampled_ns: int
+    received_ns: int
+    source: str
+
+
+class Reading(NamedTuple):
+    """A vector in NED with its covariance if the receiver states one, and how many of N, E, D were measured."""
+
+    vector: Vector
+    cov: FloatArray | None = None
+    axes: int = 3
+
+
+@dataclass(frozen=True)
+class GnssPosition:
+    """Position of the antenna with its covariance [m², NED]; of its height only the value if `axes` is 2."""
+
+    time_ns: int
+    received_ns: int
+    source: str
+    position: Geodetic
+    cov: FloatArray
+    axes: int
+    lever_arm: Vector
+    time_sd_s: float
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Position alone."""
+        yield self.observe
+
+    def observe(self, navigation: ErrorStateFilter) -> Observation:
+        """Hold it against the predicted position of the antenna, in metres."""
+        arm_n = rotate(navigation.inertial.quaternion, self.lever_arm)
+        antenna = geodetic_from_ned_difference(arm_n, navigation.inertial.position)
+        z = np.array(ned_from_geodetic_difference(self.position, antenna))
+        H = em.antenna_position_matrix(arm_n)
+        along = np.array(navigation.inertial.velocity) * self.time_sd_s  # what an error of the stamp does
+        R = self.cov + np.outer(along, along)
+        n = self.axes
+        return Observation(AidingKind.GNSS_POSITION, z[:n], H[:n], R[:n, :n])
+
+
+@dataclass(frozen=True)
+class GnssVelocity:
+    """Velocity of the antenna [m/s, NED] with its covariance; without its vertical part if `axes` is 2."""
+
+    time_ns: int
+    received_ns: int
+    source: str
+    velocity: Vector
+    cov: FloatArray
+    axes: int
+    lever_arm: Vector
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Velocity alone."""
+        yield self.observe
+
+    def observe(self, navigation: ErrorStateFilter) -> Observation:
+        """Hold it against the predicted velocity of the antenna."""
+        arm_velocity = antenna_velocity(navigation, self.lever_arm)
+        z = np.array(self.velocity) - navigation.inertial.velocity - arm_velocity
+        H = em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
+        n = self.axes
+        return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], self.cov[:n, :n])
+
+
+def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> FloatArray:
+    """Velocity of the antenna against the IMU [m/s, NED]: C (w x l) - w_ie x C l."""
+    C = navigation.ned_from_body
+    earth = earth_rate_n(navigation.inertial.position.latitude)
+    swing: FloatArray = C @ np.cross(navigation.rate, lever_arm) - np.cross(earth, C @ np.array(lever_arm))
+    return swing
+
+
+def gnss_measurements(
+    settings: Settings, stamp: Stamp, position: Geodetic, reading: Reading, velocity: Reading | None
+) -> list[Measurement]:
+    """Make measurements of one epoch of a receiver, with covariances that can be trusted.
+
+    Parameters
+    ----------
+    settings : Settings
+        Delays, lever arm, and the standard deviations of a receiver that states none.
+    stamp : Stamp
+        Of the epoch.
+    position : Geodetic
+        Of the antenna.
+    reading : Reading
+        The position's covariance [m², NED] and axes; its vector is of no account.
+    velocity : Reading or None
+        [m/s, NED]
+
+    Returns
+    -------
+    list of Measurement
+        Velocity, if there is one, before position. A stated covariance is scaled by `gnss_sd_factor` (positions
+        only) and its diagonal kept between a floor, for some receivers say zero, and a ceiling.
+    """
+    true_ns = stamp.sampled_ns - round(settings.gnss_delay_s * 1e9)
+    measurements: list[Measurement] = []
+    if velocity is not None and not settings.position_only:
+        measurements.append(
+            GnssVelocity(
+                time_ns=true_ns - round(settings.gnss_velocity_delay_s * 1e9),
+                received_ns=stamp.received_ns,
+                source=stamp.source,
+                velocity=velocity.vector,
+                cov=_trusted(velocity.cov, settings.gnss_velocity_sd_m_s, settings.gnss_velocity_sd_floor_m_s, 1.0),
+                axes=velocity.axes,
+                lever_arm=settings.lever_arm_body_m,
+            )
+        )
+    floor, factor = settings.gnss_position_sd_floor_m, settings.gnss_sd_factor
+    measurements.append(
+        GnssPosition(
+            time_ns=true_ns,
+            received_ns=stamp.received_ns,
+            source=stamp.source,
+            position=position,
+            cov=_trusted(reading.cov, settings.gnss_position_sd_m, floor, factor),
+            axes=reading.axes,
+            lever_arm=settings.lever_arm_body_m,
+            time_sd_s=settings.gnss_time_sd_s,
+        )
+    )
+    return measurements
+
+
+def _trusted(cov: FloatArray | None, default_sd: Vector, floor_sd: float, factor: float) -> FloatArray:
+    """Covariance that is finite, positive definite and not too small; impossible correlations are dropped."""
+    if cov is None:
+        return np.diag(np.square(default_sd))
+    stated = np.sqrt(np.clip(cov.diagonal(), floor_sd**2, LARGEST_SD**2))
+    correlation = np.clip(cov / np.outer(stated, stated), -1.0, 1.0)
+    np.fill_diagonal(correlation, 1.0)
+    if np.linalg.eigvalsh(correlation)[0] < SMALLEST_EIGENVALUE:
+        correlation = np.eye(3)
+    sd = np.clip(stated * factor, floor_sd, LARGEST_SD)
+    trusted: FloatArray = correlation * np.outer(sd, sd)
+    return trusted

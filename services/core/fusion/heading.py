@@ -1,0 +1,104 @@
+"""Ways to tell north in the level frame of `levelling`, before the filter runs."""
+
+from dataclasses import dataclass
+from math import atan2, cos, hypot, radians, sin, sqrt
+from typing import NamedTuple
+
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference, wrap_angle
+from shared.maths.rotation import Vector
+
+from .gnss import GnssPosition
+from .levelling import Levelling
+from .settings import Settings
+
+MATCH_S = 20.0  # how long the velocity gained since a rest is good enough to be matched with that of GNSS
+MATCH_ACCELERATION_SD = 0.05  # [m/s²] by which it drifts: tilt
+REST_RATE_SD = 2e-4  # [rad/s] of the mean rate over a rest of a few seconds
+SAVED_YAW_SD_FLOOR = radians(0.5)
+MOVED_M = 20.0  # a first fix so far from the saved position says that the vehicle was moved
+FASTEST_M_S = 60.0
+BASELINE_M = 2.0  # shortest distance of two positions that give a course
+BASELINE_SDS = 8.0  # and in standard deviations of position
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Position and heading that were saved before the power went."""
+
+    position: Geodetic
+    position_sd: Vector
+    yaw: float
+    yaw_sd: float
+
+
+class Heading(NamedTuple):
+    """Turn [rad] from the level frame to NED, its standard deviation, and how it was found."""
+
+    turn: float
+    sd: float
+    how: str
+
+
+class Motion(NamedTuple):
+    """Velocity of the antenna [m/s, NED], its standard deviations, and what of it is swing of the lever arm."""
+
+    time_ns: int
+    velocity: Vector
+    sd: Vector
+    swing: Vector  # [m/s, level frame]
+
+
+def drift_sd(levelling: Levelling) -> float:
+    """How far the level frame may have turned since the last rest [rad]."""
+    return REST_RATE_SD * levelling.moving_s
+
+
+def saved_heading(saved: Prior, levelling: Levelling, fix: GnssPosition) -> Heading | None:
+    """Use the saved heading, unless the vehicle did not stand at first, or the first fix says that it was moved."""
+    if levelling.yaw_at_start is None:
+        return None
+    away = hypot(*ned_from_geodetic_difference(fix.position, saved.position)[:2])
+    blur = 3.0 * sqrt(float(fix.cov[0, 0] + fix.cov[1, 1]) + saved.position_sd[0] ** 2 + saved.position_sd[1] ** 2)
+    if away > MOVED_M + blur + FASTEST_M_S * levelling.moving_s:
+        return None
+    sd = max(saved.yaw_sd, SAVED_YAW_SD_FLOOR) + drift_sd(levelling)
+    return Heading(wrap_angle(saved.yaw - levelling.yaw_at_start), sd, "saved heading")
+
+
+def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) -> Heading | None:
+    """Match the velocity gained since a rest, or else take the vehicle to go where its nose points.
+
+    Only the first tells forward from backward, and it needs no straight mount. Neither works at a walking pace.
+    """
+    north, east, _ = motion.velocity
+    speed, course = hypot(north, east), atan2(east, north)
+    if speed < settings.course_speed_m_s:
+        return None
+    noise = max(motion.sd[0], motion.sd[1]) / speed
+    gained_x, gained_y = levelling.velocity[0] + motion.swing[0], levelling.velocity[1] + motion.swing[1]
+    fresh = levelling.quaternion_at_rest is not None and levelling.moving_s < MATCH_S
+    if fresh and hypot(gained_x, gained_y) > 0.5 * speed:
+        sd = hypot(noise, MATCH_ACCELERATION_SD * levelling.moving_s / speed)
+        return Heading(wrap_angle(course - atan2(gained_y, gained_x)), sd, "matched velocity")
+    yaw = levelling.yaw
+    sideways = motion.swing[1] * cos(yaw) - motion.swing[0] * sin(yaw)
+    turn = wrap_angle(course - atan2(sideways, speed) - yaw)
+    return Heading(turn, hypot(noise, settings.course_yaw_sd_rad), "course over ground")
+
+
+def motion_between(earlier: tuple[GnssPosition, float], later: tuple[GnssPosition, float]) -> Motion | None:
+    """Velocity at the later of two positions, each with the yaw that the vehicle had there in the level frame.
+
+    The chord of an even turn points where the vehicle pointed half-way; it is turned on by the other half.
+    """
+    (before, yaw_before), (after, yaw_after) = earlier, later
+    north, east, down = ned_from_geodetic_difference(after.position, before.position)
+    span_s = (after.time_ns - before.time_ns) * 1e-9
+    sd = sqrt(float(after.cov[0, 0] + after.cov[1, 1]))
+    if span_s <= 0.0 or hypot(north, east) < max(BASELINE_M, BASELINE_SDS * sd):
+        return None
+    speed = hypot(north, east) / span_s
+    course = atan2(east, north) + 0.5 * wrap_angle(yaw_after - yaw_before)
+    error = sd / span_s + 0.5 * span_s  # of an acceleration of 1 m/s²
+    velocity = (speed * cos(course), speed * sin(course), down / span_s)
+    return Motion(after.time_ns, velocity, (error, error, error), (0.0, 0.0, 0.0))

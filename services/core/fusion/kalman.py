@@ -1,0 +1,135 @@
+"""The Kalman filter's two steps, and the gate between them."""
+
+from dataclasses import dataclass
+from functools import cache
+from math import erfc, exp, pi, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import FilterDiverged
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@cache
+def chi_square_limit(dimension: int, false_alarm: float) -> float:
+    """Size that a normalised innovation squared exceeds by chance with a given probability.
+
+    Parameters
+    ----------
+    dimension : int
+        [-] Number of components, 1 to 3.
+    false_alarm : float
+        [-] Probability, such as 0.001.
+
+    Returns
+    -------
+    float
+        [-] The limit of d², to be compared with d² and not with d.
+
+    Notes
+    -----
+    The survival functions are closed: erfc(s) with s = sqrt(x/2) for one dimension, exp(-x/2) for two, and
+    erfc(s) + 2 s exp(-s²)/sqrt(pi) for three; their inverse is found by halving.
+    """
+    low, high = 0.0, 26.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _survival(dimension, middle) > false_alarm else (low, middle)
+    return 2.0 * low * low
+
+
+def _survival(dimension: int, s: float) -> float:
+    """Probability that chi-square exceeds 2 s²."""
+    if dimension == 1:
+        return erfc(s)
+    if dimension == 2:
+        return exp(-s * s)
+    if dimension == 3:
+        return erfc(s) + 2.0 * s * exp(-s * s) / sqrt(pi)
+    raise ValueError(f"a chi-square of dimension {dimension}")
+
+
+def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> FloatArray:
+    """Covariance after a short step: Phi P Phi^T + Q with Phi = I + F t and Q = diag(noise) t.
+
+    Parameters
+    ----------
+    P, F : ndarray, shape (n, n)
+        Covariance before, and system matrix [1/s].
+    noise : ndarray, shape (n,)
+        [unit²/s] Diagonal of the power spectral density.
+    step_s : float
+        [s] Length of the step.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Exactly symmetric.
+    """
+    Phi = F * step_s
+    diagonal = np.einsum("ii->i", Phi)
+    diagonal += 1.0
+    P = Phi @ P @ Phi.T
+    diagonal = np.einsum("ii->i", P)
+    diagonal += noise * step_s
+    symmetric: FloatArray = 0.5 * (P + P.T)
+    return symmetric
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a measurement says about the errors: the estimate, its covariance, and how surprising it was."""
+
+    x: FloatArray
+    P: FloatArray
+    innovation_sd: FloatArray
+    distance2: float  # normalised innovation squared, d²
+
+
+def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
+    """Estimate the errors from one measurement.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance before.
+    z : ndarray, shape (m,)
+        Measured minus predicted.
+    H : ndarray, shape (m, n)
+        z = H x + noise.
+    R : ndarray, shape (m, m)
+        Covariance of that noise.
+
+    Returns
+    -------
+    Correction
+        Computed whether or not the innovation is credible; the caller compares `distance2` with its limit.
+
+    Raises
+    ------
+    FilterDiverged
+        The innovation's covariance is not positive definite or not finite.
+
+    Notes
+    -----
+    Joseph's form keeps P symmetric and positive::
+
+        S = H P H^T + R,  K = P H^T S^-1,  x = K z,  P+ = (I - K H) P (I - K H)^T + K R K^T
+    """
+    PHt = P @ H.T
+    S = H @ PHt + R
+    try:
+        np.linalg.cholesky(S)
+    except np.linalg.LinAlgError as error:
+        raise FilterDiverged("the covariance of an innovation is not positive definite") from error
+    K = np.linalg.solve(S, PHt.T).T
+    distance2 = float(z @ np.linalg.solve(S, z))
+    if not np.isfinite(distance2):
+        raise FilterDiverged("an innovation is not finite")
+    A = -K @ H
+    diagonal = np.einsum("ii->i", A)
+    diagonal += 1.0
+    P_after = A @ P @ A.T + K @ R @ K.T
+    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2)

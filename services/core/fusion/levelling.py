@@ -1,0 +1,227 @@
+"""Roll, pitch and gyroscope bias from inertial samples alone, at rest where possible and on the move where not."""
+
+from math import atan2, dist, hypot, sqrt
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import STANDARD_GRAVITY
+from shared.maths.rotation import (
+    Quaternion,
+    Vector,
+    ned_from_body,
+    quaternion_from_matrix,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+)
+
+from .settings import Settings
+from .strapdown import normalised, rotate
+
+FloatArray = npt.NDArray[np.float64]
+
+BLOCK_S = 0.5
+FORCE_SPREAD_LIMIT = 0.5  # [m/s²] standard deviation within a block; an idling engine stays below
+FORCE_CHANGE_LIMIT = 0.06  # [m/s²] of a block's mean against the mean so far
+RATE_CHANGE_LIMIT = 0.004  # [rad/s] of a block's mean against the mean so far
+RATE_LIMIT = 0.05  # [rad/s] of a block's mean: the bias at switch-on
+REST_S = 2.0  # blocks that agree for so long are a rest
+MOTION_S = 3.0  # of motion without a rest, after which levelling goes on while navigating
+MOTION_TILT_SD = 0.05  # [rad] a car's acceleration against gravity
+REST_TILT_SD = 0.001  # [rad] apart from the accelerometer's bias
+SLOW_S = 30.0  # time constant of levelling on the move
+FAST_M_S = 0.5  # [m/s] a vehicle that GNSS sees as fast as this does not rest
+FAST_S = 1.5  # how long that observation holds
+
+
+def level(force: Vector) -> tuple[float, float]:
+    """Roll and pitch of a body at rest.
+
+    Parameters
+    ----------
+    force : tuple of float
+        [m/s², body] Mean specific force.
+
+    Returns
+    -------
+    tuple of float
+        [rad] Roll and pitch; a bias of 2 mg tilts them by 0.115 degrees.
+
+    Notes
+    -----
+    ::
+
+        roll = atan2(-f_y, -f_z),   pitch = atan(f_x / sqrt(f_y² + f_z²))
+
+    References
+    ----------
+    P. Groves, 2nd ed., eq. 5.101.
+    """
+    x, y, z = force
+    return atan2(-y, -z), atan2(x, hypot(y, z))
+
+
+def rest_gyroscope_bias(mean_rate: Vector, ned_from_body_at_rest: FloatArray, earth_rate: Vector) -> Vector:
+    """Bias of a gyroscope at rest [rad/s, body]: mean(w) - C^T w_ie."""
+    x, y, z = (np.array(mean_rate) - ned_from_body_at_rest.T @ np.array(earth_rate)).tolist()
+    return x, y, z
+
+
+class _Rest(NamedTuple):
+    """Mean of successive blocks that agree with each other."""
+
+    force: Vector = (0.0, 0.0, 0.0)
+    rate: Vector = (0.0, 0.0, 0.0)
+    length_s: float = 0.0
+
+    def agrees(self, block: "_Rest") -> bool:
+        if self.length_s == 0.0:
+            return True
+        return dist(self.force, block.force) < FORCE_CHANGE_LIMIT and dist(self.rate, block.rate) < RATE_CHANGE_LIMIT
+
+    def with_block(self, block: "_Rest", longest_s: float) -> "_Rest":
+        """Mean with one more block; beyond the longest time the oldest is forgotten."""
+        share = block.length_s / min(self.length_s + block.length_s, longest_s)
+        length_s = self.length_s + block.length_s
+        return _Rest(_blend(self.force, block.force, share), _blend(self.rate, block.rate, share), length_s)
+
+
+class Levelling:
+    """Attitude against a level frame whose north is arbitrary, from the first sample on.
+
+    At rest (half seconds that agree with each other) it averages force and rate. While the vehicle drives, it
+    turns with the gyroscope, levels slowly, and sums up the velocity gained since the rest.
+    """
+
+    def __init__(
+        self, settings: Settings, quaternion: Quaternion | None = None, bias: Vector = (0.0, 0.0, 0.0)
+    ) -> None:
+        self.quaternion = quaternion or (1.0, 0.0, 0.0, 0.0)  # level frame from body
+        self.ready = quaternion is not None
+        self.rate_bias = bias  # [rad/s, body] mean rate of the last rest: gyroscope bias and the Earth's rate
+        self.quaternion_at_rest: Quaternion | None = None  # of the rest that `rate_bias` is from
+        self.velocity = (0.0, 0.0)  # [m/s, level frame] gained since the last rest
+        self.moving_s = 0.0  # since the last rest
+        self.yaw_at_start: float | None = None  # in the level frame, of a vehicle that stood when all this began
+        self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] last sample, mean rate of the rest removed
+        self._started = self.ready
+        self._elapsed_s = 0.0
+        self._unrest_s = 0.0
+        self._fast_s = 0.0
+        self._rest = _Rest()
+        self._block = _Block()
+        self._levelling_s = settings.levelling_s
+
+    def fork(self) -> "Levelling":
+        """Copy that goes its own way."""
+        twin = Levelling.__new__(Levelling)
+        twin.__dict__.update(self.__dict__)
+        return twin
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the vehicle has not moved for a while."""
+        return self._rest.length_s >= REST_S
+
+    @property
+    def tilt_sd(self) -> float:
+        """Standard deviation of roll and pitch [rad], apart from the accelerometer's bias."""
+        return MOTION_TILT_SD if self.quaternion_at_rest is None else REST_TILT_SD + 2e-4 * self.moving_s
+
+    @property
+    def yaw(self) -> float:
+        """Yaw in the level frame [rad]."""
+        w, x, y, z = self.quaternion
+        return atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+
+    def see_speed(self, speed: float) -> None:
+        """Take note of a speed [m/s] that GNSS measured."""
+        self._fast_s = FAST_S if speed > FAST_M_S else 0.0
+
+    def advance(self, force: Vector, rate: Vector, step_s: float) -> None:
+        """Take one sample in [m/s², rad/s; body]."""
+        if not self._started:
+            self.quaternion = quaternion_from_matrix(ned_from_body(*level(force), 0.0))
+            self._started = True
+        x, y, z = self.rate_bias
+        self.rate = (rate[0] - x, rate[1] - y, rate[2] - z)
+        turn = (self.rate[0] * step_s, self.rate[1] * step_s, self.rate[2] * step_s)
+        self.quaternion = normalised(quaternion_product(self.quaternion, quaternion_from_rotation_vector(turn)))
+        north, east, _ = rotate(self.quaternion, force)
+        self._elapsed_s += step_s
+        self.moving_s += step_s
+        self.velocity = (self.velocity[0] + north * step_s, self.velocity[1] + east * step_s)
+        if self.quaternion_at_rest is None:
+            self._level_slowly(north, east, step_s)
+        self._block = self._block.with_sample(force, rate, step_s)
+        if self._block.length_s >= BLOCK_S - 1e-9:
+            self._close(self._block)
+            self._block = _Block()
+
+    def _level_slowly(self, north: float, east: float, step_s: float) -> None:
+        """Turn the level frame to where the mean force of the time so far says that up is."""
+        share = step_s / min(self._elapsed_s, SLOW_S) / STANDARD_GRAVITY
+        correction = quaternion_from_rotation_vector((-east * share, north * share, 0.0))
+        self.quaternion = normalised(quaternion_product(correction, self.quaternion))
+
+    def _close(self, block: "_Block") -> None:
+        """Decide whether the last half second was rest."""
+        mean = block.mean()
+        self._fast_s = max(0.0, self._fast_s - mean.length_s)
+        calm = block.spread() < FORCE_SPREAD_LIMIT and max(map(abs, mean.rate)) < RATE_LIMIT and self._fast_s == 0.0
+        if not calm:
+            self._rest = _Rest()
+        elif self._rest.agrees(mean):
+            self._rest = self._rest.with_block(mean, self._levelling_s)
+        else:
+            self._rest = _Rest().with_block(mean, self._levelling_s)
+        if self.at_rest:
+            self._settle()
+        elif self._rest.length_s == 0.0:
+            self._unrest_s += mean.length_s
+        drove_off = self.quaternion_at_rest is not None and not self.at_rest
+        self.ready = self.ready or drove_off or self._rest.length_s >= self._levelling_s or self._unrest_s >= MOTION_S
+
+    def _settle(self) -> None:
+        """Adopt what the rest has taught."""
+        self.rate_bias = self._rest.rate
+        self.quaternion = quaternion_from_matrix(ned_from_body(*level(self._rest.force), self.yaw))
+        self.quaternion_at_rest = self.quaternion
+        if self.yaw_at_start is None and self._unrest_s == 0.0:
+            self.yaw_at_start = self.yaw
+        self.velocity, self.moving_s = (0.0, 0.0), 0.0
+
+
+class _Block(NamedTuple):
+    """Sums over half a second of samples."""
+
+    samples: int = 0
+    length_s: float = 0.0
+    force: Vector = (0.0, 0.0, 0.0)
+    rate: Vector = (0.0, 0.0, 0.0)
+    square: float = 0.0
+
+    def with_sample(self, force: Vector, rate: Vector, step_s: float) -> "_Block":
+        (a, b, c), (x, y, z) = self.force, self.rate
+        return _Block(
+            self.samples + 1,
+            self.length_s + step_s,
+            (a + force[0], b + force[1], c + force[2]),
+            (x + rate[0], y + rate[1], z + rate[2]),
+            self.square + force[0] ** 2 + force[1] ** 2 + force[2] ** 2,
+        )
+
+    def mean(self) -> _Rest:
+        (a, b, c), (x, y, z), n = self.force, self.rate, self.samples
+        return _Rest((a / n, b / n, c / n), (x / n, y / n, z / n), self.length_s)
+
+    def spread(self) -> float:
+        """Root of the summed variances of the three axes [m/s²]."""
+        a, b, c = self.mean().force
+        return sqrt(max(0.0, self.square / self.samples - (a * a + b * b + c * c)))
+
+
+def _blend(old: Vector, new: Vector, share: float) -> Vector:
+    (a, b, c), (x, y, z) = old, new
+    return a + share * (x - a), b + share * (y - b), c + share * (z - c)

@@ -1,0 +1,212 @@
+"""The navigator: inertial samples and fixes in, solutions out, with no bus and no messages.
+
+navigator = Navigator(Settings(lever_arm_body_m=(0.3, 0.0, -1.2)))
+navigator.fix(t_ns, position=Geodetic(...), velocity=(...))
+navigator.imu(t_ns, force, rate)
+solution = navigator.solution()
+"""
+
+from bisect import insort
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import Geodetic
+from shared.maths.rotation import Vector, roll_pitch_yaw
+from shared.messages import NavigationPhase
+
+from . import error_model as em
+from .aiding import Measurement, Outcome
+from .delayed import DelayedEngine
+from .engine import Counts, Sample
+from .gnss import Reading, Stamp, gnss_measurements
+from .heading import Prior
+from .settings import Settings
+
+FloatArray = npt.NDArray[np.float64]
+
+FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
+RATE_LIMIT = 100.0  # [rad/s]
+HELD_LIMIT = 1000  # measurements that wait for an inertial sample
+BACKWARDS_LIMIT = 100  # successive samples from the past, after which it is the clock that was set back
+
+
+@dataclass(frozen=True)
+class Solution:
+    """State of the IMU at an inertial sample, with covariances (3, 3) in m², m²/s² and rad², NED."""
+
+    time_ns: int
+    phase: NavigationPhase
+    position: Geodetic
+    velocity: Vector
+    roll: float
+    pitch: float
+    yaw: float
+    position_cov: FloatArray
+    velocity_cov: FloatArray
+    attitude_cov: FloatArray
+    rate: Vector
+    accelerometer_bias: Vector
+    gyroscope_bias: Vector
+    stationary: bool
+    gnss_age_s: float | None
+
+
+class Navigator:
+    """Loosely coupled INS/GNSS whose result depends on stamps alone, and not on the order of arrival.
+
+    A fix waits until an inertial sample comes that was received `merge_delay_s` later, whatever the bus made of their
+    order; then it is used at the instant at which it was true.
+    """
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self.settings = settings or Settings()
+        self.rejects: Counter[str] = Counter()
+        self.samples_used = 0
+        self.samples_rejected = 0
+        self._delayed = DelayedEngine(self.settings)
+        self._backwards = 0
+        self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
+
+    def imu(
+        self, time_ns: int, force: Sequence[float], rate: Sequence[float], received_ns: int | None = None
+    ) -> list[Outcome]:
+        """Take one inertial sample.
+
+        Parameters
+        ----------
+        time_ns : int
+            End of the time over which the sample is the mean.
+        force : sequence of three floats
+            [m/s², body] Specific force as measured.
+        rate : sequence of three floats
+            [rad/s, body] Angular rate as measured.
+        received_ns : int, optional
+            When it arrived at the driver; `time_ns` if not given.
+
+        Returns
+        -------
+        list of Outcome
+            What became of the measurements that were used now.
+        """
+        outcomes = self._release(time_ns if received_ns is None else received_ns)
+        fault = self._fault(time_ns, force, rate)
+        if fault:
+            self.samples_rejected += 1
+            self.rejects[fault] += 1
+            return outcomes
+        self.samples_used += 1
+        sample = Sample(time_ns, (force[0], force[1], force[2]), (rate[0], rate[1], rate[2]))
+        return outcomes + self._delayed.step(sample)
+
+    def measure(self, measurement: Measurement) -> None:
+        """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
+        release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
+        entry = (release_ns, measurement.time_ns, measurement.source, measurement)
+        insort(self._held, entry, key=lambda held: held[:3])
+        if len(self._held) > HELD_LIMIT:
+            self._held.pop(0)
+            self.rejects["held without inertial samples"] += 1
+
+    def fix(
+        self,
+        time_ns: int,
+        *,
+        position: Geodetic,
+        velocity: Vector | None = None,
+        position_sd: Vector | None = None,
+        velocity_sd: Vector | None = None,
+        received_ns: int | None = None,
+        source: str = "gnss",
+    ) -> None:
+        """Take position [rad, rad, m] and velocity [m/s, NED] of the antenna, with standard deviations, at a stamp."""
+        stamp = Stamp(time_ns, time_ns if received_ns is None else received_ns, source)
+        reading = Reading((0.0, 0.0, 0.0), _diagonal(position_sd))
+        moving = None if velocity is None else Reading(velocity, _diagonal(velocity_sd))
+        for measurement in gnss_measurements(self.settings, stamp, position, reading, moving):
+            self.measure(measurement)
+
+    def remember(self, prior: Prior) -> None:
+        """Take the position and heading that were saved before the power went."""
+        self._delayed.engine.remember(prior)
+
+    @property
+    def phase(self) -> NavigationPhase:
+        """How far the filter has come."""
+        return self._delayed.engine.phase
+
+    @property
+    def since_ns(self) -> int:
+        """When the phase began."""
+        return self._delayed.engine.since_ns
+
+    @property
+    def reason(self) -> str:
+        """Why the phase began."""
+        return self._delayed.engine.reason
+
+    @property
+    def counts(self) -> Counts:
+        """What was used, rejected, bridged and reset."""
+        return self._delayed.engine.counts
+
+    def solution(self) -> Solution | None:
+        """State at the newest inertial sample, or None while there is none to be believed."""
+        engine = self._delayed.engine
+        navigation = engine.filter
+        if navigation is None:
+            return None
+        roll, pitch, yaw = roll_pitch_yaw(navigation.ned_from_body)
+        time_ns = navigation.inertial.time_ns
+        return Solution(
+            time_ns=time_ns,
+            phase=engine.phase,
+            position=navigation.inertial.position,
+            velocity=navigation.inertial.velocity,
+            roll=roll,
+            pitch=pitch,
+            yaw=yaw,
+            position_cov=navigation.P[em.POSITION, em.POSITION],
+            velocity_cov=navigation.P[em.VELOCITY, em.VELOCITY],
+            attitude_cov=navigation.P[em.ATTITUDE, em.ATTITUDE],
+            rate=navigation.rate,
+            accelerometer_bias=navigation.accelerometer_bias,
+            gyroscope_bias=navigation.gyroscope_bias,
+            stationary=engine.stationary,
+            gnss_age_s=None if engine.accepted_ns is None else (time_ns - engine.accepted_ns) * 1e-9,
+        )
+
+    def _release(self, received_ns: int) -> list[Outcome]:
+        """Use what has waited long enough."""
+        outcomes: list[Outcome] = []
+        while self._held and self._held[0][0] <= received_ns:
+            measurement = self._held.pop(0)[3]
+            try:
+                outcomes += self._delayed.insert(measurement)
+            except LookupError:
+                self.rejects["measurement older than the memory"] += 1
+        return outcomes
+
+    def _fault(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> str | None:
+        """What is wrong with a sample, if anything is."""
+        if not isfinite(sum(force) + sum(rate)):
+            return "sample not finite"
+        if max(map(abs, force)) > FORCE_LIMIT or max(map(abs, rate)) > RATE_LIMIT:
+            return "sample beyond any sensor"
+        last = self._delayed.engine.last
+        if last is None or time_ns > last.time_ns:
+            self._backwards = 0
+            return None
+        self._backwards += 1
+        if self._backwards > BACKWARDS_LIMIT:
+            self._backwards = 0
+            self._delayed = self._delayed.restarted("the inertial clock went back")
+        return "sample doubled or out of order"
+
+
+def _diagonal(sd: Vector | None) -> FloatArray | None:
+    return None if sd is None else np.diag(np.square(sd))

@@ -1,0 +1,82 @@
+"""core.fusion: says where the vehicle is and how well that is known."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from shared.messages import (
+    AidingUpdate,
+    GnssFix,
+    ImuSamples,
+    LastPosition,
+    NavigationPhase,
+    NavigationSolution,
+    NavigationState,
+    Tick,
+    VehicleSpeed,
+    WheelSpeeds,
+)
+
+from .navigator import Navigator
+from .settings import Settings
+from .translate import aiding_message, measurements_from_fix, prior_from_last_position, solution_message, state_message
+
+STATE_PERIOD_NS = 1_000_000_000
+In = ImuSamples | GnssFix | LastPosition | VehicleSpeed | WheelSpeeds | Tick
+Out = NavigationSolution | NavigationState | AidingUpdate
+
+
+class Config(Settings):
+    """Settings of core.fusion."""
+
+
+class Process:
+    """Feeds the navigator from the bus, and the bus from the navigator."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._navigator = Navigator(config)
+        self._solution_period_ns = round(config.solution_period_s * 1e9)
+        self._last_solution = -1  # number of its period
+        self._last_state: tuple[NavigationPhase, str, int] | None = None
+        self._imu_source: str | None = None
+
+    @property
+    def rejects(self) -> Counter[str]:
+        """What was refused, by kind."""
+        return self._navigator.rejects
+
+    def handle(self, message: In) -> Iterator[Out]:
+        """Answer one message; time is that of the inertial samples."""
+        match message:
+            case ImuSamples():
+                yield from self._inertial(message)
+            case GnssFix():
+                measurements = measurements_from_fix(message, self._config)
+                for measurement in measurements:
+                    self._navigator.measure(measurement)
+                self.rejects["fix without position"] += not measurements
+            case LastPosition():
+                self._navigator.remember(prior_from_last_position(message))
+
+    def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
+        samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
+        for sampled_ns, force, rate in samples:
+            outcomes = self._navigator.imu(sampled_ns, force, rate, batch.received_ns)
+            yield from map(aiding_message, outcomes)
+            yield from self._state(sampled_ns)
+            yield from self._solution(sampled_ns)
+
+    def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
+        """Say what goes on when it changes, and every second."""
+        current = (self._navigator.phase, self._navigator.reason, sampled_ns // STATE_PERIOD_NS)
+        if current != self._last_state:
+            self._last_state = current
+            yield state_message(self._navigator, sampled_ns)
+
+    def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
+        """Say where the vehicle is, once a period."""
+        period = sampled_ns // self._solution_period_ns
+        solution = self._navigator.solution() if period > self._last_solution else None
+        if solution is not None:
+            self._last_solution = period
+            yield solution_message(solution)

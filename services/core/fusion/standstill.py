@@ -1,0 +1,48 @@
+"""What a vehicle at rest knows of itself: no velocity, and no angular rate but the Earth's."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.maths.earth import earth_rate_n
+from shared.messages import AidingKind
+
+from . import error_model as em
+from .aiding import Observation
+from .filter import ErrorStateFilter
+
+PERIOD_S = 0.1
+VELOCITY_SD = 0.02  # [m/s]
+RATE_SD = 0.0015  # [rad/s]
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """The vehicle stands still at this instant."""
+
+    time_ns: int
+    received_ns: int
+    source: str = "core.fusion"
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Zero velocity first, then zero angular rate."""
+        yield observe_velocity
+        yield observe_rate
+
+
+def observe_velocity(navigation: ErrorStateFilter) -> Observation:
+    """Hold v = 0 against the filter: z = -v, H = -I on the velocity."""
+    H = np.zeros((3, em.SIZE))
+    H[:, em.VELOCITY] = -np.eye(3)
+    z = -np.array(navigation.inertial.velocity)
+    return Observation(AidingKind.ZERO_VELOCITY, z, H, VELOCITY_SD**2 * np.eye(3))
+
+
+def observe_rate(navigation: ErrorStateFilter) -> Observation:
+    """Hold w - C^T w_ie = b_g against the filter: H = I on the gyroscope's bias."""
+    H = np.zeros((3, em.SIZE))
+    H[:, em.GYROSCOPE_BIAS] = np.eye(3)
+    earth_n = np.array(earth_rate_n(navigation.inertial.position.latitude))
+    z = np.array(navigation.rate) - navigation.ned_from_body.T @ earth_n
+    return Observation(AidingKind.ZERO_ANGULAR_RATE, z, H, RATE_SD**2 * np.eye(3))

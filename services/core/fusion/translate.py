@@ -1,0 +1,133 @@
+"""Between the messages of the bus and the types of the navigator."""
+
+from math import cos, degrees, radians, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import Geodetic
+from shared.messages import (
+    AidingUpdate,
+    FixType,
+    GnssFix,
+    LastPosition,
+    NavigationSolution,
+    NavigationState,
+    Symmetric3,
+    Vector3,
+)
+
+from .aiding import Measurement, Outcome
+from .gnss import Reading, Stamp, gnss_measurements
+from .heading import Prior
+from .navigator import Navigator, Solution
+from .settings import Settings
+
+FloatArray = npt.NDArray[np.float64]
+
+USABLE = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
+COURSE_SPEED_M_S = 0.5  # below it the course of a receiver is noise
+GROUND_SPEED_SD = 0.3  # [m/s] of a speed and course that the receiver has smoothed
+UERE_M = 2.5  # [m] times the dilution of precision it is what a receiver without covariance is good for
+
+
+def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]:
+    """Make measurements of a fix: none if it holds no position that is GNSS's own."""
+    if fix.fix_type not in USABLE or fix.latitude_deg is None or fix.longitude_deg is None:
+        return []
+    height = fix.height_ellipsoid_m
+    has_height = height is not None and fix.fix_type is not FixType.TWO_D
+    position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), height or 0.0)
+    reading = Reading((0.0, 0.0, 0.0), _position_cov(fix), 3 if has_height else 2)
+    stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
+    return gnss_measurements(settings, stamp, position, reading, _velocity(fix))
+
+
+def _position_cov(fix: GnssFix) -> FloatArray | None:
+    cov = _cov(fix.position_cov_ned_m2, fix.position_sd_ned_m)
+    if cov is None and fix.hdop is not None:
+        horizontal, vertical = UERE_M * fix.hdop, UERE_M * (fix.vdop or 2.0 * fix.hdop)
+        return np.diag(np.square([horizontal, horizontal, vertical]))
+    return cov
+
+
+def _velocity(fix: GnssFix) -> Reading | None:
+    if fix.velocity_ned_m_s is not None:
+        return Reading(fix.velocity_ned_m_s, _cov(fix.velocity_cov_ned_m2_s2, fix.velocity_sd_ned_m_s))
+    speed, course = fix.ground_speed_m_s, fix.course_rad
+    if speed is None or course is None or speed < COURSE_SPEED_M_S:
+        return None
+    cov = np.eye(3) * GROUND_SPEED_SD**2
+    return Reading((speed * cos(course), speed * sin(course), 0.0), cov, axes=2)
+
+
+def _cov(cov: Symmetric3 | None, sd: Vector3 | None) -> FloatArray | None:
+    if cov is not None:
+        nn, ne, nd, ee, ed, dd = cov
+        return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]])
+    return None if sd is None else np.diag(np.square(sd))
+
+
+def prior_from_last_position(last: LastPosition) -> Prior:
+    """Read the saved position and heading."""
+    position = Geodetic(radians(last.latitude_deg), radians(last.longitude_deg), last.height_ellipsoid_m)
+    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad)
+
+
+def solution_message(solution: Solution) -> NavigationSolution:
+    """Put a solution on the bus."""
+    return NavigationSolution(
+        sampled_ns=solution.time_ns,
+        phase=solution.phase,
+        latitude_deg=degrees(solution.position.latitude),
+        longitude_deg=degrees(solution.position.longitude),
+        height_ellipsoid_m=solution.position.height,
+        velocity_ned_m_s=solution.velocity,
+        roll_rad=solution.roll,
+        pitch_rad=solution.pitch,
+        yaw_rad=solution.yaw,
+        position_cov_ned_m2=_upper(solution.position_cov),
+        velocity_cov_ned_m2_s2=_upper(solution.velocity_cov),
+        attitude_cov_ned_rad2=_upper(solution.attitude_cov),
+        angular_rate_body_rad_s=solution.rate,
+        accelerometer_bias_m_s2=solution.accelerometer_bias,
+        gyroscope_bias_rad_s=solution.gyroscope_bias,
+        stationary=solution.stationary,
+        gnss_age_s=solution.gnss_age_s,
+    )
+
+
+def aiding_message(outcome: Outcome) -> AidingUpdate:
+    """Put what became of an observation on the bus."""
+    return AidingUpdate(
+        sampled_ns=outcome.time_ns,
+        source=outcome.source,
+        kind=outcome.kind,
+        innovation=outcome.innovation,
+        innovation_sd=outcome.innovation_sd,
+        test_ratio=outcome.test_ratio,
+        used=outcome.used,
+        reason=outcome.reason,
+    )
+
+
+def state_message(navigator: Navigator, sampled_ns: int) -> NavigationState:
+    """Put what the navigator is doing on the bus."""
+    counts = navigator.counts
+    return NavigationState(
+        sampled_ns=sampled_ns,
+        phase=navigator.phase,
+        since_ns=navigator.since_ns,
+        reason=navigator.reason,
+        fixes_used=counts.fixes_used,
+        fixes_rejected=counts.fixes_rejected,
+        samples_used=navigator.samples_used,
+        samples_rejected=navigator.samples_rejected,
+        imu_gaps=counts.imu_gaps,
+        resets=counts.resets,
+    )
+
+
+def _upper(matrix: FloatArray) -> Symmetric3:
+    (nn, ne, nd), (_, ee, ed), (_, _, dd) = matrix.tolist()
+    return nn, ne, nd, ee, ed, dd
