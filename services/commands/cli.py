@@ -1,9 +1,11 @@
 """The command line: one line a command, its work in a file of its own."""
 
+import functools
 import logging
 import signal
 import sys
 import time
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from types import FrameType
@@ -14,6 +16,9 @@ import typer
 from shared.config import load_vehicle
 from shared.errors import UserError
 from shared.processes import BY_NAME
+
+from .import_drive import import_drive
+from .solve import solve
 
 app = typer.Typer(
     help="A vehicle on-board unit that says where the vehicle is, and whether to believe it.",
@@ -153,6 +158,17 @@ def reference(folder: Annotated[Path, typer.Argument(help="Where the pages go.")
         print(path)
 
 
+def _add(function: Callable[..., int], name: str) -> None:
+    """Add a command that lives in a file of its own and returns its exit code."""
+
+    @functools.wraps(function)
+    def command(**arguments: object) -> None:
+        _end_on_sigterm()
+        raise typer.Exit(function(**arguments))
+
+    app.command(name)(command)
+
+
 def _end_on_sigterm() -> None:
     """Let SIGTERM unwind the stack as Ctrl-C does, so that everything started here is ended."""
 
@@ -160,3 +176,7 @@ def _end_on_sigterm() -> None:
         sys.exit(0)
 
     signal.signal(signal.SIGTERM, end)
+
+
+_add(import_drive, "import")
+_add(solve, "solve")
