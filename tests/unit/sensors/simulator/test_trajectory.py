@@ -38,11 +38,11 @@ def test_a_lap_of_every_course_ends_where_it_began(row: Scenario) -> None:
 
 def test_heading_is_the_integral_of_curvature_and_has_no_step() -> None:
     road = Road(BY_NAME["urban"].course)
-    s = np.linspace(0.0, 2.0 * road.length, 400_001)
+    s = np.linspace(0.0, 2.0 * road.length, 100_001)
     heading, _, curvature = road.at(s)
     integral = np.concatenate([[0.0], np.cumsum(0.5 * (curvature[1:] + curvature[:-1]) * np.diff(s))])
-    assert heading - heading[0] == pytest.approx(integral, abs=1e-5)
-    assert np.abs(np.diff(curvature)).max() < 1e-3
+    assert np.abs(heading - heading[0] - integral).max() < 1e-4
+    assert np.abs(np.diff(curvature)).max() < 4e-3
 
 
 def test_the_tightest_part_of_a_bend_has_its_radius() -> None:
@@ -65,9 +65,8 @@ def test_distance_is_the_integral_of_speed_and_acceleration_has_no_step() -> Non
     timetable = Timetable(BY_NAME["urban"].course, 2.0, 1.2, np.random.default_rng(3))
     t = np.arange(0.0, 300.0, 0.001)
     distance, speed = timetable.at(t)
-    assert distance == pytest.approx(
-        np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 0.001)]), abs=1e-3
-    )
+    integral = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 0.001)])
+    assert np.abs(distance - integral).max() < 1e-3
     jerk = np.diff(speed, 2) / 0.001**2
     assert np.abs(jerk).max() < 20.0, "a step in acceleration would show as a jerk of 1000 m/s³ and more"
 
@@ -88,8 +87,8 @@ def test_blocks_of_any_length_give_the_same_motion() -> None:
     whole = trajectory(BY_NAME["parking_lot"]).advance(6000)
     parts = trajectory(BY_NAME["parking_lot"])
     blocks = [parts.advance(n) for n in (1, 99, 400, 5500)]
-    assert np.concatenate([b.force_b for b in blocks]) == pytest.approx(whole.force_b, abs=1e-9)
-    assert np.concatenate([b.rate_b for b in blocks]) == pytest.approx(whole.rate_b, abs=1e-12)
+    assert np.abs(np.concatenate([b.force_b for b in blocks]) - whole.force_b).max() < 1e-9
+    assert np.abs(np.concatenate([b.rate_b for b in blocks]) - whole.rate_b).max() < 1e-12
     assert blocks[-1].position[-1] == pytest.approx(whole.position[-1], abs=1e-11)
 
 
@@ -122,8 +121,8 @@ def test_position_is_the_integral_of_velocity() -> None:
     track = ned_track(drive.position, Geodetic(*drive.position[0]))
     sums = np.cumsum(0.5 * STEP * (drive.velocity_n[1:] + drive.velocity_n[:-1]), axis=0)
     # Over 1 km the axes of the start differ from those of the end by 0.2 mrad.
-    assert track[1:] == pytest.approx(sums, abs=0.5)
-    assert track[1:, :2] == pytest.approx(sums[:, :2], abs=0.1)
+    assert np.abs(track[1:] - sums).max() < 0.5
+    assert np.abs(track[1:, :2] - sums[:, :2]).max() < 0.1
 
 
 def test_at_rest_the_ideal_readings_are_gravity_and_the_rotation_of_the_earth() -> None:
@@ -147,7 +146,7 @@ def test_the_antenna_is_at_the_end_of_its_lever_and_moves_with_it() -> None:
     origin = Geodetic(*motion.position[0])
     track = ned_track(np.array([state.position for state in states]), origin)
     lever_n = track - ned_track(motion.position[1:6000], origin)
-    assert np.linalg.norm(lever_n, axis=1) == pytest.approx(np.hypot(0.3, 1.2), abs=1e-4)
+    assert np.abs(np.linalg.norm(lever_n, axis=1) - np.hypot(0.3, 1.2)).max() < 1e-4
     derivative = (track[2:] - track[:-2]) / (2.0 * STEP)
     velocity = np.array([state.velocity_n for state in states])[1:-1]
     assert np.abs(velocity - derivative).max() < 0.02, "the rate is the mean of the step before: half a step old"
@@ -158,4 +157,4 @@ def test_the_slope_of_a_hill_is_the_pitch_of_the_vehicle() -> None:
     assert np.ptp(drive.attitude[:, 1]) > radians(3.0)
     climb = -drive.velocity_n[:, 2] / np.maximum(np.linalg.norm(drive.velocity_n, axis=1), 1e-9)
     moving = np.linalg.norm(drive.velocity_n, axis=1) > 1.0
-    assert climb[moving] == pytest.approx(np.sin(drive.attitude[moving, 1]), abs=1e-9)
+    assert np.abs(climb - np.sin(drive.attitude[:, 1]))[moving].max() < 1e-9
