@@ -103,7 +103,8 @@ class ClockMapping:
         self._points.clear()
         self._device_origin_ns, self._offset_origin_ns = device_ns, received_ns - device_ns
         self._last_device_ns = device_ns
-        self._last_stamp_ns = min(self._last_stamp_ns, received_ns - 1)
+        if received_ns < self._last_stamp_ns - self.STEP_S * NS:
+            self._last_stamp_ns = received_ns - 1
         self._slope = self._intercept = 0.0
         self._late_since = None
 
