@@ -1,0 +1,118 @@
+"""What gpsd, which is not ours, makes of the simulated receiver's bytes."""
+
+import json
+import math
+import os
+import pty
+import shutil
+import socket
+import subprocess
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import pytest
+
+from services.sensors.simulator.receiver import SOURCE
+from services.sensors.simulator.scenarios import BY_NAME
+from services.sensors.simulator.world import Equipment, World
+from shared.messages import GnssRaw, TruthState
+
+NS = 1_000_000_000
+START_NS = time.time_ns()  # gpsd mistrusts times far from its own clock
+SPEED_UP = 16.0  # gpsd stamps nothing with its own clock that this test reads
+LIMIT_S = 12.0
+Report = dict[str, Any]  # JSON of gpsd
+
+pytestmark = pytest.mark.skipif(shutil.which("gpsd") is None, reason="gpsd is not installed: apt install gpsd")
+
+
+@contextmanager
+def gpsd(device: str) -> Iterator[socket.socket]:
+    """Run gpsd on a device and a port of its own, and connect to it."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [shutil.which("gpsd") or "gpsd", "-N", "-n", "-b", "-S", str(port), device]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        client = connect(port)
+        client.sendall(b'?WATCH={"enable":true,"json":true}\n')
+        client.settimeout(0.02)
+        with client:
+            yield client
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def connect(port: int) -> socket.socket:
+    deadline = time.monotonic() + 5.0
+    while True:
+        with suppress(ConnectionRefusedError):
+            return socket.create_connection(("127.0.0.1", port), 1.0)
+        assert time.monotonic() < deadline, "gpsd does not listen"
+        time.sleep(0.05)
+
+
+def reports(protocol: str, wanted: int) -> tuple[list[Report], list[Report], list[TruthState]]:
+    """Play the receiver to gpsd until it has reported enough positions with a fix: TPV, SKY and the truth."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    positions: list[Report] = []
+    skies: list[Report] = []
+    truth: list[TruthState] = []
+    rest = b""
+    try:
+        with gpsd(os.ttyname(slave)) as client:
+            began = time.monotonic()
+            for due_ns, message in World(BY_NAME["highway"], 1, START_NS, Equipment(protocols=(protocol,))):
+                if isinstance(message, TruthState):
+                    truth.append(message)
+                if not isinstance(message, GnssRaw):
+                    continue
+                assert message.source == SOURCE
+                while time.monotonic() - began < (due_ns - START_NS) / NS / SPEED_UP:
+                    with suppress(TimeoutError):
+                        rest += client.recv(65536)
+                os.write(master, message.data)
+                *lines, rest = rest.split(b"\n")
+                for report in map(json.loads, lines):
+                    if report["class"] == "TPV" and report.get("mode", 0) >= 2:
+                        positions.append(report)
+                    elif report["class"] == "SKY" and "satellites" in report:
+                        skies.append(report)
+                if len(positions) >= wanted or time.monotonic() - began > LIMIT_S:
+                    break
+    finally:
+        os.close(master)
+        os.close(slave)
+    return positions, skies, truth
+
+
+@pytest.mark.parametrize("protocol", ["ubx", "nmea"])
+def test_gpsd_finds_the_vehicle_where_it_is(protocol: str) -> None:
+    positions, _, truth = reports(protocol, 40)
+    assert len(positions) >= 20
+    assert {report["mode"] for report in positions[5:]} == {3}
+    last = positions[-1]
+    lat, lon = math.radians(last["lat"]), math.radians(last["lon"])
+    near = min(
+        math.hypot(lat - math.radians(t.latitude_deg), (lon - math.radians(t.longitude_deg)) * math.cos(lat))
+        for t in truth
+    )
+    assert near * 6.37e6 < 2.5, "metres: the truth comes every 100 ms"
+    antenna_m = truth[-1].height_ellipsoid_m + 1.2
+    assert last["altHAE"] == pytest.approx(antenna_m, abs=0.1)
+    assert last["speed"] > 10.0
+    assert last["track"] == pytest.approx(math.degrees(truth[-1].yaw_rad), abs=0.5)
+
+
+def test_gpsd_sees_the_satellites_and_the_accuracy_that_the_receiver_states() -> None:
+    positions, skies, _ = reports("ubx", 10)
+    assert positions[-1]["eph"] == pytest.approx(math.hypot(0.01, 0.01), abs=0.001)
+    assert positions[-1]["epv"] == pytest.approx(0.015, abs=0.001)
+    assert skies[-1]["uSat"] > 20
+    assert skies[-1]["pdop"] == pytest.approx(math.hypot(skies[-1]["hdop"], skies[-1]["vdop"]), abs=0.02)
