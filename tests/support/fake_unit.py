@@ -18,7 +18,7 @@ from shared.bus import Envelope
 RADIUS_M, SPEED_M_S = 60.0, 9.0
 LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
 METRES_PER_DEG = 111_200.0
-LIFE = 1_000
+LIFE = 1_795_000_000 * 10**9
 SIMULATED = (
     "sensors.simulator", "parsers.gnss", "parsers.imu", "parsers.can", "controller.mode",
     "core.fusion", "monitoring.recorder", "monitoring.health", "monitoring.status",
@@ -135,10 +135,20 @@ class FakeUnit:
 
     def _fast(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
         wobble = 0.03 * math.sin(now_ns * 1e-9)
-        yield "sensors.simulator", m.CanRaw(received_ns=now_ns, source="can0", data=b"(0.0) can0 123#0011223344556677\n")
+        yield (
+            "sensors.simulator",
+            m.CanRaw(received_ns=now_ns, source="can0", data=b"(0.0) can0 123#0011223344556677\n"),
+        )
         wheel = SPEED_M_S * (1.01 + wobble / 3)
-        yield "parsers.can", m.WheelSpeeds(
-            sampled_ns=now_ns, received_ns=now_ns, source="can0", rear_left_m_s=wheel - 0.2, rear_right_m_s=wheel + 0.2
+        yield (
+            "parsers.can",
+            m.WheelSpeeds(
+                sampled_ns=now_ns,
+                received_ns=now_ns,
+                source="can0",
+                rear_left_m_s=wheel - 0.2,
+                rear_right_m_s=wheel + 0.2,
+            ),
         )
         latitude, longitude = self._place(now_ns)
         velocity = self._velocity(now_ns)

@@ -67,6 +67,7 @@ class Check:
     text: str
     ratio: float | None = None  # statistic over limit, where there is one: 1 is the limit
     link: str = ""
+    fitted: bool = True  # False: this version has no such monitor
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def _sentence(e: Evidence) -> tuple[Trust, str, str, str]:
             f"No position yet: {_why_none(e)}.",
             "The list below shows which input is missing. Outdoors a first position takes up to a minute.",
         )
-    if e.solution_age_s is None or e.solution_age_s >= _stale_after_s("navigation/solution"):
+    if _is_old(e):
         return (
             Trust.STALE,
             f"stale {e.cause}",
@@ -173,7 +174,7 @@ def _checks(e: Evidence) -> list[Check]:
         *_gate_checks(e),
         _age_check("odometer", "Vehicle speed", e.odometer_age_s, "vehicle/wheel_speed", "speed"),
     ]
-    checks += [Check(name, label, Trust.OFF, text) for name, label, text in NOT_MONITORED]
+    checks += [Check(name, label, Trust.OFF, text, fitted=False) for name, label, text in NOT_MONITORED]
     return checks
 
 
@@ -184,11 +185,11 @@ def _fix_check(e: Evidence) -> Check:
     satellites = "" if e.fix.satellites_used is None else f", {e.fix.satellites_used} satellites"
     limit_s = _stale_after_s("gnss/fix")
     if e.fix_age_s >= limit_s:
-        return Check("fix", label, Trust.STALE, f"older than {limit_s:g} s", ratio=None, link=link)
+        return Check("fix", label, Trust.STALE, f"older than {limit_s:g} s", link=link)
     if e.fix.fix_type in (FixType.NONE, FixType.TIME_ONLY, FixType.DEAD_RECKONING):
         return Check("fix", label, Trust.CAUTION, f"the receiver has no position{satellites}", link=link)
     kind = e.fix.fix_type.replace("two_d", "2-D").replace("three_d", "3-D").replace("_", " ")
-    return Check("fix", label, Trust.SAFE, f"{kind}{satellites}, at most {limit_s:g} s old", link=link)
+    return Check("fix", label, Trust.SAFE, f"{kind}{satellites}", link=link)
 
 
 def _age_check(name: str, label: str, age_s: float | None, topic: str, what: str) -> Check:
@@ -198,7 +199,7 @@ def _age_check(name: str, label: str, age_s: float | None, topic: str, what: str
         return Check(name, label, state, f"no {what} received", link=f"topic={topic}")
     if age_s >= limit_s:
         return Check(name, label, Trust.STALE, f"no {what} for more than {limit_s:g} s", link=f"topic={topic}")
-    return Check(name, label, Trust.SAFE, f"{what} at most {limit_s:g} s old", link=f"topic={topic}")
+    return Check(name, label, Trust.SAFE, f"{what} in time", link=f"topic={topic}")
 
 
 def _phase_check(e: Evidence) -> Check:
@@ -211,8 +212,8 @@ def _phase_check(e: Evidence) -> Check:
 
 
 def _heading_check(e: Evidence) -> Check:
-    if e.solution is None:
-        return Check("heading", "Heading", Trust.STALE, "unknown")
+    if e.solution is None or _is_old(e):
+        return Check("heading", "Heading", Trust.STALE, "unknown", link="topic=navigation/solution")
     sd_deg = _heading_sd_deg(e.solution)
     state = Trust.SAFE if sd_deg <= HEADING_SD_LIMIT_DEG else Trust.CAUTION
     text = f"± {sd_deg:.1f}° (1 σ), limit {HEADING_SD_LIMIT_DEG:g}°"
@@ -232,7 +233,19 @@ def _gate_checks(e: Evidence) -> list[Check]:
         checks.append(
             Check(f"gate {kind}", label, state, text, min(update.test_ratio, 9.99), "topic=navigation/aiding")
         )
-    return checks or [Check("gate", "Fit of the measurements", Trust.OFF, "none used in the last seconds")]
+    return checks or [
+        Check(
+            "gate",
+            "Fit of the measurements",
+            Trust.STALE,
+            f"none in {AIDING_RECENT_S:g} s",
+            link="topic=navigation/aiding",
+        )
+    ]
+
+
+def _is_old(e: Evidence) -> bool:
+    return e.solution_age_s is None or e.solution_age_s >= _stale_after_s("navigation/solution")
 
 
 def _recent(e: Evidence) -> list[tuple[AidingKind, AidingUpdate, float]]:

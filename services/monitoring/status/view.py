@@ -92,7 +92,15 @@ def banner(state: State) -> Json:
         "action": verdict.action,
         "since_ns": state.verdict_since_ns,
         "checks": [
-            {"name": c.name, "label": c.label, "state": c.state, "text": c.text, "ratio": c.ratio, "link": c.link}
+            {
+                "name": c.name,
+                "label": c.label,
+                "state": c.state,
+                "text": c.text,
+                "ratio": c.ratio,
+                "link": c.link,
+                "fitted": c.fitted,
+            }
             for c in verdict.checks
         ],
     }

@@ -142,8 +142,8 @@ function Picture({ sc, size, half, headingUp }) {
       <ellipse rx=${s.ellipse.semi_minor_m * scale} ry=${s.ellipse.semi_major_m * scale}
         transform=${`rotate(${degrees(s.ellipse.orientation_rad)})`} class="ellipse ${sc.stale ? "old" : ""}" />
       ${sc.gnss && html`<path d="M0-7 7 0 0 7-7 0z" transform=${at(sc.gnss)} class="gnss" />`}
-      <path d="M0-13 9 11 0 6-9 11z" transform=${`rotate(${heading})`} class="vehicle ${sc.stale ? "old" : ""}" />
       ${sc.truth && html`<path d="M0-9V9M-9 0H9" transform=${at(sc.truth)} class="truth" />`}
+      <path d="M0-13 9 11 0 6-9 11z" transform=${`rotate(${heading})`} class="vehicle ${sc.stale ? "old" : ""}" />
     </g>
     <g transform="translate(26 28)" class="north">
       <circle r="15" /><g transform=${`rotate(${turn})`}><path d="M0-11 4 1H-4z" /><text y="10">${w.north}</text></g>
@@ -172,7 +172,7 @@ export function CloseUp() {
   const aside = sc && html`<${Age} topic="navigation/solution" stamp=${sc.s.updated_ns} />`;
   return html`<${Card} title=${w.title} id="closeup" class="closeup-card" aside=${aside}>
     <div class="stage" ref=${box}>
-      ${!sc ? html`<${Empty} title=${w.empty} why=${w.emptyWhy} what=${state.value?.banner.sentence} />`
+      ${!sc ? html`<${Empty} title=${w.empty} why=${w.emptyWhy} what=${state.value?.banner.action} />`
         : table ? html`<table class="plain"><thead><tr>${w.columns.map((c) => html`<th>${c}</th>`)}</tr></thead>
             <tbody>${[...items(sc), ["heading", words.position.heading, `${fixed(compass(sc.s.heading_rad), 1)}°`]]
               .map(([, name, value]) => html`<tr><th scope="row">${name}</th><td>${value}</td></tr>`)}</tbody></table>`

@@ -1,7 +1,7 @@
 // The shell around the pages: who speaks, whether it is connected, one sentence on trust, and the way about.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { clock, contract, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
+import { clock, contract, freshness, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
 import { Drawer, Icon, StateIcon, bytes, copyText, duration, html, rate, seconds, timeOfDay } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
@@ -78,7 +78,7 @@ function Clock() {
 function Header({ onHelp }) {
   const next = THEMES[(THEMES.indexOf(settings.value.theme) + 1) % THEMES.length];
   return html`<header class="top">
-    <p class="unit"><span class="dim">${words.unit}</span> ${state.value?.vehicle ?? ""}</p>
+    <p class="who"><span class="dim">${words.unit}</span> ${state.value?.vehicle ?? ""}</p>
     <${Origin} /><${Chain} /><${Clock} />
     <div class="tools">
       <button class="ghost icon-only" onClick=${() => remember({ theme: next })} aria-label=${words.themeButton(words.theme[settings.value.theme])} title=${words.theme[settings.value.theme]}><${Icon} name="sun" /></button>
@@ -167,12 +167,13 @@ function Footer() {
   const first = problems[0];
   const target = first && (first.what.includes("/") ? `topic=${first.what}` : `node=${first.what}`);
   const live = link.value.open;
+  const heard = recording && !["stale", "never"].includes(freshness("recording/state", recording.updated_ns));
   return html`<footer class="foot" aria-label=${t.label}>
     ${live && html`<span>${t.rate(rate(bus.messages_hz))}</span>
     ${bus.delay_p95_s != null && html`<span>${t.delay(seconds(bus.delay_p95_s))}</span>`}
     <span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>
-    ${recording && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
-    <span class=${recording?.recording ? "rec" : ""}>${!recording ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
+    ${heard && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
+    <span class=${heard && recording.recording ? "rec" : ""}>${!heard ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
     ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text)}</a>`
       : html`<span class="push dim">${t.noProblems}</span>`}
   </footer>`;

@@ -4,7 +4,7 @@ import { clock, freshness, history, link, nowMs, settings, state } from "./store
 import {
   Age, Card, Empty, Row, STATUS_STATE, StateIcon, compass, degrees, duration, fixed, html, metres, seconds, timeOfDay,
 } from "./parts.js";
-import { CloseUp } from "./closeup.js";
+import { CloseUp, scene } from "./closeup.js";
 import { words } from "./words.js";
 
 const KMH = 3.6;
@@ -14,9 +14,10 @@ function PositionCard() {
   const p = words.position;
   const { solution: s, fix, satellites, navigation, truth, mode } = state.value;
   clock.value;
-  if (!s) return html`<${Card} title=${p.title} id="position"><${Empty} title=${p.empty} why=${state.value.banner.sentence} /></${Card}>`;
+  if (!s) return html`<${Card} title=${p.title} id="position"><${Empty} title=${p.empty} why=${p.emptyWhy} /></${Card}>`;
   const old = freshness("navigation/solution", s.updated_ns) === "stale" ? "old" : "";
   const digits = s.ellipse.semi_major_m < 0.1 ? 7 : 6;
+  const { stale, withinM } = scene();
   const off = truth?.error_north_m == null ? null : Math.hypot(truth.error_north_m, truth.error_east_m);
   return html`<${Card} title=${p.title} id="position" aside=${html`<${Age} topic="navigation/solution" stamp=${s.updated_ns} />`}>
     <div class="lead ${old}">
@@ -24,15 +25,15 @@ function PositionCard() {
         <div><dt>${p.latitude}</dt><dd>${fixed(s.latitude_deg, digits)}<span aria-hidden="true">°</span><span class="sr"> ${p.degrees}</span></dd></div>
         <div><dt>${p.longitude}</dt><dd>${fixed(s.longitude_deg, digits)}<span aria-hidden="true">°</span><span class="sr"> ${p.degrees}</span></dd></div>
       </dl>
-      <p class="accuracy"><span>±</span> ${metres(s.ellipse.semi_major_m)} <span class="note">${p.error95}</span></p>
+      <p class="accuracy"><span>±</span> ${metres(stale ? withinM : s.ellipse.semi_major_m)} <span class="note">${stale ? p.byNow : p.error95}</span></p>
     </div>
     <dl class="rows ${old}">
       <${Row} label=${p.speed} value=${fixed(s.speed_m_s * KMH, 1)} unit=${words.speed.unit} unitName=${words.speed.unitName} extra=${s.stationary ? p.standing : null} />
       <${Row} label=${p.heading} value=${`${fixed(compass(s.heading_rad), 1).padStart(5, "0")}°`} extra=${`± ${fixed(degrees(s.heading_sd_rad), 1)}° (${p.sigma})`} />
       <${Row} label=${p.height} value=${fixed(s.height_ellipsoid_m, 1)} unit="m" unitName="metres" extra=${`± ${metres(s.height_sd_m)} ${p.heightNote}`} />
       <${Row} label=${p.phase} value=${p.phases[s.phase] ?? s.phase} extra=${navigation && s.phase !== "navigating" ? navigation.reason : null} />
-      <${Row} label=${p.gnssUsed} value=${s.gnss_age_s == null ? p.never : p.ago(seconds(Math.max(s.gnss_age_s, 0.1)))} />
-      ${off !== null && html`<${Row} label=${p.truthError} value=${metres(off)} />`}
+      <${Row} label=${p.gnssUsed} value=${s.gnss_age_s == null ? p.never : p.ago(s.gnss_age_s < 1 ? words.age.now : duration(s.gnss_age_s))} />
+      ${off !== null && html`<${Row} label=${p.truthError} value=${metres(off)} extra=${p.truthNote} />`}
     </dl>
     <${FixRows} fix=${fix} satellites=${satellites} mode=${mode} />
   </${Card}>`;
@@ -45,11 +46,29 @@ function FixRows({ fix, satellites, mode }) {
   const carrier = p.carrier[fix.carrier_solution];
   return html`<h3 class="divide">${p.fix}<${Age} topic="gnss/fix" stamp=${fix.updated_ns} /></h3>
     <dl class="rows ${old}">
-      <${Row} label=${p.fix} value=${[p.fixType[fix.fix_type], carrier].filter(Boolean).join(", ")} />
+      <${Row} label=${p.kind} value=${[p.fixType[fix.fix_type], carrier].filter(Boolean).join(", ")} />
       <${Row} label=${p.satellites} value=${fix.satellites_used == null ? "-" : p.satellitesOf(fix.satellites_used, satellites?.in_view)} />
       <${Row} label=${p.correction} value=${fix.correction_age_s == null ? p.correctionNone : p.correctionAge(`${fixed(fix.correction_age_s, 1)} s`)} />
       ${mode && html`<${Row} label=${p.mode} value=${mode.mode.replaceAll("_", " ")} />`}
     </dl>`;
+}
+
+// What the phone shows right under the picture; the cards below say the same at length.
+function Glance() {
+  const g = words.glance;
+  const { solution: s, fix } = state.value;
+  clock.value;
+  const sc = scene();
+  if (!sc) return null;
+  const kind = !fix || freshness("gnss/fix", fix.updated_ns) === "stale" ? words.topics.stale
+    : words.position.carrier[fix.carrier_solution] || words.position.fixType[fix.fix_type];
+  const cells = [
+    [g.speed, html`${fixed(s.speed_m_s * KMH, 1)}<small> ${words.speed.unit}</small>`],
+    [g.fix, kind],
+    [sc.stale ? words.position.byNow : words.position.error95, html`± ${metres(sc.stale ? sc.withinM : s.ellipse.semi_major_m)}`],
+    [g.age, html`<${Age} topic="navigation/solution" stamp=${s.updated_ns} />`],
+  ];
+  return html`<dl class="card glance ${sc.stale ? "old" : ""}">${cells.map(([label, value]) => html`<div><dt>${label}</dt><dd>${value}</dd></div>`)}</dl>`;
 }
 
 function spans(nowNs) {
@@ -72,9 +91,11 @@ function TrustCard({ onWhy }) {
       ${bands.map((b) => html`<span class="segment ${b.state}" style=${{ left: share(b.from - nowNs + TRUST_SPAN_S * 1e9), width: share(b.to - b.from) }}></span>`)}
     </div>
     <p class="axis" aria-hidden="true"><span>${t.ago}</span><span>${t.now}</span></p>
-    <ul class="checks">${banner.checks.map((c) => html`<li>
-      <${StateIcon} state=${c.state} word=${words.check[c.state]} /><span>${c.label}</span><span class="dim">${c.state === "off" ? words.check.off : c.text}</span>
-    </li>`)}</ul>
+    <ul class="checks">${banner.checks.filter((c) => c.fitted).map((c) => html`<li>
+      <${StateIcon} state=${c.state} word=${words.check[c.state]} /><span>${c.label}</span><span class="dim">${c.text}</span>
+    </li>`)}
+    <li class="unmonitored"><${StateIcon} state="off" word="" /><span><strong>${words.trust.off}</strong>
+      <span class="dim">${" "}${banner.checks.filter((c) => !c.fitted).map((c) => c.label).join(", ")}</span></span></li></ul>
   </${Card}>`;
 }
 
@@ -133,12 +154,13 @@ function Plot({ theme }) {
   const plot = useRef(null);
   useEffect(() => {
     let gone = false;
-    const size = () => ({ width: Math.max(box.current.clientWidth, 120), height: Math.max(box.current.clientHeight, 120) });
+    const element = box.current;
+    const size = () => ({ width: Math.max(element.clientWidth, 120), height: Math.max(element.clientHeight, 120) });
     const observer = new ResizeObserver(() => plot.current?.setSize(size()));
     loadPlot().then((Library) => {
       if (gone) return;
-      plot.current = new Library(plotOptions(size()), plotData(), box.current);
-      observer.observe(box.current);
+      plot.current = new Library(plotOptions(size()), plotData(), element);
+      observer.observe(element);
     }, () => {});
     return () => {
       gone = true;
@@ -178,5 +200,5 @@ function SpeedCard() {
 export function NowPage({ onWhy }) {
   link.value;
   nowMs();
-  return html`<div class="page now"><${CloseUp} /><${PositionCard} /><${TrustCard} onWhy=${onWhy} /><${SpeedCard} /><${ServicesCard} /></div>`;
+  return html`<div class="page now"><${CloseUp} /><${Glance} /><${PositionCard} /><${TrustCard} onWhy=${onWhy} /><${SpeedCard} /><${ServicesCard} /></div>`;
 }

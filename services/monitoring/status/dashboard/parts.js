@@ -71,7 +71,7 @@ export function bytes(value) {
   return `${value} B`;
 }
 
-export const rate = (value) => (value == null ? words.age.bar : value >= 100 ? value.toFixed(0) : value.toFixed(1));
+export const rate = (value) => (value == null ? words.age.bar : value >= 10 ? value.toFixed(0) : value.toFixed(1));
 export const timeOfDay = (ms, tenths = false) => new Date(ms).toISOString().slice(11, tenths ? 21 : 19);
 export const degrees = (rad) => (rad * 180) / Math.PI;
 export const compass = (rad) => ((degrees(rad) % 360) + 360) % 360;

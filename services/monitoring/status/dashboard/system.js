@@ -14,15 +14,13 @@ const percent = (share) => (share == null ? words.age.bar : `${(share * 100).toF
 function Node({ name, onHover }) {
   const p = state.value.processes[name];
   const status = statusOf(name);
-  const quiet = status === "absent";
-  return html`<li><a class="node ${STATUS_STATE[status]} ${quiet ? "quiet" : ""}" id=${`node-${name}`} href=${`#/system?node=${name}`}
+  return html`<li><a class="node ${STATUS_STATE[status]}" id=${`node-${name}`} href=${`#/system?node=${name}`}
     aria-label=${w.node(name, words.status[status])}
     onMouseEnter=${() => onHover(name)} onMouseLeave=${() => onHover(null)} onFocus=${() => onHover(name)} onBlur=${() => onHover(null)}>
-    <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word="" />${short(name)}</span>
-    <span class="figures">${quiet || status === "waiting" || status === "missing" ? words.status[status]
+    <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word="" />${short(name)}${p.restarts > 0 && html`<span class="restarts">${w.restarted(p.restarts)}</span>`}</span>
+    <span class="figures">${status === "waiting" || status === "missing" ? words.status[status]
       : status !== "ready" ? html`<strong>${words.status[status]}</strong>`
       : html`${p.out_hz == null ? "" : `${rate(p.out_hz)}/s`}${p.latency_p99_s == null ? "" : ` · ${seconds(p.latency_p99_s)}`}`}</span>
-    ${p.restarts > 0 && html`<span class="figures">↻ ${p.restarts}</span>`}
   </a></li>`;
 }
 
@@ -67,11 +65,20 @@ function layOut(box, edges, layers) {
     const x2 = at(b, keys[1], edge);
     const [y1, y2] = up ? [a.top, b.bottom] : [a.bottom, b.top];
     const bend = (y2 - y1) / 2;
-    return { ...edge, d: `M${x1} ${y1}C${x1} ${y1 + bend} ${x2} ${y2 - bend} ${x2} ${y2}`, x: (x1 + x2) / 2, y: (y1 + y2) / 2 };
+    return { ...edge, x1, y1, x2, y2, d: `M${x1} ${y1}C${x1} ${y1 + bend} ${x2} ${y2 - bend} ${x2} ${y2}` };
   });
 }
 
+// Where on its curve a line is named: neighbours take turns, so that their names do not cover each other.
+function nameAt(line, turn) {
+  const t = [0.5, 0.28, 0.72, 0.4, 0.6][turn % 5];
+  const s = 3 * t * t - 2 * t * t * t;
+  const y = 1.5 * t * (1 - t) * (1 - t) + 1.5 * t * t * (1 - t) + t * t * t;
+  return { x: line.x1 + s * (line.x2 - line.x1), y: line.y1 + y * (line.y2 - line.y1) + 4 };
+}
+
 function Edges({ box, hovered }) {
+  clock.value;
   const [lines, setLines] = useState([]);
   const edges = edgesOf(contract.value);
   const key = edges.map((e) => `${e.topic}${e.to}`).join();
@@ -82,6 +89,7 @@ function Edges({ box, hovered }) {
     observer.observe(box.current);
     return () => observer.disconnect();
   }, [key]);
+  let turn = 0;
   return html`<svg class="edges" aria-hidden="true">${lines.map((line) => {
     const flow = state.value.topics[line.topic];
     const fresh = freshness(line.topic, flow?.updated_ns);
@@ -89,9 +97,15 @@ function Edges({ box, hovered }) {
     const width = 1.25 + Math.log10(1 + (flow?.rate_hz ?? 0)) * 1.5;
     return html`<g class="edge ${fresh} ${active ? "active" : hovered ? "away" : ""}">
       <path d=${line.d} style=${{ strokeWidth: width }} />
-      ${active && html`<text x=${line.x} y=${line.y}>${line.topic} ${flow.rate_hz ? `${rate(flow.rate_hz)}/s` : ""} ${flow.latency_p99_s == null ? "" : seconds(flow.latency_p99_s)}</text>`}
+      ${active && html`<text ...${nameAt(line, turn++)}>${[line.topic, flow.rate_hz ? `${rate(flow.rate_hz)}/s` : null, flow.latency_p99_s == null ? null : seconds(flow.latency_p99_s)].filter(Boolean).join(" · ")}</text>`}
     </g>`;
   })}</svg>`;
+}
+
+function Layer({ names, onHover }) {
+  const absent = names.filter((name) => state.value.processes[name].status === "absent");
+  return html`<ul>${names.filter((name) => !absent.includes(name)).map((name) => html`<${Node} key=${name} name=${name} onHover=${onHover} />`)}
+    ${absent.length > 0 && html`<li class="absent">${w.notFitted} ${absent.map((name) => html`<a href=${`#/system?node=${name}`}>${short(name)}</a> `)}</li>`}</ul>`;
 }
 
 function LayersCard() {
@@ -103,11 +117,11 @@ function LayersCard() {
     <div class="layers" ref=${box}>
       <${Edges} box=${box} hovered=${hovered} />
       ${[5, 4, 3, 2, 1].map((layer) => html`
-        <section class="layer" aria-label=${`${layer} ${w.layers[layer - 1]}`}>
+        <section class="layer layer-${layer}" aria-label=${`${layer} ${w.layers[layer - 1]}`}>
           <h3><span class="number">${layer}</span>${w.layers[layer - 1]}<span class="note">${w.layerNotes[layer - 1]}</span></h3>
-          <ul>${processes.filter(([, p]) => p.layer === layer).map(([name]) => html`<${Node} key=${name} name=${name} onHover=${setHovered} />`)}</ul>
-        </section>
-        ${layer === 5 && html`<p class="rail"><span>${w.everything} · ${words.footer.rate(rate(bus.messages_hz))}</span></p>`}`)}
+          <${Layer} names=${processes.filter(([, p]) => p.layer === layer).map(([name]) => name)} onHover=${setHovered} />
+          ${layer === 5 && html`<p class="rail"><span>${w.everything}${link.value.open ? ` · ${words.footer.rate(rate(bus.messages_hz))}` : ""}</span></p>`}
+        </section>`)}
     </div>
   </${Card}>`;
 }
@@ -260,11 +274,11 @@ function TopicsCard() {
     aside=${html`<input type="search" id="find" placeholder=${t.filter} aria-label=${t.filter} value=${filter} onInput=${(e) => setFilter(e.target.value)} />`}>
     ${shown.length === 0 ? html`<p class="note block">${t.noMatch(filter)}</p>` : html`
     <div class="scroll" tabindex="0" role="region" aria-label=${t.title}><table class="plain topics">
-      <thead><tr><th scope="col">${t.columns.topic}</th><th scope="col">${t.columns.state}</th><th scope="col" class="number">${t.columns.rate}</th><th scope="col" class="number wide-only">${t.columns.latency}</th><th scope="col" class="number">${t.columns.age}</th></tr></thead>
+      <thead><tr><th scope="col">${t.columns.topic}</th><th scope="col" class="wide-only">${t.columns.state}</th><th scope="col" class="number">${t.columns.rate}</th><th scope="col" class="number wide-only">${t.columns.latency}</th><th scope="col" class="number">${t.columns.age}</th></tr></thead>
       <tbody>${shown.map(([name, flow]) => {
         const fresh = freshness(name, flow.updated_ns);
-        return html`<tr key=${name}><th scope="row"><a href=${`#/system?topic=${name}`} aria-label=${t.open(name)}>${name}</a></th>
-          <td><span class="with-icon"><${StateIcon} state=${FRESH_STATE[fresh]} word="" />${t[fresh]}</span></td>
+        return html`<tr key=${name}><th scope="row"><span class="with-icon"><${StateIcon} state=${FRESH_STATE[fresh]} word=${t[fresh]} /><a href=${`#/system?topic=${name}`} aria-label=${t.open(name)}>${name}</a></span></th>
+          <td class="wide-only">${t[fresh]}</td>
           <td class="number">${flow.rate_hz ? `${rate(flow.rate_hz)} ${t.perSecond}` : "-"}</td>
           <td class="number wide-only">${seconds(flow.latency_p99_s)}</td>
           <td class="number">${flow.updated_ns == null ? "-" : html`<${Age} topic=${name} stamp=${flow.updated_ns} />`}</td></tr>`;
