@@ -40,37 +40,36 @@ class Receiver:
         self._delay = Delay(0.050, 0.004, 0.080, clocks)
         self._chunks = np.random.default_rng((seed, Stream.SATELLITES, 1))
         self._free_ns = 0  # when the line has sent everything
-        self._utc_ms = self._utc_start_ns // MS
-        self._reception, self._period_ms = self._retune()
+        self._period_ms = self.settings.period_ms
+        self._reception = Reception(scenario, seed, self._period_ms * 1e-3)
+        self._next_ms = self._after(self._utc_start_ns // MS)
 
     @property
     def next_epoch_ns(self) -> int:
         """When the next epoch is, on the time line of the on-board unit."""
-        period_ms = self.settings.period_ms
-        utc_ms = (self._utc_ms // period_ms + 1) * period_ms
-        return self._start_ns + self._clock.true_ns(utc_ms * MS - self._utc_start_ns)
+        return self._start_ns + self._clock.true_ns(self._next_ms * MS - self._utc_start_ns)
 
     def navigate(self, antenna: AntennaState) -> Iterator[tuple[int, Message]]:
         """Yield (arrival, message) of the next epoch, in the chunks of a serial port."""
-        epoch_ns = self.next_epoch_ns
-        period_ms = self.settings.period_ms
-        if period_ms != self._period_ms:
-            self._reception, self._period_ms = self._retune()
-        self._utc_ms = (self._utc_ms // period_ms + 1) * period_ms
-        index = (self._utc_ms - self._utc_start_ns // MS - 1) // period_ms
+        epoch_ns, utc_ms = self.next_epoch_ns, self._next_ms
+        self._next_ms = self._after(utc_ms)
+        if self.settings.period_ms != self._period_ms:
+            self._period_ms = self.settings.period_ms
+            self._reception = Reception(self._scenario, self._seed, self._period_ms * 1e-3)
+        index = (utc_ms - self._utc_start_ns // MS - 1) // self._period_ms
         fix = self._reception.fix(index, antenna)
         if self._free_ns > epoch_ns + FULL_NS:
             return
         sky = self._sky.at(
-            self._utc_ms * 1e-3,
+            utc_ms * 1e-3,
             antenna.position,
             mask_deg=self._scenario.mask_deg,
             loss_db=self._scenario.loss_db,
             covered=antenna.covered,
         )
-        epoch = Epoch(self._utc_ms, fix, sky, tuple(self._sky.rows))
+        epoch = Epoch(utc_ms, fix, sky, tuple(self._sky.rows))
         data = b"".join(ENCODERS[name](epoch) for name in self.settings.due(index))
-        first = int(self._chunks.integers(*CHUNK_BYTES))
+        first = min(len(data), int(self._chunks.integers(*CHUNK_BYTES)))
         yield from self._send(data, self._delay.arrival_ns(epoch_ns) - first * BYTE_NS, first)
 
     def write(self, data: bytes, now_ns: int) -> Iterator[tuple[int, Message]]:
@@ -79,9 +78,9 @@ class Receiver:
         if answer:
             yield from self._send(answer, now_ns + ANSWER_NS, len(answer))
 
-    def _retune(self) -> tuple[Reception, int]:
-        period_ms = self.settings.period_ms
-        return Reception(self._scenario, self._seed, period_ms * 1e-3), period_ms
+    def _after(self, utc_ms: int) -> int:
+        """Time of the first epoch after another: epochs are at whole multiples of their period."""
+        return (utc_ms // self.settings.period_ms + 1) * self.settings.period_ms
 
     def _send(self, data: bytes, begin_ns: int, first: int) -> Iterator[tuple[int, Message]]:
         """Cut bytes into chunks, each of which arrives with its last byte."""

@@ -79,6 +79,8 @@ def _under_the_hill() -> Course:
 LOT, TOWN, MOTORWAY, HILL = _round_the_lot(), _through_town(), _motorway(), _under_the_hill()
 
 # RMSE [m, NED] of the degraded GNSS in the five drives of Zuriarrain Sosa et al., Appl. Sci. 2024, 14, 4401, table 2.
+# The paper does not say how the errors run over time; 5 s of correlation is what its own numbers are consistent with,
+# so a result that agrees with the paper here is no independent evidence.
 DEGRADED_RMSE: tuple[Vector, ...] = (
     (3.07, 1.99, 1.56),
     (3.02, 2.09, 1.50),
@@ -99,7 +101,7 @@ SCENARIOS = (
         Scenario(
             f"degraded-{i}", f"the car park with the degraded GNSS of drive {i} of the paper", LOT,
             error=InjectedError(ErrorKind.GAUSS_MARKOV, rmse, exact=True),
-            constellations=("gps", "galileo"), mask_deg=15.0,
+            constellations=("gps", "galileo"), mask_deg=20.0,
         )
         for i, rmse in enumerate(DEGRADED_RMSE, 1)
     ),
