@@ -57,6 +57,7 @@ class Alignment:
         self.levelling = (
             Levelling(settings, lost.inertial.quaternion, lost.gyroscope_bias) if lost and keep else Levelling(settings)
         )
+        self._has_velocity = False
         self._motion: Motion | None = None
         self._course: Heading | None = None
         self._fixes: tuple[tuple[GnssPosition, float], ...] = ()  # newest last, with the yaw in the level frame
@@ -93,6 +94,7 @@ class Alignment:
 
     def see_velocity(self, seen: GnssVelocity) -> None:
         """Take a velocity in, and the heading that it gives."""
+        self._has_velocity = True
         self.levelling.see_speed(hypot(seen.velocity[0], seen.velocity[1]))
         north, east, down = np.sqrt(seen.cov.diagonal()).tolist()
         sd = (north, east, down if seen.axes == 3 else 1.0)
@@ -103,6 +105,7 @@ class Alignment:
         self.seen_fix = True
         recent = fix.time_ns - int(BASELINE_S * 1e9)
         self._fixes = (*(pair for pair in self._fixes if pair[0].time_ns >= recent), (fix, self.levelling.yaw))
+        self._see_displacement()
         self._fixes_at_rest = (*self._fixes_at_rest[-99:], fix) if self.levelling.at_rest else ()
         if self._motion is None or abs(fix.time_ns - self._motion.time_ns) > MOTION_AGE_S * 1e9:
             self._move(self._motion_without_velocity(fix))
@@ -112,6 +115,12 @@ class Alignment:
         saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
         heading = min((way for way in (kept, saved, self._course) if way), key=lambda way: way.sd, default=None)
         return self._start(fix, self._motion, heading) if heading else None
+
+    def _see_displacement(self) -> None:
+        """Tell the levelling of a motion that two successive positions show, for want of a velocity."""
+        if not self._has_velocity and len(self._fixes) > 1:
+            motion = motion_between(self._fixes[0], self._fixes[-1])
+            self.levelling.see_speed(hypot(motion.velocity[0], motion.velocity[1]) if motion else 0.0)
 
     def _move(self, motion: Motion | None) -> None:
         self._motion = motion

@@ -16,7 +16,7 @@ from .heading import Prior
 from .kalman import chi_square_limit
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
-from .stationary import StationaryDetector
+from .stationary import Rest
 
 GAP_S = 0.05  # a longer step is a gap: carried over, and admitted in the covariance
 LOST_S = 1.0  # a longer one ends the solution, though not the attitude
@@ -65,8 +65,9 @@ class Engine:
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
-        self._detector = StationaryDetector()
-        self._aided_ns = 0  # last standstill update
+        self._rest = Rest()
+        self._rest_turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] of the rest since its last update
+        self._rest_s = 0.0
         self._rejections = 0  # successive positions
         self._why = ""  # the solution was lost
 
@@ -76,7 +77,6 @@ class Engine:
         twin.__dict__.update(self.__dict__)
         twin.filter = self.filter.fork() if self.filter else None
         twin._alignment = self._alignment.fork() if self._alignment else None
-        twin._detector = self._detector.fork()
         return twin
 
     def remember(self, prior: Prior) -> None:
@@ -202,7 +202,7 @@ class Engine:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
         self.filter, self._alignment, self._why = started, None, ""
-        self._detector = StationaryDetector()
+        self._rest, self._rest_s = Rest(), 0.0
         self._count_position(measurement.time_ns, used=True)
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
 
@@ -211,13 +211,20 @@ class Engine:
         if self.filter is None:
             self.stationary = self._alignment is not None and self._alignment.levelling.at_rest
             return []
-        navigation = self.filter
-        velocity = navigation.inertial.velocity
-        self.stationary = self._detector.update(navigation.rate, navigation.acceleration, velocity, step_s)
-        if not (self.stationary and self._settings.zero_velocity) or time_ns - self._aided_ns < PERIOD_S * 1e9 - 1e6:
+        navigation, rate = self.filter, self.filter.rate
+        self._rest = self._rest.after(rate, navigation.acceleration, navigation.inertial.velocity, step_s)
+        self.stationary = self._rest.stationary
+        if not (self.stationary and self._settings.zero_velocity):
+            self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
             return []
-        self._aided_ns = time_ns
-        return self._aid(Standstill(time_ns, time_ns))
+        x, y, z = self._rest_turn
+        self._rest_turn = (x + rate[0] * step_s, y + rate[1] * step_s, z + rate[2] * step_s)
+        self._rest_s += step_s
+        if self._rest_s < PERIOD_S - 1e-3:
+            return []
+        x, y, z, span_s = *self._rest_turn, self._rest_s
+        self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
+        return self._aid(Standstill(time_ns, (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)))
 
     def _settle_phase(self, time_ns: int) -> None:
         """Say what goes on, where that has changed."""

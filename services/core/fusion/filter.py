@@ -110,6 +110,10 @@ class ErrorStateFilter:
             self._rate_shake += share * (scale * rate2 - self._rate_shake)
         self._last = (force, rate)
 
+    def rate_noise(self, span_s: float) -> float:
+        """Standard deviation [rad/s] that vibration gives to the mean rate of a time."""
+        return sqrt(self._rate_shake / span_s)
+
     def _noise(self) -> FloatArray:
         """Power spectral density of the errors' growth: that of the sensor, or of the vibration if it is more."""
         settings, factor = self._settings, self._settings.vibration_factor
@@ -185,9 +189,3 @@ def _turned_back(quaternion: Quaternion, error: Vector) -> Quaternion:
 
 def _moved_back(position: Geodetic, error: Vector) -> Geodetic:
     return geodetic_from_ned_difference((-error[0], -error[1], -error[2]), position)
-
-
-def standard_deviations(P: FloatArray, block: slice) -> Vector:
-    """Square roots of the diagonal of a block of three."""
-    first, second, third = P.diagonal()[block].tolist()
-    return sqrt(first), sqrt(second), sqrt(third)

@@ -22,11 +22,14 @@ from .strapdown import normalised, rotate
 FloatArray = npt.NDArray[np.float64]
 
 BLOCK_S = 0.5
-FORCE_SPREAD_LIMIT = 0.5  # [m/s²] standard deviation within a block; an idling engine stays below
-FORCE_CHANGE_LIMIT = 0.06  # [m/s²] of a block's mean against the mean so far
-RATE_CHANGE_LIMIT = 0.004  # [rad/s] of a block's mean against the mean so far
+SPREAD_LIMIT = 2.0  # [m/s²] standard deviation within a block, of which an idling engine makes 0.7
+FORCE_CHANGE_LIMIT = 0.06  # [m/s²] of a block's mean against the mean so far, and
+RATE_CHANGE_LIMIT = 0.004  # [rad/s] for the rate, each with
+SPREAD_SHARE = 0.2  # of the standard deviation of the samples, but no more than
+LARGEST_FORCE_CHANGE, LARGEST_RATE_CHANGE = 0.2, 0.008  # [m/s²], [rad/s]
 RATE_LIMIT = 0.05  # [rad/s] of a block's mean: the bias at switch-on
 REST_S = 2.0  # blocks that agree for so long are a rest
+BIAS_CHANGE_LIMIT = 0.0015  # [rad/s] from rest to rest; a shorter rest that differs by more was a creep
 MOTION_S = 3.0  # of motion without a rest, after which levelling goes on while navigating
 MOTION_TILT_SD = 0.05  # [rad] a car's acceleration against gravity
 REST_TILT_SD = 0.001  # [rad] apart from the accelerometer's bias
@@ -75,10 +78,13 @@ class _Rest(NamedTuple):
     rate: Vector = (0.0, 0.0, 0.0)
     length_s: float = 0.0
 
-    def agrees(self, block: "_Rest") -> bool:
+    def agrees(self, block: "_Block") -> bool:
         if self.length_s == 0.0:
             return True
-        return dist(self.force, block.force) < FORCE_CHANGE_LIMIT and dist(self.rate, block.rate) < RATE_CHANGE_LIMIT
+        force_limit = min(FORCE_CHANGE_LIMIT + SPREAD_SHARE * block.force_spread(), LARGEST_FORCE_CHANGE)
+        rate_limit = min(RATE_CHANGE_LIMIT + SPREAD_SHARE * block.rate_spread(), LARGEST_RATE_CHANGE)
+        mean = block.mean()
+        return dist(self.force, mean.force) < force_limit and dist(self.rate, mean.rate) < rate_limit
 
     def with_block(self, block: "_Rest", longest_s: float) -> "_Rest":
         """Mean with one more block; beyond the longest time the oldest is forgotten."""
@@ -106,6 +112,7 @@ class Levelling:
         self.yaw_at_start: float | None = None  # in the level frame, of a vehicle that stood when all this began
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] last sample, mean rate of the rest removed
         self._started = self.ready
+        self._longest_s = 0.0  # of all rests
         self._elapsed_s = 0.0
         self._unrest_s = 0.0
         self._fast_s = 0.0
@@ -122,7 +129,9 @@ class Levelling:
     @property
     def at_rest(self) -> bool:
         """Whether the vehicle has not moved for a while."""
-        return self._rest.length_s >= REST_S
+        rest = self._rest
+        known = self.quaternion_at_rest is not None and rest.length_s <= self._longest_s
+        return rest.length_s >= REST_S and not (known and dist(rest.rate, self.rate_bias) > BIAS_CHANGE_LIMIT)
 
     @property
     def tilt_sd(self) -> float:
@@ -169,10 +178,10 @@ class Levelling:
         """Decide whether the last half second was rest."""
         mean = block.mean()
         self._fast_s = max(0.0, self._fast_s - mean.length_s)
-        calm = block.spread() < FORCE_SPREAD_LIMIT and max(map(abs, mean.rate)) < RATE_LIMIT and self._fast_s == 0.0
+        calm = block.force_spread() < SPREAD_LIMIT and max(map(abs, mean.rate)) < RATE_LIMIT and self._fast_s == 0.0
         if not calm:
             self._rest = _Rest()
-        elif self._rest.agrees(mean):
+        elif self._rest.agrees(block):
             self._rest = self._rest.with_block(mean, self._levelling_s)
         else:
             self._rest = _Rest().with_block(mean, self._levelling_s)
@@ -186,6 +195,7 @@ class Levelling:
     def _settle(self) -> None:
         """Adopt what the rest has taught."""
         self.rate_bias = self._rest.rate
+        self._longest_s = max(self._longest_s, self._rest.length_s)
         self.quaternion = quaternion_from_matrix(ned_from_body(*level(self._rest.force), self.yaw))
         self.quaternion_at_rest = self.quaternion
         if self.yaw_at_start is None and self._unrest_s == 0.0:
@@ -200,7 +210,8 @@ class _Block(NamedTuple):
     length_s: float = 0.0
     force: Vector = (0.0, 0.0, 0.0)
     rate: Vector = (0.0, 0.0, 0.0)
-    square: float = 0.0
+    force_square: float = 0.0
+    rate_square: float = 0.0
 
     def with_sample(self, force: Vector, rate: Vector, step_s: float) -> "_Block":
         (a, b, c), (x, y, z) = self.force, self.rate
@@ -209,17 +220,26 @@ class _Block(NamedTuple):
             self.length_s + step_s,
             (a + force[0], b + force[1], c + force[2]),
             (x + rate[0], y + rate[1], z + rate[2]),
-            self.square + force[0] ** 2 + force[1] ** 2 + force[2] ** 2,
+            self.force_square + force[0] ** 2 + force[1] ** 2 + force[2] ** 2,
+            self.rate_square + rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2,
         )
 
     def mean(self) -> _Rest:
         (a, b, c), (x, y, z), n = self.force, self.rate, self.samples
         return _Rest((a / n, b / n, c / n), (x / n, y / n, z / n), self.length_s)
 
-    def spread(self) -> float:
+    def force_spread(self) -> float:
         """Root of the summed variances of the three axes [m/s²]."""
-        a, b, c = self.mean().force
-        return sqrt(max(0.0, self.square / self.samples - (a * a + b * b + c * c)))
+        return _spread(self.force_square / self.samples, self.mean().force)
+
+    def rate_spread(self) -> float:
+        """The same of the rate [rad/s]."""
+        return _spread(self.rate_square / self.samples, self.mean().rate)
+
+
+def _spread(mean_square: float, mean: Vector) -> float:
+    x, y, z = mean
+    return sqrt(max(0.0, mean_square - (x * x + y * y + z * z)))
 
 
 def _blend(old: Vector, new: Vector, share: float) -> Vector:

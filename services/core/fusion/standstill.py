@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.maths.earth import earth_rate_n
+from shared.maths.rotation import Vector
 from shared.messages import AidingKind
 
 from . import error_model as em
@@ -19,30 +20,35 @@ RATE_SD = 0.0015  # [rad/s]
 
 @dataclass(frozen=True)
 class Standstill:
-    """The vehicle stands still at this instant."""
+    """The vehicle stands still at this instant; `rate` is the mean [rad/s, body; bias removed] of the last period."""
 
     time_ns: int
-    received_ns: int
+    rate: Vector
+    rate_sd: float = RATE_SD
     source: str = "core.fusion"
+
+    @property
+    def received_ns(self) -> int:
+        """When it became known: at once."""
+        return self.time_ns
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Zero velocity first, then zero angular rate."""
-        yield observe_velocity
-        yield observe_rate
+        yield observe_zero_velocity
+        yield self.observe_zero_rate
+
+    def observe_zero_rate(self, navigation: ErrorStateFilter) -> Observation:
+        """Hold w - C^T w_ie = b_g against the filter: H = I on the gyroscope's bias."""
+        H = np.zeros((3, em.SIZE))
+        H[:, em.GYROSCOPE_BIAS] = np.eye(3)
+        earth_n = np.array(earth_rate_n(navigation.inertial.position.latitude))
+        z = np.array(self.rate) - navigation.ned_from_body.T @ earth_n
+        return Observation(AidingKind.ZERO_ANGULAR_RATE, z, H, max(self.rate_sd, RATE_SD) ** 2 * np.eye(3))
 
 
-def observe_velocity(navigation: ErrorStateFilter) -> Observation:
+def observe_zero_velocity(navigation: ErrorStateFilter) -> Observation:
     """Hold v = 0 against the filter: z = -v, H = -I on the velocity."""
     H = np.zeros((3, em.SIZE))
     H[:, em.VELOCITY] = -np.eye(3)
     z = -np.array(navigation.inertial.velocity)
     return Observation(AidingKind.ZERO_VELOCITY, z, H, VELOCITY_SD**2 * np.eye(3))
-
-
-def observe_rate(navigation: ErrorStateFilter) -> Observation:
-    """Hold w - C^T w_ie = b_g against the filter: H = I on the gyroscope's bias."""
-    H = np.zeros((3, em.SIZE))
-    H[:, em.GYROSCOPE_BIAS] = np.eye(3)
-    earth_n = np.array(earth_rate_n(navigation.inertial.position.latitude))
-    z = np.array(navigation.rate) - navigation.ned_from_body.T @ earth_n
-    return Observation(AidingKind.ZERO_ANGULAR_RATE, z, H, RATE_SD**2 * np.eye(3))

@@ -1,6 +1,7 @@
 """Tells from inertial samples whether the vehicle stands still."""
 
 from math import hypot, sqrt
+from typing import NamedTuple
 
 from shared.maths.rotation import Vector
 
@@ -8,29 +9,23 @@ QUIET_S = 0.5  # how long all conditions must hold
 RATE_LIMIT = 0.012  # [rad/s]
 ACCELERATION_LIMIT = 0.06  # [m/s²]
 SPEED_LIMIT = 0.3  # [m/s]
-SMOOTHING_S = 0.25  # time constant of the low-pass on acceleration
+SMOOTHING_S = 0.25  # time constant of the low-pass; an idling engine shakes single samples beyond both limits
 
 
-class StationaryDetector:
-    """Says that the vehicle stands still after half a second of quiet, and takes it back at once.
+class Rest(NamedTuple):
+    """What the detector knows: smoothed rate [rad/s, body] and acceleration [m/s², NED], time of quiet [s]."""
 
-    All of |w| < 0.012 rad/s, |low-passed (C f + g)| < 0.06 m/s² and |v| < 0.3 m/s must hold. A test of |f| against g
-    alone would also pass while rolling evenly.
-    """
+    rate: Vector = (0.0, 0.0, 0.0)
+    acceleration: Vector = (0.0, 0.0, 0.0)
+    quiet_s: float = -SMOOTHING_S  # negative: it has yet to settle
 
-    def __init__(self) -> None:
-        self._acceleration: Vector = (0.0, 0.0, 0.0)
-        self._quiet_s = 0.0
-        self._started = False
+    @property
+    def stationary(self) -> bool:
+        """Whether the vehicle stands still."""
+        return self.quiet_s >= QUIET_S
 
-    def fork(self) -> "StationaryDetector":
-        """Copy that goes its own way."""
-        twin = StationaryDetector.__new__(StationaryDetector)
-        twin.__dict__.update(self.__dict__)
-        return twin
-
-    def update(self, rate: Vector, acceleration: Vector, velocity: Vector, step_s: float) -> bool:
-        """Take one sample in and say whether the vehicle stands still.
+    def after(self, rate: Vector, acceleration: Vector, velocity: Vector, step_s: float) -> "Rest":
+        """Take one sample in: true from `QUIET_S` after the vehicle came to rest, and false at once when it moves.
 
         Parameters
         ----------
@@ -45,22 +40,27 @@ class StationaryDetector:
 
         Returns
         -------
-        bool
-            True from `QUIET_S` after the vehicle came to rest until the first sample of motion.
+        Rest
+            |w| < 0.012 rad/s, |C f + g| < 0.06 m/s² (both smoothed) and |v| < 0.3 m/s must all hold for half a second.
+            A test of |f| against g alone would also pass while rolling evenly.
         """
-        share = min(1.0, step_s / SMOOTHING_S) if self._started else 1.0
-        self._started = True
-        x, y, z = self._acceleration
-        x, y, z = (
-            x + share * (acceleration[0] - x),
-            y + share * (acceleration[1] - y),
-            z + share * (acceleration[2] - z),
-        )
-        self._acceleration = (x, y, z)
+        share = min(1.0, step_s / SMOOTHING_S)
+        rate, acceleration = _blend(self.rate, rate, share), _blend(self.acceleration, acceleration, share)
         quiet = (
-            sqrt(rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2) < RATE_LIMIT
-            and sqrt(x * x + y * y + z * z) < ACCELERATION_LIMIT
-            and hypot(*velocity) < SPEED_LIMIT
+            _length(rate) < RATE_LIMIT
+            and _length(acceleration) < ACCELERATION_LIMIT
+            and hypot(velocity[0], velocity[1], velocity[2]) < SPEED_LIMIT
         )
-        self._quiet_s = self._quiet_s + step_s if quiet else 0.0
-        return self._quiet_s >= QUIET_S
+        if self.quiet_s < 0.0:
+            return Rest(rate, acceleration, min(0.0, self.quiet_s + step_s))
+        return Rest(rate, acceleration, self.quiet_s + step_s if quiet else 0.0)
+
+
+def _blend(old: Vector, new: Vector, share: float) -> Vector:
+    x, y, z = old
+    return x + share * (new[0] - x), y + share * (new[1] - y), z + share * (new[2] - z)
+
+
+def _length(vector: Vector) -> float:
+    x, y, z = vector
+    return sqrt(x * x + y * y + z * z)
