@@ -1,0 +1,38 @@
+"""What the commands on recordings share: opening one, its vehicle, its problems."""
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from shared.config import VehicleFile, load_vehicle, parse_vehicle
+from shared.errors import BadRecording, UserError
+from shared.recording import Recording
+from shared.recording.writer import VEHICLE_FILE
+
+
+def open_recording(path: Path) -> Recording:
+    """Open a recording, or say in one sentence why it cannot be."""
+    try:
+        return Recording(path)
+    except BadRecording as error:
+        raise UserError(f"{error}; give a file written by `obu record` or by the unit's recorder") from error
+
+
+def vehicle_of(recording: Recording, path: Path | None) -> VehicleFile:
+    """Read the vehicle's file that was given, else the one that lies in the recording."""
+    if path is not None:
+        return load_vehicle(path)
+    text = recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace")
+    return parse_vehicle(text, f"{recording.path}: {VEHICLE_FILE}")
+
+
+def tell_problems(recording: Recording, console: Console) -> None:
+    """Print what could not be read."""
+    for problem in recording.problems:
+        console.print(f"{recording.path.name}: {problem}", markup=False, highlight=False)
+
+
+def progress_on(console: Console) -> Progress:
+    """Make a progress bar that shows on terminals only, and goes when it is done."""
+    return Progress(console=console, disable=not console.is_terminal, transient=True)
