@@ -1,0 +1,286 @@
+"""`obu solve`: layers 2 to 4 over a whole recording, and what came out of it."""
+
+import csv
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from shared.config import VehicleFile, load_vehicle, parse_vehicle
+from shared.errors import BadRecording, UserError
+from shared.messages import (
+    AidingUpdate,
+    CarrierSolution,
+    GnssFix,
+    GnssRaw,
+    Message,
+    NavigationSolution,
+    NavigationState,
+    Vector3,
+)
+from shared.offline import OfflineUnit, arrival_ns
+from shared.recording import Recording
+
+from .importing.table import read_table
+from .solving.errors import errors_against
+from .solving.export import csv_lines, kml_text
+from .solving.inputs import Inputs, all_fixes, inputs_of
+from .solving.metrics import Run, Value, metrics_of
+from .solving.outages import Outages
+from .solving.reference import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
+from .solving.report import Heading, page, summary
+from .solving.tally import Tally
+from .solving.track import TrackBuilder
+
+VEHICLE_FILE = "vehicle.toml"  # the attachment of a recording
+
+
+def solve(
+    recording: Annotated[Path, typer.Argument(help="A recording, from `obu record` or `obu import`.")],
+    truth: Annotated[
+        str | None,
+        typer.Option(help="fixes, recorded, none, or a CSV file; without it what the recording says of itself."),
+    ] = None,
+    vehicle: Annotated[
+        Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the recorded one.")
+    ] = None,
+    outage: Annotated[
+        str | None, typer.Option(help="Take GNSS away: 10/30 is for 10 s of every 30 s, once the filter is aligned.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results; without it the recording's name and -solution.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as one JSON object.")] = False,
+) -> int:
+    """Run the whole unit over a recording, and write solution.csv, solution.kml, metrics.json and report.html.
+
+    Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]
+    """
+    outages = Outages.parse(outage) if outage is not None else None
+    console = Console(stderr=True)
+    drive = _read(recording, vehicle, console)
+    given, by_fixes = _given_truth(drive, truth)
+    folder = _folder(out or Path(f"{recording.stem}-solution"))
+    with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
+        solved = _run(drive, outages, progress)
+    # All fixes of the recording, those that an outage took away as well.
+    fixes = solved.fixes if outages is None else all_fixes(drive.inputs.messages, drive.vehicle)
+    reference = from_fixes(fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
+    run = _judged(drive, solved, reference, fixes)
+    metrics = metrics_of(run)
+    heading = Heading(drive.name, reference.description if reference else "none was given", outage, _facts(drive))
+    _write(folder, run, reference, heading, metrics)
+    timings: dict[str, Value] = {
+        "solve_seconds": round(solved.seconds, 3),
+        "realtime_factor": round((drive.last_ns - drive.first_ns) * 1e-9 / solved.seconds, 1),
+    }
+    if as_json:
+        print(json.dumps(metrics | timings))
+    else:
+        for sentence in summary(heading, metrics):
+            print(sentence)
+        print(f"Solved in {solved.seconds:.1f} s, {timings['realtime_factor']} times as fast as driven.")
+        print(f"Wrote {folder / 'report.html'} and beside it solution.csv, solution.kml and metrics.json.")
+    return 0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A recording as far as a solution needs it."""
+
+    name: str
+    file: str
+    inputs: Inputs
+    vehicle: VehicleFile
+    provenance: dict[str, str]
+
+    @property
+    def first_ns(self) -> int:
+        """Arrival of the first input."""
+        return arrival_ns(self.inputs.messages[0]) or 0
+
+    @property
+    def last_ns(self) -> int:
+        """Arrival of the last input."""
+        return arrival_ns(self.inputs.messages[-1]) or 0
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What the unit said over the whole recording."""
+
+    builder: TrackBuilder
+    tally: Tally
+    outages: Outages | None
+    fixes: list[GnssFix]  # that reached the filter
+    seconds: float
+
+
+def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
+    try:
+        with Recording(path) as recording:
+            inputs = inputs_of(recording)
+            problems, provenance = list(recording.problems), recording.metadata.get("provenance", {})
+            attached = recording.attachments.get(VEHICLE_FILE, b"")
+    except BadRecording as error:
+        raise UserError(f"{error}; give a file written by `obu record` or `obu import`") from error
+    for problem in problems:
+        console.print(f"{path.name}: {problem}", markup=False, highlight=False)
+    if inputs.undecodable:
+        console.print(f"{path.name}: {inputs.undecodable} messages could not be decoded and are left out")
+    _check(path, inputs)
+    file = (
+        load_vehicle(vehicle)
+        if vehicle
+        else parse_vehicle(attached.decode(errors="replace"), f"{path}: {VEHICLE_FILE}")
+    )
+    return Drive(provenance.get("name", path.stem), path.name, inputs, file, provenance)
+
+
+def _check(path: Path, inputs: Inputs) -> None:
+    for sensor, topics in (("IMU", ("imu/raw", "imu/sample")), ("GNSS", ("gnss/raw", "gnss/fix"))):
+        if not any(inputs.topics[topic] for topic in topics):
+            held = ", ".join(sorted(inputs.topics)) or "nothing at all"
+            raise UserError(
+                f"{path} holds neither {topics[0]} nor {topics[1]}, but {held}; record the {sensor} as well"
+            )
+
+
+def _run(drive: Drive, outages: Outages | None, progress: Progress) -> Solved:
+    """Run layers 2 to 4 over all inputs, in the order of their arrival."""
+    unit, builder, tally = OfflineUnit(drive.vehicle), TrackBuilder(), Tally()
+    fixes: list[GnssFix] = []
+    started = time.perf_counter()
+    for message in unit.run(_fed(drive.inputs.messages, outages, tally, progress)):
+        match message:
+            case NavigationSolution():
+                builder.add(message)
+            case AidingUpdate():
+                tally.add_update(message)
+            case NavigationState():
+                tally.add_state(message)
+            case GnssFix() if message.latitude_deg is not None:
+                fixes.append(message)
+    return Solved(builder, tally, outages, fixes, time.perf_counter() - started)
+
+
+def _fed(messages: list[Message], outages: Outages | None, tally: Tally, progress: Progress) -> Iterator[Message]:
+    """Give the inputs one by one, but for the GNSS that an outage takes away."""
+    task = progress.add_task("solving", total=len(messages))
+    for number, message in enumerate(messages):
+        if number % 1000 == 0:
+            progress.update(task, completed=number)
+        if outages is not None and isinstance(message, GnssFix | GnssRaw):
+            outages.aligned_ns = tally.aligned_ns
+            if outages.hides(message.sampled_ns if isinstance(message, GnssFix) else message.received_ns):
+                continue
+        yield message
+
+
+def _given_truth(drive: Drive, truth: str | None) -> tuple[Reference | None, str]:
+    """Find the truth that was asked for, or the one that the recording promises or holds.
+
+    The second is "fixes" where the GNSS fixes are to be the truth, and "perhaps" where they may if they are good.
+    """
+    word = truth or drive.provenance.get("truth_is") or ("recorded" if drive.inputs.truth else "perhaps")
+    if word in ("none", "fixes", "perhaps"):
+        return None, word
+    if word != "recorded":
+        return _truth_file(Path(word)), "none"
+    reference = from_states(drive.inputs.truth)
+    quantities = drive.provenance.get("truth_quantities", "") if truth is None else ""
+    return reference.only(quantities.split(",")) if quantities else reference, "none"
+
+
+def _any_fixed(fixes: list[GnssFix]) -> bool:
+    return any(fix.carrier_solution == CarrierSolution.FIXED for fix in fixes)
+
+
+def _truth_file(path: Path) -> Reference:
+    """Read a CSV file whose columns are named as those of solution.csv."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = csv.reader(file)
+            header = next(rows, [])
+            clock = "utc_s" if "utc_s" in header else "sampled_ns"
+            known = [name for name in (*POSITION, *VELOCITY, *ATTITUDE) if name in header]
+            table = read_table(rows, header, [clock, *known], path.name)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no CSV file"
+        raise UserError(
+            f"cannot read the truth {path}: {reason}; --truth is fixes, recorded, none or a CSV file"
+        ) from error
+    if not known:
+        raise UserError(f"{path} has none of the columns {', '.join(POSITION)}; docs/reference/metrics.md lists them")
+    stamps = np.round(table[clock] * (1e9 if clock == "utc_s" else 1.0)).astype(np.int64)
+    order = np.argsort(stamps, kind="stable")
+    return from_columns(path.name, stamps[order], {name: table[name][order] for name in known})
+
+
+def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: list[GnssFix]) -> Run:
+    """Put the solution beside the truth."""
+    track = solved.builder.track().valid()
+    if not len(track):
+        state = solved.tally.state
+        reason = f"its last word was {state.phase.value}: {state.reason}" if state else "it heard no inertial sample"
+        raise UserError(
+            f"the filter never began to navigate ({reason}); check lever arm, axes and stamps, or drive further"
+        )
+    lever_arm = _lever_arm(drive.vehicle)
+    outages = solved.outages
+    return Run(
+        track,
+        solved.tally,
+        errors_against(reference, track, lever_arm_b=lever_arm) if reference else None,
+        outages.gaps(drive.last_ns) if outages else [],
+        drive.first_ns,
+        drive.last_ns,
+        len(fixes),
+        len(fixes) - len(solved.fixes),
+    )
+
+
+def _folder(path: Path) -> Path:
+    """Make the folder for the results before minutes are spent on them."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {path}: {error.strerror}; choose another one with --out") from error
+    return path
+
+
+def _lever_arm(vehicle: VehicleFile) -> Vector3:
+    from services.core.fusion.process import Config
+
+    return vehicle.section("core.fusion", Config).lever_arm_body_m
+
+
+def _facts(drive: Drive) -> list[tuple[str, str]]:
+    files = json.loads(drive.provenance.get("files", "{}"))
+    return [
+        ("recording", drive.file),
+        ("vehicle", drive.vehicle.name),
+        *((name, f"SHA-256 {digest}") for name, digest in files.items()),
+        *((topic, f"{count} messages") for topic, count in sorted(drive.inputs.topics.items())),
+    ]
+
+
+def _write(folder: Path, run: Run, reference: Reference | None, heading: Heading, metrics: dict[str, Value]) -> None:
+    from .solving.plots import figures_of  # matplotlib costs half a second: only once there is something to draw
+
+    report = page(heading, metrics, figures_of(run, reference))
+    try:
+        with (folder / "solution.csv").open("w", encoding="utf-8") as file:
+            file.writelines(csv_lines(run.track))
+        (folder / "solution.kml").write_text(kml_text(run.track, heading.name), encoding="utf-8")
+        (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
+        (folder / "report.html").write_text(report, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error

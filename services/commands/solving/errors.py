@@ -1,0 +1,130 @@
+"""The errors of a solution against a reference, at the reference's own instants."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import FloatArray, Geodetic, ned_track
+from shared.maths.rotation import ned_from_body, skew
+from shared.messages import Vector3
+
+from .reference import Reference
+from .track import Track
+
+MAXIMUM_STEP_NS = 1_500_000_000  # further apart, two solutions say nothing about what lies between
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Solution minus reference at each instant that both know; None for what the reference does not say."""
+
+    stamps_ns: npt.NDArray[np.int64]
+    next_solution_ns: npt.NDArray[np.int64]  # the later one of the two solutions that were used
+    position_n: FloatArray | None  # [m, NED], shape (n, 3)
+    position_sd_n: FloatArray  # [m, NED] of the difference, shape (n, 3)
+    velocity_n: FloatArray | None  # [m/s, NED], shape (n, 3)
+    attitude: FloatArray | None  # [rad] roll, pitch, yaw in (-pi, pi], shape (n, 3)
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) -> Errors:
+    """Compare a solution with a reference.
+
+    Parameters
+    ----------
+    reference : Reference
+        Its instants are those of the result, as far as they lie between two solutions.
+    track : Track
+        Solutions of the IMU while the filter navigates.
+    lever_arm_b : tuple of float
+        [m, body] From the IMU to the antenna; used where the reference is at the antenna.
+
+    Returns
+    -------
+    Errors
+        Solution minus reference.
+
+    Notes
+    -----
+    Positions between two solutions follow the cubic through both with both velocities (Hermite), and then go
+    to the antenna with velocity: r + C l, v + C (w x l). The variance of the difference is that of the
+    solution and, where known, of the reference; a fix that the filter has used is not independent of the
+    solution, which makes the sum larger than the truth.
+    """
+    stamps = track.stamps_ns
+    after = np.searchsorted(stamps, reference.stamps_ns, side="left")
+    inside = (after > 0) & (after < len(stamps))
+    if len(stamps) > 1:
+        step = np.diff(stamps)[np.clip(after - 1, 0, len(stamps) - 2)]
+        inside &= step <= MAXIMUM_STEP_NS
+    rows, after = np.flatnonzero(inside), after[inside]
+    state = _Between(track, reference.stamps_ns[rows], after)
+    arm_n = state.turned(np.array(lever_arm_b)) if reference.at_antenna else np.zeros((len(rows), 3))
+    sd = state.linear("position_sd_north_m")
+    if reference.position_sd_n is not None:
+        sd = np.hypot(sd, reference.position_sd_n[rows])
+    position = velocity = attitude = None
+    if reference.geodetic is not None and len(rows):
+        position = state.position_minus(reference.geodetic[rows]) + arm_n
+    if reference.velocity_n is not None:
+        velocity = state.linear("velocity_north_m_s") - reference.velocity_n[rows]
+        if reference.at_antenna:
+            velocity = velocity + state.arm_velocity(np.array(lever_arm_b))
+    if reference.attitude is not None:
+        difference = state.angles() - reference.attitude[rows]
+        attitude = (difference + np.pi) % (2.0 * np.pi) - np.pi
+    return Errors(reference.stamps_ns[rows], stamps[after], position, sd, velocity, attitude)
+
+
+class _Between:
+    """A track at instants between its rows."""
+
+    def __init__(self, track: Track, stamps_ns: npt.NDArray[np.int64], after: npt.NDArray[np.intp]) -> None:
+        self._track, self._before, self._after = track, after - 1, after
+        first, last = track.stamps_ns[after - 1], track.stamps_ns[after]
+        self._step_s = (last - first) * 1e-9
+        self._share = ((stamps_ns - first) / (last - first))[:, None]
+
+    def linear(self, name: str) -> FloatArray:
+        """Three columns, on the straight line between two rows."""
+        values = self._track.columns(name)
+        found: FloatArray = values[self._before] * (1.0 - self._share) + values[self._after] * self._share
+        return found
+
+    def angles(self) -> FloatArray:
+        """Roll, pitch and yaw, the shorter way round."""
+        values = self._track.columns("roll_rad")
+        turn = values[self._after] - values[self._before]
+        turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
+        found: FloatArray = values[self._before] + turn * self._share
+        return found
+
+    def turned(self, vector_b: FloatArray) -> FloatArray:
+        """Turn a body vector to north, east, down, shape (n, 3)."""
+        return np.array([ned_from_body(*angles) @ vector_b for angles in self.angles().tolist()]).reshape(-1, 3)
+
+    def arm_velocity(self, arm_b: FloatArray) -> FloatArray:
+        """Velocity of the arm's end against its start, C (w x l), shape (n, 3)."""
+        rates = self.linear("angular_rate_forward_rad_s")
+        pairs = zip(self.angles().tolist(), rates, strict=True)
+        return np.array([ned_from_body(*angles) @ (skew(rate) @ arm_b) for angles, rate in pairs]).reshape(-1, 3)
+
+    def position_minus(self, geodetic: FloatArray) -> FloatArray:
+        """Metres north, east and down from given positions to the track."""
+        origin = Geodetic(*geodetic[len(geodetic) // 2].tolist())
+        path = ned_track(self._track.geodetic, origin)
+        u, h = self._share, self._step_s[:, None]
+        p0, p1 = path[self._before], path[self._after]
+        velocity = self._track.columns("velocity_north_m_s")
+        v0, v1 = velocity[self._before], velocity[self._after]
+        here = (
+            p0 * (1.0 + 2.0 * u) * (1.0 - u) ** 2
+            + v0 * h * u * (1.0 - u) ** 2
+            + p1 * u**2 * (3.0 - 2.0 * u)
+            + v1 * h * u**2 * (u - 1.0)
+        )
+        found: FloatArray = here - ned_track(geodetic, origin)
+        return found

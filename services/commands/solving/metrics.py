@@ -1,0 +1,194 @@
+"""The figures that a solved drive is judged by: stable names, units in the names, None where unknown."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import FloatArray, Geodetic, ned_track
+from shared.messages import AidingKind
+
+from .errors import Errors
+from .outages import Gap
+from .tally import Tally
+from .track import Track
+
+Value = float | int | None
+MINIMUM_GAP_SHARE = 0.8  # a gap whose last truth is earlier than that tells nothing about its end
+
+# Name and meaning of each metric, in the order of the files; docs/reference/metrics.md is printed from here.
+METRICS: dict[str, str] = {
+    "duration_s": "length of the recording, from its first input to its last",
+    "alignment_s": "from the first input until the filter navigates",
+    "solution_count": "solutions while the filter navigates or coasts",
+    "distance_m": "way travelled while the filter navigates or coasts, standstill left out",
+    "fixes_recorded": "GNSS fixes of the recording that hold a position",
+    "fixes_removed": "fixes that were taken away by --outage",
+    "fixes_used": "GNSS positions that the filter used",
+    "fixes_rejected": "GNSS positions that the filter's gate rejected",
+    "filter_resets": "times that the filter had to begin anew",
+    "innovation_horizontal_rms_m": "horizontal difference of a used GNSS position and its prediction: the error of "
+    "predicting one fix ahead, which no fix has corrected yet",
+    "innovation_velocity_rms_m_s": "the same for the horizontal GNSS velocity",
+    "normalised_innovation_rms": "innovations of used GNSS positions over their standard deviation: 1 if the filter "
+    "knows its errors, above 1 if it is too sure",
+    "truth_count": "instants at which the solution is compared with the truth",
+    "horizontal_rmse_m": "horizontal position error, root mean square",
+    "horizontal_p95_m": "horizontal position error that 95 % of the instants stay below",
+    "horizontal_max_m": "largest horizontal position error",
+    "vertical_rmse_m": "vertical position error, root mean square",
+    "velocity_rmse_m_s": "error of the velocity vector, root mean square of its length",
+    "roll_rmse_rad": "error of the roll, root mean square",
+    "pitch_rmse_rad": "error of the pitch, root mean square",
+    "yaw_rmse_rad": "error of the heading, root mean square",
+    "yaw_mean_error_rad": "mean error of the heading; a mounting angle between IMU and reference shows here",
+    "yaw_sd_rad": "error of the heading about its mean: what is left once a mounting angle is removed",
+    "within_3_sigma_fraction": "share of the position errors (north, east and down counted one by one) within three "
+    "of their standard deviations: 0.997 if the filter knows its errors",
+    "outage_count": "GNSS outages made by --outage that could be judged",
+    "outage_end_error_median_m": "horizontal error at the last truth before GNSS comes back, median of the outages",
+    "outage_end_error_p95_m": "the same, 95th percentile",
+    "outage_end_error_max_m": "the same, the worst",
+    "outage_largest_error_rms_m": "largest horizontal error within each outage, root mean square of the outages",
+}
+# Printed, but in no file: they differ from run to run.
+TIMINGS: dict[str, str] = {
+    "solve_seconds": "time that the processes took for the whole recording",
+    "realtime_factor": "seconds of driving that were worked off in one second",
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """All that came out of one pass over a recording."""
+
+    track: Track  # while the filter navigates
+    tally: Tally
+    errors: Errors | None
+    gaps: Sequence[Gap]
+    first_ns: int
+    last_ns: int
+    fixes_recorded: int
+    fixes_removed: int
+
+
+def metrics_of(run: Run) -> dict[str, Value]:
+    """Compute every metric.
+
+    Parameters
+    ----------
+    run : Run
+        One pass over a recording.
+
+    Returns
+    -------
+    dict
+        The names of `METRICS`, in their order; None for what cannot be known.
+    """
+    found: dict[str, Value] = {
+        "duration_s": (run.last_ns - run.first_ns) * 1e-9,
+        "alignment_s": None if run.tally.aligned_ns is None else (run.tally.aligned_ns - run.first_ns) * 1e-9,
+        "solution_count": len(run.track),
+        "distance_m": _distance(run.track),
+        "fixes_recorded": run.fixes_recorded,
+        "fixes_removed": run.fixes_removed,
+        "filter_resets": None if run.tally.state is None else run.tally.state.resets,
+        **_innovations(run.tally),
+        **({} if run.errors is None else _against_truth(run.errors)),
+        **({} if run.errors is None else _outages(run.errors, run.gaps)),
+    }
+    return {name: _rounded(found.get(name)) for name in METRICS}
+
+
+def _innovations(tally: Tally) -> dict[str, Value]:
+    position, velocity = tally.updates(AidingKind.GNSS_POSITION), tally.updates(AidingKind.GNSS_VELOCITY)
+    kept = position.innovation[position.used]
+    normalised = kept / position.innovation_sd[position.used]
+    return {
+        "fixes_used": int(position.used.sum()),
+        "fixes_rejected": int((~position.used).sum()),
+        "innovation_horizontal_rms_m": _rms(np.hypot(kept[:, 0], kept[:, 1])),
+        "innovation_velocity_rms_m_s": _rms(np.hypot(*velocity.innovation[velocity.used, :2].T)),
+        "normalised_innovation_rms": _rms(normalised.ravel()),
+    }
+
+
+def _against_truth(errors: Errors) -> dict[str, Value]:
+    found: dict[str, Value] = {"truth_count": len(errors)}
+    if errors.position_n is not None:
+        horizontal = horizontal_error(errors.position_n)
+        found |= {
+            "horizontal_rmse_m": _rms(horizontal),
+            "horizontal_p95_m": _quantile(horizontal, 0.95),
+            "horizontal_max_m": _quantile(horizontal, 1.0),
+            "vertical_rmse_m": _rms(errors.position_n[:, 2]),
+            "within_3_sigma_fraction": _share(np.abs(errors.position_n) <= 3.0 * errors.position_sd_n),
+        }
+    if errors.velocity_n is not None:
+        found["velocity_rmse_m_s"] = _rms(np.linalg.norm(errors.velocity_n, axis=1))
+    if errors.attitude is not None and len(errors):
+        roll, pitch, yaw = errors.attitude.T
+        # The mean of angles is that of their directions: -179 and 179 degrees make 180, not 0.
+        mean = float(np.angle(np.mean(np.exp(1j * yaw))))
+        about_mean = np.angle(np.exp(1j * (yaw - mean)))
+        found |= {
+            "roll_rmse_rad": _rms(roll),
+            "pitch_rmse_rad": _rms(pitch),
+            "yaw_rmse_rad": _rms(yaw),
+            "yaw_mean_error_rad": mean,
+            "yaw_sd_rad": _rms(about_mean),
+        }
+    return found
+
+
+def _outages(errors: Errors, gaps: Sequence[Gap]) -> dict[str, Value]:
+    if errors.position_n is None or not gaps:
+        return {}
+    horizontal = horizontal_error(errors.position_n)
+    ends, largest = [], []
+    for first, last in gaps:
+        # What is behind the gap must not help: both solutions around the instant lie before its end.
+        inside = (errors.stamps_ns >= first) & (errors.next_solution_ns < last)
+        rows = np.flatnonzero(inside)
+        if len(rows) and errors.stamps_ns[rows[-1]] - first >= MINIMUM_GAP_SHARE * (last - first):
+            ends.append(float(horizontal[rows[-1]]))
+            largest.append(float(horizontal[rows].max()))
+    return {
+        "outage_count": len(ends),
+        "outage_end_error_median_m": _quantile(np.array(ends), 0.5),
+        "outage_end_error_p95_m": _quantile(np.array(ends), 0.95),
+        "outage_end_error_max_m": _quantile(np.array(ends), 1.0),
+        "outage_largest_error_rms_m": _rms(np.array(largest)),
+    }
+
+
+def horizontal_error(errors_n: FloatArray) -> FloatArray:
+    """Length of the horizontal part of errors in north, east and down, shape (n,)."""
+    found: FloatArray = np.hypot(errors_n[:, 0], errors_n[:, 1])
+    return found
+
+
+def _distance(track: Track) -> float | None:
+    moving = track.columns("stationary", 1)[:, 0] < 0.5
+    if len(track) < 2:
+        return None
+    path = ned_track(track.geodetic, Geodetic(*track.geodetic[0].tolist()))
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    return float(steps[moving[1:]].sum())
+
+
+def _rms(values: FloatArray) -> float | None:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else None
+
+
+def _share(holds: npt.NDArray[np.bool_]) -> float | None:
+    return float(np.mean(holds)) if holds.size else None
+
+
+def _quantile(values: FloatArray, share: float) -> float | None:
+    return float(np.quantile(values, share)) if len(values) else None
+
+
+def _rounded(value: Value) -> Value:
+    return round(value, 6) if isinstance(value, float) else value
