@@ -5,13 +5,14 @@ import sys
 from collections.abc import Iterator
 
 from shared.processes import PROCESSES, ProcessRow
-from shared.topics import Topic, publications, subscriptions
+from shared.topics import BY_NAME, Topic, measurements, publications, subscriptions
 
 ANY_VEHICLE = "+"
 OBSERVER = "observer"  # whoever only looks: `obu tail`, the demo's balance
+REPLAY = "replay"  # who stands in for the sensors: `obu replay`
 HEAD = """\
 # Who may say what to whom: printed by `python -m broker.acl`, never edited by hand.
-# A process logs in with its own name, and whoever only looks as `observer`.
+# A process logs in with its own name, whoever only looks as `observer`, and who plays a recording as `replay`.
 """
 NOBODY_ELSE = "# Anyone else may neither read nor write.\n"
 
@@ -25,7 +26,13 @@ def access_list(vehicle: str = ANY_VEHICLE, *, nameless_read: bool = False) -> s
     everything = f"topic read {prefix}#\n"
     nameless = f"\n# Clients without a name may read.\n{everything}" if nameless_read else NOBODY_ELSE
     users = (f"\nuser {row.name}\n" + "".join(_lines(row, prefix)) for row in PROCESSES)
-    return f"{HEAD}{nameless}\nuser {OBSERVER}\n{everything}{''.join(users)}"
+    return f"{HEAD}{nameless}\nuser {OBSERVER}\n{everything}\n{_replay(prefix)}{''.join(users)}"
+
+
+def _replay(prefix: str) -> str:
+    origin = BY_NAME["origin/state"]
+    writes = (f"topic write {prefix}{topic.name}\n" for topic in (*measurements(), origin))
+    return f"user {REPLAY}\ntopic read {prefix}{origin.name}\n{''.join(writes)}"
 
 
 def _lines(row: ProcessRow, prefix: str) -> Iterator[str]:

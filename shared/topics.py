@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from . import messages as m
+from .processes import BY_NAME as PROCESS_ROWS
 from .processes import PROCESSES
 
 
@@ -102,3 +103,12 @@ def subscriptions(process: str) -> tuple[Topic, ...]:
 def publications(process: str) -> tuple[Topic, ...]:
     """List what a process may say."""
     return tuple(t for t in TOPICS if process in t.producers)
+
+
+def measurements() -> tuple[Topic, ...]:
+    """List what devices say and what is read from it: the topics of layers 1 and 2 that have a rate."""
+    return tuple(
+        t for t in TOPICS
+        if t.rate_hz is not None and not t.per_process and t.name != "origin/state"
+        and any(PROCESS_ROWS[name].layer <= 2 for name in t.producers)
+    )  # fmt: skip

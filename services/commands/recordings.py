@@ -1,14 +1,18 @@
-"""What the commands on recordings share: opening one, its vehicle, its problems."""
+"""What the commands on recordings share: opening one, its vehicle, its problems, meeting a broker."""
 
+import time
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
+from shared.bus import Bus
 from shared.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.errors import BadRecording, UserError
 from shared.recording import Recording
 from shared.recording.writer import VEHICLE_FILE
+
+PATIENCE_S = 5.0
 
 
 def open_recording(path: Path) -> Recording:
@@ -36,3 +40,14 @@ def tell_problems(recording: Recording, console: Console) -> None:
 def progress_on(console: Console) -> Progress:
     """Make a progress bar that shows on terminals only, and goes when it is done."""
     return Progress(console=console, disable=not console.is_terminal, transient=True)
+
+
+def meet(bus: Bus) -> None:
+    """Wait for the broker, or say that there is none."""
+    started = time.monotonic()
+    while not bus.connected:
+        bus.receive(0.1)
+        if time.monotonic() - started > PATIENCE_S:
+            raise UserError(
+                f"{bus.last_error or 'no broker answers'}; is the unit running? Set OBU_BROKER to its broker"
+            )
