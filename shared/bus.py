@@ -27,6 +27,7 @@ from . import codec
 from .clock import Clock
 from .config import BrokerAddress
 from .messages import Message, ProcessHealth, ProcessState
+from .publish_properties import PublishProperties, use_for_received_messages
 from .topics import BY_MESSAGE, Topic, topic_of
 
 log = logging.getLogger(__name__)
@@ -35,6 +36,8 @@ HEARTBEAT_S = 0.5
 KEEP_ALIVE_S = 5
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 QUEUE_LENGTH = 2000
+
+use_for_received_messages()
 
 
 @dataclass(frozen=True)
@@ -233,9 +236,7 @@ class Bus:
             self._transmit(*self._waiting.popleft())
 
     def _transmit(self, name: str, payload: bytes, properties: dict[str, str], topic: Topic) -> None:
-        packed = _properties(properties, PacketTypes.PUBLISH)
-        if topic.retain and topic.expiry_s:
-            packed.MessageExpiryInterval = topic.expiry_s
+        packed = PublishProperties(properties, topic.expiry_s if topic.retain else None)
         self._client.publish(self._prefix + name, payload, topic.qos, topic.retain, packed)
 
     def _heartbeat(self) -> None:
