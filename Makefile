@@ -7,7 +7,7 @@ APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
 SCENARIO ?= urban
 
-.PHONY: help setup demo test check up down docs lock papers bench picture clean
+.PHONY: help setup demo test check up down containers docs lock papers bench picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -60,6 +60,9 @@ up: ## start the containers
 
 down: ## stop the containers
 	docker compose down
+
+containers: | $(VENV)/.testing ## test the containers for real, where there is an engine (three minutes)
+	@$(PYTHON) -m pytest -m container $(PYTEST_ARGS)
 
 docs: setup ## print docs/reference and broker/acl.conf from the code
 	@$(PYTHON) -m services reference docs/reference

@@ -1,0 +1,198 @@
+"""The unit as `docker compose up` runs it: healthy, without rights, and back after each kind of death.
+
+It takes two minutes, and three with an empty build cache, so it is marked slow: `make containers` runs it. It skips
+where there is no engine with Compose, or where the base images can neither be found nor fetched.
+"""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from shared.processes import PROCESSES
+
+pytestmark = [pytest.mark.container, pytest.mark.slow, pytest.mark.xdist_group("containers")]
+
+ROOT = Path(__file__).resolve().parents[2]
+BASE_IMAGES = ("python:3.11-slim-bookworm", "eclipse-mosquitto:2")
+EXPECTED = [row.name for row in PROCESSES if not row.extra or row.name == "sensors.simulator"]
+SERVICES = [name.replace(".", "-") for name in EXPECTED]
+MEMORY_BYTES = 700e6
+
+
+def run(*command: str, environment: dict[str, str] | None = None, timeout_s: float = 60.0) -> str:
+    """Run a command to its end; its standard output, or a failure that shows what it said."""
+    result = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, **(environment or {})}, timeout=timeout_s, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert result.returncode == 0, f"{' '.join(command)}\n{result.stdout[-2000:]}\n{result.stderr[-4000:]}"
+    return result.stdout
+
+
+def succeeds(*command: str, timeout_s: float = 20.0) -> bool:
+    try:
+        return subprocess.run(command, timeout=timeout_s, capture_output=True, check=False).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+
+
+def eventually(condition: Callable[[], bool], within_s: float) -> float:
+    """Wait for a condition; the seconds that it took."""
+    started = time.monotonic()
+    while not condition():
+        assert time.monotonic() - started < within_s, f"not within {within_s} s"
+        time.sleep(0.2)
+    return time.monotonic() - started
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A running Compose project."""
+
+    project: str
+    http_port: int
+
+    def compose(self, *arguments: str, timeout_s: float = 60.0) -> str:
+        environment = {
+            "OBU_HTTP_PORT": str(self.http_port), "OBU_HTTP_BIND": "127.0.0.1", "COMPOSE_FILE": "docker-compose.yml",
+            "OBU_VEHICLE_FILE": "./deploy/vehicles/simulated.toml",
+        }  # fmt: skip
+        return run("docker", "compose", "-p", self.project, *arguments, environment=environment, timeout_s=timeout_s)
+
+    def inspect(self, service: str, template: str) -> str:
+        return run("docker", "inspect", "--format", template, f"{self.project}-{service}-1").strip()
+
+    def get(self, path: str) -> dict[str, object]:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.http_port}{path}", timeout=5) as answer:
+            return cast("dict[str, object]", json.load(answer))
+
+    def is_well(self) -> bool:
+        """Tell whether every process reports itself ready and the solution is fresh."""
+        try:
+            health = self.get("/api/health")
+        except (OSError, urllib.error.URLError):
+            return False
+        processes = cast("dict[str, dict[str, object]]", health["processes"])
+        return health["state"] == "ok" and [name for name in EXPECTED if processes[name]["ok"]] == EXPECTED
+
+    def signal(self, service: str, number: signal.Signals) -> None:
+        """Send a signal as another process of the host would. (`docker kill` counts as a wish of the user's.)"""
+        pid = self.inspect(service, "{{.State.Pid}}")
+        run("docker", "run", "--rm", "--pid=host", "--user=0", "--network=none", "--entrypoint=python", "obu:local",
+            "-c", f"import os; os.kill({pid}, {int(number)})")  # fmt: skip
+
+    def health_check(self, service: str) -> str:
+        """Run a container's health check now; what it finds wrong."""
+        command = ["docker", "exec", f"{self.project}-{service}-1", "python", "-S", "deploy/healthcheck.py"]
+        return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False).stderr.strip()
+
+
+@pytest.fixture(scope="module")
+def unit() -> Iterator[Unit]:
+    if not succeeds("docker", "info"):
+        pytest.skip("no Docker engine answers here")
+    if not succeeds("docker", "compose", "version"):
+        pytest.skip("the Docker engine has no Compose plugin")
+    for image in BASE_IMAGES:
+        if not succeeds("docker", "image", "inspect", image) and not succeeds("docker", "pull", image, timeout_s=180):
+            pytest.skip(f"the image {image} is neither here nor to be had")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        running = Unit(f"obu-test-{os.getpid()}", probe.getsockname()[1])
+    try:
+        running.compose("build", timeout_s=400)
+        running.compose("up", "--detach", timeout_s=120)
+        yield running
+    finally:
+        running.compose("down", "--volumes", "--timeout", "5", timeout_s=60)
+
+
+def test_every_process_comes_up_and_the_vehicle_is_located(unit: Unit) -> None:
+    eventually(unit.is_well, within_s=60)
+    topics = cast("dict[str, dict[str, object]]", unit.get("/api/state")["topics"])
+    assert topics["navigation/solution"]
+
+
+def test_no_process_is_root_and_none_has_a_capability(unit: Unit) -> None:
+    for service, uid in [*((service, "10001") for service in SERVICES), ("broker", "1883")]:
+        status = dict(
+            line.split(":\t", 1) for line in unit.compose("exec", "-T", service, "cat", "/proc/1/status").splitlines()
+            if ":\t" in line
+        )  # fmt: skip
+        assert set(status["Uid"].split()) == {uid}, service
+        assert {int(status[key], 16) for key in ("CapEff", "CapPrm", "CapBnd", "CapAmb")} == {0}, service
+        assert status["NoNewPrivs"] == "1", service
+
+
+def test_the_program_cannot_be_changed_from_inside(unit: Unit) -> None:
+    attempt = "import pathlib; pathlib.Path('/opt/obu/services/x.py').write_text('')"
+    with pytest.raises(AssertionError, match=r"Read-only file system|Permission denied"):
+        unit.compose("exec", "-T", "core-fusion", "python", "-c", attempt)
+    assert unit.inspect("core-fusion", "{{.HostConfig.ReadonlyRootfs}}") == "true"
+
+
+def test_only_the_dashboard_is_reached_from_outside(unit: Unit) -> None:
+    published = {s for s in [*SERVICES, "broker"] if unit.inspect(s, "{{json .HostConfig.PortBindings}}") != "{}"}
+    assert published == {"monitoring-status"}
+    assert run("docker", "network", "inspect", "--format", "{{.Internal}}", f"{unit.project}_bus").strip() == "true"
+
+
+def test_a_killed_process_comes_back(unit: Unit) -> None:
+    before = unit.inspect("core-fusion", "{{.State.StartedAt}}")
+    unit.signal("core-fusion", signal.SIGKILL)
+    eventually(lambda: unit.inspect("core-fusion", "{{.State.StartedAt}}") != before, within_s=20)
+    eventually(unit.is_well, within_s=40)
+    assert unit.inspect("core-fusion", "{{.RestartCount}}") == "1"
+
+
+def test_everything_is_back_after_the_broker_was_killed_and_no_process_ended_by_it(unit: Unit) -> None:
+    restarts = {service: unit.inspect(service, "{{.RestartCount}}") for service in SERVICES}
+    unit.signal("broker", signal.SIGKILL)
+    eventually(lambda: unit.inspect("broker", "{{.RestartCount}}") == "1", within_s=20)
+    eventually(unit.is_well, within_s=40)
+    assert {service: unit.inspect(service, "{{.RestartCount}}") for service in SERVICES} == restarts
+
+
+def test_the_health_checks_agree(unit: Unit) -> None:
+    def healthy() -> bool:
+        return {unit.inspect(s, "{{.State.Health.Status}}") for s in [*SERVICES, "broker"]} == {"healthy"}
+
+    eventually(healthy, within_s=75)
+
+
+def test_a_process_that_hangs_becomes_unhealthy(unit: Unit) -> None:
+    assert unit.health_check("parsers-gnss") == ""
+    unit.signal("parsers-gnss", signal.SIGSTOP)
+    try:
+        eventually(lambda: "no heartbeat" in unit.health_check("parsers-gnss"), within_s=15)
+        eventually(lambda: not unit.is_well(), within_s=15)
+    finally:
+        unit.signal("parsers-gnss", signal.SIGCONT)
+    eventually(unit.is_well, within_s=30)
+
+
+def test_the_unit_fits_a_small_machine(unit: Unit) -> None:
+    names = [f"{unit.project}-{service}-1" for service in [*SERVICES, "broker"]]
+    lines = run("docker", "stats", "--no-stream", "--format", "{{.MemUsage}}", *names).splitlines()
+    sizes = [line.split("/")[0].strip() for line in lines]
+    factors = {"KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
+    assert len(sizes) == len(names)
+    assert sum(float(size[:-3]) * factors[size[-3:]] for size in sizes) < MEMORY_BYTES
+
+
+def test_told_to_stop_every_process_ends_by_itself(unit: Unit) -> None:
+    unit.compose("stop", timeout_s=60)
+    assert {service: unit.inspect(service, "{{.State.ExitCode}}") for service in SERVICES} == dict.fromkeys(
+        SERVICES, "0"
+    )
