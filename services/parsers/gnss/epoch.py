@@ -1,6 +1,6 @@
 """Joins the UBX messages of one navigation epoch to one fix."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -28,15 +28,16 @@ class Epoch:
 class EpochAssembler:
     """Collects messages by time of week and hands over each epoch once.
 
-    An epoch is complete when NAV-EOE says so, when every kind of message that the previous epoch had has arrived, or
-    when the next one begins. `rejects` counts `ubx_<fault>` for content that cannot be and `epoch_without_pvt`.
+    An epoch is complete when NAV-EOE says so, when every kind of message that either of the two epochs before had has
+    arrived (two, so that one that noise has damaged does not cut the next one short), or when the next one begins.
+    `rejects` counts `ubx_<fault>` for content that cannot be and `epoch_without_pvt`.
     """
 
     def __init__(self, rejects: Counter[str]) -> None:
         self.rejects = rejects
         self._epoch: Epoch | None = None
         self._kinds: set[str] = set()
-        self._previous_kinds: set[str] = set()
+        self._kinds_before: deque[set[str]] = deque(maxlen=2)
         self._done = True
 
     def take(self, kind: str, payload: bytes, received_ns: int) -> Iterator[Epoch]:
@@ -44,7 +45,8 @@ class EpochAssembler:
         itow = ubx.itow_ms(kind, payload)
         if self._epoch is None or itow != self._epoch.itow_ms:
             yield from self._finish()
-            self._previous_kinds, self._kinds = self._kinds, set()
+            self._kinds_before.append(self._kinds)
+            self._kinds = set()
             self._epoch, self._done = Epoch(itow, received_ns, received_ns), False
         if kind == "EOE":
             yield from self._finish()
@@ -55,7 +57,7 @@ class EpochAssembler:
             _store(self._epoch, kind, payload)
         except ubx.UbxError as fault:
             self.rejects[f"ubx_{fault}"] += 1
-        if self._previous_kinds and self._previous_kinds <= self._kinds:
+        if all(self._kinds_before) and set.union(*self._kinds_before) <= self._kinds:
             yield from self._finish()
 
     def _finish(self) -> Iterator[Epoch]:

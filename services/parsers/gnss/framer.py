@@ -1,7 +1,7 @@
 """Finds UBX, NMEA and RTCM 3 messages in a stream of bytes that may hold garbage."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum, auto
 from functools import reduce
@@ -107,16 +107,19 @@ def _frame_at(buffer: bytearray, start: int) -> Frame:
 
 
 def _whole_frame_after(buffer: bytearray, position: int) -> int | None:
-    """Find a complete UBX or NMEA frame inside an incomplete one."""
-    for sync, read in ((UBX_SYNC, _ubx), (b"$G", _nmea)):
-        found = buffer.find(sync, position)
-        while found >= 0:
-            try:
-                read(buffer, found)
-            except (_Bad, _Incomplete):
-                found = buffer.find(sync, found + 1)
-            else:
-                return found
+    """Find the first complete UBX or NMEA frame inside an incomplete one."""
+    starts = (_first_whole(buffer, position, sync, read) for sync, read in ((UBX_SYNC, _ubx), (b"$G", _nmea)))
+    return min((start for start in starts if start is not None), default=None)
+
+
+def _first_whole(buffer: bytearray, position: int, sync: bytes, read: Callable[[bytearray, int], Frame]) -> int | None:
+    while (position := buffer.find(sync, position)) >= 0:
+        try:
+            read(buffer, position)
+        except (_Bad, _Incomplete):
+            position += 1
+        else:
+            return position
     return None
 
 

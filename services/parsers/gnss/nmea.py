@@ -4,7 +4,7 @@ Source: NMEA 0183 version 4.11, as described in u-blox F9 HPG 1.32 (UBX-22008968
 """
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -35,12 +35,13 @@ class NmeaEpoch:
 class NmeaAssembler:
     """Collects sentences by their time of day and hands over each epoch once.
 
-    An epoch is complete when every kind of sentence that the previous epoch had has arrived, or when the next begins.
+    An epoch is complete when every kind of sentence that either of the two epochs before had has arrived, or when the
+    next begins.
     """
 
     def __init__(self) -> None:
         self._epoch: NmeaEpoch | None = None
-        self._previous_kinds: set[str] = set()
+        self._kinds_before: deque[set[str]] = deque([set()], maxlen=2)
         self._done = True
 
     def take(self, sentence: bytes, received_ns: int) -> Iterator[NmeaEpoch]:
@@ -51,7 +52,7 @@ class NmeaAssembler:
             time_of_day = time_of_day_ns(_text(fields, 1))
             if self._epoch is None or self._epoch.time_of_day_ns != time_of_day:
                 yield from self._finish()
-                self._previous_kinds = set(self._epoch.sentences) if self._epoch else set()
+                self._kinds_before.append(set(self._epoch.sentences) if self._epoch else set())
                 self._epoch, self._done = NmeaEpoch(time_of_day, received_ns, received_ns), False
         elif kind != "GSA" or self._epoch is None:
             return
@@ -59,7 +60,7 @@ class NmeaAssembler:
             kind += str(sum(name.startswith("GSA") for name in self._epoch.sentences))
         self._epoch.sentences[kind] = fields
         self._epoch.last_received_ns = received_ns
-        if self._previous_kinds and self._previous_kinds <= self._epoch.sentences.keys():
+        if all(self._kinds_before) and set.union(*self._kinds_before) <= self._epoch.sentences.keys():
             yield from self._finish()
 
     def _finish(self) -> Iterator[NmeaEpoch]:
