@@ -9,8 +9,8 @@ from .process_watch import Condition
 
 
 def inputs_of(process: str) -> tuple[Topic, ...]:
-    """List the topics with a rate that drive a process; none for one that only observes."""
-    if PROCESS_ROWS[process].observes_all:
+    """List the topics with a rate that drive a process; none for one that only observes, or is not ours."""
+    if process not in PROCESS_ROWS or PROCESS_ROWS[process].observes_all:
         return ()
     return tuple(topic for topic in subscriptions(process) if topic.rate_hz is not None)
 
@@ -41,20 +41,26 @@ def expected_topics(configured: Collection[str]) -> frozenset[str]:
 
 
 class Upstream:
-    """What the search for a cause needs to know of the unit at one moment."""
+    """What the search for a cause needs to know of the unit at one moment.
+
+    `stopped_ns` says when a topic fell silent (None while it is well), `last_ns` when a topic that is
+    late but not yet silent was last heard, `producer` who spoke last on it.
+    """
 
     def __init__(
         self,
         configured: Collection[str],
+        *,
         condition: Callable[[str], Condition],
         stopped_ns: Callable[[Topic], int | None],
+        last_ns: Callable[[Topic], int | None],
         producer: Callable[[Topic], str | None],
     ) -> None:
         self._configured, self._condition = configured, condition
-        self._stopped_ns, self._producer = stopped_ns, producer
+        self._stopped_ns, self._last_ns, self._producer = stopped_ns, last_ns, producer
 
     def cause(self, topic: Topic, seen: tuple[str, ...] = ()) -> str | None:
-        """Say why a topic is silent; None as long as a process on the way is neither up nor down for sure.
+        """Say why a topic is silent; None as long as something on the way is neither well nor silent for sure.
 
         Parameters
         ----------
@@ -66,39 +72,48 @@ class Upstream:
         Returns
         -------
         str or None
-            One clause that names the process or device at the root.
+            One clause that names the process or device at the root; None while that is open.
         """
         newest = self._producer(topic)
         producers = (newest,) if newest else producers_of(topic, self._configured)
         if not producers:
             return f"nothing in this vehicle says {topic.name}"
         conditions = {name: self._condition(name) for name in producers}
-        for name, condition in conditions.items():
-            if condition.down:
-                return f"{name} is {condition}"
-        if not all(condition is Condition.RUNNING for condition in conditions.values()):
+        down = [f"{name} is {condition}" for name, condition in conditions.items() if condition.down]
+        if down:
+            return down[0]
+        unsure = any(condition is not Condition.RUNNING for condition in conditions.values())
+        if unsure or self._inputs(topic, producers, self._last_ns, seen):
             return None
-        silent = self._silent_inputs(topic, producers, (*seen, topic.name))
-        if silent:
-            return self.cause(silent[0], (*seen, topic.name))
-        if PROCESS_ROWS[producers[0]].layer == 1:
-            return f"{producers[0]} runs, but its device sends nothing"
-        return f"{producers[0]} runs, but says nothing on {topic.name}"
+        silent = self._inputs(topic, producers, self._stopped_ns, seen)
+        return self.cause(silent[0], (*seen, topic.name)) if silent else _own_fault(producers[0], topic)
 
-    def _silent_inputs(self, topic: Topic, producers: tuple[str, ...], seen: tuple[str, ...]) -> list[Topic]:
-        """List silent inputs of the producers, the one that stopped last before the topic did first.
+    def _inputs(
+        self, topic: Topic, producers: Collection[str], end_of: Callable[[Topic], int | None], seen: tuple[str, ...]
+    ) -> list[Topic]:
+        """List inputs of the producers that came to an end before the topic did, the last to end first.
 
-        An input that has been silent while the topic still lived is not to blame.
+        An input that has been silent while the topic still lived is less to blame than a later one.
         """
         end_ns = self._stopped_ns(topic) or 0
-        stops = [
-            (stop_ns, need)
+        ends = [
+            (input_end_ns, need)
             for name in producers
             for need in inputs_of(name)
-            if need.name not in seen and (stop_ns := self._stopped_ns(need)) is not None
+            if need.name not in (*seen, topic.name) and (input_end_ns := end_of(need)) is not None
         ]
-        before = [(stop_ns, need) for stop_ns, need in stops if stop_ns <= end_ns + _slack_ns(need, topic)]
+        before = [
+            (input_end_ns, need) for input_end_ns, need in ends if input_end_ns <= end_ns + _slack_ns(need, topic)
+        ]
         return [need for _, need in sorted(before, key=lambda item: -item[0])]
+
+
+def _own_fault(process: str, topic: Topic) -> str:
+    if process not in PROCESS_ROWS:
+        return f"{process} has stopped"
+    if PROCESS_ROWS[process].layer == 1:
+        return f"{process} runs, but its device sends nothing"
+    return f"{process} runs, but says nothing on {topic.name}"
 
 
 def _slack_ns(*topics: Topic) -> int:

@@ -142,7 +142,11 @@ class Watch:
 
     def _silent_topics(self) -> dict[str, str | None]:
         upstream = Upstream(
-            self._present(), self._condition, self._stopped_ns, lambda topic: self._topics[topic.name].producer
+            self._present(),
+            condition=self._condition,
+            stopped_ns=self._stopped_ns,
+            last_ns=self._late_since_ns,
+            producer=lambda topic: self._topics[topic.name].producer,
         )
         return {
             name: upstream.cause(watch.topic)
@@ -165,6 +169,10 @@ class Watch:
             return None
         heard_ns = max(watch.newest_ns, self._judged_from_ns)
         return watch.newest_ns if (self._now_ns - heard_ns) * 1e-9 >= topic.silent_after_s else None
+
+    def _late_since_ns(self, topic: Topic) -> int | None:
+        watch = self._topics[topic.name]
+        return watch.newest_ns if watch.freshness(self._now_ns) is Freshness.LATE else None
 
     def _is_missing(self, topic: Topic) -> bool:
         """Whether a topic never came although its producers say nothing else either: not every device has all."""

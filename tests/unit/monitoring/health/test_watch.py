@@ -162,6 +162,16 @@ def test_a_device_that_sends_nothing_is_the_cause_while_all_processes_run(unit: 
     assert told == dict.fromkeys(("gnss/raw", "gnss/fix"), "sensors.gnss runs, but its device sends nothing")
 
 
+def test_a_topic_that_falls_silent_just_before_its_input_waits_for_it(unit: Unit) -> None:
+    unit.mute.add("gnss/fix")
+    unit.run(1.0)
+    unit.mute.add("gnss/raw")
+    told = [event for _, event in unit.run(10)]
+
+    assert sorted(event.what for event in told) == ["gnss/fix", "gnss/raw"]
+    assert {event.cause for event in told} == {"sensors.gnss runs, but its device sends nothing"}
+
+
 def test_a_process_that_says_nothing_although_fed_is_itself_the_cause(unit: Unit) -> None:
     unit.mute.add("imu/sample")
     told = causes(unit.run(5))
@@ -317,6 +327,16 @@ def test_the_will_of_a_former_life_says_nothing_of_this_one(unit: Unit) -> None:
     unit.watch.take_health(old, unit.now_ns)
 
     assert unit.run(5) == []
+
+
+def test_a_replay_that_ends_is_the_cause_of_the_silence_after_it() -> None:
+    unit = Unit(STANDING)
+    unit.run(15)
+    unit.watch.take("imu/raw", b"", {}, producer="replay", received_ns=unit.now_ns)
+    unit.watch.take("imu/sample", b"", {}, producer="parsers.imu", received_ns=unit.now_ns)
+    told = causes(unit.run(5))
+
+    assert told == dict.fromkeys(("imu/raw", "imu/sample"), "replay has stopped")
 
 
 @pytest.mark.parametrize("state", [ProcessState.LOST, ProcessState.DISCONNECTED, ProcessState.READY])
