@@ -26,22 +26,22 @@ def main() -> None:
             [sys.executable, "-m", "services", "demo", "--port", "0"], env=os.environ | {"OBU_STATE": folder}
         )
         try:
-            photograph(chromium, address(Path(folder) / "demo" / "status.address"))
+            photograph(chromium, address(demo, Path(folder) / "demo" / "status.address"))
         finally:
             demo.terminate()
             demo.wait()
 
 
-def address(file: Path) -> str:
+def address(demo: subprocess.Popen[bytes], file: Path) -> str:
     """Wait until the unit navigates, and say where its dashboard is."""
     deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
+    while time.monotonic() < deadline and demo.poll() is None:
         time.sleep(0.5)
         if file.exists():
             base = file.read_text().strip()
             if httpx.get(f"{base.rstrip('/')}/api/topics/navigation/solution").is_success:
                 return base
-    raise SystemExit(f"no position in {PATIENCE_S:.0f} s")
+    raise SystemExit(f"the demo ended, or gave no position in {PATIENCE_S:.0f} s")
 
 
 def photograph(chromium: str, base: str) -> None:

@@ -27,7 +27,7 @@ def port_or_free(wanted: int) -> int:
             probe.bind(("127.0.0.1", wanted))
         except OSError:
             return free_port()
-    return wanted
+        return int(probe.getsockname()[1])
 
 
 def fresh_folder(path: Path) -> Path:

@@ -10,11 +10,13 @@ from shared.processes import PROCESSES
 ROOT = Path(__file__).parents[2]
 # What a file that is not process.py may import besides its own folder: no bus, no clock, no files, no logging.
 PURE = {
-    "bisect", "collections", "cmath", "dataclasses", "datetime", "enum", "fractions", "functools", "hashlib", "heapq",
+    "bisect", "cantools", "collections", "cmath", "dataclasses", "datetime", "difflib", "enum", "fractions",
+    "functools", "hashlib", "heapq",
     "html", "ipaddress", "itertools", "json", "math", "operator", "random", "re", "statistics", "string", "struct",
     "types", "typing", "collections.abc", "numpy", "numpy.typing", "pydantic", "pyubx2", "pynmea2", "prometheus_client",
 }  # fmt: skip
 PURE_SHARED = {"shared.maths", "shared.messages", "shared.xbus", "shared.processes", "shared.topics", "shared.errors"}
+PURE_SHARED |= {"shared.config"}  # for `Section`, the base of settings
 
 
 def files_of(process: str) -> list[Path]:
