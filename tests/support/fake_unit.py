@@ -20,9 +20,16 @@ LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
 METRES_PER_DEG = 111_200.0
 LIFE = 1_795_000_000 * 10**9
 SIMULATED = (
-    "sensors.simulator", "parsers.gnss", "parsers.imu", "parsers.can", "controller.mode",
-    "core.fusion", "monitoring.recorder", "monitoring.health", "monitoring.status",
-)  # fmt: skip
+    "sensors.simulator",
+    "parsers.gnss",
+    "parsers.imu",
+    "parsers.can",
+    "controller.mode",
+    "core.fusion",
+    "monitoring.recorder",
+    "monitoring.health",
+    "monitoring.status",
+)
 VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
 
 
@@ -86,9 +93,12 @@ class FakeUnit:
         """Say everything that is due now."""
         now_ns = self.bus.now_ns()
         for name, rate_hz, make in (
-            ("imu", 100.0, self._imu), ("fast", 10.0, self._fast), ("slow", 1.0, self._slow),
-            ("beat", 2.0, self._heartbeats), ("origin", 0.5, self._origin),
-        ):  # fmt: skip
+            ("imu", 100.0, self._imu),
+            ("fast", 10.0, self._fast),
+            ("slow", 1.0, self._slow),
+            ("beat", 2.0, self._heartbeats),
+            ("origin", 0.5, self._origin),
+        ):
             due_ns = self._due.setdefault(name, now_ns)
             if now_ns < due_ns:
                 continue
@@ -128,10 +138,16 @@ class FakeUnit:
         if "imu" in self.silent:
             return
         yield "sensors.simulator", m.ImuRaw(received_ns=now_ns, source="imu0", data=b"\xfa\xff\x36" + bytes(60))
-        yield "parsers.imu", m.ImuSamples(
-            received_ns=now_ns, source="imu0", sampled_ns=(now_ns - 500_000,),
-            specific_force_body_m_s2=((0.1, 1.35, -9.8),), angular_rate_body_rad_s=((0.0, 0.0, 0.15),),
-        )  # fmt: skip
+        yield (
+            "parsers.imu",
+            m.ImuSamples(
+                received_ns=now_ns,
+                source="imu0",
+                sampled_ns=(now_ns - 500_000,),
+                specific_force_body_m_s2=((0.1, 1.35, -9.8),),
+                angular_rate_body_rad_s=((0.0, 0.0, 0.15),),
+            ),
+        )
 
     def _fast(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
         wobble = 0.03 * math.sin(now_ns * 1e-9)
@@ -153,19 +169,43 @@ class FakeUnit:
         latitude, longitude = self._place(now_ns)
         velocity = self._velocity(now_ns)
         yaw = (self._angle(now_ns) + math.pi) % (2 * math.pi) - math.pi
-        yield "sensors.simulator", m.TruthState(
-            sampled_ns=now_ns, latitude_deg=latitude, longitude_deg=longitude, height_ellipsoid_m=HEIGHT_M,
-            velocity_ned_m_s=velocity, roll_rad=0.0, pitch_rad=0.0, yaw_rad=yaw, angular_rate_body_rad_s=(0.0, 0.0, 0.15),
-        )  # fmt: skip
+        yield (
+            "sensors.simulator",
+            m.TruthState(
+                sampled_ns=now_ns,
+                latitude_deg=latitude,
+                longitude_deg=longitude,
+                height_ellipsoid_m=HEIGHT_M,
+                velocity_ned_m_s=velocity,
+                roll_rad=0.0,
+                pitch_rad=0.0,
+                yaw_rad=yaw,
+                angular_rate_body_rad_s=(0.0, 0.0, 0.15),
+            ),
+        )
         latitude, longitude = self._place(now_ns, 0.5 + 10 * wobble, -0.4)
-        yield "core.fusion", m.NavigationSolution(
-            sampled_ns=now_ns - 1_000_000, phase=self._phase(), latitude_deg=latitude, longitude_deg=longitude,
-            height_ellipsoid_m=HEIGHT_M + 0.3, velocity_ned_m_s=velocity, roll_rad=0.01, pitch_rad=-0.005, yaw_rad=yaw + 0.01,
-            position_cov_ned_m2=(0.6, 0.25, 0.0, 0.35, 0.0, 1.2), velocity_cov_ned_m2_s2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.02),
-            attitude_cov_ned_rad2=(1e-5, 0.0, 0.0, 1e-5, 0.0, 6e-5), angular_rate_body_rad_s=(0.0, 0.0, 0.15),
-            accelerometer_bias_m_s2=(0.02, -0.01, 0.03), gyroscope_bias_rad_s=(1e-4, 2e-4, -1e-4), stationary=False,
-            gnss_age_s=12.4 if self.coasting else (now_ns % 10**9) * 1e-9,
-        )  # fmt: skip
+        yield (
+            "core.fusion",
+            m.NavigationSolution(
+                sampled_ns=now_ns - 1_000_000,
+                phase=self._phase(),
+                latitude_deg=latitude,
+                longitude_deg=longitude,
+                height_ellipsoid_m=HEIGHT_M + 0.3,
+                velocity_ned_m_s=velocity,
+                roll_rad=0.01,
+                pitch_rad=-0.005,
+                yaw_rad=yaw + 0.01,
+                position_cov_ned_m2=(0.6, 0.25, 0.0, 0.35, 0.0, 1.2),
+                velocity_cov_ned_m2_s2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.02),
+                attitude_cov_ned_rad2=(1e-5, 0.0, 0.0, 1e-5, 0.0, 6e-5),
+                angular_rate_body_rad_s=(0.0, 0.0, 0.15),
+                accelerometer_bias_m_s2=(0.02, -0.01, 0.03),
+                gyroscope_bias_rad_s=(1e-4, 2e-4, -1e-4),
+                stationary=False,
+                gnss_age_s=12.4 if self.coasting else (now_ns % 10**9) * 1e-9,
+            ),
+        )
 
     def _phase(self) -> m.NavigationPhase:
         return m.NavigationPhase.COASTING if self.coasting else m.NavigationPhase.NAVIGATING
@@ -174,33 +214,84 @@ class FakeUnit:
         yield "sensors.simulator", m.GnssRaw(received_ns=now_ns, source="gnss0", data=b"\xb5\x62\x01\x07" + bytes(96))
         latitude, longitude = self._place(now_ns - 80_000_000, 1.4, 0.9)
         velocity = self._velocity(now_ns, 1.4 if self.rejecting else 1.0)
-        yield "parsers.gnss", m.GnssFix(
-            sampled_ns=now_ns - 80_000_000, received_ns=now_ns, source="gnss0", utc_ns=now_ns - 80_000_000,
-            fix_type=m.FixType.THREE_D, carrier_solution=m.CarrierSolution.FLOAT, differential=True, satellites_used=17,
-            latitude_deg=latitude, longitude_deg=longitude, height_ellipsoid_m=HEIGHT_M + 1.0, velocity_ned_m_s=velocity,
-            ground_speed_m_s=math.hypot(*velocity[:2]) + 0.05, position_sd_ned_m=(0.9, 0.9, 1.8), hdop=0.8, pdop=1.4,
-            correction_age_s=1.2,
-        )  # fmt: skip
+        yield (
+            "parsers.gnss",
+            m.GnssFix(
+                sampled_ns=now_ns - 80_000_000,
+                received_ns=now_ns,
+                source="gnss0",
+                utc_ns=now_ns - 80_000_000,
+                fix_type=m.FixType.THREE_D,
+                carrier_solution=m.CarrierSolution.FLOAT,
+                differential=True,
+                satellites_used=17,
+                latitude_deg=latitude,
+                longitude_deg=longitude,
+                height_ellipsoid_m=HEIGHT_M + 1.0,
+                velocity_ned_m_s=velocity,
+                ground_speed_m_s=math.hypot(*velocity[:2]) + 0.05,
+                position_sd_ned_m=(0.9, 0.9, 1.8),
+                hdop=0.8,
+                pdop=1.4,
+                correction_age_s=1.2,
+            ),
+        )
         yield "parsers.gnss", self._satellites(now_ns)
         for kind, ratio in ((m.AidingKind.GNSS_POSITION, 0.31), (m.AidingKind.GNSS_VELOCITY, 0.18)):
             used = not (self.rejecting and kind is m.AidingKind.GNSS_VELOCITY)
-            yield "core.fusion", m.AidingUpdate(
-                sampled_ns=now_ns, source="gnss0", kind=kind, innovation=(0.4, -0.2, 0.1), innovation_sd=(1.1, 1.0, 2.0),
-                test_ratio=ratio if used else 4.7, used=used, reason=None if used else "beyond the gate",
-            )  # fmt: skip
-        yield "core.fusion", m.NavigationState(
-            sampled_ns=now_ns, phase=self._phase(), since_ns=self.started_ns, reason="position and heading are known",
-            fixes_used=412, fixes_rejected=3, samples_used=41_200, samples_rejected=0, imu_gaps=0, resets=0,
-        )  # fmt: skip
+            yield (
+                "core.fusion",
+                m.AidingUpdate(
+                    sampled_ns=now_ns,
+                    source="gnss0",
+                    kind=kind,
+                    innovation=(0.4, -0.2, 0.1),
+                    innovation_sd=(1.1, 1.0, 2.0),
+                    test_ratio=ratio if used else 4.7,
+                    used=used,
+                    reason=None if used else "beyond the gate",
+                ),
+            )
+        yield (
+            "core.fusion",
+            m.NavigationState(
+                sampled_ns=now_ns,
+                phase=self._phase(),
+                since_ns=self.started_ns,
+                reason="position and heading are known",
+                fixes_used=412,
+                fixes_rejected=3,
+                samples_used=41_200,
+                samples_rejected=0,
+                imu_gaps=0,
+                resets=0,
+            ),
+        )
         mode = m.Mode.DEGRADED if self.rejecting or self.coasting else m.Mode.MEASURING
-        yield "controller.mode", m.ModeState(
-            sampled_ns=now_ns, mode=mode, since_ns=self.started_ns, reason="all sources deliver", gnss_source="gnss0",
-            imu_source="imu0", speed_source="can0",
-        )  # fmt: skip
-        yield "monitoring.recorder", m.RecordingState(
-            now_ns=now_ns, recording=True, file="2026-11-21T02.mcap", bytes_written=(now_ns - self.started_ns) // 10_000,
-            messages=1000, dropped=0, free_bytes=41_000_000_000,
-        )  # fmt: skip
+        yield (
+            "controller.mode",
+            m.ModeState(
+                sampled_ns=now_ns,
+                mode=mode,
+                since_ns=self.started_ns,
+                reason="all sources deliver",
+                gnss_source="gnss0",
+                imu_source="imu0",
+                speed_source="can0",
+            ),
+        )
+        yield (
+            "monitoring.recorder",
+            m.RecordingState(
+                now_ns=now_ns,
+                recording=True,
+                file="2026-11-21T02.mcap",
+                bytes_written=(now_ns - self.started_ns) // 10_000,
+                messages=1000,
+                dropped=0,
+                free_bytes=41_000_000_000,
+            ),
+        )
 
     def _satellites(self, now_ns: int) -> m.GnssSatellites:
         satellites = tuple(
@@ -214,12 +305,20 @@ class FakeUnit:
     def _heartbeats(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
         elapsed_s = (now_ns - self.started_ns) * 1e-9
         for index, name in enumerate(SIMULATED):
-            yield name, m.ProcessHealth(
-                process=name, state=m.ProcessState.READY, incarnation=LIFE + self.lives[name], sent_ns=now_ns,
-                messages_in=int(elapsed_s * (110 + 20 * index)), messages_out=int(elapsed_s * (20 + 11 * index)),
-                cpu_s=elapsed_s * (0.02 + 0.013 * index), rss_bytes=(31 + 3 * index) * 1_000_000,
-                rejects={"checksum": 3} if name == "parsers.gnss" else {},
-            )  # fmt: skip
+            yield (
+                name,
+                m.ProcessHealth(
+                    process=name,
+                    state=m.ProcessState.READY,
+                    incarnation=LIFE + self.lives[name],
+                    sent_ns=now_ns,
+                    messages_in=int(elapsed_s * (110 + 20 * index)),
+                    messages_out=int(elapsed_s * (20 + 11 * index)),
+                    cpu_s=elapsed_s * (0.02 + 0.013 * index),
+                    rss_bytes=(31 + 3 * index) * 1_000_000,
+                    rejects={"checksum": 3} if name == "parsers.gnss" else {},
+                ),
+            )
 
     def _origin(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
         yield "sensors.simulator", m.Origin(now_ns=now_ns, kind=m.OriginKind.SIMULATED, name="city-loop", seed=7)

@@ -7,7 +7,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 
-PAGES = ("index.html", "style.css", "main.js", "store.js", "words.js", "parts.js", "now.js", "closeup.js", "system.js")
+PAGES = (
+    "index.html",
+    "style.css",
+    "main.js",
+    "store.js",
+    "words.js",
+    "parts.js",
+    "now.js",
+    "closeup.js",
+    "system.js",
+    "inspector.js",
+)
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",
     "hooks.js": "preact/hooks/dist/hooks.mjs",

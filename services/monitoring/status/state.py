@@ -10,6 +10,7 @@ from shared.bus import Envelope
 from shared.messages import (
     AidingKind,
     AidingUpdate,
+    DeadlineReport,
     GnssFix,
     Message,
     NavigationSolution,
@@ -107,6 +108,12 @@ class State:
         """Age of the newest message of a topic."""
         return self.topics[name].age_s(now_ns)
 
+    def restarts(self, name: str, now_ns: int) -> int:
+        """Count the restarts of a process, seen here or by `monitoring.health`."""
+        report = self.newest(DeadlineReport, "deadline/report", now_ns, live=True)
+        reported = [row.restarts for row in report.processes if row.process == name] if report else []
+        return max([self.processes[name].restarts, *reported])
+
     def broker_lost(self, now_ns: int) -> bool:
         """Tell whether the broker has been away for longer than a reconnection takes."""
         return not self.broker and now_ns - self.broker_seen_ns > BROKER_LOST_AFTER_NS
@@ -121,7 +128,11 @@ class State:
         return (speed.speed_m_s, "vehicle/speed") if speed else None
 
     def cause(self, name: str, now_ns: int) -> str:
-        """Say what is behind the silence of a topic."""
+        """Say what is behind the silence of a topic: by `monitoring.health`, or by our own search if that is dead."""
+        report = self.newest(DeadlineReport, "deadline/report", now_ns, live=True)
+        for row in report.topics if report else ():
+            if row.topic == name and row.cause:
+                return row.cause
         return root_cause(BY_NAME[name], self.statuses, lambda other: self.topics[other].freshness(now_ns))
 
     def _note_health(self, health: ProcessHealth, envelope: Envelope, flow: TopicFlow) -> None:

@@ -142,21 +142,21 @@ def chain(state: State, now_ns: int) -> Json:
 
 
 def processes(state: State, now_ns: int) -> Json:
-    """Show each process with its state, load and what it says."""
+    """Show each process with its state, its load, and the latency of the topic that it says most often."""
     rows: Json = {}
     for name, flow in state.processes.items():
         said = [t for t in state.topics.values() if t.newest and t.newest.producer == name and not t.topic.per_process]
-        slowest = max(said, key=lambda t: t.latency_p99_s or 0.0, default=None)
+        main = max(said, key=lambda t: t.rate_hz, default=None)
         health = flow.health
         rows[name] = {
             "status": state.statuses[name],
             "heartbeat_ns": flow.heartbeat_ns,
             "since_ns": health.incarnation if health else None,
-            "restarts": flow.restarts,
+            "restarts": state.restarts(name, now_ns),
             "in_hz": rounded(flow.in_hz, 1),
             "out_hz": rounded(flow.out_hz, 1),
-            "latency_p50_s": rounded(slowest.latency_p50_s, 4) if slowest else None,
-            "latency_p99_s": rounded(slowest.latency_p99_s, 4) if slowest else None,
+            "latency_p50_s": rounded(main.latency_p50_s, 4) if main else None,
+            "latency_p99_s": rounded(main.latency_p99_s, 4) if main else None,
             "cpu_share": rounded(flow.cpu_share, 3),
             "rss_bytes": health.rss_bytes if health else None,
             "dropped": health.dropped if health else 0,

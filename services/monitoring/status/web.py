@@ -10,6 +10,7 @@ from fastapi import FastAPI, HTTPException, Path, Query, Response
 from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
+from shared.contract import asyncapi
 from shared.errors import BadPayload
 
 from . import assets, hosts, metrics, reports
@@ -122,6 +123,7 @@ def make_app(api: Api, pages: Pages, stream: Stream, allowed_hosts: tuple[str, .
     app = FastAPI(title="On-board unit", docs_url=None, redoc_url=None, lifespan=lifespan)
     stream.version = pages.version
     api.add_to(app)
+    app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.add_api_websocket_route("/ws", stream.serve)
     app.include_router(pages.router())
     app.add_middleware(Guard, allowed_hosts=allowed_hosts)

@@ -165,7 +165,7 @@ export function CloseUp() {
   let level = zoom ?? world.level;
   if (sc && zoom === null) {
     const seen = [sc.gnss, sc.truth].filter(Boolean).map(away);
-    level = fit(Math.max(8, 1.3 * sc.s.ellipse.semi_major_m, 1.3 * Math.max(0, ...seen), 2.5 * sc.s.speed_m_s,
+    level = fit(Math.max(6 * Math.min(sc.s.ellipse.semi_major_m, 1), 1.3 * sc.s.ellipse.semi_major_m, 1.3 * Math.max(0, ...seen), 1.2 * sc.s.speed_m_s,
       Math.min(1.15 * (sc.withinM ?? 0), REACH_M)));
   }
   const turn = (by) => setZoom(Math.max(0, Math.min(HALF_M.length - 1, level + by)));

@@ -187,7 +187,7 @@ function HelpDrawer({ onClose }) {
     <dl class="keys">${t.rows.map(([key, what]) => html`<div><dt>${key.split(" ").map((k) => html`<kbd>${k}</kbd> `)}</dt><dd>${what}</dd></div>`)}</dl>
     <h3>${t.states}</h3>
     <ul class="checks long">${Object.entries(t.stateNotes).map(([s, note]) => html`<li><${StateIcon} state=${s} word="" /><span>${words.trust[s]}</span><span class="dim">${note}</span></li>`)}</ul>
-    <p class="links"><a href="/docs">${t.api}</a><a href="/metrics">${t.metrics}</a></p>
+    <p class="links"><a href="/docs">${t.api}</a><a href="/asyncapi.json">${t.topics}</a><a href="/metrics">${t.metrics}</a></p>
   </${Drawer}>`;
 }
 

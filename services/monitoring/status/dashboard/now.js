@@ -2,7 +2,7 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { clock, freshness, history, link, nowMs, settings, state } from "./store.js";
 import {
-  Age, Card, Empty, Row, STATUS_STATE, StateIcon, compass, degrees, duration, fixed, html, metres, seconds, timeOfDay,
+  Age, Card, Empty, Row, STATUS_STATE, StateIcon, compass, degrees, duration, fixed, html, metres, percent, seconds, timeOfDay,
 } from "./parts.js";
 import { CloseUp, scene } from "./closeup.js";
 import { words } from "./words.js";
@@ -108,7 +108,7 @@ function ServicesCard() {
     aside=${html`<a href="#/system">${words.services.details}</a>`}>
     <ul class="services">${shown.map(([name, p]) => html`<li>
       <a href=${`#/system?node=${name}`}><${StateIcon} state=${STATUS_STATE[p.status]} word=${words.status[p.status]} /><span>${name}</span>
-      <span class="dim">${p.status === "ready" ? `${Math.round((p.cpu_share ?? 0) * 100)} %` : words.status[p.status]}</span></a>
+      <span class="dim">${p.status === "ready" ? percent(p.cpu_share) : words.status[p.status]}</span></a>
     </li>`)}</ul>
     ${bus.delay_p95_s != null && html`<p class="note block">${words.services.delay(seconds(bus.delay_p95_s))}</p>`}
   </${Card}>`;

@@ -72,6 +72,7 @@ export function bytes(value) {
 }
 
 export const rate = (value) => (value == null ? words.age.bar : value >= 10 ? value.toFixed(0) : value.toFixed(1));
+export const percent = (share) => (share == null ? words.age.bar : `${(share * 100).toFixed(share < 0.0995 ? 1 : 0)} %`);
 export const timeOfDay = (ms, tenths = false) => new Date(ms).toISOString().slice(11, tenths ? 21 : 19);
 export const degrees = (rad) => (rad * 180) / Math.PI;
 export const compass = (rad) => ((degrees(rad) % 360) + 360) % 360;

@@ -1,15 +1,15 @@
-// The five layers, live: processes as lists, topics as lines between them, and a look inside each.
-import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
-import { clock, contract, freshness, link, nowMs, paused, state, togglePause } from "./store.js";
+// The five layers, live: processes as lists, topics as lines between them, outages, and why the unit does what it does.
+import { useLayoutEffect, useRef, useState } from "preact/hooks";
+import { clock, contract, freshness, link, nowMs, state } from "./store.js";
 import {
-  Age, Card, Drawer, Empty, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, copyText, duration, fixed, html, rate, seconds, timeOfDay,
+  Age, Card, Drawer, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
 } from "./parts.js";
+import { TopicDrawer } from "./inspector.js";
 import { words } from "./words.js";
 
 const w = words.system;
 const short = (name) => name.split(".")[1];
 const statusOf = (name) => (link.value.open ? state.value.processes[name].status : "unknown");
-const percent = (share) => (share == null ? words.age.bar : `${(share * 100).toFixed(share < 0.1 ? 1 : 0)} %`);
 
 function Node({ name, onHover }) {
   const p = state.value.processes[name];
@@ -158,112 +158,6 @@ function NodeDrawer({ name, onClose }) {
   </${Drawer}>`;
 }
 
-function numbersIn(message) {
-  const found = {};
-  const walk = (value, path) => {
-    if (typeof value === "number" && !path.endsWith("_ns")) found[path] = value;
-    else if (value && typeof value === "object") Object.entries(value).forEach(([k, v]) => walk(v, path ? `${path}.${k}` : k));
-  };
-  walk(message, "");
-  return found;
-}
-
-function Sparkline({ values, field }) {
-  const known = values.filter((v) => v != null);
-  if (known.length < 2) return null;
-  const [low, high] = [Math.min(...known), Math.max(...known)];
-  const y = (v) => (high === low ? 30 : 56 - (52 * (v - low)) / (high - low));
-  const points = values.map((v, i) => (v == null ? null : `${(i * 300) / 119} ${y(v)}`)).filter(Boolean).join("L");
-  return html`<figure class="spark"><svg viewBox="0 0 300 60" preserveAspectRatio="none" role="img" aria-label=${words.inspector.plotLabel(field, low, high)}><path d=${`M${points}`} /></svg>
-    <figcaption><span>${low.toPrecision(6)}</span><span>${high.toPrecision(6)}</span></figcaption></figure>`;
-}
-
-// Newest message of one topic, asked for twice a second while it is looked at.
-function useTopic(name) {
-  const [found, setFound] = useState({ data: null, text: "", error: null, past: [] });
-  useEffect(() => {
-    let stopped = false;
-    setFound({ data: null, text: "", error: null, past: [] });
-    const ask = async () => {
-      if (paused.value) return;
-      try {
-        const answer = await fetch(`/api/topics/${name}`);
-        const text = await answer.text();
-        if (stopped) return;
-        const data = JSON.parse(text);
-        setFound((before) => (answer.ok
-          ? { data, text: text.slice(text.indexOf('"message":') + 10, -1), error: null, past: [...before.past.slice(-119), numbersIn(data.message)] }
-          : { ...before, error: data.detail }));
-      } catch (problem) {
-        if (!stopped) setFound((before) => ({ ...before, error: problem.message }));
-      }
-    };
-    ask();
-    const timer = setInterval(ask, 500);
-    return () => {
-      stopped = true;
-      clearInterval(timer);
-    };
-  }, [name]);
-  return found;
-}
-
-// Indents JSON text as it came: parsing would round the nanoseconds.
-export function pretty(text) {
-  let depth = 0;
-  let quoted = false;
-  let out = "";
-  for (let i = 0; i < text.length; i += 1) {
-    const c = text[i];
-    if (c === '"' && text[i - 1] !== "\\") quoted = !quoted;
-    if (quoted) out += c;
-    else if (c === "{" || c === "[") out += text[i + 1] === "}" || text[i + 1] === "]" ? c : `${c}\n${"  ".repeat((depth += 1))}`;
-    else if (c === "}" || c === "]") out += text[i - 1] === "{" || text[i - 1] === "[" ? c : `\n${"  ".repeat((depth -= 1))}${c}`;
-    else if (c === ",") out += `,\n${"  ".repeat(depth)}`;
-    else if (c === ":") out += ": ";
-    else out += c;
-  }
-  return out.replace(/\[([^[\]{}]{0,120})\]/g, (_, inner) => `[${inner.replace(/\s+/g, " ").trim()}]`);
-}
-
-function TopicDrawer({ name, onClose }) {
-  const t = words.inspector;
-  const { data, text, error, past } = useTopic(name);
-  const [field, setField] = useState("");
-  const [copied, setCopied] = useState(false);
-  const row = contract.value.topics[name] ?? contract.value.topics[name.replace(/\/[^/]*$/, "/+")];
-  clock.value;
-  const fields = data ? Object.keys(numbersIn(data.message)) : [];
-  const copy = async () => {
-    await copyText(pretty(text));
-    setCopied(true);
-    setTimeout(() => setCopied(false), 1500);
-  };
-  const head = html`<button onClick=${togglePause} aria-pressed=${paused.value}>${paused.value ? words.resume : words.pause}</button>`;
-  return html`<${Drawer} title=${t.title(name)} onClose=${onClose} head=${head} wide>
-    <p class="lead-text">${row?.purpose}.</p>
-    ${error && html`<p class="verdict"><${StateIcon} state="caution" />${t.failed}: ${error}</p>`}
-    ${data && html`<dl class="rows two">
-      <${Row} label=${t.type} value=${data.type} />
-      <${Row} label=${t.from} value=${data.producer ?? "-"} />
-      <${Row} label=${t.rate} value=${rate(data.rate_hz)} unit="/s" unitName="messages a second" />
-      <${Row} label=${t.jitter} value=${seconds(data.jitter_s)} />
-      <${Row} label=${t.size} value=${data.bytes ?? "-"} unit=${data.bytes == null ? "" : t.bytes} />
-      <${Row} label=${t.age} value=${html`<span key=${data.sequence} class="flash"><${Age} topic=${name} stamp=${data.updated_ns} /></span>`} />
-      <${Row} label=${w.latency} value=${`${seconds(data.latency_p50_s)} / ${seconds(data.latency_p99_s)}`} />
-      <${Row} label=${t.retained} value=${`${data.retained ? t.yes : t.no}, ${t.qos} ${data.qos}`} />
-    </dl>`}
-    ${data && !data.message && html`<${Empty} title=${t.empty} why=${t.emptyWhy((row?.producers ?? []).join(", ") || name.split("/")[1])} />`}
-    ${data?.message && html`
-      <div class="field"><label for="field">${t.plot}</label><select id="field" value=${field} onChange=${(e) => setField(e.target.value)}>
-        <option value="">${t.plotNone}</option>${fields.map((f) => html`<option value=${f}>${f}</option>`)}</select></div>
-      ${field && html`<${Sparkline} field=${field} values=${past.map((n) => n[field] ?? null)} />`}
-      <h3>${t.message}<button class="push" onClick=${copy}>${copied ? words.copied : words.copy}</button></h3>
-      ${data.message.hexadecimal !== undefined && html`<p class="note block">${t.bytesNote}</p>`}
-      <pre tabindex="0" aria-label=${t.message}>${pretty(text)}</pre>`}
-  </${Drawer}>`;
-}
-
 function TopicsCard() {
   const t = words.topics;
   const [filter, setFilter] = useState("");
@@ -303,11 +197,31 @@ function OutagesCard() {
   </${Card}>`;
 }
 
+// Why the unit does what it does, in its own words.
+function UnitCard() {
+  const t = words.unitCard;
+  const { mode, navigation, recording } = state.value;
+  clock.value;
+  const age = (topic, message) => message && html`<${Age} topic=${topic} stamp=${message.updated_ns} />`;
+  const old = (topic, message) => ["stale", "never"].includes(freshness(topic, message?.updated_ns));
+  const sources = mode && [mode.gnss_source, mode.imu_source, mode.speed_source].filter(Boolean).join(", ");
+  return html`<${Card} title=${t.title} note=${t.note} id="unit"><dl class="rows">
+    <${Row} dim=${old("mode/state", mode)} label=${t.mode} value=${mode ? mode.mode.replaceAll("_", " ") : words.topics.never} extra=${mode?.reason} />
+    ${mode && html`<${Row} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} extra=${age("mode/state", mode)} />
+    <${Row} label=${t.sources} value=${sources || t.none} />`}
+    <${Row} dim=${old("navigation/state", navigation)} label=${t.filter} value=${navigation ? words.position.phases[navigation.phase] ?? navigation.phase : words.topics.never} extra=${navigation?.reason} />
+    ${navigation && html`<${Row} label=${t.fixes} value=${t.usedRefused(navigation.fixes_used, navigation.fixes_rejected)} />
+    <${Row} label=${t.samples} value=${t.usedRefused(navigation.samples_used, navigation.samples_rejected)} />
+    <${Row} label=${t.gaps} value=${t.gapsResets(navigation.imu_gaps, navigation.resets)} />`}
+    <${Row} dim=${old("recording/state", recording)} label=${t.recording} value=${recording?.file ?? (recording ? words.footer.notRecording : words.topics.never)} extra=${recording?.reason ?? (recording && t.written(bytes(recording.bytes_written), recording.dropped))} />
+  </dl></${Card}>`;
+}
+
 export function SystemPage({ query, go }) {
   const back = () => go("#/system");
   const node = query.get("node");
   const topic = query.get("topic");
-  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><${OutagesCard} />
+  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><div class="stack"><${OutagesCard} /><${UnitCard} /></div>
     ${node && contract.value.processes[node] && html`<${NodeDrawer} key=${node} name=${node} onClose=${back} />`}
     ${topic && html`<${TopicDrawer} key=${topic} name=${topic} onClose=${back} />`}
   </div>`;

@@ -303,6 +303,23 @@ export const words = {
     empty: "Nothing was lost since this process started.",
   },
 
+  unitCard: {
+    title: "Unit",
+    note: "what it does, and why",
+    mode: "Mode",
+    modeFor: "For",
+    sources: "Sources",
+    none: "none chosen",
+    filter: "Filter",
+    fixes: "GNSS fixes",
+    samples: "Inertial samples",
+    usedRefused: (used, refused) => `${used} used, ${refused} refused`,
+    gaps: "Gaps, resets",
+    gapsResets: (gaps, resets) => `${gaps} inertial gaps, ${resets} resets`,
+    recording: "Recording",
+    written: (size, dropped) => `${size}${dropped ? `, ${dropped} messages lost` : ""}`,
+  },
+
   footer: {
     label: "State of the unit",
     rate: (n) => `${n} msg/s`,
@@ -338,6 +355,7 @@ export const words = {
       off: "This monitor is not fitted, so it says nothing.",
     },
     api: "Description of the API",
+    topics: "Description of the bus (AsyncAPI)",
     metrics: "Metrics for Prometheus",
   },
 };

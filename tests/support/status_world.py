@@ -1,0 +1,138 @@
+"""A state and the messages that fill it, at a time line that the test moves."""
+
+from dataclasses import dataclass, field
+
+from services.monitoring.status.state import State
+from shared import codec
+from shared import messages as m
+from shared.bus import Envelope
+from shared.config import parse_vehicle
+
+START_NS = 1_795_000_000 * 10**9
+SECOND_NS = 10**9
+SIMULATED = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
+
+
+@dataclass
+class World:
+    """Feeds a state; `pass_time` ticks it as the process does."""
+
+    toml: str = SIMULATED
+    now_ns: int = START_NS
+    broker: bool = True
+    state: State = field(init=False)
+    sequence: int = 0
+
+    def __post_init__(self) -> None:
+        self.state = State("truck-07", parse_vehicle(self.toml).processes, self.now_ns, 900.0)
+
+    def hear(self, message: m.Message, producer: str, *, delay_s: float = 0.0, retained: bool = False) -> None:
+        payload, properties = codec.encode(message)
+        self.hear_bytes(codec.topic_name(message), payload, producer, properties, delay_s=delay_s, retained=retained)
+
+    def hear_bytes(
+        self,
+        topic: str,
+        payload: bytes,
+        producer: str,
+        properties: dict[str, str] | None = None,
+        *,
+        delay_s: float = 0.0,
+        retained: bool = False,
+    ) -> None:
+        self.sequence += 1
+        received_ns = self.now_ns + int(delay_s * 1e9)
+        self.state.receive(
+            Envelope(topic, payload, properties or {}, received_ns, producer, 1, self.sequence, retained)
+        )
+
+    def pass_time(self, seconds: float, step_s: float = 0.1) -> None:
+        for _ in range(round(seconds / step_s)):
+            self.now_ns += int(step_s * 1e9)
+            self.state.tick(self.now_ns, broker=self.broker)
+
+    def beat(self, *processes: str, incarnation: int = START_NS, **changes: object) -> None:
+        for name in processes:
+            health = m.ProcessHealth(
+                process=name, state=m.ProcessState.READY, incarnation=incarnation, sent_ns=self.now_ns
+            )
+            self.hear(health.model_copy(update=changes), name)
+
+
+ALL = (
+    "sensors.simulator",
+    "parsers.gnss",
+    "parsers.imu",
+    "parsers.can",
+    "controller.mode",
+    "core.fusion",
+    "monitoring.recorder",
+    "monitoring.health",
+    "monitoring.status",
+)
+
+
+def solution(now_ns: int, **changes: object) -> m.NavigationSolution:
+    base = m.NavigationSolution(
+        sampled_ns=now_ns,
+        phase=m.NavigationPhase.NAVIGATING,
+        latitude_deg=48.0,
+        longitude_deg=11.0,
+        height_ellipsoid_m=500.0,
+        velocity_ned_m_s=(3.0, 4.0, 0.0),
+        roll_rad=0.0,
+        pitch_rad=0.0,
+        yaw_rad=0.5,
+        position_cov_ned_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 4.0),
+        velocity_cov_ned_m2_s2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01),
+        attitude_cov_ned_rad2=(1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4),
+        angular_rate_body_rad_s=(0.0, 0.0, 0.0),
+        accelerometer_bias_m_s2=(0.0, 0.0, 0.0),
+        gyroscope_bias_rad_s=(0.0, 0.0, 0.0),
+        stationary=False,
+        gnss_age_s=0.2,
+    )
+    return base.model_copy(update=changes)
+
+
+def fix(now_ns: int, **changes: object) -> m.GnssFix:
+    base = m.GnssFix(
+        sampled_ns=now_ns,
+        received_ns=now_ns,
+        source="gnss0",
+        utc_ns=now_ns - 250_000_000,
+        fix_type=m.FixType.THREE_D,
+        satellites_used=14,
+        latitude_deg=48.0,
+        longitude_deg=11.0,
+        velocity_ned_m_s=(3.0, 4.0, 0.0),
+        ground_speed_m_s=5.0,
+    )
+    return base.model_copy(update=changes)
+
+
+def navigation(now_ns: int, phase: m.NavigationPhase, reason: str) -> m.NavigationState:
+    return m.NavigationState(
+        sampled_ns=now_ns,
+        phase=phase,
+        since_ns=now_ns,
+        reason=reason,
+        fixes_used=1,
+        fixes_rejected=0,
+        samples_used=1,
+        samples_rejected=0,
+        imu_gaps=0,
+        resets=0,
+    )
+
+
+def aiding(kind: m.AidingKind, test_ratio: float, *, used: bool = True) -> m.AidingUpdate:
+    return m.AidingUpdate(
+        sampled_ns=0,
+        source="gnss0",
+        kind=kind,
+        innovation=(1.0,),
+        innovation_sd=(1.0,),
+        test_ratio=test_ratio,
+        used=used,
+    )

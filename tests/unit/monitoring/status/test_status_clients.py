@@ -1,0 +1,41 @@
+import asyncio
+
+from services.monitoring.status.clients import QUEUE_FRAMES, Clients
+
+
+def test_a_full_house_admits_nobody() -> None:
+    clients = Clients(2)
+    assert clients.enter() and clients.enter()
+    assert clients.enter() is None
+
+
+def test_leaving_makes_room() -> None:
+    clients = Clients(1)
+    first = clients.enter()
+    assert first is not None
+    clients.leave(first)
+    assert clients.enter() is not None
+
+
+def test_everyone_is_given_the_same_frame() -> None:
+    clients = Clients(2)
+    watching = [clients.enter(), clients.enter()]
+    frame = b"frame"
+    clients.broadcast(frame)
+    assert all(client is not None and client.frames.get_nowait() is frame for client in watching)
+
+
+def test_a_browser_that_does_not_read_is_let_go_and_the_others_go_on() -> None:
+    async def watch() -> None:
+        clients = Clients(2)
+        slow, quick = clients.enter(), clients.enter()
+        assert slow is not None and quick is not None
+        for number in range(QUEUE_FRAMES + 1):
+            clients.broadcast(str(number).encode())
+            assert await quick.frames.get() == str(number).encode()
+        assert len(clients) == 1
+        assert clients.dropped == 1
+        told = [slow.frames.get_nowait() for _ in range(QUEUE_FRAMES)]
+        assert told[-1] is None, "the last word tells the sender to end"
+
+    asyncio.run(watch())

@@ -1,0 +1,152 @@
+import pytest
+
+from services.monitoring.status.flow import TopicFlow, percentile
+from shared.errors import BadPayload
+from shared.messages import AidingKind, GnssRaw, ImuSamples, ModeState, Origin, OriginKind
+from shared.messages.operation import Mode
+from tests.support.status_world import ALL, SECOND_NS, START_NS, World, aiding, fix, solution
+
+
+def samples(now_ns: int) -> ImuSamples:
+    return ImuSamples(
+        received_ns=now_ns,
+        source="imu0",
+        sampled_ns=(now_ns - 10**7, now_ns),
+        specific_force_body_m_s2=((0.0, 0.0, -9.8),) * 2,
+        angular_rate_body_rad_s=((0.0, 0.0, 0.0),) * 2,
+    )
+
+
+def flow(world: World, name: str) -> TopicFlow:
+    return world.state.topics[name]
+
+
+def test_a_percentile_is_one_of_the_values() -> None:
+    assert percentile([5.0, 1.0, 3.0, 2.0, 4.0], 0.5) == 3.0
+    assert percentile([float(i) for i in range(1, 101)], 0.99) == 99.0
+    assert percentile([2.0], 0.99) == 2.0
+    assert percentile([], 0.5) is None
+
+
+def test_the_rate_is_that_of_the_last_ten_seconds() -> None:
+    world = World()
+    for _ in range(120):
+        world.hear(solution(world.now_ns), "core.fusion")
+        world.pass_time(0.1)
+    assert flow(world, "navigation/solution").rate_hz == pytest.approx(10.0, rel=0.05)
+    world.pass_time(11.0)
+    assert flow(world, "navigation/solution").rate_hz == 0.0
+
+
+def test_the_latency_runs_from_when_the_value_was_true() -> None:
+    world = World()
+    for i in range(200):
+        world.hear(solution(world.now_ns), "core.fusion", delay_s=0.2 if i == 50 else 0.004)
+        world.pass_time(0.1)
+    found = flow(world, "navigation/solution")
+    assert found.latency_p50_s == pytest.approx(0.004)
+    assert found.latency_p99_s == pytest.approx(0.004)
+    assert max(found.latencies_s) == pytest.approx(0.2)
+
+
+def test_the_latency_of_a_raw_topic_runs_from_the_driver() -> None:
+    world = World()
+    world.hear(GnssRaw(received_ns=world.now_ns, source="gnss0", data=b"\xb5\x62"), "sensors.gnss", delay_s=0.003)
+    assert list(flow(world, "gnss/raw").latencies_s) == [pytest.approx(0.003)]
+
+
+def test_a_stamp_of_another_time_line_is_no_latency() -> None:
+    world = World()
+    world.hear(solution(world.now_ns - 3600 * SECOND_NS), "core.fusion")
+    world.hear(solution(world.now_ns + SECOND_NS), "core.fusion")
+    assert not flow(world, "navigation/solution").latencies_s
+
+
+def test_a_fast_topic_is_decoded_only_when_somebody_looks() -> None:
+    world = World()
+    for _ in range(40):
+        world.hear(samples(world.now_ns), "parsers.imu")
+        world.pass_time(0.01, 0.01)
+    found = flow(world, "imu/sample")
+    assert found.count == 40
+    assert found.message is None
+    assert found.decoded() == samples(world.now_ns - 10**7)
+    assert found.latencies_s, "but its latency is sampled"
+
+
+def test_a_message_that_the_broker_kept_is_as_old_as_it_says() -> None:
+    world = World()
+    said_ns = world.now_ns - 20 * SECOND_NS
+    state = ModeState(sampled_ns=said_ns, mode=Mode.MEASURING, since_ns=said_ns, reason="ok")
+    world.hear(state, "controller.mode", retained=True)
+    assert flow(world, "mode/state").age_s(world.now_ns) == pytest.approx(20.0)
+    assert flow(world, "mode/state").freshness(world.now_ns) == "stale"
+    assert not flow(world, "mode/state").latencies_s
+
+
+def test_jitter_is_the_deviation_of_the_gaps() -> None:
+    world = World()
+    for gap_s in (0.1, 0.1, 0.2, 0.1, 0.2):
+        world.hear(solution(world.now_ns), "core.fusion")
+        world.now_ns += int(gap_s * 1e9)
+    assert flow(world, "navigation/solution").jitter_s == pytest.approx(0.05)  # gaps 0.1 0.1 0.2 0.1
+
+
+def test_a_payload_that_breaks_the_contract_is_refused_but_counted() -> None:
+    world = World()
+    with pytest.raises(BadPayload):
+        world.hear_bytes("gnss/fix", b'{"fix_type": "lost"}', "parsers.gnss")
+    with pytest.raises(BadPayload):
+        world.hear_bytes("gnss/raw", b"x", "sensors.gnss", {"received_ns": "yesterday", "source": "gnss0"})
+    assert flow(world, "gnss/fix").count == 1
+    world.hear(fix(world.now_ns), "parsers.gnss")
+    assert flow(world, "gnss/fix").message is not None
+
+
+def test_topics_of_unknown_processes_do_not_fill_the_memory() -> None:
+    world = World()
+    before = len(world.state.topics)
+    for i in range(50):
+        world.hear_bytes(f"health/stranger{i}", b"{}", "stranger")
+    assert len(world.state.topics) == before
+
+
+def test_load_and_rates_of_a_process_come_from_two_heartbeats() -> None:
+    world = World()
+    world.beat("core.fusion", cpu_s=1.0, messages_in=100, messages_out=10)
+    world.pass_time(0.5)
+    world.beat("core.fusion", cpu_s=1.2, messages_in=200, messages_out=15)
+    process = world.state.processes["core.fusion"]
+    assert process.cpu_share == pytest.approx(0.4)
+    assert process.in_hz == pytest.approx(200.0)
+    assert process.out_hz == pytest.approx(10.0)
+
+
+def test_a_new_life_of_a_process_is_a_restart() -> None:
+    world = World()
+    for life in range(3):
+        world.beat("core.fusion", incarnation=START_NS + life)
+        world.beat("core.fusion", incarnation=START_NS + life)
+    assert world.state.processes["core.fusion"].restarts == 2
+
+
+def test_every_kind_of_measurement_is_kept_apart() -> None:
+    world = World()
+    world.hear(aiding(AidingKind.GNSS_POSITION, 0.2), "core.fusion")
+    world.hear(aiding(AidingKind.GNSS_VELOCITY, 3.0, used=False), "core.fusion")
+    assert {kind: update.test_ratio for kind, (update, _) in world.state.aiding.items()} == {
+        AidingKind.GNSS_POSITION: 0.2,
+        AidingKind.GNSS_VELOCITY: 3.0,
+    }
+    assert world.state.rejections == {AidingKind.GNSS_VELOCITY: 1}
+
+
+def test_the_delay_of_the_bus_is_measured_by_heartbeats() -> None:
+    world = World()
+    for _ in range(30):
+        for name in ALL:
+            health = {"sent_ns": world.now_ns - 2_000_000}
+            world.beat(name, **health)
+        world.hear(Origin(now_ns=world.now_ns, kind=OriginKind.SIMULATED, name="x"), "sensors.simulator")
+        world.pass_time(0.5)
+    assert world.state.bus_delay_p95_s == pytest.approx(0.002)

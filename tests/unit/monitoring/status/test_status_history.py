@@ -1,0 +1,41 @@
+import pytest
+
+from services.monitoring.status.history import FINE_HZ, FINE_S, History
+
+S = 10**9
+
+
+def filled(seconds: int) -> History:
+    history = History(900.0)
+    for i in range(int(seconds * FINE_HZ)):
+        history.add(int(i / FINE_HZ * S), {"speed_fused_m_s": float(i)})
+    return history
+
+
+def test_the_last_minute_has_five_values_a_second() -> None:
+    columns = filled(100).columns(100 * S, 60.0, ["speed_fused_m_s"])
+    assert len(columns["time_ns"]) == FINE_S * FINE_HZ  # type: ignore[arg-type]
+
+
+def test_longer_spans_have_one_value_a_second() -> None:
+    columns = filled(300).columns(300 * S, 250.0, ["speed_fused_m_s"])
+    assert len(columns["time_ns"]) == pytest.approx(250, abs=1)  # type: ignore[arg-type]
+
+
+def test_the_history_is_no_longer_than_asked_for_in_the_settings() -> None:
+    history = History(10.0)
+    for i in range(500):
+        history.add(i * S // 5, {})
+    assert len(history.columns(100 * S, 900.0, [])["time_ns"]) == 10  # type: ignore[arg-type]
+
+
+def test_what_was_missing_is_none_and_not_the_last_value() -> None:
+    history = History(900.0)
+    history.add(0, {"speed_fused_m_s": 3.0})
+    history.add(S // 5, {})
+    assert history.columns(S, 60.0, ["speed_fused_m_s"])["fields"] == {"speed_fused_m_s": [3.0, None]}
+
+
+def test_an_unknown_field_is_an_error() -> None:
+    with pytest.raises(KeyError, match="colour"):
+        History(900.0).columns(0, 60.0, ["colour"])

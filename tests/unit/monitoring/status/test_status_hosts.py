@@ -1,0 +1,33 @@
+import pytest
+
+from services.monitoring.status.hosts import host_allowed, same_origin
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost", "localhost:8080", "127.0.0.1:8080", "[::1]:8080", "192.168.1.7", "obu.local:8080", "obu"]
+)
+def test_addresses_and_names_of_the_local_network_are_answered(host: str) -> None:
+    assert host_allowed(host)
+
+
+@pytest.mark.parametrize(
+    "host", ["attacker.example", "obu.local.attacker.example", "127.0.0.1.nip.example", "", None, "[::"]
+)
+def test_public_names_are_refused_because_anyone_can_point_them_here(host: str | None) -> None:
+    assert not host_allowed(host)
+
+
+def test_a_name_in_the_settings_is_answered() -> None:
+    assert host_allowed("Truck.Fleet.Example:443", ["truck.fleet.example"])
+
+
+def test_a_page_may_connect_back_to_where_it_came_from_only() -> None:
+    assert same_origin("http://obu.local:8080", "obu.local:8080")
+    assert same_origin("https://obu.local", "OBU.local")
+    assert not same_origin("http://obu.local:9090", "obu.local:8080")
+    assert not same_origin("http://attacker.example", "obu.local:8080")
+    assert not same_origin("null", "obu.local:8080")
+
+
+def test_a_program_that_sends_no_origin_is_no_browser() -> None:
+    assert same_origin(None, "obu.local:8080")

@@ -1,0 +1,291 @@
+"""What the status process makes of the messages of a whole unit."""
+
+import pytest
+
+from services.monitoring.status import reports, view
+from services.monitoring.status.banner import Trust
+from services.monitoring.status.problems import Status
+from shared.messages import (
+    DeadlineReport,
+    Freshness,
+    GnssRaw,
+    ImuRaw,
+    NavigationPhase,
+    Origin,
+    OriginKind,
+    Outage,
+    ProcessAge,
+    ProcessHealth,
+    ProcessState,
+    RecordingState,
+    TopicAge,
+    TruthState,
+    VehicleSpeed,
+    WheelSpeeds,
+)
+from tests.support.status_world import ALL, SECOND_NS, START_NS, World, fix, navigation, solution
+
+
+def drive(world: World, seconds: float, *, without: tuple[str, ...] = ()) -> None:
+    """Let the unit run, but for some processes or topics."""
+    for i in range(round(seconds * 10)):
+        now_ns = world.now_ns
+        said = [
+            ("sensors.simulator", ImuRaw(received_ns=now_ns, source="imu0", data=b"\xfa")),
+            ("core.fusion", solution(now_ns)),
+        ]
+        if i % 10 == 0:
+            said += [
+                ("sensors.simulator", GnssRaw(received_ns=now_ns, source="gnss0", data=b"\xb5")),
+                ("parsers.gnss", fix(now_ns)),
+                ("core.fusion", navigation(now_ns, NavigationPhase.NAVIGATING, "all known")),
+                ("sensors.simulator", Origin(now_ns=now_ns, kind=OriginKind.SIMULATED, name="urban")),
+            ]
+        for producer, message in said:
+            if producer not in without and type(message).__name__ not in without:
+                world.hear(message, producer)
+        if i % 5 == 0:
+            world.beat(*(name for name in ALL if name not in without))
+        world.pass_time(0.1)
+
+
+@pytest.fixture
+def driving() -> World:
+    world = World()
+    drive(world, 3.0)
+    return world
+
+
+def test_a_unit_that_works_has_no_problems(driving: World) -> None:
+    assert driving.state.problems == []
+    assert driving.state.verdict.code == "unmonitored"
+    assert reports.health(driving.state, driving.now_ns)["state"] == "ok"
+
+
+def test_a_stopped_process_is_silent_within_its_deadline_of_two_seconds(driving: World) -> None:
+    stopped_ns = driving.now_ns
+    while driving.state.statuses["core.fusion"] is not Status.SILENT:
+        drive(driving, 0.1, without=("core.fusion",))
+        assert driving.now_ns - stopped_ns < 2.7 * SECOND_NS, "deadline, half a heartbeat and the period of judging"
+    drive(driving, 0.7, without=("core.fusion",))
+    assert driving.state.verdict.sentence == "The position is out of date: core.fusion is silent."
+
+
+def test_everything_that_fell_silent_with_a_process_is_one_problem(driving: World) -> None:
+    drive(driving, 8.0, without=("core.fusion",))
+    assert [problem.text for problem in driving.state.problems] == ["core.fusion is silent"]
+
+
+def test_a_last_will_shows_a_process_as_lost_at_once(driving: World) -> None:
+    will = ProcessHealth(process="parsers.gnss", state=ProcessState.LOST, incarnation=START_NS, sent_ns=driving.now_ns)
+    driving.hear(will, "parsers.gnss")
+    driving.pass_time(0.3)
+    assert driving.state.statuses["parsers.gnss"] is Status.LOST
+    assert "parsers.gnss is not running" in driving.state.verdict.sentence
+
+
+def test_what_was_known_of_a_process_outlives_its_will(driving: World) -> None:
+    driving.beat("parsers.gnss", last_error="checksum of UBX-NAV-PVT", rss_bytes=31_000_000)
+    will = ProcessHealth(process="parsers.gnss", state=ProcessState.LOST, incarnation=START_NS, sent_ns=driving.now_ns)
+    driving.hear(will, "parsers.gnss")
+    driving.pass_time(0.3)
+    row = view.processes(driving.state, driving.now_ns)["parsers.gnss"]
+    assert isinstance(row, dict)
+    assert (row["last_error"], row["rss_bytes"]) == ("checksum of UBX-NAV-PVT", 31_000_000)
+
+
+def test_a_process_that_ended_as_asked_is_ended_and_not_silent(driving: World) -> None:
+    farewell = ProcessHealth(
+        process="parsers.can", state=ProcessState.DISCONNECTED, incarnation=START_NS, sent_ns=driving.now_ns
+    )
+    driving.hear(farewell, "parsers.can")
+    drive(driving, 5.0, without=("parsers.can",))
+    assert driving.state.statuses["parsers.can"] is Status.ENDED
+
+
+def test_a_sensor_that_falls_silent_is_named_while_its_driver_runs(driving: World) -> None:
+    drive(driving, 3.0, without=("ImuRaw",))
+    assert [problem.what for problem in driving.state.problems] == ["imu/raw"]
+    assert driving.state.problems[0].text.endswith("sensors.simulator runs, but its device sends nothing")
+
+
+def test_an_outage_is_noted_from_the_last_message_to_the_return(driving: World) -> None:
+    lost_ns = driving.now_ns
+    drive(driving, 6.0, without=("core.fusion",))
+    (open_,) = driving.state.outages.open()
+    assert open_.what == "core.fusion"
+    assert abs(open_.since_ns - lost_ns) < 0.6 * SECOND_NS
+    drive(driving, 2.0)
+    (closed,) = driving.state.outages.closed()
+    assert closed.until_ns is not None
+    assert (closed.until_ns - closed.since_ns) * 1e-9 == pytest.approx(6.2, abs=0.6)
+
+
+def test_an_outage_that_the_health_process_reports_is_shown_in_its_words(driving: World) -> None:
+    outage = Outage(what="gnss/raw", since_ns=driving.now_ns, until_ns=driving.now_ns + SECOND_NS, cause="unplugged")
+    driving.hear(outage, "monitoring.health")
+    assert reports.outages(driving.state)["closed"] == [outage.model_dump(mode="json")]
+
+
+def test_processes_are_waited_for_and_after_two_minutes_missed() -> None:
+    world = World()
+    statuses = []
+    for seconds in (119.0, 2.0):
+        world.pass_time(seconds, 1.0)
+        statuses.append((world.state.statuses["core.fusion"], world.state.verdict.sentence))
+    assert statuses == [
+        (Status.WAITING, "No position yet: core.fusion has not been heard of yet."),
+        (Status.MISSING, "No position yet: core.fusion is missing."),
+    ]
+
+
+def test_a_process_that_the_vehicle_does_not_have_is_absent_and_no_problem(driving: World) -> None:
+    assert driving.state.statuses["sensors.gnss"] is Status.ABSENT
+    assert driving.state.statuses["sensors.simulator"] is Status.READY
+
+
+def test_a_retained_health_message_of_an_earlier_life_does_not_count_as_alive() -> None:
+    world = World()
+    old = ProcessHealth(
+        process="core.fusion", state=ProcessState.READY, incarnation=1, sent_ns=world.now_ns - 3600 * SECOND_NS
+    )
+    world.hear(old, "core.fusion", retained=True)
+    world.pass_time(0.5)
+    assert world.state.statuses["core.fusion"] is Status.SILENT
+
+
+def test_a_lost_broker_is_the_only_problem(driving: World) -> None:
+    driving.broker = False
+    driving.pass_time(6.0)
+    assert [problem.what for problem in driving.state.problems] == ["broker"]
+    assert driving.state.verdict.state is Trust.STALE
+    assert reports.health(driving.state, driving.now_ns)["state"] == "failed"
+
+
+def test_a_short_break_of_the_broker_heals_unseen(driving: World) -> None:
+    driving.broker = False
+    driving.pass_time(1.0)
+    driving.broker = True
+    drive(driving, 1.0)
+    assert driving.state.outages.closed() == []
+    assert reports.health(driving.state, driving.now_ns)["state"] == "ok"
+
+
+def test_the_banner_keeps_since_when_it_holds(driving: World) -> None:
+    since_ns = driving.state.verdict_since_ns
+    drive(driving, 2.0)
+    assert driving.state.verdict_since_ns == since_ns
+    drive(driving, 4.0, without=("core.fusion",))
+    assert driving.state.verdict_since_ns > since_ns
+    assert [trust for _, trust in driving.state.timeline] == [Trust.STALE, Trust.CAUTION, Trust.STALE]
+
+
+def test_the_cause_that_the_health_process_found_is_preferred(driving: World) -> None:
+    drive(driving, 3.0, without=("NavigationSolution",))
+    row = TopicAge(
+        topic="navigation/solution",
+        freshness=Freshness.STALE,
+        age_s=3.0,
+        rate_hz=0.0,
+        count=30,
+        cause="the IMU is unplugged",
+    )
+    restarts = ProcessAge(
+        process="core.fusion", state=ProcessState.READY, silent=False, heartbeat_age_s=0.1, restarts=4
+    )
+    driving.hear(DeadlineReport(now_ns=driving.now_ns, topics=(row,), processes=(restarts,)), "monitoring.health")
+    driving.pass_time(0.3)
+    assert driving.state.verdict.sentence == "The position is out of date: the IMU is unplugged."
+    assert driving.state.restarts("core.fusion", driving.now_ns) == 4
+
+
+def test_one_simulated_source_among_live_ones_makes_the_whole_simulated(driving: World) -> None:
+    driving.hear(Origin(now_ns=driving.now_ns, kind=OriginKind.LIVE, name="truck"), "sensors.gnss")
+    assert view.origin(driving.state, driving.now_ns) == {
+        "kind": "simulated",
+        "name": "urban",
+        "seed": None,
+        "speed": 1.0,
+    }
+
+
+def test_an_origin_that_is_no_longer_repeated_is_not_believed(driving: World) -> None:
+    driving.pass_time(11.0)
+    assert view.origin(driving.state, driving.now_ns) is None
+
+
+def test_the_odometer_is_the_mean_of_the_wheels_and_else_the_vehicle(driving: World) -> None:
+    speed = VehicleSpeed(sampled_ns=driving.now_ns, received_ns=driving.now_ns, source="can0", speed_m_s=7.0)
+    driving.hear(speed, "parsers.can")
+    assert driving.state.odometer(driving.now_ns) == (7.0, "vehicle/speed")
+    wheels = WheelSpeeds(
+        sampled_ns=driving.now_ns, received_ns=driving.now_ns, source="can0", rear_left_m_s=4.0, rear_right_m_s=6.0
+    )
+    driving.hear(wheels, "parsers.can")
+    assert driving.state.odometer(driving.now_ns) == (5.0, "vehicle/wheel_speed")
+    driving.pass_time(6.0)
+    assert driving.state.odometer(driving.now_ns) is None
+
+
+def test_the_history_breaks_where_the_solution_was_stale(driving: World) -> None:
+    drive(driving, 4.0, without=("core.fusion",))
+    columns = driving.state.history.columns(driving.now_ns, 60.0, ["speed_fused_m_s"])
+    speeds = columns["fields"]["speed_fused_m_s"]  # type: ignore[index]
+    assert speeds[5] == pytest.approx(5.0)
+    assert speeds[-1] is None
+
+
+def test_the_true_error_of_a_simulation_is_in_the_history(driving: World) -> None:
+    truth = TruthState(
+        sampled_ns=driving.now_ns, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0,
+        velocity_ned_m_s=(3.0, 4.0, 0.0), roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0,
+        angular_rate_body_rad_s=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    driving.hear(truth, "sensors.simulator")
+    driving.hear(solution(driving.now_ns, latitude_deg=48.00001), "core.fusion")
+    driving.pass_time(0.3)
+    columns = driving.state.history.columns(driving.now_ns, 1.0, ["position_error_m"])
+    assert columns["fields"]["position_error_m"][-1] == pytest.approx(1.112, abs=0.01)  # type: ignore[index]
+
+
+def test_the_chain_names_how_many_links_work(driving: World) -> None:
+    drive(driving, 6.0, without=("parsers.can", "GnssRaw"))
+    chain = view.chain(driving.state, driving.now_ns)
+    assert chain["services"] == {"ok": False, "up": 8, "of": 9, "worst": "parsers.can"}
+    assert chain["sensors"] == {"ok": False, "up": 1, "of": 2, "worst": "gnss"}
+
+
+def test_a_disk_that_fills_is_a_problem_before_it_is_full(driving: World) -> None:
+    recording = RecordingState(
+        now_ns=driving.now_ns,
+        recording=True,
+        file="x.mcap",
+        bytes_written=1,
+        messages=1,
+        dropped=0,
+        free_bytes=300_000_000,
+    )
+    driving.hear(recording, "monitoring.recorder")
+    driving.pass_time(0.3)
+    assert [problem.text for problem in driving.state.problems] == ["only 300 MB of disk left"]
+    assert driving.state.outages.open() == [], "nothing was lost by it"
+
+
+def test_a_snapshot_shows_every_topic_with_its_newest_message(driving: World) -> None:
+    snapshot = reports.snapshot(driving.state, driving.now_ns)
+    topics = snapshot["topics"]
+    assert isinstance(topics, dict)
+    assert topics["gnss/fix"]["message"]["satellites_used"] == 14
+    assert topics["gnss/fix"]["freshness"] == "fresh"
+    assert topics["imu/raw"]["message"]["hexadecimal"] == "fa"
+    assert topics["vehicle/speed"] | {"purpose": ""} == {
+        "topic": "vehicle/speed", "type": "VehicleSpeed", "purpose": "", "producer": None, "freshness": "never",
+        "age_s": None, "updated_ns": None, "rate_hz": 0.0, "latency_p50_s": None, "latency_p99_s": None,
+        "jitter_s": None, "bytes": None, "sequence": None, "retained": False, "qos": 0, "message": None,
+    }  # fmt: skip
+
+
+def test_the_dashboard_has_the_same_keys_with_and_without_data(driving: World) -> None:
+    empty = World()
+    empty.pass_time(0.3)
+    assert view.dashboard(empty.state, empty.now_ns).keys() == view.dashboard(driving.state, driving.now_ns).keys()
