@@ -5,6 +5,7 @@ arrivals that waited least lie on a line, the lower envelope of the offsets; tha
 """
 
 from collections import deque
+from collections.abc import Sequence
 from itertools import pairwise
 
 NS = 1_000_000_000
@@ -45,29 +46,47 @@ class ClockMapping:
         self._maximum_drift = maximum_drift
         self._points: deque[Point] = deque()  # one a second: (device time, offset), both [s] since the origin
         self._device_origin_ns = self._offset_origin_ns = 0
-        self._last_device_ns = self._last_stamp_ns = 0
+        self._newest_device_ns = 0  # that was looked at
+        self._last_device_ns = self._last_stamp_ns = 0  # that was stamped
         self._slope = self._intercept = 0.0
         self._late_since: float | None = None
 
     def stamp(self, device_ns: int, received_ns: int) -> int:
-        """Give the time at which the device took a sample.
+        """Give the time at which the device took a sample: `stamp_all` for one."""
+        return self.stamp_all((device_ns,), received_ns)[0]
+
+    def stamp_all(self, device_ns: Sequence[int], received_ns: int) -> tuple[int, ...]:
+        """Give the times at which the device took samples that arrived together.
 
         Parameters
         ----------
-        device_ns : int
-            [ns, device clock] When the sample was taken; unwrapped.
+        device_ns : sequence of int
+            [ns, device clock] When each sample was taken; unwrapped.
         received_ns : int
-            [ns, OBU time line] When its bytes arrived.
+            [ns, OBU time line] When their bytes arrived.
 
         Returns
         -------
-        int
-            [ns, OBU time line] Never after the arrival. Successive stamps rise, and are at least half the device's own
-            interval apart as long as that does not put them after their arrival.
+        tuple of int
+            [ns, OBU time line] One each, never after the arrival. Stamps rise, and are at least half the device's
+            own interval apart as long as that does not put them after their arrival. All samples are looked at before
+            the first is stamped, since the one that waited least tells most about the others.
         """
-        if self.resets < 0 or self._stepped(device_ns, received_ns):
-            self._restart(device_ns, received_ns)
-        time_s, offset_s = self._add(device_ns, received_ns)
+        stamps: list[int] = []
+        first = 0  # of the samples on the present line
+        for i, device in enumerate(device_ns):
+            if self.resets < 0 or self._stepped(device, received_ns):
+                stamps += [self._place(earlier, received_ns) for earlier in device_ns[first:i]]
+                first = i
+                self._restart(device, received_ns)
+            self._add(device, received_ns)
+            self._newest_device_ns = device
+        stamps += [self._place(device, received_ns) for device in device_ns[first:]]
+        return tuple(stamps)
+
+    def _place(self, device_ns: int, received_ns: int) -> int:
+        """Read the time off the line, within the bounds of arrival and of the sample before."""
+        time_s, offset_s = self._relative(device_ns, received_ns)
         excess_ns = round((offset_s - self._intercept - self._slope * time_s) * NS)
         stamp_ns = received_ns - excess_ns - self._minimum_delay_ns
         stamp_ns = max(stamp_ns, self._last_stamp_ns + (device_ns - self._last_device_ns) // 2)
@@ -87,7 +106,7 @@ class ClockMapping:
     def _stepped(self, device_ns: int, received_ns: int) -> bool:
         time_s, offset_s = self._relative(device_ns, received_ns)
         excess_s = offset_s - self._intercept - self._slope * time_s
-        if device_ns < self._last_device_ns or excess_s < -self.STEP_S:
+        if device_ns < self._newest_device_ns or excess_s < -self.STEP_S:
             return True
         if received_ns < self._last_stamp_ns - self.STEP_S * NS:
             return True  # the time line itself went back: another recording
@@ -108,20 +127,19 @@ class ClockMapping:
         self._slope = self._intercept = 0.0
         self._late_since = None
 
-    def _add(self, device_ns: int, received_ns: int) -> Point:
+    def _add(self, device_ns: int, received_ns: int) -> None:
         point = self._relative(device_ns, received_ns)
         points = self._points
         if points and int(points[-1][0]) == int(point[0]):
             if point[1] < points[-1][1]:
                 points[-1] = point
             self._intercept = min(self._intercept, point[1] - self._slope * point[0])
-            return point
+            return
         points.append(point)
         while points[0][0] < point[0] - self._window_s:
             points.popleft()
         self._slope = self._best_slope()
         self._intercept = min(offset - self._slope * time for time, offset in points)
-        return point
 
     def _best_slope(self) -> float:
         points = self._points

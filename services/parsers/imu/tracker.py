@@ -29,7 +29,7 @@ class SampleError(ValueError):
 class _Batch:
     """Samples that arrived in one chunk."""
 
-    stamps: list[int] = field(default_factory=list)
+    device_ns: list[int] = field(default_factory=list)  # on the clock of the tracker
     forces: list[Vector3] = field(default_factory=list)
     rates: list[Vector3] = field(default_factory=list)
     saturated: bool = False
@@ -60,13 +60,13 @@ class Tracker:
         for message in self._reader.feed(raw.data):
             if message.mid == xbus.MTDATA2:
                 try:
-                    self._add(batch, xbus.decode_mtdata2(message.payload, self._rejects), raw.received_ns)
+                    self._add(batch, xbus.decode_mtdata2(message.payload, self._rejects))
                 except SampleError as fault:
                     self._rejects[str(fault)] += 1
-        if batch.stamps:
+        if batch.device_ns:
             yield self._message(batch, raw.received_ns)
 
-    def _add(self, batch: _Batch, values: dict[int, tuple[float, ...]], received_ns: int) -> None:
+    def _add(self, batch: _Batch, values: dict[int, tuple[float, ...]]) -> None:
         self._count_gap(values)
         self._newest.update(values)
         if not values.keys() & INERTIAL:
@@ -81,7 +81,7 @@ class Tracker:
         force, rate = inertial_data(values, interval_s)
         check(force, STRONGEST_M_S2)
         check(rate, FASTEST_RAD_S)
-        batch.stamps.append(self._clock.stamp(ticks * TICK_NS, received_ns))
+        batch.device_ns.append(ticks * TICK_NS)
         batch.forces.append(rotate(self._body_from_sensor, force))
         batch.rates.append(rotate(self._body_from_sensor, rate))
 
@@ -113,7 +113,7 @@ class Tracker:
         return ImuSamples(
             received_ns=received_ns,
             source=self._source,
-            sampled_ns=tuple(batch.stamps),
+            sampled_ns=self._clock.stamp_all(batch.device_ns, received_ns),
             specific_force_body_m_s2=tuple(batch.forces),
             angular_rate_body_rad_s=tuple(batch.rates),
             saturated=batch.saturated,

@@ -64,6 +64,18 @@ def test_a_burst_after_a_stall_keeps_the_intervals_of_the_device() -> None:
     assert stamps[0] == pytest.approx(START_NS + 20_000 * MS, abs=1000)
 
 
+def test_samples_that_arrive_together_are_placed_by_the_one_that_waited_least() -> None:
+    stamps = ClockMapping(minimum_delay_s=0.003).stamp_all([k * 10 * MS for k in range(5)], START_NS)
+    assert list(stamps) == pytest.approx([START_NS - 3 * MS - (4 - k) * 10 * MS for k in range(5)], abs=10)
+
+
+def test_a_step_of_the_clock_between_samples_that_arrive_together_parts_them() -> None:
+    clock = ClockMapping()
+    stamps = clock.stamp_all([100 * NS, 100 * NS + 10 * MS, 0, 10 * MS], START_NS)
+    assert clock.resets == 1
+    assert list(np.diff(stamps)) == pytest.approx([10 * MS, 1, 1], abs=10)  # what is later cannot be known better
+
+
 def test_a_better_arrival_bends_time_by_no_more_than_half() -> None:
     clock = ClockMapping()
     first = clock.stamp(0, START_NS + 20 * MS)  # was 20 ms late
