@@ -1,0 +1,260 @@
+import csv
+from collections import Counter
+from pathlib import Path
+
+import can
+import cantools
+import pytest
+from can.io import CanutilsLogReader
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.parsers.can.candump import LineReader, parse_line
+from services.parsers.can.process import Config, Process, WheelSignals
+from shared.errors import UserError
+from shared.messages import CanRaw, ImuRaw, VehicleSpeed, WheelSpeeds
+from tests.support.data import recording
+
+NS = 1_000_000_000
+START_NS = 1_764_000_000 * NS
+DBC = """VERSION ""
+BU_: ECU
+BO_ 212 WHEELS: 8 ECU
+ SG_ FL : 0|16@1+ (0.01,0) [0|300] "km/h" ECU
+ SG_ FR : 16|16@1+ (0.01,0) [0|300] "km/h" ECU
+ SG_ RL : 32|16@1+ (0.01,0) [0|300] "km/h" ECU
+ SG_ TEMPERATURE : 48|8@1+ (1,0) [0|255] "degC" ECU
+BO_ 2566845182 REAR: 2 ECU
+ SG_ RR : 0|16@1+ (0.01,0) [0|300] "mph" ECU
+"""
+WHEELS = WheelSignals(front_left="FL", front_right="FR", rear_left="RL", rear_right="RR")
+
+
+def line(text: str, at_s: float = 0.0, bus: str = "can0") -> bytes:
+    time_us = START_NS // 1000 + round(at_s * 1e6)
+    return f"({time_us // 10**6}.{time_us % 10**6:06d}) {bus} {text}\n".encode()
+
+
+def feed(process: Process, data: bytes, at_s: float = 0.05) -> list[VehicleSpeed | WheelSpeeds]:
+    return list(process.handle(CanRaw(received_ns=START_NS + round(at_s * NS), source="can0", data=data)))
+
+
+@pytest.fixture
+def dbc(tmp_path: Path) -> Path:
+    path = tmp_path / "car.dbc"
+    path.write_text(DBC)
+    return path
+
+
+@pytest.mark.parametrize("identifier", ["7E8", "18DAF110"])
+def test_an_answer_by_obd_is_a_speed_as_old_as_the_delay_says(identifier: str) -> None:
+    (speed,) = feed(Process(Config(vehicle_speed_delay_s=0.1)), line(f"{identifier}#03410D3200000000", 0.02))
+    assert isinstance(speed, VehicleSpeed)
+    assert speed.speed_m_s == pytest.approx(50 / 3.6)
+    assert speed.resolution_m_s == pytest.approx(1 / 3.6)
+    assert speed.source == "can0/obd"
+    assert (speed.received_ns, speed.sampled_ns) == (START_NS + NS // 50, START_NS - 8 * NS // 100)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "7E8#037F0111",  # negative response
+        "7E8#03410C1AF8",  # engine speed
+        "7E8#02410D",  # too short to hold a speed
+        "7E8#100841000D320000",  # first of several frames
+        "000007E8#03410D32",  # a 29-bit identifier of the same value
+        "7E8#R",
+        "7E8##103410D32",
+        "7DF#02010D0000000000",  # the question
+    ],
+)
+def test_a_frame_that_is_no_answer_is_no_speed_and_no_fault(text: str) -> None:
+    process = Process(Config())
+    assert not feed(process, line(text))
+    assert not process.rejects
+
+
+@pytest.mark.parametrize(
+    ("text", "source", "speed_m_s"),
+    [
+        ("18FEF100#F7803E0FFFFFFFFF", "can0/j1939", 62.5 / 3.6),
+        ("0CFE6CEE#0000C0C0FFFF003C", "can0/tachograph", 60 / 3.6),
+    ],
+)
+def test_j1939_gives_the_wheel_based_and_the_tachograph_speed(text: str, source: str, speed_m_s: float) -> None:
+    (speed,) = feed(Process(Config()), line(text))
+    assert isinstance(speed, VehicleSpeed)
+    assert speed.source == source
+    assert speed.speed_m_s == pytest.approx(speed_m_s)
+
+
+@pytest.mark.parametrize("raw", ["FFFF", "00FE", "00FB"])
+def test_a_speed_that_j1939_calls_not_available_is_missing(raw: str) -> None:
+    assert not feed(Process(Config()), line(f"18FEF100#F7{raw}0FFFFFFFFF"))
+
+
+def test_wheel_speeds_come_as_the_dbc_file_says_in_m_s(dbc: Path) -> None:
+    process = Process(Config(dbc_file=dbc, wheel_speed_signals=WHEELS, wheel_speed_delay_s=0.01))
+    front, rear = feed(process, line("0D4#E803D007B80B2800") + line("18FEF2FE#E803", 0.001))
+    assert isinstance(front, WheelSpeeds)
+    assert isinstance(rear, WheelSpeeds)
+    assert (front.front_left_m_s, front.front_right_m_s, front.rear_left_m_s) == pytest.approx(
+        (10 / 3.6, 20 / 3.6, 30 / 3.6)
+    )
+    assert front.rear_right_m_s is None
+    assert rear.rear_right_m_s == pytest.approx(10 * 0.44704)
+    assert (front.sampled_ns, front.source) == (START_NS - NS // 100, "can0")
+
+
+def test_wheel_speeds_are_thinned_out_to_the_period_that_was_asked_for(dbc: Path) -> None:
+    process = Process(Config(dbc_file=dbc, wheel_speed_signals=WHEELS, wheel_speed_period_s=0.1))
+    found = [m for k in range(200) for m in feed(process, line("0D4#E803D007B80B2800", k * 0.01), k * 0.01)]
+    assert len(found) == pytest.approx(20, abs=3)
+
+
+def test_one_bad_wheel_does_not_lose_the_others(dbc: Path) -> None:
+    process = Process(Config(dbc_file=dbc, wheel_speed_signals=WHEELS))
+    (speeds,) = feed(process, line("0D4#FFFFD007B80B2800"))  # 655.35 km/h
+    assert isinstance(speeds, WheelSpeeds)
+    assert speeds.front_left_m_s is None
+    assert speeds.front_right_m_s == pytest.approx(20 / 3.6)
+    assert not feed(process, line("0D4#E803D007", 1.0), 1.0)
+    assert process.rejects == {"wheel_speed": 1, "dbc_frame": 1}
+
+
+@pytest.mark.parametrize(
+    ("signals", "text", "reason"),
+    [
+        (WheelSignals(front_left="XX"), DBC, "there is no signal 'XX'; the file has FL, FR"),
+        (WheelSignals(front_left="TEMPERATURE"), DBC, "has the unit 'degC'"),
+        (WheelSignals(front_left="FL"), "this is no DBC file", "no DBC file"),
+        (WheelSignals(), DBC, "name the signal of each wheel"),
+    ],
+)
+def test_a_wrong_database_is_explained_at_the_start(
+    signals: WheelSignals, text: str, reason: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(text)
+    with pytest.raises(UserError, match=reason):
+        Process(Config(dbc_file=path, wheel_speed_signals=signals))
+
+
+def test_a_database_that_is_not_there_is_explained_at_the_start() -> None:
+    with pytest.raises(UserError, match=r"nowhere\.dbc.*No such file"):
+        Process(Config(dbc_file=Path("nowhere.dbc"), wheel_speed_signals=WHEELS))
+
+
+def test_stamps_of_lines_count_unless_they_contradict_those_of_their_batch() -> None:
+    process = Process(Config(vehicle_speed_delay_s=0.0))
+    messages = feed(process, b"(12.5) can0 7E8#03410D32\n" + line("7E8#03410D32", 0.01) + line("7E8#03410D32", 9.0))
+    assert [message.received_ns - START_NS for message in messages] == [NS // 20, NS // 100, NS // 20]
+    assert process.rejects == {"line_stamp": 2}
+
+
+def test_lines_may_be_cut_anywhere() -> None:
+    process = Process(Config())
+    data = line("7E8#03410D32") * 3
+    assert sum(len(feed(process, data[i : i + 7])) for i in range(0, len(data), 7)) == 3
+    assert not process.rejects
+
+
+def test_rubbish_is_counted_and_costs_one_line() -> None:
+    process = Process(Config())
+    messages = feed(process, b"rubbish\n(1.0) can0 7E8#123\n" + line("7E8#03410D32") + b"\xff" * 1000 + b"\n")
+    assert len(messages) == 1
+    assert process.rejects == {"line": 3}
+    feed(process, b"x" * 10_000)
+    assert len(process._readers["can0"]._rest) == 0
+
+
+def test_other_messages_are_not_for_this_process_and_too_many_sources_are_refused() -> None:
+    process = Process(Config())
+    assert not list(process.handle(ImuRaw(received_ns=1, source="x", data=b"")))
+    for k in range(10):
+        list(process.handle(CanRaw(received_ns=1, source=f"can{k}", data=b"")))
+    assert process.rejects == {"too_many_sources": 2}
+
+
+@given(st.lists(st.one_of(st.binary(max_size=60), st.text(max_size=60).map(str.encode), st.just(line("7E8#03410D00"))),
+                max_size=8), st.integers(1, 100))  # fmt: skip
+def test_nothing_raises_and_the_line_after_the_noise_is_read(parts: list[bytes], size: int) -> None:
+    process, stream = Process(Config()), b"".join(parts)
+    for i in range(0, len(stream), size):
+        feed(process, stream[i : i + size])
+    (speed,) = feed(process, b"\n" + line("7E8#03410D32"))[-1:]
+    assert isinstance(speed, VehicleSpeed)
+    assert speed.speed_m_s == pytest.approx(50 / 3.6)
+
+
+@given(st.integers(0, 2**29 - 1), st.booleans(), st.binary(max_size=8))
+def test_any_frame_is_read_back_and_never_raises(identifier: int, extended: bool, data: bytes) -> None:
+    identifier &= 0x1FFFFFFF if extended else 0x7FF
+    name = f"{identifier:08X}" if extended else f"{identifier:03X}"
+    frame = parse_line(line(f"{name}#{data.hex().upper()}").strip())
+    assert frame is not None
+    assert (frame.identifier, frame.extended, frame.data) == (identifier, extended, data)
+    for speed in feed(Process(Config()), line(f"{name}#{data.hex()}")):
+        assert isinstance(speed, VehicleSpeed)
+        assert 0 <= speed.speed_m_s < 80
+
+
+@pytest.mark.recording
+def test_recorded_obd_speeds_are_those_of_the_recordings_own_decode() -> None:
+    folder = recording("canedge_obd_gnss") / "drive164"
+    process, found = Process(Config(vehicle_speed_delay_s=0.0)), []
+    with (folder / "candump.log").open("rb") as file:
+        for text in file:
+            if b" 7E8#" in text:
+                frame = parse_line(text.strip())
+                assert frame is not None
+                found += list(process.handle(CanRaw(received_ns=frame.time_ns, source="can0", data=text)))
+    with (folder / "obd_speed.csv").open() as table:
+        expected = [(float(row["t"]), float(row["obd_speed_kmh"])) for row in csv.DictReader(table)]
+    assert len(found) == len(expected) > 4000
+    for speed, (t, speed_km_h) in zip(found, expected, strict=True):
+        assert isinstance(speed, VehicleSpeed)
+        assert speed.sampled_ns * 1e-9 == pytest.approx(t, abs=1e-5)
+        assert speed.speed_m_s * 3.6 == pytest.approx(speed_km_h)
+
+
+@pytest.mark.recording
+def test_recorded_wheel_speeds_are_those_that_cantools_and_python_can_read() -> None:
+    folder = recording("can_toyobaru_wheelspeed")
+    names = {"front_left": "WS_FL", "front_right": "WS_FR", "rear_left": "WS_RL", "rear_right": "WS_RR"}
+    process = Process(
+        Config(
+            dbc_file=folder / "sample_can_spec.dbc",
+            wheel_speed_signals=WheelSignals(**names),
+            wheel_speed_period_s=0.0,
+        )
+    )
+    lines = (folder / "can_sample.log").read_bytes().splitlines(keepends=True)[:20_000]
+    database = cantools.database.load_file(folder / "sample_can_spec.dbc")
+    assert isinstance(database, cantools.database.can.Database)
+    frames: list[can.Message] = [m for m in CanutilsLogReader(folder / "can_sample.log") if m.arbitration_id == 0xD4]
+    found = []
+    for text in lines:
+        frame = parse_line(text.strip())
+        assert frame is not None
+        found += list(process.handle(CanRaw(received_ns=frame.time_ns, source="can0", data=text)))
+    assert len(found) > 900
+    for speeds, message in zip(found, frames, strict=False):
+        theirs = database.decode_message(0xD4, message.data)
+        assert isinstance(theirs, dict)
+        for wheel, name in names.items():
+            assert getattr(speeds, f"{wheel}_m_s") == pytest.approx(theirs[name])
+
+
+@pytest.mark.recording
+def test_a_parked_truck_stands_still_by_wheels_and_by_tachograph() -> None:
+    path = recording("j1939_truck_can") / "truck_gb_tco1_gnss_stationary.log"
+    process, found, reader = Process(Config()), Counter[tuple[str, float]](), LineReader(Counter())
+    for text in path.read_bytes().splitlines(keepends=True):
+        if b"FEF1" in text or b"FE6C" in text:
+            for frame in reader.feed(text):
+                for speed in process.handle(CanRaw(received_ns=frame.time_ns, source="can0", data=text)):
+                    assert isinstance(speed, VehicleSpeed)
+                    found[speed.source, speed.speed_m_s] += 1
+    assert found == {("can0/j1939", 0.0): 3993, ("can0/tachograph", 0.0): 215}
