@@ -1,0 +1,56 @@
+"""Our party to one hop: `python -m benchmarks.bus.party pub RATE_HZ COUNT BYTES | sub COUNT`.
+
+It is what `sensors.imu` and `parsers.imu` do with a raw message: stamp, encode, send; receive, decode.
+"""
+
+import sys
+import time
+
+from shared.bus import Bus
+from shared.config import broker_address, state_dir
+from shared.messages import ImuRaw
+from shared.topics import subscriptions
+
+VEHICLE = "bench"
+
+
+def publish(rate_hz: float, count: int, size: int) -> None:
+    """Send a raw message whenever one is due."""
+    bus = Bus("sensors.imu", VEHICLE, broker_address(), (), state_dir())
+    data = bytes(size)
+    while not bus.connected:
+        bus.receive(0.1)
+    due_s = time.monotonic()
+    for _ in range(count):
+        due_s += 1 / rate_hz
+        while (remaining_s := due_s - time.monotonic()) > 0:
+            bus.receive(remaining_s)
+        bus.publish(ImuRaw(received_ns=bus.now_ns(), source="bench", data=data))
+    bus.close()
+
+
+def subscribe(count: int) -> None:
+    """Print the age of each message, in nanoseconds, when it has been decoded."""
+    bus = Bus("parsers.imu", VEHICLE, broker_address(), subscriptions("parsers.imu"), state_dir())
+    ages_ns: list[int] = []
+    while not bus.connected:
+        bus.receive(0.1)
+    bus.receive(0.2)  # the answer to the subscription
+    print("ready", flush=True)
+    while len(ages_ns) < count:
+        for envelope in bus.receive(0.1):
+            message = envelope.decode()
+            if isinstance(message, ImuRaw):
+                ages_ns.append(bus.now_ns() - message.received_ns)
+    bus.close()
+    print(*ages_ns, sep="\n")
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["pub", rate, number, size]:
+            publish(float(rate), int(number), int(size))
+        case ["sub", number]:
+            subscribe(int(number))
+        case _:
+            sys.exit(__doc__)

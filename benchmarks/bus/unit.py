@@ -1,0 +1,152 @@
+"""What the whole unit costs, and how long an inertial sample takes from the driver to the solution."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from services.commands.local import broker_command, free_port, unit
+from services.commands.supervisor import Supervisor
+from shared.bus import Bus
+from shared.config import BrokerAddress, parse_vehicle
+from shared.messages import ImuSamples, NavigationPhase, NavigationSolution
+from shared.topics import BY_NAME
+
+from .hops import Ages, three_hops_c
+
+IMU_RATE_HZ = 100
+VEHICLE = """
+[vehicle]
+name = "bench"
+
+[sensors.simulator]
+scenario = "urban"
+seed = 1
+
+[core.fusion]
+lever_arm_body_m = [0.3, 0.0, -1.2]
+
+[monitoring.status]
+port = 0
+"""
+READY_S = 60.0
+SETTLING_S = 10.0  # start-up costs more than running
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a process uses: share of one core, and its share of memory (pages that it shares count in part)."""
+
+    cpu_percent: float
+    pss_mb: float
+
+
+@dataclass(frozen=True)
+class UnitResult:
+    """The unit alone, and with the yardstick in C running beside it under the same load."""
+
+    costs: dict[str, Cost]
+    imu_to_solution: Ages
+    imu_to_solution_beside: Ages
+    three_hops_c_beside: Ages
+
+
+class Listener:
+    """Follows inertial samples from the arrival of their bytes to the arrival of their solution."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._received_ns: dict[int, int] = {}
+        self._order: deque[int] = deque()
+        self.navigating = False
+
+    def ages(self, seconds: float) -> list[int]:
+        """Listen for a while; the age of each solution on arrival."""
+        found: list[int] = []
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            for envelope in self._bus.receive(0.05):
+                match envelope.decode():
+                    case ImuSamples() as samples:
+                        self._note(samples)
+                    case NavigationSolution() as solution:
+                        arrived_ns = self._bus.now_ns()
+                        self.navigating = solution.phase is NavigationPhase.NAVIGATING
+                        if solution.sampled_ns in self._received_ns:
+                            found.append(arrived_ns - self._received_ns[solution.sampled_ns])
+        return found
+
+    def _note(self, samples: ImuSamples) -> None:
+        for stamp_ns in samples.sampled_ns:
+            self._received_ns[stamp_ns] = samples.received_ns
+            self._order.append(stamp_ns)
+        while len(self._order) > 10 * IMU_RATE_HZ:
+            del self._received_ns[self._order.popleft()]
+
+
+@contextmanager
+def running_unit(folder: Path) -> Iterator[tuple[Supervisor, int]]:
+    """Run every process and Mosquitto; the supervisor, and the broker's port."""
+    port, path = free_port(), folder / "vehicle.toml"
+    path.write_text(VEHICLE)
+    (folder / "logs").mkdir()
+    environment = {
+        "OBU_VEHICLE": str(path), "OBU_BROKER": f"mqtt://127.0.0.1:{port}", "OBU_STATE": str(folder)
+    }  # fmt: skip
+    supervisor = unit(parse_vehicle(VEHICLE), environment, folder / "logs")
+    supervisor.add("broker", broker_command(folder, port, "mosquitto"))
+    supervisor.watch()
+    try:
+        yield supervisor, port
+    finally:
+        supervisor.stop()
+
+
+def measure(folder: Path, seconds: float) -> UnitResult:
+    """Drive the simulated vehicle, and measure once it navigates."""
+    with running_unit(folder) as (supervisor, port):
+        topics = [BY_NAME["imu/sample"], BY_NAME["navigation/solution"]]
+        bus = Bus("observer", "bench", BrokerAddress("127.0.0.1", port), topics, folder, observer=True)
+        listener = Listener(bus)
+        _await_navigation(listener, folder)
+        before, started = _cpu_s(supervisor), time.monotonic()
+        alone = Ages.of(listener.ages(seconds))
+        costs = _costs(supervisor, before, time.monotonic() - started)
+        yardstick: list[Ages] = []
+        thread = threading.Thread(target=lambda: yardstick.append(three_hops_c(port, IMU_RATE_HZ, seconds)))
+        thread.start()
+        beside = Ages.of(listener.ages(seconds))
+        thread.join()
+        bus.close()
+        return UnitResult(costs, alone, beside, yardstick[0])
+
+
+def _await_navigation(listener: Listener, folder: Path) -> None:
+    deadline = time.monotonic() + READY_S
+    while not listener.navigating:
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"the unit does not navigate within {READY_S:.0f} s; see {folder / 'logs'}")
+        listener.ages(0.5)
+    listener.ages(SETTLING_S)
+
+
+def _hosts(supervisor: Supervisor) -> dict[str, psutil.Process]:
+    children = supervisor.children.items()
+    return {name: psutil.Process(child.process.pid) for name, child in children if child.process is not None}
+
+
+def _cpu_s(supervisor: Supervisor) -> dict[str, float]:
+    return {name: sum(host.cpu_times()[:2]) for name, host in _hosts(supervisor).items()}
+
+
+def _costs(supervisor: Supervisor, before: dict[str, float], seconds: float) -> dict[str, Cost]:
+    after = _cpu_s(supervisor)
+    return {
+        name: Cost(round(100 * (after[name] - before[name]) / seconds, 2), round(host.memory_full_info().pss * 1e-6, 1))
+        for name, host in _hosts(supervisor).items()
+    }
