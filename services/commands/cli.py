@@ -17,8 +17,12 @@ from shared.config import load_vehicle
 from shared.errors import UserError
 from shared.processes import BY_NAME
 
+from . import papers_navigation
 from .import_drive import import_drive
+from .record import record, repair
+from .replay import replay
 from .solve import solve
+from .verify import verify
 
 app = typer.Typer(
     help="A vehicle on-board unit that says where the vehicle is, and whether to believe it.",
@@ -26,6 +30,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+
+papers = typer.Typer(help="Reproduce what the published papers report.", no_args_is_help=True)
+app.add_typer(papers, name="papers")
+recordings = typer.Typer()
+app.add_typer(recordings, name="record")
 
 VehicleOption = Annotated[
     Path | None, typer.Option("--vehicle", help="The vehicle's TOML file; without it OBU_VEHICLE, else all defaults.")
@@ -158,15 +167,15 @@ def reference(folder: Annotated[Path, typer.Argument(help="Where the pages go.")
         print(path)
 
 
-def _add(function: Callable[..., int], name: str) -> None:
-    """Add a command that lives in a file of its own and returns its exit code."""
+def _ended(function: Callable[..., int]) -> Callable[..., None]:
+    """Turn a function that returns its exit code into a command."""
 
     @functools.wraps(function)
     def command(**arguments: object) -> None:
         _end_on_sigterm()
         raise typer.Exit(function(**arguments))
 
-    app.command(name)(command)
+    return command
 
 
 def _end_on_sigterm() -> None:
@@ -178,5 +187,38 @@ def _end_on_sigterm() -> None:
     signal.signal(signal.SIGTERM, end)
 
 
-_add(import_drive, "import")
-_add(solve, "solve")
+@papers.command()
+def navigation(
+    runs: Annotated[int, typer.Option(min=1, help="Seeds for each of the six drives.")] = 10,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the table.")] = False,
+) -> None:
+    """Repeat the degraded scenarios of the EMERGE paper and print them beside its table 2.
+
+    Example: [bold]obu papers navigation --runs 2[/]
+    """
+    raise typer.Exit(papers_navigation.run(runs, as_json))
+
+
+@recordings.callback(invoke_without_command=True)
+def _record(
+    context: typer.Context,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The recording to write; without it a name of the moment.")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0.1, help="Seconds to record; without it until Ctrl-C.")] = None,
+    vehicle: VehicleOption = None,
+) -> None:
+    """Record everything that a running unit says, beside its own recorder.
+
+    Examples: [bold]obu record -o drive.mcap[/]  |  [bold]obu record --duration 60[/]
+    """
+    if context.invoked_subcommand is None:
+        _end_on_sigterm()
+        raise typer.Exit(record(output, duration, vehicle))
+
+
+app.command("import")(_ended(import_drive))
+app.command("solve")(_ended(solve))
+recordings.command("repair")(_ended(repair))
+app.command("replay")(_ended(replay))
+app.command("verify")(_ended(verify))

@@ -20,17 +20,8 @@ FLUSH_S = 0.5
 STEP = 2000  # messages between two looks at the progress
 
 
-def record(
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="The recording to write; without it a name of the moment.")
-    ] = None,
-    duration: Annotated[float | None, typer.Option(min=0.1, help="Seconds to record; without it until Ctrl-C.")] = None,
-    vehicle: Annotated[Path | None, typer.Option("--vehicle", help="The vehicle's TOML file of the unit.")] = None,
-) -> int:
-    """Record everything that a running unit says, beside its own recorder.
-
-    Examples: [bold]obu record -o drive.mcap[/]  |  [bold]obu record --duration 60[/]
-    """
+def record(output: Path | None, duration: float | None, vehicle: Path | None) -> int:
+    """Record everything that a running unit says until Ctrl-C or for `duration` seconds."""
     file = load_vehicle(vehicle)
     bus = Bus("observer", file.name, broker_address(), TOPICS, state_dir(), observer=True)
     meet(bus)
