@@ -8,7 +8,7 @@ from shared.messages import Mode, NavigationPhase
 BOOT_S = 1.0
 IMU_SILENT_S = 3.0
 GNSS_SILENT_S = 5.0
-FIX_LOST_S = 3.0
+FIX_LOST_S = 2.0  # less than it takes core.fusion to coast
 SOLUTION_SILENT_S = 2.0
 FUSION_SILENT_S = 10.0
 
@@ -22,7 +22,7 @@ class Facts:
     gnss_age_s: float | None = None  # of any message of a receiver
     fix_age_s: float | None = None  # of a fix with a position
     solution_age_s: float | None = None
-    state_age_s: float | None = None
+    fusion_age_s: float | None = None  # of any message of core.fusion
     phase: NavigationPhase | None = None
     phase_reason: str = ""
     configuring: str | None = None  # what is being asked of a receiver
@@ -78,7 +78,7 @@ def _no_imu(facts: Facts) -> str | None:
 
 
 def _no_fusion(facts: Facts) -> str | None:
-    age_s = facts.uptime_s if facts.state_age_s is None else facts.state_age_s
+    age_s = facts.uptime_s if facts.fusion_age_s is None else facts.fusion_age_s
     if _older(age_s, FUSION_SILENT_S):
         return f"core.fusion has not been heard{_for(age_s)}"
     if facts.has_measured and facts.phase in SOLVING and _older(facts.solution_age_s, SOLUTION_SILENT_S):

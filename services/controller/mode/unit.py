@@ -37,7 +37,7 @@ class Unit:
     solution: NavigationSolution | None = None
     solution_ns: int | None = None
     state: NavigationState | None = None
-    state_ns: int | None = None
+    fusion_ns: int | None = None
     has_measured: bool = False
 
     def note(self, message: Message) -> str | None:
@@ -56,14 +56,15 @@ class Unit:
             case NavigationSolution():
                 self._advance(message.sampled_ns)
                 self.solution, self.solution_ns = message, self.now_ns
+                self.fusion_ns = self.now_ns
             case NavigationState():
                 self._advance(message.sampled_ns)
-                self.state, self.state_ns = message, self.now_ns
+                self.state, self.fusion_ns = message, self.now_ns
         return None
 
     def facts(self, configuring: str | None, configuration_fault: str | None) -> Facts:
         """Sum up what is known now."""
-        solution_age_s, state_age_s = age_s(self.solution_ns, self.now_ns), age_s(self.state_ns, self.now_ns)
+        solution_age_s, fusion_age_s = age_s(self.solution_ns, self.now_ns), age_s(self.fusion_ns, self.now_ns)
         phase = self.state.phase if self.state else None
         if self.solution and solution_age_s is not None and solution_age_s <= SOLUTION_SILENT_S:
             phase = self.solution.phase  # ten times as fresh
@@ -73,7 +74,7 @@ class Unit:
             gnss_age_s=self.gnss.age_s(self.now_ns),
             fix_age_s=age_s(self.fix_ns, self.now_ns),
             solution_age_s=solution_age_s,
-            state_age_s=state_age_s,
+            fusion_age_s=fusion_age_s,
             phase=phase,
             phase_reason=self.state.reason if self.state else "",
             configuring=configuring,
