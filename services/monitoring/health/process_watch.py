@@ -36,7 +36,7 @@ class ProcessWatch:
         self.restarts = 0
         self.heartbeat_ns: int | None = None
         self.seen_ns: int | None = None  # its last word, or the broker's word that it was lost
-        self._from_before = False  # all that is known was kept by the broker
+        self.kept = False  # what is known of it was kept by the broker, and may be of a former life of the unit
 
     def take(self, health: ProcessHealth, received_ns: int, *, retained: bool) -> None:
         """Note a birth, heartbeat, farewell or last will; the will of a former life says nothing of this one."""
@@ -44,7 +44,7 @@ class ProcessWatch:
             return
         if health.incarnation > self.incarnation and self.incarnation:
             self.restarts += 1
-        self._from_before = retained
+        self.kept = retained
         self.incarnation, self.state = health.incarnation, health.state
         self.seen_ns = min(health.sent_ns, received_ns) if retained else received_ns
         if health.state is not ProcessState.LOST or self.heartbeat_ns is None:
@@ -58,8 +58,6 @@ class ProcessWatch:
         """Judge the process; silence counts only from `judged_from_ns`, before which nobody could be heard."""
         if self.state is None or self.heartbeat_ns is None:
             return Condition.MISSING if grace_over else Condition.WAITED_FOR
-        if self._from_before and now_ns < judged_from_ns:
-            return Condition.WAITED_FOR
         if self.state is ProcessState.LOST:
             return Condition.LOST
         silence_s = (now_ns - max(self.heartbeat_ns, judged_from_ns)) * 1e-9

@@ -30,6 +30,7 @@ class TopicWatch:
         self.count = 0
         self.newest_ns: int | None = None
         self.producer: str | None = None
+        self.kept = False  # all that came was kept by the broker, and may be of a former life of the unit
         self._raw = issubclass(topic.message, RawBytes)
         self._pattern = None if self._raw else stamp_pattern(topic.message)
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
@@ -45,6 +46,7 @@ class TopicWatch:
             received_ns = min(received_ns, stamp_ns or received_ns)
         elif stamp_ns is not None:
             self._latencies_s.append((received_ns - stamp_ns) * 1e-9)
+        self.kept = retained and (self.kept or not self.count)
         self.count += 1
         self.producer = producer
         self.newest_ns = max(self.newest_ns or 0, received_ns)

@@ -35,14 +35,14 @@ class Watch:
     """
 
     def __init__(self, configured: Collection[str], now_ns: int) -> None:
-        self._started_ns = self._now_ns = self._heard_ns = now_ns
-        self._judged_from_ns = now_ns + START_NS
+        self._started_ns = self._judged_from_ns = self._now_ns = self._heard_ns = now_ns
         self._configured = frozenset(configured)
         self._topics = {topic.name: TopicWatch(topic) for topic in TOPICS}
         self._processes = {name: ProcessWatch(name) for name in PROCESS_ROWS if name in self._configured}
         self._expected = expected_topics(self._configured)
         self._open: dict[str, Outage] = {}
         self._answering = True
+        self._broker_outage: Outage | None = None
 
     def take(
         self,
@@ -76,20 +76,23 @@ class Watch:
             self._expected = expected_topics(self._present())
 
     def step(self, now_ns: int, *, connected: bool) -> list[Outage]:
-        """Compare everything with its deadline; return the outages that began, ended or have another cause."""
+        """Compare everything with its deadline; return the outages that began, ended or have another cause.
+
+        An outage of the broker is told once it is over and the others are back to hear of it.
+        """
         slept = now_ns - self._now_ns > STALL_NS
-        answering = connected and (slept or now_ns - self._heard_ns < MUTE_NS)
         if slept:
             self._heard_ns = now_ns
+        answering = connected and now_ns - self._heard_ns < MUTE_NS
         if slept or (answering and not self._answering):
-            self._judged_from_ns = max(self._judged_from_ns, now_ns + RETURN_NS)
+            self._judged_from_ns = now_ns + RETURN_NS
         self._now_ns, self._answering = now_ns, answering
-        if not connected:
-            return self._begin({BROKER: "the connection to the broker broke"})
         if not answering:
-            return self._begin({BROKER: "the broker is connected but delivers nothing"})
+            cause = "the broker is connected but delivers nothing" if connected else "the connection to it broke"
+            self._broker_outage = self._broker_outage or Outage(what=BROKER, since_ns=self._heard_ns, cause=cause)
+            return []
         wrong = {**self._silent_processes(), **self._silent_topics()}
-        return [*self._end(wrong), *self._begin(wrong)]
+        return [*self._broker_events(), *self._end(wrong), *self._begin(wrong)]
 
     def report(self, now_ns: int) -> DeadlineReport:
         """Give the age of every topic that this vehicle has or should have, and of every process."""
@@ -102,6 +105,12 @@ class Watch:
             ),
             processes=tuple(self._process_age(watch, now_ns) for watch in self._processes.values()),
         )
+
+    def _broker_events(self) -> list[Outage]:
+        if self._broker_outage is None or self._now_ns < self._judged_from_ns:
+            return []
+        outage, self._broker_outage = self._broker_outage, None
+        return [outage.model_copy(update={"until_ns": self._judged_from_ns - RETURN_NS})]
 
     def _begin(self, wrong: Mapping[str, str | None]) -> list[Outage]:
         """Open outages, or give open ones another cause; None holds one back until its cause is known."""
@@ -157,13 +166,15 @@ class Watch:
     def _condition(self, name: str) -> Condition:
         if name not in self._processes:
             return Condition.RUNNING  # not ours to watch, and it did speak
-        grace_over = self._now_ns - self._started_ns > GRACE_NS
-        return self._processes[name].condition(self._now_ns, self._judged_from_ns, grace_over=grace_over)
+        watch, uptime_ns = self._processes[name], self._now_ns - self._started_ns
+        if watch.kept and uptime_ns < START_NS:
+            return Condition.WAITED_FOR
+        return watch.condition(self._now_ns, self._judged_from_ns, grace_over=uptime_ns > GRACE_NS)
 
     def _stopped_ns(self, topic: Topic) -> int | None:
         """Say when a topic fell silent, 0 if it never spoke and should; None while it is well."""
         watch = self._topics[topic.name]
-        if watch.newest_ns is None:
+        if watch.newest_ns is None or watch.kept:
             return 0 if self._is_missing(topic) else None
         if topic.silent_after_s is None or watch.freshness(self._now_ns) is not Freshness.STALE:
             return None
@@ -182,8 +193,6 @@ class Watch:
         return not spoken.intersection(producers_of(topic, self._present()))
 
     def _last_seen_ns(self, what: str) -> int:
-        if what == BROKER:
-            return self._heard_ns
         seen_ns = self._processes[what].seen_ns if what in self._processes else self._topics[what].newest_ns
         return self._started_ns if seen_ns is None else seen_ns
 
