@@ -66,7 +66,7 @@ class Unit:
     def compose(self, *arguments: str, timeout_s: float = 60.0) -> str:
         environment = {
             "OBU_HTTP_PORT": str(self.http_port), "OBU_HTTP_BIND": "127.0.0.1", "COMPOSE_FILE": "docker-compose.yml",
-            "OBU_VEHICLE_FILE": "./deploy/vehicles/simulated.toml",
+            "OBU_VEHICLE": "deploy/vehicles/simulated.toml",
         }  # fmt: skip
         return run("docker", "compose", "-p", self.project, *arguments, environment=environment, timeout_s=timeout_s)
 
