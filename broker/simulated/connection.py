@@ -31,7 +31,7 @@ from .session import Delivery, Session
 from .wire import ProtocolError, Reason
 
 log = logging.getLogger(__name__)
-UNSENT_BYTES = 262_144  # in the transport; beyond it, messages wait in the session's bounded queue
+UNSENT_BYTES = 262_144  # beyond it, messages wait in the session's bounded queue
 
 
 class Connection(asyncio.Protocol):
@@ -44,6 +44,8 @@ class Connection(asyncio.Protocol):
         self._framer = Framer(broker.limits.packet_bytes)
         self._session: Session | None = None
         self._ended = False
+        self._unsent: list[bytes] = []
+        self._unsent_bytes = 0
         self._silent_after_s = broker.limits.connect_within_s
         self._heard_s = 0.0
         self._timer: asyncio.TimerHandle | None = None
@@ -95,9 +97,18 @@ class Connection(asyncio.Protocol):
         self._connections.discard(self)
 
     def write(self, frame: bytes) -> None:
-        """Send the bytes of one packet, unless the client is gone and the loop has not said so yet."""
-        if not self._transport.is_closing():
-            self._transport.write(frame)
+        """Send the bytes of one packet, together with those that follow it before the loop comes round."""
+        if not self._unsent:
+            self._loop.call_soon(self._flush)
+        self._unsent.append(frame)
+        self._unsent_bytes += len(frame)
+        if self._unsent_bytes > UNSENT_BYTES:
+            self._flush()
+
+    def _flush(self) -> None:
+        frames, self._unsent, self._unsent_bytes = self._unsent, [], 0
+        if frames and not self._transport.is_closing():
+            self._transport.write(b"".join(frames))
 
     def end(self, reason: Reason, *, will: bool = True) -> None:
         """Close the connection, with a farewell that says why."""
@@ -115,6 +126,7 @@ class Connection(asyncio.Protocol):
         self._ended = True
         if self._timer is not None:
             self._timer.cancel()
+        self._flush()
         self._loop.call_later(1.0, self.abort)  # for one who does not read the farewell
         self._transport.close()
         if self._session is not None:

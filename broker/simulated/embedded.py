@@ -48,6 +48,8 @@ class Handle:
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._server.stop)
             self._thread.join(LONGEST_WAIT_S)
+        if self._thread.is_alive():
+            raise RuntimeError(f"the broker on port {self.port} did not stop within {LONGEST_WAIT_S} s")
 
     def __enter__(self) -> Self:
         return self

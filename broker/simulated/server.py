@@ -1,6 +1,7 @@
 """Listens for clients and ends on request."""
 
 import asyncio
+import contextlib
 
 from .broker import Broker
 from .connection import Connection
@@ -33,12 +34,15 @@ class Server:
 
     async def serve(self) -> None:
         """Sweep once a second until told to stop, then bid every client farewell; no wills, as Mosquitto."""
-        while not self._stopping.is_set():
-            self.broker.sweep()
-            try:
-                await asyncio.wait_for(self._stopping.wait(), SWEEP_PERIOD_S)
-            except TimeoutError:
-                continue
+        try:
+            while not self._stopping.is_set():
+                self.broker.sweep()
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._stopping.wait(), SWEEP_PERIOD_S)
+        finally:
+            await self._close()
+
+    async def _close(self) -> None:
         self._server.close()
         for connection in tuple(self._connections):
             connection.end(Reason.SERVER_SHUTTING_DOWN, will=False)

@@ -1,5 +1,6 @@
 """What the unit asks of a broker, of Mosquitto and the simulated one alike; where they differ, the test says so."""
 
+import contextlib
 import re
 import time
 from collections.abc import Iterator
@@ -47,6 +48,11 @@ def own_broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runni
 
 
 on_a_broker_of_its_own = pytest.mark.parametrize("own_broker", brokers.KINDS, indirect=True)
+
+
+def a_second_on(broker: RunningBroker) -> float:
+    """Time after which what expires in a second has expired; Mosquitto counts in whole seconds."""
+    return 1.2 if broker.kind == SIMULATED else 2.2
 
 
 @pytest.fixture
@@ -121,27 +127,33 @@ def test_a_thousand_messages_at_once_arrive_complete_and_in_order(alice: Client,
 
 
 def test_a_thousand_messages_of_qos_1_arrive_complete_and_in_order(alice: Client, bob: Client, topic: str) -> None:
+    sent = 0
+
+    def all_have_arrived() -> bool:
+        alice.exchange(0)
+        return len(bob.messages) == sent
+
     bob.subscribe(topic)
-    for number in range(0, 1000, 50):  # within what Mosquitto keeps for a client that does not acknowledge yet
-        for offset in range(50):
-            alice.paho.publish(topic, str(number + offset), qos=1)
-        bob.until(lambda due=number + 50: alice.paho.loop(0) == 0 and len(bob.messages) >= due)  # type: ignore[misc]  # mypy cannot infer it
+    for _ in range(20):
+        for _ in range(50):  # within what Mosquitto keeps for a client that does not acknowledge yet
+            alice.paho.publish(topic, str(sent), qos=1)
+            sent += 1
+        bob.until(all_have_arrived)
     assert bob.payloads(1000) == [str(number) for number in range(1000)]
 
 
 def test_every_subscriber_sees_the_messages_of_all_publishers_in_one_order(broker: RunningBroker, topic: str) -> None:
-    clients = [Client(broker.port) for _ in range(6)]
-    publishers, subscribers = clients[:3], clients[3:]
-    for client in clients:
-        client.connect()
-    for client in subscribers:
-        client.subscribe(f"{topic}/+", qos=0)
-    for number in range(100):
-        for name, client in enumerate(publishers):
-            client.paho.publish(f"{topic}/{name}", f"{name}:{number}", qos=0)
-    seen = [client.payloads(300) for client in subscribers]
-    for client in clients:
-        client.leave()
+    with contextlib.ExitStack() as stack:
+        clients = [stack.enter_context(Client(broker.port)) for _ in range(6)]
+        publishers, subscribers = clients[:3], clients[3:]
+        for client in clients:
+            client.connect()
+        for client in subscribers:
+            client.subscribe(f"{topic}/+", qos=0)
+        for number in range(100):
+            for name, client in enumerate(publishers):
+                client.paho.publish(f"{topic}/{name}", f"{name}:{number}", qos=0)
+        seen = [client.payloads(300) for client in subscribers]
     assert seen[0] == seen[1] == seen[2]
     assert len(set(seen[0])) == 300
 
@@ -172,7 +184,7 @@ def test_a_client_gets_no_packet_larger_than_it_takes(broker: RunningBroker, ali
 
 
 def test_bursts_of_small_messages_do_not_wait_for_each_other(alice: Client, bob: Client, topic: str) -> None:
-    """Without TCP_NODELAY a burst takes a delayed acknowledgement, about 40 ms."""
+    """Without TCP_NODELAY a burst to a client that also sends takes a delayed acknowledgement, about 40 ms."""
     bob.subscribe(topic, qos=0)
     durations = []
     for _ in range(15):
@@ -181,7 +193,8 @@ def test_bursts_of_small_messages_do_not_wait_for_each_other(alice: Client, bob:
             alice.paho.publish(topic, "x" * 100, qos=0)
         bob.take(5)
         durations.append(time.monotonic() - started)
-        time.sleep(0.01)
+        bob.publish(f"{topic}/answer", "x", qos=0)
+        time.sleep(0.005)
     assert sorted(durations)[7] < 0.02
 
 
@@ -192,14 +205,14 @@ def test_a_client_that_does_not_read_costs_a_bounded_queue_and_delays_nobody(
     bob.subscribe(topic, qos=0)
     with raw_mqtt.connect(broker.port, "slow", user="tester") as slow:
         slow.sendall(raw_mqtt.subscribe(topic))
-        for number in range(80):
-            for _ in range(100):
-                alice.paho.publish(topic, b"%03d" % number + bytes(1000), qos=0)
-            bob.take(100)
+        for _ in range(40):
+            for _ in range(50):
+                alice.paho.publish(topic, bytes(8000), qos=0)
+            bob.take(50)
         alice.publish(topic, "last", qos=0)
         assert bob.payloads() == ["last"]
         read = raw_mqtt.read_all(slow)
-    assert read.count(bytes(1000)) < 8000
+    assert len(read) < 2000 * 8000
     assert read.endswith(b"last") is (broker.kind == SIMULATED)
 
 
@@ -293,16 +306,18 @@ def test_a_retained_message_greets_each_new_subscriber_until_an_empty_one_clears
     assert bob.hears_nothing()
 
 
-def test_a_retained_message_expires_and_says_how_long_it_still_holds(alice: Client, bob: Client, topic: str) -> None:
-    alice.publish(topic, "state", retain=True, MessageExpiryInterval=2)
+def test_a_retained_message_expires_and_says_how_long_it_still_holds(
+    broker: RunningBroker, alice: Client, bob: Client, topic: str
+) -> None:
+    alice.publish(topic, "state", retain=True, MessageExpiryInterval=1)
     alice.publish(f"{topic}/long", "state", retain=True, MessageExpiryInterval=100)
     bob.subscribe(topic)
-    assert expiry_s(bob.take()[0]) in (1, 2)
-    bob.spin(3.0)
+    assert expiry_s(bob.take()[0]) in (0, 1)
+    bob.spin(a_second_on(broker))
     bob.subscribe(f"{topic}/#")
     (message,) = bob.take()
     assert message.topic == f"{topic}/long"
-    assert 94 <= (expiry_s(message) or 0) <= 98
+    assert 95 <= (expiry_s(message) or 0) <= 99
     alice.publish(f"{topic}/long", "", retain=True)
 
 
@@ -444,7 +459,7 @@ def test_a_session_ends_when_its_time_is_over(broker: RunningBroker, topic: str)
     with Client(broker.port, topic) as client:
         client.connect(SessionExpiryInterval=1)
         client.kill()
-        time.sleep(2.2)
+        time.sleep(a_second_on(broker))
         client.connect(clean_start=False)
         assert not client.session_present
 

@@ -1,5 +1,6 @@
 """A paho client for tests: every step waits for the broker's answer, and nothing runs in a thread."""
 
+import select
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -7,7 +8,7 @@ from types import TracebackType
 from typing import Self
 
 import paho.mqtt.client as paho
-from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
@@ -128,14 +129,27 @@ class Client:
         deadline = time.monotonic() + within_s
         while not happened():
             assert time.monotonic() < deadline, f"not within {within_s} s; {len(self.messages)} messages came"
-            if self.paho.loop(0.02) == MQTTErrorCode.MQTT_ERR_NO_CONN:
-                time.sleep(0.02)
+            self.exchange(0.02)
 
     def spin(self, duration_s: float) -> None:
-        """Run the network for a while."""
+        """Run the network for a while, or until the connection has ended."""
         deadline = time.monotonic() + duration_s
-        while time.monotonic() < deadline and self.paho.loop(0.01) == MQTTErrorCode.MQTT_ERR_SUCCESS:
-            pass
+        while time.monotonic() < deadline and self.paho.socket() is not None:
+            self.exchange(0.01)
+
+    def exchange(self, timeout_s: float) -> None:
+        """Read and write once; paho's own `loop` would keep a pair of sockets that it closes too late."""
+        sock = self.paho.socket()
+        if sock is None:
+            time.sleep(timeout_s)
+            return
+        readable, writable, _ = select.select([sock], [sock] if self.paho.want_write() else [], [], timeout_s)
+        if readable:
+            self.paho.loop_read()
+        if writable and self.paho.socket() is not None:
+            self.paho.loop_write()
+        if self.paho.socket() is not None:
+            self.paho.loop_misc()
 
     def __enter__(self) -> Self:
         return self
