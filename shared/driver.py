@@ -127,6 +127,8 @@ def run_driver(
     `make_raw` makes the message of a chunk and its stamp; `take` gets in each turn what has arrived on the bus.
     """
     herald = Herald(url)
+    while not bus.stopping and not bus.connected:  # nobody would hear the device yet
+        bus.receive(0.1)
     while not bus.stopping:
         data, received_ns = link.read(bus, WAIT_S)
         if data:

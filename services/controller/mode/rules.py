@@ -118,9 +118,9 @@ RULES: tuple[tuple[Mode, Rule], ...] = (
     (Mode.MEASURING, _measuring),
     (Mode.BOOT, _booting),
     (Mode.DETECTING, _detecting),
-    (Mode.CONFIGURING, _configuring),
     # The cause before its consequences: without an IMU there is no solution either.
     (Mode.DEGRADED, _no_imu),
+    (Mode.CONFIGURING, _configuring),
     (Mode.DEGRADED, _no_fusion),
     (Mode.DEGRADED, _no_gnss),
 )

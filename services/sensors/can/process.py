@@ -34,7 +34,7 @@ class Process:
     def run(self, bus: Bus) -> None:
         """Read until the bus stops."""
         config = self._config
-        link = Link(lambda: open_can(config.device, config.obd_identifier, bus.now_ns), gap_s=0.05, chunk_s=0.08)
+        link = Link(lambda: open_can(config.device, config.obd_identifier, bus.now_ns), gap_s=0.03, chunk_s=0.07)
 
         def ask(_envelopes: Sequence[Envelope]) -> None:
             if config.obd_period_s and link.present and time.monotonic() >= self._next_request:

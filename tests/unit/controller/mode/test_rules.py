@@ -23,6 +23,7 @@ YOUNG = replace(HEALTHY, has_measured=False, solution_age_s=None, phase=P.LEVELL
         (replace(YOUNG, imu_age_s=None), Mode.DETECTING, "no IMU has been heard yet"),
         (replace(YOUNG, gnss_age_s=None), Mode.DETECTING, "no GNSS receiver has been heard yet"),
         (replace(YOUNG, configuring="asking the receiver"), Mode.CONFIGURING, "asking the receiver"),
+        (replace(YOUNG, configuring="asking the receiver", imu_age_s=9.0), Mode.DEGRADED, "no IMU samples for 9 s"),
         (YOUNG, Mode.ALIGNING, "levelling: let the vehicle stand still"),
         (replace(YOUNG, phase=P.WAITING_FOR_GNSS, fix_age_s=None), Mode.ALIGNING, "give the antenna a view of the sky"),
         (replace(YOUNG, phase=P.WAITING_FOR_HEADING), Mode.ALIGNING, "drive straight ahead"),
