@@ -1,0 +1,188 @@
+"""The error model against finite differences of the mechanisation, and against the corrected table of the paper."""
+
+from math import cos, sin, tan
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from services.core.fusion import error_model as em
+from services.core.fusion import strapdown
+from services.core.fusion.filter import ErrorStateFilter
+from services.core.fusion.gnss import GnssPosition, GnssVelocity, antenna_velocity
+from services.core.fusion.settings import Settings
+from services.core.fusion.strapdown import InertialState
+from shared.maths.earth import (
+    EARTH_RATE,
+    Geodetic,
+    curvature_radii,
+    geodetic_from_ned_difference,
+    gravity,
+    ned_from_geodetic_difference,
+)
+from shared.maths.rotation import (
+    Vector,
+    matrix_from_quaternion,
+    matrix_from_rotation_vector,
+    ned_from_body,
+    quaternion_from_matrix,
+    rotation_vector_from_matrix,
+)
+
+FloatArray = npt.NDArray[np.float64]
+
+LATITUDE, HEIGHT = 0.74, 1500.0
+VELOCITY = (120.0, -180.0, 15.0)
+FORCE_N = (1.2, -0.7, -9.6)
+ATTITUDE = ned_from_body(0.1, -0.2, 0.7)
+RATE: Vector = (0.05, -0.02, 0.3)
+STATE = InertialState(0, quaternion_from_matrix(ATTITUDE), VELOCITY, Geodetic(LATITUDE, 0.2, HEIGHT))
+STEP_NS = 1_000_000
+PERTURBATION = np.repeat([1e-3, 1.0, 1000.0, 1.0, 1e-3], 3)
+NEGLECTED = {0: 1e-9, 3: 0.01, 6: 0.01}  # by first row: what the length of the step leaves where the model has nought
+
+
+def vector(array: FloatArray) -> Vector:
+    x, y, z = array.tolist()
+    return x, y, z
+
+
+def disturbed(state: InertialState, error: FloatArray) -> InertialState:
+    """What an estimate looks like whose error, estimated minus true, is given."""
+    matrix = matrix_from_rotation_vector(error[em.ATTITUDE]) @ matrix_from_quaternion(state.quaternion)
+    return InertialState(
+        state.time_ns,
+        quaternion_from_matrix(matrix),
+        vector(np.add(state.velocity, error[em.VELOCITY])),
+        geodetic_from_ned_difference(vector(error[em.POSITION]), state.position),
+    )
+
+
+def error_of(estimate: InertialState, truth: InertialState) -> FloatArray:
+    """Estimated minus true, in the order of the first nine states."""
+    turned = matrix_from_quaternion(estimate.quaternion) @ matrix_from_quaternion(truth.quaternion).T
+    return np.concatenate(
+        [
+            rotation_vector_from_matrix(turned),
+            np.subtract(estimate.velocity, truth.velocity),
+            ned_from_geodetic_difference(estimate.position, truth.position),
+        ]
+    )
+
+
+@pytest.fixture
+def differences(monkeypatch: pytest.MonkeyPatch) -> FloatArray:
+    """Derivative of the first nine errors by all fifteen, by finite differences, with gravity of one latitude."""
+    monkeypatch.setattr(strapdown, "gravity", lambda _latitude, height: gravity(LATITUDE, height))
+    force, rate = vector(ATTITUDE.T @ np.array(FORCE_N)), RATE
+
+    def after(error: FloatArray) -> FloatArray:
+        wrong_force = vector(np.array(force) + error[em.ACCELEROMETER_BIAS])
+        wrong_rate = vector(np.array(rate) + error[em.GYROSCOPE_BIAS])
+        estimate, _ = strapdown.propagate(disturbed(STATE, error), wrong_force, wrong_rate, STEP_NS)
+        truth, _ = strapdown.propagate(STATE, force, rate, STEP_NS)
+        return (error_of(estimate, truth) - error[:9]) / (STEP_NS * 1e-9)
+
+    columns = []
+    for j in range(em.SIZE):
+        size = PERTURBATION[j]
+        step = np.zeros(em.SIZE)
+        step[j] = size
+        columns.append((after(step) - after(-step)) / (2.0 * size))
+    return np.array(columns).T
+
+
+BLOCKS = [
+    (row, column)
+    for row in (em.ATTITUDE, em.VELOCITY, em.POSITION)
+    for column in (em.ATTITUDE, em.VELOCITY, em.POSITION, em.ACCELEROMETER_BIAS, em.GYROSCOPE_BIAS)
+]
+
+
+def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differences: FloatArray) -> None:
+    F = em.system_matrix(STATE, FORCE_N, ATTITUDE)
+    one_percent = 0.01
+    for row, column in BLOCKS:
+        size = np.linalg.norm(F[row, column])
+        limit = one_percent * size if size else NEGLECTED[row.start]
+        assert np.linalg.norm(differences[row, column] - F[row, column]) <= limit, (row, column)
+
+
+def test_the_system_matrix_is_the_corrected_table_of_the_paper() -> None:
+    """A3 to A9 of Zuriarrain Sosa et al., corrected, in radians, brought into metres."""
+    F = em.system_matrix(STATE, FORCE_N, ATTITUDE)
+    north, east, down = VELOCITY
+    meridian, transverse = curvature_radii(LATITUDE)
+    m, t = meridian + HEIGHT, transverse + HEIGHT
+    sine, cosine, tangent = sin(LATITUDE), cos(LATITUDE), tan(LATITUDE)
+    earth = EARTH_RATE
+    g0, radius = gravity(LATITUDE, 0.0), em.geocentric_radius(LATITUDE)
+    a6 = np.array(
+        [
+            [down / m, -2 * east * tangent / t - 2 * earth * sine, north / m],
+            [east * tangent / t + 2 * earth * sine, (north * tangent + down) / t, east / t + 2 * earth * cosine],
+            [-2 * north / m, -2 * east / t - 2 * earth * cosine, 0.0],
+        ]
+    )
+    a7 = np.array(
+        [
+            [
+                -(east**2) / cosine**2 / t - 2 * east * earth * cosine,
+                0.0,
+                east**2 * tangent / t**2 - north * down / m**2,
+            ],
+            [
+                north * east / cosine**2 / t + 2 * north * earth * cosine - 2 * down * earth * sine,
+                0.0,
+                -(north * east * tangent + east * down) / t**2,
+            ],
+            [2 * east * earth * sine, 0.0, east**2 / t**2 + north**2 / m**2 - 2 * g0 / radius],
+        ]
+    )
+    metres_from_position = np.diag([m, t * cosine, -1.0])
+    assert F[em.VELOCITY, em.VELOCITY] == pytest.approx(a6, rel=1e-12, abs=1e-18)
+    assert F[em.VELOCITY, em.POSITION] @ metres_from_position == pytest.approx(a7, rel=1e-9, abs=1e-15)
+
+
+def navigation(error: FloatArray) -> ErrorStateFilter:
+    """Filter that is wrong by an error; the biases of the error are what is left after correction."""
+    wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
+    wrong.rate = vector(np.array(RATE) + error[em.GYROSCOPE_BIAS])
+    return wrong
+
+
+ARM: Vector = (0.3, -0.5, -1.2)
+ANTENNA = geodetic_from_ned_difference(vector(ATTITUDE @ np.array(ARM)), STATE.position)
+PERFECT = navigation(np.zeros(em.SIZE))
+
+
+@pytest.mark.parametrize(
+    "measurement",
+    [
+        GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0),
+        GnssVelocity(0, 0, "", vector(np.array(VELOCITY) + antenna_velocity(PERFECT, ARM)), np.eye(3), 3, ARM),
+    ],
+    ids=["position", "velocity"],
+)
+def test_the_measurement_matrices_agree_with_finite_differences(measurement: GnssPosition | GnssVelocity) -> None:
+    seen = measurement.observe(PERFECT)
+    assert seen.z == pytest.approx(np.zeros(3), abs=1e-8)
+    for j in range(em.SIZE):
+        step = np.zeros(em.SIZE)
+        step[j] = 1e-4
+        ahead, behind = measurement.observe(navigation(step)).z, measurement.observe(navigation(-step)).z
+        earth_rate_term = 1e-4  # of the lever arm, which H leaves out
+        assert (ahead - behind) / 2e-4 == pytest.approx(seen.H[:, j], abs=earth_rate_term)
+
+
+def test_the_noise_goes_where_its_name_says() -> None:
+    noise = em.noise_matrix(
+        gyroscope_psd=1.0, accelerometer_psd=2.0, accelerometer_bias_psd=3.0, gyroscope_bias_psd=4.0
+    )
+    assert noise.tolist() == [1.0] * 3 + [2.0] * 3 + [0.0] * 3 + [3.0] * 3 + [4.0] * 3
+
+
+def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:
+    defaults = Settings()
+    assert defaults.angle_random_walk_rad_sqrt_s**2 == pytest.approx(1.493e-8, rel=1e-3)
+    assert defaults.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)

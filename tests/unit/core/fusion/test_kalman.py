@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.stats import chi2
+
+from services.core.fusion.kalman import chi_square_limit, correct, predict
+from shared.errors import FilterDiverged
+
+
+@given(st.integers(1, 3), st.floats(1e-6, 0.4))
+def test_the_limits_of_chi_square_are_those_of_scipy(dimension: int, false_alarm: float) -> None:
+    assert chi_square_limit(dimension, false_alarm) == pytest.approx(chi2.isf(false_alarm, dimension), rel=1e-9)
+
+
+def test_a_chi_square_of_another_dimension_is_refused() -> None:
+    with pytest.raises(ValueError, match="dimension 4"):
+        chi_square_limit(4, 0.01)
+
+
+def random_covariance(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    root = rng.standard_normal((n, n))
+    return root @ root.T + 0.1 * np.eye(n)
+
+
+def test_a_prediction_is_that_of_the_matrix_exponential_to_first_order() -> None:
+    rng = np.random.default_rng(1)
+    P, F, noise = random_covariance(rng, 6), rng.standard_normal((6, 6)), rng.random(6)
+    step = 1e-4
+    Phi = expm(F * step)
+    expected = Phi @ P @ Phi.T + np.diag(noise) * step
+    predicted = predict(P, F, noise, step)
+    assert predicted == pytest.approx(expected, abs=1e-6)
+    assert np.array_equal(predicted, predicted.T)
+
+
+def test_a_correction_is_that_of_the_information_filter() -> None:
+    rng = np.random.default_rng(2)
+    P, R, H, z = random_covariance(rng, 6), random_covariance(rng, 3), rng.standard_normal((3, 6)), rng.random(3)
+    result = correct(P, z, H, R)
+    information = np.linalg.inv(P) + H.T @ np.linalg.inv(R) @ H
+    S = H @ P @ H.T + R
+    assert np.abs(result.P - np.linalg.inv(information)).max() < 1e-10
+    assert result.x == pytest.approx(np.linalg.solve(information, H.T @ np.linalg.solve(R, z)), abs=1e-10)
+    assert result.distance2 == pytest.approx(z @ np.linalg.inv(S) @ z, rel=1e-10)
+    assert result.innovation_sd == pytest.approx(np.sqrt(np.diag(S)))
+    assert np.array_equal(result.P, result.P.T)
+
+
+def test_a_nearly_perfect_measurement_leaves_a_positive_covariance() -> None:
+    rng = np.random.default_rng(3)
+    P = random_covariance(rng, 15) * 1e6
+    for _ in range(50):
+        P = correct(P, np.zeros(3), rng.standard_normal((3, 15)), 1e-6 * np.eye(3)).P
+        assert np.linalg.eigvalsh(P)[0] > 0.0
+
+
+def test_a_breakdown_has_a_name() -> None:
+    with pytest.raises(FilterDiverged, match="positive definite"):
+        correct(-np.eye(3), np.zeros(3), np.eye(3), np.zeros((3, 3)))
+    with pytest.raises(FilterDiverged, match="finite"):
+        correct(np.eye(3), np.array([np.nan, 0.0, 0.0]), np.eye(3), np.eye(3))
