@@ -7,7 +7,7 @@ from .topics import is_filter, matches, overlap
 READS = frozenset(("read", "readwrite"))
 WRITES = frozenset(("write", "readwrite"))
 ACCESSES = READS | WRITES | {"deny"}
-REMEMBERED = 10_000  # answers
+REMEMBERED = 1_000  # answers
 
 
 @dataclass(frozen=True, slots=True)

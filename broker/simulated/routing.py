@@ -7,7 +7,7 @@ from .acl import Acl
 from .session import Session
 from .topics import matches
 
-REMEMBERED = 10_000  # topics
+REMEMBERED = 1_000  # topics
 
 
 class Route(NamedTuple):

@@ -20,7 +20,7 @@ class Limits:
     session_expiry_s: int = 3_600
     sessions: int = 500
     subscriptions: int = 500  # a session
-    retained: int = 10_000
+    retained: int = 1_000
     connect_within_s: float = 5.0
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from broker import local_config
 from broker.acl import access_list
 from broker.simulated import Limits
 from shared.codec import MAXIMUM_PAYLOAD
@@ -40,3 +41,18 @@ def test_mosquitto_sends_small_messages_at_once_and_offers_no_websockets() -> No
     assert setting("set_tcp_nodelay") == "true"
     text = (ROOT / "broker" / "mosquitto.conf").read_text()
     assert not re.search(r"^protocol ", text, re.MULTILINE)
+
+
+def test_the_local_configuration_differs_in_its_places_only() -> None:
+    printed = local_config.configuration(18_830, Path("/data"), Path("/acl")).splitlines()
+    original = (ROOT / "broker" / "mosquitto.conf").read_text().splitlines()
+    added = {line for line in printed if line and not line.startswith("#") and line not in original}
+    removed = {line for line in original if line not in printed}
+    assert added == {
+        "listener 18830 127.0.0.1",
+        "socket_domain ipv4",
+        "persistence_location /data/",
+        "acl_file /acl",
+        "log_dest stderr",
+    }
+    assert {line.split(" ")[0] for line in removed} == {"listener", "persistence_location", "acl_file", "log_dest"}

@@ -55,3 +55,10 @@ def test_improper_filters_are_refused(pattern: str) -> None:
 @given(filters)
 def test_a_name_is_a_filter_without_wildcards(pattern: str) -> None:
     assert is_name(pattern) == (is_filter(pattern) and not {"+", "#"} & set(pattern.split("/")))
+
+
+@pytest.mark.parametrize(("levels", "accepted"), [(200, True), (201, False)])
+def test_topics_of_very_many_levels_are_refused(levels: int, accepted: bool) -> None:
+    topic = "/".join(["a"] * levels)
+    assert is_name(topic) is accepted
+    assert is_filter(topic) is accepted
