@@ -189,8 +189,9 @@ class XbusReader:
     """Finds the messages in a stream of bytes that may hold garbage, and counts what it passes over.
 
     `rejects` counts `garbage_bytes`, `bad_checksum` and `oversize`. The buffer never holds more than one
-    message and the chunk that was fed. After a bad message the search goes on at its second byte, so that
-    a good message inside a false one is found.
+    message and the chunk that was fed. After a bad message the search goes on at its second byte, and a message
+    that is still incomplete gives way to a whole measurement inside it (counted as `cut_message`): a damaged length
+    neither swallows nor delays the messages that follow.
     """
 
     def __init__(self, rejects: Counter[str] | None = None) -> None:
@@ -208,23 +209,21 @@ class XbusReader:
             found = _find_header(buffer, start)
             self._count("garbage_bytes", found - start)
             start = found
-            frame = _frame(buffer, start)
-            if frame is None:
-                break
-            body, end = frame
-            if end - body > MAX_PAYLOAD_BYTES:
-                fault = "oversize"
-            elif end >= len(buffer):
-                break
-            elif sum(buffer[start + 1 : end + 1]) & 0xFF:
-                fault = "bad_checksum"
-            else:
-                yield XbusMessage(buffer[start + 2], bytes(buffer[body:end]))
+            fault, end = _judge(buffer, start)
+            if fault is None:
+                yield XbusMessage(buffer[start + 2], bytes(buffer[_payload_start(buffer, start) : end]))
                 start = end + 1
-                continue
-            self._count(fault, 1)
-            self._count("garbage_bytes", 1)
-            start += 1
+            elif fault == "incomplete":
+                inner = _whole_measurement_after(buffer, start + 1)
+                if inner is None:
+                    break
+                self._count("cut_message", 1)
+                self._count("garbage_bytes", inner - start)
+                start = inner
+            else:
+                self._count(fault, 1)
+                self._count("garbage_bytes", 1)
+                start += 1
         del buffer[:start]
 
     def _count(self, kind: str, n: int) -> None:
@@ -239,12 +238,34 @@ def _find_header(buffer: bytearray, start: int) -> int:
     return len(buffer) - 1 if buffer[start:].endswith(b"\xfa") else len(buffer)
 
 
-def _frame(buffer: bytearray, start: int) -> tuple[int, int] | None:
-    """Locate the payload (start, end) of the message at `start`; None while its length is not known."""
-    if len(buffer) < start + 4:
-        return None
-    if buffer[start + 3] != 0xFF:
-        return start + 4, start + 4 + buffer[start + 3]
-    if len(buffer) < start + 6:
-        return None
-    return start + 6, start + 6 + int.from_bytes(buffer[start + 4 : start + 6])
+def _payload_start(buffer: bytearray, start: int) -> int:
+    return start + (6 if buffer[start + 3] == 0xFF else 4)
+
+
+def _judge(buffer: bytearray, start: int) -> tuple[str | None, int]:
+    """Say what is wrong with the message at `start` (None: nothing), and where its payload ends."""
+    if len(buffer) < start + 4 or (buffer[start + 3] == 0xFF and len(buffer) < start + 6):
+        return "incomplete", 0
+    size = buffer[start + 3]
+    if size == 0xFF:
+        size = int.from_bytes(buffer[start + 4 : start + 6])
+    end = _payload_start(buffer, start) + size
+    if size > MAX_PAYLOAD_BYTES:
+        return "oversize", end
+    if end >= len(buffer):
+        return "incomplete", end
+    return ("bad_checksum" if sum(buffer[start + 1 : end + 1]) & 0xFF else None), end
+
+
+def _whole_measurement_after(buffer: bytearray, position: int) -> int | None:
+    """Find a measurement with a good checksum and whole fields: eight bits of checksum alone prove too little."""
+    while (position := buffer.find(HEADER + bytes([MTDATA2]), position)) >= 0:
+        fault, end = _judge(buffer, position)
+        if fault is None:
+            try:
+                if list(split_mtdata2(bytes(buffer[_payload_start(buffer, position) : end]))):
+                    return position
+            except ValueError:
+                pass  # no fields: no measurement
+        position += 1
+    return None

@@ -35,7 +35,7 @@ class _Incomplete(Exception):
 
 
 class _Bad(Exception):
-    """No frame begins here; the text is the kind of reject."""
+    """No frame begins here; the text is the kind of reject, or empty for a byte that only looked like a start."""
 
 
 class Framer:
@@ -70,7 +70,8 @@ class Framer:
             try:
                 frame = _frame_at(buffer, position)
             except _Bad as fault:
-                self.rejects[str(fault)] += 1
+                if kind := str(fault):
+                    self.rejects[kind] += 1
                 self._pass_over(1)
                 position += 1
                 continue
@@ -127,7 +128,7 @@ def _ubx(buffer: bytearray, start: int) -> Frame:
     if len(buffer) < start + 2:
         raise _Incomplete
     if buffer[start + 1] != UBX_SYNC[1]:
-        raise _Bad("ubx_sync")
+        raise _Bad
     if len(buffer) < start + 6:
         raise _Incomplete
     size = int.from_bytes(buffer[start + 4 : start + 6], "little")
@@ -166,7 +167,7 @@ def _rtcm(buffer: bytearray, start: int) -> Frame:
     if len(buffer) < start + 3:
         raise _Incomplete
     if buffer[start + 1] & 0xFC:  # six reserved bits
-        raise _Bad("rtcm_form")
+        raise _Bad
     end = start + 6 + int.from_bytes(buffer[start + 1 : start + 3])
     if len(buffer) < end:
         raise _Incomplete
