@@ -8,7 +8,7 @@ import math
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from shared import codec
@@ -87,11 +87,15 @@ class FakeUnit:
         self.coasting = False
         self.lives: Counter[str] = Counter()
         self._due: dict[str, int] = {}
+        self._plans: list[tuple[int, Callable[[], object]]] = []
         bus.unit = self
 
     def step(self) -> None:
         """Say everything that is due now."""
         now_ns = self.bus.now_ns()
+        for plan in [plan for plan in self._plans if plan[0] <= now_ns]:
+            self._plans.remove(plan)
+            plan[1]()
         for name, rate_hz, make in (
             ("imu", 100.0, self._imu),
             ("fast", 10.0, self._fast),
@@ -106,6 +110,14 @@ class FakeUnit:
             for producer, message in make(now_ns):
                 if producer not in self.silent | self.lost:
                     self.bus.feed(message, producer)
+
+    def fall_silent_after(self, seconds: float, name: str) -> None:
+        """Stop a process, or the IMU alone, after a while."""
+        self._plans.append((self.started_ns + int(seconds * 1e9), lambda: self.silent.add(name)))
+
+    def kill_after(self, seconds: float, process: str) -> None:
+        """Kill a process after a while."""
+        self._plans.append((self.started_ns + int(seconds * 1e9), lambda: self.kill(process)))
 
     def kill(self, process: str) -> None:
         """End a process without a farewell, as the broker's last will tells it."""

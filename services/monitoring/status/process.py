@@ -30,11 +30,11 @@ class Config(Section):
     """Where to listen, and how much to remember."""
 
     host: str | None = None  # "0.0.0.0" shows it to the whole network; without it OBU_HTTP_HOST, else 127.0.0.1
-    port: int = Field(8080, ge=0, le=65535)  # 0: any free one
-    history_s: float = Field(900.0, gt=0, le=86_400)
+    port: int = Field(default=8080, ge=0, le=65535)  # 0: any free one
+    history_s: float = Field(default=900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
-    clients_maximum: int = Field(16, ge=1, le=256)
+    clients_maximum: int = Field(default=16, ge=1, le=256)
 
 
 class Process:

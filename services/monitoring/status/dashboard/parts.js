@@ -32,7 +32,7 @@ export const Icon = ({ name, class: extra = "" }) =>
 
 // A state as shape and colour; the word is beside it or read aloud.
 export const StateIcon = ({ state, word }) =>
-  html`<span class="state ${state}"><${Icon} name=${state} /><span class="sr">${word ?? words.trust[state]}: </span></span>`;
+  html`<span class="state ${state}"><${Icon} name=${state} />${word !== "" && html`<span class="sr">${word ?? words.trust[state]}: </span>`}</span>`;
 
 export const STATUS_STATE = {
   ready: "safe", starting: "info", alert: "caution", silent: "stale", lost: "unsafe", ended: "off",

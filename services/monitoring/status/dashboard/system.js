@@ -15,9 +15,8 @@ function Node({ name, onHover }) {
   const p = state.value.processes[name];
   const status = statusOf(name);
   return html`<li><a class="node ${STATUS_STATE[status]}" id=${`node-${name}`} href=${`#/system?node=${name}`}
-    aria-label=${w.node(name, words.status[status])}
     onMouseEnter=${() => onHover(name)} onMouseLeave=${() => onHover(null)} onFocus=${() => onHover(name)} onBlur=${() => onHover(null)}>
-    <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word="" />${short(name)}${p.restarts > 0 && html`<span class="restarts">${w.restarted(p.restarts)}</span>`}</span>
+    <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word=${words.status[status]} /><span class="sr">${name}</span><span aria-hidden="true">${short(name)}</span>${p.restarts > 0 && html`<span class="restarts">${w.restarted(p.restarts)}</span>`}</span>
     <span class="figures">${status === "waiting" || status === "missing" ? words.status[status]
       : status !== "ready" ? html`<strong>${words.status[status]}</strong>`
       : html`${p.out_hz == null ? "" : `${rate(p.out_hz)}/s`}${p.latency_p99_s == null ? "" : ` · ${seconds(p.latency_p99_s)}`}`}</span>

@@ -232,7 +232,6 @@ export const words = {
     ],
     map: "Processes by layer",
     mapNote: "Lines are topics: thicker means faster, dashed means silent. Layer 5 reads every topic.",
-    node: (name, status) => `${name}: ${status}. Show details`,
     rate: "Said",
     heard: "Heard",
     latency: "Latency p50 / p99",

@@ -1,0 +1,82 @@
+"""A real Chromium, and a unit in each of the states that the dashboard must show well."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
+
+from services.monitoring.status.process import DASHBOARD
+from tests.support.status_server import Running, status_server
+
+AXE = DASHBOARD / "node_modules" / "axe-core" / "axe.min.js"
+THEMES: dict[str, ViewportSize] = {
+    "light": {"width": 1440, "height": 900},
+    "dark": {"width": 1440, "height": 900},
+    "phone": {"width": 390, "height": 844},
+}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = str(Path(__file__).parent)
+    for item in items:
+        if str(item.path).startswith(here):
+            item.add_marker(pytest.mark.browser)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("no Chromium here: `apt-get install chromium`")
+    if not AXE.exists():
+        pytest.skip("the browser tests' libraries are missing: `python deploy/install_dashboard.py --testing`")
+    # A name that resolves here makes the page an insecure context, as on a vehicle's own network.
+    arguments = ["--host-resolver-rules=MAP obu.local 127.0.0.1", *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=arguments)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="session")
+def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Running]]:
+    """Four units side by side: one that works, and three that do not."""
+    with (
+        status_server(tmp_path_factory.mktemp("normal")) as normal,
+        status_server(tmp_path_factory.mktemp("stale")) as stale,
+        status_server(tmp_path_factory.mktemp("alarm")) as alarm,
+        status_server(tmp_path_factory.mktemp("empty"), unit=False) as empty,
+    ):
+        assert stale.unit and alarm.unit
+        stale.unit.fall_silent_after(2.0, "core.fusion")
+        alarm.unit.rejecting = True
+        alarm.unit.fall_silent_after(2.0, "imu")
+        alarm.unit.kill_after(2.0, "monitoring.recorder")
+        yield {"normal": normal, "stale": stale, "alarm": alarm, "empty": empty}
+
+
+@pytest.fixture
+def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
+    """Open pages that record their errors and requests; the test fails on any error of a page."""
+    contexts, errors = [], []
+
+    def opener(address: str, *, theme: str = "light", path: str = "", **options: object) -> Page:
+        scheme = "dark" if theme == "dark" else "light"
+        settings = {"viewport": THEMES[theme], "color_scheme": scheme, **options}
+        context = browser.new_context(**settings)  # type: ignore[arg-type]  # the options are playwright's own
+        contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        page.goto(f"{address}/#/{path}")
+        return page
+
+    yield opener
+    for context in contexts:
+        context.close()
+    # Tests that stop a server see refused connections; a test machine's own network may change at any time.
+    expected = ("ERR_CONNECTION_REFUSED", "ERR_NETWORK_CHANGED", "WebSocket", "503 (Service Unavailable)")
+    assert not [text for text in errors if not any(part in text for part in expected)]

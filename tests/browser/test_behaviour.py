@@ -1,0 +1,253 @@
+"""What the dashboard does: keys, drawers, lost connections, ages that run out."""
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from shared import messages as m
+from tests.support.status_server import Running, status_server
+
+DEADLINE_S = 2.0  # of navigation/solution
+
+
+def test_a_lost_connection_is_said_and_its_return_as_well(tmp_path: Path, open_page: Callable[..., Page]) -> None:
+    with status_server(tmp_path) as server:
+        page = open_page(server.address)
+        expect(page.locator("svg.closeup")).to_be_visible()
+        server.stop()
+        bar = page.locator(".bar.lost")
+        expect(bar).to_be_visible(timeout=8000)
+        expect(bar).to_contain_text(
+            re.compile(r"Connection to the OBU lost \d s ago - showing last data. Retrying ...")
+        )
+        expect(bar).to_contain_text("The unit cannot be reached")
+        expect(page.locator(".banner .word")).to_have_text("NO DATA")
+        expect(page.locator(".clock")).to_contain_text("stopped")
+        expect(page.locator(".vehicle.old")).to_be_attached()
+        stopped = page.locator(".clock time").inner_text()
+        page.wait_for_timeout(1200)
+        assert page.locator(".clock time").inner_text() == stopped
+        expect(page.locator(".chain .worst")).to_have_text("API: no answer from the unit")
+    with status_server(tmp_path, port=urlsplit(server.address).port):
+        expect(page.get_by_text(re.compile(r"Reconnected, \d+ s gap"))).to_be_visible(timeout=12_000)
+        expect(bar).to_be_hidden()
+        expect(page.locator(".banner .word")).to_have_text("CAUTION")
+
+
+def test_a_position_is_not_shown_as_live_after_its_deadline(tmp_path: Path, open_page: Callable[..., Page]) -> None:
+    with status_server(tmp_path) as server:
+        assert server.unit is not None
+        page = open_page(server.address)
+        expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
+        server.unit.silent.add("core.fusion")
+        silent = time.monotonic()
+        page.locator("svg.closeup .vehicle.old").wait_for(state="attached", timeout=6000)
+        assert time.monotonic() - silent < DEADLINE_S + 0.8, "deadline, two frames, and the time to look"
+        position = page.get_by_role("region", name="Position", exact=True)
+        expect(position.locator(".age.stale").first).to_have_text(re.compile(r"last \d\d:\d\d:\d\d, \d s ago"))
+        expect(position).to_contain_text("by now")
+        first = page.locator("svg.closeup").get_attribute("aria-label")
+        page.wait_for_timeout(1500)
+        label = page.locator("svg.closeup").get_attribute("aria-label") or ""
+        within = re.search(r"by now within ([\d.]+) m", label)
+        assert within and float(within[1]) > 2.1 + 9.0 * DEADLINE_S, "speed times age on top of the last uncertainty"
+        assert label != first, "and it grows"
+        server.unit.silent.clear()
+        expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached(timeout=3000)
+
+
+@pytest.mark.parametrize(
+    ("kind", "shown"),
+    [
+        (m.OriginKind.LIVE, "LIVEtruck"),
+        (m.OriginKind.REPLAY, "REPLAYtruck ×4"),
+    ],
+)
+def test_the_badge_says_where_the_data_are_from(
+    units: dict[str, Running], open_page: Callable[..., Page], kind: m.OriginKind, shown: str
+) -> None:
+    bus = units["empty"].bus
+    page = open_page(units["empty"].address)
+    expect(page.locator(".origin")).to_be_visible()
+    speed = 4.0 if kind is m.OriginKind.REPLAY else 1.0
+    bus.feed(m.Origin(now_ns=bus.now_ns(), kind=kind, name="truck", speed=speed), f"sensors.{kind}")
+    expect(page.locator(".origin")).to_have_text(shown)
+
+
+def test_the_reasons_of_the_banner_are_listed_with_what_is_not_monitored(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["alarm"].address)
+    page.get_by_role("button", name="Why?").click()
+    drawer = page.get_by_role("dialog", name="Why CAUTION?")
+    expect(drawer).to_contain_text("What to do")
+    expect(drawer.locator("li", has_text="Fit of GNSS velocity")).to_contain_text("4.70 of the limit, refused")
+    assert drawer.locator("li", has_text="NOT MONITORED").count() == 4
+    drawer.get_by_role("link", name="GNSS fix").click()
+    expect(page.get_by_role("dialog", name="Topic gnss/fix")).to_be_visible()
+
+
+def test_the_keyboard_goes_everywhere_and_can_be_silenced(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["normal"].address)
+    expect(page.locator("svg.closeup")).to_be_visible()
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("link", name="Skip to the content")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("heading", level=1)).to_be_focused()
+    page.keyboard.type("gs")
+    expect(page.get_by_role("heading", name="Processes by layer")).to_be_visible()
+    page.keyboard.press("/")
+    expect(page.get_by_role("searchbox", name="Find a topic")).to_be_focused()
+    page.keyboard.type("wheel")
+    topics = page.get_by_role("region", name="Topics").first
+    expect(topics.get_by_role("link")).to_have_text(["vehicle/wheel_speed"])
+    page.locator("body").click(position={"x": 5, "y": 400})
+    page.keyboard.type("gn")
+    expect(page.locator("svg.closeup")).to_be_visible()
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Help and shortcuts")).to_be_visible()
+    page.get_by_role("checkbox", name="Keyboard shortcuts").uncheck()
+    page.keyboard.press("Escape")
+    page.keyboard.type("gs")
+    page.wait_for_timeout(300)
+    expect(page.locator("svg.closeup")).to_be_visible()
+
+
+def test_the_topic_inspector_shows_pauses_plots_and_copies(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    # By a plain name over HTTP there is no secure context, and so no navigator.clipboard.
+    address = units["normal"].address.replace("127.0.0.1", "obu.local")
+    page = open_page(address, path="system")
+    assert page.evaluate("isSecureContext") is False
+    page.get_by_role("link", name="Inspect navigation/solution").click()
+    drawer = page.get_by_role("dialog", name="Topic navigation/solution")
+    message = drawer.locator("pre")
+    expect(message).to_contain_text('"position_cov_ned_m2": [0.6, 0.25, 0.0, 0.35, 0.0, 1.2]')
+    expect(drawer).to_contain_text("NavigationSolution")
+    first = message.inner_text()
+    stamp = re.search(r'"sampled_ns": (\d+)', first)
+    assert stamp and not stamp[1].endswith("000"), "nanoseconds are shown as they came, not rounded by the browser"
+    expect(message).not_to_have_text(first)
+    drawer.get_by_label("Plot a field").select_option("longitude_deg")
+    expect(drawer.get_by_role("img", name="longitude_deg, newest values")).to_be_visible()
+    drawer.get_by_role("button", name="Pause").click()
+    page.wait_for_timeout(700)
+    paused = message.inner_text()
+    page.wait_for_timeout(1200)
+    assert message.inner_text() == paused
+    drawer.get_by_role("button", name="Resume").click()
+    drawer.get_by_role("button", name="Copy").click()
+    expect(drawer.get_by_role("button", name="Copied")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(drawer).to_be_hidden()
+
+
+def test_bytes_of_a_device_are_shown_as_hexadecimal(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["normal"].address, path="system?topic=gnss/raw")
+    expect(page.get_by_role("dialog")).to_contain_text('"hexadecimal": "b5 62 01 07')
+
+
+def test_a_topic_that_never_spoke_says_who_would(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["empty"].address, path="system?topic=gnss/fix")
+    expect(page.get_by_role("dialog")).to_contain_text("Nothing has come on this topic yet.")
+    expect(page.get_by_role("dialog")).to_contain_text("It is said by parsers.gnss.")
+
+
+def test_a_process_shows_its_life_and_its_topics(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["alarm"].address, path="system")
+    node = page.get_by_role("link", name="lost: monitoring.recorder")
+    expect(node).to_be_visible(timeout=8000)
+    node.click()
+    drawer = page.get_by_role("dialog", name="Process monitoring.recorder")
+    expect(drawer).to_contain_text("Its connection broke without a farewell: it crashed or was killed.")
+    expect(drawer.get_by_role("link", name="recording/state")).to_be_visible()
+    page.keyboard.press("Escape")
+    outages = page.get_by_role("region", name="Outages")
+    expect(outages.locator("li", has_text="monitoring.recorder")).to_contain_text("still lost")
+    expect(outages.locator("li", has_text="imu/raw")).to_contain_text("its device sends nothing")
+
+
+def test_problems_in_the_footer_lead_to_their_place(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["stale"].address)
+    page.get_by_role("link", name="1 problem: core.fusion is silent").click(timeout=8000)
+    expect(page.get_by_role("dialog", name="Process core.fusion")).to_contain_text("No heartbeat within its deadline")
+
+
+def test_pictures_have_a_table_that_says_the_same(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["normal"].address)
+    for name, heading in (("Close-up", "95 % error ellipse"), ("Speed", "Odometer, km/h")):
+        card = page.get_by_role("region", name=name, exact=True).first
+        card.get_by_role("button", name="Table").click()
+        expect(card.get_by_role("table")).to_contain_text(heading)
+
+
+def test_the_close_up_zooms_turns_and_fits_again(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["normal"].address)
+    scale = page.locator(".scale text")
+    fitted = scale.text_content() or ""
+    fit = page.get_by_role("button", name="Fit")
+    expect(fit).to_have_attribute("aria-pressed", "true")
+    for _ in range(3):
+        page.get_by_role("button", name="Zoom out").click()
+    expect(fit).to_have_attribute("aria-pressed", "false")
+    expect(scale).not_to_have_text(fitted)
+    fit.click()
+    expect(scale).to_have_text(fitted)
+    page.get_by_role("button", name="Heading up").click()
+    expect(page.locator(".ground")).to_have_attribute("style", re.compile(r"rotate\(-?[1-9]"))
+
+
+def test_the_display_can_be_paused_and_says_so(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["normal"].address)
+    latitude = page.locator(".coordinates dd").first
+    expect(latitude).to_be_visible()
+    page.keyboard.press("p")
+    expect(page.get_by_text("Display paused")).to_be_visible()
+    shown = latitude.inner_text()
+    page.wait_for_timeout(700)
+    assert latitude.inner_text() == shown
+    page.get_by_role("button", name="Resume").click()
+    expect(latitude).not_to_have_text(shown)
+
+
+def test_colours_are_remembered(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["normal"].address)
+    page.get_by_role("button", name="Colours: Automatic colours").click()
+    page.get_by_role("button", name="Colours: Light colours").click()
+    expect(page.locator("html")).to_have_attribute("data-theme", "dark")
+    page.reload()
+    expect(page.locator("html")).to_have_attribute("data-theme", "dark")
+
+
+def test_targets_are_large_enough_for_a_thumb(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["normal"].address, theme="phone")
+    expect(page.locator("svg.closeup")).to_be_visible()
+    small = page.evaluate(
+        """[...document.querySelectorAll('button, nav a')].filter((e) => e.offsetParent)
+           .filter((e) => e.getBoundingClientRect().height < 47.5).map((e) => e.outerHTML.slice(0, 80))"""
+    )
+    assert small == []
+
+
+def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Callable[..., Page]) -> None:
+    with status_server(tmp_path) as server:
+        server.bus.connected = False
+        page = open_page(server.address)
+        expect(page.locator(".banner .sentence")).to_contain_text("the message broker does not answer", timeout=6000)
+        expect(page.locator(".chain .worst")).to_have_text("Broker does not answer")
+
+
+def test_a_browser_that_is_one_too_many_is_told(tmp_path: Path, open_page: Callable[..., Page]) -> None:
+    with status_server(tmp_path, clients_maximum=1) as server:
+        first = open_page(server.address)
+        expect(first.locator("svg.closeup")).to_be_visible()
+        second = open_page(server.address)
+        expect(second.get_by_text("refuses another dashboard: close one elsewhere")).to_be_visible(timeout=8000)

@@ -1,0 +1,149 @@
+"""Both pages, in light, dark and on a phone, while the unit works, is silent, alarms, or has said nothing yet."""
+
+import json
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from shared import messages as m
+from tests.browser.conftest import AXE, THEMES
+from tests.support.status_server import Running
+
+WORDS = {"normal": "CAUTION", "stale": "NO DATA", "alarm": "CAUTION", "empty": "NO DATA"}
+SENTENCES = {
+    "normal": "Position not monitored: this version has no integrity monitor that could vouch for it.",
+    "stale": "The position is out of date: core.fusion is silent.",
+    "alarm": "the filter refuses its GNSS velocity measurements",
+    "empty": "No position yet: core.fusion has not been heard of yet.",
+}
+FIRST_PAINT_BYTES, FIRST_PAINT_REQUESTS = 80_000, 15
+
+
+def faults(page: Page) -> list[str]:
+    """Let axe-core judge the page; only what it calls serious or critical counts."""
+    if not page.evaluate("'axe' in window"):
+        page.evaluate(AXE.read_text())
+    found: dict[str, Any] = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+    return [
+        f"{v['id']}: {v['nodes'][0]['html'][:160]} {v['nodes'][0].get('failureSummary', '')[:200]}"
+        for v in found["violations"]
+        if v["impact"] in ("serious", "critical")
+    ]
+
+
+def keep_picture(page: Page, name: str) -> None:
+    """Keep a screenshot where OBU_SCREENSHOTS names a folder, for people to look at."""
+    if folder := os.environ.get("OBU_SCREENSHOTS"):
+        page.screenshot(path=Path(folder) / f"{name}.png")
+
+
+@pytest.mark.parametrize("path", ["now", "system"])
+@pytest.mark.parametrize("state", ["normal", "stale", "alarm", "empty"])
+def test_a_page_is_right_accessible_and_asks_nobody_else(
+    units: dict[str, Running], open_page: Callable[..., Page], state: str, path: str
+) -> None:
+    requests: list[str] = []
+    page = open_page("about:blank")
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(f"{units[state].address}/#/{path}")
+    banner = page.get_by_role("region", name="Can the position be trusted?")
+    expect(banner.locator(".word")).to_have_text(WORDS[state], timeout=8000)
+    expect(banner.locator(".sentence")).to_contain_text(SENTENCES[state], timeout=8000)
+    expect(page.get_by_role("heading", level=2).first).to_be_visible()
+    for theme, viewport in THEMES.items():
+        page.emulate_media(color_scheme="dark" if theme == "dark" else "light")
+        page.set_viewport_size(viewport)
+        keep_picture(page, f"{state}-{theme}-{path}")
+        assert faults(page) == [], theme
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), f"{theme} scrolls sideways"
+    hosts = {urlsplit(url).netloc for url in requests if not url.startswith("data:")}
+    assert hosts == {urlsplit(units[state].address).netloc}
+
+
+def test_the_first_paint_keeps_to_its_budget(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page("about:blank")
+    sizes: list[int] = []
+    page.on("requestfinished", lambda request: sizes.append(request.sizes()["responseBodySize"]))
+    page.goto(units["normal"].address)
+    expect(page.locator(".plot canvas")).to_be_visible()
+    expect(page.locator("svg.closeup")).to_be_visible()
+    assert len(sizes) <= FIRST_PAINT_REQUESTS
+    assert sum(sizes) <= FIRST_PAINT_BYTES
+    paint = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime")
+    assert paint < 3000, "even a busy test machine paints within three seconds"
+
+
+def test_numbers_on_the_page_are_those_of_the_unit(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["normal"].address)
+    position = page.get_by_role("region", name="Position", exact=True)
+    expect(position).to_contain_text("32.4 km/h")
+    expect(position).to_contain_text("3-D, RTK float")
+    expect(position).to_contain_text("17 of 24 used")
+    expect(position).to_contain_text("± 2.1 m 95 % radius")
+    speed = position.locator(".row", has_text="Speed").locator("dd")
+    assert "kilometres per hour" in speed.inner_text(), "a screen reader says the unit in full"
+    picture = page.get_by_role("img", name="Close-up view from above")
+    expect(picture).to_have_attribute("aria-label", re.compile("95 % error ellipse: 2.1 m × 1.1 m"))
+    expect(page.locator(".origin")).to_have_text("SIMULATEDcity-loop")
+
+
+def test_the_unsafe_state_is_shouted_once(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    """No monitor can say UNSAFE yet; the page must be ready for the first that does."""
+    page = open_page("about:blank")
+
+    def alarm(route: Any) -> None:
+        server = route.connect_to_server()
+
+        def pass_on(text: str) -> None:
+            frame = json.loads(text)
+            if "banner" in frame["state"] or frame["kind"] == "snapshot":
+                frame["state"].setdefault("banner", {}).update(
+                    state="unsafe", word="UNSAFE", sentence="Position must not be used: GNSS and odometer disagree."
+                )
+            route.send(json.dumps(frame))
+
+        server.on_message(pass_on)
+
+    page.route_web_socket("**/ws", alarm)
+    page.goto(units["normal"].address)
+    expect(page.get_by_role("alert")).to_have_text("UNSAFE. Position must not be used: GNSS and odometer disagree.")
+    keep_picture(page, "unsafe")
+    assert faults(page) == []
+
+
+def test_a_narrow_window_and_large_text_do_not_scroll_sideways(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    for path in ("now", "system"):
+        page = open_page(units["alarm"].address, path=path, viewport={"width": 320, "height": 640})
+        expect(page.get_by_role("heading", level=2).first).to_be_visible()
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), path
+    page = open_page(units["alarm"].address)
+    expect(page.get_by_role("heading", level=2).first).to_be_visible()
+    page.evaluate("document.documentElement.style.fontSize = '30px'")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "text at 200 %"
+
+
+def test_whoever_wants_no_motion_sees_none(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(units["normal"].address, reduced_motion="reduce")
+    ground = page.locator(".ground")
+    expect(ground).to_be_attached()
+    assert ground.evaluate("element => getComputedStyle(element).transitionDuration") == "0s"
+
+
+def test_text_of_a_message_cannot_become_part_of_the_page(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    bus = units["empty"].bus
+    text = "<img src=x onerror=alert(1)>"
+    state = m.ModeState(sampled_ns=bus.now_ns(), mode=m.Mode.DEGRADED, since_ns=bus.now_ns(), reason=text)
+    bus.feed(state, "controller.mode")
+    page = open_page(units["empty"].address, path="system")
+    expect(page.get_by_role("region", name="Unit")).to_contain_text(text)
+    assert page.locator("img[src=x]").count() == 0

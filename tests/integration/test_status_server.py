@@ -1,0 +1,323 @@
+"""The HTTP and WebSocket API over real sockets on loopback; the bus is a pretended one."""
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from services.monitoring.status.patch import merge
+from services.monitoring.status.process import ADDRESS_FILE, Config, Process
+from shared.errors import UserError
+from tests.support.fake_unit import FakeBus
+from tests.support.status_server import Running, eventually, status_server
+
+Json = dict[str, Any]
+ROOT = Path(__file__).parents[2]
+LIBRARIES = ROOT / "services/monitoring/status/dashboard/node_modules/uplot"
+needs_libraries = pytest.mark.skipif(
+    not LIBRARIES.exists(), reason="the dashboard's libraries are not installed: run `make setup`"
+)
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with status_server(tmp_path_factory.mktemp("status")) as running:
+        eventually(lambda: get(running, "/api/state")["solution"] is not None)
+        yield running
+
+
+def ask(server: Running, path: str, **headers: str) -> httpx.Response:
+    return httpx.get(server.address + path, headers=headers, timeout=5.0)
+
+
+def get(server: Running, path: str) -> Json:
+    found = ask(server, path).json()
+    assert isinstance(found, dict)
+    return found
+
+
+def watch(server: Running, **headers: str) -> ClientConnection:
+    return connect(server.address.replace("http", "ws") + "/ws", additional_headers=headers, max_size=None)
+
+
+def frame(socket_: ClientConnection) -> Json:
+    found = json.loads(socket_.recv(timeout=5.0))
+    assert isinstance(found, dict)
+    return found
+
+
+def test_the_state_holds_the_newest_of_everything(server: Running) -> None:
+    state = get(server, "/api/state")
+    assert state["vehicle"] == "truck-07"
+    assert state["origin"]["kind"] == "simulated"
+    assert state["banner"]["word"] == "CAUTION"
+    assert state["solution"]["latitude_deg"] == pytest.approx(48.135, abs=0.01)
+    assert state["fix"]["satellites_used"] == 17
+    assert state["mode"]["mode"] == "measuring"
+    assert state["topics"]["gnss/fix"]["message"]["carrier_solution"] == "float"
+    assert state["topics"]["gnss/fix"]["age_s"] < 3.0
+
+
+def test_answers_are_json_that_is_not_kept(server: Running) -> None:
+    for path in ("/api/state", "/api/health", "/api/outages", "/api/history", "/api/topics/gnss/fix", "/asyncapi.json"):
+        answer = ask(server, path)
+        assert answer.status_code == 200, path
+        assert answer.headers["content-type"] == "application/json"
+        assert answer.headers["cache-control"] == "no-store"
+
+
+def test_a_topic_is_shown_with_its_rate_and_size(server: Running) -> None:
+    topic = get(server, "/api/topics/health/core.fusion")
+    assert topic["type"] == "ProcessHealth"
+    assert topic["message"]["process"] == "core.fusion"
+    assert topic["bytes"] > 100
+
+
+def test_an_unknown_topic_is_404_and_says_where_to_look(server: Running) -> None:
+    answer = ask(server, "/api/topics/gnss/colour")
+    assert answer.status_code == 404
+    assert "/api/state" in answer.json()["detail"]
+
+
+def test_the_history_gives_the_fields_that_were_asked_for(server: Running) -> None:
+    eventually(lambda: len(get(server, "/api/history?seconds=60&fields=speed_fused_m_s")["time_ns"]) > 4)
+    history = get(server, "/api/history?seconds=60&fields=speed_fused_m_s,position_error_m")
+    assert set(history["fields"]) == {"speed_fused_m_s", "position_error_m"}
+    assert len(history["fields"]["speed_fused_m_s"]) == len(history["time_ns"])
+
+
+@pytest.mark.parametrize(
+    ("query", "status"),
+    [
+        ("seconds=0", 422),
+        ("seconds=-1", 422),
+        ("seconds=nan", 422),
+        ("seconds=1e9", 422),
+        ("seconds=x", 422),
+        ("fields=colour", 404),
+        (f"fields={'a,' * 300}", 422),
+    ],
+)
+def test_questions_out_of_bounds_are_refused(server: Running, query: str, status: int) -> None:
+    assert ask(server, f"/api/history?{query}").status_code == status
+
+
+def test_a_long_topic_name_is_refused(server: Running) -> None:
+    assert ask(server, f"/api/topics/{'x' * 500}").status_code == 422
+
+
+def test_nothing_can_be_changed_over_the_web(server: Running) -> None:
+    for path in ("/", "/api/state", "/api/topics/gnss/fix", "/ws"):
+        for method in ("POST", "PUT", "DELETE", "PATCH"):
+            assert httpx.request(method, server.address + path, timeout=5.0).status_code in (404, 405)
+
+
+def test_metrics_are_in_the_format_of_prometheus(server: Running) -> None:
+    answer = ask(server, "/metrics")
+    assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    assert 'obu_integrity_state{state="caution"} 1.0' in answer.text
+
+
+def test_every_answer_carries_the_security_headers(server: Running) -> None:
+    for path in ("/", "/style.css", "/api/state", "/metrics", "/docs", "/nowhere"):
+        headers = ask(server, path).headers
+        assert "default-src" in headers["content-security-policy"], path
+        assert "'unsafe-inline'" not in headers["content-security-policy"] or path == "/docs"
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["x-frame-options"] == "DENY"
+        assert "server" not in headers
+
+
+def test_a_page_elsewhere_cannot_listen_in(server: Running) -> None:
+    with pytest.raises(InvalidStatus) as refused:
+        watch(server, Origin="http://attacker.example")
+    assert refused.value.response.status_code == 403
+
+
+def test_a_stranger_s_name_for_this_unit_is_refused(server: Running) -> None:
+    assert ask(server, "/api/state", Host="attacker.example").status_code == 421
+    with pytest.raises(InvalidStatus) as refused:
+        connect(server.address.replace("http", "ws") + "/ws", additional_headers={"Host": "attacker.example"})
+    assert refused.value.response.status_code in (400, 421)
+
+
+def test_the_socket_gives_a_snapshot_and_then_what_changed(server: Running) -> None:
+    with watch(server) as first:
+        snapshot = frame(first)
+        assert snapshot["kind"] == "snapshot"
+        assert set(snapshot["contract"]["topics"]) >= {"gnss/fix", "health/+"}
+        assert snapshot["history"]["fields"]["speed_fused_m_s"]
+        state, sequence = snapshot["state"], snapshot["sequence"]
+        for _ in range(10):
+            change = frame(first)
+            assert (change["kind"], change["sequence"]) == ("difference", sequence + 1)
+            state, sequence = merge(state, change["state"]), sequence + 1
+        with watch(server) as second:
+            told = frame(second)
+            while sequence < told["sequence"]:
+                change = frame(first)
+                state, sequence = merge(state, change["state"]), change["sequence"]
+    assert state == told["state"], "who followed the differences knows what a newcomer is told"
+
+
+def test_all_browsers_are_given_the_same_frame_five_times_a_second(server: Running) -> None:
+    with watch(server) as one, watch(server) as two:
+        frame(one), frame(two)
+        started, size = time.monotonic(), 0
+        for _ in range(10):
+            mine, theirs = one.recv(timeout=5.0), two.recv(timeout=5.0)
+            assert mine == theirs
+            size += len(mine)
+        elapsed_s = time.monotonic() - started
+    assert 10 / elapsed_s == pytest.approx(5.0, rel=0.25)
+    assert size / elapsed_s < 60_000, "the budget of a browser is 60 kB/s"
+
+
+def test_a_stopped_process_is_shown_silent_within_its_deadline(server: Running) -> None:
+    assert server.unit is not None
+    server.unit.silent.add("parsers.can")
+    stopped = time.monotonic()
+    eventually(lambda: get(server, "/api/health")["processes"]["parsers.can"]["status"] == "silent")
+    assert time.monotonic() - stopped < 2.0 + 0.5 + 0.3, "deadline, heartbeat, judging"
+    assert ask(server, "/api/health").status_code == 200
+    assert get(server, "/api/health")["state"] == "degraded"
+    assert "parsers.can" in [outage["what"] for outage in get(server, "/api/outages")["open"]]
+    server.unit.silent.clear()
+    eventually(lambda: get(server, "/api/health")["state"] == "ok")
+    assert "parsers.can" in [outage["what"] for outage in get(server, "/api/outages")["closed"]]
+
+
+def test_a_bad_message_is_counted_and_the_server_goes_on(server: Running) -> None:
+    before = server.bus.rejects["payload"]
+    server.bus.feed_bytes("mode/state", b'{"mode": "flying"}', "controller.mode")
+    server.bus.feed_bytes("gnss/raw", b"\x00", "sensors.gnss", {"received_ns": "x", "source": "y"})
+    eventually(lambda: server.bus.rejects["payload"] == before + 2)
+    assert server.bus.last_error
+    assert ask(server, "/api/state").status_code in (200, 422)
+    eventually(lambda: ask(server, "/api/topics/mode/state").status_code == 200)
+
+
+def test_a_lost_broker_is_the_only_reason_for_503(server: Running) -> None:
+    server.bus.connected = False
+    eventually(lambda: ask(server, "/api/health").status_code == 503)
+    assert get(server, "/api/health")["state"] == "failed"
+    eventually(lambda: get(server, "/api/state")["banner"]["word"] == "NO DATA")
+    server.bus.connected = True
+    eventually(lambda: ask(server, "/api/health").status_code == 200)
+
+
+@needs_libraries
+def test_pages_are_compressed_and_not_sent_twice(server: Running) -> None:
+    first = ask(server, "/main.js", **{"Accept-Encoding": "gzip"})
+    assert first.headers["content-encoding"] == "gzip"
+    assert first.text.startswith("//")
+    assert ask(server, "/main.js", **{"If-None-Match": first.headers["etag"]}).status_code == 304
+    plain = ask(server, "/main.js", **{"Accept-Encoding": "identity"})
+    assert "content-encoding" not in plain.headers
+    assert plain.text == first.text
+
+
+@needs_libraries
+@pytest.mark.parametrize(
+    "path", ["/lib/../package.json", "/package.json", "/lib/package.json", "/%2e%2e/process.py", "/.npmrc"]
+)
+def test_only_what_is_on_the_list_is_given_away(server: Running, path: str) -> None:
+    assert ask(server, path).status_code == 404
+
+
+@needs_libraries
+def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
+    page = ask(server, "/docs")
+    assert page.status_code == 200
+    for asset in re.findall(r'(?:src|href)="([^"]+)"', page.text):
+        assert asset.startswith("/") and ask(server, asset).status_code == 200
+    paths = get(server, "/openapi.json")["paths"]
+    assert set(paths) == {
+        "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/outages", "/metrics",
+    }  # fmt: skip
+
+
+def test_a_folder_without_libraries_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text("<html></html>")
+    with status_server(tmp_path, unit=False, static_dir=str(tmp_path)) as server:
+        answer = ask(server, "/")
+        assert answer.status_code == 503
+        assert "make setup" in answer.text
+        assert "make setup" in ask(server, "/docs").text
+        assert ask(server, "/api/state").status_code == 200
+
+
+def test_one_browser_too_many_is_refused_with_words(tmp_path: Path) -> None:
+    with status_server(tmp_path, unit=False, clients_maximum=1) as server, watch(server) as first:
+        frame(first)
+        with pytest.raises(InvalidStatus) as refused:
+            watch(server)
+        assert refused.value.response.status_code == 503
+
+
+def test_a_port_that_is_taken_is_explained(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UserError, match=rf"port {port}.*\[monitoring.status\]"):
+            Process(Config(port=port)).run(FakeBus(tmp_path))  # type: ignore[arg-type]  # has the same face
+
+
+def test_the_end_is_quick_and_leaves_no_address_behind(tmp_path: Path) -> None:
+    with status_server(tmp_path) as server, watch(server) as browser:
+        frame(browser)
+        assert (tmp_path / ADDRESS_FILE).read_text() == server.address + "/"
+        started = time.monotonic()
+        server.stop()
+        assert time.monotonic() - started < 3.0
+        assert not (tmp_path / ADDRESS_FILE).exists()
+        with pytest.raises(ConnectionClosed):
+            while True:
+                browser.recv(timeout=2.0)
+
+
+def test_a_foreign_name_in_the_settings_is_answered(tmp_path: Path) -> None:
+    with status_server(tmp_path, unit=False, allowed_hosts=["truck.example"]) as server:
+        assert ask(server, "/api/state", Host="truck.example").status_code == 200
+
+
+MEMORY = """
+import sys, threading
+from pathlib import Path
+from services.monitoring.status.process import Config, Process
+from tests.support.fake_unit import FakeBus, FakeUnit
+bus = FakeBus(Path(sys.argv[1]))
+unit = FakeUnit(bus)
+threading.Thread(target=lambda: (sys.stdin.readline(), setattr(bus, "stopping", True)), daemon=True).start()
+Process(Config(port=0)).run(bus)
+"""
+
+
+def test_the_process_fits_into_60_megabytes(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", MEMORY, str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, stdin=subprocess.PIPE, env=environment, cwd=ROOT) as process:
+        assert process.stdin is not None
+        file = tmp_path / ADDRESS_FILE
+        eventually(lambda: file.exists() and file.read_text().endswith("/"), within_s=15.0)
+        address = file.read_text().rstrip("/")
+        with connect(address.replace("http", "ws") + "/ws", max_size=None) as browser:
+            for _ in range(10):
+                browser.recv(timeout=5.0)
+            for path in ("/", "/api/state", "/metrics", "/api/history?seconds=900"):
+                httpx.get(address + path, timeout=5.0)
+            status = Path(f"/proc/{process.pid}/status").read_text()
+        process.stdin.close()
+        assert process.wait(timeout=8.0) == 0
+    resident_kb = re.search(r"VmRSS:\s+(\d+)", status)
+    assert resident_kb and int(resident_kb[1]) < 60_000

@@ -1,0 +1,58 @@
+"""The status process as it is, on a free port, fed by the pretended unit instead of a broker."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from services.monitoring.status.process import ADDRESS_FILE, Config, Process
+from shared.bus import Bus
+from tests.support.fake_unit import FakeBus, FakeUnit
+
+
+@dataclass
+class Running:
+    """A server that runs, and the strings that move its unit."""
+
+    address: str
+    bus: FakeBus
+    unit: FakeUnit | None
+    thread: threading.Thread
+
+    def stop(self) -> None:
+        """End the process as SIGTERM would."""
+        self.bus.stopping = True
+        self.thread.join(5.0)
+        assert not self.thread.is_alive(), "the process does not end"
+
+    def age_by(self, seconds: float) -> None:
+        """Let time pass for the unit without waiting: nothing was said meanwhile."""
+        self.bus.offset_ns += int(seconds * 1e9)
+
+
+@contextmanager
+def status_server(state_dir: Path, *, unit: bool = True, **settings: object) -> Iterator[Running]:
+    """Run the status process; its address is known when the block begins."""
+    bus = FakeBus(state_dir)
+    fake = FakeUnit(bus) if unit else None
+    process = Process(Config.model_validate({"port": 0, **settings}))
+    thread = threading.Thread(target=process.run, args=(cast(Bus, bus),), daemon=True)
+    thread.start()
+    file = state_dir / ADDRESS_FILE
+    eventually(lambda: file.exists() and file.read_text().endswith("/"))
+    running = Running(file.read_text().rstrip("/"), bus, fake, thread)
+    try:
+        yield running
+    finally:
+        running.stop()
+
+
+def eventually(condition: Callable[[], object], *, within_s: float = 5.0) -> None:
+    """Wait until something holds."""
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline, f"did not come true within {within_s} s"
+        time.sleep(0.02)
