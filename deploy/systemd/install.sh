@@ -1,0 +1,43 @@
+#!/usr/bin/env bash
+# Install the unit's services on a Debian system such as Raspberry Pi OS: `sudo deploy/systemd/install.sh`.
+# The repository is at /opt/obu and `make setup` has run there. May be run again: settings in /etc/obu are kept.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+[ "$(id -u)" = 0 ] || { echo "this installs services: run it with sudo"; exit 1; }
+[ "$PWD" = /opt/obu ] || { echo "the services expect the repository at /opt/obu, this is $PWD: move it there"; exit 1; }
+[ -x .venv/bin/python ] || { echo "the Python packages are missing: run make setup first"; exit 1; }
+[ -x /usr/sbin/mosquitto ] || { echo "the broker is missing: apt install mosquitto"; exit 1; }
+
+id obu >/dev/null 2>&1 || useradd --system --home-dir /var/lib/obu --shell /usr/sbin/nologin obu
+
+install -d -m 755 /etc/obu
+[ -e /etc/obu/vehicle.toml ] || install -m 644 deploy/vehicles/pi.toml /etc/obu/vehicle.toml
+[ -e /etc/obu/obu.env ] || install -m 644 deploy/systemd/obu.env /etc/obu/obu.env
+sed -e 's#^listener 1883$#listener 1883 127.0.0.1\nsocket_domain ipv4#' \
+    -e 's#^persistence_location .*#persistence_location /var/lib/obu-broker/#' \
+    -e 's#^acl_file .*#acl_file /opt/obu/broker/acl.conf#' broker/mosquitto.conf >/etc/obu/mosquitto.conf
+
+cp -r deploy/systemd/obu.target deploy/systemd/obu-broker.service deploy/systemd/obu@* /etc/systemd/system/
+# Some kernels give no real-time priority to services (CONFIG_RT_GROUP_SCHED): there a high ordinary one has to do.
+if ! chrt --rr 1 true 2>/dev/null; then
+    echo "this kernel grants services no real-time priority: the hot path gets Nice=-10"
+    grep -rl '^CPUSchedulingPolicy=rr$' /etc/systemd/system/obu* |
+        xargs sed -i -e 's/^CPUSchedulingPolicy=rr$/Nice=-10/' -e '/^CPUSchedulingPriority=/d'
+fi
+install -m 644 -D deploy/udev/99-obu.rules /etc/udev/rules.d/99-obu.rules
+if command -v udevadm >/dev/null; then udevadm control --reload && udevadm trigger; fi
+
+systemctl daemon-reload
+systemctl disable --quiet --now mosquitto.service
+# The sensors are those that have a section in the vehicle's file.
+for name in gnss imu can simulator; do
+    if grep -q "^\[sensors\.$name\]" /etc/obu/vehicle.toml; then
+        systemctl enable --quiet "obu@sensors.$name.service"
+    else
+        systemctl disable --quiet --now "obu@sensors.$name.service"
+    fi
+done
+systemctl enable --quiet obu.target
+systemctl restart obu.target
+echo "the unit runs; 'systemctl list-dependencies obu.target' shows it, and 'journalctl -fu \"obu@*\"' what it says"
