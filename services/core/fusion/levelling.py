@@ -29,7 +29,10 @@ SPREAD_SHARE = 0.2  # of the standard deviation of the samples, but no more than
 LARGEST_FORCE_CHANGE, LARGEST_RATE_CHANGE = 0.2, 0.008  # [m/s²], [rad/s]
 RATE_LIMIT = 0.05  # [rad/s] of a block's mean: the bias at switch-on
 REST_S = 2.0  # blocks that agree for so long are a rest
-BIAS_CHANGE_LIMIT = 0.0015  # [rad/s] from rest to rest; a shorter rest that differs by more was a creep
+BIAS_CHANGE_LIMIT = 0.0015  # [rad/s] from rest to rest; a shorter one that differs by more was a creep
+LEVEL_FORCE_LIMIT = 0.15  # [m/s²] by which it may differ from the attitude kept since; beyond it was even acceleration
+LEVEL_DRIFT = 0.002  # [m/s³] by which that attitude tilts
+WEIGHT_LIMIT = 0.3  # [m/s²] of the mean force at rest against gravity
 MOTION_S = 3.0  # of motion without a rest, after which levelling goes on while navigating
 MOTION_TILT_SD = 0.05  # [rad] a car's acceleration against gravity
 REST_TILT_SD = 0.001  # [rad] apart from the accelerometer's bias
@@ -130,8 +133,13 @@ class Levelling:
     def at_rest(self) -> bool:
         """Whether the vehicle has not moved for a while."""
         rest = self._rest
-        known = self.quaternion_at_rest is not None and rest.length_s <= self._longest_s
-        return rest.length_s >= REST_S and not (known and dist(rest.rate, self.rate_bias) > BIAS_CHANGE_LIMIT)
+        if rest.length_s < REST_S or abs(hypot(*rest.force) - STANDARD_GRAVITY) > WEIGHT_LIMIT:
+            return False
+        if self.quaternion_at_rest is None or rest.length_s > self._longest_s:
+            return True
+        north, east, _ = rotate(self.quaternion, rest.force)
+        level = hypot(north, east) < LEVEL_FORCE_LIMIT + LEVEL_DRIFT * self.moving_s
+        return level and dist(rest.rate, self.rate_bias) < BIAS_CHANGE_LIMIT
 
     @property
     def tilt_sd(self) -> float:
@@ -179,16 +187,13 @@ class Levelling:
         mean = block.mean()
         self._fast_s = max(0.0, self._fast_s - mean.length_s)
         calm = block.force_spread() < SPREAD_LIMIT and max(map(abs, mean.rate)) < RATE_LIMIT and self._fast_s == 0.0
-        if not calm:
-            self._rest = _Rest()
-        elif self._rest.agrees(block):
+        if calm and self._rest.agrees(block):
             self._rest = self._rest.with_block(mean, self._levelling_s)
         else:
-            self._rest = _Rest().with_block(mean, self._levelling_s)
+            self._rest = _Rest().with_block(mean, self._levelling_s) if calm else _Rest()
+            self._unrest_s += mean.length_s
         if self.at_rest:
             self._settle()
-        elif self._rest.length_s == 0.0:
-            self._unrest_s += mean.length_s
         drove_off = self.quaternion_at_rest is not None and not self.at_rest
         self.ready = self.ready or drove_off or self._rest.length_s >= self._levelling_s or self._unrest_s >= MOTION_S
 
@@ -198,7 +203,7 @@ class Levelling:
         self._longest_s = max(self._longest_s, self._rest.length_s)
         self.quaternion = quaternion_from_matrix(ned_from_body(*level(self._rest.force), self.yaw))
         self.quaternion_at_rest = self.quaternion
-        if self.yaw_at_start is None and self._unrest_s == 0.0:
+        if self.yaw_at_start is None and self._unrest_s < MOTION_S:  # doors and starters shake, too
             self.yaw_at_start = self.yaw
         self.velocity, self.moving_s = (0.0, 0.0), 0.0
 
