@@ -241,7 +241,7 @@ def test_recorded_wheel_speeds_are_those_that_cantools_and_python_can_read() -> 
         found += list(process.handle(CanRaw(received_ns=frame.time_ns, source="can0", data=text)))
     assert len(found) > 900
     for speeds, message in zip(found, frames, strict=False):
-        theirs = database.decode_message(0xD4, message.data)
+        theirs = database.decode_message(0xD4, bytes(message.data))
         assert isinstance(theirs, dict)
         for wheel, name in names.items():
             assert getattr(speeds, f"{wheel}_m_s") == pytest.approx(theirs[name])
