@@ -3,11 +3,13 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, cast
 
 import typer
 from rich.console import Console
+from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from shared.bus import Envelope
@@ -50,9 +52,11 @@ def verify(
         for path in files:
             with open_recording(path) as recording:
                 task = progress.add_task(path.name, total=recording.size)
-                audit.read(recording, lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]  # mypy cannot infer a lambda with a default
+                audit.read(recording, partial(_show, progress, task))
                 tell_problems(recording, console)
     lives = audit.finish()
+    if not lives:
+        raise UserError("the recording holds no word of a process of layers 2 to 4; record a running unit to verify it")
     _print(lives, console)
     sound = all(life.verdict is Verdict.IDENTICAL for life in lives)
     return 0 if sound and any(life.compared for life in lives) else 1
@@ -125,6 +129,10 @@ class Audit:
         return self._recent.get(key) or self._retained.get(key)
 
 
+def _show(progress: Progress, task: TaskID, done: int) -> None:
+    progress.update(task, completed=done)
+
+
 def _decoded(envelope: Envelope) -> Message | None:
     try:
         return envelope.decode()
@@ -144,5 +152,3 @@ def _print(lives: Sequence[Repetition], console: Console) -> None:
     for life in lives:
         if life.reason:
             console.print(f"{life.name}: {life.reason}", markup=False, highlight=False)
-    if not lives:
-        raise UserError("the recording holds no word of a process of layers 2 to 4; record a running unit to verify it")

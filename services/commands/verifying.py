@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 
 from shared import codec
 from shared.bus import Envelope
@@ -117,10 +118,10 @@ class Repetition:
             if run.count > 1:
                 self._runs.appendleft(replace(run, first=run.first + 1, count=run.count - 1))
             self.consumed += 1
-            self._keep(self._process.handle(message))
+            self._keep(partial(self._process.handle, message))
         if self._closing:
             self._closing = False
-            self._keep(getattr(self._process, "close", tuple)())
+            self._keep(getattr(self._process, "close", tuple))
 
     def _input(self, run: Run) -> Message | None:
         if run.topic == "tick":
@@ -131,8 +132,14 @@ class Repetition:
         except BadPayload:
             return None
 
-    def _keep(self, messages: Iterable[Message]) -> None:
-        self._rebuilt.extend((codec.topic_name(message), *codec.encode(message)) for message in messages)
+    def _keep(self, work: Callable[[], Iterable[Message]]) -> None:
+        """Let the process work, and keep what it says."""
+        try:
+            for message in work():
+                self._rebuilt.append((codec.topic_name(message), *codec.encode(message)))
+        except Exception as error:  # noqa: BLE001  # what a process dies of is what we are here to tell
+            self._failed, self.reason = True, f"now it ends by {type(error).__name__}: {error}"
+            self._runs.clear()
 
     def _compare(self) -> None:
         """Compare the next recorded word with the next repeated one that was not lost on the way."""

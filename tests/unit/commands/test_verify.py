@@ -183,6 +183,19 @@ def test_a_process_that_now_says_more_or_less_differs() -> None:
     assert shy.reason == "word 282: said vehicle/speed, now nothing"
 
 
+def test_a_process_that_now_dies_is_told_and_not_a_crash_of_the_check() -> None:
+    class Mortal(Echo):
+        def handle(self, message: Message) -> Iterator[Message]:
+            yield from super().handle(message)
+            if self.total > 5.0:
+                raise ZeroDivisionError("too much")
+
+    repetition = echo_life().repeat(Mortal())
+
+    assert repetition.verdict is Verdict.DIFFERENT
+    assert repetition.reason == "now it ends by ZeroDivisionError: too much"
+
+
 def test_words_that_the_recorder_missed_are_skipped_and_counted() -> None:
     life = echo_life()
     for topic, nth in (("vehicle/speed", 3), ("vehicle/speed", 60), ("mode/state", 5), ("health/core.fusion", 4)):
