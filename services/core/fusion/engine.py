@@ -103,6 +103,8 @@ class Engine:
         held = self._bridge(gap_s, sample) if gap_s > GAP_S else sample
         outcomes: list[Outcome] = []
         for measurement in due:
+            if measurement.time_ns < self.last.time_ns:
+                continue  # it was true in a gap after which nothing is known of its time
             self._advance(held, measurement.time_ns)
             outcomes += self._aid(measurement)
         self._advance(held, sample.time_ns)
