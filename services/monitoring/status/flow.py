@@ -56,18 +56,22 @@ class TopicFlow:
 
     def note(self, envelope: Envelope) -> Message | None:
         """Take one message; returns it if it was decoded, None if it can wait, or raises `BadPayload`."""
+        due = envelope.retained or (self._decode_every and self.count % self._decode_every == 0)
+        message = envelope.decode() if due else None
         self.count += 1
-        self.newest, self.message, self.updated_ns = envelope, None, envelope.received_ns
+        self.newest, self.message, self.updated_ns = envelope, message, envelope.received_ns
+        said_ns = stamp_ns(message) if message else None
         if not envelope.retained:
             self._arrivals_ns.append(envelope.received_ns)
-        said_ns = None
-        if envelope.retained or (self._decode_every and self.count % self._decode_every == 0):
-            said_ns = stamp_ns(self.decoded())
-        if said_ns is not None and envelope.retained:
+            self._note_latency(said_ns, envelope.received_ns)
+        elif said_ns is not None:
             self.updated_ns = min(said_ns, envelope.received_ns)
-        elif said_ns is not None and 0 <= (latency_s := (envelope.received_ns - said_ns) * 1e-9) < LATENCY_MAXIMUM_S:
+        return message
+
+    def _note_latency(self, said_ns: int | None, received_ns: int) -> None:
+        latency_s = -1.0 if said_ns is None else (received_ns - said_ns) * 1e-9
+        if 0 <= latency_s < LATENCY_MAXIMUM_S:
             self.latencies_s.append(latency_s)
-        return self.message
 
     def decoded(self) -> Message:
         """Decode the newest message, once."""

@@ -46,6 +46,7 @@ class Process:
     def run(self, bus: Bus) -> None:
         """Take in the bus and serve the web until told to stop."""
         host = self._config.host or os.environ.get("OBU_HTTP_HOST", "127.0.0.1")
+        (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)  # of an earlier life
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s)

@@ -1,5 +1,6 @@
 """The state as JSON for programs: health against the deadlines, everything at once, one topic, the outages."""
 
+from shared.errors import BadPayload
 from shared.messages import Message, RawBytes
 
 from . import view
@@ -46,7 +47,12 @@ def snapshot(state: State, now_ns: int) -> Json:
 
 
 def topic(flow: TopicFlow, now_ns: int) -> Json:
-    """Show one topic: its newest message, rate, jitter, size and age."""
+    """Show one topic: its newest message, rate, jitter, size and age; or why that message cannot be read."""
+    message, unreadable = None, None
+    try:
+        message = _readable(flow.decoded()) if flow.newest else None
+    except BadPayload as error:  # a fast topic is decoded only here
+        unreadable = str(error)
     return {
         "topic": flow.name,
         "type": flow.topic.message.__name__,
@@ -60,7 +66,8 @@ def topic(flow: TopicFlow, now_ns: int) -> Json:
         "sequence": flow.newest.sequence if flow.newest else None,
         "retained": flow.topic.retain,
         "qos": flow.topic.qos,
-        "message": _readable(flow.decoded()) if flow.newest else None,
+        "unreadable": unreadable,
+        "message": message,
     }
 
 

@@ -13,6 +13,7 @@ from .patch import difference
 from .state import State
 
 PERIOD_S = 0.2
+PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s")
 
 
 class Stream:
@@ -47,7 +48,7 @@ class Stream:
             self._told = self._view()
         with self._lock:
             now_ns = self._now_ns()
-            history = self._state.history.columns(now_ns, 60.0)
+            history = self._state.history.columns(now_ns, 60.0, PLOTTED)
         frame = {
             "kind": "snapshot",
             "version": self.version,

@@ -11,7 +11,6 @@ from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
 from shared.contract import asyncapi
-from shared.errors import BadPayload
 
 from . import assets, hosts, metrics, reports
 from .history import FIELDS
@@ -84,11 +83,8 @@ class Api:
         return Response(metrics.text(self._registry), media_type="text/plain; version=0.0.4; charset=utf-8")
 
     def _answer(self, ask: Callable[[int], object]) -> Response:
-        try:
-            with self._lock:
-                answer = ask(self._now_ns())
-        except BadPayload as error:
-            raise HTTPException(422, f"the newest message cannot be read: {error}") from error
+        with self._lock:
+            answer = ask(self._now_ns())
         return _json(answer, 200)
 
 

@@ -12,7 +12,7 @@ const TRAIL_S = 30;
 const METRES_PER_DEGREE = 111320;
 const REACH_M = 2000;
 
-const world = { latitude: null, longitude: null, heading: 0, level: 4 };
+const world = { latitude: null, longitude: null, heading: 0, level: 0 };
 
 function local(latitude, longitude) {
   return {

@@ -88,6 +88,7 @@ export function TopicDrawer({ name, onClose }) {
   const head = html`<button onClick=${togglePause} aria-pressed=${paused.value}>${paused.value ? words.resume : words.pause}</button>`;
   return html`<${Drawer} title=${t.title(name)} onClose=${onClose} head=${head} wide>
     <p class="lead-text">${row?.purpose}.</p>
+    ${data?.unreadable && html`<p class="verdict"><${StateIcon} state="caution" word="" />${t.failed}: ${data.unreadable}</p>`}
     ${error && html`<p class="verdict"><${StateIcon} state="caution" />${t.failed}: ${error}</p>`}
     ${data && html`<dl class="rows two">
       <${Row} label=${t.type} value=${data.type} />
@@ -99,7 +100,7 @@ export function TopicDrawer({ name, onClose }) {
       <${Row} label=${words.system.latency} value=${`${seconds(data.latency_p50_s)} / ${seconds(data.latency_p99_s)}`} />
       <${Row} label=${t.retained} value=${`${data.retained ? t.yes : t.no}, ${t.qos} ${data.qos}`} />
     </dl>`}
-    ${data && !data.message && html`<${Empty} title=${t.empty} why=${t.emptyWhy((row?.producers ?? []).join(", ") || name.split("/")[1])} />`}
+    ${data && !data.message && !data.unreadable && html`<${Empty} title=${t.empty} why=${t.emptyWhy((row?.producers ?? []).join(", ") || name.split("/")[1])} />`}
     ${data?.message && html`
       <div class="field"><label for="field">${t.plot}</label><select id="field" value=${field} onChange=${(e) => setField(e.target.value)}>
         <option value="">${t.plotNone}</option>${fields.map((f) => html`<option value=${f}>${f}</option>`)}</select></div>

@@ -63,7 +63,7 @@ function Glance() {
   const kind = !fix || freshness("gnss/fix", fix.updated_ns) === "stale" ? words.topics.stale
     : words.position.carrier[fix.carrier_solution] || words.position.fixType[fix.fix_type];
   const cells = [
-    [g.speed, html`${fixed(s.speed_m_s * KMH, 1)}<small> ${words.speed.unit}</small>`],
+    [g.speed, html`<span class="value">${fixed(s.speed_m_s * KMH, 1)}</span><small> ${words.speed.unit}</small>`],
     [g.fix, kind],
     [sc.stale ? words.position.byNow : words.position.error95, html`± ${metres(sc.stale ? sc.withinM : s.ellipse.semi_major_m)}`],
     [g.age, html`<${Age} topic="navigation/solution" stamp=${s.updated_ns} />`],

@@ -1,5 +1,6 @@
 import pytest
 
+from services.monitoring.status import reports
 from services.monitoring.status.flow import TopicFlow, percentile
 from shared.errors import BadPayload
 from shared.messages import AidingKind, GnssRaw, ImuSamples, ModeState, Origin, OriginKind
@@ -92,15 +93,25 @@ def test_jitter_is_the_deviation_of_the_gaps() -> None:
     assert flow(world, "navigation/solution").jitter_s == pytest.approx(0.05)  # gaps 0.1 0.1 0.2 0.1
 
 
-def test_a_payload_that_breaks_the_contract_is_refused_but_counted() -> None:
+def test_a_payload_that_breaks_the_contract_does_not_hide_the_last_good_one() -> None:
     world = World()
+    world.hear(fix(world.now_ns), "parsers.gnss")
     with pytest.raises(BadPayload):
         world.hear_bytes("gnss/fix", b'{"fix_type": "lost"}', "parsers.gnss")
     with pytest.raises(BadPayload):
         world.hear_bytes("gnss/raw", b"x", "sensors.gnss", {"received_ns": "yesterday", "source": "gnss0"})
+    assert flow(world, "gnss/fix").message == fix(world.now_ns)
     assert flow(world, "gnss/fix").count == 1
-    world.hear(fix(world.now_ns), "parsers.gnss")
-    assert flow(world, "gnss/fix").message is not None
+    assert flow(world, "gnss/raw").freshness(world.now_ns) == "never"
+
+
+def test_a_fast_message_that_cannot_be_read_is_shown_as_such() -> None:
+    world = World()
+    world.hear(samples(world.now_ns), "parsers.imu")
+    world.hear_bytes("imu/sample", b"{}", "parsers.imu")
+    shown = reports.topic(flow(world, "imu/sample"), world.now_ns)
+    assert shown["message"] is None
+    assert "Field required" in str(shown["unreadable"])
 
 
 def test_topics_of_unknown_processes_do_not_fill_the_memory() -> None:

@@ -281,7 +281,8 @@ def test_a_snapshot_shows_every_topic_with_its_newest_message(driving: World) ->
     assert topics["vehicle/speed"] | {"purpose": ""} == {
         "topic": "vehicle/speed", "type": "VehicleSpeed", "purpose": "", "producer": None, "freshness": "never",
         "age_s": None, "updated_ns": None, "rate_hz": 0.0, "latency_p50_s": None, "latency_p99_s": None,
-        "jitter_s": None, "bytes": None, "sequence": None, "retained": False, "qos": 0, "message": None,
+        "jitter_s": None, "bytes": None, "sequence": None, "retained": False, "qos": 0, "unreadable": None,
+        "message": None,
     }  # fmt: skip
 
 
