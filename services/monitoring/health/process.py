@@ -28,6 +28,8 @@ class Process:
         while not bus.stopping:
             for envelope in bus.receive(0.04):
                 _take(watch, envelope, bus)
+                if envelope.topic.startswith("health/"):
+                    step_ns = 0  # it may be a last will
             now_ns = bus.now_ns()
             if now_ns >= step_ns and bus.sequence:  # before its first word it never met the broker
                 step_ns = now_ns + STEP_NS
