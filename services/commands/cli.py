@@ -82,7 +82,7 @@ def up(vehicle: VehicleOption = None) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     file = load_vehicle(vehicle)
     environment = {"OBU_VEHICLE": str(vehicle.resolve())} if vehicle else {}
-    supervisor = unit(file, environment, None)
+    supervisor = unit(file, environment)
     _end_on_sigterm()
     try:
         while True:

@@ -52,8 +52,8 @@ def run(options: DemoOptions) -> int:
         "OBU_STATE": str(folder),
     }
     (folder / "logs").mkdir()
-    supervisor = unit(vehicle, environment, folder / "logs")
-    supervisor.add("broker", broker_command(folder, port, options.broker))
+    broker = broker_command(folder, port, options.broker)
+    supervisor = unit(vehicle, environment, folder / "logs", broker)
     console = Console(stderr=True)
     console.print(f"[bold]OBU demo[/]: scenario {options.scenario}, seed {options.seed}; logs in {folder / 'logs'}")
     address = f"http://127.0.0.1:{http_port}"

@@ -49,9 +49,16 @@ def broker_command(folder: Path, port: int, kind: str) -> list[str]:
     return [sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl)]
 
 
-def unit(vehicle: VehicleFile, environment: dict[str, str], logs: Path | None) -> Supervisor:
-    """Put every process of a vehicle under one supervisor."""
+def unit(
+    vehicle: VehicleFile, environment: dict[str, str], logs: Path | None = None, broker: list[str] | None = None
+) -> Supervisor:
+    """Put every process of a vehicle under one supervisor, and the broker if it is ours to start.
+
+    Who listens starts before who speaks, so that a recording misses nothing and can be verified whole.
+    """
     supervisor = Supervisor({**os.environ, **environment}, logs)
-    for name in vehicle.processes:
+    if broker:
+        supervisor.add("broker", broker)
+    for name in reversed(vehicle.processes):
         supervisor.add_process(name)
     return supervisor
