@@ -87,6 +87,8 @@ class DelayedEngine:
         return [o for o in outcomes if o.time_ns == measurement.time_ns and o.source == measurement.source]
 
     def _between(self, after_ns: int, until_ns: int) -> list[Measurement]:
+        if not self._measurements or self._measurements[-1].time_ns <= after_ns:
+            return []
         first = bisect_right(self._measurements, after_ns, key=lambda m: m.time_ns)
         last = bisect_right(self._measurements, until_ns, key=lambda m: m.time_ns)
         return self._measurements[first:last]

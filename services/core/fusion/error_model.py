@@ -14,9 +14,7 @@ from shared.maths.earth import (
     EARTH_RATE,
     ECCENTRICITY_SQUARED,
     curvature_radii,
-    earth_rate_n,
     gravity,
-    transport_rate_n,
 )
 from shared.maths.rotation import Vector, skew
 
@@ -58,50 +56,50 @@ def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArr
                + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr + C b_a
         dr'  = dv + [turn and stretch of the local axes] dr
 
-    The change of the radii with latitude is neglected (0.5 % of the smallest blocks).
+    The change of the radii with latitude is neglected (0.5 % of the smallest blocks). The body is these products,
+    multiplied out in plain floats, for it runs twenty times a second.
 
     References
     ----------
     P. Groves, 2nd ed., eq. 14.63 to 14.71, here with the position in metres; equals
     J. Zuriarrain Sosa et al., 2024, appendix A, after correction of its A6, A7 and A9.
     """
-    latitude, _, height = state.position
     north, east, down = state.velocity
+    latitude, _, height = state.position
     meridian, transverse = curvature_radii(latitude)
-    meridian, transverse = meridian + height, transverse + height
+    m, t = 1.0 / (meridian + height), 1.0 / (transverse + height)
     tangent, secant2 = tan(latitude), 1.0 / cos(latitude) ** 2
-    earth, transport = np.array(earth_rate_n(latitude)), np.array(transport_rate_n(latitude, height, state.velocity))
+    earth_n, earth_d = EARTH_RATE * cos(latitude), -EARTH_RATE * sin(latitude)
+    turn_n, turn_e, turn_d = earth_n + east * t, -north * m, earth_d - east * tangent * t
+    fn, fe, fd = force_n
+    (c11, c12, c13), (c21, c22, c23), (c31, c32, c33) = ned_from_body.tolist()
+    free_air = 2.0 * gravity(latitude, 0.0) / geocentric_radius(latitude)
 
-    by_velocity = np.array(
-        [[0.0, 1.0 / transverse, 0.0], [-1.0 / meridian, 0.0, 0.0], [0.0, -tangent / transverse, 0.0]]
-    )
-    earth_by_position = np.zeros((3, 3))
-    earth_by_position[:, 0] = -EARTH_RATE * sin(latitude) / meridian, 0.0, -EARTH_RATE * cos(latitude) / meridian
-    transport_by_position = np.array(
-        [
-            [0.0, 0.0, east / transverse**2],
-            [0.0, 0.0, -north / meridian**2],
-            [-east * secant2 / (transverse * meridian), 0.0, -east * tangent / transverse**2],
-        ]
-    )
-    velocity_skew = skew(state.velocity)
-
-    F = np.zeros((SIZE, SIZE))
-    F[ATTITUDE, ATTITUDE] = -skew(earth + transport)
-    F[ATTITUDE, VELOCITY] = -by_velocity
-    F[ATTITUDE, POSITION] = -(earth_by_position + transport_by_position)
-    F[ATTITUDE, GYROSCOPE_BIAS] = ned_from_body
-    F[VELOCITY, ATTITUDE] = -skew(force_n)
-    F[VELOCITY, VELOCITY] = velocity_skew @ by_velocity - skew(transport + 2.0 * earth)
-    F[VELOCITY, POSITION] = velocity_skew @ (transport_by_position + 2.0 * earth_by_position)
-    F[5, 8] += 2.0 * gravity(latitude, 0.0) / geocentric_radius(latitude)
-    F[VELOCITY, ACCELEROMETER_BIAS] = ned_from_body
-    F[POSITION, VELOCITY] = np.eye(3)
-    F[POSITION, POSITION] = [
-        [-down / meridian, 0.0, north / meridian],
-        [east * tangent / meridian, -(down + north * tangent) / transverse, east / transverse],
-        [0.0, 0.0, 0.0],
+    # fmt: off
+    rows = [
+        [0.0, turn_d, -turn_e, 0.0, -t, 0.0,
+         -earth_d * m, 0.0, -east * t * t, 0.0, 0.0, 0.0, c11, c12, c13],
+        [-turn_d, 0.0, turn_n, m, 0.0, 0.0,
+         0.0, 0.0, north * m * m, 0.0, 0.0, 0.0, c21, c22, c23],
+        [turn_e, -turn_n, 0.0, 0.0, tangent * t, 0.0,
+         (earth_n + east * secant2 * t) * m, 0.0, east * tangent * t * t, 0.0, 0.0, 0.0, c31, c32, c33],
+        [0.0, fd, -fe, down * m, 2.0 * (earth_d - east * tangent * t), north * m,
+         -(east * east * secant2 * t + 2.0 * east * earth_n) * m, 0.0,
+         north * down * m * m - east * east * tangent * t * t, c11, c12, c13, 0.0, 0.0, 0.0],
+        [-fd, 0.0, fn, east * tangent * t - 2.0 * earth_d, (north * tangent + down) * t, east * t + 2.0 * earth_n,
+         (north * east * secant2 * t + 2.0 * (north * earth_n + down * earth_d)) * m, 0.0,
+         (north * east * tangent + east * down) * t * t, c21, c22, c23, 0.0, 0.0, 0.0],
+        [fe, -fn, 0.0, -2.0 * north * m, -2.0 * (east * t + earth_n), 0.0,
+         -2.0 * east * earth_d * m, 0.0,
+         free_air - (east * t) ** 2 - (north * m) ** 2, c31, c32, c33, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, -down * m, 0.0, north * m, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, east * tangent * m, -(down + north * tangent) * t, east * t,
+         0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     ]
+    # fmt: on
+    F = np.zeros((SIZE, SIZE))
+    F[:9] = rows
     return F
 
 

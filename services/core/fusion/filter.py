@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import FilterDiverged
-from shared.maths.earth import Geodetic, geodetic_from_ned_difference, gravity
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import (
     Quaternion,
     Vector,
@@ -55,7 +55,7 @@ class ErrorStateFilter:
         self.accelerometer_bias = accelerometer_bias
         self.gyroscope_bias = gyroscope_bias
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
-        self.force_n: Vector = (0.0, 0.0, -gravity(inertial.position.latitude, 0.0))
+        self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
         self._period_s = settings.covariance_period_s
         self._settings = settings
         self._last: tuple[Vector, Vector] | None = None  # sample as measured
@@ -75,12 +75,6 @@ class ErrorStateFilter:
         """Attitude as a matrix, shape (3, 3)."""
         return matrix_from_quaternion(self.inertial.quaternion)
 
-    @property
-    def acceleration(self) -> Vector:
-        """C f + g over the last sample [m/s², NED]: nothing at rest."""
-        position = self.inertial.position
-        return self.force_n[0], self.force_n[1], self.force_n[2] + gravity(position.latitude, position.height)
-
     def advance(self, force: Vector, rate: Vector, time_ns: int) -> None:
         """Carry the state to an instant with a sample [m/s², rad/s, body; as measured] that holds until then."""
         bias = self.accelerometer_bias
@@ -91,9 +85,16 @@ class ErrorStateFilter:
         self._feel_vibration(force, rate, step_s)
         self.rate = (rate[0] - drift[0], rate[1] - drift[1], rate[2] - drift[2])
         true_force = (force[0] - bias[0], force[1] - bias[1], force[2] - bias[2])
-        self.inertial, self.force_n = propagate(self.inertial, true_force, self.rate, time_ns)
+        before = self.inertial.velocity
+        self.inertial, (north, east, down) = propagate(self.inertial, true_force, self.rate, time_ns)
+        after = self.inertial.velocity
+        per_s = 1.0 / step_s
+        self.acceleration = (
+            (after[0] - before[0]) * per_s,
+            (after[1] - before[1]) * per_s,
+            (after[2] - before[2]) * per_s,
+        )
         x, y, z = self._impulse
-        north, east, down = self.force_n
         self._impulse = (x + north * step_s, y + east * step_s, z + down * step_s)
         self._since_s += step_s
         if self._since_s >= self._period_s - 1e-9:
@@ -169,8 +170,8 @@ class ErrorStateFilter:
 
     def _check(self) -> None:
         """Raise `FilterDiverged` where numbers have lost their meaning, rather than hand them on."""
-        least, trace = float(self.P.diagonal().min()), float(self.P.trace())
-        if not (isfinite(trace) and least > 0.0):
+        variances = self.P.diagonal().tolist()
+        if not (isfinite(sum(variances)) and min(variances) > 0.0):
             raise FilterDiverged("the covariance is no longer positive")
         _, quaternion, velocity, position = self.inertial
         if not isfinite(sum(quaternion) + sum(velocity) + sum(position)):

@@ -68,12 +68,11 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
     ndarray, shape (n, n)
         Exactly symmetric.
     """
+    every = len(P) + 1  # from one element of the diagonal to the next
     Phi = F * step_s
-    diagonal = np.einsum("ii->i", Phi)
-    diagonal += 1.0
+    Phi.reshape(-1)[::every] += 1.0
     P = Phi @ P @ Phi.T
-    diagonal = np.einsum("ii->i", P)
-    diagonal += noise * step_s
+    P.reshape(-1)[::every] += noise * step_s
     symmetric: FloatArray = 0.5 * (P + P.T)
     return symmetric
 
@@ -124,12 +123,12 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
         np.linalg.cholesky(S)
     except np.linalg.LinAlgError as error:
         raise FilterDiverged("the covariance of an innovation is not positive definite") from error
-    K = np.linalg.solve(S, PHt.T).T
-    distance2 = float(z @ np.linalg.solve(S, z))
+    inverse = np.linalg.inv(S)
+    K = PHt @ inverse
+    distance2 = float(z @ inverse @ z)
     if not np.isfinite(distance2):
         raise FilterDiverged("an innovation is not finite")
     A = -K @ H
-    diagonal = np.einsum("ii->i", A)
-    diagonal += 1.0
+    A.reshape(-1)[:: len(P) + 1] += 1.0
     P_after = A @ P @ A.T + K @ R @ K.T
     return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2)

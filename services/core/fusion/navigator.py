@@ -193,10 +193,10 @@ class Navigator:
 
     def _fault(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> str | None:
         """What is wrong with a sample, if anything is."""
-        if not isfinite(sum(force) + sum(rate)):
-            return "sample not finite"
-        if max(map(abs, force)) > FORCE_LIMIT or max(map(abs, rate)) > RATE_LIMIT:
-            return "sample beyond any sensor"
+        fx, fy, fz = force
+        wx, wy, wz = rate
+        if not (abs(fx) + abs(fy) + abs(fz) < FORCE_LIMIT and abs(wx) + abs(wy) + abs(wz) < RATE_LIMIT):
+            return "sample beyond any sensor" if isfinite(fx + fy + fz + wx + wy + wz) else "sample not finite"
         last = self._delayed.engine.last
         if last is None or time_ns > last.time_ns:
             self._backwards = 0

@@ -1,6 +1,6 @@
 """Tells from inertial samples whether the vehicle stands still."""
 
-from math import hypot, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 from shared.maths.rotation import Vector
@@ -9,6 +9,7 @@ QUIET_S = 0.5  # how long all conditions must hold
 RATE_LIMIT = 0.012  # [rad/s]
 ACCELERATION_LIMIT = 0.06  # [m/s²]
 SPEED_LIMIT = 0.3  # [m/s]
+DRIVING_M_S = 1.0  # beyond it nothing needs smoothing
 SMOOTHING_S = 0.25  # time constant of the low-pass; an idling engine shakes single samples beyond both limits
 
 
@@ -44,13 +45,12 @@ class Rest(NamedTuple):
             |w| < 0.012 rad/s, |C f + g| < 0.06 m/s² (both smoothed) and |v| < 0.3 m/s must all hold for half a second.
             A test of |f| against g alone would also pass while rolling evenly.
         """
+        speed = _length(velocity)
+        if speed > DRIVING_M_S:
+            return Rest()
         share = min(1.0, step_s / SMOOTHING_S)
         rate, acceleration = _blend(self.rate, rate, share), _blend(self.acceleration, acceleration, share)
-        quiet = (
-            _length(rate) < RATE_LIMIT
-            and _length(acceleration) < ACCELERATION_LIMIT
-            and hypot(velocity[0], velocity[1], velocity[2]) < SPEED_LIMIT
-        )
+        quiet = _length(rate) < RATE_LIMIT and _length(acceleration) < ACCELERATION_LIMIT and speed < SPEED_LIMIT
         if self.quiet_s < 0.0:
             return Rest(rate, acceleration, min(0.0, self.quiet_s + step_s))
         return Rest(rate, acceleration, self.quiet_s + step_s if quiet else 0.0)

@@ -1,4 +1,4 @@
-"""The error model against finite differences of the mechanisation, and against the corrected table of the paper."""
+"""The error model against finite differences of the mechanisation, and against its own equations in matrices."""
 
 from math import cos, sin, tan
 
@@ -16,9 +16,11 @@ from shared.maths.earth import (
     EARTH_RATE,
     Geodetic,
     curvature_radii,
+    earth_rate_n,
     geodetic_from_ned_difference,
     gravity,
     ned_from_geodetic_difference,
+    transport_rate_n,
 )
 from shared.maths.rotation import (
     Vector,
@@ -27,6 +29,7 @@ from shared.maths.rotation import (
     ned_from_body,
     quaternion_from_matrix,
     rotation_vector_from_matrix,
+    skew,
 )
 
 FloatArray = npt.NDArray[np.float64]
@@ -108,40 +111,40 @@ def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differe
         assert np.linalg.norm(differences[row, column] - F[row, column]) <= limit, (row, column)
 
 
-def test_the_system_matrix_is_the_corrected_table_of_the_paper() -> None:
-    """A3 to A9 of Zuriarrain Sosa et al., corrected, in radians, brought into metres."""
+def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
     F = em.system_matrix(STATE, FORCE_N, ATTITUDE)
-    north, east, down = VELOCITY
-    meridian, transverse = curvature_radii(LATITUDE)
-    m, t = meridian + HEIGHT, transverse + HEIGHT
-    sine, cosine, tangent = sin(LATITUDE), cos(LATITUDE), tan(LATITUDE)
-    earth = EARTH_RATE
-    g0, radius = gravity(LATITUDE, 0.0), em.geocentric_radius(LATITUDE)
-    a6 = np.array(
+    latitude_scale, east_scale = curvature_radii(LATITUDE)
+    m, t, tangent = latitude_scale + HEIGHT, east_scale + HEIGHT, tan(LATITUDE)
+    north, east, _ = VELOCITY
+    earth = np.array(earth_rate_n(LATITUDE))
+    transport = np.array(transport_rate_n(LATITUDE, HEIGHT, VELOCITY))
+    by_velocity = np.array([[0.0, 1.0 / t, 0.0], [-1.0 / m, 0.0, 0.0], [0.0, -tangent / t, 0.0]])
+    earth_by_position = np.zeros((3, 3))
+    earth_by_position[:, 0] = np.array([-sin(LATITUDE), 0.0, -cos(LATITUDE)]) * EARTH_RATE / m
+    transport_by_position = np.array(
         [
-            [down / m, -2 * east * tangent / t - 2 * earth * sine, north / m],
-            [east * tangent / t + 2 * earth * sine, (north * tangent + down) / t, east / t + 2 * earth * cosine],
-            [-2 * north / m, -2 * east / t - 2 * earth * cosine, 0.0],
+            [0.0, 0.0, east / t**2],
+            [0.0, 0.0, -north / m**2],
+            [-east / cos(LATITUDE) ** 2 / (t * m), 0.0, -east * tangent / t**2],
         ]
     )
-    a7 = np.array(
-        [
-            [
-                -(east**2) / cosine**2 / t - 2 * east * earth * cosine,
-                0.0,
-                east**2 * tangent / t**2 - north * down / m**2,
-            ],
-            [
-                north * east / cosine**2 / t + 2 * north * earth * cosine - 2 * down * earth * sine,
-                0.0,
-                -(north * east * tangent + east * down) / t**2,
-            ],
-            [2 * east * earth * sine, 0.0, east**2 / t**2 + north**2 / m**2 - 2 * g0 / radius],
-        ]
-    )
-    metres_from_position = np.diag([m, t * cosine, -1.0])
-    assert F[em.VELOCITY, em.VELOCITY] == pytest.approx(a6, rel=1e-12, abs=1e-18)
-    assert F[em.VELOCITY, em.POSITION] @ metres_from_position == pytest.approx(a7, rel=1e-9, abs=1e-15)
+    free_air = np.zeros((3, 3))
+    free_air[2, 2] = 2.0 * gravity(LATITUDE, 0.0) / em.geocentric_radius(LATITUDE)
+    expected = {
+        (em.ATTITUDE.start, em.ATTITUDE.start): -skew(earth + transport),
+        (em.ATTITUDE.start, em.VELOCITY.start): -by_velocity,
+        (em.ATTITUDE.start, em.POSITION.start): -(earth_by_position + transport_by_position),
+        (em.ATTITUDE.start, em.GYROSCOPE_BIAS.start): ATTITUDE,
+        (em.VELOCITY.start, em.ATTITUDE.start): -skew(FORCE_N),
+        (em.VELOCITY.start, em.VELOCITY.start): skew(VELOCITY) @ by_velocity - skew(transport + 2.0 * earth),
+        (em.VELOCITY.start, em.POSITION.start): skew(VELOCITY) @ (transport_by_position + 2.0 * earth_by_position)
+        + free_air,
+        (em.VELOCITY.start, em.ACCELEROMETER_BIAS.start): ATTITUDE,
+        (em.POSITION.start, em.VELOCITY.start): np.eye(3),
+    }
+    for (row, column), block in expected.items():
+        assert F[row : row + 3, column : column + 3] == pytest.approx(block, rel=1e-12, abs=1e-19), (row, column)
+    assert not F[em.POSITION, em.ATTITUDE].any() and not F[9:].any()
 
 
 def navigation(error: FloatArray) -> ErrorStateFilter:
