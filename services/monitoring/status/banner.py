@@ -72,7 +72,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The banner: a state, one sentence, what to do, and the checks; `code` changes when the sentence does."""
+    """The banner: a state, one sentence, what to do, and the checks; `code` names the case, for as long as it holds."""
 
     state: Trust
     code: str
@@ -114,7 +114,7 @@ def _sentence(e: Evidence) -> tuple[Trust, str, str, str]:
     if _is_old(e):
         return (
             Trust.STALE,
-            f"stale {e.cause}",
+            "stale",
             f"The position is out of date: {e.cause or 'the reason is not known'}.",
             "Do not use the position shown. It is the last one known, and the circle grows with time.",
         )

@@ -17,13 +17,18 @@ class OutageBook:
         self._reported: dict[str, Outage] = {}
         self._closed: deque[Outage] = deque(maxlen=LENGTH)
 
-    def observe(self, now_ns: int, lost: Mapping[str, tuple[int, str]]) -> None:
-        """Compare what is lost now (what: since, cause) with what was lost before."""
-        for what, (since_ns, cause) in lost.items():
-            if what not in self._own:
-                self._own[what] = Outage(what=what, since_ns=since_ns, until_ns=None, cause=cause)
+    def observe(self, now_ns: int, found: Mapping[str, tuple[int, str]], lost: Mapping[str, str]) -> None:
+        """Compare what is lost now with what was lost before.
+
+        `found` are new losses at their root (what: since, cause); `lost` is everything that is lost now
+        (what: cause). An outage ends only when what it is about is back, and its cause may become clearer.
+        """
         for what in [what for what in self._own if what not in lost]:
             self._close(self._own.pop(what).model_copy(update={"until_ns": now_ns}))
+        for what, outage in self._own.items():
+            self._own[what] = outage.model_copy(update={"cause": lost[what]})
+        for what, (since_ns, cause) in found.items():
+            self._own.setdefault(what, Outage(what=what, since_ns=since_ns, until_ns=None, cause=cause))
 
     def report(self, outage: Outage) -> None:
         """Take what `monitoring.health` says; it wins over our own view of the same event."""

@@ -11,6 +11,7 @@ from shared.messages import (
     AidingKind,
     AidingUpdate,
     DeadlineReport,
+    Freshness,
     GnssFix,
     Message,
     NavigationSolution,
@@ -148,14 +149,27 @@ class State:
             self.problems = [Problem("broker", "the message broker does not answer", self.broker_seen_ns)]
         elif self.broker:
             self.problems = find_problems(self.topics, self.processes, self.statuses, now_ns)
-        lost = {p.what: (p.since_ns, p.text) for p in self.problems if p.lost and p.since_ns is not None}
-        self.outages.observe(now_ns, lost)
+        found = {p.what: (p.since_ns, p.text) for p in self.problems if p.lost and p.since_ns is not None}
+        self.outages.observe(now_ns, found, self._lost(now_ns))
         verdict = judge(self.evidence(now_ns))
         if verdict.code != self.verdict.code:
             self.verdict_since_ns = now_ns
         if verdict.state is not self.timeline[-1][1]:
             self.timeline.append((now_ns, verdict.state))
         self.verdict = verdict
+
+    def _lost(self, now_ns: int) -> dict[str, str]:
+        """Name everything that is lost now, and why: the broker, processes that are down, topics that are stale."""
+        if not self.broker:
+            unknown = dict.fromkeys((*self.statuses, *self.topics), "the message broker does not answer")
+            return {"broker": "it does not answer", **unknown}
+        processes = {name: f"{name} is {status}" for name, status in self.statuses.items() if status in DOWN}
+        topics = {
+            name: self.cause(name, now_ns)
+            for name, flow in self.topics.items()
+            if not flow.topic.per_process and flow.freshness(now_ns) is Freshness.STALE
+        }
+        return processes | topics
 
     def evidence(self, now_ns: int) -> Evidence:
         """Collect what the verdict rests on."""

@@ -11,6 +11,8 @@ const GRID_PX = 36;
 const TRAIL_S = 30;
 const METRES_PER_DEGREE = 111320;
 const REACH_M = 2000;
+const SPEEDING_UP_M_S2 = 3; // a car at full throttle
+const FASTEST_M_S = 50;
 
 const world = { latitude: null, longitude: null, heading: 0, level: 0 };
 
@@ -81,6 +83,12 @@ function useSize(ref) {
   return size;
 }
 
+// How far a vehicle may have gone that nobody has seen since: it may have stood, and may have set off at full throttle.
+function furthest(speed, age) {
+  const upTo = Math.min(age, Math.max(0, (FASTEST_M_S - speed) / SPEEDING_UP_M_S2));
+  return speed * upTo + (SPEEDING_UP_M_S2 / 2) * upTo ** 2 + Math.max(speed, FASTEST_M_S) * (age - upTo);
+}
+
 // Everything that is drawn, as numbers; one function makes it for the picture, the legend and the table.
 export function scene() {
   const view = state.value;
@@ -93,7 +101,7 @@ export function scene() {
   return {
     s,
     stale,
-    withinM: stale ? s.ellipse.semi_major_m + (s.speed_m_s + 2 * s.speed_sd_m_s) * age : null,
+    withinM: stale ? s.ellipse.semi_major_m + furthest(s.speed_m_s + 2 * s.speed_sd_m_s, age) : null,
     gnss: gnssLive ? { north: view.fix.north_m, east: view.fix.east_m } : null,
     truth: truthLive ? { north: -view.truth.error_north_m, east: -view.truth.error_east_m } : null,
   };

@@ -201,12 +201,11 @@ function UnitCard() {
   const t = words.unitCard;
   const { mode, navigation, recording } = state.value;
   clock.value;
-  const age = (topic, message) => message && html`<${Age} topic=${topic} stamp=${message.updated_ns} />`;
   const old = (topic, message) => ["stale", "never"].includes(freshness(topic, message?.updated_ns));
   const sources = mode && [mode.gnss_source, mode.imu_source, mode.speed_source].filter(Boolean).join(", ");
   return html`<${Card} title=${t.title} note=${t.note} id="unit"><dl class="rows">
     <${Row} dim=${old("mode/state", mode)} label=${t.mode} value=${mode ? mode.mode.replaceAll("_", " ") : words.topics.never} extra=${mode?.reason} />
-    ${mode && html`<${Row} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} extra=${age("mode/state", mode)} />
+    ${mode && html`<${Row} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} />
     <${Row} label=${t.sources} value=${sources || t.none} />`}
     <${Row} dim=${old("navigation/state", navigation)} label=${t.filter} value=${navigation ? words.position.phases[navigation.phase] ?? navigation.phase : words.topics.never} extra=${navigation?.reason} />
     ${navigation && html`<${Row} label=${t.fixes} value=${t.usedRefused(navigation.fixes_used, navigation.fixes_rejected)} />

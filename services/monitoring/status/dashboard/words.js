@@ -104,7 +104,7 @@ export const words = {
     truth: "Truth (simulator)",
     ellipse: "95 % error ellipse",
     within: (metres) => `by now within ${metres}`,
-    withinNote: "(last speed × age)",
+    withinNote: "(speeding up by 3 m/s² at most)",
     table: "Table",
     picture: "Picture",
     columns: ["Item", "Value"],
