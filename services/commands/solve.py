@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from services.core.fusion.process import Config
 from shared.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.errors import BadRecording, UserError
 from shared.messages import (
@@ -23,7 +24,6 @@ from shared.messages import (
     Message,
     NavigationSolution,
     NavigationState,
-    Vector3,
 )
 from shared.offline import OfflineUnit, arrival_ns
 from shared.recording import Recording
@@ -72,7 +72,9 @@ def solve(
         solved = _run(drive, outages, progress)
     # All fixes of the recording, those that an outage took away as well.
     fixes = solved.fixes if outages is None else all_fixes(drive.inputs.messages, drive.vehicle)
-    reference = from_fixes(fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
+    reference = (
+        _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
+    )
     run = _judged(drive, solved, reference, fixes)
     metrics = metrics_of(run)
     heading = Heading(drive.name, reference.description if reference else "none was given", outage, _facts(drive))
@@ -233,7 +235,7 @@ def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: li
         raise UserError(
             f"the filter never began to navigate ({reason}); check lever arm, axes and stamps, or drive further"
         )
-    lever_arm = _lever_arm(drive.vehicle)
+    lever_arm = _fusion(drive.vehicle).lever_arm_body_m
     outages = solved.outages
     return Run(
         track,
@@ -256,10 +258,13 @@ def _folder(path: Path) -> Path:
     return path
 
 
-def _lever_arm(vehicle: VehicleFile) -> Vector3:
-    from services.core.fusion.process import Config
+def _fusion(vehicle: VehicleFile) -> Config:
+    return vehicle.section("core.fusion", Config)
 
-    return vehicle.section("core.fusion", Config).lever_arm_body_m
+
+def _by_fixes(drive: Drive, fixes: list[GnssFix]) -> Reference:
+    config = _fusion(drive.vehicle)
+    return from_fixes(fixes, delay_s=config.gnss_delay_s, velocity_delay_s=config.gnss_velocity_delay_s)
 
 
 def _facts(drive: Drive) -> list[tuple[str, str]]:

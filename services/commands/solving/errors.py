@@ -12,6 +12,7 @@ from shared.messages import Vector3
 from .reference import Reference
 from .track import Track
 
+Stamps = npt.NDArray[np.int64]
 MAXIMUM_STEP_NS = 1_500_000_000  # further apart, two solutions say nothing about what lies between
 
 
@@ -19,8 +20,8 @@ MAXIMUM_STEP_NS = 1_500_000_000  # further apart, two solutions say nothing abou
 class Errors:
     """Solution minus reference at each instant that both know; None for what the reference does not say."""
 
-    stamps_ns: npt.NDArray[np.int64]
-    next_solution_ns: npt.NDArray[np.int64]  # the later one of the two solutions that were used
+    stamps_ns: Stamps
+    next_solution_ns: Stamps  # the later one of the two solutions that were used
     position_n: FloatArray | None  # [m, NED], shape (n, 3)
     position_sd_n: FloatArray  # [m, NED] of the difference, shape (n, 3)
     velocity_n: FloatArray | None  # [m/s, NED], shape (n, 3)
@@ -54,50 +55,55 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
     solution and, where known, of the reference; a fix that the filter has used is not independent of the
     solution, which makes the sum larger than the truth.
     """
-    stamps = track.stamps_ns
-    after = np.searchsorted(stamps, reference.stamps_ns, side="left")
-    inside = (after > 0) & (after < len(stamps))
-    if len(stamps) > 1:
-        step = np.diff(stamps)[np.clip(after - 1, 0, len(stamps) - 2)]
-        inside &= step <= MAXIMUM_STEP_NS
-    rows, after = np.flatnonzero(inside), after[inside]
-    state = _Between(track, reference.stamps_ns[rows], after)
-    arm_n = state.turned(np.array(lever_arm_b)) if reference.at_antenna else np.zeros((len(rows), 3))
+    then = reference.stamps_ns - reference.velocity_delay_ns  # when the velocities were true
+    rows = np.flatnonzero(_covered(track, reference.stamps_ns) & _covered(track, then))
+    state, earlier = _Between(track, reference.stamps_ns[rows]), _Between(track, then[rows])
+    arm = np.array(lever_arm_b if reference.at_antenna else (0.0, 0.0, 0.0))
     sd = state.linear("position_sd_north_m")
     if reference.position_sd_n is not None:
         sd = np.hypot(sd, reference.position_sd_n[rows])
     position = velocity = attitude = None
     if reference.geodetic is not None and len(rows):
-        position = state.position_minus(reference.geodetic[rows]) + arm_n
+        position = state.position_minus(reference.geodetic[rows]) + state.turned(arm)
     if reference.velocity_n is not None:
-        velocity = state.linear("velocity_north_m_s") - reference.velocity_n[rows]
-        if reference.at_antenna:
-            velocity = velocity + state.arm_velocity(np.array(lever_arm_b))
+        velocity = earlier.linear("velocity_north_m_s") + earlier.arm_velocity(arm) - reference.velocity_n[rows]
     if reference.attitude is not None:
         difference = state.angles() - reference.attitude[rows]
         attitude = (difference + np.pi) % (2.0 * np.pi) - np.pi
-    return Errors(reference.stamps_ns[rows], stamps[after], position, sd, velocity, attitude)
+    return Errors(reference.stamps_ns[rows], track.stamps_ns[state.after], position, sd, velocity, attitude)
+
+
+def _covered(track: Track, stamps_ns: Stamps) -> npt.NDArray[np.bool_]:
+    """Tell which instants lie between two solutions that are close to each other."""
+    after = np.searchsorted(track.stamps_ns, stamps_ns, side="left")
+    inside = (after > 0) & (after < len(track))
+    if len(track) > 1:
+        step = np.diff(track.stamps_ns)[np.clip(after - 1, 0, len(track) - 2)]
+        inside &= step <= MAXIMUM_STEP_NS
+    return inside
 
 
 class _Between:
     """A track at instants between its rows."""
 
-    def __init__(self, track: Track, stamps_ns: npt.NDArray[np.int64], after: npt.NDArray[np.intp]) -> None:
-        self._track, self._before, self._after = track, after - 1, after
-        first, last = track.stamps_ns[after - 1], track.stamps_ns[after]
+    def __init__(self, track: Track, stamps_ns: Stamps) -> None:
+        self._track = track
+        self.after = np.searchsorted(track.stamps_ns, stamps_ns, side="left")
+        self._before = self.after - 1
+        first, last = track.stamps_ns[self._before], track.stamps_ns[self.after]
         self._step_s = (last - first) * 1e-9
         self._share = ((stamps_ns - first) / (last - first))[:, None]
 
     def linear(self, name: str) -> FloatArray:
         """Three columns, on the straight line between two rows."""
         values = self._track.columns(name)
-        found: FloatArray = values[self._before] * (1.0 - self._share) + values[self._after] * self._share
+        found: FloatArray = values[self._before] * (1.0 - self._share) + values[self.after] * self._share
         return found
 
     def angles(self) -> FloatArray:
         """Roll, pitch and yaw, the shorter way round."""
         values = self._track.columns("roll_rad")
-        turn = values[self._after] - values[self._before]
+        turn = values[self.after] - values[self._before]
         turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
         found: FloatArray = values[self._before] + turn * self._share
         return found
@@ -117,9 +123,9 @@ class _Between:
         origin = Geodetic(*geodetic[len(geodetic) // 2].tolist())
         path = ned_track(self._track.geodetic, origin)
         u, h = self._share, self._step_s[:, None]
-        p0, p1 = path[self._before], path[self._after]
+        p0, p1 = path[self._before], path[self.after]
         velocity = self._track.columns("velocity_north_m_s")
-        v0, v1 = velocity[self._before], velocity[self._after]
+        v0, v1 = velocity[self._before], velocity[self.after]
         here = (
             p0 * (1.0 + 2.0 * u) * (1.0 - u) ** 2
             + v0 * h * u * (1.0 - u) ** 2

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,22 +27,23 @@ class Reference:
     velocity_n: FloatArray | None = None  # [m/s, NED], shape (n, 3)
     attitude: FloatArray | None = None  # [rad] roll, pitch, yaw, shape (n, 3)
     position_sd_n: FloatArray | None = None  # [m, NED], shape (n, 3)
+    velocity_delay_ns: int = 0  # how much older than its stamp a velocity is
 
     def only(self, quantities: Sequence[str]) -> "Reference":
         """Forget the quantities that are not to be trusted."""
-        return Reference(
-            self.description,
-            self.stamps_ns,
-            self.at_antenna,
-            self.geodetic if "position" in quantities else None,
-            self.velocity_n if "velocity" in quantities else None,
-            self.attitude if "attitude" in quantities else None,
-            self.position_sd_n,
+        return replace(
+            self,
+            geodetic=self.geodetic if "position" in quantities else None,
+            velocity_n=self.velocity_n if "velocity" in quantities else None,
+            attitude=self.attitude if "attitude" in quantities else None,
         )
 
 
-def from_fixes(fixes: Sequence[GnssFix]) -> Reference:
-    """Take the fixes with integer ambiguities for the truth, as they were before anything was taken away."""
+def from_fixes(fixes: Sequence[GnssFix], *, delay_s: float = 0.0, velocity_delay_s: float = 0.0) -> Reference:
+    """Take the fixes with integer ambiguities for the truth, as they were before anything was taken away.
+
+    A fix is older than its stamp by the delay, its velocity by the velocity's delay more, as the vehicle's file says.
+    """
     found: Counter[str] = Counter()
     kept = []
     for fix in fixes:
@@ -59,11 +60,12 @@ def from_fixes(fixes: Sequence[GnssFix]) -> Reference:
     deviations = [fix.position_sd_ned_m for fix in kept]
     return Reference(
         f"{len(kept)} RTK-fixed GNSS positions of the antenna, of {len(fixes)} fixes; not independent of the solution",
-        np.array([fix.sampled_ns for fix in kept], dtype=np.int64),
+        np.array([fix.sampled_ns for fix in kept], dtype=np.int64) - round(delay_s * 1e9),
         at_antenna=True,
         geodetic=_geodetic([[fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m] for fix in kept]),
         velocity_n=None if None in velocities else np.array(velocities),
         position_sd_n=None if None in deviations else np.array(deviations),
+        velocity_delay_ns=round(velocity_delay_s * 1e9),
     )
 
 

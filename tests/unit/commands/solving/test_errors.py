@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,6 +64,21 @@ def test_a_heading_error_is_the_short_way_round() -> None:
 
 def test_the_spread_of_the_difference_holds_that_of_the_reference() -> None:
     truth = reference([1.0])
-    with_sd = type(truth)(truth.description, truth.stamps_ns, False, truth.geodetic, position_sd_n=np.full((1, 3), 0.4))
+    with_sd = replace(truth, position_sd_n=np.full((1, 3), 0.4))
     errors = errors_against(with_sd, track(solution(t, sd=0.3) for t in SOLUTIONS_S), lever_arm_b=NOWHERE)
     np.testing.assert_allclose(errors.position_sd_n, 0.5)
+
+
+def test_a_velocity_that_is_older_than_its_stamp_is_compared_where_it_was_true() -> None:
+    times = [5.0 + 0.3 * k for k in range(40)]
+    late = 0.125
+    truth, older = reference(times), reference([t - late for t in times])
+    delayed = replace(truth, velocity_n=older.velocity_n, velocity_delay_ns=125_000_000)
+    made = track(map(solution, SOLUTIONS_S))
+    right = errors_against(delayed, made, lever_arm_b=NOWHERE)
+    assert right.velocity_n is not None and right.position_n is not None
+    assert np.abs(right.velocity_n).max() < 1e-3 and np.abs(right.position_n).max() < 2e-3
+    wrong = errors_against(replace(delayed, velocity_delay_ns=0), made, lever_arm_b=NOWHERE)
+    assert wrong.velocity_n is not None
+    turned = 10.0 * 2.0 * math.sin(RATE * late / 2.0)  # 10 m/s that turn meanwhile
+    assert np.linalg.norm(wrong.velocity_n, axis=1) == pytest.approx(turned, rel=0.01)

@@ -45,3 +45,8 @@ def test_a_table_may_know_some_quantities_only_and_trust_may_be_narrower_still()
     found = from_columns("peer.csv", stamps, columns)
     assert found.geodetic is not None and found.velocity_n is None and found.attitude is None
     assert found.only(["velocity", "attitude"]).geodetic is None
+
+
+def test_a_fix_is_as_much_older_than_its_stamp_as_the_vehicle_says() -> None:
+    found = from_fixes([fix(5, CarrierSolution.FIXED)], delay_s=0.1, velocity_delay_s=0.125)
+    assert found.stamps_ns.tolist() == [4_900_000_000] and found.velocity_delay_ns == 125_000_000

@@ -1,0 +1,100 @@
+"""Real drives, imported by the mappings of the repository and solved: how far off is the unit on the road?
+
+The truth of these drives is their own RTK. A position at a fix that the filter has used says how well it follows, the
+innovation how well it predicts one fix ahead, and an outage how far it drifts alone. Measured with MTi-630 defaults:
+
+==================  ==========  ==========  ===========================
+drive               horizontal  prediction  end of a 10 s outage
+                    RMSE [m]    RMS [m]     median, largest [m]
+==================  ==========  ==========  ===========================
+rtkexp_drive        0.015       0.013       2.0, 13.6 (17 outages)
+wid_car, trial 02   0.018       0.020       0.4, 0.7 (3 outages)
+wid_car, trial 08   0.016       0.016       0.3, 0.5 (3 outages)
+wid_car, trial 10   0.013       0.013       0.3, 0.5 (2 outages)
+==================  ==========  ==========  ===========================
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from services.commands.import_drive import import_drive
+from services.commands.solve import solve
+from shared.errors import UserError
+from tests.support.data import REPOSITORY, recording
+
+MAPPINGS = REPOSITORY / "deploy" / "mappings"
+Metrics = dict[str, float]
+pytestmark = pytest.mark.recording
+
+
+def imported(mapping: str, folder: Path, out: Path) -> Path:
+    path = out / "drive.mcap"
+    import_drive(MAPPINGS / f"{mapping}.toml", folder, path)
+    return path
+
+
+def solved(drive: Path, outage: str | None = None) -> Metrics:
+    out = drive.parent / f"solution-{bool(outage)}"
+    assert solve(drive, outage=outage, out=out) == 0
+    found: Metrics = json.loads((out / "metrics.json").read_text())
+    return found
+
+
+@pytest.fixture(scope="module")
+def rtk_car(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return imported("rtkexp_drive", recording("rtkexp_drive"), tmp_path_factory.mktemp("rtkexp"))
+
+
+def test_a_car_with_rtk_is_where_rtk_says(rtk_car: Path) -> None:
+    found = solved(rtk_car)
+    assert found["fixes_recorded"] == 2197 and found["distance_m"] == pytest.approx(4050.0, rel=0.02)
+    assert found["horizontal_rmse_m"] <= 0.30, "the goal; 0.015 m were measured"
+    assert found["innovation_horizontal_rms_m"] <= 0.12, "what a 15-state filter reached; 0.013 m were measured"
+    assert found["fixes_rejected"] < 0.02 * found["fixes_used"] and found["filter_resets"] == 0
+    assert found["within_3_sigma_fraction"] > 0.98
+
+
+def test_a_car_without_gnss_for_ten_seconds_drifts_by_a_few_metres(rtk_car: Path) -> None:
+    found = solved(rtk_car, "10/30")
+    assert found["outage_count"] >= 16
+    assert found["outage_end_error_median_m"] <= 4.5, "the goal; 2.0 m were measured"
+    assert found["outage_end_error_max_m"] < 20.0
+    assert found["within_3_sigma_fraction"] > 0.98, "the covariance grows as the error does"
+
+
+@pytest.mark.parametrize(
+    "trial", ["02", pytest.param("08", marks=pytest.mark.slow), pytest.param("10", marks=pytest.mark.slow)]
+)
+def test_a_car_with_a_tactical_imu_drifts_by_less_than_a_metre_and_a_half(trial: str, tmp_path: Path) -> None:
+    drive = imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path)
+    whole, cut = solved(drive), solved(drive, "10/30")
+    assert whole["horizontal_rmse_m"] <= 0.05 and whole["fixes_rejected"] == 0
+    assert cut["outage_count"] >= 2
+    assert cut["outage_end_error_median_m"] <= 1.5, "the goal; 0.3 to 0.4 m were measured"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trial", ["03", "07"])
+def test_jumps_of_metres_among_houses_are_rejected_and_do_not_stop_the_filter(trial: str, tmp_path: Path) -> None:
+    found = solved(imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path))
+    assert 20 < found["fixes_rejected"] < 0.4 * found["fixes_used"]
+    assert found["filter_resets"] <= 1
+    # These fixes are their own truth, and it jumps by up to 4.9 m.
+    assert found["horizontal_rmse_m"] < 1.0
+
+
+def test_a_truck_knows_attitude_and_velocity_as_a_reference_of_higher_grade_does(tmp_path: Path) -> None:
+    found = solved(imported("auburn_truck", recording("auburn_truck") / "turn", tmp_path))
+    # The IMU sits turned by several degrees against the reference, and the cab leans on its springs.
+    assert found["yaw_sd_rad"] < 0.025, "what another filter reached on this drive: 1.3 degrees"
+    assert found["roll_rmse_rad"] < 0.05 and found["pitch_rmse_rad"] < 0.05
+    assert found["velocity_rmse_m_s"] < 0.4, "the antenna is several metres from the IMU, and how many is not known"
+    assert found["horizontal_rmse_m"] is None, "the reference does not know the position to better than 3 m"
+
+
+def test_a_truck_that_stands_all_the_time_has_no_heading(tmp_path: Path) -> None:
+    drive = imported("auburn_truck", recording("auburn_truck") / "static", tmp_path)
+    with pytest.raises(UserError, match="no heading yet"):
+        solved(drive)
