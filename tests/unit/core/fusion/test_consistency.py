@@ -1,0 +1,129 @@
+"""Whether the filter is as good as it says: errors over standard deviations, and what no filter can do better."""
+
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import chi2
+
+from services.commands.papers_navigation import navigate, position_errors, saved_heading
+from services.core.fusion.navigator import Navigator, Solution
+from services.core.fusion.settings import Settings
+from services.sensors.simulator.drive import Drive, simulate
+from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError
+from services.sensors.simulator.scenarios import scenario_of, with_error
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.maths.rotation import ned_from_body, rotation_vector_from_matrix
+
+FloatArray = npt.NDArray[np.float64]
+RUNS = 8
+WHITE = InjectedError(ErrorKind.WHITE, (3.07, 1.99, 1.56), exact=True)
+
+
+def follow(drive: Drive, instants_s: tuple[float, ...]) -> list[Solution]:
+    """Solutions at given instants."""
+    navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b))
+    navigator.remember(saved_heading(drive, radians(1.5)))
+    times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
+    found, fix = [], 0
+    for i, time_ns in enumerate(times):
+        while fix < len(drive.fix_ns) and drive.fix_ns[fix] <= time_ns:
+            velocity, place = drive.fix_velocity_n[fix].tolist(), Geodetic(*drive.fix_position[fix].tolist())
+            sd, speed_sd = drive.fix_position_sd_n[fix].tolist(), drive.fix_velocity_sd_n[fix].tolist()
+            navigator.fix(time_ns, position=place, velocity=velocity, position_sd=sd, velocity_sd=speed_sd)
+            fix += 1
+        navigator.imu(time_ns, forces[i], rates[i])
+        if time_ns in [round(t * 1e9) for t in instants_s]:
+            solution = navigator.solution()
+            assert solution is not None
+            found.append(solution)
+    return found
+
+
+def errors(drive: Drive, solution: Solution) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Estimated minus true position, velocity and attitude."""
+    i = round(solution.time_ns / 1e7) - 1
+    truth = Geodetic(*drive.position[i].tolist())
+    turned = ned_from_body(solution.roll, solution.pitch, solution.yaw) @ ned_from_body(*drive.attitude[i]).T
+    return (
+        np.array(ned_from_geodetic_difference(solution.position, truth)),
+        np.array(solution.velocity) - drive.velocity_n[i],
+        rotation_vector_from_matrix(turned),
+    )
+
+
+@pytest.fixture(scope="module")
+def sizes() -> FloatArray:
+    """Normalised errors squared, shape (runs, instants, 3 kinds)."""
+    instants = (40.0, 70.0)
+    rows = []
+    for seed in range(RUNS):
+        drive = simulate(with_error(scenario_of("parking_lot"), WHITE), seed, duration_s=71.0)
+        row = []
+        for solution in follow(drive, instants):
+            covs = (solution.position_cov, solution.velocity_cov, solution.attitude_cov)
+            row.append([e @ np.linalg.solve(P, e) for e, P in zip(errors(drive, solution), covs, strict=True)])
+        rows.append(row)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2], ids=["position", "velocity", "attitude"])
+def test_normalised_errors_squared_lie_in_their_band(sizes: FloatArray, kind: int) -> None:
+    """Their sum over independent runs is chi-square with three degrees of freedom a run; 99 % band of it."""
+    low, high = chi2.ppf([0.005, 0.995], 3 * RUNS)
+    totals: FloatArray = sizes[:, :, kind].sum(axis=0)
+    assert (low < totals).all() and (totals < high).all(), totals
+
+
+def test_no_error_is_beyond_what_its_covariance_allows(sizes: FloatArray) -> None:
+    assert (sizes < chi2.isf(0.0001, 3)).all()
+
+
+def test_errors_are_within_three_sigma_in_99_percent_of_the_time() -> None:
+    inside = []
+    for seed in (20, 21):
+        drive = simulate(with_error(scenario_of("parking_lot"), WHITE), seed, duration_s=100.0)
+        for solution in follow(drive, tuple(range(20, 100, 2))):
+            position = errors(drive, solution)[0]
+            inside += (np.abs(position) < 3.0 * np.sqrt(solution.position_cov.diagonal())).tolist()
+    assert len(inside) == 2 * 40 * 3
+    assert np.mean(inside) >= 0.99
+
+
+def test_a_perfect_receiver_leaves_millimetres() -> None:
+    """Positions to 1 mm and velocities to 0.1 mm/s, ideal inertial readings: at most 5 mm."""
+    drive, rng = simulate("parking_lot", seed=5, duration_s=60.0), np.random.default_rng(1)
+    precise = {"gnss_position_sd_floor_m": 1e-3, "gnss_velocity_sd_floor_m_s": 1e-4, "gnss_time_sd_s": 0.0}
+    navigator = Navigator(Settings.model_validate(precise))
+    navigator.remember(saved_heading(drive, radians(0.1)))
+    found = []
+    for i, time_ns in enumerate(drive.t_ns.tolist()):
+        if time_ns % 10**9 == 0:
+            north, east, down = (drive.velocity_n[i] + 1e-4 * rng.standard_normal(3)).tolist()
+            noise = (1e-3 * rng.standard_normal(3)).tolist()
+            place = geodetic_from_ned_difference((noise[0], noise[1], noise[2]), Geodetic(*drive.position[i].tolist()))
+            sd, speed_sd = (1e-3, 1e-3, 1e-3), (1e-4, 1e-4, 1e-4)
+            navigator.fix(time_ns, position=place, velocity=(north, east, down), position_sd=sd, velocity_sd=speed_sd)
+        navigator.imu(time_ns, drive.ideal_force_b[i].tolist(), drive.ideal_rate_b[i].tolist())
+        solution = navigator.solution() if time_ns > 40e9 and i % 10 == 0 else None
+        if solution:
+            found.append(errors(drive, solution)[0])
+    assert len(found) == 200
+    assert np.sqrt((np.array(found) ** 2).mean(axis=0)).max() < 0.005
+
+
+def test_an_outage_of_ten_seconds_costs_less_than_a_metre_or_two() -> None:
+    """Reference: median 0.31 m and 95 % 0.56 m with standstill aiding; here the worst of four."""
+    ends = []
+    for seed in range(4):
+        drive = simulate("parking_lot", seed, duration_s=95.0)
+        hidden = (drive.fix_ns > 80e9) & (drive.fix_ns <= 90e9)
+        drive.fix_valid[hidden] = False
+        navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b))
+        navigator.remember(saved_heading(drive, radians(1.5)))
+        track = navigate(drive, navigator)
+        at_end = np.argmin(np.abs(drive.t_ns[track.index] - 90e9))
+        ends.append(float(np.hypot(*position_errors(drive, track)[at_end, :2])))
+    assert np.median(ends) < 1.0
+    assert max(ends) < 2.0

@@ -1,0 +1,220 @@
+"""core.fusion as the bus sees it: messages in, messages out."""
+
+from collections.abc import Sequence
+from functools import cache
+from math import atan2, hypot, radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from services.core.fusion.process import Config, Process
+from services.core.fusion.translate import measurements_from_fix
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.messages import (
+    AidingUpdate,
+    FixType,
+    GnssFix,
+    ImuSamples,
+    LastPosition,
+    Message,
+    NavigationPhase,
+    NavigationSolution,
+    NavigationState,
+    Tick,
+    VehicleSpeed,
+)
+
+EPOCH_NS = 1_790_000_000_000_000_000
+LATENCY_NS = 80_000_000
+
+
+@cache
+def drive() -> Drive:
+    return simulate("parking_lot", seed=4, duration_s=60.0)
+
+
+def samples(batch: int = 1) -> list[ImuSamples]:
+    d = drive()
+    messages = []
+    for i in range(0, len(d.t_ns), batch):
+        stamps = (EPOCH_NS + d.t_ns[i : i + batch]).tolist()
+        messages.append(
+            ImuSamples(
+                received_ns=stamps[-1] + 2_000_000,
+                source="imu",
+                sampled_ns=tuple(stamps),
+                specific_force_body_m_s2=tuple(map(tuple, d.force_b[i : i + batch].tolist())),
+                angular_rate_body_rad_s=tuple(map(tuple, d.rate_b[i : i + batch].tolist())),
+            )
+        )
+    return messages
+
+
+def fix(k: int, **changes: object) -> GnssFix:
+    d = drive()
+    latitude, longitude = np.degrees(d.fix_position[k, :2]).tolist()
+    stamp = EPOCH_NS + int(d.fix_ns[k])
+    fields: dict[str, object] = {
+        "sampled_ns": stamp,
+        "received_ns": stamp + LATENCY_NS,
+        "source": "gnss",
+        "fix_type": FixType.THREE_D,
+        "latitude_deg": latitude,
+        "longitude_deg": longitude,
+        "height_ellipsoid_m": float(d.fix_position[k, 2]),
+        "velocity_ned_m_s": tuple(d.fix_velocity_n[k].tolist()),
+        "position_sd_ned_m": tuple(d.fix_position_sd_n[k].tolist()),
+        "velocity_sd_ned_m_s": tuple(d.fix_velocity_sd_n[k].tolist()),
+    }
+    return GnssFix.model_validate(fields | changes)
+
+
+def nmea_fix(k: int) -> GnssFix:
+    """What an NMEA receiver says: no covariance, speed and course instead of a velocity."""
+    north, east, _ = drive().fix_velocity_n[k].tolist()
+    speed = hypot(north, east)
+    return fix(
+        k,
+        velocity_ned_m_s=None,
+        position_sd_ned_m=None,
+        velocity_sd_ned_m_s=None,
+        hdop=0.8,
+        ground_speed_m_s=speed,
+        course_rad=atan2(east, north) if speed > 0.5 else None,
+    )
+
+
+def run(messages: Sequence[Message], process: Process | None = None) -> list[Message]:
+    made = process or Process(Config(lever_arm_body_m=drive().lever_arm_b))
+    out: list[Message] = []
+    for message in sorted(messages, key=lambda m: getattr(m, "received_ns", 0)):
+        assert isinstance(message, ImuSamples | GnssFix | LastPosition | VehicleSpeed | Tick)
+        out += made.handle(message)
+    return out
+
+
+def horizontal_error_m(solution: NavigationSolution) -> float:
+    truth = Geodetic(*drive().position[round((solution.sampled_ns - EPOCH_NS) / 1e7) - 1].tolist())
+    place = Geodetic(radians(solution.latitude_deg), radians(solution.longitude_deg), solution.height_ellipsoid_m)
+    return hypot(*ned_from_geodetic_difference(place, truth)[:2])
+
+
+def fixes() -> list[GnssFix]:
+    return [fix(k) for k in range(len(drive().fix_ns))]
+
+
+def saved() -> LastPosition:
+    d = drive()
+    latitude, longitude = np.degrees(d.position[0, :2]).tolist()
+    return LastPosition(
+        sampled_ns=EPOCH_NS - 10**12,
+        utc_ns=None,
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        height_ellipsoid_m=float(d.position[0, 2]),
+        yaw_rad=float(d.attitude[0, 2]),
+        position_sd_ned_m=(1.0, 1.0, 2.0),
+        yaw_sd_rad=0.02,
+    )
+
+
+def test_a_drive_is_followed_from_the_first_sample_to_the_last() -> None:
+    out = run([*samples(), *fixes()])
+    states = [m for m in out if isinstance(m, NavigationState)]
+    phases = list(dict.fromkeys(m.phase for m in states))
+    assert phases == [NavigationPhase.LEVELLING, NavigationPhase.WAITING_FOR_HEADING, NavigationPhase.NAVIGATING]
+    assert all(m.reason for m in states)
+    solutions = [m for m in out if isinstance(m, NavigationSolution)]
+    assert all(m.phase in (NavigationPhase.NAVIGATING, NavigationPhase.COASTING) for m in solutions)
+    assert horizontal_error_m(solutions[-1]) < 0.6
+    assert solutions[-1].gnss_age_s == pytest.approx(0.0, abs=1.1)
+
+
+def test_a_saved_heading_lets_the_solution_begin_at_rest() -> None:
+    def first(messages: Sequence[Message]) -> float:
+        solution = next(m for m in run(messages) if isinstance(m, NavigationSolution))
+        return (solution.sampled_ns - EPOCH_NS) * 1e-9
+
+    speed = np.hypot(drive().velocity_n[:, 0], drive().velocity_n[:, 1])
+    drives_off_s = float(np.argmax(speed > 0.1)) * 0.01
+    moving = [*samples(), *fixes()]
+    assert first([saved(), *moving]) < drives_off_s < first(moving)
+
+
+def test_solutions_come_ten_times_a_second_and_states_every_second() -> None:
+    out = run([saved(), *samples(), *fixes()])
+    solutions = [m.sampled_ns for m in out if isinstance(m, NavigationSolution)]
+    assert set(np.diff(solutions)[1:].tolist()) == {100_000_000}, "all but the first"
+    states = [m.sampled_ns for m in out if isinstance(m, NavigationState)]
+    assert max(np.diff(states)) == 1_000_000_000
+    assert 60 <= len(states) <= 65
+
+
+def test_the_period_of_the_solutions_can_be_set() -> None:
+    process = Process(Config(solution_period_s=0.02, lever_arm_body_m=drive().lever_arm_b))
+    solutions = [m for m in run([saved(), *samples(), *fixes()], process) if isinstance(m, NavigationSolution)]
+    assert np.diff([m.sampled_ns for m in solutions]).max() == 20_000_000
+
+
+def test_batches_of_samples_give_the_same_solutions() -> None:
+    """Samples above 100 a second travel in batches; a batch that is received later only delays the fixes' use."""
+    one, ten = run([saved(), *samples(), *fixes()]), run([saved(), *samples(batch=10), *fixes()])
+    errors = [horizontal_error_m(m) for m in ten if isinstance(m, NavigationSolution)]
+    assert len([m for m in one if isinstance(m, NavigationSolution)]) == pytest.approx(len(errors), abs=1)
+    assert errors[-1] < 0.6
+
+
+def test_two_runs_agree_to_the_last_bit() -> None:
+    messages = [saved(), *samples(), *fixes()]
+    assert run(messages) == run(messages)
+
+
+def test_ticks_and_speeds_change_nothing() -> None:
+    messages: list[Message] = [saved(), *samples(), *fixes()]
+    ticks = [Tick(now_ns=EPOCH_NS + k * 10**9) for k in range(60)]
+    speeds = [
+        VehicleSpeed(sampled_ns=EPOCH_NS + k * 10**9, received_ns=EPOCH_NS + k * 10**9, source="obd", speed_m_s=1.0)
+        for k in range(60)
+    ]
+    assert run(messages) == run([*messages, *ticks, *speeds])
+
+
+def test_an_nmea_receiver_is_enough() -> None:
+    out = run([*samples(), *(nmea_fix(k) for k in range(60))])
+    solutions = [m for m in out if isinstance(m, NavigationSolution)]
+    assert horizontal_error_m(solutions[-1]) < 1.5
+
+
+def test_aiding_updates_say_what_was_used() -> None:
+    updates = [m for m in run([saved(), *samples(), *fixes()]) if isinstance(m, AidingUpdate)]
+    assert {m.source for m in updates} == {"gnss", "core.fusion"}
+    assert np.mean([m.used for m in updates]) > 0.98
+    assert all(len(m.innovation) == len(m.innovation_sd) == 3 for m in updates)
+
+
+def test_fixes_without_a_position_are_counted() -> None:
+    process = Process(Config())
+    nothing = fix(0, fix_type=FixType.NONE, latitude_deg=None, longitude_deg=None)
+    assert list(process.handle(nothing)) == []
+    assert list(process.handle(fix(1, fix_type=FixType.DEAD_RECKONING))) == []
+    assert process.rejects["fix without position"] == 2
+
+
+def test_a_fix_in_two_dimensions_says_nothing_of_the_height() -> None:
+    _, position = measurements_from_fix(fix(0, fix_type=FixType.TWO_D), Config())
+    _, missing = measurements_from_fix(fix(0, height_ellipsoid_m=None), Config())
+    assert getattr(position, "axes", None) == getattr(missing, "axes", None) == 2
+
+
+def test_a_typo_in_the_settings_is_an_error() -> None:
+    with pytest.raises(ValidationError, match="lever_arm"):
+        Config.model_validate({"lever_arm_m": (0.0, 0.0, 0.0)})
+
+
+def test_the_process_file_does_no_mathematics() -> None:
+    text = Path("services/core/fusion/process.py").read_text(encoding="utf-8")
+    assert "numpy" not in text and "import math" not in text
+    assert text.count("\n") <= 100
