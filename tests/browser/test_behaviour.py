@@ -33,10 +33,14 @@ def test_a_lost_connection_is_said_and_its_return_as_well(tmp_path: Path, open_p
         page.wait_for_timeout(1200)
         assert page.locator(".clock time").inner_text() == stopped
         expect(page.locator(".chain .worst")).to_have_text("API: no answer from the unit")
+        expect(page.locator(".state.safe")).to_have_count(0)
+        page.keyboard.type("gs")
+        expect(page.get_by_text("This page has not been loaded yet.")).to_be_visible()
     with status_server(tmp_path, port=urlsplit(server.address).port):
         expect(page.get_by_text(re.compile(r"Reconnected, \d+ s gap"))).to_be_visible(timeout=12_000)
         expect(bar).to_be_hidden()
         expect(page.locator(".banner .word")).to_have_text("CAUTION")
+        expect(page.get_by_role("heading", name="Processes by layer")).to_be_visible()
 
 
 def test_a_position_is_not_shown_as_live_after_its_deadline(tmp_path: Path, open_page: Callable[..., Page]) -> None:

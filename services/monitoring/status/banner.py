@@ -81,6 +81,12 @@ class Verdict:
     checks: tuple[Check, ...]
 
 
+WAITING = {
+    NavigationPhase.WAITING_FOR_IMU: "no inertial data have come",
+    NavigationPhase.LEVELLING: "the filter is finding out what is level, which needs the vehicle to stand still",
+    NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix has come",
+    NavigationPhase.WAITING_FOR_HEADING: "the heading is not known, which needs the vehicle to drive a little",
+}
 NOT_MONITORED = (
     ("protection", "Protection level", "no bound on the position error is computed by this version"),
     ("raim", "Satellite fault (RAIM)", "not part of this version"),
@@ -109,7 +115,7 @@ def _sentence(e: Evidence) -> tuple[Trust, str, str, str]:
             Trust.STALE,
             "none",
             f"No position yet: {_why_none(e)}.",
-            "The list below shows which input is missing. Outdoors a first position takes up to a minute.",
+            "The checks show which input is missing. Outdoors a first position takes up to a minute.",
         )
     if _is_old(e):
         return (
@@ -155,14 +161,15 @@ def _sentence_while_navigating(e: Evidence, solution: NavigationSolution) -> tup
         Trust.CAUTION,
         "unmonitored",
         "Position not monitored: this version has no integrity monitor that could vouch for it.",
-        "Use it to find your way, not where a wrong position does harm. What is known is listed below.",
+        "Use it to find your way, not where a wrong position does harm. The checks list what is known.",
     )
 
 
 def _why_none(e: Evidence) -> str:
-    """Prefer what the filter says of itself over what can be seen from outside."""
-    said = (e.filter_says or "").rstrip(". ")
-    return said or e.cause or "nothing has been received from the navigation filter"
+    """Prefer what the filter is waiting for over what can be seen from outside."""
+    if e.phase in WAITING:
+        return WAITING[e.phase]
+    return e.cause or "nothing has been received from the navigation filter"
 
 
 def _checks(e: Evidence) -> list[Check]:
@@ -206,9 +213,10 @@ def _phase_check(e: Evidence) -> Check:
     link = "topic=navigation/state"
     if e.phase is None:
         return Check("phase", "Filter", Trust.STALE, "says nothing", link=link)
-    good = e.phase is NavigationPhase.NAVIGATING
     text = e.phase.replace("_", " ").replace("imu", "IMU").replace("gnss", "GNSS")
-    return Check("phase", "Filter", Trust.SAFE if good else Trust.CAUTION, text, link=link)
+    if e.phase is NavigationPhase.NAVIGATING:
+        return Check("phase", "Filter", Trust.SAFE, text, link=link)
+    return Check("phase", "Filter", Trust.CAUTION, f"{text}: {e.filter_says}" if e.filter_says else text, link=link)
 
 
 def _heading_check(e: Evidence) -> Check:

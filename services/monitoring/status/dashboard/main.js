@@ -2,7 +2,7 @@
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { clock, contract, freshness, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
-import { Drawer, Icon, StateIcon, bytes, copyText, duration, html, rate, seconds, timeOfDay } from "./parts.js";
+import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
 
@@ -120,12 +120,12 @@ function WhyDrawer({ onClose }) {
   clock.value;
   const { banner } = state.value;
   const v = verdict();
-  const report = () => copyText([`${v.word}: ${v.sentence}`, ...banner.checks.map((c) => `- ${c.label}: ${words.check[c.state]}, ${c.text}`)].join("\n"));
+  const report = () => copyText([`${v.word}: ${v.sentence}`, ...checksNow(banner).map((c) => `- ${c.label}: ${words.check[c.state]}, ${c.text}`)].join("\n"));
   return html`<${Drawer} title=${words.banner.drawer(v.word)} onClose=${onClose} head=${html`<button onClick=${report}>${words.copyReport}</button>`}>
     <p class="lead-text">${v.sentence}</p>
     <h3>${words.banner.action}</h3><p>${banner.action}</p>
     <h3>${words.banner.checks}</h3>
-    <ul class="checks long">${banner.checks.map((c) => html`<li>
+    <ul class="checks long">${checksNow(banner).map((c) => html`<li>
       <${StateIcon} state=${c.state} word=${words.check[c.state]} />
       <span>${c.link ? html`<a href=${`#/system?${c.link}`} onClick=${onClose} title=${words.banner.look(c.label)}>${c.label}</a>` : c.label}</span>
       <span class="dim">${c.state === "off" ? `${words.trust.off}: ${c.text}` : c.text}</span>
@@ -175,7 +175,7 @@ function Footer() {
     ${heard && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
     <span class=${heard && recording.recording ? "rec" : ""}>${!heard ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
     ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text)}</a>`
-      : html`<span class="push dim">${t.noProblems}</span>`}
+      : html`<span class="push dim">${live ? t.noProblems : words.status.unknown}</span>`}
   </footer>`;
 }
 
@@ -225,17 +225,20 @@ function App() {
     document.documentElement.dataset.theme = settings.value.theme;
   }, [settings.value.theme]);
   useEffect(() => {
-    if (page === "system" && !systemPage) {
-      import("./system.js").then((module) => {
+    if (page !== "system" || systemPage) return;
+    import("./system.js").then(
+      (module) => {
         systemPage = module.SystemPage;
-        loaded(1);
-      });
-    }
-  }, [page]);
+        loaded((n) => n + 1);
+      },
+      () => {}, // tried again when the connection is back
+    );
+  }, [page, link.value.open]);
   const ready = state.value && contract.value;
   const shown = !ready ? html`<p class="boot">${words.connecting}</p>`
     : page === "now" ? html`<${NowPage} onWhy=${() => setDrawer("why")} />`
-    : systemPage ? html`<${systemPage} query=${query} go=${go} />` : null;
+    : systemPage ? html`<${systemPage} query=${query} go=${go} />`
+    : link.value.open ? null : html`<${Empty} title=${words.lost.page} why=${words.lost.pageWhy} />`;
   return html`<a class="skip" href="#content" onClick=${(e) => { e.preventDefault(); heading.current.focus(); }}>${words.skip}</a>
     <${Header} onHelp=${() => setDrawer("help")} />
     <${Banner} onWhy=${() => setDrawer("why")} />

@@ -1,8 +1,8 @@
 // The page that most people open: where the vehicle is, how well that is known, and what the sources say.
 import { useEffect, useRef, useState } from "preact/hooks";
-import { clock, freshness, history, link, nowMs, settings, state } from "./store.js";
+import { clock, freshness, history, isLive, link, nowMs, settings, state } from "./store.js";
 import {
-  Age, Card, Empty, Row, STATUS_STATE, StateIcon, compass, degrees, duration, fixed, html, metres, percent, seconds, timeOfDay,
+  Age, Card, Empty, Row, STATUS_STATE, StateIcon, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, timeOfDay,
 } from "./parts.js";
 import { CloseUp, scene } from "./closeup.js";
 import { words } from "./words.js";
@@ -91,7 +91,7 @@ function TrustCard({ onWhy }) {
       ${bands.map((b) => html`<span class="segment ${b.state}" style=${{ left: share(b.from - nowNs + TRUST_SPAN_S * 1e9), width: share(b.to - b.from) }}></span>`)}
     </div>
     <p class="axis" aria-hidden="true"><span>${t.ago}</span><span>${t.now}</span></p>
-    <ul class="checks">${banner.checks.filter((c) => c.fitted).map((c) => html`<li>
+    <ul class="checks">${checksNow(banner).filter((c) => c.fitted).map((c) => html`<li>
       <${StateIcon} state=${c.state} word=${words.check[c.state]} /><span>${c.label}</span><span class="dim">${c.text}</span>
     </li>`)}
     <li class="unmonitored"><${StateIcon} state="off" word="" /><span><strong>${words.trust.off}</strong>
@@ -101,10 +101,13 @@ function TrustCard({ onWhy }) {
 
 function ServicesCard() {
   const { processes, chain, bus } = state.value;
-  const shown = Object.entries(processes).filter(([, p]) => p.status !== "absent");
+  clock.value;
+  const live = isLive();
+  const shown = Object.entries(processes).filter(([, p]) => p.status !== "absent")
+    .map(([name, p]) => [name, live ? p : { ...p, status: "unknown" }]);
   const order = ["lost", "missing", "silent", "ended", "alert", "waiting", "starting", "ready"];
   shown.sort((a, b) => order.indexOf(a[1].status) - order.indexOf(b[1].status));
-  return html`<${Card} title=${words.services.title} id="services" note=${words.services.running(chain.services.up, chain.services.of)}
+  return html`<${Card} title=${words.services.title} id="services" note=${live ? words.services.running(chain.services.up, chain.services.of) : words.status.unknown}
     aside=${html`<a href="#/system">${words.services.details}</a>`}>
     <ul class="services">${shown.map(([name, p]) => html`<li>
       <a href=${`#/system?node=${name}`}><${StateIcon} state=${STATUS_STATE[p.status]} word=${words.status[p.status]} /><span>${name}</span>

@@ -2,7 +2,7 @@
 import { h } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import htm from "htm";
-import { ageS, clock, freshness, link } from "./store.js";
+import { ageS, clock, freshness, isLive } from "./store.js";
 import { words } from "./words.js";
 
 export const html = htm.bind(h);
@@ -143,4 +143,6 @@ export async function copyText(text) {
   area.remove();
 }
 
-export const isConnected = () => link.value.open;
+// The checks behind the banner; without a connection none of them is known to hold any more.
+export const checksNow = (banner) => (isLive() ? banner.checks
+  : banner.checks.map((c) => (c.fitted ? { ...c, state: "stale", text: words.status.unknown, ratio: null } : c)));

@@ -55,6 +55,8 @@ export const words = {
       error: "The unit answers with an error: its log says why.",
     },
     back: (gap) => `Reconnected, ${gap} gap`,
+    page: "This page has not been loaded yet.",
+    pageWhy: "It appears as soon as the unit can be reached again.",
     outdated: "The unit was updated.",
     reload: "Reload the page",
   },

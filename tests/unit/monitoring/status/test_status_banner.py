@@ -75,13 +75,19 @@ def test_a_lost_broker_leaves_nothing_known() -> None:
     assert "broker" in judge(changed(broker=False)).sentence
 
 
-def test_the_filter_says_itself_why_there_is_no_position_yet() -> None:
-    evidence = changed(solution=None, filter_says="waiting for a first GNSS fix.", cause="parsers.gnss is silent")
-    assert judge(evidence).sentence == "No position yet: waiting for a first GNSS fix."
+def test_what_the_filter_waits_for_is_said_before_what_is_seen_from_outside() -> None:
+    evidence = changed(
+        solution=None,
+        phase=NavigationPhase.WAITING_FOR_GNSS,
+        filter_says="17 fixes without a position",
+        cause="core.fusion runs, but says nothing on navigation/solution",
+    )
+    assert judge(evidence).sentence == "No position yet: no usable GNSS fix has come."
+    assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS: 17 fixes without a position")
 
 
 def test_a_filter_that_says_nothing_is_explained_from_outside() -> None:
-    evidence = changed(solution=None, cause="core.fusion is lost")
+    evidence = changed(solution=None, phase=None, cause="core.fusion is lost")
     assert judge(evidence).sentence == "No position yet: core.fusion is lost."
 
 
