@@ -8,6 +8,7 @@ from pathlib import Path
 
 from broker import local_config
 from shared.config import VehicleFile
+from shared.errors import UserError
 
 from .supervisor import Supervisor
 
@@ -42,7 +43,9 @@ def broker_command(folder: Path, port: int, kind: str) -> list[str]:
 
     `kind` is "auto", "mosquitto" or "simulated".
     """
-    mosquitto = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
+    mosquitto = local_config.executable()
+    if not mosquitto and kind == "mosquitto":
+        raise UserError("Mosquitto is not installed: `apt-get install mosquitto`, or take `--broker simulated`")
     if mosquitto and kind != "simulated":
         return [mosquitto, "-c", str(local_config.write(folder, port))]
     acl = Path(__file__).parents[2] / "broker" / "acl.conf"
@@ -58,7 +61,7 @@ def unit(
     """
     supervisor = Supervisor({**os.environ, **environment}, logs)
     if broker:
-        supervisor.add("broker", broker)
+        supervisor.add("broker", broker, outlives_others=True)
     for name in reversed(vehicle.processes):
         supervisor.add_process(name)
     return supervisor

@@ -15,6 +15,7 @@ log = logging.getLogger(__name__)
 BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
 SETTLED_S = 10.0  # a life this long forgives the deaths before it
 STOP_S = 4.0
+LAST_STOP_S = 0.5  # for who outlives the others
 
 
 @dataclass
@@ -24,6 +25,7 @@ class Child:
     name: str
     command: Sequence[str]
     log_file: Path | None
+    outlives_others: bool = False
     process: subprocess.Popen[bytes] | None = None
     started: float = 0.0
     next_start: float = 0.0
@@ -40,10 +42,10 @@ class Supervisor:
         self._log_folder = log_folder
         self.children: dict[str, Child] = {}
 
-    def add(self, name: str, command: Sequence[str]) -> None:
-        """Take a child into care; `watch` starts it."""
+    def add(self, name: str, command: Sequence[str], *, outlives_others: bool = False) -> None:
+        """Take a child into care; `watch` starts it. One that outlives the others is ended after them."""
         log_file = self._log_folder / f"{name}.log" if self._log_folder else None
-        self.children[name] = Child(name, command, log_file)
+        self.children[name] = Child(name, command, log_file, outlives_others)
 
     def add_process(self, name: str) -> None:
         """Take a process of the unit into care."""
@@ -60,21 +62,16 @@ class Supervisor:
                 self._ended(child, code, now)
 
     def stop(self) -> None:
-        """End every child: SIGTERM, and SIGKILL for who has not gone after four seconds."""
-        for child in self.children.values():
-            if child.process is not None and child.process.poll() is None:
-                child.process.send_signal(signal.SIGTERM)
-                child.process.send_signal(signal.SIGCONT)  # a stopped child cannot hear the other
+        """End every child: SIGTERM, and SIGKILL for who has not gone within four seconds."""
         deadline = time.monotonic() + STOP_S
-        for child in self.children.values():
-            if child.process is None:
-                continue
-            try:
-                child.process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                log.warning("%s did not end in %.0f s and was killed", child.name, STOP_S)
-                child.process.kill()
-                child.process.wait()
+        for last in (False, True):
+            children = [child for child in self.children.values() if child.outlives_others == last]
+            for child in children:
+                if child.process is not None and child.process.poll() is None:
+                    child.process.send_signal(signal.SIGTERM)
+                    child.process.send_signal(signal.SIGCONT)  # a stopped child cannot hear the other
+            for child in children:
+                _wait_for_end(child, deadline if not last else deadline + LAST_STOP_S)
 
     def alive(self) -> int:
         """Count the children that run."""
@@ -102,6 +99,17 @@ class Supervisor:
         child.restarts += 1
         child.exit_codes = [*child.exit_codes[-9:], code]
         log.warning("%s ended with %d, starting it again in %.1f s", child.name, code, pause)
+
+
+def _wait_for_end(child: Child, deadline: float) -> None:
+    if child.process is None:
+        return
+    try:
+        child.process.wait(max(0.0, deadline - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        log.warning("%s did not end in time and was killed", child.name)
+        child.process.kill()
+        child.process.wait()
 
 
 def _end_with_parent() -> list[str]:
