@@ -10,6 +10,7 @@ from collections import deque
 
 from .aiding import Measurement, Outcome
 from .engine import Engine, Sample
+from .heading import Prior
 from .settings import Settings
 
 KEPT_EVERY = 8  # samples between two copies of the engine
@@ -30,6 +31,11 @@ class DelayedEngine:
         self._copies: deque[tuple[int, Engine]] = deque()  # (stamp, engine after the sample of this stamp)
         self._measurements: list[Measurement] = []  # of the horizon and of the future
         self._fresh = 0  # samples since the newest copy
+
+    def remember(self, prior: Prior) -> None:
+        """Take a saved position and heading, now and wherever a late measurement may lead back to."""
+        for engine in (self.engine, *(copy for _, copy in self._copies)):
+            engine.remember(prior)
 
     def restarted(self, why: str) -> "DelayedEngine":
         """Begin again from nothing, with the counts kept."""

@@ -81,7 +81,7 @@ class Engine:
 
     def remember(self, prior: Prior) -> None:
         """Take a saved position and heading, of use until the filter runs for the first time."""
-        if self._alignment is not None and self.counts.resets == 0:
+        if self._alignment is not None and self.accepted_ns is None:
             self._alignment.remember(prior)
 
     def begin_after(self, counts: Counts, why: str) -> None:

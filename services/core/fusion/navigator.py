@@ -31,6 +31,7 @@ FloatArray = npt.NDArray[np.float64]
 
 FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
 RATE_LIMIT = 100.0  # [rad/s]
+FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 BACKWARDS_LIMIT = 100  # successive samples from the past, after which it is the clock that was set back
 
@@ -105,6 +106,9 @@ class Navigator:
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
+        if measurement.time_ns > measurement.received_ns + FUTURE_LIMIT_NS:
+            self.rejects["measurement from the future"] += 1
+            return
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
         entry = (release_ns, measurement.time_ns, measurement.source, measurement)
         insort(self._held, entry, key=lambda held: held[:3])
@@ -132,7 +136,7 @@ class Navigator:
 
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
-        self._delayed.engine.remember(prior)
+        self._delayed.remember(prior)
 
     @property
     def phase(self) -> NavigationPhase:

@@ -21,6 +21,7 @@ from .settings import Settings
 from .translate import aiding_message, measurements_from_fix, prior_from_last_position, solution_message, state_message
 
 STATE_PERIOD_NS = 1_000_000_000
+SILENT_NS = 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
 In = ImuSamples | GnssFix | LastPosition | VehicleSpeed | WheelSpeeds | Tick
 Out = NavigationSolution | NavigationState | AidingUpdate
 
@@ -38,7 +39,8 @@ class Process:
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution = -1  # number of its period
         self._last_state: tuple[NavigationPhase, str, int] | None = None
-        self._imu_source: str | None = None
+        self._imu: str | None = None  # the one that is listened to
+        self._imu_received_ns: int | None = None
 
     @property
     def rejects(self) -> Counter[str]:
@@ -54,17 +56,33 @@ class Process:
                 measurements = measurements_from_fix(message, self._config)
                 for measurement in measurements:
                     self._navigator.measure(measurement)
-                self.rejects["fix without position"] += not measurements
+                if not measurements:
+                    self.rejects["fix without position"] += 1
+                yield from self._silence(message.received_ns)
             case LastPosition():
                 self._navigator.remember(prior_from_last_position(message))
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
+        if batch.source != self._imu and not self._is_silent(batch.received_ns):
+            self.rejects["samples of a second imu"] += 1
+            return
+        self._imu, self._imu_received_ns = batch.source, batch.received_ns
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         for sampled_ns, force, rate in samples:
             outcomes = self._navigator.imu(sampled_ns, force, rate, batch.received_ns)
             yield from map(aiding_message, outcomes)
             yield from self._state(sampled_ns)
             yield from self._solution(sampled_ns)
+
+    def _is_silent(self, now_ns: int) -> bool:
+        return self._imu_received_ns is None or now_ns - self._imu_received_ns > SILENT_NS
+
+    def _silence(self, received_ns: int) -> Iterator[NavigationState]:
+        """Say by the stamps of fixes that there are no inertial samples."""
+        current = (NavigationPhase.WAITING_FOR_IMU, "", received_ns // STATE_PERIOD_NS)
+        if self._is_silent(received_ns) and current != self._last_state:
+            self._last_state = current
+            yield state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
         """Say what goes on when it changes, and every second."""

@@ -11,6 +11,7 @@ from shared.messages import (
     FixType,
     GnssFix,
     LastPosition,
+    NavigationPhase,
     NavigationSolution,
     NavigationState,
     Symmetric3,
@@ -111,14 +112,15 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
     )
 
 
-def state_message(navigator: Navigator, sampled_ns: int) -> NavigationState:
-    """Put what the navigator is doing on the bus."""
+def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
+    """Put what the navigator is doing on the bus, or that it does nothing since the inertial samples stopped."""
     counts = navigator.counts
+    silent = silent_since_ns is not None
     return NavigationState(
         sampled_ns=sampled_ns,
-        phase=navigator.phase,
-        since_ns=navigator.since_ns,
-        reason=navigator.reason,
+        phase=NavigationPhase.WAITING_FOR_IMU if silent else navigator.phase,
+        since_ns=silent_since_ns if silent_since_ns is not None else navigator.since_ns,
+        reason="no inertial samples" if silent else navigator.reason,
         fixes_used=counts.fixes_used,
         fixes_rejected=counts.fixes_rejected,
         samples_used=navigator.samples_used,

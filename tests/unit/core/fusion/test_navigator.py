@@ -321,13 +321,19 @@ def test_standstill_aiding_can_be_switched_off() -> None:
 def test_fixes_before_the_first_sample_do_no_harm() -> None:
     made = navigator()
     for k in range(5):
-        give_fix(made, k, k * 200_000_000)
+        give_fix(made, k, SECOND_NS + k * 200_000_000)
     run = feed(made, samples()[200:] + fixes()[12:])
     assert run.error_m() < 0.5
+
+
+def test_a_fix_from_the_future_is_refused() -> None:
+    made = navigator()
+    give_fix(made, 10, received_ns=0, stamp_offset_ns=10**15)
+    assert made.rejects["measurement from the future"] == 2
 
 
 def test_measurements_without_samples_are_forgotten_at_last() -> None:
     made = navigator()
     for k in range(1200):
-        give_fix(made, 0, k)
+        give_fix(made, 0, SECOND_NS + k)
     assert made.rejects["held without inertial samples"] == 2400 - 1000

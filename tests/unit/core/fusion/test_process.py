@@ -198,9 +198,38 @@ def test_aiding_updates_say_what_was_used() -> None:
 def test_fixes_without_a_position_are_counted() -> None:
     process = Process(Config())
     nothing = fix(0, fix_type=FixType.NONE, latitude_deg=None, longitude_deg=None)
-    assert list(process.handle(nothing)) == []
-    assert list(process.handle(fix(1, fix_type=FixType.DEAD_RECKONING))) == []
+    run([nothing, fix(1, fix_type=FixType.DEAD_RECKONING)], process)
     assert process.rejects["fix without position"] == 2
+
+
+def test_without_inertial_samples_it_says_that_it_waits_for_them() -> None:
+    out = run(fixes()[:5])
+    assert [m.phase for m in out if isinstance(m, NavigationState)] == [NavigationPhase.WAITING_FOR_IMU] * 5
+    stopped = run([saved(), *(m for m in samples() if m.received_ns < EPOCH_NS + 30 * 10**9), *fixes()])
+    last = [m for m in stopped if isinstance(m, NavigationState)][-1]
+    assert last.phase is NavigationPhase.WAITING_FOR_IMU
+    assert (last.since_ns - EPOCH_NS) * 1e-9 == pytest.approx(30.0, abs=0.02)
+
+
+def test_a_second_imu_is_left_alone_until_the_first_is_silent() -> None:
+    process = Process(Config())
+    first, second = samples()[:10], samples()[10:20]
+    spare = [m.model_copy(update={"source": "spare"}) for m in second]
+    run([*first, *spare], process)
+    assert process.rejects["samples of a second imu"] == 10
+    later = [m.model_copy(update={"source": "spare"}) for m in samples()[300:310]]
+    run(later, process)
+    assert process.rejects["samples of a second imu"] == 10
+
+
+def test_a_saved_position_that_comes_late_survives_the_way_back_of_a_late_fix() -> None:
+    """Retained messages come at any time; here between two fixes, both of which lead back in time."""
+    early, rest = samples()[:120], samples()[120:]
+    process = Process(Config(lever_arm_body_m=drive().lever_arm_b))
+    run([*early, fix(0)], process)
+    list(process.handle(saved()))
+    out = run([*rest[:1600], *fixes()[1:16]], process)
+    assert any(isinstance(m, NavigationSolution) for m in out)
 
 
 def test_a_fix_in_two_dimensions_says_nothing_of_the_height() -> None:
