@@ -11,6 +11,9 @@ from shared.config import Section
 from shared.contract import Json, asyncapi_json, processes_table, table, topics_table
 from shared.processes import PROCESSES
 
+from .solving.metrics import METRICS, TIMINGS
+from .solving.track import COLUMNS
+
 HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
 
 
@@ -31,6 +34,32 @@ def configuration_pages() -> str:
     return "\n".join(parts)
 
 
+def metrics_page() -> str:
+    """Print what `obu solve` writes: the metrics, and the columns of solution.csv."""
+    metrics = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in METRICS.items()])
+    timings = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in TIMINGS.items()])
+    stamps = [
+        ("`sampled_ns`", "instant on the time line of the recording, ns"),
+        ("`time_s`", "since the first row"),
+        ("`phase`", "`navigating`, or `coasting` while no position was used lately"),
+    ]
+    columns = table(("column", "meaning"), stamps + [(f"`{name}`", meaning) for name, meaning in COLUMNS.items()])
+    return (
+        "# What `obu solve` writes\n\n"
+        "Names end in their unit (see [conventions](conventions.md)). A metric that cannot be known is `null`.\n\n"
+        f"## metrics.json\n\n{metrics}\n\n"
+        "Root mean squares and percentiles are taken over the instants of the truth while the filter navigates or "
+        "coasts, outages included.\n\n"
+        f"## Times, printed only\n\nThese differ from run to run, and so are in no file.\n\n{timings}\n\n"
+        f"## solution.csv\n\nOne row a solution while the filter navigates or coasts.\n\n{columns}\n\n"
+        "## A truth of your own\n\n"
+        "`--truth FILE` takes a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970, "
+        "and any of position (`latitude_deg`, `longitude_deg`, `height_ellipsoid_m`), velocity (`velocity_north_m_s`, "
+        "`velocity_east_m_s`, `velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They are of "
+        "the IMU. Another solution.csv is such a file.\n"
+    )
+
+
 def pages() -> dict[str, str]:
     """Make every page of docs/reference that is printed from code: file name and text."""
     return {
@@ -38,6 +67,7 @@ def pages() -> dict[str, str]:
         "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
         "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file a vehicle, one section a process; "
         f"the section `[vehicle]` holds its `name`.\n\n{configuration_pages()}",
+        "metrics.md": HEAD + metrics_page(),
         "asyncapi.json": asyncapi_json() + "\n",
     }
 

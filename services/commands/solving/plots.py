@@ -177,12 +177,18 @@ def _innovations(run: Run) -> Figure:
                 at, values = _thinned(time_s[used], np.maximum(updates.test_ratio[used], 1e-4))
                 _dots(ratio, at, values, colour)
         ratio.axhline(1.0, color=GREY, linewidth=1.0, linestyle="--")
-        size.set(ylabel="horizontal [m]", yscale="symlog" if len(updates) else "linear")
+        size.set(ylabel="horizontal [m]", yscale=_scale(np.hypot(*updates.innovation[:, :2].T)))
         ratio.set(xlabel="time [s]", ylabel="test ratio", yscale="log" if len(updates) else "linear")
         if len(updates):
             size.legend(loc="upper right")
+            ratio.set_ylim(bottom=1e-4)
     caption = "Each GNSS position against its prediction. Above a test ratio of 1 the gate rejects it."
     return Figure("Innovations", caption, _inline(drawn[0], "Innovations"))
+
+
+def _scale(values: FloatArray) -> str:
+    """Logarithmic where the largest would flatten all others."""
+    return "log" if len(values) and values.max() > 30.0 * np.median(values) > 0.0 else "linear"
 
 
 def _biases(run: Run) -> Figure:

@@ -4,12 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from services.commands.reference import pages
 from services.commands.solving.errors import Errors, errors_against
 from services.commands.solving.metrics import METRICS, TIMINGS, Run, metrics_of
 from services.commands.solving.outages import Outages
 from services.commands.solving.tally import Tally
 from services.commands.solving.track import Track
 from shared.messages import AidingKind, AidingUpdate, NavigationPhase, NavigationState, Vector3
+from tests.support.data import REPOSITORY
 from tests.support.tracks import START_NS, reference, solution, track
 
 S = 1_000_000_000
@@ -116,3 +118,8 @@ def test_a_gap_without_a_truth_near_its_end_is_not_judged() -> None:
     made = replace(run(track([solution(0.0)]), errors), gaps=[(START_NS + 5 * S, START_NS + 15 * S)])
     found = metrics_of(made)
     assert found["outage_count"] == 0 and found["outage_end_error_median_m"] is None
+
+
+def test_the_page_of_metrics_is_what_the_code_says() -> None:
+    printed = (REPOSITORY / "docs" / "reference" / "metrics.md").read_text(encoding="utf-8")
+    assert printed == pages()["metrics.md"], "print it anew with `make docs`"
