@@ -111,6 +111,7 @@ def _watch(
         while measuring_since is None or options.duration_s is None or \
                 time.monotonic() - measuring_since < options.duration_s:  # fmt: skip
             supervisor.watch()
+            _insist(supervisor)
             for envelope in bus.receive(0.1):
                 try:
                     balance.add(envelope.topic, envelope.decode(), envelope.received_ns)
@@ -125,6 +126,16 @@ def _watch(
                                 f"see the logs in {bus.state_dir / 'logs'}")  # fmt: skip
             if measuring_since is not None:
                 progress.update(task, completed=time.monotonic() - measuring_since)
+
+
+def _insist(supervisor: Supervisor) -> None:
+    """End the demo where a process cannot work as it was asked to; its own last line says why."""
+    for child in supervisor.children.values():
+        if child.refuses and child.log_file:
+            lines = child.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
+            raise UserError(
+                f"{child.name} refuses to start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
+            )
 
 
 def _print(summary: Summary, options: DemoOptions, console: Console) -> None:

@@ -1,6 +1,7 @@
 """Keeps a set of processes alive: starts them, starts them again when they end, stops them in time."""
 
 import logging
+import math
 import shutil
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
+USER_ERROR = 2  # exit code of a process that cannot work as it is configured
 SETTLED_S = 10.0  # a life this long forgives the deaths before it
 STOP_S = 4.0
 LAST_STOP_S = 0.5  # for who outlives the others
@@ -31,11 +33,15 @@ class Child:
     next_start: float = 0.0
     failures: int = 0
     restarts: int = 0
+    refuses: bool = False
     exit_codes: list[int] = field(default_factory=list)
 
 
 class Supervisor:
-    """Starts each child, and again with growing pauses when it ends before it is told to."""
+    """Starts each child, and again with growing pauses when it ends before it is told to.
+
+    A child that ends because its configuration is wrong is not started again: it would end again.
+    """
 
     def __init__(self, environment: Mapping[str, str], log_folder: Path | None = None) -> None:
         self._environment = dict(environment)
@@ -93,11 +99,16 @@ class Supervisor:
         child.started = time.monotonic()
 
     def _ended(self, child: Child, code: int, now: float) -> None:
+        child.process = None
+        child.exit_codes = [*child.exit_codes[-9:], code]
+        if code == USER_ERROR:
+            child.refuses, child.next_start = True, math.inf
+            log.error("%s cannot work as it is configured; it starts again when everything does", child.name)
+            return
         child.failures = 0 if now - child.started > SETTLED_S else child.failures + 1
         pause = BACK_OFF_S[min(max(child.failures - 1, 0), len(BACK_OFF_S) - 1)]
-        child.process, child.next_start = None, now + pause
+        child.next_start = now + pause
         child.restarts += 1
-        child.exit_codes = [*child.exit_codes[-9:], code]
         log.warning("%s ended with %d, starting it again in %.1f s", child.name, code, pause)
 
 

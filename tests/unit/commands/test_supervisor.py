@@ -49,6 +49,14 @@ def test_a_child_that_ends_at_once_is_started_with_growing_pauses(supervisor: Su
     assert child.exit_codes == [3, 3]
 
 
+def test_a_child_that_refuses_its_configuration_is_not_started_again(supervisor: Supervisor) -> None:
+    supervisor.add("refusing", [sys.executable, "-c", "raise SystemExit(2)"])
+    child = supervisor.children["refusing"]
+    watch_until(supervisor, lambda: child.refuses)
+    supervisor.watch()
+    assert child.process is None and child.restarts == 0
+
+
 def test_what_a_child_says_is_kept(supervisor: Supervisor, tmp_path: Path) -> None:
     supervisor.add("speaker", [sys.executable, "-c", "print('a word')"])
     watch_until(supervisor, lambda: supervisor.children["speaker"].restarts >= 1)
