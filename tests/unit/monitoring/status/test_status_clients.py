@@ -1,5 +1,3 @@
-import asyncio
-
 from services.monitoring.status.clients import QUEUE_FRAMES, Clients
 
 
@@ -26,16 +24,13 @@ def test_everyone_is_given_the_same_frame() -> None:
 
 
 def test_a_browser_that_does_not_read_is_let_go_and_the_others_go_on() -> None:
-    async def watch() -> None:
-        clients = Clients(2)
-        slow, quick = clients.enter(), clients.enter()
-        assert slow is not None and quick is not None
-        for number in range(QUEUE_FRAMES + 1):
-            clients.broadcast(str(number).encode())
-            assert await quick.frames.get() == str(number).encode()
-        assert len(clients) == 1
-        assert clients.dropped == 1
-        told = [slow.frames.get_nowait() for _ in range(QUEUE_FRAMES)]
-        assert told[-1] is None, "the last word tells the sender to end"
-
-    asyncio.run(watch())
+    clients = Clients(2)
+    slow, quick = clients.enter(), clients.enter()
+    assert slow is not None and quick is not None
+    for number in range(QUEUE_FRAMES + 1):
+        clients.broadcast(str(number).encode())
+        assert quick.frames.get_nowait() == str(number).encode()
+    assert len(clients) == 1
+    assert clients.dropped == 1
+    told = [slow.frames.get_nowait() for _ in range(QUEUE_FRAMES)]
+    assert told[-1] is None, "the last word tells the sender to end"
