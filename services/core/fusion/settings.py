@@ -20,7 +20,7 @@ class Settings(Section):
         default=0.0, ge=-1.0, le=1.0
     )  # how much older a fix is, on the IMU's clock, than its stamp
     gnss_velocity_delay_s: float = Field(default=0.0, ge=-1.0, le=1.0)  # and how much older still is its velocity
-    gnss_time_sd_s: float = Field(default=0.005, ge=0.0, le=1.0)  # of what is left of the stamps' errors
+    gnss_time_sd_s: float = Field(default=0.002, ge=0.0, le=1.0)  # of what is left of the stamps' errors
     merge_delay_s: float = Field(default=0.05, ge=0.0, le=1.0)  # how long a slow measurement waits for the bus
     history_s: float = Field(default=1.5, ge=0.2, le=10.0)  # how late a measurement may be
     solution_period_s: float = Field(default=0.1, gt=0.0, le=10.0)
