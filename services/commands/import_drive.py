@@ -106,7 +106,8 @@ def _table(spec: CsvFile, lines: Iterator[str]) -> Table:
     skipped = islice(lines, spec.skip_rows, None)
     rows = csv.reader(skipped, delimiter=spec.separator, skipinitialspace=True)
     try:
-        header = list(spec.header) or [name.strip() for name in next(rows, [])]
+        # A byte order mark, as spreadsheets write it, is no part of the first name.
+        header = list(spec.header) or [name.strip().lstrip("\ufeff") for name in next(rows, [])]
         return read_table(rows, header, wanted_columns(spec), spec.file)
     except csv.Error as error:
         raise UserError(f"{spec.file} is no CSV file ({error}); check `file` and `separator` in the mapping") from error

@@ -25,13 +25,13 @@ from shared.messages import (
     NavigationSolution,
     NavigationState,
 )
-from shared.offline import OfflineUnit, arrival_ns
+from shared.offline import OfflineUnit
 from shared.recording import Recording
 
 from .importing.table import read_table
 from .solving.errors import errors_against
 from .solving.export import csv_lines, kml_text
-from .solving.inputs import Inputs, all_fixes, inputs_of
+from .solving.inputs import Inputs, all_fixes, arrival_of, inputs_of
 from .solving.metrics import Run, Value, metrics_of
 from .solving.outages import Outages
 from .solving.reference import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
@@ -70,8 +70,10 @@ def solve(
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
         solved = _run(drive, outages, progress)
+    if count := len(drive.inputs.undecodable):
+        console.print(f"{recording.name}: {count} messages could not be decoded and were left out", markup=False)
     # All fixes of the recording, those that an outage took away as well.
-    fixes = solved.fixes if outages is None else all_fixes(drive.inputs.messages, drive.vehicle)
+    fixes = solved.fixes if outages is None else all_fixes(drive.inputs, drive.vehicle)
     reference = (
         _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
     )
@@ -106,12 +108,12 @@ class Drive:
     @property
     def first_ns(self) -> int:
         """Arrival of the first input."""
-        return arrival_ns(self.inputs.messages[0]) or 0
+        return arrival_of(self.inputs.envelopes[0])
 
     @property
     def last_ns(self) -> int:
         """Arrival of the last input."""
-        return arrival_ns(self.inputs.messages[-1]) or 0
+        return arrival_of(self.inputs.envelopes[-1])
 
 
 @dataclass(frozen=True)
@@ -135,8 +137,6 @@ def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
         raise UserError(f"{error}; give a file written by `obu record` or `obu import`") from error
     for problem in problems:
         console.print(f"{path.name}: {problem}", markup=False, highlight=False)
-    if inputs.undecodable:
-        console.print(f"{path.name}: {inputs.undecodable} messages could not be decoded and are left out")
     _check(path, inputs)
     file = (
         load_vehicle(vehicle)
@@ -160,7 +160,7 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress) -> Solved:
     unit, builder, tally = OfflineUnit(drive.vehicle), TrackBuilder(), Tally()
     fixes: list[GnssFix] = []
     started = time.perf_counter()
-    for message in unit.run(_fed(drive.inputs.messages, outages, tally, progress)):
+    for message in unit.run(_fed(drive.inputs, outages, tally, progress)):
         match message:
             case NavigationSolution():
                 builder.add(message)
@@ -173,10 +173,10 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress) -> Solved:
     return Solved(builder, tally, outages, fixes, time.perf_counter() - started)
 
 
-def _fed(messages: list[Message], outages: Outages | None, tally: Tally, progress: Progress) -> Iterator[Message]:
+def _fed(inputs: Inputs, outages: Outages | None, tally: Tally, progress: Progress) -> Iterator[Message]:
     """Give the inputs one by one, but for the GNSS that an outage takes away."""
-    task = progress.add_task("solving", total=len(messages))
-    for number, message in enumerate(messages):
+    task = progress.add_task("solving", total=len(inputs))
+    for number, message in enumerate(inputs.messages()):
         if number % 1000 == 0:
             progress.update(task, completed=number)
         if outages is not None and isinstance(message, GnssFix | GnssRaw):

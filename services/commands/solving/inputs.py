@@ -1,31 +1,43 @@
 """Which messages of a recording a unit is fed with: what the devices said, and nothing that was made of it."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 from shared.bus import Envelope
 from shared.config import VehicleFile
 from shared.errors import BadPayload
-from shared.messages import GnssFix, GnssRaw, Message, TruthState
-from shared.offline import OfflineUnit, arrival_ns
+from shared.messages import GnssFix, Message, TruthState
+from shared.offline import OfflineUnit
 
 # Bytes of a device, and the topics that are made of them again.
 MADE_OF = {"gnss/raw": ("gnss/fix",), "imu/raw": ("imu/sample",), "can/raw": ("vehicle/speed", "vehicle/wheel_speed")}
+RECEIVER = ("gnss/raw", "gnss/fix")
 TRUTH = "truth/state"
 WANTED = {TRUTH, *MADE_OF, *(topic for made in MADE_OF.values() for topic in made)}
-M = TypeVar("M", bound=Message)
 
 
 @dataclass
 class Inputs:
-    """The messages of a recording that a solution starts from, in the order of their arrival."""
+    """What a solution starts from, in the order of arrival; encoded, because an hour of it decoded is a gigabyte."""
 
-    messages: list[Message] = field(default_factory=list)
+    envelopes: list[Envelope] = field(default_factory=list)
     truth: list[TruthState] = field(default_factory=list)
     topics: Counter[str] = field(default_factory=Counter)  # of the whole recording
-    undecodable: int = 0
+    undecodable: set[int] = field(default_factory=set)  # places of envelopes that hold no message
+
+    def __len__(self) -> int:
+        return len(self.envelopes)
+
+    def messages(self, topics: Iterable[str] = WANTED) -> Iterator[Message]:
+        """Decode one message after the other."""
+        chosen = frozenset(topics)
+        for place, envelope in enumerate(self.envelopes):
+            if envelope.topic in chosen:
+                try:
+                    yield envelope.decode()
+                except BadPayload:
+                    self.undecodable.add(place)
 
 
 def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
@@ -50,27 +62,21 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
             kept[envelope.topic].append(envelope)
     for raw, made in MADE_OF.items():
         for topic in (raw,) if kept[raw] else made:
-            found.messages += _decoded(kept[topic], Message, found)
-    found.messages.sort(key=lambda message: arrival_ns(message) or 0)
-    found.truth = _decoded(kept[TRUTH], TruthState, found)
+            found.envelopes += kept[topic]
+    found.envelopes.sort(key=arrival_of)
+    states = Inputs(kept[TRUTH]).messages()
+    found.truth = [state for state in states if isinstance(state, TruthState)]
     return found
 
 
-def _decoded(envelopes: Iterable[Envelope], kind: type[M], found: Inputs) -> list[M]:
-    messages = []
-    for envelope in envelopes:
-        try:
-            message = envelope.decode()
-        except BadPayload:
-            found.undecodable += 1
-            continue
-        if isinstance(message, kind):
-            messages.append(message)
-    return messages
+def arrival_of(envelope: Envelope) -> int:
+    """When the bytes of a device arrived at the driver, or a typed message at the recorder."""
+    stamp = envelope.properties.get("received_ns", "")
+    return int(stamp) if stamp.isascii() and stamp.isdecimal() else envelope.received_ns
 
 
-def all_fixes(messages: Iterable[Message], vehicle: VehicleFile) -> list[GnssFix]:
+def all_fixes(inputs: Inputs, vehicle: VehicleFile) -> list[GnssFix]:
     """List every fix with a position, whether it was recorded as such or is still in the receiver's bytes."""
-    receiver = (message for message in messages if isinstance(message, GnssFix | GnssRaw))
     unit = OfflineUnit(vehicle, ["parsers.gnss"])
-    return [m for m in unit.run(receiver) if isinstance(m, GnssFix) and m.latitude_deg is not None]
+    made = unit.run(inputs.messages(RECEIVER))
+    return [message for message in made if isinstance(message, GnssFix) and message.latitude_deg is not None]

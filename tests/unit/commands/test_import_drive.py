@@ -95,3 +95,11 @@ def test_an_import_that_fails_leaves_nothing_in_the_place_of_its_result(drive: P
     with pytest.raises(UserError):
         import_drive(drive / "m.toml", drive, drive / "out.mcap")
     assert not (drive / "out.mcap").exists()
+
+
+def test_a_file_that_a_spreadsheet_saved_has_the_same_columns(drive: Path) -> None:
+    mapping = MAPPING.replace("skip_rows = 1\n", "")
+    (drive / "m.toml").write_text(mapping)
+    text = (drive / "log.csv").read_text().split("\n", 1)[1]
+    (drive / "log.csv").write_text(text, encoding="utf-8-sig", newline="\r\n")
+    assert import_drive(drive / "m.toml", drive, drive / "out.mcap") == 0

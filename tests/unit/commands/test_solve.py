@@ -152,3 +152,13 @@ def test_a_vehicle_that_never_moves_is_told_what_the_filter_waits_for(tmp_path: 
     import_drive(mapping, tmp_path, tmp_path / "drive.mcap")
     with pytest.raises(UserError, match="never began to navigate"):
         solve(tmp_path / "drive.mcap", out=tmp_path / "out")
+
+
+def test_a_recording_that_was_cut_off_is_solved_as_far_as_it_goes(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = recording.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 3 // 4])
+    assert solve(tmp_path / "cut.mcap", out=tmp_path / "out") == 0
+    assert "cut.mcap: " in capsys.readouterr().err
+    assert 30.0 < metrics_in(tmp_path / "out")["duration_s"] < DURATION_S
