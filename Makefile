@@ -53,7 +53,8 @@ check: | $(VENV)/.testing ## the checks alone, on what is installed
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .
 	@$(PYTHON) -m mypy
-	@$(PYTHON) -m pytest -n auto --dist loadgroup -m "not slow" $(PYTEST_ARGS)
+	@$(PYTHON) -m pytest -n auto --dist loadgroup -m "not slow and not whole_unit" $(PYTEST_ARGS)
+	@$(PYTHON) -m pytest -m "whole_unit" $(PYTEST_ARGS)
 
 up: ## start the containers
 	docker compose up --detach --build

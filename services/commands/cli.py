@@ -17,7 +17,6 @@ from shared.config import load_vehicle
 from shared.errors import UserError
 from shared.processes import BY_NAME
 
-from . import papers_navigation
 from .import_drive import import_drive
 from .record import record, repair
 from .replay import replay
@@ -196,7 +195,9 @@ def navigation(
 
     Example: [bold]obu papers navigation --runs 2[/]
     """
-    raise typer.Exit(papers_navigation.run(runs, as_json))
+    from .papers_navigation import run
+
+    raise typer.Exit(run(runs, as_json))
 
 
 @recordings.callback(invoke_without_command=True)

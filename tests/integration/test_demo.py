@@ -20,7 +20,7 @@ from shared.messages import Message, NavigationSolution, RawBytes
 from shared.offline import OfflineUnit, arrival_ns
 from shared.recording import Recording
 
-pytestmark = [pytest.mark.xdist_group("demo"), pytest.mark.broker]
+pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
 KINDS = ("mosquitto", "simulated")
 

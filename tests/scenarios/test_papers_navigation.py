@@ -7,7 +7,6 @@ import pytest
 from services.commands import papers_navigation as papers
 from shared.errors import UserError
 
-
 pytestmark = pytest.mark.xdist_group("papers_navigation")  # one worker, for the runs are shared
 
 

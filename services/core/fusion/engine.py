@@ -96,7 +96,7 @@ class Engine:
             self._enter(
                 NavigationPhase.LEVELLING,
                 sample.time_ns,
-                f"levelling, after {self._why}" if self._why else "first inertial sample",
+                f"levelling, after {self._why}" if self._why else "measuring tilt and gyroscope bias at rest",
             )
             return []
         gap_s = (sample.time_ns - self.last.time_ns) * 1e-9

@@ -162,7 +162,7 @@ def test_a_fix_stamped_ahead_of_the_samples_waits_for_them() -> None:
 def test_a_fix_older_than_the_memory_is_counted_and_dropped() -> None:
     run = feed(navigator(), samples(10.0) + fixes(10.0))
     give_fix(run.navigator, 0, 10 * SECOND_NS)
-    feed(run.navigator, [Event(10_100_000_000, 10_100_000_000, 1005)])
+    feed(run.navigator, [Event(10_300_000_000, 10_300_000_000, 1005)])
     assert run.navigator.rejects["measurement older than the memory"] == 2  # its position and its velocity
 
 
@@ -282,7 +282,7 @@ def test_a_jump_is_refused_and_a_lasting_one_resets_with_its_reason() -> None:
 
 def test_numbers_that_break_down_reset_with_their_reason() -> None:
     """A measurement of nonsense reaches the filter past every door; the solution stops and says why."""
-    run = feed(navigator(), samples(25.0) + fixes(25.0)).navigator
+    run = feed(navigator(), samples(25.0) + fixes(24.0)).navigator
     engine = run._delayed.engine  # nothing that a caller does breaks the numbers down
     assert engine.filter is not None
     engine.filter.P = engine.filter.P * np.nan
