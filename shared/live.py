@@ -1,5 +1,6 @@
 """The live runtime: one process, fed from the bus until it is told to stop."""
 
+import gc
 import importlib
 import json
 import logging
@@ -93,6 +94,8 @@ def run_process(name: str, vehicle: VehicleFile) -> None:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
+    gc.collect()
+    gc.freeze()  # what was made so far stays: a search through it for garbage would stop the process for 4 to 9 ms
     if BY_NAME[name].layer in (1, 5):
         cast(Runner, process).run(bus)
     else:
