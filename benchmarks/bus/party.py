@@ -1,14 +1,19 @@
-"""Our party to one hop: `python -m benchmarks.bus.party pub RATE_HZ COUNT BYTES | sub COUNT`.
+"""Our parties to the measurement: `python -m benchmarks.bus.party pub RATE_HZ COUNT BYTES | sub COUNT | drive`.
 
-It is what `sensors.imu` and `parsers.imu` do with a raw message: stamp, encode, send; receive, decode.
+`pub` and `sub` do what `sensors.imu` and `parsers.imu` do with a raw message: stamp, encode, send; receive, decode.
+`drive` is the simulator, but stamps as a real driver does: when it has the bytes, not when they were due.
 """
 
+import signal
 import sys
 import time
+from types import FrameType
+from typing import cast
 
 from shared.bus import Bus
-from shared.config import broker_address, state_dir
-from shared.messages import ImuRaw
+from shared.config import broker_address, load_vehicle, state_dir
+from shared.live import Runner, load_process
+from shared.messages import ImuRaw, Message, RawBytes
 from shared.topics import subscriptions
 
 VEHICLE = "bench"
@@ -46,11 +51,36 @@ def subscribe(count: int) -> None:
     print(*ages_ns, sep="\n")
 
 
+class Driver(Bus):
+    """The bus of a driver that takes the time at the last moment."""
+
+    def publish(self, message: Message) -> None:
+        """Stamp what a device sent, and send it."""
+        if isinstance(message, RawBytes):
+            message = message.model_copy(update={"received_ns": self.now_ns()})
+        super().publish(message)
+
+
+def drive() -> None:
+    """Drive the simulated vehicle of OBU_VEHICLE until SIGTERM."""
+    vehicle, name = load_vehicle(), "sensors.simulator"
+    bus = Driver(name, vehicle.name, broker_address(), subscriptions(name), state_dir())
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        bus.stopping = True
+
+    signal.signal(signal.SIGTERM, stop)
+    cast(Runner, load_process(name, vehicle)).run(bus)
+    bus.close()
+
+
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["pub", rate, number, size]:
             publish(float(rate), int(number), int(size))
         case ["sub", number]:
             subscribe(int(number))
+        case ["drive"]:
+            drive()
         case _:
             sys.exit(__doc__)

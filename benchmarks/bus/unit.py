@@ -1,5 +1,7 @@
 """What the whole unit costs, and how long an inertial sample takes from the driver to the solution."""
 
+import os
+import sys
 import threading
 import time
 from collections import deque
@@ -34,6 +36,7 @@ lever_arm_body_m = [0.3, 0.0, -1.2]
 [monitoring.status]
 port = 0
 """
+COLD = ("controller.mode", "monitoring.recorder", "monitoring.health", "monitoring.status")
 READY_S = 60.0
 SETTLING_S = 10.0  # start-up costs more than running
 
@@ -99,8 +102,11 @@ def running_unit(folder: Path) -> Iterator[tuple[Supervisor, int]]:
         "OBU_VEHICLE": str(path), "OBU_BROKER": f"mqtt://127.0.0.1:{port}", "OBU_STATE": str(folder)
     }  # fmt: skip
     supervisor = unit(parse_vehicle(VEHICLE), environment, folder / "logs")
+    supervisor.add("sensors.simulator", [sys.executable, "-m", "benchmarks.bus.party", "drive"])
     supervisor.add("broker", broker_command(folder, port, "mosquitto"))
     supervisor.watch()
+    for name in COLD:
+        os.sched_setscheduler(_host(supervisor, name).pid, os.SCHED_OTHER, os.sched_param(0))
     try:
         yield supervisor, port
     finally:
@@ -135,9 +141,14 @@ def _await_navigation(listener: Listener, folder: Path) -> None:
     listener.ages(SETTLING_S)
 
 
+def _host(supervisor: Supervisor, name: str) -> psutil.Process:
+    process = supervisor.children[name].process
+    assert process is not None
+    return psutil.Process(process.pid)
+
+
 def _hosts(supervisor: Supervisor) -> dict[str, psutil.Process]:
-    children = supervisor.children.items()
-    return {name: psutil.Process(child.process.pid) for name, child in children if child.process is not None}
+    return {name: _host(supervisor, name) for name in supervisor.children}
 
 
 def _cpu_s(supervisor: Supervisor) -> dict[str, float]:
