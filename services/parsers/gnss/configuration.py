@@ -3,13 +3,13 @@
 Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), UBX-CFG-VALSET, UBX-CFG-VALGET, UBX-ACK.
 """
 
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from difflib import get_close_matches
 
-from shared.messages import GnssConfiguration, GnssConfigure, GnssWrite
+from pyubx2.ubxmessage import UBXMessage
+from pyubx2.ubxtypes_configdb import UBX_CONFIG_DATABASE
 
-from .framer import UBX_SYNC, ubx_checksum
+from shared.messages import GnssConfiguration, GnssConfigure, GnssWrite
 
 ACK, CFG = 0x05, 0x06
 VALSET, VALGET = 0x8A, 0x8B
@@ -36,8 +36,9 @@ class Configurator:
         except ValueError as error:
             yield from self._answer({}, str(error))
             return
-        for data in (valset(values), valget(tuple(values))):
-            yield GnssWrite(received_ns=now_ns, source=self._source, data=data)
+        setting = UBXMessage.config_set(RAM, 0, list(values.items()))
+        for message in (setting, UBXMessage.config_poll(0, 0, list(values))):
+            yield GnssWrite(received_ns=now_ns, source=self._source, data=message.serialize())
 
     def take(self, frame: bytes) -> Iterator[GnssConfiguration]:
         """Take a UBX frame; yield the answer that it completes."""
@@ -99,17 +100,6 @@ def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
     return values
 
 
-def valset(values: dict[int, int]) -> bytes:
-    """Encode UBX-CFG-VALSET for the RAM layer."""
-    items = b"".join(struct.pack("<I", key) + value.to_bytes(_size(key), "little") for key, value in values.items())
-    return _frame(VALSET, bytes((0, RAM, 0, 0)) + items)
-
-
-def valget(keys: Sequence[int]) -> bytes:
-    """Encode the poll of UBX-CFG-VALGET for the RAM layer."""
-    return _frame(VALGET, bytes(4) + struct.pack(f"<{len(keys)}I", *keys))
-
-
 def read_values(payload: bytes) -> dict[int, int]:
     """Decode keys and values of an answer of UBX-CFG-VALGET, as far as it goes."""
     values: dict[int, int] = {}
@@ -126,11 +116,6 @@ def _size(key: int) -> int:
     return (1, 1, 1, 2, 4, 8, 8, 8)[key >> 28 & 7]
 
 
-def _frame(message_id: int, payload: bytes) -> bytes:
-    body = struct.pack("<BBH", CFG, message_id, len(payload)) + payload
-    return UBX_SYNC + body + ubx_checksum(body)
-
-
 def _message_keys(name: str) -> list[int]:
     keys = _database()
     names = (f"CFG_MSGOUT_UBX_{name.replace('-', '_')}_{port}" for port in PORTS)
@@ -138,9 +123,6 @@ def _message_keys(name: str) -> list[int]:
 
 
 def _database() -> dict[str, int]:
-    # Imported on the first request: a receiver that is never configured does not pay for it.
-    from pyubx2.ubxtypes_configdb import UBX_CONFIG_DATABASE
-
     return {name: int(entry[0]) for name, entry in UBX_CONFIG_DATABASE.items()}
 
 

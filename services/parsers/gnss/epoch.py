@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from shared.messages import FixType, GnssFix, Symmetric3, Vector3
 
@@ -42,7 +43,8 @@ class EpochAssembler:
 
     def take(self, kind: str, payload: bytes, received_ns: int) -> Iterator[Epoch]:
         """Take one message; yield the epochs that it completes."""
-        itow = ubx.itow_ms(kind, payload)
+        message = ubx.parse(kind, payload)
+        itow = message.iTOW
         if self._epoch is None or itow != self._epoch.itow_ms:
             yield from self._finish()
             self._kinds_before.append(self._kinds)
@@ -54,7 +56,7 @@ class EpochAssembler:
         self._kinds.add(kind)
         self._epoch.last_received_ns = received_ns
         try:
-            _store(self._epoch, kind, payload)
+            _store(self._epoch, kind, message)
         except ubx.UbxError as fault:
             self.rejects[f"ubx_{fault}"] += 1
         if all(self._kinds_before) and set.union(*self._kinds_before) <= self._kinds:
@@ -70,15 +72,15 @@ class EpochAssembler:
             yield self._epoch
 
 
-def _store(epoch: Epoch, kind: str, payload: bytes) -> None:
+def _store(epoch: Epoch, kind: str, message: Any) -> None:
     if kind == "PVT":
-        epoch.pvt = ubx.decode_pvt(payload)
+        epoch.pvt = ubx.decode_pvt(message)
     elif kind == "DOP":
-        epoch.dop = ubx.decode_dop(payload)
+        epoch.dop = ubx.decode_dop(message)
     elif kind == "COV":
-        epoch.covariance = ubx.decode_covariance(payload)
+        epoch.covariance = ubx.decode_covariance(message)
     elif kind == "HPPOSLLH":
-        epoch.high_precision = ubx.decode_high_precision(payload)
+        epoch.high_precision = ubx.decode_high_precision(message)
 
 
 def fix_from_epoch(epoch: Epoch, pvt: ubx.Pvt, *, sampled_ns: int, source: str) -> GnssFix:

@@ -44,7 +44,8 @@ class Framer:
     `rejects` counts `garbage_bytes` and, of false or damaged frames, `ubx_checksum`, `ubx_length`,
     `nmea_checksum`, `nmea_form`, `rtcm_checksum` and `cut_frame`. After a bad frame the search goes on at its
     second byte, and a frame that is still incomplete gives way to a whole one inside it: a damaged length neither
-    swallows nor delays the messages that follow.
+    swallows nor delays the messages that follow. The readers of pyubx2 and pynmea2 do not stand in for it, because they
+    block on a stream, take no chunks, and raise on garbage or believe a damaged length.
     """
 
     def __init__(self, rejects: Counter[str] | None = None) -> None:

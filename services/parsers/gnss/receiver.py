@@ -71,7 +71,7 @@ class Receiver:
 
     def _take_satellites(self, payload: bytes, received_ns: int) -> Iterator[Output]:
         """Stamp satellites as the fix of their epoch, whichever comes first; at once where there are no fixes."""
-        itow = ubx.itow_ms("SAT", payload)
+        itow = ubx.satellites_itow_ms(payload)
         satellites = GnssSatellites(
             sampled_ns=received_ns,
             received_ns=received_ns,

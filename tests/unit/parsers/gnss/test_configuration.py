@@ -1,4 +1,5 @@
 import re
+import struct
 
 import pytest
 from hypothesis import given
@@ -46,12 +47,24 @@ def answer(messages: list[Message]) -> GnssConfiguration:
     return message
 
 
-def test_a_request_becomes_valset_and_a_poll_as_pyubx2_encodes_them() -> None:
+# Keys of CFG-RATE-MEAS, CFG-RATE-NAV and CFG-MSGOUT of NAV-PVT and NAV-COV at UART1 and USB, interface description 6.9
+KEYS = (0x30210001, 0x30210002, 0x20910007, 0x20910009, 0x20910084, 0x20910086)
+
+
+def command(message_id: int, payload: bytes) -> bytes:
+    body = struct.pack("<BBH", 6, message_id, len(payload)) + payload
+    return UBX_SYNC + body + ubx_checksum(body)
+
+
+def test_a_request_becomes_valset_and_a_poll_as_the_interface_description_has_them() -> None:
     setting, poll = ask(Process(Config()))
     assert isinstance(setting, GnssWrite)
     assert isinstance(poll, GnssWrite)
-    assert setting.data == UBXMessage.config_set(1, 0, list(GRANTED.items())).serialize()
-    assert poll.data == UBXMessage.config_poll(0, 0, list(GRANTED)).serialize()
+    items = struct.pack(
+        "<" + 2 * "IH" + 4 * "IB", *(x for pair in zip(KEYS, (200, 1, 1, 1, 1, 1), strict=True) for x in pair)
+    )
+    assert setting.data == command(0x8A, bytes((0, 1, 0, 0)) + items)  # layer 1: RAM
+    assert poll.data == command(0x8B, bytes(4) + struct.pack("<6I", *KEYS))
     assert (setting.source, poll.source) == ("gnss0", "gnss0")
 
 

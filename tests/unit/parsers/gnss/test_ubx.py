@@ -1,7 +1,9 @@
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import astuple
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -23,12 +25,41 @@ RECORDINGS = (
     ("gpsd_receiver_logs", "ublox-glo.log"),
     ("pyubx2_logs", "pygpsdata-MIXED.log"),
 )
-Pair = tuple[bytes, Any]  # pyubx2's messages have attributes that only exist at run time
+Pair = tuple[bytes, Any]  # messages have attributes that only exist at run time
+
+# The interface description once more, independent of pyubx2: the layout and the names of the fields.
+PVT = struct.Struct("<IH5BBIi4B4iII4iiIIHH")
+PVT_FIELDS = (
+    "iTOW year month day hour min second valid tAcc nano fixType flags flags2 numSV lon lat height hMSL hAcc vAcc "
+    "velN velE velD gSpeed headMot sAcc headAcc pDOP flags3"
+)
+DOP = struct.Struct("<I7H")
+DOP_FIELDS = "iTOW gDOP pDOP tDOP vDOP hDOP nDOP eDOP"
+HPPOSLLH = struct.Struct("<B2xBI4i4bII")
+HPPOSLLH_FIELDS = "version flags iTOW lon lat height hMSL lonHp latHp heightHp hMSLHp hAcc vAcc"
+COV = struct.Struct("<IBBB9x12f")
 
 
 def encode(name: str, **fields: Any) -> bytes:
     """Let pyubx2 encode the payload of a message that a receiver sends."""
     return bytes(UBXMessage("NAV", name, 0, **fields).payload)
+
+
+def decode_pvt(payload: bytes) -> ubx.Pvt:
+    return ubx.decode_pvt(ubx.parse("PVT", payload))
+
+
+def decode_covariance(payload: bytes) -> ubx.Covariance:
+    return ubx.decode_covariance(ubx.parse("COV", payload))
+
+
+def decode_high_precision(payload: bytes) -> ubx.HighPrecision:
+    return ubx.decode_high_precision(ubx.parse("HPPOSLLH", payload))
+
+
+def unpack(layout: struct.Struct, names: str, payload: bytes) -> Any:
+    """Read a payload with the tables above."""
+    return SimpleNamespace(**dict(zip(names.split(), layout.unpack_from(payload), strict=True)))
 
 
 def messages(path: Path, kind: str) -> list[Pair]:
@@ -42,26 +73,26 @@ def messages(path: Path, kind: str) -> list[Pair]:
 
 @pytest.mark.recording
 @pytest.mark.parametrize(("folder", "name"), RECORDINGS)
-def test_every_recorded_nav_pvt_is_read_as_pyubx2_reads_it(folder: str, name: str) -> None:
+def test_every_recorded_nav_pvt_is_read_as_the_interface_description_says(folder: str, name: str) -> None:
     pairs = messages(recording(folder) / name, "PVT")
     assert pairs
-    for payload, theirs in pairs:
-        ours = ubx.decode_pvt(payload)
+    for payload, _ in pairs:
+        ours, theirs = decode_pvt(payload), unpack(PVT, PVT_FIELDS, payload)
         assert ours.itow_ms == theirs.iTOW
         assert ours.calendar == (theirs.year, theirs.month, theirs.day, theirs.hour, theirs.min, theirs.second)
         assert ours.nanosecond == theirs.nano
-        assert ours.time_valid == bool(theirs.validDate and theirs.validTime and theirs.fullyResolved)
+        assert ours.time_valid == (theirs.valid & 7 == 7)
         assert ours.fix_type is tuple(FixType)[theirs.fixType]
-        assert (ours.fix_ok, ours.differential) == (bool(theirs.gnssFixOk), bool(theirs.diffSoln))
-        assert ours.carrier_solution is tuple(CarrierSolution)[theirs.carrSoln]
+        assert (ours.fix_ok, ours.differential) == (bool(theirs.flags & 1), bool(theirs.flags & 2))
+        assert ours.carrier_solution is tuple(CarrierSolution)[theirs.flags >> 6]
         assert ours.satellites_used == theirs.numSV
         assert ours.velocity_ned_m_s == pytest.approx((theirs.velN / 1e3, theirs.velE / 1e3, theirs.velD / 1e3))
         assert ours.ground_speed_m_s == pytest.approx(theirs.gSpeed / 1e3)
-        assert ours.course_rad == pytest.approx(math.radians(theirs.headMot))
+        assert ours.course_rad == pytest.approx(math.radians(theirs.headMot / 1e5))
         assert ours.speed_sd_m_s == pytest.approx(theirs.sAcc / 1e3)
         if ours.position is not None:
-            assert ours.position.latitude_deg == pytest.approx(theirs.lat, abs=1e-10)
-            assert ours.position.longitude_deg == pytest.approx(theirs.lon, abs=1e-10)
+            assert ours.position.latitude_deg == pytest.approx(theirs.lat / 1e7, abs=1e-10)
+            assert ours.position.longitude_deg == pytest.approx(theirs.lon / 1e7, abs=1e-10)
             assert ours.position.height_ellipsoid_m == pytest.approx(theirs.height / 1e3)
             assert ours.position.height_msl_m == pytest.approx(theirs.hMSL / 1e3)
 
@@ -89,18 +120,97 @@ def test_every_recorded_nav_sat_is_read_as_pyubx2_reads_it(folder: str, name: st
 
 
 @pytest.mark.recording
-def test_recorded_dop_and_high_precision_are_read_as_pyubx2_reads_them() -> None:
+def test_recorded_dop_and_high_precision_are_read_as_the_interface_description_says() -> None:
     path = recording("gpsd_receiver_logs") / "ublox-zed-f9p-hp.log"
-    for payload, theirs in messages(path, "DOP"):
-        dop = ubx.decode_dop(payload)
-        assert (dop.pdop, dop.vdop, dop.hdop) == pytest.approx((theirs.pDOP, theirs.vDOP, theirs.hDOP))
-    for payload, theirs in messages(path, "HPPOSLLH"):
-        position = ubx.decode_high_precision(payload).position
+    for payload, _ in messages(path, "DOP"):
+        dop, theirs = ubx.decode_dop(ubx.parse("DOP", payload)), unpack(DOP, DOP_FIELDS, payload)
+        assert (dop.pdop, dop.vdop, dop.hdop) == pytest.approx(
+            (theirs.pDOP / 100, theirs.vDOP / 100, theirs.hDOP / 100)
+        )
+    for payload, _ in messages(path, "HPPOSLLH"):
+        position, theirs = decode_high_precision(payload).position, unpack(HPPOSLLH, HPPOSLLH_FIELDS, payload)
         assert position is not None
-        assert position.latitude_deg == pytest.approx(theirs.lat, abs=1e-9)  # pyubx2 adds the 1e-9 part itself
-        assert position.longitude_deg == pytest.approx(theirs.lon, abs=1e-9)
-        assert position.height_ellipsoid_m == pytest.approx(theirs.height / 1e3, abs=1e-3)
-        assert position.horizontal_sd_m == pytest.approx(theirs.hAcc / 1e3)
+        assert position.latitude_deg == pytest.approx(theirs.lat / 1e7 + theirs.latHp / 1e9, abs=1e-10)
+        assert position.longitude_deg == pytest.approx(theirs.lon / 1e7 + theirs.lonHp / 1e9, abs=1e-10)
+        assert position.height_ellipsoid_m == pytest.approx(theirs.height / 1e3 + theirs.heightHp / 1e4, abs=1e-9)
+        assert position.horizontal_sd_m == pytest.approx(theirs.hAcc / 1e4)
+
+
+def pvt_bytes(*, pvt_flags: int = 0b01_0_000_11, flags3: int = 0b0110, size: int = 92) -> bytes:
+    payload = PVT.pack(
+        396_018_250, 2026, 1, 2, 3, 4, 5, 7, 21, -123_456, 3, pvt_flags, 0xE0, 17, -132_500_001, 425_000_002, 700_003,
+        650_004, 1_005, 2_006, 3_007, -4_008, 5_009, 5_010, 306_86990, 111, 1_234_567, 234, flags3,
+    )  # fmt: skip
+    return (payload + bytes(92 - PVT.size))[:size]
+
+
+def test_every_field_of_nav_pvt_has_its_place_and_unit() -> None:
+    pvt = decode_pvt(pvt_bytes())
+    assert (pvt.itow_ms, pvt.calendar, pvt.nanosecond) == (396_018_250, (2026, 1, 2, 3, 4, 5), -123_456)
+    assert (pvt.time_valid, pvt.fix_ok, pvt.differential) == (True, True, True)
+    assert (pvt.fix_type, pvt.carrier_solution) == (FixType.THREE_D, CarrierSolution.FLOAT)
+    assert pvt.satellites_used == 17
+    assert pvt.position is not None
+    assert astuple(pvt.position) == pytest.approx((42.5000002, -13.2500001, 700.003, 650.004, 1.005, 2.006), rel=1e-12)
+    assert pvt.velocity_ned_m_s == pytest.approx((3.007, -4.008, 5.009))
+    assert (pvt.ground_speed_m_s, pvt.speed_sd_m_s, pvt.pdop) == pytest.approx((5.010, 0.111, 2.34))
+    assert pvt.course_rad == pytest.approx(math.radians(306.8699))
+    assert pvt.correction_age_s == 5  # class 3
+
+
+def test_the_shorter_nav_pvt_of_generation_7_has_no_flags3() -> None:
+    assert decode_pvt(pvt_bytes(flags3=0b0101)).position is None
+    old = decode_pvt(pvt_bytes(flags3=0b0101, size=84))
+    assert old.position is not None
+    assert (old.correction_age_s, old.pdop) == (None, 2.34)
+    with pytest.raises(ubx.UbxError, match="short"):
+        decode_pvt(pvt_bytes(size=77))
+
+
+@pytest.mark.parametrize(("flags", "solution"), [(0x41, "float"), (0x81, "fixed"), (0xC1, "none"), (0x01, "none")])
+def test_nav_pvt_tells_the_carrier_solution(flags: int, solution: str) -> None:
+    assert decode_pvt(pvt_bytes(pvt_flags=flags)).carrier_solution is CarrierSolution(solution)
+
+
+def test_every_field_of_nav_dop_has_its_place_and_unit() -> None:
+    dop = ubx.decode_dop(ubx.parse("DOP", DOP.pack(250, 1, 202, 3, 304, 405, 9999, 0)))
+    assert (dop.itow_ms, dop.pdop, dop.vdop, dop.hdop) == (250, 2.02, 3.04, 4.05)
+
+
+def test_every_field_of_nav_cov_has_its_place_and_unit() -> None:
+    position, velocity = (4.0, 1.0, 0.5, 9.0, -0.25, 16.0), (8.0, 2.0, 1.0, 18.0, -0.5, 32.0)
+    decoded = decode_covariance(COV.pack(250, 0, 1, 1, *position, *velocity))
+    assert decoded == ubx.Covariance(250, position, velocity)
+    assert decode_covariance(COV.pack(250, 0, 0, 1, *position, *velocity)) == ubx.Covariance(250, None, velocity)
+    with pytest.raises(ubx.UbxError, match="short"):
+        decode_covariance(COV.pack(250, 0, 1, 1, *position, *velocity)[:-1])
+
+
+def test_every_field_of_nav_hpposllh_has_its_place_and_unit() -> None:
+    def payload(flags: int, accuracy: int) -> bytes:
+        return HPPOSLLH.pack(0, flags, 250, -132_500_000, 425_000_001, 700_001, 650_001, -45, 23, -3, 4, 141, accuracy)
+
+    decoded = decode_high_precision(payload(0, 200))
+    assert decoded.itow_ms == 250
+    expected = (42.500000123, -13.250000045, 700.0007, 650.0014, 0.0141, 0.02)
+    assert decoded.position is not None
+    assert astuple(decoded.position) == pytest.approx(expected, rel=0, abs=1e-10)
+    assert decode_high_precision(payload(1, 200)).position is None
+    unknown = decode_high_precision(payload(0, 0xFFFFFFFF)).position
+    assert unknown is not None
+    assert unknown.horizontal_sd_m == pytest.approx(0.0141)
+    assert unknown.vertical_sd_m is None
+
+
+@pytest.mark.parametrize("kind", ["EOE", "DOP", "SAT"])
+def test_a_time_of_week_is_within_the_week(kind: str) -> None:
+    def itow_ms(value: int) -> int:
+        payload = struct.pack("<I14x", value)
+        return ubx.satellites_itow_ms(payload) if kind == "SAT" else int(ubx.parse(kind, payload).iTOW)
+
+    assert itow_ms(604_799_999) == 604_799_999
+    with pytest.raises(ubx.UbxError, match="time_of_week"):
+        itow_ms(604_800_000)
 
 
 def covariance(**fields: float) -> bytes:
@@ -111,13 +221,13 @@ def covariance(**fields: float) -> bytes:
 
 
 def test_a_covariance_comes_as_the_upper_triangle() -> None:
-    decoded = ubx.decode_covariance(covariance())
+    decoded = decode_covariance(covariance())
     assert decoded.position_ned_m2 == (4.0, 1.0, 0.0, 9.0, 0.0, 16.0)
     assert decoded.velocity_ned_m2_s2 == pytest.approx((0.01, 0, 0, 0.02, 0, 0.03))
 
 
 def test_a_covariance_that_is_not_valid_is_missing() -> None:
-    decoded = ubx.decode_covariance(covariance(posCovValid=0, velCovValid=0))
+    decoded = decode_covariance(covariance(posCovValid=0, velCovValid=0))
     assert decoded.position_ned_m2 is None
     assert decoded.velocity_ned_m2_s2 is None
 
@@ -125,12 +235,12 @@ def test_a_covariance_that_is_not_valid_is_missing() -> None:
 @pytest.mark.parametrize("field", [{"posCovNN": math.nan}, {"posCovNE": 7.0}, {"velCovDD": 0.0}, {"posCovEE": -1.0}])
 def test_a_matrix_that_is_no_covariance_is_refused(field: dict[str, float]) -> None:
     with pytest.raises(ubx.UbxError, match="covariance"):
-        ubx.decode_covariance(covariance(**field))
+        decode_covariance(covariance(**field))
 
 
 def test_what_a_receiver_does_not_know_is_missing() -> None:
     payload = encode("NAV-PVT", lat=0, lon=0, hAcc=0xFFFFFFFF, vAcc=0, sAcc=0, pDOP=99.99)
-    pvt = ubx.decode_pvt(payload)
+    pvt = decode_pvt(payload)
     assert pvt.position is not None
     assert (pvt.position.horizontal_sd_m, pvt.position.vertical_sd_m, pvt.speed_sd_m_s, pvt.pdop) == (None,) * 4
     assert pvt.correction_age_s is None
@@ -138,7 +248,7 @@ def test_what_a_receiver_does_not_know_is_missing() -> None:
 
 @pytest.mark.parametrize("fields", [{"lat": 91.0}, {"lon": -181.0}, {"height": 2_000_000_000}, {"invalidLlh": 1}])
 def test_a_position_that_is_none_is_missing(fields: dict[str, float]) -> None:
-    assert ubx.decode_pvt(encode("NAV-PVT", **fields)).position is None
+    assert decode_pvt(encode("NAV-PVT", **fields)).position is None
 
 
 def test_satellites_without_a_place_in_the_sky_have_none() -> None:
@@ -151,12 +261,12 @@ def test_satellites_without_a_place_in_the_sky_have_none() -> None:
 @given(st.sampled_from(sorted(set(ubx.KINDS.values()))), st.binary(max_size=120))
 def test_any_payload_is_decoded_or_refused(kind: str, payload: bytes) -> None:
     decoders: dict[str, Callable[[bytes], object]] = {
-        "PVT": ubx.decode_pvt,
-        "DOP": ubx.decode_dop,
-        "COV": ubx.decode_covariance,
-        "HPPOSLLH": ubx.decode_high_precision,
+        "PVT": decode_pvt,
+        "DOP": lambda data: ubx.decode_dop(ubx.parse("DOP", data)),
+        "COV": decode_covariance,
+        "HPPOSLLH": decode_high_precision,
         "SAT": ubx.decode_satellites,
-        "EOE": lambda data: ubx.itow_ms("EOE", data),
+        "EOE": lambda data: ubx.parse("EOE", data).iTOW,
     }
     try:
         assert decoders[kind](payload) is not None
