@@ -1,5 +1,6 @@
 """The `obu` command."""
 
+import os
 import sys
 
 from shared.errors import UserError
@@ -20,6 +21,9 @@ def main() -> None:
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
+    except BrokenPipeError:  # the reader, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
 
 
 def run(name: str) -> None:

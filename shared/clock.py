@@ -3,6 +3,9 @@
 import os
 import time
 from pathlib import Path
+from uuid import uuid4
+
+from .errors import UserError
 
 
 def boot_id() -> str:
@@ -17,15 +20,22 @@ def fixed_offset_ns(state_dir: Path) -> int:
     The first process to ask writes it down; a clock that is set later does not move the time line.
     """
     path = state_dir / f"clock-{boot_id()}"
+    if path.exists():
+        return int(path.read_text())
     proposal = time.time_ns() - time.monotonic_ns()
-    draft = path.with_suffix(f".{os.getpid()}")
-    draft.write_text(str(proposal))
+    draft = state_dir / f"clock-draft-{uuid4().hex}"  # containers share the folder, and in each the process is number 1
     try:
+        draft.write_text(str(proposal))
         os.link(draft, path)  # fails where another process was first: atomic, and never half written
     except FileExistsError:
         return int(path.read_text())
+    except OSError as error:
+        raise UserError(f"cannot write into the state folder {state_dir}: {error.strerror}; set OBU_STATE") from error
     finally:
-        draft.unlink()
+        draft.unlink(missing_ok=True)
+    for old in state_dir.glob("clock-*"):
+        if old != path and not old.name.startswith("clock-draft-"):
+            old.unlink(missing_ok=True)
     return proposal
 
 

@@ -37,10 +37,13 @@ def decode(name: str, payload: bytes, properties: Mapping[str, str]) -> Message:
         if issubclass(topic.message, RawBytes):
             stamp, source = int(properties["received_ns"]), properties["source"]
             return topic.message(received_ns=stamp, source=source, data=payload)
-        return topic.message.model_validate_json(payload)
+        message = topic.message.model_validate_json(payload)
     except KeyError as error:
         raise BadPayload(f"{name} without the user property {error}") from error
     except ValidationError as error:
         raise BadPayload(f"{name}: {error.errors()[0]['msg']}") from error
     except ValueError as error:
         raise BadPayload(f"{name}: {error}") from error
+    if topic.per_process and name != topic_name(message):
+        raise BadPayload(f"{name} speaks for {topic_name(message)}")
+    return message

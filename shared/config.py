@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .errors import UserError
 from .processes import BY_NAME, PROCESSES
@@ -26,7 +26,7 @@ class Section(BaseModel):
 class VehicleSection(Section):
     """Who this vehicle is."""
 
-    name: str = "vehicle"
+    name: str = Field(default="vehicle", pattern=r"^[A-Za-z0-9_-]{1,48}$")  # the second level of every topic
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from shared.errors import BadPayload, UserError
 from shared.topics import TOPICS
 
 from .balance import Balance, Summary
-from .local import broker_command, free_port, fresh_folder, port_or_free, unit
+from .local import broker_command, free_port, fresh_folder, only_one, port_or_free, unit
 from .supervisor import Supervisor
 
 SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
@@ -41,7 +41,12 @@ class DemoOptions:
 def run(options: DemoOptions) -> int:
     """Start everything, watch it, and print the balance at the end."""
     logging.getLogger("shared").setLevel(logging.ERROR)  # the broker's absence at the start is expected
-    folder = fresh_folder(state_dir().resolve() / "demo")
+    base = state_dir().resolve()
+    with only_one(base / "demo.lock"):
+        return _drive(options, fresh_folder(base / "demo"))
+
+
+def _drive(options: DemoOptions, folder: Path) -> int:
     port, http_port = free_port(), port_or_free(options.http_port)
     vehicle_path = folder / "vehicle.toml"
     vehicle = _vehicle(options, http_port)
@@ -59,7 +64,7 @@ def run(options: DemoOptions) -> int:
     address = f"http://127.0.0.1:{http_port}"
     bus = Bus("observer", vehicle.name, BrokerAddress.parse(environment["OBU_BROKER"]),
               [t for t in TOPICS if t.name in OBSERVED], folder, observer=True)  # fmt: skip
-    balance = Balance(vehicle)
+    balance = Balance(vehicle, keep=options.duration_s is not None)
     try:
         _watch(supervisor, bus, balance, options, console, address)
         summary = balance.summary(supervisor.alive(), len(supervisor.children), _restarts(supervisor))

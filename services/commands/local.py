@@ -1,9 +1,12 @@
 """A broker and a state folder on this machine, for the demo."""
 
+import contextlib
+import fcntl
 import os
 import shutil
 import socket
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from broker import local_config
@@ -31,10 +34,31 @@ def port_or_free(wanted: int) -> int:
         return int(probe.getsockname()[1])
 
 
+@contextlib.contextmanager
+def only_one(lock: Path) -> Iterator[None]:
+    """Hold a folder for this demo alone: a second one would throw away what the first is writing."""
+    try:
+        file = lock.open("w")
+    except OSError as error:
+        raise UserError(f"cannot write {lock}: {error.strerror}; set OBU_STATE to a folder of yours") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise UserError(
+                f"another demo runs in {lock.parent}; end it, or set OBU_STATE to another folder"
+            ) from error
+        yield
+
+
 def fresh_folder(path: Path) -> Path:
     """Make an empty folder, throwing away what an earlier run left there."""
-    shutil.rmtree(path, ignore_errors=True)
-    path.mkdir(parents=True)
+    try:
+        if path.exists():
+            shutil.rmtree(path)
+        path.mkdir(parents=True)
+    except OSError as error:
+        raise UserError(f"cannot empty {path}: {error.strerror}; remove it, or set OBU_STATE to another") from error
     return path
 
 

@@ -39,6 +39,11 @@ def follow(name: str, vehicle: VehicleFile, count: int | None) -> int:
 
 def _line(envelope: Envelope) -> str:
     topic = topic_of(envelope.topic)
-    raw = topic is not None and issubclass(topic.message, RawBytes)
-    body = envelope.payload.hex() if raw else json.loads(envelope.payload)
+    if topic is not None and issubclass(topic.message, RawBytes):
+        body = envelope.payload.hex()
+    else:
+        try:
+            body = json.loads(envelope.payload)
+        except ValueError:  # broken messages are what one looks for with this command
+            body = envelope.payload.decode(errors="replace")
     return json.dumps({"topic": envelope.topic, "from": envelope.producer, "seq": envelope.sequence, "message": body})

@@ -1,5 +1,6 @@
 """The messages of the bus: one type a topic, SI units in the names, `None` for what is missing."""
 
+from .base import DeviceName as DeviceName
 from .base import Latitude as Latitude
 from .base import Longitude as Longitude
 from .base import Message as Message

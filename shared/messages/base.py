@@ -9,7 +9,16 @@ Vector3 = tuple[float, float, float]
 Symmetric3 = tuple[float, float, float, float, float, float]
 Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
+# What no sensor on Earth can say, but hostile bytes can; wide enough for every field of UBX.
+Height = Annotated[float, Field(ge=-1e7, le=1e7)]
+Speed = Annotated[float, Field(ge=-1e7, le=1e7)]
+Deviation = Annotated[float, Field(ge=0.0, le=1e9)]
+Velocity3 = tuple[Speed, Speed, Speed]
+Deviation3 = tuple[Deviation, Deviation, Deviation]
+Nanoseconds = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Name = Annotated[str, Field(max_length=64)]
+# Parsers append what they read it from, such as "/nmea", and the result is a `Name`.
+DeviceName = Annotated[str, Field(max_length=48)]
 Reason = Annotated[str, Field(max_length=400)]
 
 
@@ -22,20 +31,20 @@ class Message(BaseModel):
 class Stamped(Message):
     """A measurement with its two stamps on the OBU time line."""
 
-    sampled_ns: int  # when the value was true
-    received_ns: int  # when its bytes arrived at the driver
+    sampled_ns: Nanoseconds  # when the value was true
+    received_ns: Nanoseconds  # when its bytes arrived at the driver
     source: Name  # which device
 
 
 class RawBytes(Message):
     """Bytes of a device as they are; on the bus the payload is `data`, the rest user properties."""
 
-    received_ns: int
-    source: Name
+    received_ns: Nanoseconds
+    source: DeviceName
     data: bytes
 
 
 class Tick(Message):
     """The passage of time, given by the runtime; not on the bus."""
 
-    now_ns: int
+    now_ns: Nanoseconds

@@ -2,7 +2,21 @@
 
 from enum import StrEnum
 
-from .base import Latitude, Longitude, Message, Name, RawBytes, Reason, Stamped, Symmetric3, Vector3
+from .base import (
+    Deviation3,
+    Height,
+    Latitude,
+    Longitude,
+    Message,
+    Name,
+    Nanoseconds,
+    RawBytes,
+    Reason,
+    Speed,
+    Stamped,
+    Symmetric3,
+    Velocity3,
+)
 
 
 class GnssRaw(RawBytes):
@@ -35,21 +49,21 @@ class CarrierSolution(StrEnum):
 class GnssFix(Stamped):
     """One navigation epoch of a receiver: position and velocity of its antenna."""
 
-    gps_time_ns: int | None = None  # since 1980-01-06, GPS time
-    utc_ns: int | None = None  # since 1970-01-01, UTC
+    gps_time_ns: Nanoseconds | None = None  # since 1980-01-06, GPS time
+    utc_ns: Nanoseconds | None = None  # since 1970-01-01, UTC
     fix_type: FixType
     carrier_solution: CarrierSolution = CarrierSolution.NONE
     differential: bool = False
     satellites_used: int | None = None
     latitude_deg: Latitude | None = None
     longitude_deg: Longitude | None = None
-    height_ellipsoid_m: float | None = None
-    height_msl_m: float | None = None
-    velocity_ned_m_s: Vector3 | None = None
-    ground_speed_m_s: float | None = None
+    height_ellipsoid_m: Height | None = None
+    height_msl_m: Height | None = None
+    velocity_ned_m_s: Velocity3 | None = None
+    ground_speed_m_s: Speed | None = None
     course_rad: float | None = None
-    position_sd_ned_m: Vector3 | None = None
-    velocity_sd_ned_m_s: Vector3 | None = None
+    position_sd_ned_m: Deviation3 | None = None
+    velocity_sd_ned_m_s: Deviation3 | None = None
     position_cov_ned_m2: Symmetric3 | None = None
     velocity_cov_ned_m2_s2: Symmetric3 | None = None
     pdop: float | None = None

@@ -2,7 +2,7 @@
 
 from pydantic import model_validator
 
-from .base import Message, Name, RawBytes, Vector3
+from .base import Message, Name, Nanoseconds, RawBytes, Vector3
 
 
 class ImuRaw(RawBytes):
@@ -12,9 +12,9 @@ class ImuRaw(RawBytes):
 class ImuSamples(Message):
     """One or more consecutive inertial samples in body axes (forward, right, down)."""
 
-    received_ns: int
+    received_ns: Nanoseconds
     source: Name
-    sampled_ns: tuple[int, ...]
+    sampled_ns: tuple[Nanoseconds, ...]
     specific_force_body_m_s2: tuple[Vector3, ...]
     angular_rate_body_rad_s: tuple[Vector3, ...]
     saturated: bool = False

@@ -2,7 +2,20 @@
 
 from enum import StrEnum
 
-from .base import Latitude, Longitude, Message, Name, Reason, Symmetric3, Vector3
+from .base import (
+    Deviation,
+    Deviation3,
+    Height,
+    Latitude,
+    Longitude,
+    Message,
+    Name,
+    Nanoseconds,
+    Reason,
+    Symmetric3,
+    Vector3,
+    Velocity3,
+)
 
 
 class NavigationPhase(StrEnum):
@@ -19,12 +32,12 @@ class NavigationPhase(StrEnum):
 class NavigationSolution(Message):
     """Position, velocity and attitude of the IMU with their uncertainty (1 sigma)."""
 
-    sampled_ns: int
+    sampled_ns: Nanoseconds
     phase: NavigationPhase
     latitude_deg: Latitude
     longitude_deg: Longitude
-    height_ellipsoid_m: float
-    velocity_ned_m_s: Vector3
+    height_ellipsoid_m: Height
+    velocity_ned_m_s: Velocity3
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
@@ -41,9 +54,9 @@ class NavigationSolution(Message):
 class NavigationState(Message):
     """What the filter is doing and why; published when it changes and once a second."""
 
-    sampled_ns: int
+    sampled_ns: Nanoseconds
     phase: NavigationPhase
-    since_ns: int
+    since_ns: Nanoseconds
     reason: Reason
     fixes_used: int
     fixes_rejected: int
@@ -66,7 +79,7 @@ class AidingKind(StrEnum):
 class AidingUpdate(Message):
     """One measurement as the filter saw it: innovation, its size, and whether it was used."""
 
-    sampled_ns: int
+    sampled_ns: Nanoseconds
     source: Name
     kind: AidingKind
     innovation: tuple[float, ...]  # measured - predicted, in the unit of the kind (m, m/s, rad/s, rad)
@@ -79,24 +92,24 @@ class AidingUpdate(Message):
 class LastPosition(Message):
     """Where the vehicle was last known to be, kept over a power-off."""
 
-    sampled_ns: int
-    utc_ns: int | None = None
+    sampled_ns: Nanoseconds
+    utc_ns: Nanoseconds | None = None
     latitude_deg: Latitude
     longitude_deg: Longitude
-    height_ellipsoid_m: float
+    height_ellipsoid_m: Height
     yaw_rad: float
-    position_sd_ned_m: Vector3
-    yaw_sd_rad: float
+    position_sd_ned_m: Deviation3
+    yaw_sd_rad: Deviation
 
 
 class TruthState(Message):
     """Where the simulated vehicle really is; never for layers 2 to 4."""
 
-    sampled_ns: int
+    sampled_ns: Nanoseconds
     latitude_deg: Latitude
     longitude_deg: Longitude
-    height_ellipsoid_m: float
-    velocity_ned_m_s: Vector3
+    height_ellipsoid_m: Height
+    velocity_ned_m_s: Velocity3
     roll_rad: float
     pitch_rad: float
     yaw_rad: float

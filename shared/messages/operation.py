@@ -4,7 +4,7 @@ from enum import StrEnum
 
 from pydantic import Field
 
-from .base import Message, Name, Reason
+from .base import Message, Name, Nanoseconds, Reason
 
 
 class Mode(StrEnum):
@@ -22,9 +22,9 @@ class Mode(StrEnum):
 class ModeState(Message):
     """The mode of the unit, since when and why, and the sources that it chose."""
 
-    sampled_ns: int
+    sampled_ns: Nanoseconds
     mode: Mode
-    since_ns: int
+    since_ns: Nanoseconds
     reason: Reason
     gnss_source: Name | None = None
     imu_source: Name | None = None
@@ -46,8 +46,8 @@ class ProcessHealth(Message):
 
     process: Name
     state: ProcessState
-    incarnation: int  # start of this life on the OBU time line [ns]
-    sent_ns: int
+    incarnation: Nanoseconds  # start of this life on the OBU time line [ns]
+    sent_ns: Nanoseconds
     messages_in: int = 0
     messages_out: int = 0
     dropped: int = 0  # forgotten by a full queue
@@ -94,7 +94,7 @@ class ProcessAge(Message):
 class DeadlineReport(Message):
     """Every topic and every process against its deadline."""
 
-    now_ns: int
+    now_ns: Nanoseconds
     topics: tuple[TopicAge, ...]
     processes: tuple[ProcessAge, ...]
 
@@ -103,15 +103,15 @@ class Outage(Message):
     """Something that was silent: what, since when, and, once it is over, for how long."""
 
     what: Name  # a topic, a process, or "broker"
-    since_ns: int
-    until_ns: int | None = None
+    since_ns: Nanoseconds
+    until_ns: Nanoseconds | None = None
     cause: Reason
 
 
 class RecordingState(Message):
     """What is being recorded, and how much room is left."""
 
-    now_ns: int
+    now_ns: Nanoseconds
     recording: bool
     file: Name | None = None
     bytes_written: int
@@ -132,7 +132,7 @@ class OriginKind(StrEnum):
 class Origin(Message):
     """Where the data come from, repeated so that nobody takes a simulation for a vehicle."""
 
-    now_ns: int
+    now_ns: Nanoseconds
     kind: OriginKind
     name: Name  # scenario, recording or vehicle
     seed: int | None = None
@@ -147,5 +147,5 @@ class Consumed(Message):
     """
 
     process: Name
-    incarnation: int
+    incarnation: Nanoseconds
     runs: tuple[tuple[str, str, int, int, int], ...]

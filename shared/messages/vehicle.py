@@ -1,6 +1,6 @@
 """What the vehicle's own network says."""
 
-from .base import RawBytes, Stamped
+from .base import RawBytes, Speed, Stamped
 
 
 class CanRaw(RawBytes):
@@ -10,14 +10,14 @@ class CanRaw(RawBytes):
 class VehicleSpeed(Stamped):
     """Speed of the vehicle as one number: OBD-II, tachograph or dashboard."""
 
-    speed_m_s: float
+    speed_m_s: Speed
     resolution_m_s: float | None = None
 
 
 class WheelSpeeds(Stamped):
     """Speed of each wheel over ground; a wheel without a sensor is missing."""
 
-    front_left_m_s: float | None = None
-    front_right_m_s: float | None = None
-    rear_left_m_s: float | None = None
-    rear_right_m_s: float | None = None
+    front_left_m_s: Speed | None = None
+    front_right_m_s: Speed | None = None
+    rear_left_m_s: Speed | None = None
+    rear_right_m_s: Speed | None = None

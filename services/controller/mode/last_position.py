@@ -1,5 +1,6 @@
 """When to write down where the vehicle is, and what."""
 
+import math
 from collections.abc import Iterator
 
 from shared.messages import LastPosition, NavigationPhase, NavigationSolution
@@ -41,6 +42,10 @@ class PositionKeeper:
             longitude_deg=solution.longitude_deg,
             height_ellipsoid_m=solution.height_ellipsoid_m,
             yaw_rad=solution.yaw_rad,
-            position_sd_ned_m=(nn**0.5, ee**0.5, dd**0.5),
-            yaw_sd_rad=solution.attitude_cov_ned_rad2[5] ** 0.5,
+            position_sd_ned_m=(_sd(nn), _sd(ee), _sd(dd)),
+            yaw_sd_rad=_sd(solution.attitude_cov_ned_rad2[5]),
         )
+
+
+def _sd(variance: float) -> float:
+    return math.sqrt(max(variance, 0.0))  # a negative one can only come from outside

@@ -75,7 +75,7 @@ class Process:
             yield from self._solution(sampled_ns)
 
     def _is_silent(self, now_ns: int) -> bool:
-        return self._imu_received_ns is None or now_ns - self._imu_received_ns > SILENT_NS
+        return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS
 
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
         """Say by the stamps of fixes that there are no inertial samples."""
@@ -94,7 +94,7 @@ class Process:
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
         """Say where the vehicle is, once a period."""
         period = sampled_ns // self._solution_period_ns
-        solution = self._navigator.solution() if period > self._last_solution else None
+        solution = self._navigator.solution() if period != self._last_solution else None
         if solution is not None:
             self._last_solution = period
             yield solution_message(solution)

@@ -19,6 +19,7 @@ from .gnss_time import DAY_NS, NS
 
 KNOT_M_S = 1852 / 3600  # exact
 FASTEST_M_S = 600.0
+LARGEST = 1e6  # no field of these sentences comes near
 NOT_A_FIX = (None, 0, 7, 8)  # GGA quality: not given, none, typed in by hand, simulated
 Sentence = Any  # pynmea2 gives the fields their names at run time; one that is empty or not there is None or ""
 _WANTED = re.compile(rb"\$(?!P)\w\w(RMC|GGA|GSA|GST),")  # of any talker; with a P it would be proprietary
@@ -174,7 +175,7 @@ class _Reader:
             value = float(said)
         except ValueError:
             value = math.nan
-        if math.isfinite(value):
+        if abs(value) < LARGEST:  # nor NaN
             return value
         self._rejects["nmea_field"] += 1
         return None

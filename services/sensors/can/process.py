@@ -9,7 +9,7 @@ from shared.bus import Bus, Envelope
 from shared.can_device import check_can_url, open_can
 from shared.config import Section
 from shared.driver import Link, run_driver
-from shared.messages import CanRaw
+from shared.messages import CanRaw, DeviceName
 
 SPEED_REQUEST = bytes.fromhex("02010D0000000000")  # SAE J1979 mode 01, PID 0D
 
@@ -18,7 +18,7 @@ class Config(Section):
     """Settings of the CAN driver; `shared/can_device.py` lists the kinds of device."""
 
     device: str = "socketcan://can0"
-    source: str = "can0"
+    source: DeviceName = "can0"
     obd_period_s: float = Field(default=0.0, ge=0.0)  # 0: listen only, send nothing ever
     obd_identifier: int = Field(default=0x7DF, ge=0, le=0x1FFFFFFF)  # 0x18DB33F1 where identifiers have 29 bits
 

@@ -7,14 +7,14 @@ from shared.config import Section
 from shared.device import open_device, split_url
 from shared.driver import Link, run_driver
 from shared.errors import BadPayload
-from shared.messages import GnssRaw, GnssWrite
+from shared.messages import DeviceName, GnssRaw, GnssWrite
 
 
 class Config(Section):
     """Settings of the GNSS driver; `shared/device.py` lists the kinds of device."""
 
     device: str = "serial:///dev/obu-gnss?baud=115200"
-    source: str = "gnss0"
+    source: DeviceName = "gnss0"
 
 
 class Process:

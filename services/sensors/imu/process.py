@@ -4,14 +4,14 @@ from shared.bus import Bus
 from shared.config import Section
 from shared.device import open_device, split_url
 from shared.driver import Link, run_driver
-from shared.messages import ImuRaw
+from shared.messages import DeviceName, ImuRaw
 
 
 class Config(Section):
     """Settings of the IMU driver; `shared/device.py` lists the kinds of device."""
 
     device: str = "serial:///dev/obu-imu?baud=115200"
-    source: str = "imu0"
+    source: DeviceName = "imu0"
 
 
 class Process:

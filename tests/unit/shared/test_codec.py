@@ -113,3 +113,28 @@ def test_an_envelope_without_sender_is_refused() -> None:
 def test_not_a_number_cannot_be_put_into_a_message() -> None:
     with pytest.raises(ValueError, match="finite"):
         GnssFix(sampled_ns=1, received_ns=2, source="g", fix_type=FixType.NONE, hdop=math.nan)
+
+
+def test_a_process_cannot_speak_for_another() -> None:
+    health = ProcessHealth(process="core.fusion", state=ProcessState.READY, incarnation=1, sent_ns=2)
+    with pytest.raises(BadPayload, match="speaks for"):
+        codec.decode("health/parsers.gnss", codec.encode(health)[0], {})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sampled_ns": 10**400}, {"received_ns": -(10**400)}, {"height_ellipsoid_m": 1e300}, {"height_msl_m": -1e300},
+        {"velocity_ned_m_s": [1e300, 0.0, 0.0]}, {"position_sd_ned_m": [1.0, 1e300, 1.0]},
+        {"velocity_sd_ned_m_s": [-1.0, 1.0, 1.0]}, {"ground_speed_m_s": 1e300},
+    ],
+)  # fmt: skip
+def test_numbers_that_no_sensor_can_say_are_refused_at_the_door(change: dict[str, object]) -> None:
+    document = json.loads(codec.encode(FIX)[0]) | change
+    with pytest.raises(BadPayload):
+        codec.decode("gnss/fix", json.dumps(document).encode(), {})
+
+
+def test_a_source_leaves_room_for_what_parsers_append() -> None:
+    with pytest.raises(BadPayload):
+        codec.decode("gnss/raw", b"", {"source": "x" * 49, "received_ns": "1"})

@@ -93,3 +93,9 @@ def test_an_address_that_makes_no_sense_says_what_one_looks_like(url: str) -> No
 
 def test_a_password_does_not_show_in_logs() -> None:
     assert "secret" not in repr(BrokerAddress.parse("mqtt://me:secret@host"))
+
+
+@pytest.mark.parametrize("name", ["", "+", "#", "a/b", "x" * 49, "car 7"])
+def test_a_vehicle_whose_name_is_no_level_of_a_topic_is_refused(name: str) -> None:
+    with pytest.raises(UserError, match="name"):
+        _ = parse_vehicle(f'[vehicle]\nname = "{name}"').name

@@ -247,3 +247,24 @@ def test_the_process_file_does_no_mathematics() -> None:
     text = Path("services/core/fusion/process.py").read_text(encoding="utf-8")
     assert "numpy" not in text and "import math" not in text
     assert text.count("\n") <= 100
+
+
+def test_solutions_go_on_when_the_time_line_starts_again_earlier() -> None:
+    """A recording that is replayed a second time is an hour, or a second, older than what came before."""
+    process = Process(Config(lever_arm_body_m=drive().lever_arm_b))
+    first = [m for m in run([*samples(), *fixes()], process) if isinstance(m, NavigationSolution)]
+    hour_ns = 3600 * 10**9
+    messages: list[ImuSamples | GnssFix] = [*samples(), *fixes()]
+    earlier = [
+        m.model_copy(
+            update={
+                "received_ns": m.received_ns - hour_ns,
+                "sampled_ns": tuple(t - hour_ns for t in m.sampled_ns)
+                if isinstance(m, ImuSamples)
+                else m.sampled_ns - hour_ns,
+            }
+        )
+        for m in messages
+    ]
+    second = [m for m in run(earlier, process) if isinstance(m, NavigationSolution)]
+    assert len(second) > 0.9 * len(first) > 100

@@ -1,3 +1,5 @@
+import functools
+import operator
 from collections import Counter
 from datetime import UTC, datetime
 from typing import Any
@@ -9,7 +11,8 @@ from hypothesis import strategies as st
 
 from services.parsers.gnss.framer import Framer, Protocol
 from services.parsers.gnss.nmea import KNOT_M_S, NmeaAssembler, NmeaError, fix_from_sentences, time_of_day_ns
-from shared.messages import CarrierSolution, FixType, GnssFix
+from services.parsers.gnss.process import Config, Process
+from shared.messages import CarrierSolution, FixType, GnssFix, GnssRaw
 from tests.support.data import recording
 
 NS = 1_000_000_000
@@ -148,3 +151,16 @@ def test_fields_of_any_content_make_a_fix_or_are_left_out(fields: list[str]) -> 
     epoch.sentences.update(sentences)
     fix = fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=Counter())
     assert fix.ground_speed_m_s is None or 0 <= fix.ground_speed_m_s <= 600
+
+
+@pytest.mark.parametrize("altitude", ["1e300", "9" * 150, "nan", "-1e9", "inf"])
+def test_a_height_that_nothing_can_have_is_counted_and_left_out(altitude: str) -> None:
+    parser = Process(Config())
+    fixes = []
+    for second in range(1, 5):
+        body = f"GNGGA,12000{second}.00,4807.038,N,01131.000,E,1,08,0.9,{altitude},M,46.9,M,,"
+        checksum = functools.reduce(operator.xor, body.encode())
+        raw = GnssRaw(received_ns=second * 10**9, source="g", data=f"${body}*{checksum:02X}\r\n".encode())
+        fixes += [m for m in parser.handle(raw) if isinstance(m, GnssFix)]
+    assert fixes and fixes[0].latitude_deg and fixes[0].height_ellipsoid_m is None
+    assert parser.rejects["nmea_field"] >= 1
