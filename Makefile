@@ -7,7 +7,7 @@ APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
 SCENARIO ?= urban
 
-.PHONY: help setup demo test check up down containers docs lock papers bench picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers bench picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -46,7 +46,7 @@ $(VENV)/.debian: | $(VENV)/.testing
 demo: setup ## drive a simulated car here and print the dashboard's address
 	@$(PYTHON) -m services demo --scenario $(SCENARIO) --seed $(SEED)
 
-test: $(VENV)/.debian ## run every check that CI runs
+test: $(VENV)/.debian ## run every check that CI runs: all but `make slow` and `make containers`
 	@$(MAKE) --no-print-directory check
 
 check: | $(VENV)/.testing ## the checks alone, on what is installed
@@ -55,6 +55,9 @@ check: | $(VENV)/.testing ## the checks alone, on what is installed
 	@$(PYTHON) -m mypy
 	@$(PYTHON) -m pytest -n auto --dist loadgroup -m "not slow and not whole_unit" $(PYTEST_ARGS)
 	@$(PYTHON) -m pytest -m "whole_unit" $(PYTEST_ARGS)
+
+slow: | $(VENV)/.testing ## test with the recordings that CI leaves out (seconds; they are not part of the repository)
+	@$(PYTHON) -m pytest -m "slow and not container" $(PYTEST_ARGS)
 
 up: ## start the containers
 	docker compose up --detach --build

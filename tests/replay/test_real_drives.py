@@ -64,9 +64,7 @@ def test_a_car_without_gnss_for_ten_seconds_drifts_by_a_few_metres(rtk_car: Path
     assert found["within_3_sigma_fraction"] > 0.98, "the covariance grows as the error does"
 
 
-@pytest.mark.parametrize(
-    "trial", ["02", pytest.param("08", marks=pytest.mark.slow), pytest.param("10", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("trial", ["02", "08", "10"])
 def test_a_car_with_a_tactical_imu_drifts_by_less_than_a_metre_and_a_half(trial: str, tmp_path: Path) -> None:
     drive = imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path)
     whole, cut = solved(drive), solved(drive, "10/30")
