@@ -1,6 +1,7 @@
 """The HTTP door: routes that read the state, and what every answer carries."""
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator, Callable, MutableMapping
 from contextlib import AbstractContextManager, asynccontextmanager
 from typing import Annotated, Any
@@ -17,6 +18,8 @@ from .history import FIELDS
 from .pages import Pages
 from .state import State
 from .stream import Stream
+
+log = logging.getLogger(__name__)
 
 Scope = MutableMapping[str, Any]
 Send = Callable[[Scope], Any]
@@ -111,8 +114,9 @@ def make_app(api: Api, pages: Pages, stream: Stream, allowed_hosts: tuple[str, .
     """Put the routes together."""
 
     @asynccontextmanager
-    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         task = asyncio.create_task(stream.run())
+        task.add_done_callback(lambda done: _end_with(done, app.state.server))
         yield
         task.cancel()
 
@@ -127,7 +131,7 @@ def make_app(api: Api, pages: Pages, stream: Stream, allowed_hosts: tuple[str, .
 
 
 def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
-    """Make the server; no compression of frames, which would double its work."""
+    """Make the server, which the app may end; no compression of frames, which would double its work."""
     config = uvicorn.Config(
         app,
         http="h11",
@@ -141,7 +145,16 @@ def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
         log_config=None,
         log_level="warning",
     )
-    return uvicorn.Server(config)
+    server = uvicorn.Server(config)
+    app.state.server = server
+    return server
+
+
+def _end_with(task: asyncio.Task[None], server: uvicorn.Server) -> None:
+    """End the server with a task that failed: better no pages, and a new life, than pages that stand still."""
+    if not task.cancelled():
+        log.error("the stream to the pages has failed", exc_info=task.exception())
+        server.should_exit = True
 
 
 def _json(content: object, status: int) -> Response:
