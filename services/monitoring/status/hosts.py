@@ -36,5 +36,8 @@ def same_origin(origin: str | None, host: str | None) -> bool:
     """Accept a request without Origin (no browser sent it), or one from a page of this very host and port."""
     if origin is None:
         return True
-    parts = urlsplit(origin)
+    try:
+        parts = urlsplit(origin)
+    except ValueError:
+        return False
     return bool(host) and parts.scheme in ("http", "https") and parts.netloc.lower() == str(host).lower()

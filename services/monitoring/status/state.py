@@ -7,6 +7,7 @@ from statistics import fmean
 from typing import TypeVar
 
 from shared.bus import Envelope
+from shared.errors import BadPayload
 from shared.messages import (
     AidingKind,
     AidingUpdate,
@@ -137,9 +138,12 @@ class State:
         return root_cause(BY_NAME[name], self.statuses, lambda other: self.topics[other].freshness(now_ns))
 
     def _note_health(self, health: ProcessHealth, envelope: Envelope, flow: TopicFlow) -> None:
+        process = self.processes.get(health.process)
+        if process is None:
+            raise BadPayload(f"{envelope.topic} speaks for {health.process}, which is no process")
         if not envelope.retained and flow.latencies_s and health.sent_ns > health.incarnation:
             self._delays_s.append(flow.latencies_s[-1])
-        self.processes[health.process].note(health, flow.updated_ns or envelope.received_ns)
+        process.note(health, flow.updated_ns or envelope.received_ns)
 
     def _judge(self, now_ns: int) -> None:
         uptime_s = (now_ns - self.started_ns) * 1e-9

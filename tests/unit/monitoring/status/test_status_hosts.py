@@ -29,5 +29,10 @@ def test_a_page_may_connect_back_to_where_it_came_from_only() -> None:
     assert not same_origin("null", "obu.local:8080")
 
 
+@pytest.mark.parametrize("origin", ["http://[", "http://[::1", "http://[x]", "//]"])
+def test_an_origin_that_is_no_address_is_refused(origin: str) -> None:
+    assert not same_origin(origin, "obu.local:8080")
+
+
 def test_a_program_that_sends_no_origin_is_no_browser() -> None:
     assert same_origin(None, "obu.local:8080")

@@ -5,6 +5,8 @@ import pytest
 from services.monitoring.status import reports, view
 from services.monitoring.status.banner import Trust
 from services.monitoring.status.problems import Status
+from shared.codec import encode
+from shared.errors import BadPayload
 from shared.messages import (
     DeadlineReport,
     Freshness,
@@ -152,6 +154,15 @@ def test_a_retained_health_message_of_an_earlier_life_does_not_count_as_alive() 
     world.hear(old, "core.fusion", retained=True)
     world.pass_time(0.5)
     assert world.state.statuses["core.fusion"] is Status.SILENT
+
+
+def test_a_health_message_in_the_name_of_a_stranger_is_refused(driving: World) -> None:
+    forged = ProcessHealth(process="stranger", state=ProcessState.LOST, incarnation=START_NS, sent_ns=driving.now_ns)
+    payload, _ = encode(forged)
+    with pytest.raises(BadPayload):
+        driving.hear_bytes("health/core.fusion", payload, "core.fusion")
+    driving.pass_time(0.3)
+    assert driving.state.problems == []
 
 
 def test_a_lost_broker_is_the_only_problem(driving: World) -> None:
