@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -261,10 +262,15 @@ def test_sigterm_ends_a_process_with_a_farewell_and_without_an_error(
 
 def test_without_a_broker_a_process_waits_and_says_so(tmp_path: Path) -> None:
     process = start_process("parsers.can", 1, tmp_path)
-    time.sleep(2.5)
-    assert process.poll() is None
+    assert process.stdout
+    patience = threading.Timer(20.0, process.kill)
+    patience.start()
+    output = process.stdout.readline()
+    patience.cancel()
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.5)
     process.send_signal(signal.SIGTERM)
-    output, _ = process.communicate(timeout=5.0)
+    output += process.communicate(timeout=5.0)[0]
     lines = [json.loads(line) for line in output.splitlines()]
     assert [line["level"] for line in lines] == ["warning"]
     assert "no broker at 127.0.0.1:1" in lines[0]["event"]

@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,7 +12,12 @@ import pytest
 from services.commands.supervisor import Supervisor
 
 SLEEPER = [sys.executable, "-c", "import time; time.sleep(60)"]
-DEAF = [sys.executable, "-c", "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"]
+DEAF = """
+import pathlib, signal, sys, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+pathlib.Path(sys.argv[1]).touch()
+time.sleep(60)
+"""
 
 
 @pytest.fixture
@@ -22,12 +27,16 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
     made.stop()
 
 
-def watch_until(supervisor: Supervisor, condition: object, limit_s: float = 10.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():  # type: ignore[operator]
-        assert time.monotonic() < deadline, "it did not happen in time"
+def watch_until(supervisor: Supervisor, condition: Callable[[], bool], limit_s: float = 10.0) -> float:
+    """Watch until something is true; the time just before the last look."""
+    last_look = time.monotonic()
+    deadline = last_look + limit_s
+    while not condition():
+        last_look = time.monotonic()
+        assert last_look < deadline, "it did not happen in time"
         supervisor.watch()
         time.sleep(0.02)
+    return last_look
 
 
 def test_a_killed_child_is_started_again(supervisor: Supervisor) -> None:
@@ -43,9 +52,8 @@ def test_a_killed_child_is_started_again(supervisor: Supervisor) -> None:
 def test_a_child_that_ends_at_once_is_started_with_growing_pauses(supervisor: Supervisor) -> None:
     supervisor.add("failing", [sys.executable, "-c", "raise SystemExit(3)"])
     child = supervisor.children["failing"]
-    watch_until(supervisor, lambda: child.restarts == 2)
-    pause = child.next_start - time.monotonic()
-    assert 0.3 < pause <= 0.5
+    before_the_last_end_was_seen = watch_until(supervisor, lambda: child.restarts == 2)
+    assert before_the_last_end_was_seen + 0.5 <= child.next_start <= time.monotonic() + 0.5
     assert child.exit_codes == [3, 3]
 
 
@@ -63,11 +71,11 @@ def test_what_a_child_says_is_kept(supervisor: Supervisor, tmp_path: Path) -> No
     assert "a word" in (tmp_path / "speaker.log").read_text()
 
 
-def test_the_end_comes_within_five_seconds_even_for_the_deaf(supervisor: Supervisor) -> None:
-    supervisor.add("deaf", DEAF)
+def test_the_end_comes_within_five_seconds_even_for_the_deaf(supervisor: Supervisor, tmp_path: Path) -> None:
+    is_deaf = tmp_path / "is deaf"
+    supervisor.add("deaf", [sys.executable, "-c", DEAF, str(is_deaf)])
     supervisor.add("stopped", SLEEPER)
-    watch_until(supervisor, lambda: supervisor.alive() == 2)
-    time.sleep(0.3)  # let the deaf one close its ears
+    watch_until(supervisor, lambda: supervisor.alive() == 2 and is_deaf.exists())
     stopped = supervisor.children["stopped"].process
     assert stopped
     stopped.send_signal(signal.SIGSTOP)
