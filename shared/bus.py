@@ -12,7 +12,6 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import paho.mqtt.client as paho
@@ -26,36 +25,22 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from . import codec
 from .clock import Clock
 from .config import BrokerAddress
+from .envelope import Envelope, make_envelope
 from .messages import Message, ProcessHealth, ProcessState
 from .publish_properties import PublishProperties, use_for_received_messages
-from .topics import BY_MESSAGE, Topic, topic_of
+from .topics import BY_MESSAGE, Topic
+
+__all__ = ["Bus", "Envelope"]
 
 log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.5
 KEEP_ALIVE_S = 5
+CONNECT_S = 1.0  # a host that does not answer shall not use up the time that SIGTERM leaves
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 QUEUE_LENGTH = 2000
 
 use_for_received_messages()
-
-
-@dataclass(frozen=True)
-class Envelope:
-    """A message as it travelled: short topic name, payload, and who sent it as which of theirs."""
-
-    topic: str
-    payload: bytes
-    properties: dict[str, str]
-    received_ns: int
-    producer: str = ""
-    incarnation: int = 0
-    sequence: int = 0
-    retained: bool = field(default=False, compare=False)
-
-    def decode(self) -> Message:
-        """Decode the payload, or raise `BadPayload`."""
-        return codec.decode(self.topic, self.payload, self.properties)
 
 
 class Bus:
@@ -180,6 +165,7 @@ class Bus:
         client = paho.Client(CallbackAPIVersion.VERSION2, client_id=identity, protocol=paho.MQTTv5)
         client.username_pw_set(self.address.username or self.process, self.address.password)
         client.max_queued_messages_set(QUEUE_LENGTH)
+        client.connect_timeout = CONNECT_S
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
         client.on_message = self._on_message
@@ -237,7 +223,8 @@ class Bus:
 
     def _transmit(self, name: str, payload: bytes, properties: dict[str, str], topic: Topic) -> None:
         packed = PublishProperties(properties, topic.expiry_s if topic.retain else None)
-        self._client.publish(self._prefix + name, payload, topic.qos, topic.retain, packed)
+        sent = self._client.publish(self._prefix + name, payload, topic.qos, topic.retain, packed)
+        self.dropped += sent.rc == paho.MQTT_ERR_QUEUE_SIZE
 
     def _heartbeat(self) -> None:
         now = time.monotonic()
@@ -295,20 +282,6 @@ class Bus:
             self.rejects["envelope"] += 1
         else:
             self._queue.append(envelope)
-
-
-def make_envelope(
-    name: str, payload: bytes, properties: dict[str, str], *, received_ns: int, retained: bool = False
-) -> Envelope | None:
-    """Open the user properties of a message; None if they are not ours or the topic is unknown."""
-    if topic_of(name) is None or len(payload) > codec.MAXIMUM_PAYLOAD:
-        return None
-    rest = dict(properties)
-    try:
-        producer, life, sequence = rest.pop("from"), int(rest.pop("life")), int(rest.pop("seq"))
-    except (KeyError, ValueError):
-        return None
-    return Envelope(name, payload, rest, received_ns, producer, life, sequence, retained)
 
 
 def _properties(user: dict[str, str], packet: int) -> Properties:

@@ -23,7 +23,7 @@ from functools import cache
 from mcap.records import Channel
 from pydantic import BaseModel
 
-from ..bus import Envelope
+from ..envelope import Envelope
 from ..messages import RawBytes
 from ..topics import topic_of
 

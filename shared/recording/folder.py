@@ -3,12 +3,12 @@
 import logging
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..bus import Envelope
+from ..envelope import Envelope
 from .writer import Opener, RecordingWriter, open_new
 
 log = logging.getLogger(__name__)
@@ -31,6 +31,7 @@ class RecordingFolder:
 
     def __init__(self, path: Path, opener: Opener = open_new) -> None:
         self.path = path
+        self.free_bytes = 0  # room that the disk had left for us when `stored` looked; none where there is no disk
         self._opener = opener
         self._writer: RecordingWriter | None = None
         self._received = self._closed_messages = self._closed_bytes = 0
@@ -63,8 +64,13 @@ class RecordingFolder:
         return self._received - self.messages - (self._writer.pending if self._writer else 0)
 
     def stored(self) -> list[Stored]:
-        """List the recordings in the folder, which is made if it is missing."""
-        self.path.mkdir(parents=True, exist_ok=True)
+        """List the recordings in the folder, which is made if it is missing, and look how much room is left.
+
+        What the folder lies in is not made: where it is missing, a disk is not mounted.
+        """
+        self.free_bytes = 0
+        self.path.mkdir(exist_ok=True)
+        self.free_bytes = shutil.disk_usage(self.path).free
         entries = {entry.name: entry for entry in os.scandir(self.path)}
         return [
             Stored(name, entry.stat().st_size, name + KEEP_SUFFIX in entries)
@@ -72,14 +78,11 @@ class RecordingFolder:
             if name.endswith(SUFFIX)
         ]
 
-    def free_bytes(self) -> int:
-        """Room that the disk has left for us."""
-        return shutil.disk_usage(self.path if self.path.exists() else self.path.parent).free
-
-    def delete(self, name: str) -> None:
-        """Remove a recording."""
-        log.info("deleting %s", name)
-        (self.path / name).unlink(missing_ok=True)
+    def delete(self, names: Iterable[str]) -> None:
+        """Remove recordings."""
+        for name in names:
+            log.info("deleting %s", name)
+            (self.path / name).unlink(missing_ok=True)
 
     def open(self, name: str, *, vehicle: str, vehicle_toml: str, chunk_bytes: int) -> None:
         """Begin a recording; a name that is taken gets a number."""
@@ -91,11 +94,11 @@ class RecordingFolder:
             path, vehicle=vehicle, vehicle_toml=vehicle_toml, chunk_bytes=chunk_bytes, opener=self._opener
         )
 
-    def write(self, envelopes: Iterable[Envelope]) -> None:
-        """Add messages to the recording in progress; without one they are lost."""
-        for envelope in envelopes:
-            self._received += 1
-            if self._writer:
+    def write(self, envelopes: Sequence[Envelope]) -> None:
+        """Add messages to the recording in progress; without one they are lost, as are those behind a failure."""
+        self._received += len(envelopes)
+        if self._writer:
+            for envelope in envelopes:
                 self._writer.write(envelope)
 
     def flush(self) -> None:

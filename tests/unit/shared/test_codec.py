@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared import codec
-from shared.bus import make_envelope
+from shared.envelope import make_envelope
 from shared.errors import BadPayload
 from shared.messages import CanRaw, FixType, GnssFix, GnssRaw, ImuSamples, ProcessHealth, ProcessState, Vector3
 from shared.topics import TOPICS
