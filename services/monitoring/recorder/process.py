@@ -2,6 +2,8 @@
 
 import logging
 
+from pydantic import Field
+
 from shared.bus import Bus, Envelope
 from shared.config import Section
 from shared.messages import RecordingState
@@ -12,20 +14,19 @@ from .retention import Limits, decide, file_name
 
 log = logging.getLogger(__name__)
 
-STATE_NS = 1_000_000_000
-RETRY_NS = 5_000_000_000
+STATE_NS, RETRY_NS = 1_000_000_000, 5_000_000_000
 
 
 class Config(Section):
     """Where recordings go, how they are cut into files, and how much room they may take."""
 
-    folder: str = "recordings"  # below the state folder, unless absolute
-    chunk_bytes: int = 256 * 1024
-    flush_period_s: float = 0.5  # what a crash of the recorder costs at most
-    rotate_bytes: int = 256 * 1024**2
-    rotate_period_s: float = 3600.0
-    maximum_total_bytes: int = 8 * 1024**3
-    minimum_free_bytes: int = 512 * 1024**2
+    folder: str = "recordings"  # below the state folder, unless absolute; made if what it lies in is there
+    chunk_bytes: int = Field(default=256 * 1024, gt=0, le=64 * 1024**2)
+    flush_period_s: float = Field(default=0.5, gt=0)  # what a crash of the recorder costs at most
+    rotate_bytes: int = Field(default=256 * 1024**2, gt=0)
+    rotate_period_s: float = Field(default=3600.0, gt=0)
+    maximum_total_bytes: int = Field(default=8 * 1024**3, gt=0)
+    minimum_free_bytes: int = Field(default=512 * 1024**2, ge=0)
 
 
 class Process:
@@ -65,9 +66,8 @@ class Process:
         try:
             if aged or folder.open_bytes >= self._config.rotate_bytes:
                 folder.close()
-            verdict = decide(folder.stored(), folder.free_bytes(), self._limits, open_name=folder.open_name)
-            for name in verdict.delete:
-                folder.delete(name)
+            verdict = decide(folder.stored(), folder.free_bytes, self._limits, open_name=folder.open_name)
+            folder.delete(verdict.delete)
             if verdict.refusal:
                 self._stop(verdict.refusal, now_ns)
             elif not folder.open_name and now_ns >= self._retry_ns:
@@ -96,5 +96,5 @@ class Process:
         return RecordingState(
             now_ns=bus.now_ns(), recording=folder.open_name is not None, file=folder.open_name,
             bytes_written=folder.bytes_written, messages=folder.messages, dropped=folder.lost + bus.dropped,
-            free_bytes=folder.free_bytes(), reason=self._reason,
+            free_bytes=folder.free_bytes, reason=self._reason,
         )  # fmt: skip

@@ -2,11 +2,13 @@ import errno
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from services.monitoring.recorder.process import Config, Process
 from shared.bus import Envelope
 from shared.messages import RecordingState
 from shared.recording import Recording
+from shared.recording.reader import MAXIMUM_CHUNK
 from tests.support.fake_bus import FakeBus
 
 START_NS = 1_790_000_000_000_000_000
@@ -174,6 +176,64 @@ def test_a_folder_that_cannot_be_made_is_a_reason_and_not_a_crash(tmp_path: Path
     assert not states[-1].recording
     assert states[-1].reason is not None
     assert states[-1].reason.startswith("cannot use ")
+
+
+def test_a_disk_that_is_not_mounted_is_a_reason_and_its_place_is_not_made(tmp_path: Path) -> None:
+    states = run(tmp_path, Config(minimum_free_bytes=0, folder=str(tmp_path / "disk" / "recordings")), 25)
+
+    reason = f"cannot use {tmp_path / 'disk' / 'recordings'}: No such file or directory"
+    assert [(state.recording, state.reason, state.free_bytes) for state in states] == [(False, reason, 0)] * len(states)
+    assert states[-1].dropped == 20
+    assert not (tmp_path / "disk").exists()
+
+
+def test_recording_begins_once_the_disk_is_mounted_and_outlives_its_removal(tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+
+    def script(call: int) -> list[Envelope] | None:
+        if call == 30:
+            disk.mkdir()
+        if call == 150:
+            disk.rename(tmp_path / "elsewhere")
+        return [envelope(call)] if call < 200 else None
+
+    bus = FakeBus(tmp_path, script, start_ns=START_NS)
+    Process(Config(minimum_free_bytes=0, folder=str(disk / "recordings"))).run(bus.as_bus())
+
+    states = [message for message in bus.published if isinstance(message, RecordingState)]
+    assert [state.recording for state in states] == [False] * 8 + [True] * 8 + [False] * 5
+    assert recorded(tmp_path / "elsewhere" / "recordings") == list(range(80, 160))
+
+
+def test_a_batch_that_a_failing_disk_cuts_short_is_counted_to_its_end(tmp_path: Path) -> None:
+    disk = Disk()
+
+    def script(call: int) -> list[Envelope] | None:
+        disk.full = call == 5
+        batch = [envelope(100 * call + k) for k in range(50)]
+        return batch if call < 15 else None
+
+    bus = FakeBus(tmp_path, script, start_ns=START_NS)
+    Process(Config(minimum_free_bytes=0, chunk_bytes=500), disk.open).run(bus.as_bus())
+
+    states = [message for message in bus.published if isinstance(message, RecordingState)]
+    assert states[-1].dropped >= 50
+    assert states[-1].dropped + states[-1].messages == 10 * 50, "all that came before the state was said"
+
+
+@pytest.mark.parametrize(
+    "setting",
+    ["chunk_bytes", "flush_period_s", "rotate_bytes", "rotate_period_s", "maximum_total_bytes"],
+)
+def test_sizes_and_periods_are_above_zero(setting: str) -> None:
+    for value in (0, -1):
+        with pytest.raises(ValidationError, match="greater than 0"):
+            Config.model_validate({setting: value})
+
+
+def test_no_chunk_is_larger_than_the_reader_takes() -> None:
+    with pytest.raises(ValidationError, match="less than or equal to"):
+        Config(chunk_bytes=MAXIMUM_CHUNK)
 
 
 def test_a_recording_left_by_a_crash_stays_as_it_is(tmp_path: Path) -> None:
