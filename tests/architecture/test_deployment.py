@@ -110,6 +110,10 @@ def test_the_image_is_not_run_by_root_and_is_built_from_what_the_repository_has(
     copied = [line.split()[1:-1] for line in lines if line.startswith("COPY ") and "--from=" not in line]
     missing = [path for paths in copied for path in paths if not (ROOT / path).exists()]
     assert not missing
+    assert {("shared",), ("services",), ("broker",)} <= {tuple(paths) for paths in copied}, "a package is missing"
+    given = [line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
+    paths = [Path(path) for names in copied for path in names]
+    assert not [path for path in paths if not any(path.is_relative_to(allowed) for allowed in given)]
 
 
 def test_the_target_wants_every_standing_process_and_no_other() -> None:
