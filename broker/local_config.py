@@ -1,6 +1,6 @@
 """Mosquitto on this machine alone: where its program is, and `mosquitto.conf` with other places.
 
-`python -m broker.local_config --store /var/lib/mosquitto > /etc/obu/mosquitto.conf` prints it for a unit without
+`python -m broker.local_config --store /var/lib/obu-broker > /etc/obu/mosquitto.conf` prints it for a unit without
 containers; the demo and the tests write theirs into a folder of their own.
 """
 
@@ -56,7 +56,7 @@ def main() -> None:
         prog="python -m broker.local_config", description="Print Mosquitto's configuration."
     )
     parser.add_argument("--port", type=int, default=1883, help="port on 127.0.0.1")
-    parser.add_argument("--store", type=Path, default=Path("/var/lib/mosquitto"), help="folder for what is kept")
+    parser.add_argument("--store", type=Path, default=Path("/var/lib/obu-broker"), help="folder for what is kept")
     parser.add_argument("--acl", type=Path, default=HERE / "acl.conf", help="the access list")
     options = parser.parse_args()
     sys.stdout.write(configuration(options.port, options.store, options.acl))

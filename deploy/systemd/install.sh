@@ -14,9 +14,7 @@ id obu >/dev/null 2>&1 || useradd --system --home-dir /var/lib/obu --shell /usr/
 install -d -m 755 /etc/obu
 [ -e /etc/obu/vehicle.toml ] || install -m 644 deploy/vehicles/pi.toml /etc/obu/vehicle.toml
 [ -e /etc/obu/obu.env ] || install -m 644 deploy/systemd/obu.env /etc/obu/obu.env
-sed -e 's#^listener 1883$#listener 1883 127.0.0.1\nsocket_domain ipv4#' \
-    -e 's#^persistence_location .*#persistence_location /var/lib/obu-broker/#' \
-    -e 's#^acl_file .*#acl_file /opt/obu/broker/acl.conf#' broker/mosquitto.conf >/etc/obu/mosquitto.conf
+.venv/bin/python -m broker.local_config --store /var/lib/obu-broker --acl /opt/obu/broker/acl.conf >/etc/obu/mosquitto.conf
 
 cp -r deploy/systemd/obu.target deploy/systemd/obu-broker.service deploy/systemd/obu@* /etc/systemd/system/
 # Some kernels give no real-time priority to services (CONFIG_RT_GROUP_SCHED): there a high ordinary one has to do.
