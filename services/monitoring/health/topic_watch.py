@@ -4,6 +4,7 @@ import re
 from collections import deque
 from collections.abc import Mapping
 
+from shared.freshness import freshness_of, limits_of, percentile
 from shared.messages import Freshness, Message, RawBytes
 from shared.topics import Topic
 
@@ -31,6 +32,7 @@ class TopicWatch:
         self.newest_ns: int | None = None
         self.producer: str | None = None
         self.kept = False  # all that came was kept by the broker, and may be of a former life of the unit
+        self._limits = limits_of(topic)
         self._raw = issubclass(topic.message, RawBytes)
         self._pattern = None if self._raw else stamp_pattern(topic.message)
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
@@ -64,27 +66,18 @@ class TopicWatch:
             self._marks.popleft()
         return self._rate_hz
 
-    def latencies_s(self) -> tuple[float, float] | None:
+    def latencies_s(self) -> tuple[float | None, float | None]:
         """Give median and 99th percentile of the last messages' latency; None if they bear no stamp."""
-        if not self._latencies_s:
-            return None
         ordered = sorted(self._latencies_s)
-        return ordered[len(ordered) // 2], ordered[min(len(ordered) * 99 // 100, len(ordered) - 1)]
+        return percentile(ordered, 0.5), percentile(ordered, 0.99)
 
     def age_s(self, now_ns: int) -> float | None:
         """Give the age of the newest message."""
         return None if self.newest_ns is None else max(now_ns - self.newest_ns, 0) * 1e-9
 
     def freshness(self, now_ns: int) -> Freshness:
-        """Judge the age: late after three periods or 0.5 s, stale after the topic's deadline."""
-        age_s, rate_hz = self.age_s(now_ns), self.topic.rate_hz
-        if age_s is None:
-            return Freshness.NEVER
-        if rate_hz is None:
-            return Freshness.QUIET
-        if age_s >= (self.topic.silent_after_s or max(10.0 / rate_hz, 5.0)):
-            return Freshness.STALE
-        return Freshness.LATE if age_s >= max(3.0 / rate_hz, 0.5) else Freshness.FRESH
+        """Judge the age."""
+        return freshness_of(self.age_s(now_ns), self._limits)
 
     def _stamp(self, payload: bytes, properties: Mapping[str, str]) -> int | None:
         """Find the stamp without decoding the message."""

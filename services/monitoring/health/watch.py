@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping
 
+from shared.freshness import STARTUP_GRACE_S
 from shared.messages import (
     DeadlineReport,
     Freshness,
@@ -18,7 +19,7 @@ from .causes import Upstream, expected_topics, producers_of
 from .process_watch import Condition, ProcessWatch
 from .topic_watch import TopicWatch
 
-GRACE_NS = 120_000_000_000  # what was never seen is not missing before
+GRACE_NS = round(STARTUP_GRACE_S * 1e9)
 START_NS = 10_000_000_000  # what the broker kept from a former life of the unit counts only after this
 RETURN_NS = 2_000_000_000  # what everybody gets to come back after the broker did
 MUTE_NS = 1_200_000_000  # a broker from which not even our own heartbeat returns is not working
@@ -169,7 +170,7 @@ class Watch:
         watch, uptime_ns = self._processes[name], self._now_ns - self._started_ns
         if watch.kept and uptime_ns < START_NS:
             return Condition.WAITED_FOR
-        return watch.condition(self._now_ns, self._judged_from_ns, grace_over=uptime_ns > GRACE_NS)
+        return watch.condition(self._now_ns, self._judged_from_ns, grace_over=uptime_ns >= GRACE_NS)
 
     def _stopped_ns(self, topic: Topic) -> int | None:
         """Say when a topic fell silent, 0 if it never spoke and should; None while it is well."""
@@ -187,7 +188,7 @@ class Watch:
 
     def _is_missing(self, topic: Topic) -> bool:
         """Whether a topic never came although its producers say nothing else either: not every device has all."""
-        if topic.name not in self._expected or self._now_ns - self._started_ns <= GRACE_NS:
+        if topic.name not in self._expected or self._now_ns - self._started_ns < GRACE_NS:
             return False
         spoken = {watch.producer for watch in self._topics.values() if watch.topic.rate_hz and watch.topic.consumers}
         return not spoken.intersection(producers_of(topic, self._present()))
@@ -197,7 +198,7 @@ class Watch:
         return self._started_ns if seen_ns is None else seen_ns
 
     def _topic_age(self, watch: TopicWatch, now_ns: int) -> TopicAge:
-        latencies = watch.latencies_s()
+        median_s, p99_s = watch.latencies_s()
         outage = self._open.get(watch.topic.name)
         return TopicAge(
             topic=watch.topic.name,
@@ -205,8 +206,8 @@ class Watch:
             age_s=watch.age_s(now_ns),
             rate_hz=watch.rate_hz(now_ns),
             count=watch.count,
-            latency_p50_s=latencies[0] if latencies else None,
-            latency_p99_s=latencies[1] if latencies else None,
+            latency_p50_s=median_s,
+            latency_p99_s=p99_s,
             cause=outage.cause if outage else None,
         )
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import degrees
 
+from shared.freshness import STARTUP_GRACE_S, limits_of
 from shared.messages import AidingKind, AidingUpdate, FixType, GnssFix, NavigationPhase, NavigationSolution
 from shared.topics import BY_NAME
 
-from . import ages
 from .geometry import vertical_sd
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
@@ -266,8 +266,8 @@ def _heading_sd_deg(solution: NavigationSolution) -> float:
 
 
 def _stale_after_s(topic: str) -> float:
-    limits = ages.limits_of(BY_NAME[topic])
-    return limits.stale_after_s if limits else ages.STARTUP_GRACE_S
+    limits = limits_of(BY_NAME[topic])
+    return limits.stale_after_s if limits else STARTUP_GRACE_S
 
 
 def _and(names: tuple[str, ...]) -> str:

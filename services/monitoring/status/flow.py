@@ -2,14 +2,12 @@
 
 from collections import deque
 from itertools import pairwise
-from math import ceil
 
 from shared.bus import Envelope
 from shared.errors import BadPayload
+from shared.freshness import freshness_of, limits_of, percentile
 from shared.messages import Consumed, Freshness, Message, ProcessHealth, ProcessState, RawBytes
 from shared.topics import Topic
-
-from . import ages
 
 RATE_WINDOW_S = 10
 SAMPLES = 256
@@ -28,19 +26,12 @@ def stamp_ns(message: Message) -> int | None:
     return None
 
 
-def percentile(values: list[float], share: float) -> float | None:
-    """Give the smallest value that a share of all values does not exceed; None of nothing."""
-    if not values:
-        return None
-    return sorted(values)[max(ceil(share * len(values)) - 1, 0)]
-
-
 class TopicFlow:
     """The traffic of one topic as seen here."""
 
     def __init__(self, name: str, topic: Topic) -> None:
         self.name, self.topic = name, topic
-        self.limits = ages.limits_of(topic)
+        self.limits = limits_of(topic)
         self.count = 0
         self.newest: Envelope | None = None
         self.message: Message | None = None  # the newest that was decoded
@@ -87,8 +78,8 @@ class TopicFlow:
         self._seconds.append(self.count - self._counted)
         self._counted = self.count
         self.rate_hz = sum(self._seconds) / len(self._seconds)
-        latencies = list(self.latencies_s)
-        self.latency_p50_s, self.latency_p99_s = percentile(latencies, 0.5), percentile(latencies, 0.99)
+        ordered = sorted(self.latencies_s)
+        self.latency_p50_s, self.latency_p99_s = percentile(ordered, 0.5), percentile(ordered, 0.99)
 
     def age_s(self, now_ns: int) -> float | None:
         """Age of the newest message; None if there is none."""
@@ -96,7 +87,7 @@ class TopicFlow:
 
     def freshness(self, now_ns: int) -> Freshness:
         """Judge the age of the newest message."""
-        return ages.freshness(self.age_s(now_ns), self.limits)
+        return freshness_of(self.age_s(now_ns), self.limits)
 
     @property
     def jitter_s(self) -> float | None:

@@ -4,14 +4,14 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from shared.freshness import STARTUP_GRACE_S, freshness_of, limits_of
 from shared.messages import Freshness, ProcessState, RecordingState
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.topics import BY_NAME, Topic, subscriptions
 
-from . import ages
 from .flow import ProcessFlow, TopicFlow
 
-HEARTBEAT = ages.limits_of(BY_NAME["health/+"])
+HEARTBEAT = limits_of(BY_NAME["health/+"])
 DISK_LOW_BYTES = 1_000_000_000
 
 
@@ -54,10 +54,10 @@ def status_of(flow: ProcessFlow, now_ns: int, *, expected: bool, uptime_s: float
     if flow.health is None or flow.heartbeat_ns is None:
         if not expected:
             return Status.ABSENT
-        return Status.WAITING if uptime_s < ages.STARTUP_GRACE_S else Status.MISSING
+        return Status.WAITING if uptime_s < STARTUP_GRACE_S else Status.MISSING
     status = _STATUS_OF[flow.health.state]
     age_s = (now_ns - flow.heartbeat_ns) * 1e-9
-    if status not in (Status.LOST, Status.ENDED) and ages.freshness(age_s, HEARTBEAT) is Freshness.STALE:
+    if status not in (Status.LOST, Status.ENDED) and freshness_of(age_s, HEARTBEAT) is Freshness.STALE:
         return Status.SILENT
     return status
 

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from shared.bus import Envelope
 from shared.errors import BadPayload
+from shared.freshness import percentile
 from shared.messages import (
     AidingKind,
     AidingUpdate,
@@ -28,7 +29,7 @@ from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.topics import BY_NAME, TOPICS, topic_of
 
 from .banner import Evidence, Trust, Verdict, judge
-from .flow import ProcessFlow, TopicFlow, percentile
+from .flow import ProcessFlow, TopicFlow
 from .geometry import ellipse_95, offset_m
 from .history import History
 from .outages import OutageBook
@@ -93,7 +94,7 @@ class State:
             self._next_second_ns = now_ns + SECOND_NS
             for flow in self.topics.values():
                 flow.roll()
-            self.bus_delay_p95_s = percentile(list(self._delays_s), 0.95)
+            self.bus_delay_p95_s = percentile(self._delays_s, 0.95)
         if now_ns >= self._next_sample_ns:
             self._next_sample_ns = now_ns + SAMPLE_NS - SAMPLE_NS // 20  # late calls must not lower the rate
             self._judge(now_ns)

@@ -2,6 +2,7 @@
 
 from math import hypot
 
+from shared.freshness import freshness_of, limits_of
 from shared.messages import (
     Freshness,
     GnssFix,
@@ -18,7 +19,6 @@ from shared.messages import (
 from shared.processes import LAYERS, PROCESSES
 from shared.topics import TOPICS
 
-from . import ages
 from .banner import WORDS
 from .flow import TopicFlow
 from .geometry import ellipse_95, horizontal_sd, offset_m, vertical_sd
@@ -35,7 +35,7 @@ def contract() -> Json:
     """Say what never changes: layers, processes, topics with their limits."""
     topics = {}
     for topic in TOPICS:
-        limits = ages.limits_of(topic)
+        limits = limits_of(topic)
         topics[topic.name] = {
             "type": topic.message.__name__,
             "purpose": topic.purpose,
@@ -113,7 +113,7 @@ def origin(state: State, now_ns: int) -> Json | None:
     known = [
         (order.index(message.kind), message, ns)
         for message, ns in state.origins.values()
-        if ages.freshness((now_ns - ns) * 1e-9, limits) is not Freshness.STALE
+        if freshness_of((now_ns - ns) * 1e-9, limits) is not Freshness.STALE
     ]
     if not known:
         return None

@@ -1,7 +1,7 @@
 import pytest
 
 from services.monitoring.status import reports
-from services.monitoring.status.flow import TopicFlow, percentile
+from services.monitoring.status.flow import TopicFlow
 from shared.errors import BadPayload
 from shared.messages import AidingKind, GnssRaw, ImuSamples, ModeState, Origin, OriginKind
 from shared.messages.operation import Mode
@@ -20,13 +20,6 @@ def samples(now_ns: int) -> ImuSamples:
 
 def flow(world: World, name: str) -> TopicFlow:
     return world.state.topics[name]
-
-
-def test_a_percentile_is_one_of_the_values() -> None:
-    assert percentile([5.0, 1.0, 3.0, 2.0, 4.0], 0.5) == 3.0
-    assert percentile([float(i) for i in range(1, 101)], 0.99) == 99.0
-    assert percentile([2.0], 0.99) == 2.0
-    assert percentile([], 0.5) is None
 
 
 def test_the_rate_is_that_of_the_last_ten_seconds() -> None:

@@ -1,13 +1,15 @@
-"""How old is too old: the one rule by which the unit's state, its web pages and its metrics call a value stale.
+"""How old is too old, and how late is usual: the one rule by which all who watch the unit judge what they see.
 
 A value is *late* after max(3 periods, 0.5 s) and *stale* after the deadline of its topic, or max(10 periods, 5 s)
 where the contract sets none. A topic without a rate is *quiet*: silence says nothing about it.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
+from math import ceil
 
-from shared.messages import Freshness
-from shared.topics import Topic
+from .messages import Freshness
+from .topics import Topic
 
 STARTUP_GRACE_S = 120.0  # what has not yet been seen is no alert before
 
@@ -29,7 +31,7 @@ def limits_of(topic: Topic) -> Limits | None:
     return Limits(min(max(3.0 * period_s, 0.5), stale_after_s), stale_after_s)
 
 
-def freshness(age_s: float | None, limits: Limits | None) -> Freshness:
+def freshness_of(age_s: float | None, limits: Limits | None) -> Freshness:
     """Judge an age; None is the age of what never came."""
     if age_s is None:
         return Freshness.NEVER
@@ -38,3 +40,10 @@ def freshness(age_s: float | None, limits: Limits | None) -> Freshness:
     if age_s >= limits.stale_after_s:
         return Freshness.STALE
     return Freshness.LATE if age_s >= limits.late_after_s else Freshness.FRESH
+
+
+def percentile(values: Collection[float], share: float) -> float | None:
+    """Give the smallest value that a share of all values does not exceed; None of nothing."""
+    if not values:
+        return None
+    return sorted(values)[max(ceil(share * len(values)) - 1, 0)]
