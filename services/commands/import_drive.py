@@ -4,7 +4,7 @@ import csv
 import hashlib
 import heapq
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -27,9 +27,6 @@ from .importing.convert import Converted, Imported, convert, wanted_columns
 from .importing.mapping import Mapping, parse_mapping
 from .importing.schema import CsvFile
 from .importing.table import Table, read_table
-
-Advance = Callable[[int], None]
-ROWS_A_STEP = 1000
 
 
 def import_drive(

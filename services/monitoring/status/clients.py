@@ -25,7 +25,6 @@ class Clients:
     def __init__(self, maximum: int) -> None:
         self._maximum = maximum
         self._clients: set[Client] = set()
-        self.dropped = 0
 
     def __len__(self) -> int:
         return len(self._clients)
@@ -46,6 +45,5 @@ class Clients:
         """Queue one frame for everyone, and let go who has not read the last ones."""
         for client in [client for client in self._clients if not client.put(frame)]:
             self.leave(client)
-            self.dropped += 1
             client.frames.get_nowait()  # make room for the end
             client.frames.put_nowait(None)

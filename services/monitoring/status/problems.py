@@ -123,8 +123,8 @@ def _recording_problems(topics: Mapping[str, TopicFlow], now_ns: int) -> list[Pr
     state = flow.message
     if not isinstance(state, RecordingState) or flow.freshness(now_ns) is Freshness.STALE:
         return []
-    if state.free_bytes < DISK_LOW_BYTES:
-        return [Problem("monitoring.recorder", f"only {state.free_bytes / 1e6:.0f} MB of disk left", None, lost=False)]
     if not state.recording and state.reason:
         return [Problem("monitoring.recorder", f"not recording: {state.reason}", None, lost=False)]
+    if state.free_bytes < DISK_LOW_BYTES:
+        return [Problem("monitoring.recorder", f"only {state.free_bytes / 1e6:.0f} MB of disk left", None, lost=False)]
     return []

@@ -282,6 +282,15 @@ def test_a_disk_that_fills_is_a_problem_before_it_is_full(driving: World) -> Non
     assert driving.state.outages.open() == [], "nothing was lost by it"
 
 
+def test_a_recorder_that_does_not_record_is_told_before_the_room_on_its_disk(driving: World) -> None:
+    recording = RecordingState(
+        now_ns=driving.now_ns, recording=False, bytes_written=0, messages=0, dropped=9, free_bytes=0, reason="no disk"
+    )
+    driving.hear(recording, "monitoring.recorder")
+    driving.pass_time(0.3)
+    assert [problem.text for problem in driving.state.problems] == ["not recording: no disk"]
+
+
 def test_a_snapshot_shows_every_topic_with_its_newest_message(driving: World) -> None:
     snapshot = reports.snapshot(driving.state, driving.now_ns)
     topics = snapshot["topics"]
