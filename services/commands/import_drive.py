@@ -27,6 +27,7 @@ from .importing.convert import Converted, Imported, convert, wanted_columns
 from .importing.mapping import Mapping, parse_mapping
 from .importing.schema import CsvFile
 from .importing.table import Table, read_table
+from .recordings import progress_on
 
 
 def import_drive(
@@ -50,7 +51,7 @@ def import_drive(
     if output.exists():
         raise UserError(f"{output} exists already; name another file with --output, or remove it")
     console = Console(stderr=True)
-    with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
+    with progress_on(console) as progress:
         parts = [_read(table, folder, spec.start_utc_s, progress) for table in spec.files()]
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)

@@ -20,7 +20,7 @@ def open_recording(path: Path) -> Recording:
     try:
         return Recording(path)
     except BadRecording as error:
-        raise UserError(f"{error}; give a file written by `obu record` or by the unit's recorder") from error
+        raise UserError(f"{error}; give a file written by `obu record`, `obu import` or the unit's recorder") from error
 
 
 def vehicle_of(recording: Recording, path: Path | None) -> VehicleFile:

@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from services.core.fusion.process import Config
-from shared.config import VehicleFile, load_vehicle, parse_vehicle
-from shared.errors import BadRecording, UserError
+from shared.config import VehicleFile
+from shared.errors import UserError
 from shared.messages import (
     AidingUpdate,
     CarrierSolution,
@@ -26,9 +26,9 @@ from shared.messages import (
     NavigationState,
 )
 from shared.offline import OfflineUnit
-from shared.recording import Recording
 
 from .importing.table import read_table
+from .recordings import open_recording, progress_on, tell_problems, vehicle_of
 from .solving.errors import errors_against
 from .solving.export import csv_lines, kml_text
 from .solving.inputs import Inputs, all_fixes, arrival_of, inputs_of
@@ -38,8 +38,6 @@ from .solving.reference import ATTITUDE, POSITION, VELOCITY, Reference, from_col
 from .solving.report import Heading, page, summary
 from .solving.tally import Tally
 from .solving.track import TrackBuilder
-
-VEHICLE_FILE = "vehicle.toml"  # the attachment of a recording
 
 
 def solve(
@@ -68,7 +66,7 @@ def solve(
     drive = _read(recording, vehicle, console)
     given, by_fixes = _given_truth(drive, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
-    with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
+    with progress_on(console) as progress:
         solved = _run(drive, outages, progress)
     if count := len(drive.inputs.undecodable):
         console.print(f"{recording.name}: {count} messages could not be decoded and were left out", markup=False)
@@ -128,22 +126,12 @@ class Solved:
 
 
 def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
-    try:
-        with Recording(path) as recording:
-            inputs = inputs_of(recording)
-            problems, provenance = list(recording.problems), recording.metadata.get("provenance", {})
-            attached = recording.attachments.get(VEHICLE_FILE, b"")
-    except BadRecording as error:
-        raise UserError(f"{error}; give a file written by `obu record` or `obu import`") from error
-    for problem in problems:
-        console.print(f"{path.name}: {problem}", markup=False, highlight=False)
+    with open_recording(path) as recording:
+        inputs = inputs_of(recording)
+    tell_problems(recording, console)
     _check(path, inputs)
-    file = (
-        load_vehicle(vehicle)
-        if vehicle
-        else parse_vehicle(attached.decode(errors="replace"), f"{path}: {VEHICLE_FILE}")
-    )
-    return Drive(provenance.get("name", path.stem), path.name, inputs, file, provenance)
+    provenance = recording.metadata.get("provenance", {})
+    return Drive(provenance.get("name", path.stem), path.name, inputs, vehicle_of(recording, vehicle), provenance)
 
 
 def _check(path: Path, inputs: Inputs) -> None:
