@@ -110,7 +110,7 @@ class Broker:
         now_s = self.now_s()
         deadline_s = None if message.expiry_s is None else now_s + message.expiry_s
         if message.retain:
-            self.retained.keep(Kept(message, deadline_s, origin.client_id))
+            self._keep(Kept(message, deadline_s, origin.client_id))
         copies: dict[tuple[int, bool], Delivery] = {}
         for route in self._routes.of(message.topic, self.sessions.values()):
             granted = route.qos_of_own if route.session is origin else route.qos
@@ -121,6 +121,13 @@ class Broker:
             if delivery is None:
                 delivery = copies[form] = _delivery(message, form, deadline_s)
             route.session.send(delivery, now_s)
+
+    def _keep(self, kept: Kept) -> None:
+        """Keep a message where there is room: a will has nobody left to whom it could be refused."""
+        if self.retained.takes(kept.message.topic):
+            self.retained.keep(kept)
+        else:
+            self.tally.note("retained full", kept.message.topic)
 
     def subscribe(self, request: Subscribe, session: Session) -> tuple[list[int], list[Kept]]:
         """Add subscriptions; gives their reason codes and the retained messages to send after the answer."""

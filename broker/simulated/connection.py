@@ -46,6 +46,7 @@ class Connection(asyncio.Protocol):
         self._ended = False
         self._unsent: list[bytes] = []
         self._unsent_bytes = 0
+        self._unread_bytes = 0
         self._silent_after_s = broker.limits.connect_within_s
         self._heard_s = 0.0
         self._timer: asyncio.TimerHandle | None = None
@@ -88,6 +89,7 @@ class Connection(asyncio.Protocol):
     def resume_writing(self) -> None:
         """Send what waited while the client was slow."""
         self.writable = True
+        self._unread_bytes = 0
         if self._session is not None and self._session.writer is self:
             self._session.pump(self._broker.now_s())
 
@@ -104,6 +106,19 @@ class Connection(asyncio.Protocol):
         self._unsent_bytes += len(frame)
         if self._unsent_bytes > UNSENT_BYTES:
             self._flush()
+
+    def _answer(self, frame: bytes) -> None:
+        """Write what cannot wait in a queue; a client that goes on asking and does not read is let go."""
+        if not self.writable:
+            self._unread_bytes += len(frame)
+        if self._unread_bytes <= self._broker.limits.unread_bytes:
+            self.write(frame)
+        elif not self._ended:
+            self._broker.tally.note(
+                "unread", f"{self._session.client_id if self._session else 'a newcomer'} does not read"
+            )
+            self._close(will=True)
+            self.abort()
 
     def _flush(self) -> None:
         frames, self._unsent, self._unsent_bytes = self._unsent, [], 0
@@ -146,15 +161,15 @@ class Connection(asyncio.Protocol):
             case Publish():
                 reason = self._broker.receive(packet, session)
                 if packet.qos:
-                    self.write(encode_puback(packet.packet_id, reason))
+                    self._answer(encode_puback(packet.packet_id, reason))
             case Acknowledge():
                 session.acknowledge(packet.packet_id, self._broker.now_s())
             case Ping():
-                self.write(PINGRESP)
+                self._answer(PINGRESP)
             case Subscribe():
                 self._subscribe(packet, session)
             case Unsubscribe():
-                self.write(encode_suback(Kind.UNSUBACK, packet.packet_id, self._broker.unsubscribe(packet, session)))
+                self._answer(encode_suback(Kind.UNSUBACK, packet.packet_id, self._broker.unsubscribe(packet, session)))
             case Disconnect():
                 self._take_leave(packet, session)
             case Connect():
@@ -186,7 +201,7 @@ class Connection(asyncio.Protocol):
 
     def _subscribe(self, request: Subscribe, session: Session) -> None:
         reasons, kept = self._broker.subscribe(request, session)
-        self.write(encode_suback(Kind.SUBACK, request.packet_id, reasons))
+        self._answer(encode_suback(Kind.SUBACK, request.packet_id, reasons))
         for message, deadline_s, _ in kept:
             session.send(Delivery(message, deadline_s), self._broker.now_s())
 

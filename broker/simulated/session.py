@@ -21,6 +21,7 @@ class Limits:
     sessions: int = 500
     subscriptions: int = 500  # a session
     retained: int = 1_000
+    unread_bytes: int = 1_048_576  # of answers to a client that asks and does not read
     connect_within_s: float = 5.0
 
 

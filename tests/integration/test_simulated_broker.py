@@ -209,6 +209,14 @@ def test_sessions_subscriptions_and_retained_messages_have_an_end() -> None:
         assert [second.publish(topic, "x", retain=True) for topic in ("a", "b", "c", "a")] == [0, 0, 0x97, 0]
 
 
+def test_a_client_that_asks_a_lot_and_reads_is_served_on() -> None:
+    with simulated.start(limits=Limits(unread_bytes=0)) as handle:
+        with raw_mqtt.connect(handle.port, "curious", "tester") as curious:
+            curious.sendall(raw_mqtt.packet(0xC0, b"") * 10_000)
+            assert raw_mqtt.read_all(curious) == raw_mqtt.packet(0xD0, b"") * 10_000
+        assert handle.broker.tally.counts["unread"] == 0
+
+
 def test_shared_subscriptions_are_refused_and_announced_as_such(handle: Handle) -> None:
     with Client(handle.port) as client:
         client.connect()

@@ -178,3 +178,13 @@ def test_a_packet_that_is_too_large_for_its_client_is_dropped_and_counted() -> N
     assert wire.payloads() == [b"fits"]
     assert world.broker.tally.counts["too large"] == 1
     assert len(session.in_flight) == 1
+
+
+def test_a_retained_will_without_a_place_is_sent_and_counted_and_not_kept() -> None:
+    world = World(Limits(retained=1))
+    world.say(b"kept", retain=True)
+    doomed, _ = world.join("doomed", will=Publish("w", b"lost", 1, True))
+    world.broker.leave(doomed, will=True)
+    assert world.wire.payloads() == [b"kept", b"lost"]
+    assert len(world.broker.retained) == 1
+    assert world.broker.tally.counts["retained full"] == 1

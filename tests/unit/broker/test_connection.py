@@ -1,0 +1,71 @@
+"""A connection whose client does not read, on a transport that the test fills."""
+
+import asyncio
+import socket
+
+from broker.simulated.broker import Broker
+from broker.simulated.connection import Connection
+from broker.simulated.session import Limits
+from tests.support import raw_mqtt
+
+PING = raw_mqtt.packet(0xC0, b"")
+MESSAGE = raw_mqtt.packet(0x32, raw_mqtt.string("t") + b"\0\1\0x")  # of QoS 1, answered with five bytes or four
+
+
+class Transport(asyncio.Transport):
+    """Keeps what is written."""
+
+    def __init__(self, raw: socket.socket) -> None:
+        super().__init__({"socket": raw})
+        self.written = b""
+        self.closing = self.aborted = False
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        pass
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.written += data
+
+    def is_closing(self) -> bool:
+        return self.closing
+
+    def close(self) -> None:
+        self.closing = True
+
+    def abort(self) -> None:
+        self.closing = self.aborted = True
+
+
+async def _ask(broker: Broker, packet: bytes, *, reads: bool) -> Transport:
+    """Ask 200 times, ten packets at once."""
+    with socket.socket() as raw:
+        transport = Transport(raw)
+        connection = Connection(broker, set())
+        connection.connection_made(transport)
+        connection.data_received(raw_mqtt.connect_packet("asker", "tester"))
+        await asyncio.sleep(0)
+        transport.written = b""
+        for _ in range(20):
+            connection.pause_writing()
+            connection.data_received(packet * 10)
+            await asyncio.sleep(0)
+            if reads:
+                connection.resume_writing()
+        return transport
+
+
+def test_a_client_that_asks_and_does_not_read_is_let_go() -> None:
+    for packet in (PING, MESSAGE, raw_mqtt.subscribe("a")):
+        broker = Broker(limits=Limits(unread_bytes=100))
+        transport = asyncio.run(_ask(broker, packet, reads=False))
+        assert transport.aborted
+        assert 80 < len(transport.written) <= 100
+        assert broker.tally.counts["unread"] == 1
+        assert not broker.sessions
+
+
+def test_a_client_that_reads_now_and_then_may_ask_for_ever() -> None:
+    broker = Broker(limits=Limits(unread_bytes=100))
+    transport = asyncio.run(_ask(broker, PING, reads=True))
+    assert transport.written == raw_mqtt.packet(0xD0, b"") * 200
+    assert not transport.aborted and broker.tally.counts["unread"] == 0
