@@ -3,7 +3,7 @@
 import os
 import sys
 
-from shared.errors import UserError
+from shared.errors import ConfigError, UserError
 from shared.processes import BY_NAME
 
 
@@ -16,6 +16,9 @@ def main() -> None:
             from services.commands.cli import app
 
             app(prog_name="obu")
+    except ConfigError as error:
+        print(f"obu: {error}", file=sys.stderr)  # noqa: T201  # this is the command line
+        sys.exit(os.EX_CONFIG)
     except UserError as error:
         print(f"obu: {error}", file=sys.stderr)  # noqa: T201  # this is the command line
         sys.exit(2)

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from .errors import UserError
+from .errors import ConfigError, UserError
 from .processes import BY_NAME, PROCESSES
 
 S = TypeVar("S", bound="Section")
@@ -74,7 +74,7 @@ class VehicleFile:
         try:
             return kind.model_validate(self.tables.get(name, {}))
         except ValidationError as error:
-            raise UserError(f"{self.path}: {_explain(name, kind, error)}") from error
+            raise ConfigError(f"{self.path}: {_explain(name, kind, error)}") from error
 
 
 def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
@@ -93,11 +93,11 @@ def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path} is not valid TOML: {error}; mend that line") from error
+        raise ConfigError(f"{path} is not valid TOML: {error}; mend that line") from error
     tables: dict[str, Table] = {}
     for layer, content in document.items():
         if not isinstance(content, dict):
-            raise UserError(f"{path}: {layer!r} stands outside a section; put it under [vehicle] or a process")
+            raise ConfigError(f"{path}: {layer!r} stands outside a section; put it under [vehicle] or a process")
         if layer == "vehicle":
             tables[layer] = content
             continue
@@ -106,7 +106,7 @@ def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
             if name not in BY_NAME or not isinstance(table, dict):
                 near = difflib.get_close_matches(name, BY_NAME, n=1)
                 hint = f"did you mean [{near[0]}]?" if near else "`obu topics --processes` lists them"
-                raise UserError(f"{path}: [{name}] is no process; {hint}")
+                raise ConfigError(f"{path}: [{name}] is no process; {hint}")
             tables[name] = table
     return VehicleFile(path, text, tables)
 

@@ -2,6 +2,7 @@
 
 ObuError
 ├── UserError            something the user can mend; its text says how
+│   └── ConfigError      a vehicle's file that must be changed: starting again is no use
 ├── BadPayload           a message on the bus that breaks the contract
 ├── BadRecording         a recording that cannot be read at all
 └── FilterDiverged       an estimator whose numbers no longer mean anything
@@ -14,6 +15,10 @@ class ObuError(Exception):
 
 class UserError(ObuError):
     """Something that the user can mend: one sentence what, one what to try next."""
+
+
+class ConfigError(UserError):
+    """A vehicle's file that must be changed: starting again is no use."""
 
 
 class BadPayload(ObuError):

@@ -30,7 +30,10 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 
-papers = typer.Typer(help="Reproduce what the published papers report.", no_args_is_help=True)
+papers = typer.Typer(
+    help="Reproduce what the published papers report. Example: [bold]obu papers navigation --runs 2[/]",
+    no_args_is_help=True,
+)
 app.add_typer(papers, name="papers")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
@@ -50,7 +53,9 @@ class BrokerKind(StrEnum):
 
 @app.command()
 def demo(
-    scenario: Annotated[str, typer.Option(help="What the simulated vehicle drives.")] = "urban",
+    scenario: Annotated[
+        str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
+    ] = "urban",
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
     duration: Annotated[
         float | None,

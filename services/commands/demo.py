@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import sys
 import time
 import tomllib
@@ -57,6 +58,7 @@ def _drive(options: DemoOptions, folder: Path) -> int:
         "OBU_STATE": str(folder),
     }
     (folder / "logs").mkdir()
+    (folder / "demo.pid").write_text(str(os.getpid()))
     broker = broker_command(folder, port, options.broker)
     supervisor = unit(vehicle, environment, folder / "logs", broker)
     console = Console(stderr=True)
@@ -125,12 +127,19 @@ def _watch(
             if measuring_since is None and balance.messages:
                 measuring_since = time.monotonic()
                 console.print(f"dashboard: [bold link={address}]{address}[/]   (end with Ctrl-C)")
+                console.print(_how_to_listen(bus), style="dim", soft_wrap=True, highlight=False)
                 progress.update(task, description="driving")
             if measuring_since is None and time.monotonic() - started > START_LIMIT_S:
                 raise UserError(f"nothing was heard from the sensors in {START_LIMIT_S:.0f} s; "
                                 f"see the logs in {bus.state_dir / 'logs'}")  # fmt: skip
             if measuring_since is not None:
                 progress.update(task, completed=time.monotonic() - measuring_since)
+
+
+def _how_to_listen(bus: Bus) -> str:
+    """Say what another terminal must be told to hear this unit."""
+    broker = f"mqtt://{bus.address.host}:{bus.address.port}"
+    return f"to listen: export OBU_BROKER={broker} OBU_VEHICLE={bus.state_dir / 'vehicle.toml'}"
 
 
 def _insist(supervisor: Supervisor) -> None:

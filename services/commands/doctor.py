@@ -4,15 +4,21 @@ import os
 import shutil
 import socket
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from shared.bus import Bus
 from shared.config import VehicleFile, broker_address, load_vehicle, state_dir
 from shared.errors import UserError
 from shared.live import load_process
+from shared.messages import ProcessHealth, ProcessState
+from shared.topics import TOPICS
 
 ENOUGH_BYTES = 1_000_000_000
+LISTEN_S = 2.0
+SILENT_NS = 3_000_000_000
 LIBRARIES = Path(__file__).parents[1] / "monitoring" / "status" / "dashboard" / "node_modules"
 
 
@@ -53,7 +59,10 @@ def _findings(vehicle_path: Path | None) -> Iterator[Finding]:
     )
     yield Finding(os.access(folder, os.W_OK), f"{folder} is writable", f"change the owner of {folder} or set OBU_STATE")
     yield from _devices(vehicle)
-    yield _broker()
+    broker = _broker()
+    yield broker
+    if broker.fine:
+        yield from _unit(vehicle)
 
 
 def _process(name: str, vehicle: VehicleFile) -> Finding:
@@ -74,6 +83,32 @@ def _devices(vehicle: VehicleFile) -> Iterator[Finding]:
             there = os.access(path, os.R_OK | os.W_OK)
             mend = "plug it in" if not Path(path).exists() else "add yourself to the group `dialout` and log in again"
             yield Finding(there, f"{name}: {path}", mend)
+
+
+def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
+    """Listen for a moment to the processes of a running unit."""
+    topics = [topic for topic in TOPICS if topic.name == "health/+"]
+    bus = Bus("observer", vehicle.name, broker_address(), topics, state_dir(), observer=True)
+    newest: dict[str, ProcessHealth] = {}
+    until = time.monotonic() + LISTEN_S
+    while time.monotonic() < until:
+        for envelope in bus.receive(0.1):
+            message = envelope.decode()
+            if isinstance(message, ProcessHealth):
+                newest[message.process] = message
+    now_ns = bus.now_ns()
+    bus.close()
+    if not newest:
+        yield Finding(False, f"processes of {vehicle.name!r}", "start them, or name the vehicle that runs: OBU_VEHICLE")
+        return
+    for name in vehicle.processes:
+        health = newest.get(name)
+        if health is None:
+            yield Finding(False, f"{name} runs", "it was never heard; its log says why")
+        elif health.state is not ProcessState.READY or now_ns - health.sent_ns > SILENT_NS:
+            yield Finding(False, f"{name} runs", f"it is {health.state}, or silent; its log says why")
+        else:
+            yield Finding(not health.last_error, f"{name} runs", f"its last error: {health.last_error}")
 
 
 def _broker() -> Finding:

@@ -143,6 +143,8 @@ def _write(
         draft.rename(output)
     except OSError as error:
         raise UserError(f"cannot write {output}: {error.strerror}; choose another place with --output") from error
+    finally:
+        draft.unlink(missing_ok=True)  # after an error, or Ctrl-C
 
 
 def _envelope(message: Imported, sequence: dict[str, int]) -> Envelope:

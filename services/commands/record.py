@@ -43,7 +43,9 @@ def record(output: Path | None, duration: float | None, vehicle: Path | None) ->
     print(f"recorded {writer.messages} messages, {writer.bytes_written / 1e6:.1f} MB, to {path}")
     if bus.dropped:
         print(f"{bus.dropped} messages came faster than they could be written and are missing")
-    return 0 if writer.messages else 1
+    if not writer.messages:
+        raise UserError(f"vehicle {file.name!r} said nothing; is that its name? OBU_VEHICLE or --vehicle says which")
+    return 0
 
 
 def repair(

@@ -17,6 +17,8 @@ PATIENCE_S = 5.0
 
 def open_recording(path: Path) -> Recording:
     """Open a recording, or say in one sentence why it cannot be."""
+    if path.is_file() and path.stat().st_size == 0:
+        raise UserError(f"{path} is empty; give a file written by `obu record`, `obu import` or the unit's recorder")
     try:
         return Recording(path)
     except BadRecording as error:

@@ -2,6 +2,7 @@
 
 import logging
 import math
+import os
 import shutil
 import signal
 import subprocess
@@ -14,7 +15,6 @@ from pathlib import Path
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
-USER_ERROR = 2  # exit code of a process that cannot work as it is configured
 SETTLED_S = 10.0  # a life this long forgives the deaths before it
 STOP_S = 4.0
 LAST_STOP_S = 0.5  # for who outlives the others
@@ -101,7 +101,7 @@ class Supervisor:
     def _ended(self, child: Child, code: int, now: float) -> None:
         child.process = None
         child.exit_codes = [*child.exit_codes[-9:], code]
-        if code == USER_ERROR:
+        if code == os.EX_CONFIG:
             child.refuses, child.next_start = True, math.inf
             log.error("%s cannot work as it is configured; it starts again when everything does", child.name)
             return

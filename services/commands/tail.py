@@ -1,6 +1,7 @@
 """`obu tail`: live messages of a running unit."""
 
 import json
+import sys
 import time
 
 from shared.bus import Bus, Envelope
@@ -19,7 +20,7 @@ def follow(name: str, vehicle: VehicleFile, count: int | None) -> int:
         raise UserError(f"there is no topic {name!r}; `obu topics` lists them")
     wanted = TOPICS if topic is None else (topic,)
     bus = Bus("observer", vehicle.name, broker_address(), wanted, state_dir(), observer=True)
-    started, seen = time.monotonic(), 0
+    started, seen, hinted = time.monotonic(), 0, False
     try:
         while count is None or seen < count:
             for envelope in bus.receive(0.2):
@@ -28,6 +29,10 @@ def follow(name: str, vehicle: VehicleFile, count: int | None) -> int:
                     seen += 1
                     if seen == count:
                         break
+            if bus.connected and not seen and not hinted and time.monotonic() - started > PATIENCE_S:
+                hinted = True
+                print(f"connected, but nothing on {name} from vehicle {vehicle.name!r} yet; is that its name? "
+                      "OBU_VEHICLE or --vehicle says which", file=sys.stderr)  # fmt: skip
             if not bus.connected and time.monotonic() - started > PATIENCE_S:
                 raise UserError(
                     f"{bus.last_error or 'no broker answers'}; is the unit running? Set OBU_BROKER to its broker"

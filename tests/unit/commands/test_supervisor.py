@@ -58,7 +58,7 @@ def test_a_child_that_ends_at_once_is_started_with_growing_pauses(supervisor: Su
 
 
 def test_a_child_that_refuses_its_configuration_is_not_started_again(supervisor: Supervisor) -> None:
-    supervisor.add("refusing", [sys.executable, "-c", "raise SystemExit(2)"])
+    supervisor.add("refusing", [sys.executable, "-c", "raise SystemExit(78)"])
     child = supervisor.children["refusing"]
     watch_until(supervisor, lambda: child.refuses)
     supervisor.watch()
