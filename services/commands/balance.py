@@ -37,6 +37,7 @@ class Summary:
     processes_expected: int
     restarts: int
     messages_per_second: float
+    broken_messages: int
     gnss_position_rmse_m: float | None
     fusion_position_rmse_m: float | None
     fusion_horizontal_rmse_m: float | None
@@ -62,7 +63,7 @@ class Balance:
         self._report: DeadlineReport | None = None
         self._health: dict[str, ProcessHealth] = {}
         self._first_ns = self._last_ns = 0
-        self.messages = 0
+        self.messages = self.broken_messages = 0
 
     def add(self, topic: str, message: Message, received_ns: int) -> None:
         """Take one message as it arrived."""
@@ -100,6 +101,7 @@ class Balance:
             processes_expected=expected,
             restarts=restarts,
             messages_per_second=round(sum(t.rate_hz for t in self._report.topics), 1) if self._report else 0.0,
+            broken_messages=self.broken_messages,
             gnss_position_rmse_m=_rms(gnss),
             fusion_position_rmse_m=_rms(fusion),
             fusion_horizontal_rmse_m=_rms(fusion[:, :2]),

@@ -15,10 +15,12 @@ import httpx
 import psutil
 import pytest
 
-from shared.config import load_vehicle
+from shared.bus import Bus
+from shared.config import BrokerAddress, load_vehicle
 from shared.messages import Message, NavigationSolution, RawBytes
 from shared.offline import OfflineUnit, arrival_ns
 from shared.recording import Recording
+from shared.topics import topic_of
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -123,6 +125,33 @@ def test_the_broker_is_killed_and_everything_comes_back(demo: Demo, request: pyt
     demo.wait(lambda: demo.get("/api/health").get("broker") is False, 5.0, "the page says that the broker is lost")
     demo.wait(demo.all_ready, 10.0, "every process is connected again")
     demo.wait(lambda: "broker" in json.dumps(demo.get("/api/outages")["closed"]), 5.0, "the outage is listed")
+
+
+GARBAGE = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)
+SPEAKERS = {
+    "gnss/fix": "parsers.gnss", "imu/sample": "parsers.imu", "navigation/last_position": "controller.mode",
+    "gnss/raw": "sensors.simulator", "imu/raw": "sensors.simulator", "can/raw": "sensors.simulator",
+    "truth/state": "sensors.simulator", "health/core.fusion": "core.fusion",
+}  # fmt: skip
+
+
+def test_garbage_on_the_bus_is_counted_and_ends_nothing(demo: Demo, tmp_path: Path) -> None:
+    address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
+    children = {child.pid for child in psutil.Process(demo.process.pid).children()}
+    for name, speaker in SPEAKERS.items():
+        bus = Bus(speaker, "demo", address, (), tmp_path, observer=True)
+        while not bus.connected:
+            bus.receive(0.05)
+        topic = topic_of(name)
+        assert topic
+        for payload in GARBAGE:
+            bus.send(name, payload, {"received_ns": "12345", "source": "x"}, topic)
+        bus.receive(0.05)
+        bus.close()
+    time.sleep(2.0)
+    demo.wait(demo.all_ready, 5.0, "every process goes on")
+    assert {child.pid for child in psutil.Process(demo.process.pid).children()} == children
+    assert demo.process.poll() is None
 
 
 def test_sigterm_ends_everything_within_five_seconds(demo: Demo) -> None:
