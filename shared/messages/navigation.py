@@ -74,6 +74,8 @@ class AidingKind(StrEnum):
     ZERO_VELOCITY = "zero_velocity"
     ZERO_ANGULAR_RATE = "zero_angular_rate"
     COURSE = "course"
+    ODOMETER = "odometer"
+    NON_HOLONOMIC = "non_holonomic"
 
 
 class AidingUpdate(Message):

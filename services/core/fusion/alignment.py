@@ -160,8 +160,10 @@ class Alignment:
         P[em.POSITION, em.POSITION] = position_cov
         P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
         P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
+        P[em.VEHICLE, em.VEHICLE] = self._vehicle_cov()
         inertial = InertialState(fix.time_ns, quaternion, velocity, position)
-        return ErrorStateFilter(settings, inertial, P, bias, drift)
+        vehicle = self._lost.vehicle if self._lost else (0.0, 0.0, 0.0)
+        return ErrorStateFilter(settings, inertial, P, bias, drift, vehicle)
 
     def _position(self, fix: GnssPosition) -> tuple[Geodetic, FloatArray]:
         """Mean of the fixes of a rest, or the one fix of a vehicle that drives."""
@@ -174,6 +176,12 @@ class Alignment:
         span_s = (rest[-1].time_ns - rest[0].time_ns) * 1e-9
         independent = min(float(len(rest)), 1.0 + span_s / REST_CORRELATION_S)
         return geodetic_from_ned_difference((north, east, down), fix.position), cov / independent
+
+    def _vehicle_cov(self) -> FloatArray:
+        if self._lost is not None:
+            return self._lost.P[em.VEHICLE, em.VEHICLE]
+        settings = self._settings
+        return np.diag(np.square([settings.odometer_scale_sd, settings.mounting_sd_rad, settings.mounting_sd_rad]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:
         if self._lost is not None:

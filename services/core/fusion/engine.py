@@ -1,13 +1,14 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
 from collections.abc import Sequence
-from math import radians
+from math import hypot, radians, sqrt
 from typing import NamedTuple
 
 from shared.errors import FilterDiverged
 from shared.maths.rotation import Vector
 from shared.messages import AidingKind, NavigationPhase
 
+from . import error_model as em
 from .aiding import Measurement, Observation, Outcome
 from .alignment import Alignment
 from .filter import ErrorStateFilter
@@ -16,7 +17,9 @@ from .heading import Prior
 from .kalman import chi_square_limit
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
-from .stationary import Rest
+from .stationary import SPEED_LIMIT, Rest
+from .wheels import PERIOD_S as WHEELS_PERIOD_S
+from .wheels import SLOWEST_M_S, NonHolonomic, WheelSpeed
 
 GAP_S = 0.05  # a longer step is a gap: carried over, and admitted in the covariance
 LOST_S = 1.0  # a longer one ends the solution, though not the attitude
@@ -24,6 +27,8 @@ FORGOTTEN_S = 5.0  # a still longer one ends that too
 GAP_FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
 GAP_RATE_SD = 0.3  # [rad/s]
 LOST_YAW_SD = radians(20.0)
+ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
+ZERO_SDS = 3.0  # of the velocity, within which a speed of zero is believed
 # A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
 WIDENING = {
     AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
@@ -68,6 +73,8 @@ class Engine:
         self._rest = Rest()
         self._rest_turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] of the rest since its last update
         self._rest_s = 0.0
+        self._rolling_s = 0.0  # since the wheels were last held against the filter
+        self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
         self._rejections = 0  # successive positions
         self._why = ""  # the solution was lost
 
@@ -110,6 +117,7 @@ class Engine:
         self._advance(held, sample.time_ns)
         self.last = sample
         outcomes += self._watch_for_standstill(sample.time_ns, gap_s)
+        outcomes += self._watch_the_wheels(sample.time_ns, gap_s)
         self._settle_phase(sample.time_ns)
         return outcomes
 
@@ -146,6 +154,8 @@ class Engine:
         """Hold a measurement against the filter, or hand it to the alignment."""
         if self.filter is None:
             self._align(measurement)
+            return []
+        if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, self.filter):
             return []
         outcomes = []
         try:
@@ -214,7 +224,8 @@ class Engine:
             self.stationary = self._alignment is not None and self._alignment.levelling.at_rest
             return []
         navigation, rate = self.filter, self.filter.rate
-        self._rest = self._rest.after(rate, navigation.acceleration, navigation.inertial.velocity, step_s)
+        velocity, limit = navigation.inertial.velocity, self._speed_at_rest(time_ns, navigation)
+        self._rest = self._rest.after(rate, navigation.acceleration, velocity, step_s, limit)
         self.stationary = self._rest.stationary
         if not (self.stationary and self._settings.zero_velocity):
             self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
@@ -227,6 +238,33 @@ class Engine:
         x, y, z, span_s = *self._rest_turn, self._rest_s
         self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
         return self._aid(Standstill(time_ns, (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)))
+
+    def _speed_at_rest(self, time_ns: int, navigation: ErrorStateFilter) -> float:
+        """Find the speed [m/s] up to which the vehicle may be at rest: more, if wheels that stand make it likely."""
+        seen = self._odometer
+        if seen is None or seen.speed != 0.0 or time_ns - seen.time_ns > ODOMETER_SILENT_NS:
+            return SPEED_LIMIT
+        return max(SPEED_LIMIT, ZERO_SDS * sqrt(float(navigation.P.diagonal()[em.VELOCITY].sum())))
+
+    def _is_spare(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
+        """Whether another odometer is in use; one that takes its place has a scale of its own."""
+        used = self._odometer
+        if used is not None and (used.source, used.of_wheels) != (seen.source, seen.of_wheels):
+            better = seen.of_wheels and not used.of_wheels
+            if not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS:
+                return True
+            navigation.forget_odometer()
+        self._odometer = seen
+        return False
+
+    def _watch_the_wheels(self, time_ns: int, step_s: float) -> list[Outcome]:
+        """Tell the filter at 10 Hz that the vehicle goes where its wheels point."""
+        self._rolling_s += step_s
+        if self.filter is None or not self._settings.non_holonomic or self._rolling_s < WHEELS_PERIOD_S - 1e-3:
+            return []
+        self._rolling_s = 0.0
+        fast = hypot(*self.filter.inertial.velocity) > SLOWEST_M_S
+        return self._aid(NonHolonomic(time_ns, self._settings)) if fast else []
 
     def _settle_phase(self, time_ns: int) -> None:
         """Say what goes on, where that has changed."""

@@ -1,8 +1,9 @@
-"""How errors of the mechanisation grow: x = (attitude, velocity, position, accelerometer bias, gyroscope bias).
+"""How errors grow: x = (attitude, velocity, position, accelerometer and gyroscope bias; odometer scale, mounting).
 
 Errors are estimated minus true. The attitude error is a small rotation vector in NED axes, with which
 C_estimated = (I + sk(psi)) C; the position error is in metres NED; the biases are what is left of them after the
-correction already made, and are therefore added to it. x' = F x + noise.
+correction already made, and are therefore added to it. Scale of the odometer, and pitch and yaw of the IMU against
+the vehicle, are as good as constant; nothing but the aiding by the vehicle knows of them. x' = F x + noise.
 """
 
 from math import cos, sin, tan
@@ -27,7 +28,10 @@ VELOCITY = slice(3, 6)
 POSITION = slice(6, 9)
 ACCELEROMETER_BIAS = slice(9, 12)
 GYROSCOPE_BIAS = slice(12, 15)
-SIZE = 15
+ODOMETER_SCALE = 15
+MOUNTING = slice(16, 18)  # pitch, yaw
+VEHICLE = slice(15, 18)
+SIZE = 18
 
 
 def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArray) -> FloatArray:
@@ -44,7 +48,7 @@ def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArr
 
     Returns
     -------
-    ndarray, shape (15, 15)
+    ndarray, shape (18, 18)
         [1/s and mixed] Row block, column block in the order of the state.
 
     Notes
@@ -99,7 +103,7 @@ def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArr
     ]
     # fmt: on
     F = np.zeros((SIZE, SIZE))
-    F[:9] = rows
+    F[:9, :15] = rows
     return F
 
 
@@ -111,7 +115,13 @@ def geocentric_radius(latitude: float) -> float:
 
 
 def noise_matrix(
-    *, gyroscope_psd: float, accelerometer_psd: float, accelerometer_bias_psd: float, gyroscope_bias_psd: float
+    *,
+    gyroscope_psd: float,
+    accelerometer_psd: float,
+    accelerometer_bias_psd: float,
+    gyroscope_bias_psd: float,
+    odometer_scale_psd: float,
+    mounting_psd: float,
 ) -> FloatArray:
     """Power spectral density of the noise that drives the errors.
 
@@ -125,10 +135,14 @@ def noise_matrix(
         [m²/s⁵] S_bad.
     gyroscope_bias_psd : float
         [rad²/s³] S_bgd.
+    odometer_scale_psd : float
+        [1/s] Of the walk of the odometer's scale: tyres warm up and wear.
+    mounting_psd : float
+        [rad²/s] Of the walk of the mounting angles: the load shifts.
 
     Returns
     -------
-    ndarray, shape (15,)
+    ndarray, shape (18,)
         Diagonal of the matrix; times a short step it is the covariance that the step adds.
 
     References
@@ -140,11 +154,13 @@ def noise_matrix(
     diagonal[VELOCITY] = accelerometer_psd
     diagonal[ACCELEROMETER_BIAS] = accelerometer_bias_psd
     diagonal[GYROSCOPE_BIAS] = gyroscope_bias_psd
+    diagonal[ODOMETER_SCALE] = odometer_scale_psd
+    diagonal[MOUNTING] = mounting_psd
     return diagonal
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:
-    """Matrix H, shape (3, 15), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
+    """Matrix H, shape (3, 18), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(arm_n)
     H[:, POSITION] = -np.eye(3)
@@ -165,14 +181,14 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
 
     Returns
     -------
-    ndarray, shape (3, 15)
+    ndarray, shape (3, 18)
         The small term of the Earth's rate in the prediction is neglected.
 
     Notes
     -----
     ::
 
-        H = [ sk(C (w x l)), -I, 0, 0, C sk(l) ]
+        H = [ sk(C (w x l)), -I, 0, 0, C sk(l), 0, 0 ]
 
     References
     ----------
@@ -182,4 +198,44 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
     H[:, ATTITUDE] = skew(ned_from_body @ np.cross(rate_b, arm_b))
     H[:, VELOCITY] = -np.eye(3)
     H[:, GYROSCOPE_BIAS] = ned_from_body @ skew(arm_b)
+    return H
+
+
+def axle_velocity_matrix(
+    arm_b: Vector, velocity_n: Vector, axle_velocity_b: FloatArray, ned_from_body: FloatArray, M: FloatArray
+) -> FloatArray:
+    """Matrix H of true minus predicted velocity of the rear axle, in the axes of the vehicle.
+
+    Parameters
+    ----------
+    arm_b : tuple of float
+        [m, body] Lever arm l from the IMU to the middle of the rear axle.
+    velocity_n : tuple of float
+        [m/s, NED] Velocity v of the IMU.
+    axle_velocity_b : ndarray, shape (3,)
+        [m/s, body] u = C^T v + w x l.
+    ned_from_body : ndarray, shape (3, 3)
+        [-] Attitude C.
+    M : ndarray, shape (3, 3)
+        [-] Vehicle from body: the mounting's yaw about the vehicle's z, after its pitch about the IMU's y.
+
+    Returns
+    -------
+    ndarray, shape (3, 18)
+        Rows forward, right, down. The roll of the mounting is taken for zero: driving does not show it.
+
+    Notes
+    -----
+    With e_y and e_z unit vectors::
+
+        H = [ -M C^T sk(v), -M C^T, 0, 0, M sk(l), 0, -M (e_y x u), -e_z x M u ]
+    """
+    u, ahead = axle_velocity_b, M @ axle_velocity_b
+    vehicle_from_ned = M @ ned_from_body.T
+    H = np.zeros((3, SIZE))
+    H[:, ATTITUDE] = -vehicle_from_ned @ skew(velocity_n)
+    H[:, VELOCITY] = -vehicle_from_ned
+    H[:, GYROSCOPE_BIAS] = M @ skew(arm_b)
+    H[:, MOUNTING.start] = -M @ np.array([u[2], 0.0, -u[0]])
+    H[:, MOUNTING.start + 1] = ahead[1], -ahead[0], 0.0
     return H

@@ -11,6 +11,7 @@ from shared.maths.rotation import (
     Quaternion,
     Vector,
     matrix_from_quaternion,
+    ned_from_body,
     quaternion_from_rotation_vector,
     quaternion_product,
 )
@@ -22,13 +23,15 @@ from .strapdown import InertialState, normalised, propagate
 
 FloatArray = npt.NDArray[np.float64]
 
+SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
+MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
 SHAKE_S = 1.0  # time constant of the measured vibration
 FASTEST_M_S = 500.0
 HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
 
 
 class ErrorStateFilter:
-    """Fifteen errors around a strapdown mechanisation; every correction is fed back at once.
+    """Eighteen errors around a strapdown mechanisation; every correction is fed back at once.
 
     Parameters
     ----------
@@ -36,10 +39,12 @@ class ErrorStateFilter:
         Noise, periods.
     inertial : InertialState
         Where to start.
-    P : ndarray, shape (15, 15)
+    P : ndarray, shape (18, 18)
         Covariance of the start, in the order of `error_model`.
     accelerometer_bias, gyroscope_bias : tuple of float
         [m/s²], [rad/s] Body axes, as far as known.
+    vehicle : tuple of float
+        [-], [rad], [rad] Scale error of the odometer, pitch and yaw of the IMU against the vehicle, as far as known.
     """
 
     def __init__(
@@ -49,11 +54,13 @@ class ErrorStateFilter:
         P: FloatArray,
         accelerometer_bias: Vector = (0.0, 0.0, 0.0),
         gyroscope_bias: Vector = (0.0, 0.0, 0.0),
+        vehicle: Vector = (0.0, 0.0, 0.0),
     ) -> None:
         self.inertial = inertial
         self.P = P
         self.accelerometer_bias = accelerometer_bias
         self.gyroscope_bias = gyroscope_bias
+        self.vehicle = vehicle
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
         self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
         self._period_s = settings.covariance_period_s
@@ -74,6 +81,11 @@ class ErrorStateFilter:
     def ned_from_body(self) -> FloatArray:
         """Attitude as a matrix, shape (3, 3)."""
         return matrix_from_quaternion(self.inertial.quaternion)
+
+    @property
+    def vehicle_from_body(self) -> FloatArray:
+        """Mounting as a matrix, shape (3, 3)."""
+        return ned_from_body(0.0, self.vehicle[1], self.vehicle[2])
 
     def advance(self, force: Vector, rate: Vector, time_ns: int) -> None:
         """Carry the state to an instant with a sample [m/s², rad/s, body; as measured] that holds until then."""
@@ -123,6 +135,8 @@ class ErrorStateFilter:
             accelerometer_psd=max(settings.velocity_random_walk_m_s_sqrt_s**2, factor * self._force_shake),
             accelerometer_bias_psd=settings.accelerometer_bias_psd_m2_s5,
             gyroscope_bias_psd=settings.gyroscope_bias_psd_rad2_s3,
+            odometer_scale_psd=SCALE_PSD,
+            mounting_psd=MOUNTING_PSD,
         )
 
     def bring_covariance_up(self) -> None:
@@ -146,6 +160,13 @@ class ErrorStateFilter:
         diagonal[em.POSITION] += position_sd**2
         self.P = widened
 
+    def forget_odometer(self) -> None:
+        """Take the scale of the odometer for unknown: it is another one."""
+        self.vehicle = (0.0, self.vehicle[1], self.vehicle[2])
+        self.P = self.P.copy()
+        self.P[em.ODOMETER_SCALE] = self.P[:, em.ODOMETER_SCALE] = 0.0
+        self.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE] = self._settings.odometer_scale_sd**2
+
     def weigh(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
         """Work out what a measurement says, without believing it yet."""
         self.bring_covariance_up()
@@ -166,6 +187,7 @@ class ErrorStateFilter:
         self.accelerometer_bias = (bias[0] + x[9], bias[1] + x[10], bias[2] + x[11])
         self.gyroscope_bias = (drift[0] + x[12], drift[1] + x[13], drift[2] + x[14])
         self.rate = (self.rate[0] - x[12], self.rate[1] - x[13], self.rate[2] - x[14])
+        self.vehicle = (self.vehicle[0] - x[15], self.vehicle[1] - x[16], self.vehicle[2] - x[17])
         self._check()
 
     def _check(self) -> None:

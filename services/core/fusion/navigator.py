@@ -26,6 +26,7 @@ from .engine import Counts, Sample
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .settings import Settings
+from .wheels import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -33,6 +34,7 @@ FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
 RATE_LIMIT = 100.0  # [rad/s]
 FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
+SPEED_PERIOD_NS = 95_000_000  # wheels say more often what they say
 BACKWARDS_LIMIT = 100  # successive samples from the past, after which it is the clock that was set back
 
 
@@ -71,6 +73,7 @@ class Navigator:
         self.samples_rejected = 0
         self._delayed = DelayedEngine(self.settings)
         self._backwards = 0
+        self._speed_ns: dict[str, int] = {}  # stamp of the newest speed of each device
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -133,6 +136,27 @@ class Navigator:
         moving = None if velocity is None else Reading(velocity, _diagonal(velocity_sd))
         for measurement in gnss_measurements(self.settings, stamp, position, reading, moving):
             self.measure(measurement)
+
+    def speed(
+        self,
+        time_ns: int,
+        speed: float,
+        *,
+        resolution: float = 0.0,
+        of_wheels: bool = True,
+        exact: bool = True,
+        received_ns: int | None = None,
+        source: str = "wheels",
+    ) -> None:
+        """Take a speed [m/s] of the vehicle at a stamp; ten a second of each device are enough.
+
+        It is `exact` if it is that of both rear wheels, and its resolution [m/s] is the step in which it comes.
+        """
+        if not self.settings.odometer or time_ns - self._speed_ns.get(source, 0) < SPEED_PERIOD_NS:
+            return
+        self._speed_ns[source] = time_ns
+        arrival_ns = time_ns if received_ns is None else received_ns
+        self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
 
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""

@@ -16,9 +16,9 @@ from shared.messages import (
     WheelSpeeds,
 )
 
+from . import translate
 from .navigator import Navigator
 from .settings import Settings
-from .translate import aiding_message, measurements_from_fix, prior_from_last_position, solution_message, state_message
 
 STATE_PERIOD_NS = 1_000_000_000
 SILENT_NS = 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
@@ -53,14 +53,13 @@ class Process:
             case ImuSamples():
                 yield from self._inertial(message)
             case GnssFix():
-                measurements = measurements_from_fix(message, self._config)
-                for measurement in measurements:
-                    self._navigator.measure(measurement)
-                if not measurements:
+                if not translate.give_fix(self._navigator, message):
                     self.rejects["fix without position"] += 1
                 yield from self._silence(message.received_ns)
+            case VehicleSpeed() | WheelSpeeds():
+                translate.give_speed(self._navigator, message)
             case LastPosition():
-                self._navigator.remember(prior_from_last_position(message))
+                self._navigator.remember(translate.prior_from_last_position(message))
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
         if batch.source != self._imu and not self._is_silent(batch.received_ns):
@@ -70,7 +69,7 @@ class Process:
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         for sampled_ns, force, rate in samples:
             outcomes = self._navigator.imu(sampled_ns, force, rate, batch.received_ns)
-            yield from map(aiding_message, outcomes)
+            yield from map(translate.aiding_message, outcomes)
             yield from self._state(sampled_ns)
             yield from self._solution(sampled_ns)
 
@@ -82,14 +81,14 @@ class Process:
         current = (NavigationPhase.WAITING_FOR_IMU, "", received_ns // STATE_PERIOD_NS)
         if self._is_silent(received_ns) and current != self._last_state:
             self._last_state = current
-            yield state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
+            yield translate.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
         """Say what goes on when it changes, and every second."""
         current = (self._navigator.phase, self._navigator.reason, sampled_ns // STATE_PERIOD_NS)
         if current != self._last_state:
             self._last_state = current
-            yield state_message(self._navigator, sampled_ns)
+            yield translate.state_message(self._navigator, sampled_ns)
 
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
         """Say where the vehicle is, once a period."""
@@ -97,4 +96,4 @@ class Process:
         solution = self._navigator.solution() if period != self._last_solution else None
         if solution is not None:
             self._last_solution = period
-            yield solution_message(solution)
+            yield translate.solution_message(solution)

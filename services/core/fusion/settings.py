@@ -64,6 +64,18 @@ class Settings(Section):
 
     position_only: bool = Field(default=False, description="leave the receiver's velocity unused")
     zero_velocity: bool = Field(default=True, description="aid the filter at standstill")
+    odometer: bool = Field(default=True, description="aid the filter by the speed of the wheels")
+    non_holonomic: bool = Field(default=True, description="wheels neither slide sideways nor leave the road")
+    rear_axle_body_m: Vector3 | None = Field(
+        default=None,
+        description="from the IMU to the middle of the rear axle; unknown, the wheels are trusted less in bends",
+    )
+    odometer_sd_m_s: float = Field(default=0.05, gt=0.0, description="of a speed, apart from its resolution")
+    odometer_scale_sd: float = Field(default=0.02, gt=0.0, description="of the scale at switch-on, which is estimated")
+    non_holonomic_sd_m_s: float = Field(default=0.1, gt=0.0, description="of sideways and vertical speed")
+    mounting_sd_rad: float = Field(
+        default=radians(3.0), gt=0.0, description="of the IMU against the vehicle: pitch and yaw, which are estimated"
+    )
     gnss_position_sd_m: Vector3 = Field(default=(2.5, 2.5, 5.0), description="NED, of a receiver that states none")
     gnss_velocity_sd_m_s: Vector3 = Field(default=(0.2, 0.2, 0.4), description="NED, of a receiver that states none")
     gnss_position_sd_floor_m: float = Field(default=0.01, gt=0.0, description="least that is believed of a receiver")

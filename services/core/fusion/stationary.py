@@ -25,7 +25,9 @@ class Rest(NamedTuple):
         """Whether the vehicle stands still."""
         return self.quiet_s >= QUIET_S
 
-    def after(self, rate: Vector, acceleration: Vector, velocity: Vector, step_s: float) -> "Rest":
+    def after(
+        self, rate: Vector, acceleration: Vector, velocity: Vector, step_s: float, speed_limit: float = SPEED_LIMIT
+    ) -> "Rest":
         """Take one sample in: true from `QUIET_S` after the vehicle came to rest, and false at once when it moves.
 
         Parameters
@@ -38,19 +40,21 @@ class Rest(NamedTuple):
             [m/s, NED]
         step_s : float
             [s] Time since the sample before.
+        speed_limit : float
+            [m/s] Larger than usual where wheels that stand still vouch for it, and the filter is uncertain.
 
         Returns
         -------
         Rest
-            |w| < 0.012 rad/s, |C f + g| < 0.06 m/s² (both smoothed) and |v| < 0.3 m/s must all hold for half a second.
+            |w| < 0.012 rad/s, |C f + g| < 0.06 m/s² (both smoothed), |v| < `speed_limit` must hold for half a second.
             A test of |f| against g alone would also pass while rolling evenly.
         """
         speed = _length(velocity)
-        if speed > DRIVING_M_S:
+        if speed > max(DRIVING_M_S, speed_limit):
             return Rest()
         share = min(1.0, step_s / SMOOTHING_S)
         rate, acceleration = _blend(self.rate, rate, share), _blend(self.acceleration, acceleration, share)
-        quiet = _length(rate) < RATE_LIMIT and _length(acceleration) < ACCELERATION_LIMIT and speed < SPEED_LIMIT
+        quiet = _length(rate) < RATE_LIMIT and _length(acceleration) < ACCELERATION_LIMIT and speed < speed_limit
         if self.quiet_s < 0.0:
             return Rest(rate, acceleration, min(0.0, self.quiet_s + step_s))
         return Rest(rate, acceleration, self.quiet_s + step_s if quiet else 0.0)

@@ -16,6 +16,8 @@ from shared.messages import (
     NavigationState,
     Symmetric3,
     Vector3,
+    VehicleSpeed,
+    WheelSpeeds,
 )
 
 from .aiding import Measurement, Outcome
@@ -42,6 +44,35 @@ def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]
     reading = Reading((0.0, 0.0, 0.0), _position_cov(fix), 3 if has_height else 2)
     stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
     return gnss_measurements(settings, stamp, position, reading, _velocity(fix))
+
+
+def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
+    """Hand a fix to the navigator; False if it holds no position."""
+    measurements = measurements_from_fix(fix, navigator.settings)
+    for measurement in measurements:
+        navigator.measure(measurement)
+    return bool(measurements)
+
+
+def give_speed(navigator: Navigator, speed: VehicleSpeed | WheelSpeeds) -> None:
+    """Hand a speed to the navigator: the mean of the rear wheels, or of all if none of them is told."""
+    if isinstance(speed, VehicleSpeed):
+        value, resolution, of_wheels, exact = speed.speed_m_s, speed.resolution_m_s or 0.0, False, False
+    else:
+        rear = [wheel for wheel in (speed.rear_left_m_s, speed.rear_right_m_s) if wheel is not None]
+        wheels = rear or [wheel for wheel in (speed.front_left_m_s, speed.front_right_m_s) if wheel is not None]
+        if not wheels:
+            return
+        value, resolution, of_wheels, exact = sum(wheels) / len(wheels), 0.0, True, len(rear) == 2
+    navigator.speed(
+        speed.sampled_ns,
+        value,
+        resolution=resolution,
+        of_wheels=of_wheels,
+        exact=exact,
+        received_ns=speed.received_ns,
+        source=speed.source,
+    )
 
 
 def _position_cov(fix: GnssFix) -> FloatArray | None:

@@ -1,5 +1,6 @@
 """The error model against finite differences of the mechanisation, and against its own equations in matrices."""
 
+from collections.abc import Sequence
 from math import cos, sin, tan
 
 import numpy as np
@@ -12,6 +13,7 @@ from services.core.fusion.filter import ErrorStateFilter
 from services.core.fusion.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from services.core.fusion.settings import Settings
 from services.core.fusion.strapdown import InertialState
+from services.core.fusion.wheels import NonHolonomic, WheelSpeed
 from shared.maths.earth import (
     EARTH_RATE,
     Geodetic,
@@ -41,7 +43,7 @@ ATTITUDE = ned_from_body(0.1, -0.2, 0.7)
 RATE: Vector = (0.05, -0.02, 0.3)
 STATE = InertialState(0, quaternion_from_matrix(ATTITUDE), VELOCITY, Geodetic(LATITUDE, 0.2, HEIGHT))
 STEP_NS = 1_000_000
-PERTURBATION = np.repeat([1e-3, 1.0, 1000.0, 1.0, 1e-3], 3)
+PERTURBATION = np.repeat([1e-3, 1.0, 1000.0, 1.0, 1e-3, 1e-3], 3)
 NEGLECTED = {0: 1e-9, 3: 0.01, 6: 0.01}  # by first row: what the length of the step leaves where the model has nought
 
 
@@ -75,7 +77,7 @@ def error_of(estimate: InertialState, truth: InertialState) -> FloatArray:
 
 @pytest.fixture
 def differences(monkeypatch: pytest.MonkeyPatch) -> FloatArray:
-    """Derivative of the first nine errors by all fifteen, by finite differences, with gravity of one latitude."""
+    """Derivative of the first nine errors by all eighteen, by finite differences, with gravity of one latitude."""
     monkeypatch.setattr(strapdown, "gravity", lambda _latitude, height: gravity(LATITUDE, height))
     force, rate = vector(ATTITUDE.T @ np.array(FORCE_N)), RATE
 
@@ -145,15 +147,18 @@ def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
     for (row, column), block in expected.items():
         assert F[row : row + 3, column : column + 3] == pytest.approx(block, rel=1e-12, abs=1e-19), (row, column)
     assert not F[em.POSITION, em.ATTITUDE].any() and not F[9:].any()
+    assert not F[:, em.VEHICLE].any(), "only the aiding by the vehicle knows of these"
 
 
 def navigation(error: FloatArray) -> ErrorStateFilter:
     """Filter that is wrong by an error; the biases of the error are what is left after correction."""
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
     wrong.rate = vector(np.array(RATE) + error[em.GYROSCOPE_BIAS])
+    wrong.vehicle = vector(np.array(VEHICLE) + error[em.VEHICLE])
     return wrong
 
 
+VEHICLE: Vector = (0.03, 0.1, -0.07)  # scale error of the odometer, pitch and yaw of the mounting
 ARM: Vector = (0.3, -0.5, -1.2)
 ANTENNA = geodetic_from_ned_difference(vector(ATTITUDE @ np.array(ARM)), STATE.position)
 PERFECT = navigation(np.zeros(em.SIZE))
@@ -178,11 +183,41 @@ def test_the_measurement_matrices_agree_with_finite_differences(measurement: Gns
         assert (ahead - behind) / 2e-4 == pytest.approx(seen.H[:, j], abs=earth_rate_term)
 
 
+AXLE = vector(
+    ned_from_body(0.0, *VEHICLE[1:]) @ (ATTITUDE.T @ np.array(VELOCITY) + np.cross(RATE, ARM))  # [m/s, vehicle]
+)
+
+
+@pytest.mark.parametrize(
+    ("measurement", "predicted"),
+    [
+        (WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(rear_axle_body_m=ARM)), [1.03 * AXLE[0]]),
+        (NonHolonomic(0, Settings(rear_axle_body_m=ARM)), AXLE[1:]),
+    ],
+    ids=["odometer", "non-holonomic"],
+)
+def test_the_matrices_of_the_wheels_agree_with_finite_differences(
+    measurement: WheelSpeed | NonHolonomic, predicted: Sequence[float]
+) -> None:
+    seen = measurement.observe(PERFECT)
+    assert -seen.z == pytest.approx(np.array(predicted)), "a wheel that stands, and one that does not slide"
+    for j in range(em.SIZE):
+        step = np.zeros(em.SIZE)
+        step[j] = 1e-5
+        ahead, behind = measurement.observe(navigation(step)).z, measurement.observe(navigation(-step)).z
+        assert (ahead - behind) / 2e-5 == pytest.approx(seen.H[:, j], rel=1e-6, abs=1e-6)
+
+
 def test_the_noise_goes_where_its_name_says() -> None:
     noise = em.noise_matrix(
-        gyroscope_psd=1.0, accelerometer_psd=2.0, accelerometer_bias_psd=3.0, gyroscope_bias_psd=4.0
+        gyroscope_psd=1.0,
+        accelerometer_psd=2.0,
+        accelerometer_bias_psd=3.0,
+        gyroscope_bias_psd=4.0,
+        odometer_scale_psd=5.0,
+        mounting_psd=6.0,
     )
-    assert noise.tolist() == [1.0] * 3 + [2.0] * 3 + [0.0] * 3 + [3.0] * 3 + [4.0] * 3
+    assert noise.tolist() == [1.0] * 3 + [2.0] * 3 + [0.0] * 3 + [3.0] * 3 + [4.0] * 3 + [5.0] + [6.0] * 2
 
 
 def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:

@@ -14,6 +14,7 @@ from services.core.fusion.translate import measurements_from_fix
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages import (
+    AidingKind,
     AidingUpdate,
     FixType,
     GnssFix,
@@ -25,6 +26,7 @@ from shared.messages import (
     NavigationState,
     Tick,
     VehicleSpeed,
+    WheelSpeeds,
 )
 
 EPOCH_NS = 1_790_000_000_000_000_000
@@ -91,7 +93,7 @@ def run(messages: Sequence[Message], process: Process | None = None) -> list[Mes
     made = process or Process(Config(lever_arm_body_m=drive().lever_arm_b))
     out: list[Message] = []
     for message in sorted(messages, key=lambda m: getattr(m, "received_ns", 0)):
-        assert isinstance(message, ImuSamples | GnssFix | LastPosition | VehicleSpeed | Tick)
+        assert isinstance(message, ImuSamples | GnssFix | LastPosition | VehicleSpeed | WheelSpeeds | Tick)
         out += made.handle(message)
     return out
 
@@ -172,14 +174,62 @@ def test_two_runs_agree_to_the_last_bit() -> None:
     assert run(messages) == run(messages)
 
 
-def test_ticks_and_speeds_change_nothing() -> None:
+def test_ticks_change_nothing() -> None:
     messages: list[Message] = [saved(), *samples(), *fixes()]
     ticks = [Tick(now_ns=EPOCH_NS + k * 10**9) for k in range(60)]
+    assert run(messages) == run([*messages, *ticks])
+
+
+def wheels(k: int, **changes: float | None) -> WheelSpeeds:
+    """What the wheels say at a reading of the odometer: those in front too much, as in bends."""
+    stamp, speed = EPOCH_NS + int(drive().odometer_ns[k]), float(drive().odometer[k])
+    readings = {"rear_left_m_s": speed - 0.1, "rear_right_m_s": speed + 0.1, "front_left_m_s": 1.5 * speed, **changes}
+    return WheelSpeeds(sampled_ns=stamp, received_ns=stamp + 10_000_000, source="can", **readings)
+
+
+def odometer_updates(messages: Sequence[Message], config: Config | None = None) -> list[AidingUpdate]:
+    process = Process(config or Config(lever_arm_body_m=drive().lever_arm_b))
+    out = run([saved(), *samples(), *fixes(), *messages], process)
+    return [m for m in out if isinstance(m, AidingUpdate) and m.kind is AidingKind.ODOMETER]
+
+
+def test_the_mean_of_the_rear_wheels_aids_the_filter() -> None:
+    readings = range(len(drive().odometer_ns))
+    updates = odometer_updates([wheels(k) for k in readings])
+    assert len(updates) > 350 and {m.source for m in updates} == {"can"}
+    assert np.mean([m.used for m in updates]) > 0.99
+    assert np.sqrt(np.mean([m.innovation[0] ** 2 for m in updates])) < 0.1
+    without = odometer_updates([wheels(k, rear_left_m_s=None, rear_right_m_s=None) for k in readings])
+    assert max(m.innovation[0] for m in without) > 1.0, "only a front wheel is left, which says too much here"
+
+
+def test_wheels_without_any_speed_say_nothing() -> None:
+    silent = {"rear_left_m_s": None, "rear_right_m_s": None, "front_left_m_s": None}
+    assert odometer_updates([wheels(k, **silent) for k in range(100, 200)]) == []
+
+
+def test_the_speed_of_obd_is_used_until_wheels_are_heard_and_counts_for_its_resolution() -> None:
+    d = drive()
     speeds = [
-        VehicleSpeed(sampled_ns=EPOCH_NS + k * 10**9, received_ns=EPOCH_NS + k * 10**9, source="obd", speed_m_s=1.0)
-        for k in range(60)
+        VehicleSpeed(
+            sampled_ns=EPOCH_NS + int(d.odometer_ns[k]),
+            received_ns=EPOCH_NS + int(d.odometer_ns[k]) + 10_000_000,
+            source="obd",
+            speed_m_s=round(float(d.odometer[k]) * 3.6) / 3.6,
+            resolution_m_s=1.0 / 3.6,
+        )
+        for k in range(0, 600, 7)
     ]
-    assert run(messages) == run([*messages, *ticks, *speeds])
+    updates = odometer_updates([*speeds, *(wheels(k) for k in range(400, 600))])
+    by_source = {name: [m.sampled_ns for m in updates if m.source == name] for name in ("obd", "can")}
+    assert max(by_source["obd"]) < min(by_source["can"]) + 10**8
+    moving = [m for m in updates if m.source == "obd" and m.used]
+    assert min(m.innovation_sd[0] for m in moving) > 1.0 / 3.6 / 12**0.5
+
+
+def test_the_odometer_can_be_switched_off() -> None:
+    config = Config(lever_arm_body_m=drive().lever_arm_b, odometer=False)
+    assert odometer_updates([wheels(k) for k in range(600)], config) == []
 
 
 def test_an_nmea_receiver_is_enough() -> None:
@@ -192,7 +242,8 @@ def test_aiding_updates_say_what_was_used() -> None:
     updates = [m for m in run([saved(), *samples(), *fixes()]) if isinstance(m, AidingUpdate)]
     assert {m.source for m in updates} == {"gnss", "core.fusion"}
     assert np.mean([m.used for m in updates]) > 0.98
-    assert all(len(m.innovation) == len(m.innovation_sd) == 3 for m in updates)
+    assert all(len(m.innovation) == len(m.innovation_sd) for m in updates)
+    assert {len(m.innovation) for m in updates if m.kind is not AidingKind.NON_HOLONOMIC} == {3}
 
 
 def test_fixes_without_a_position_are_counted() -> None:
