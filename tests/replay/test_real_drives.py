@@ -7,10 +7,10 @@ innovation how well it predicts one fix ahead, and an outage how far it drifts a
 drive               horizontal  prediction  end of a 10 s outage
                     RMSE [m]    RMS [m]     median, largest [m]
 ==================  ==========  ==========  ===========================
-rtkexp_drive        0.014       0.013       2.1, 13.6 (17 outages)
-wid_car, trial 02   0.018       0.020       0.4, 0.8 (3 outages)
-wid_car, trial 08   0.016       0.016       0.3, 0.5 (3 outages)
-wid_car, trial 10   0.013       0.013       0.3, 0.5 (2 outages)
+rtkexp_drive        0.016       0.012       1.1, 3.1 (17 outages)
+wid_car, trial 02   0.022       0.020       0.15, 0.56 (3 outages)
+wid_car, trial 08   0.016       0.016       0.49, 0.50 (3 outages)
+wid_car, trial 10   0.013       0.013       0.11, 0.19 (2 outages)
 ==================  ==========  ==========  ===========================
 """
 
@@ -50,8 +50,8 @@ def rtk_car(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_car_with_rtk_is_where_rtk_says(rtk_car: Path) -> None:
     found = solved(rtk_car)
     assert found["fixes_recorded"] == 2197 and found["distance_m"] == pytest.approx(4050.0, rel=0.02)
-    assert found["horizontal_rmse_m"] <= 0.30, "the goal; 0.014 m were measured"
-    assert found["innovation_horizontal_rms_m"] <= 0.12, "what a 15-state filter reached; 0.013 m were measured"
+    assert found["horizontal_rmse_m"] <= 0.30, "the goal; 0.016 m were measured"
+    assert found["innovation_horizontal_rms_m"] <= 0.12, "what a 15-state filter reached; 0.012 m were measured"
     assert found["fixes_rejected"] < 0.02 * found["fixes_used"] and found["filter_resets"] == 0
     assert found["within_3_sigma_fraction"] > 0.98
 
@@ -59,7 +59,7 @@ def test_a_car_with_rtk_is_where_rtk_says(rtk_car: Path) -> None:
 def test_a_car_without_gnss_for_ten_seconds_drifts_by_a_few_metres(rtk_car: Path) -> None:
     found = solved(rtk_car, "10/30")
     assert found["outage_count"] >= 16
-    assert found["outage_end_error_median_m"] <= 4.5, "the goal; 2.1 m were measured"
+    assert found["outage_end_error_median_m"] <= 2.5, "the goal with wheels that do not slide; 1.1 m were measured"
     assert found["outage_end_error_max_m"] < 20.0
     assert found["within_3_sigma_fraction"] > 0.98, "the covariance grows as the error does"
 
@@ -70,7 +70,7 @@ def test_a_car_with_a_tactical_imu_drifts_by_less_than_a_metre_and_a_half(trial:
     whole, cut = solved(drive), solved(drive, "10/30")
     assert whole["horizontal_rmse_m"] <= 0.05 and whole["fixes_rejected"] == 0
     assert cut["outage_count"] >= 2
-    assert cut["outage_end_error_median_m"] <= 1.5, "the goal; 0.3 to 0.4 m were measured"
+    assert cut["outage_end_error_median_m"] <= 1.0, "the goal; 0.1 to 0.5 m were measured"
 
 
 @pytest.mark.slow
