@@ -150,8 +150,11 @@ class LiveReactor:
         self._say(self._process.handle(tick))
 
     def _say(self, messages: Iterable[Message]) -> None:
-        for message in messages:
-            self._bus.publish(message)
+        said = list(messages)
+        if not said:
+            return
+        self._bus.publish_all(said)  # in one write: a broker that wakes for the first delays the last
+        for message in said:
             if BY_MESSAGE[type(message)].persist:
                 _save(self._bus.state_dir, message)
 
