@@ -14,7 +14,7 @@ from pathlib import Path
 from . import codec
 from .clock import Clock
 from .config import BrokerAddress
-from .envelope import Envelope, make_envelope
+from .envelope import Envelope, Opener
 from .messages import Message, ProcessHealth, ProcessState
 from .mqtt.client import Client, Lost, Outgoing, Refused
 from .mqtt.client_packets import MESSAGE_EXPIRY, user_property
@@ -65,14 +65,19 @@ class Bus:
         self.incarnation = self.now_ns()
         self._prefix = f"obu/{vehicle}/"
         self._heads: dict[str, bytes] = {}  # topics, encoded
-        self._signature = user_property("from", process) + user_property("life", str(self.incarnation))
+        # The properties of every message, up to its running number. They go first, for `Opener`.
+        origin = user_property("from", process) + user_property("life", str(self.incarnation))
+        self._signature = origin + user_property("seq", "")[:-2]
         self._sequence = 0
         self._next_heartbeat = self._next_attempt = 0.0
         self._attempts = 0
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
         self._observer = observer
         filters = [Subscription(self._prefix + topic.name, topic.qos) for topic in subscriptions]
-        self._client = Client(self._request(), address.password, filters, queue=QUEUE_LENGTH, packet_bytes=PACKET_BYTES)
+        self._client = Client(
+            self._request(), address.password, filters, Opener(self._prefix, self._clock.now_ns),
+            queue=QUEUE_LENGTH, packet_bytes=PACKET_BYTES,
+        )  # fmt: skip
 
     def now_ns(self) -> int:
         """Read the OBU time line."""
@@ -85,8 +90,9 @@ class Bus:
     def publish_all(self, messages: Iterable[Message]) -> None:
         """Send messages in one go."""
         for message in messages:
+            topic = BY_MESSAGE[type(message)]
             payload, properties = codec.encode(message)
-            self._gather(codec.topic_name(message), payload, properties, BY_MESSAGE[type(message)])
+            self._gather(codec.topic_name(message, topic), payload, properties, topic)
         self._flush()
 
     def send(self, name: str, payload: bytes, properties: dict[str, str], topic: Topic) -> None:
@@ -109,9 +115,9 @@ class Bus:
 
         Returns at once when something is there. After SIGTERM `stopping` is set and the call returns.
         """
+        self._heartbeat()  # before the wait: what comes shall not wait for it
         if self._client.is_open or self._connect(timeout_s):
             self._exchange(timeout_s)
-        self._heartbeat()
         return self._take()
 
     def close(self) -> None:
@@ -151,7 +157,7 @@ class Bus:
         will = ProcessHealth(
             process=self.process, state=ProcessState.LOST, incarnation=self.incarnation, sent_ns=self.incarnation
         )
-        topic, properties = self._prefix + codec.topic_name(will), self._signature + user_property("seq", "0")
+        topic, properties = self._prefix + codec.topic_name(will), self._signature + text("0")
         return Publish(topic, codec.encode(will)[0], qos=1, retain=True, properties=properties)
 
     def _gather(self, name: str, payload: bytes, properties: dict[str, str], topic: Topic) -> None:
@@ -160,11 +166,12 @@ class Bus:
         head = self._heads.get(name)
         if head is None:
             head = self._heads[name] = text(self._prefix + name)
-        parts = [self._signature, user_property("seq", str(self._sequence))]
-        parts += [user_property(key, value) for key, value in properties.items()]
+        number = b"%d" % self._sequence
+        packed = self._signature + len(number).to_bytes(2) + number
+        for key, value in properties.items():
+            packed += user_property(key, value)
         if topic.retain and topic.expiry_s:
-            parts.append(bytes((MESSAGE_EXPIRY,)) + topic.expiry_s.to_bytes(4))
-        packed = b"".join(parts)
+            packed += bytes((MESSAGE_EXPIRY,)) + topic.expiry_s.to_bytes(4)
         self._client.publish(Outgoing(head, varint(len(packed)) + packed, payload, topic.qos, topic.retain))
 
     def _flush(self) -> None:
@@ -224,19 +231,12 @@ class Bus:
                 Path(self._alive_file).touch()
 
     def _take(self) -> list[Envelope]:
-        inbox, prefix, envelopes = self._client.inbox, self._prefix, []
-        while inbox:
-            delivery = inbox.popleft()
-            self.messages_in += 1
-            envelope = make_envelope(
-                delivery.topic.removeprefix(prefix),
-                delivery.payload,
-                delivery.user,
-                received_ns=self.now_ns(),
-                retained=delivery.retained,
-            )
-            if envelope is None:
-                self.rejects["envelope"] += 1
-            else:
-                envelopes.append(envelope)
+        inbox = self._client.inbox
+        if not inbox:
+            return []
+        self.messages_in += len(inbox)
+        envelopes = [envelope for envelope in inbox if envelope is not None]
+        if len(envelopes) != len(inbox):
+            self.rejects["envelope"] += len(inbox) - len(envelopes)
+        inbox.clear()
         return envelopes

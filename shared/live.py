@@ -136,9 +136,10 @@ class LiveReactor:
             self._bus.rejects["payload"] += 1
             self._bus.last_error = str(error)[:400]
             return
+        self._say(self._process.handle(message))  # the books are kept when the answer is on its way
         self._journal.add(envelope)
-        self._say(self._process.handle(message))
-        self._bus.rejects.update({kind: n - self._bus.rejects[kind] for kind, n in self._rejects.items()})
+        if self._rejects:
+            self._bus.rejects.update({kind: n - self._bus.rejects[kind] for kind, n in self._rejects.items()})
 
     def _tick(self) -> None:
         now_ns = self._bus.now_ns()

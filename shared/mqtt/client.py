@@ -7,23 +7,21 @@ it subscribes anew, and sends again, marked as duplicate, what the broker never 
 import logging
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from .client_packets import (
     PINGREQ,
     Answer,
-    Delivery,
     Granted,
     Welcome,
     decode_answer,
-    decode_delivery,
     encode_connect,
     encode_subscribe,
 )
 from .connection import Connection, Lost
-from .packets import Acknowledge, Connect, Disconnect, Kind, Ping, Subscription, encode_puback, publish_frame
+from .packets import Acknowledge, Connect, Disconnect, Kind, Ping, Subscription, publish_frame
 from .packets import encode_disconnect as farewell
 from .properties import Properties, Property
 from .wire import FAILURE, ProtocolError, Reason, in_words
@@ -31,10 +29,13 @@ from .wire import FAILURE, ProtocolError, Reason, in_words
 __all__ = ["Client", "Lost", "Refused"]
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 CONNECT_S = 1.0  # a host that does not answer shall not use up the time that SIGTERM leaves
 IN_FLIGHT = 100  # messages of QoS 1 that the broker has not acknowledged yet
 GATHERED_BYTES = 65_536
+PUBLISH, QOS_BITS = int(Kind.PUBLISH), 6
+PUBACK = bytes((Kind.PUBACK << 4, 2))
 LOOK_S = 0.1  # between two looks at the keep-alive
 LARGEST_PACKET = 268_435_460  # of all that MQTT can express
 
@@ -54,24 +55,25 @@ class Outgoing(NamedTuple):
     duplicate: bool = False
 
 
-class Client:
+class Client(Generic[T]):
     """One connection after another to a broker.
 
-    What came is in `inbox`, which forgets the oldest when it is full. Messages of QoS 1 wait for their turn, or for
-    the broker, in a queue of the same length; those of QoS 0 wait only while the broker is there and reads slowly.
-    `dropped` counts what either forgot.
+    `read` makes of a PUBLISH what the owner wants. What came is in `inbox`, which forgets the oldest when it is full.
+    Messages of QoS 1 wait for their turn, or for the broker, in a queue of the same length; those of QoS 0 wait only
+    while the broker is there and reads slowly. `dropped` counts what either forgot.
     """
 
     def __init__(
-        self, request: Connect, password: str | None, subscriptions: Iterable[Subscription], *,
-        queue: int, packet_bytes: int,
+        self, request: Connect, password: str | None, subscriptions: Iterable[Subscription],
+        read: Callable[[int, bytes], T], *, queue: int, packet_bytes: int,
     ) -> None:  # fmt: skip
         limits = {Property.RECEIVE_MAXIMUM: IN_FLIGHT, Property.MAXIMUM_PACKET_SIZE: packet_bytes}
         self._request = replace(request, properties=Properties({**request.properties.numbers, **limits}))
         self._password = password
         self._subscriptions = tuple(subscriptions)
         self._packet_bytes = packet_bytes
-        self.inbox: deque[Delivery] = deque(maxlen=queue)
+        self._read = read
+        self.inbox: deque[T] = deque(maxlen=queue)
         self.dropped = 0
         self.up = False
         self.complaint: str | None = None  # the last refusal of a message or subscription
@@ -133,13 +135,13 @@ class Client:
         if connection is None:
             raise Lost("there is no connection")
         try:
+            if time.monotonic() >= self._look_s:
+                self._keep_alive(connection)  # before the wait: what comes shall not wait for it
             connection.flush()
             if connection.wait(timeout_s):
                 self._take_in(connection)
             if self._waiting:
                 self._pump(connection)
-            if time.monotonic() >= self._look_s:
-                self._keep_alive(connection)
         except Lost:
             self._end()
             raise
@@ -157,16 +159,16 @@ class Client:
     def _take_in(self, connection: Connection) -> None:
         inbox = self.inbox
         for first, body in connection.read():
-            if first >> 4 != Kind.PUBLISH:
+            if first >> 4 != PUBLISH:
                 self._handle(connection, decode_answer(first, body))
                 continue
-            delivery = decode_delivery(first, body)
             if not self.up:
                 raise ProtocolError(Reason.PROTOCOL_ERROR, "a message before the greeting")
-            self.dropped += len(inbox) == inbox.maxlen
-            inbox.append(delivery)
-            if delivery.qos:
-                connection.gather(encode_puback(delivery.packet_id, Reason.SUCCESS))
+            self.dropped += len(inbox) == self._queue
+            inbox.append(self._read(first, body))
+            if first & QOS_BITS:
+                topic_end = 2 + int.from_bytes(body[:2])
+                connection.gather(PUBACK + body[topic_end : topic_end + 2])
 
     def _handle(self, connection: Connection, answer: Answer) -> None:
         match answer:
@@ -258,7 +260,6 @@ class Client:
         if self.up and not self._pinged and now_s - min(connection.sent_s, connection.heard_s) >= period_s:
             self._pinged = True
             connection.gather(PINGREQ)
-            connection.flush()
 
     def _end(self) -> None:
         """Close, and keep what the broker must still get."""

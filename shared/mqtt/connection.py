@@ -4,7 +4,7 @@ import contextlib
 import select
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from .framing import Framer
 
@@ -65,21 +65,30 @@ class Connection:
             self.flush()
         return bool(readable)
 
-    def read(self) -> Iterator[tuple[int, bytes]]:
+    def read(self) -> Iterable[tuple[int, bytes]]:
         """Give the packets that have come, as first byte and body; raises ProtocolError for what is none."""
+        data = self._recv()
+        return self._framer.only(data) or self._read_on(data)
+
+    def _read_on(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         for _ in range(MOST_READS):
-            try:
-                data = self._socket.recv(READ_BYTES)
-            except BlockingIOError:
-                return
-            except OSError as error:
-                raise Lost(error.strerror or str(error)) from error
-            if not data:
-                raise Lost("the broker closed it")
-            self.heard_s = time.monotonic()
             yield from self._framer.feed(data)
             if len(data) < READ_BYTES:
                 return
+            data = self._recv()
+
+    def _recv(self) -> bytes:
+        """Read once; nothing if nothing is there."""
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise Lost(error.strerror or str(error)) from error
+        if not data:
+            raise Lost("the broker closed it")
+        self.heard_s = time.monotonic()
+        return data
 
     def leave(self, farewell: bytes) -> None:
         """Write what is left and a farewell, and let the broker be the first to close, so that it reads them all."""

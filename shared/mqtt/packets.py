@@ -265,8 +265,8 @@ def publish_properties(message: Publish) -> bytes:
 def publish_frame(flags: int, topic: bytes, packet_id: int, properties: bytes, payload: bytes) -> bytes:
     """Put a PUBLISH together from parts that are encoded already."""
     number = packet_id.to_bytes(2) if flags & 6 else b""
-    length = varint(len(topic) + len(number) + len(properties) + len(payload))
-    return b"".join((bytes((Kind.PUBLISH << 4 | flags,)), length, topic, number, properties, payload))
+    size = len(topic) + len(number) + len(properties) + len(payload)
+    return b"".join((FIRST_OF_PUBLISH[flags], varint(size), topic, number, properties, payload))
 
 
 def encode_connack(reason: Reason, *, session_present: bool = False, properties: Properties = p.NONE) -> bytes:
@@ -296,4 +296,5 @@ def encode_disconnect(reason: Reason) -> bytes:
     return frame(Kind.DISCONNECT, bytes((reason,)))
 
 
+FIRST_OF_PUBLISH = tuple(bytes((Kind.PUBLISH << 4 | flags,)) for flags in range(16))
 PINGRESP = frame(Kind.PINGRESP, b"")

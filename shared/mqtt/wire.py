@@ -127,6 +127,8 @@ def varint(value: int) -> bytes:
     """Encode a variable byte integer."""
     if value < 0x80:
         return bytes((value,))
+    if value < 0x4000:
+        return bytes((value & 0x7F | 0x80, value >> 7))
     if value > LONGEST_VARINT:
         raise ValueError(f"{value} does not fit a variable byte integer")
     groups = bytearray()
