@@ -8,7 +8,7 @@ import logging
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from . import codec
@@ -32,6 +32,7 @@ HEARTBEAT_S = 0.5
 KEEP_ALIVE_S = 5
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 QUEUE_LENGTH = 2000
+GATHERED_BYTES = 65_536  # that one write may hold
 PACKET_BYTES = codec.MAXIMUM_PAYLOAD + 65_536  # the largest payload, and the rest of its packet
 
 
@@ -83,22 +84,18 @@ class Bus:
         """Read the OBU time line."""
         return self._clock.now_ns()
 
-    def publish(self, message: Message) -> None:
-        """Send a message on the topic of its type."""
-        self.publish_all((message,))
-
-    def publish_all(self, messages: Iterable[Message]) -> None:
-        """Send messages in one go."""
-        for message in messages:
-            topic = BY_MESSAGE[type(message)]
-            payload, properties = codec.encode(message)
-            self._gather(codec.topic_name(message, topic), payload, properties, topic)
-        self._flush()
+    def publish(self, message: Message, *, at_once: bool = True) -> None:
+        """Send a message on the topic of its type, at once or with the next `flush` or `receive`."""
+        topic = BY_MESSAGE[type(message)]
+        payload, properties = codec.encode(message)
+        self._gather(codec.topic_name(message, topic), payload, properties, topic)
+        if at_once or self._client.gathered_bytes > GATHERED_BYTES:
+            self.flush()
 
     def send(self, name: str, payload: bytes, properties: dict[str, str], topic: Topic) -> None:
         """Send bytes on a topic by its short name, stamped with who we are and a running number."""
         self._gather(name, payload, properties, topic)
-        self._flush()
+        self.flush()
 
     @property
     def sequence(self) -> int:
@@ -174,7 +171,8 @@ class Bus:
             packed += bytes((MESSAGE_EXPIRY,)) + topic.expiry_s.to_bytes(4)
         self._client.publish(Outgoing(head, varint(len(packed)) + packed, payload, topic.qos, topic.retain))
 
-    def _flush(self) -> None:
+    def flush(self) -> None:
+        """Write what was published to be sent later."""
         try:
             self._client.flush()
         except Lost as error:

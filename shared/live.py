@@ -151,13 +151,16 @@ class LiveReactor:
         self._say(self._process.handle(tick))
 
     def _say(self, messages: Iterable[Message]) -> None:
-        said = list(messages)
-        if not said:
-            return
-        self._bus.publish_all(said)  # in one write: a broker that wakes for the first delays the last
-        for message in said:
+        """Send the first message as soon as it is there, and those that follow from the same cause in one write."""
+        first = True
+        for message in messages:
+            self._bus.publish(message, at_once=first)
             if BY_MESSAGE[type(message)].persist:
+                self._bus.flush()
                 _save(self._bus.state_dir, message)
+            first = False
+        if not first:
+            self._bus.flush()
 
     def _restore(self) -> None:
         """Give the process what it said before the last power-off, and the bus as well."""

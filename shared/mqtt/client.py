@@ -93,10 +93,14 @@ class Client(Generic[T]):
         return self._connection is not None
 
     @property
+    def gathered_bytes(self) -> int:
+        """How much waits for the next `flush`."""
+        return self._connection.unsent_bytes if self._connection else 0
+
+    @property
     def is_idle(self) -> bool:
         """Whether the broker has all that was published, as far as it tells."""
-        unsent = self._connection.unsent_bytes if self._connection else 0
-        return not (unsent or self._waiting or self._in_flight)
+        return not (self.gathered_bytes or self._waiting or self._in_flight)
 
     def open(self, host: str, port: int) -> None:
         """Connect; raises OSError. The broker's answer comes with `exchange`."""

@@ -79,7 +79,7 @@ class Navigator:
     def imu(
         self, time_ns: int, force: Sequence[float], rate: Sequence[float], received_ns: int | None = None
     ) -> list[Outcome]:
-        """Take one inertial sample.
+        """Take one inertial sample, and use what has waited for it: `advance` and `release` in one.
 
         Parameters
         ----------
@@ -97,15 +97,18 @@ class Navigator:
         list of Outcome
             What became of the measurements that were used now.
         """
-        outcomes = self._release(time_ns if received_ns is None else received_ns)
+        outcomes = self.advance(time_ns, force, rate)
+        return outcomes + self.release(time_ns if received_ns is None else received_ns)
+
+    def advance(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> list[Outcome]:
+        """Take one inertial sample, without what has waited for it: that can take twenty times as long."""
         fault = self._fault(time_ns, force, rate)
         if fault:
             self.samples_rejected += 1
             self.rejects[fault] += 1
-            return outcomes
+            return []
         self.samples_used += 1
-        sample = Sample(time_ns, (force[0], force[1], force[2]), (rate[0], rate[1], rate[2]))
-        return outcomes + self._delayed.step(sample)
+        return self._delayed.step(Sample(time_ns, (force[0], force[1], force[2]), (rate[0], rate[1], rate[2])))
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -208,8 +211,8 @@ class Navigator:
             gnss_age_s=None if engine.accepted_ns is None else (time_ns - engine.accepted_ns) * 1e-9,
         )
 
-    def _release(self, received_ns: int) -> list[Outcome]:
-        """Use what has waited long enough."""
+    def release(self, received_ns: int) -> list[Outcome]:
+        """Use what has waited long enough, when a sample has arrived at `received_ns`."""
         outcomes: list[Outcome] = []
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
