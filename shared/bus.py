@@ -21,7 +21,7 @@ from .mqtt.client_packets import MESSAGE_EXPIRY, user_property
 from .mqtt.packets import Connect, Publish, Subscription
 from .mqtt.properties import NONE
 from .mqtt.wire import text, varint
-from .topics import BY_MESSAGE, Topic
+from .topics import BY_MESSAGE, TOPICS, Topic
 from .usage import resident_bytes
 
 __all__ = ["Bus", "Envelope"]
@@ -75,6 +75,9 @@ class Bus:
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
         self._observer = observer
         filters = [Subscription(self._prefix + topic.name, topic.qos) for topic in subscriptions]
+        if len(subscriptions) == len(TOPICS):
+            # Mosquitto serves those who name a topic before those who take everything: the hot path before observers.
+            filters = [Subscription(self._prefix + "#", 1)]
         self._client = Client(
             self._request(), address.password, filters, Opener(self._prefix, self._clock.now_ns),
             queue=QUEUE_LENGTH, packet_bytes=PACKET_BYTES,
