@@ -1,9 +1,9 @@
-"""How errors grow: x = (attitude, velocity, position, accelerometer and gyroscope bias; odometer scale, mounting).
+"""How errors grow: x = (attitude, velocity, position; biases and scales of the IMU; parameters of what aids it).
 
 Errors are estimated minus true. The attitude error is a small rotation vector in NED axes, with which
-C_estimated = (I + sk(psi)) C; the position error is in metres NED; the biases are what is left of them after the
-correction already made, and are therefore added to it. Scale of the odometer, and pitch and yaw of the IMU against
-the vehicle, are as good as constant; nothing but the aiding by the vehicle knows of them. x' = F x + noise.
+C_estimated = (I + sk(psi)) C; the position error is in metres NED; biases and scales are what is left of them after
+the correction already made, and are therefore added to it. x' = F x + noise: the first nine are driven by the first
+twenty-one, and every other one goes its own way, constant or with a walk or a decay of its own.
 """
 
 from math import cos, sin, tan
@@ -28,14 +28,25 @@ VELOCITY = slice(3, 6)
 POSITION = slice(6, 9)
 ACCELEROMETER_BIAS = slice(9, 12)
 GYROSCOPE_BIAS = slice(12, 15)
-ODOMETER_SCALE = 15
-MOUNTING = slice(16, 18)  # pitch, yaw
-VEHICLE = slice(15, 18)
-SIZE = 18
+ACCELEROMETER_SCALE = slice(15, 18)
+GYROSCOPE_SCALE = slice(18, 21)
+ODOMETER_SCALE = 21
+MOUNTING = slice(22, 24)  # pitch, yaw
+VEHICLE = slice(21, 24)
+GNSS_ERROR = slice(24, 27)  # [m, NED] of GNSS positions, the part that lasts
+GNSS_DELAY = 27  # [s] by which GNSS is older than assumed
+ODOMETER_DELAY = 28  # [s]
+BAROMETER_OFFSET = 29  # [m] of barometric height
+SIZE = 30
+MOVING = 9  # the first nine errors grow by
+DRIVING = 21  # the first twenty-one
+PARAMETERS = slice(DRIVING, SIZE)
 
 
-def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArray) -> FloatArray:
-    """Matrix F of the error model.
+def system_matrix(
+    state: InertialState, force_n: Vector, ned_from_body: FloatArray, rate_b: Vector = (0.0, 0.0, 0.0)
+) -> FloatArray:
+    """Matrix F of the error model, as far as it is not zero.
 
     Parameters
     ----------
@@ -45,19 +56,21 @@ def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArr
         [m/s², NED] Specific force.
     ned_from_body : ndarray, shape (3, 3)
         [-] Attitude C.
+    rate_b : tuple of float
+        [rad/s, body] Angular rate, for the errors of its scale.
 
     Returns
     -------
-    ndarray, shape (18, 18)
+    ndarray, shape (9, 21)
         [1/s and mixed] Row block, column block in the order of the state.
 
     Notes
     -----
     With w the rates w_ie and w_en, and D_v, D_p their derivatives by velocity and by position in metres::
 
-        psi' = -sk(w_ie + w_en) psi - D_v w_en dv - D_p(w_ie + w_en) dr + C b_g
+        psi' = -sk(w_ie + w_en) psi - D_v w_en dv - D_p(w_ie + w_en) dr + C (b_g + diag(w) s_g)
         dv'  = -sk(f_n) psi + [sk(v) D_v w_en - sk(w_en + 2 w_ie)] dv
-               + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr + C b_a
+               + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr + C (b_a + diag(f_b) s_a)
         dr'  = dv + [turn and stretch of the local axes] dr
 
     The change of the radii with latitude is neglected (0.5 % of the smallest blocks). The body is these products,
@@ -102,8 +115,10 @@ def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArr
         [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     ]
     # fmt: on
-    F = np.zeros((SIZE, SIZE))
-    F[:9, :15] = rows
+    F = np.zeros((MOVING, DRIVING))
+    F[:, :15] = rows
+    F[VELOCITY, ACCELEROMETER_SCALE] = ned_from_body * (force_n @ ned_from_body)
+    F[ATTITUDE, GYROSCOPE_SCALE] = ned_from_body * rate_b
     return F
 
 
@@ -114,35 +129,18 @@ def geocentric_radius(latitude: float) -> float:
     return transverse * float(np.hypot(cos(latitude), factor * sin(latitude)))
 
 
-def noise_matrix(
-    *,
-    gyroscope_psd: float,
-    accelerometer_psd: float,
-    accelerometer_bias_psd: float,
-    gyroscope_bias_psd: float,
-    odometer_scale_psd: float,
-    mounting_psd: float,
-) -> FloatArray:
+def noise_density(*densities: tuple[int | slice, float]) -> FloatArray:
     """Power spectral density of the noise that drives the errors.
 
     Parameters
     ----------
-    gyroscope_psd : float
-        [rad²/s] S_rg, square of the angle random walk.
-    accelerometer_psd : float
-        [m²/s³] S_ra, square of the velocity random walk.
-    accelerometer_bias_psd : float
-        [m²/s⁵] S_bad.
-    gyroscope_bias_psd : float
-        [rad²/s³] S_bgd.
-    odometer_scale_psd : float
-        [1/s] Of the walk of the odometer's scale: tyres warm up and wear.
-    mounting_psd : float
-        [rad²/s] Of the walk of the mounting angles: the load shifts.
+    densities : tuple of place and float
+        [unit²/s] Place of the error in the state, and density: rad²/s of attitude (S_rg, square of the angle random
+        walk), m²/s³ of velocity (S_ra, square of the velocity random walk), and so on.
 
     Returns
     -------
-    ndarray, shape (18,)
+    ndarray, shape (30,)
         Diagonal of the matrix; times a short step it is the covariance that the step adds.
 
     References
@@ -150,17 +148,13 @@ def noise_matrix(
     J. Zuriarrain Sosa et al., 2024, eq. A10, with the names of the two bias terms put right.
     """
     diagonal = np.zeros(SIZE)
-    diagonal[ATTITUDE] = gyroscope_psd
-    diagonal[VELOCITY] = accelerometer_psd
-    diagonal[ACCELEROMETER_BIAS] = accelerometer_bias_psd
-    diagonal[GYROSCOPE_BIAS] = gyroscope_bias_psd
-    diagonal[ODOMETER_SCALE] = odometer_scale_psd
-    diagonal[MOUNTING] = mounting_psd
+    for place, value in densities:
+        diagonal[place] = value
     return diagonal
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:
-    """Matrix H, shape (3, 18), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
+    """Matrix H, shape (3, 30), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(arm_n)
     H[:, POSITION] = -np.eye(3)
@@ -181,7 +175,7 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
 
     Returns
     -------
-    ndarray, shape (3, 18)
+    ndarray, shape (3, 30)
         The small term of the Earth's rate in the prediction is neglected.
 
     Notes
@@ -221,7 +215,7 @@ def axle_velocity_matrix(
 
     Returns
     -------
-    ndarray, shape (3, 18)
+    ndarray, shape (3, 30)
         Rows forward, right, down. The roll of the mounting is taken for zero: driving does not show it.
 
     Notes
