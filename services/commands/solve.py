@@ -4,16 +4,19 @@ import csv
 import json
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from services.core.fusion.process import Config
+from services.core.fusion.process import Config, Process
+from services.core.fusion.smoother import smoothed_filters
+from services.core.fusion.trail import Trail
 from shared.config import VehicleFile
 from shared.errors import UserError
 from shared.messages import (
@@ -36,8 +39,10 @@ from .solving.metrics import Run, Value, metrics_of
 from .solving.outages import Outages
 from .solving.reference import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
 from .solving.report import Heading, page, summary
+from .solving.smoothing import smoothed_metrics, smoothed_run, smoothed_track
+from .solving.spool import Spool
 from .solving.tally import Tally
-from .solving.track import TrackBuilder
+from .solving.track import Track, TrackBuilder
 
 
 def solve(
@@ -55,19 +60,26 @@ def solve(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results; without it the recording's name and -solution.")
     ] = None,
+    smooth: Annotated[
+        bool, typer.Option(help="Go back over the drive as well: solution_smoothed.csv, for maps and as a reference.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as one JSON object.")] = False,
 ) -> int:
     """Run the whole unit over a recording, and write solution.csv, solution.kml, metrics.json and report.html.
 
-    Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]
+    Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]  |
+    [bold]obu solve drive.mcap --smooth[/]
     """
     outages = Outages.parse(outage) if outage is not None else None
     console = Console(stderr=True)
     drive = _read(recording, vehicle, console)
     given, by_fixes = _given_truth(drive, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
-    with progress_on(console) as progress:
-        solved = _run(drive, outages, progress)
+    with ExitStack() as stack:
+        progress = stack.enter_context(progress_on(console))
+        spool = stack.enter_context(Spool(folder)) if smooth else None
+        solved = _run(drive, outages, progress, spool)
+        smoothed = _smooth(drive, solved, spool, progress) if spool is not None else None
     if count := len(drive.inputs.undecodable):
         console.print(f"{recording.name}: {count} messages could not be decoded and were left out", markup=False)
     # All fixes of the recording, those that an outage took away as well.
@@ -77,8 +89,12 @@ def solve(
     )
     run = _judged(drive, solved, reference, fixes)
     metrics = metrics_of(run)
+    again = None
+    if smoothed is not None:
+        again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).lever_arm_body_m)
+        metrics |= smoothed_metrics(run, again)
     heading = Heading(drive.name, reference.description if reference else "none was given", outage, _facts(drive))
-    _write(folder, run, reference, heading, metrics)
+    _write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
         "realtime_factor": round((drive.last_ns - drive.first_ns) * 1e-9 / solved.seconds, 1),
@@ -143,9 +159,12 @@ def _check(path: Path, inputs: Inputs) -> None:
             )
 
 
-def _run(drive: Drive, outages: Outages | None, progress: Progress) -> Solved:
+def _run(drive: Drive, outages: Outages | None, progress: Progress, spool: Spool | None = None) -> Solved:
     """Run layers 2 to 4 over all inputs, in the order of their arrival."""
     unit, builder, tally = OfflineUnit(drive.vehicle), TrackBuilder(), Tally()
+    if spool is not None:
+        period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
+        cast(Process, unit.process("core.fusion")).leave(Trail(spool, period_ns))
     fixes: list[GnssFix] = []
     started = time.perf_counter()
     for message in unit.run(_fed(drive.inputs, outages, tally, progress)):
@@ -159,6 +178,12 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress) -> Solved:
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
     return Solved(builder, tally, outages, fixes, time.perf_counter() - started)
+
+
+def _smooth(drive: Drive, solved: Solved, spool: Spool, progress: Progress) -> Track:
+    """Go back over what the filter did."""
+    records = progress.track(spool.newest_first(), total=len(spool), description="smoothing")
+    return smoothed_track(smoothed_filters(records), solved.builder.track().valid())
 
 
 def _fed(inputs: Inputs, outages: Outages | None, tally: Tally, progress: Progress) -> Iterator[Message]:
@@ -265,14 +290,28 @@ def _facts(drive: Drive) -> list[tuple[str, str]]:
     ]
 
 
-def _write(folder: Path, run: Run, reference: Reference | None, heading: Heading, metrics: dict[str, Value]) -> None:
+def _write(
+    folder: Path,
+    runs: tuple[Run, Run | None],
+    reference: Reference | None,
+    heading: Heading,
+    metrics: dict[str, Value],
+) -> None:
     from .solving.plots import figures_of  # matplotlib costs half a second: only once there is something to draw
+    from .solving.plots_smoothed import figures_of_both
 
-    report = page(heading, metrics, figures_of(run, reference))
+    run, smoothed = runs
+    figures = figures_of(run, reference)
+    tracks = {"solution": run.track}
+    if smoothed is not None:
+        figures += figures_of_both(run, smoothed)
+        tracks["solution_smoothed"] = smoothed.track
+    report = page(heading, metrics, figures)
     try:
-        with (folder / "solution.csv").open("w", encoding="utf-8") as file:
-            file.writelines(csv_lines(run.track))
-        (folder / "solution.kml").write_text(kml_text(run.track, heading.name), encoding="utf-8")
+        for name, track in tracks.items():
+            with (folder / f"{name}.csv").open("w", encoding="utf-8") as file:
+                file.writelines(csv_lines(track))
+            (folder / f"{name}.kml").write_text(kml_text(track, heading.name), encoding="utf-8")
         (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(report, encoding="utf-8")
     except OSError as error:

@@ -18,6 +18,7 @@ from .kalman import chi_square_limit
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import SPEED_LIMIT, Rest
+from .trail import Trail
 from .wheels import PERIOD_S as WHEELS_PERIOD_S
 from .wheels import SLOWEST_M_S, NonHolonomic, WheelSpeed
 
@@ -67,6 +68,7 @@ class Engine:
         self.counts = Counts()
         self.last: Sample | None = None
         self.filter: ErrorStateFilter | None = None
+        self.trail: Trail | None = None  # of whatever filter runs, for a smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
@@ -214,6 +216,8 @@ class Engine:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
         self.filter, self._alignment, self._why = started, None, ""
+        if self.trail is not None:
+            self.trail.follow(started)
         self._rest, self._rest_s = Rest(), 0.0
         self._count_position(measurement.time_ns, used=True)
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)

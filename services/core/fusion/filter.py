@@ -20,6 +20,7 @@ from . import error_model as em
 from .kalman import Correction, correct, predict
 from .settings import Settings
 from .strapdown import InertialState, normalised, propagate
+from .trail import Trail
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -68,6 +69,7 @@ class ErrorStateFilter:
         self.parameters = parameters
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
         self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
+        self.trail: Trail | None = None  # is told what happens to the errors, for a smoother
         self._period_s = settings.covariance_period_s
         self._settings = settings
         self._last: tuple[Vector, Vector] | None = None  # sample as measured
@@ -161,9 +163,12 @@ class ErrorStateFilter:
         (x, y, z), (a, b, c), per_s = self._impulse, self._turn, 1.0 / self._since_s
         mean_force, mean_rate = (x * per_s, y * per_s, z * per_s), (a * per_s, b * per_s, c * per_s)
         F = em.system_matrix(self.inertial, mean_force, self.ned_from_body, mean_rate)
-        self.P = predict(self.P, F, self._noise(), self._since_s)
+        step_s = self._since_s
+        self.P = predict(self.P, F, self._noise(), step_s)
         self._since_s, self._impulse, self._turn = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         self._check()
+        if self.trail is not None:
+            self.trail.stepped(self, F, step_s, None)
 
     def widen(self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0) -> None:
         """Admit more error [rad, m/s, m] than the model knows of."""
@@ -182,6 +187,8 @@ class ErrorStateFilter:
         self.P = self.P.copy()
         self.P[em.ODOMETER_SCALE] = self.P[:, em.ODOMETER_SCALE] = 0.0
         self.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE] = self._settings.odometer_scale_sd**2
+        if self.trail is not None:
+            self.trail.forgot(self.inertial.time_ns, em.ODOMETER_SCALE)
 
     def weigh(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
         """Work out what a measurement says, without believing it yet."""
@@ -190,8 +197,14 @@ class ErrorStateFilter:
 
     def accept(self, correction: Correction) -> None:
         """Take the estimated errors out of the state, where they are zero from then on."""
-        x = correction.x.tolist()
-        self.P = correction.P
+        self.take_out(correction.x, correction.P)
+        if self.trail is not None:
+            self.trail.corrected(self.inertial.time_ns, correction)
+
+    def take_out(self, errors: FloatArray, P: FloatArray) -> None:
+        """Move the state by errors, shape (30,), that leave the covariance P."""
+        x = errors.tolist()
+        self.P = P
         time_ns, quaternion, velocity, position = self.inertial
         self.inertial = InertialState(
             time_ns,

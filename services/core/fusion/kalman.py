@@ -96,6 +96,10 @@ class Correction:
     P: FloatArray
     innovation_sd: FloatArray
     distance2: float  # normalised innovation squared, d²
+    z: FloatArray
+    H: FloatArray
+    K: FloatArray
+    S_inverse: FloatArray
 
 
 def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
@@ -142,4 +146,4 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     A = -K @ H
     A.reshape(-1)[:: len(P) + 1] += 1.0
     P_after = A @ P @ A.T + K @ R @ K.T
-    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2)
+    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2, z, H, K, inverse)

@@ -26,6 +26,7 @@ from .engine import Counts, Sample
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .settings import Settings
+from .trail import Trail
 from .wheels import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
@@ -157,6 +158,10 @@ class Navigator:
         self._speed_ns[source] = time_ns
         arrival_ns = time_ns if received_ns is None else received_ns
         self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
+
+    def leave(self, trail: Trail) -> None:
+        """Keep a trail for a smoother, from the first sample on."""
+        self._delayed.leave(trail)
 
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""

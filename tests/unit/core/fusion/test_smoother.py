@@ -1,0 +1,310 @@
+"""The smoother against batch least squares, against its textbook form, and against what is true."""
+
+from dataclasses import dataclass
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import chi2
+
+from services.commands.papers_navigation import saved_heading
+from services.core.fusion import error_model as em
+from services.core.fusion.filter import ErrorStateFilter
+from services.core.fusion.kalman import correct, predict
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.core.fusion.smoother import Backwards, smoothed_filters
+from services.core.fusion.trail import Corrected, Knot, Start, Step, Trail
+from services.sensors.simulator.drive import Drive, simulate
+from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError
+from services.sensors.simulator.scenarios import scenario_of, with_error
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.rotation import rotation_vector_from_matrix
+from tests.support.trails import Records
+
+FloatArray = npt.NDArray[np.float64]
+PERIOD_NS = 500_000_000
+
+
+@dataclass
+class Way:
+    """A linear filter that feeds its estimate back at once, and what it left for the smoother."""
+
+    Ps: list[FloatArray]  # after each measurement
+    states: list[FloatArray]
+    steps: list[FloatArray]  # F t
+    corrections: list[Corrected]
+    predicted: list[FloatArray]  # covariance before each measurement
+
+
+def filtered(measured: FloatArray, P0: FloatArray, F: FloatArray, noise: FloatArray, R: FloatArray) -> Way:
+    """Measure the first state, and its second every third time, after each step of 0.1 s."""
+    way = Way([P0], [np.zeros(len(P0))], [], [], [])
+    P, state = P0, np.zeros(len(P0))
+    for k, value in enumerate(measured):
+        m, n = F.shape
+        P = predict(P, F, noise, 0.1)
+        state = state + np.r_[0.1 * F @ state[:n], np.zeros(len(P0) - m)]
+        H = np.zeros((1, len(P0)))
+        H[0, 1 if k % 3 == 2 else 0] = 1.0
+        way.predicted.append(P)
+        correction = correct(P, value - H @ state, H, R)
+        P, state = correction.P, state + correction.x
+        way.steps.append(F * 0.1)
+        way.corrections.append(Corrected(0, correction.z, H, correction.K, correction.S_inverse))
+        way.Ps.append(P)
+        way.states.append(state)
+    return way
+
+
+def smoothed(way: Way) -> tuple[list[FloatArray], list[FloatArray]]:
+    back = Backwards(len(way.Ps[0]))
+    states, covs = [], []
+    for k in reversed(range(len(way.Ps))):
+        errors, cov = back.smoothed(way.Ps[k])
+        states.append(way.states[k] + errors)
+        covs.append(cov)
+        if k > 0:
+            correction = way.corrections[k - 1]
+            back.correction(correction.z, correction.H, correction.K, correction.S_inverse)
+            back.step(way.steps[k - 1])
+    return states[::-1], covs[::-1]
+
+
+@pytest.fixture(scope="module")
+def moving() -> tuple[FloatArray, Way]:
+    """Position, velocity and a state that is known to be zero; 30 measurements."""
+    rng = np.random.default_rng(4)
+    measured = rng.standard_normal((30, 1)) * 3.0 + np.linspace(0.0, 9.0, 30)[:, None]
+    F, noise = np.array([[0.0, 1.0]]), np.array([0.02, 0.3, 0.0])
+    return measured, filtered(measured, np.diag([4.0, 9.0, 0.0]), F, noise, np.array([[0.5]]))
+
+
+def test_it_gives_the_batch_least_squares_of_all_states(moving: tuple[FloatArray, Way]) -> None:
+    measured, way = moving
+    count = len(measured) + 1
+    Phi, Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.diag([0.002, 0.03])
+    rows, values = [np.eye(2, 2 * count) / np.array([[2.0], [3.0]])], [np.zeros(2)]
+    for k, value in enumerate(measured):
+        step = np.zeros((2, 2 * count))
+        step[:, 2 * k : 2 * k + 2], step[:, 2 * k + 2 : 2 * k + 4] = -Phi, np.eye(2)
+        rows.append(step / np.sqrt(Q.diagonal())[:, None])
+        values.append(np.zeros(2))
+        seen = np.zeros((1, 2 * count))
+        seen[0, 2 * k + 2 + (k % 3 == 2)] = 1.0
+        rows.append(seen / np.sqrt(0.5))
+        values.append(value / np.sqrt(0.5))
+    A = np.vstack(rows)
+    cov = np.linalg.inv(A.T @ A)
+    best = (cov @ A.T @ np.concatenate(values)).reshape(count, 2)
+    states, covs = smoothed(way)
+    assert np.array(states)[:, :2] == pytest.approx(best, abs=1e-9)
+    for k, P in enumerate(covs):
+        assert P[:2, :2] == pytest.approx(cov[2 * k : 2 * k + 2, 2 * k : 2 * k + 2], abs=1e-9)
+        assert not P[2].any() and not P[:, 2].any() and states[k][2] == 0.0, "no variance: as it was given"
+
+
+def test_it_gives_the_textbook_form_that_divides_by_the_covariance(moving: tuple[FloatArray, Way]) -> None:
+    """x_s = x + A (x_s+ - Phi x), P_s = P + A (P_s+ - P_predicted) A^T, A = P Phi^T P_predicted^-1."""
+    _, way = moving
+    Phi = np.array([[1.0, 0.1], [0.0, 1.0]])
+    states, covs = smoothed(way)
+    state, cov = way.states[-1][:2], way.Ps[-1][:2, :2]
+    for k in reversed(range(len(way.Ps) - 1)):
+        P, predicted = way.Ps[k][:2, :2], way.predicted[k][:2, :2]
+        A = P @ Phi.T @ np.linalg.inv(predicted)
+        state = way.states[k][:2] + A @ (state - Phi @ way.states[k][:2])
+        cov = P + A @ (cov - predicted) @ A.T
+        assert states[k][:2] == pytest.approx(state, abs=1e-9)
+        assert covs[k][:2, :2] == pytest.approx(cov, abs=1e-9)
+
+
+def test_an_error_that_decays_is_smoothed_as_a_batch_does() -> None:
+    """x0 known to 2, x1 = 0.5 x0 + noise of variance 3, z = x1 + noise of variance 1."""
+    P1 = np.array([[0.25 * 4.0 + 3.0]])
+    seen = correct(P1, np.array([2.0]), np.eye(1), np.eye(1))
+    back = Backwards(1)
+    back.correction(seen.z, seen.H, seen.K, seen.S_inverse)
+    back.step(np.zeros((0, 0)), np.array([0.5]))
+    errors, cov = back.smoothed(np.array([[4.0]]))
+    batch = np.linalg.inv(np.array([[1 / 4 + 0.25 / 3, -0.5 / 3], [-0.5 / 3, 1 / 3 + 1.0]]))
+    assert cov[0, 0] == pytest.approx(batch[0, 0], abs=1e-12)
+    assert errors[0] == pytest.approx((batch @ [0.0, 2.0])[0], abs=1e-12)
+
+
+def test_what_is_seen_of_a_new_error_says_nothing_of_the_old_one() -> None:
+    seen = correct(np.eye(2), np.array([1.0]), np.array([[0.0, 1.0]]), np.eye(1))
+    back = Backwards(2)
+    back.correction(seen.z, seen.H, seen.K, seen.S_inverse)
+    back.forget(1)
+    errors, cov = back.smoothed(np.eye(2))
+    assert not errors.any() and (cov == np.eye(2)).all()
+
+
+def drive_of(seed: int, duration_s: float = 80.0) -> Drive:
+    white = InjectedError(ErrorKind.WHITE, (3.07, 1.99, 1.56), exact=True)
+    return simulate(with_error(scenario_of("parking_lot"), white), seed, duration_s=duration_s)
+
+
+def follow(drive: Drive, *, late_ns: int = 0, gap_s: tuple[float, float] = (0.0, 0.0)) -> Records:
+    """Drive through; fixes may come late, and GNSS be away for a while."""
+    records = Records()
+    navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b, merge_delay_s=0.0))
+    navigator.leave(Trail(records, PERIOD_NS))
+    navigator.remember(saved_heading(drive, radians(1.5)))
+    times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
+    fix = 0
+    for i, time_ns in enumerate(times):
+        while fix < len(drive.fix_ns) and drive.fix_ns[fix] + late_ns <= time_ns:
+            velocity, place = drive.fix_velocity_n[fix].tolist(), Geodetic(*drive.fix_position[fix].tolist())
+            sd, speed_sd = drive.fix_position_sd_n[fix].tolist(), drive.fix_velocity_sd_n[fix].tolist()
+            if not gap_s[0] <= drive.fix_ns[fix] * 1e-9 < gap_s[1]:
+                navigator.fix(int(drive.fix_ns[fix]), position=place, velocity=velocity, position_sd=sd,
+                              velocity_sd=speed_sd, received_ns=time_ns)  # fmt: skip
+            fix += 1
+        navigator.imu(time_ns, forces[i], rates[i])
+    return records
+
+
+def of_filter(records: Records) -> dict[int, ErrorStateFilter]:
+    """Give the filter at each knot, with its whole covariance."""
+    found = {}
+    for record in records.all:
+        if isinstance(record, Knot):
+            twin = record.filter.fork()
+            twin.P = np.zeros((em.SIZE, em.SIZE))
+            twin.P[np.ix_(record.known, record.known)] = record.filter.P
+            found[record.time_ns] = twin
+    return found
+
+
+def of_smoother(records: Records) -> dict[int, ErrorStateFilter]:
+    return {state.inertial.time_ns: state for state in smoothed_filters(records.newest_first())}
+
+
+def errors(drive: Drive, state: ErrorStateFilter) -> FloatArray:
+    """Estimated minus true attitude, velocity and position, shape (9,)."""
+    from shared.maths.rotation import ned_from_body
+
+    i = round(state.inertial.time_ns / 1e7) - 1
+    truth = Geodetic(*drive.position[i].tolist())
+    return np.concatenate([
+        rotation_vector_from_matrix(state.ned_from_body @ ned_from_body(*drive.attitude[i]).T),
+        np.array(state.inertial.velocity) - drive.velocity_n[i],
+        np.array(ned_from_geodetic_difference(state.inertial.position, truth)),
+    ])  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def one() -> tuple[Drive, Records]:
+    drive = drive_of(3)
+    return drive, follow(drive)
+
+
+def test_the_smoothed_covariance_is_never_above_the_filters(one: tuple[Drive, Records]) -> None:
+    before, after = of_filter(one[1]), of_smoother(one[1])
+    assert before.keys() == after.keys() and len(before) > 100
+    for time_ns, state in after.items():
+        scale = np.sqrt(np.maximum(before[time_ns].P.diagonal(), 1e-30))
+        less = (before[time_ns].P - state.P) / np.outer(scale, scale)
+        assert np.linalg.eigvalsh(less).min() > -1e-9
+        assert np.linalg.eigvalsh(state.P / np.outer(scale, scale)).min() > -1e-9
+
+
+def test_at_the_end_the_smoother_is_the_filter(one: tuple[Drive, Records]) -> None:
+    records = Records()
+    records.all = one[1].all[: max(k for k, record in enumerate(one[1].all) if isinstance(record, Knot)) + 1]
+    last = max(of_filter(records))
+    before, after = of_filter(records)[last], of_smoother(records)[last]
+    assert (before.P == after.P).all() and before.accelerometer_bias == after.accelerometer_bias
+    assert after.inertial.velocity == before.inertial.velocity
+    assert after.inertial.position == pytest.approx(before.inertial.position, abs=1e-15)
+
+
+def test_a_constant_is_the_same_from_the_start_to_the_end(one: tuple[Drive, Records]) -> None:
+    """Biases wander by far less than they are uncertain at first: their smoothed course is flat, and ends as it ends."""
+    found = of_smoother(one[1])
+    course = np.array([found[time_ns].gyroscope_bias for time_ns in sorted(found)])
+    at_first = of_filter(one[1])[min(found)]
+    assert np.ptp(course, axis=0).max() < 0.3 * np.sqrt(at_first.P.diagonal()[em.GYROSCOPE_BIAS].max())
+
+
+def test_filtering_is_the_same_with_and_without_a_trail() -> None:
+    drive = drive_of(1, 60.0)
+    states = []
+    for store in (Records(), None):
+        navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b))
+        if store is not None:
+            navigator.leave(Trail(store, PERIOD_NS))
+        navigator.remember(saved_heading(drive, radians(1.5)))
+        for i, time_ns in enumerate(drive.t_ns.tolist()):
+            if time_ns % 10**9 == 0:
+                navigator.fix(time_ns, position=Geodetic(*drive.position[i].tolist()), position_sd=(1.0, 1.0, 1.0))
+            navigator.imu(time_ns, drive.force_b[i].tolist(), drive.rate_b[i].tolist())
+        states.append(navigator.solution())
+    assert states[0] is not None and states[1] is not None
+    assert states[0].position == states[1].position and (states[0].position_cov == states[1].position_cov).all()
+
+
+def test_a_fix_that_came_late_is_smoothed_as_one_in_time() -> None:
+    drive = drive_of(2, 60.0)
+    in_time, late = of_smoother(follow(drive)), of_smoother(follow(drive, late_ns=230_000_000))
+    both = sorted(in_time.keys() & late.keys())[:-4]
+    assert len(both) > 60
+    for time_ns in both[:-10]:
+        a, b = in_time[time_ns], late[time_ns]
+        assert np.abs(ned_from_geodetic_difference(a.inertial.position, b.inertial.position)).max() < 1e-9
+        assert a.P == pytest.approx(b.P, abs=1e-12)
+
+
+def test_a_trail_that_goes_back_keeps_starts_steps_and_corrections_in_order() -> None:
+    records = follow(drive_of(2, 60.0), late_ns=230_000_000)
+    stamps = [record.time_ns for record in records.all]
+    assert stamps == sorted(stamps)
+    assert sum(isinstance(record, Start) for record in records.all) == 1
+    steps = [record for record in records.all if isinstance(record, Step)]
+    assert len({record.time_ns for record in steps}) == len(steps), "no step is there twice"
+
+
+@dataclass
+class Sizes:
+    """Of all runs: errors, their normalised squares."""
+
+    rms: FloatArray  # shape (runs, filter or smoother, attitude or position)
+    squares: FloatArray  # of the smoother, shape (runs, instants, attitude, velocity, position)
+
+
+RUNS = 20
+
+
+@pytest.fixture(scope="module")
+def many() -> Sizes:
+    rms, squares = [], []
+    for seed in range(RUNS):
+        drive = drive_of(seed + 100)
+        records = follow(drive, gap_s=(45.0, 55.0))
+        before, after = of_filter(records), of_smoother(records)
+        inside = sorted(after)
+        found = [np.array([errors(drive, states[k]) for k in inside]) for states in (before, after)]
+        rms.append([[np.sqrt((e[:, part] ** 2).mean()) for part in (slice(0, 3), slice(6, 9))] for e in found])
+        row = []
+        for share in (0.25, 0.5, 0.75):
+            state = after[inside[int(share * len(inside))]]
+            e, P = errors(drive, state), state.P
+            parts = (em.ATTITUDE, em.VELOCITY, em.POSITION)
+            row.append([e[part] @ np.linalg.solve(P[part, part], e[part]) for part in parts])
+        squares.append(row)
+    return Sizes(np.array(rms), np.array(squares))
+
+
+def test_it_beats_the_filter_in_position_and_attitude_on_every_run(many: Sizes) -> None:
+    assert (many.rms[:, 1] < many.rms[:, 0]).all(), many.rms
+
+
+@pytest.mark.parametrize("part", [0, 1, 2], ids=["attitude", "velocity", "position"])
+def test_its_normalised_errors_squared_lie_in_their_band(many: Sizes, part: int) -> None:
+    """Sums over independent runs are chi-square with three degrees of freedom a run: 99 % band at each instant."""
+    low, high = chi2.ppf(0.005, 3 * RUNS), chi2.isf(0.005, 3 * RUNS)
+    totals: FloatArray = many.squares[:, :, part].sum(axis=0)
+    assert (low < totals).all() and (totals < high).all(), totals / (3 * RUNS)
