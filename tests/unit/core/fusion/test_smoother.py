@@ -15,12 +15,13 @@ from services.core.fusion.kalman import correct, predict
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.smoother import Backwards, smoothed_filters
+from services.core.fusion.strapdown import InertialState
 from services.core.fusion.trail import Corrected, Knot, Start, Step, Trail
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.maths.rotation import rotation_vector_from_matrix
+from shared.maths.rotation import ned_from_body, quaternion_from_matrix, rotation_vector_from_matrix
 from tests.support.trails import Records
 
 FloatArray = npt.NDArray[np.float64]
@@ -147,10 +148,13 @@ def drive_of(seed: int, duration_s: float = 80.0) -> Drive:
     return simulate(with_error(scenario_of("parking_lot"), white), seed, duration_s=duration_s)
 
 
-def follow(drive: Drive, *, late_ns: int = 0, gap_s: tuple[float, float] = (0.0, 0.0)) -> Records:
+def follow(
+    drive: Drive, *, late_ns: int = 0, gap_s: tuple[float, float] = (0.0, 0.0), wheels: bool = True
+) -> Records:
     """Drive through; fixes may come late, and GNSS be away for a while."""
     records = Records()
-    navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b, merge_delay_s=0.0))
+    settings = {"lever_arm_body_m": drive.lever_arm_b, "merge_delay_s": 0.0, "non_holonomic": wheels}
+    navigator = Navigator(Settings.model_validate(settings))
     navigator.leave(Trail(records, PERIOD_NS))
     navigator.remember(saved_heading(drive, radians(1.5)))
     times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
@@ -185,8 +189,6 @@ def of_smoother(records: Records) -> dict[int, ErrorStateFilter]:
 
 def errors(drive: Drive, state: ErrorStateFilter) -> FloatArray:
     """Estimated minus true attitude, velocity and position, shape (9,)."""
-    from shared.maths.rotation import ned_from_body
-
     i = round(state.inertial.time_ns / 1e7) - 1
     truth = Geodetic(*drive.position[i].tolist())
     return np.concatenate([
@@ -249,10 +251,12 @@ def test_filtering_is_the_same_with_and_without_a_trail() -> None:
 
 def test_a_fix_that_came_late_is_smoothed_as_one_in_time() -> None:
     drive = drive_of(2, 60.0)
-    in_time, late = of_smoother(follow(drive)), of_smoother(follow(drive, late_ns=230_000_000))
-    both = sorted(in_time.keys() & late.keys())[:-4]
+    none_at_the_end = (59.0, 61.0)  # a late one would not come any more
+    in_time = of_smoother(follow(drive, gap_s=none_at_the_end))
+    late = of_smoother(follow(drive, gap_s=none_at_the_end, late_ns=230_000_000))
+    both = in_time.keys() & late.keys()
     assert len(both) > 60
-    for time_ns in both[:-10]:
+    for time_ns in both:
         a, b = in_time[time_ns], late[time_ns]
         assert np.abs(ned_from_geodetic_difference(a.inertial.position, b.inertial.position)).max() < 1e-9
         assert a.P == pytest.approx(b.P, abs=1e-12)
@@ -267,44 +271,105 @@ def test_a_trail_that_goes_back_keeps_starts_steps_and_corrections_in_order() ->
     assert len({record.time_ns for record in steps}) == len(steps), "no step is there twice"
 
 
-@dataclass
-class Sizes:
-    """Of all runs: errors, their normalised squares."""
-
-    rms: FloatArray  # shape (runs, filter or smoother, attitude or position)
-    squares: FloatArray  # of the smoother, shape (runs, instants, attitude, velocity, position)
-
-
-RUNS = 20
+RUNS = 12
 
 
 @pytest.fixture(scope="module")
-def many() -> Sizes:
-    rms, squares = [], []
+def drives() -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Of each drive with 10 s without GNSS: errors of filter and smoother at all knots, and the smoother's variances."""
+    found = []
     for seed in range(RUNS):
         drive = drive_of(seed + 100)
         records = follow(drive, gap_s=(45.0, 55.0))
         before, after = of_filter(records), of_smoother(records)
-        inside = sorted(after)
-        found = [np.array([errors(drive, states[k]) for k in inside]) for states in (before, after)]
-        rms.append([[np.sqrt((e[:, part] ** 2).mean()) for part in (slice(0, 3), slice(6, 9))] for e in found])
-        row = []
-        for share in (0.25, 0.5, 0.75):
-            state = after[inside[int(share * len(inside))]]
-            e, P = errors(drive, state), state.P
-            parts = (em.ATTITUDE, em.VELOCITY, em.POSITION)
-            row.append([e[part] @ np.linalg.solve(P[part, part], e[part]) for part in parts])
-        squares.append(row)
-    return Sizes(np.array(rms), np.array(squares))
+        stamps = sorted(after)
+        variances = np.array([after[k].P.diagonal()[:9] for k in stamps])
+        of_both = [np.array([errors(drive, states[k]) for k in stamps]) for states in (before, after)]
+        found.append((of_both[0], of_both[1], variances))
+    return found
 
 
-def test_it_beats_the_filter_in_position_and_attitude_on_every_run(many: Sizes) -> None:
-    assert (many.rms[:, 1] < many.rms[:, 0]).all(), many.rms
+@pytest.mark.parametrize("part", [em.ATTITUDE, em.VELOCITY, em.POSITION], ids=["attitude", "velocity", "position"])
+def test_it_beats_the_filter_on_every_drive(
+    drives: list[tuple[FloatArray, FloatArray, FloatArray]], part: slice
+) -> None:
+    ratios = [np.linalg.norm(after[:, part]) / np.linalg.norm(before[:, part]) for before, after, _ in drives]
+    assert max(ratios) < 1.0, ratios
+    assert np.median(ratios) < 0.7, "0.35, 0.6 and 0.4 were measured"
 
 
-@pytest.mark.parametrize("part", [0, 1, 2], ids=["attitude", "velocity", "position"])
-def test_its_normalised_errors_squared_lie_in_their_band(many: Sizes, part: int) -> None:
-    """Sums over independent runs are chi-square with three degrees of freedom a run: 99 % band at each instant."""
-    low, high = chi2.ppf(0.005, 3 * RUNS), chi2.isf(0.005, 3 * RUNS)
-    totals: FloatArray = many.squares[:, :, part].sum(axis=0)
-    assert (low < totals).all() and (totals < high).all(), totals / (3 * RUNS)
+def test_its_errors_on_drives_are_within_three_sigma(
+    drives: list[tuple[FloatArray, FloatArray, FloatArray]],
+) -> None:
+    inside = [np.abs(after) <= 3.0 * np.sqrt(variances) for _, after, variances in drives]
+    # The receiver's errors are as large as it says on the whole, not in each drive: the filter is no better here.
+    assert np.concatenate(inside).mean() > 0.985
+
+
+@dataclass
+class World:
+    """A filter's trail, and the truth that it looks for in the middle of an outage."""
+
+    drive: Drive
+    records: Records
+    middle_ns: int
+    accelerometer_bias: FloatArray
+    gyroscope_bias: FloatArray
+
+
+def matched(seed: int) -> World:
+    """Drive for 40 s with nothing but the noise that the filter knows, from a state as uncertain as it thinks."""
+    rng, first = np.random.default_rng(seed), 2499
+    drive = simulate("parking_lot", seed=7, duration_s=65.0)
+    settings = Settings.model_validate({"vibration_factor": 0.0})
+    sd = np.zeros(em.SIZE)
+    sd[:15] = np.repeat([0.005, 0.1, 1.0, 0.03, 1e-3], 3)
+    attitude = quaternion_from_matrix(ned_from_body(*drive.attitude[first]))
+    position, velocity = Geodetic(*drive.position[first].tolist()), drive.velocity_n[first].tolist()
+    inertial = InertialState(int(drive.t_ns[first]), attitude, (velocity[0], velocity[1], velocity[2]), position)
+    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2))
+    start = sd * rng.standard_normal(em.SIZE)
+    navigation.take_out(start, np.diag(sd**2))
+    force_bias, rate_bias = np.zeros(3), np.zeros(3)
+    records = Records()
+    Trail(records, PERIOD_NS).follow(navigation)
+    noise = np.array([settings.velocity_random_walk_m_s_sqrt_s, settings.angle_random_walk_rad_sqrt_s]) * 10.0
+    walk = np.sqrt(np.array([settings.accelerometer_bias_psd_m2_s5, settings.gyroscope_bias_psd_rad2_s3]) * 0.01)
+    sd_of_fix, H = np.array([0.5, 0.5, 1.0]), em.antenna_position_matrix((0.0, 0.0, 0.0))
+    biases = force_bias, rate_bias
+    for k in range(1, 4001):
+        i = first + k
+        force_bias, rate_bias = (
+            force_bias + walk[0] * rng.standard_normal(3),
+            rate_bias + walk[1] * rng.standard_normal(3),
+        )
+        fx, fy, fz = (drive.ideal_force_b[i] + force_bias + noise[0] * rng.standard_normal(3)).tolist()
+        wx, wy, wz = (drive.ideal_rate_b[i] + rate_bias + noise[1] * rng.standard_normal(3)).tolist()
+        navigation.advance((fx, fy, fz), (wx, wy, wz), int(drive.t_ns[i]))
+        if k == 2000:
+            biases = force_bias, rate_bias
+        if k % 100 == 0 and not 1500 <= k < 2500:
+            place = Geodetic(*drive.position[i].tolist())
+            z = np.array(ned_from_geodetic_difference(place, navigation.inertial.position))
+            z += sd_of_fix * rng.standard_normal(3)
+            navigation.accept(navigation.weigh(z, H, np.diag(sd_of_fix**2)))
+    return World(drive, records, int(drive.t_ns[first + 2000]), *biases)
+
+
+def test_its_normalised_errors_squared_lie_in_their_band_of_95_percent() -> None:
+    """In the middle of an outage, over 50 runs; sums are chi-square with as many degrees as errors a run."""
+    runs, parts = 50, {"all": slice(0, 15), "attitude": em.ATTITUDE, "velocity": em.VELOCITY, "position": em.POSITION}
+    sizes = dict.fromkeys(parts, 0.0)
+    for seed in range(runs):
+        world = matched(seed)
+        state = of_smoother(world.records)[world.middle_ns]
+        e = np.concatenate([
+            errors(world.drive, state),
+            world.accelerometer_bias - state.accelerometer_bias,
+            world.gyroscope_bias - state.gyroscope_bias,
+        ])  # fmt: skip
+        for name, part in parts.items():
+            sizes[name] += float(e[part] @ np.linalg.solve(state.P[part, part], e[part]))
+    for name, part in parts.items():
+        count = runs * (part.stop - part.start)
+        assert chi2.ppf(0.025, count) < sizes[name] < chi2.isf(0.025, count), (name, sizes[name] / count)
