@@ -5,7 +5,7 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -32,21 +32,23 @@ from shared.offline import OfflineUnit
 
 from .importing.table import read_table
 from .recordings import open_recording, progress_on, tell_problems, vehicle_of
+from .solution_files import write
 from .solving.errors import errors_against
-from .solving.export import csv_lines, kml_text
 from .solving.inputs import Inputs, all_fixes, arrival_of, inputs_of
 from .solving.metrics import Run, Value, metrics_of
 from .solving.outages import Outages
+from .solving.overrides import SWITCHES, Aiding, with_settings
 from .solving.reference import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
-from .solving.report import Heading, page, summary
+from .solving.report import Heading, summary
 from .solving.smoothing import smoothed_metrics, smoothed_run, smoothed_track
-from .solving.spool import Spool
 from .solving.tally import Tally
 from .solving.track import Track, TrackBuilder
+from .spool import Spool
 
 
-def solve(
+def solve(  # noqa: PLR0913  # one argument an option
     recording: Annotated[Path, typer.Argument(help="A recording, from `obu record` or `obu import`.")],
+    *,
     truth: Annotated[
         str | None,
         typer.Option(help="fixes, recorded, none, or a CSV file; without it what the recording says of itself."),
@@ -55,7 +57,25 @@ def solve(
         Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the recorded one.")
     ] = None,
     outage: Annotated[
-        str | None, typer.Option(help="Take GNSS away: 10/30 is for 10 s of every 30 s, once the filter is aligned.")
+        str | None,
+        typer.Option(
+            help="Take GNSS away: 10/30 is for 10 s of every 30 s once the filter is aligned, 60/180@650 for 60 s of "
+            "every 180 s from 650 s after the first input on."
+        ),
+    ] = None,
+    score_from: Annotated[
+        float, typer.Option(min=0.0, help="Seconds after the first input whose errors are in no root mean square.")
+    ] = 0.0,
+    aiding: Annotated[
+        Aiding | None,
+        typer.Option(
+            help="What helps besides GNSS: free is nothing but standstill, nhc wheels that do not slide, odometer "
+            "those and the speed; without it what the vehicle's file says."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A setting in place of the vehicle's, such as core.fusion.odometer=false."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results; without it the recording's name and -solution.")
@@ -68,11 +88,16 @@ def solve(
     """Run the whole unit over a recording, and write solution.csv, solution.kml, metrics.json and report.html.
 
     Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]  |
-    [bold]obu solve drive.mcap --smooth[/]
+    [bold]obu solve drive.mcap --smooth[/]  |
+    [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]  |
+    [bold]obu solve drive.mcap --set core.fusion.gnss_delay_s=0.1[/]
     """
     outages = Outages.parse(outage) if outage is not None else None
     console = Console(stderr=True)
-    drive = _read(recording, vehicle, console)
+    changes = (*(SWITCHES[aiding] if aiding else ()), *(settings or ()))
+    drive = _changed(_read(recording, vehicle, console), changes)
+    if outages is not None:
+        outages.recording_ns = drive.first_ns
     given, by_fixes = _given_truth(drive, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with ExitStack() as stack:
@@ -87,14 +112,15 @@ def solve(
     reference = (
         _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
     )
-    run = _judged(drive, solved, reference, fixes)
+    run = replace(_judged(drive, solved, reference, fixes), scored_from_ns=drive.first_ns + round(score_from * 1e9))
     metrics = metrics_of(run)
     again = None
     if smoothed is not None:
         again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).lever_arm_body_m)
         metrics |= smoothed_metrics(run, again)
-    heading = Heading(drive.name, reference.description if reference else "none was given", outage, _facts(drive))
-    _write(folder, (run, again), reference, heading, metrics)
+    truth_is = reference.description if reference else "none was given"
+    heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), drive.provenance.get("made", ""))
+    write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
         "realtime_factor": round((drive.last_ns - drive.first_ns) * 1e-9 / solved.seconds, 1),
@@ -148,6 +174,13 @@ def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
     _check(path, inputs)
     provenance = recording.metadata.get("provenance", {})
     return Drive(provenance.get("name", path.stem), path.name, inputs, vehicle_of(recording, vehicle), provenance)
+
+
+def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
+    """Put settings of the command line in the place of the vehicle's, and fail at once if they are wrong."""
+    changed = replace(drive, vehicle=with_settings(drive.vehicle, changes))
+    OfflineUnit(changed.vehicle)
+    return changed
 
 
 def _check(path: Path, inputs: Inputs) -> None:
@@ -280,39 +313,12 @@ def _by_fixes(drive: Drive, fixes: list[GnssFix]) -> Reference:
     return from_fixes(fixes, delay_s=config.gnss_delay_s, velocity_delay_s=config.gnss_velocity_delay_s)
 
 
-def _facts(drive: Drive) -> list[tuple[str, str]]:
+def _facts(drive: Drive, changes: tuple[str, ...]) -> list[tuple[str, str]]:
     files = json.loads(drive.provenance.get("files", "{}"))
     return [
         ("recording", drive.file),
         ("vehicle", drive.vehicle.name),
+        *(("set", change) for change in changes),
         *((name, f"SHA-256 {digest}") for name, digest in files.items()),
         *((topic, f"{count} messages") for topic, count in sorted(drive.inputs.topics.items())),
     ]
-
-
-def _write(
-    folder: Path,
-    runs: tuple[Run, Run | None],
-    reference: Reference | None,
-    heading: Heading,
-    metrics: dict[str, Value],
-) -> None:
-    from .solving.plots import figures_of  # matplotlib costs half a second: only once there is something to draw
-    from .solving.plots_smoothed import figures_of_both
-
-    run, smoothed = runs
-    figures = figures_of(run, reference)
-    tracks = {"solution": run.track}
-    if smoothed is not None:
-        figures += figures_of_both(run, smoothed)
-        tracks["solution_smoothed"] = smoothed.track
-    report = page(heading, metrics, figures)
-    try:
-        for name, track in tracks.items():
-            with (folder / f"{name}.csv").open("w", encoding="utf-8") as file:
-                file.writelines(csv_lines(track))
-            (folder / f"{name}.kml").write_text(kml_text(track, heading.name), encoding="utf-8")
-        (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
-        (folder / "report.html").write_text(report, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error

@@ -15,16 +15,14 @@ from .reference import Reference
 from .track import FRD, NAMES, NED, Track
 
 PREFIX = "smoothed_"
-KINDS = ("horizontal_", "vertical_", "velocity_", "roll_", "pitch_", "yaw_", "within_", "outage_")
+KINDS = ("horizontal_", "vertical_", "velocity_", "roll_", "pitch_", "yaw_", "mounting_", "within_", "outage_")
 INSIDE = {
     "outage_inside_median_m": "horizontal error at each truth within an outage, median",
     "outage_inside_max_m": "the same, the largest",
 }
 # What --smooth adds: the filter's errors within outages, and all metrics of errors for the smoothed drive.
 SMOOTHED_METRICS: dict[str, str] = INSIDE | {
-    PREFIX + name: f"`{name}` of the smoothed drive"
-    for name in (*METRICS, *INSIDE)
-    if name.startswith(KINDS)
+    PREFIX + name: f"`{name}` of the smoothed drive" for name in (*METRICS, *INSIDE) if name.startswith(KINDS)
 }
 STATE = (
     *("latitude_deg", "longitude_deg", "height_ellipsoid_m"),

@@ -138,7 +138,7 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
         np.linalg.cholesky(S)
     except np.linalg.LinAlgError as error:
         raise FilterDiverged("the covariance of an innovation is not positive definite") from error
-    inverse = np.linalg.inv(S)
+    inverse = np.asarray(np.linalg.inv(S), dtype=np.float64)
     K = PHt @ inverse
     distance2 = float(z @ inverse @ z)
     if not np.isfinite(distance2):

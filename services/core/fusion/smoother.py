@@ -7,7 +7,6 @@ Lambda. At any instant, with P of the filter, whose own estimate of the errors i
 """
 
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 
 import numpy as np
 import numpy.typing as npt
@@ -113,15 +112,19 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
             case Start():
                 back = Backwards(em.SIZE)
             case Knot():
-                with suppress(FilterDiverged):
-                    yield _smoothed(record, back)
+                state = _smoothed(record, back)
+                if state is not None:
+                    yield state
 
 
-def _smoothed(knot: Knot, back: Backwards) -> ErrorStateFilter:
+def _smoothed(knot: Knot, back: Backwards) -> ErrorStateFilter | None:
     """Move a filter by the errors that were found behind it, in the way in which it moves by its own."""
     P = np.zeros((em.SIZE, em.SIZE))
     P[np.ix_(knot.known, knot.known)] = knot.filter.P
     errors, covariance = back.smoothed(P)
     moved = knot.filter.fork()
-    moved.take_out(errors, covariance)
+    try:
+        moved.take_out(errors, covariance)
+    except FilterDiverged:
+        return None
     return moved

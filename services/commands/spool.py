@@ -17,7 +17,10 @@ class Spool:
     """Records in a temporary file of a folder, which is gone when the spool is closed or the program ends."""
 
     def __init__(self, folder: Path) -> None:
-        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed by __exit__
+        try:
+            self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed by __exit__
+        except OSError as error:
+            raise UserError(_no_room(error)) from error
         self._recent: list[Record] = []
         self._chunks: list[int] = []  # where each begins
         self._end = 0
@@ -62,12 +65,14 @@ class Spool:
             self._chunks.append(self._end)
             self._end = self._file.tell()
         except OSError as error:
-            raise UserError(
-                f"no room for what the smoother must remember: {error.strerror}; choose another folder with --out"
-            ) from error
+            raise UserError(_no_room(error)) from error
         del self._recent[:CHUNK]
 
     def _load(self, start: int) -> list[Record]:
         self._file.seek(start)
         records: list[Record] = pickle.load(self._file)  # a file that nobody else can open
         return records
+
+
+def _no_room(error: OSError) -> str:
+    return f"no room for what the smoother must remember: {error.strerror}; choose another folder with --out"
