@@ -131,7 +131,8 @@ def solve(  # noqa: PLR0913  # one argument an option
         for sentence in summary(heading, metrics):
             print(sentence)
         print(f"Solved in {solved.seconds:.1f} s, {timings['realtime_factor']} times as fast as driven.")
-        print(f"Wrote {folder / 'report.html'} and beside it solution.csv, solution.kml and metrics.json.")
+        beside = "solution.csv, solution.kml" + (", the same as solution_smoothed" if smooth else "")
+        print(f"Wrote {folder / 'report.html'} and beside it {beside} and metrics.json.")
     return 0
 
 
