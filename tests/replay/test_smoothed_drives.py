@@ -1,6 +1,6 @@
 """Real drives, smoothed: outages are bridged from both ends, and attitude follows the reference more closely.
 
-Horizontal error within outages, at every truth: median, largest [m]; measured with the vehicle's files of the repository:
+Horizontal error within outages, at every truth: median, largest [m]; measured with the vehicle files in `deploy`:
 
 ==========================  =============  =============
 drive and outages           filter         smoothed
