@@ -148,11 +148,13 @@ def drive_of(seed: int, duration_s: float = 80.0) -> Drive:
     return simulate(with_error(scenario_of("parking_lot"), white), seed, duration_s=duration_s)
 
 
-def follow(drive: Drive, *, late_ns: int = 0, gap_s: tuple[float, float] = (0.0, 0.0), wheels: bool = True) -> Records:
-    """Drive through; fixes may come late, and GNSS be away for a while."""
+Times = tuple[float, float]
+
+
+def follow(drive: Drive, *, late_ns: int = 0, gap_s: Times = (0.0, 0.0), silent_s: Times = (0.0, 0.0)) -> Records:
+    """Drive through; fixes may come late, and GNSS or the IMU be away for a while."""
     records = Records()
-    settings = {"lever_arm_body_m": drive.lever_arm_b, "merge_delay_s": 0.0, "non_holonomic": wheels}
-    navigator = Navigator(Settings.model_validate(settings))
+    navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b, merge_delay_s=0.0))
     navigator.leave(Trail(records, PERIOD_NS))
     navigator.remember(saved_heading(drive, radians(1.5)))
     times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
@@ -165,7 +167,8 @@ def follow(drive: Drive, *, late_ns: int = 0, gap_s: tuple[float, float] = (0.0,
                 navigator.fix(int(drive.fix_ns[fix]), position=place, velocity=velocity, position_sd=sd,
                               velocity_sd=speed_sd, received_ns=time_ns)  # fmt: skip
             fix += 1
-        navigator.imu(time_ns, forces[i], rates[i])
+        if not silent_s[0] < time_ns * 1e-9 < silent_s[1]:
+            navigator.imu(time_ns, forces[i], rates[i])
     return records
 
 
@@ -302,6 +305,42 @@ def test_its_errors_on_drives_are_within_three_sigma(
     inside = [np.abs(after) <= 3.0 * np.sqrt(variances) for _, after, variances in drives]
     # The receiver's errors are as large as it says on the whole, not in each drive: the filter is no better here.
     assert np.concatenate(inside).mean() > 0.985
+
+
+def test_a_short_silence_of_the_imu_is_bridged() -> None:
+    drive = drive_of(3)
+    records = follow(drive, silent_s=(45.0, 45.5))
+    before, after = of_filter(records), of_smoother(records)
+    assert sum(isinstance(record, Start) for record in records.all) == 1
+    stamps = [k for k in sorted(after) if 45.0e9 <= k <= 50.0e9]
+    of_both = [np.array([errors(drive, states[k])[em.POSITION] for k in stamps]) for states in (before, after)]
+    assert len(stamps) > 8 and np.linalg.norm(of_both[1]) < np.linalg.norm(of_both[0])
+
+
+def test_a_long_silence_of_the_imu_parts_the_drive_and_each_part_is_smoothed_by_itself() -> None:
+    drive = drive_of(3)
+    records = follow(drive, silent_s=(45.0, 47.0))
+    before, after = of_filter(records), of_smoother(records)
+    starts = [record.time_ns for record in records.all if isinstance(record, Start)]
+    assert len(starts) == 2 and starts[1] > 45.0e9
+    assert not [k for k in after if 45.2e9 < k < starts[1]], "nothing is known of the silence"
+    end = max(k for k in after if k < starts[1])
+    variances = [states[end].P[em.POSITION, em.POSITION].diagonal() for states in (before, after)]
+    assert (variances[1] > 0.5 * variances[0]).all(), "what came after the silence says nothing of what was before"
+    for first in starts:
+        assert (after[first].P.diagonal()[:9] < before[first].P.diagonal()[:9]).all()
+        error, P = errors(drive, after[first]), after[first].P[:9, :9]
+        assert error @ np.linalg.solve(P, error) < chi2.isf(1e-4, 9)
+
+
+def test_no_way_back_leads_behind_a_clock_that_was_set_back() -> None:
+    records = Records()
+    trail = Trail(records, PERIOD_NS)
+    records.push(Start(1000))
+    trail.seal()
+    records.push(Start(5))
+    trail.rewind(2)
+    assert [record.time_ns for record in records.all[::2]] == [1000] and len(records.all) == 2
 
 
 @dataclass
