@@ -25,6 +25,14 @@ from .runs import REPOSITORY, Metrics, data_folder, import_drives, jobs_of, pres
 RESULTS = REPOSITORY / "benchmarks" / "results"
 PAGE = REPOSITORY / "docs" / "reference" / "drives.md"
 SPEED_SETS = ("rtk", "spp")
+NOTES = """
+`rtk` and `spp` are the two sets of `rtk_drive_57min`: errors of the 300 s after the protocol's start are left out,
+outages of 60 s come every 180 s in three runs shifted by 60 s. Those of `navmatlab` and `rtkexp` are shifted alike.
+`free` is GNSS, IMU and standstill; `nhc` adds wheels that do not slide, `odometer` those and the speed. The odometer of
+`navmatlab` is made from its reference with 0.1 m/s of noise, for the car had none. Recordings are not part of the
+repository; docs/how-to/import-a-drive.md says how to come by a recording of your own.
+
+"""
 HEAD = "<!-- Printed by `make drives` from benchmarks/results/navigation.json; a test holds it to that file. -->\n\n"
 
 
@@ -130,12 +138,8 @@ def page(document: Document) -> str:
         f"Measured {document['measured_at']} on {document['machine']}; load {document['load_before']:.1f} before. "
         "Peers: published or measured by others on the same data, none of them in this run.\n\n"
         + _markdown(("drive", "quantity", "ours", "goal", "holds", "peers"), list(_accuracy(document["cases"])))
-        + "\n`rtk` and `spp` are the two sets of `rtk_drive_57min`: errors of the 300 s after the protocol's start are "
-        "left out, outages of 60 s come every 180 s in three runs shifted by 60 s. `free` is GNSS, IMU and standstill; "
-        "`nhc` adds wheels that do not slide, `odometer` those and the speed. The odometer of `navmatlab` is made "
-        "from its reference with 0.1 m/s of noise, for the car had none. Recordings are not part of the repository; "
-        "docs/how-to/import-a-drive.md says how to come by a recording of your own.\n\n"
-        "## Cost of an inertial sample\n\n"
+        + NOTES
+        + "## Cost of an inertial sample\n\n"
         + _markdown(("program", "set", "CPU, us a sample", "peak memory, MB"), list(_costs(document)))
         + "\nOurs is the navigator alone, without reading the file; peers are whole programs, files included.\n\n"
         "## Peers in this run\n\n" + "".join(f"- {sentence}\n" for sentence in _peers(document["peers"]))
