@@ -16,7 +16,7 @@ from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, qu
 from shared.messages import NavigationPhase
 
 from . import error_model as em
-from .filter import ErrorStateFilter
+from .filter import NO_PARAMETERS, ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity
 from .heading import REST_RATE_SD, Heading, Motion, Prior, drift_sd, heading_of_motion, motion_between, saved_heading
 from .levelling import Levelling, rest_gyroscope_bias
@@ -160,10 +160,10 @@ class Alignment:
         P[em.POSITION, em.POSITION] = position_cov
         P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
         P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
-        P[em.VEHICLE, em.VEHICLE] = self._vehicle_cov()
+        P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
         inertial = InertialState(fix.time_ns, quaternion, velocity, position)
-        vehicle = self._lost.vehicle if self._lost else (0.0, 0.0, 0.0)
-        return ErrorStateFilter(settings, inertial, P, bias, drift, vehicle)
+        parameters = self._lost.parameters if self._lost else NO_PARAMETERS
+        return ErrorStateFilter(settings, inertial, P, bias, drift, parameters)
 
     def _position(self, fix: GnssPosition) -> tuple[Geodetic, FloatArray]:
         """Mean of the fixes of a rest, or the one fix of a vehicle that drives."""
@@ -177,11 +177,13 @@ class Alignment:
         independent = min(float(len(rest)), 1.0 + span_s / REST_CORRELATION_S)
         return geodetic_from_ned_difference((north, east, down), fix.position), cov / independent
 
-    def _vehicle_cov(self) -> FloatArray:
+    def _parameters_cov(self) -> FloatArray:
         if self._lost is not None:
-            return self._lost.P[em.VEHICLE, em.VEHICLE]
-        settings = self._settings
-        return np.diag(np.square([settings.odometer_scale_sd, settings.mounting_sd_rad, settings.mounting_sd_rad]))
+            return self._lost.P[em.PARAMETERS, em.PARAMETERS]
+        sd = np.zeros(em.SIZE)
+        sd[em.ODOMETER_SCALE] = self._settings.odometer_scale_sd
+        sd[em.MOUNTING] = self._settings.mounting_sd_rad
+        return np.diag(np.square(sd[em.PARAMETERS]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:
         if self._lost is not None:

@@ -56,8 +56,10 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
 
     Parameters
     ----------
-    P, F : ndarray, shape (n, n)
-        Covariance before, and system matrix [1/s].
+    P : ndarray, shape (n, n)
+        Covariance before.
+    F : ndarray, shape (m, k), m <= k <= n
+        [1/s] System matrix; beyond these rows and columns it is zero.
     noise : ndarray, shape (n,)
         [unit²/s] Diagonal of the power spectral density.
     step_s : float
@@ -67,14 +69,28 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
     -------
     ndarray, shape (n, n)
         Exactly symmetric.
+
+    Notes
+    -----
+    Only the first m rows and columns change, and the rest of the diagonal::
+
+        A = P[:m] + F t P[:k],  P+[:m, :m] = A[:, :m] + A[:, :k] (F t)^T,  P+[:m, m:] = A[:, m:]
     """
-    every = len(P) + 1  # from one element of the diagonal to the next
-    Phi = F * step_s
-    Phi.reshape(-1)[::every] += 1.0
-    P = Phi @ P @ Phi.T
-    P.reshape(-1)[::every] += noise * step_s
-    symmetric: FloatArray = 0.5 * (P + P.T)
-    return symmetric
+    m, k = F.shape
+    Ft = F * step_s
+    upper = Ft.dot(P[:k])
+    upper += P[:m]
+    square = upper[:, :k].dot(Ft.T)
+    square += upper[:, :m]
+    after = P.copy()
+    after[:m] = upper
+    after[:, :m] = upper.T
+    corner = after[:m, :m]
+    np.add(square, square.T, out=corner)
+    corner *= 0.5
+    diagonal = after.reshape(-1)[:: len(P) + 1]
+    diagonal += noise * step_s
+    return after
 
 
 @dataclass(frozen=True)

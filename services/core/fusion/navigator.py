@@ -97,15 +97,20 @@ class Navigator:
         list of Outcome
             What became of the measurements that were used now.
         """
-        outcomes = self._release(time_ns if received_ns is None else received_ns)
-        fault = self._fault(time_ns, force, rate)
-        if fault:
+        arrival_ns = time_ns if received_ns is None else received_ns
+        outcomes = self._release(arrival_ns) if self._held and self._held[0][0] <= arrival_ns else []
+        fx, fy, fz = force
+        wx, wy, wz = rate
+        credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
+        last = self._delayed.engine.last
+        if not credible or (last is not None and time_ns <= last[0]):
             self.samples_rejected += 1
-            self.rejects[fault] += 1
+            self.rejects[self._went_back() if credible else _fault(force, rate)] += 1
             return outcomes
+        self._backwards = 0
         self.samples_used += 1
-        sample = Sample(time_ns, (force[0], force[1], force[2]), (rate[0], rate[1], rate[2]))
-        return outcomes + self._delayed.step(sample)
+        outcomes += self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)))
+        return outcomes
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -219,21 +224,17 @@ class Navigator:
                 self.rejects["measurement older than the memory"] += 1
         return outcomes
 
-    def _fault(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> str | None:
-        """What is wrong with a sample, if anything is."""
-        fx, fy, fz = force
-        wx, wy, wz = rate
-        if not (abs(fx) + abs(fy) + abs(fz) < FORCE_LIMIT and abs(wx) + abs(wy) + abs(wz) < RATE_LIMIT):
-            return "sample beyond any sensor" if isfinite(fx + fy + fz + wx + wy + wz) else "sample not finite"
-        last = self._delayed.engine.last
-        if last is None or time_ns > last.time_ns:
-            self._backwards = 0
-            return None
+    def _went_back(self) -> str:
+        """Say what is wrong with a sample that is no newer than the last; after many of them begin again."""
         self._backwards += 1
         if self._backwards > BACKWARDS_LIMIT:
             self._backwards = 0
             self._delayed = self._delayed.restarted("the inertial clock went back")
         return "sample doubled or out of order"
+
+
+def _fault(force: Sequence[float], rate: Sequence[float]) -> str:
+    return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
 
 
 def _diagonal(sd: Vector | None) -> FloatArray | None:
