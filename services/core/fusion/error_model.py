@@ -1,25 +1,20 @@
-"""How errors grow: x = (attitude, velocity, position, accelerometer and gyroscope bias; odometer scale, mounting).
+"""How errors grow: x = (attitude, velocity, position; biases and scales of the IMU; parameters of what aids it).
 
 Errors are estimated minus true. The attitude error is a small rotation vector in NED axes, with which
-C_estimated = (I + sk(psi)) C; the position error is in metres NED; the biases are what is left of them after the
-correction already made, and are therefore added to it. Scale of the odometer, and pitch and yaw of the IMU against
-the vehicle, are as good as constant; nothing but the aiding by the vehicle knows of them. x' = F x + noise.
+C_estimated = (I + sk(psi)) C; the position error is in metres NED; biases and scales are what is left of them after
+the correction already made, and are therefore added to it. x' = F x + noise: the first nine are driven by the first
+twenty-one, and every other one goes its own way, constant or with a walk or a decay of its own.
 """
 
-from math import cos, sin, tan
+from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import (
-    EARTH_RATE,
-    ECCENTRICITY_SQUARED,
-    curvature_radii,
-    gravity,
-)
+from shared.maths.earth import EARTH_RATE
 from shared.maths.rotation import Vector, skew
 
-from .strapdown import InertialState
+from .strapdown import POLAR_FACTOR, Motion
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,36 +23,67 @@ VELOCITY = slice(3, 6)
 POSITION = slice(6, 9)
 ACCELEROMETER_BIAS = slice(9, 12)
 GYROSCOPE_BIAS = slice(12, 15)
-ODOMETER_SCALE = 15
-MOUNTING = slice(16, 18)  # pitch, yaw
-VEHICLE = slice(15, 18)
-SIZE = 18
+ACCELEROMETER_SCALE = slice(15, 18)
+GYROSCOPE_SCALE = slice(18, 21)
+ODOMETER_SCALE = 21
+MOUNTING = slice(22, 24)  # pitch, yaw
+VEHICLE = slice(21, 24)
+GNSS_ERROR = slice(24, 27)  # [m, NED] of GNSS positions, the part that lasts
+GNSS_DELAY = 27  # [s] by which GNSS is older than assumed
+ODOMETER_DELAY = 28  # [s]
+BAROMETER_OFFSET = 29  # [m] of barometric height
+SIZE = 30
+MOVING = 9  # the first nine errors grow by
+DRIVING = 21  # the first twenty-one
+PARAMETERS = slice(DRIVING, SIZE)
 
 
-def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArray) -> FloatArray:
-    """Matrix F of the error model.
+# Where F is not zero: rows of attitude, velocity, position; columns of the same, biases and scales of the IMU.
+PATTERN = """
+    . x x  . x .  x . x   . . .  x x x   . . .  x x x
+    x . x  x . .  . . x   . . .  x x x   . . .  x x x
+    x x .  . x .  x . x   . . .  x x x   . . .  x x x
+    . x x  x x x  x . x   x x x  . . .   x x x  . . .
+    x . x  x x x  x . x   x x x  . . .   x x x  . . .
+    x x .  x x .  x . x   x x x  . . .   x x x  . . .
+    . . .  x . .  x . x   . . .  . . .   . . .  . . .
+    . . .  . x .  x x x   . . .  . . .   . . .  . . .
+    . . .  . . x  . . .   . . .  . . .   . . .  . . .
+"""
+PLACES = np.array([place for place, mark in enumerate(PATTERN.split()) if mark == "x"])
+
+
+def system_matrix(motion: Motion, force_n: Vector, rate_b: Vector = (0.0, 0.0, 0.0)) -> FloatArray:
+    """Matrix F of the error model, shape (9, 21) [1/s and mixed], as far as it is not zero: see `error_rates`."""
+    F = np.zeros(MOVING * DRIVING)
+    F[PLACES] = error_rates(motion, force_n, rate_b)
+    return F.reshape(MOVING, DRIVING)
+
+
+def error_rates(motion: Motion, force_n: Vector, rate_b: Vector) -> tuple[float, ...]:
+    """Elements of the matrix F of the error model, row by row, where `PATTERN` has a mark.
 
     Parameters
     ----------
-    state : InertialState
-        Where the errors are linearised.
+    motion : tuple
+        Where the errors are linearised, as of `strapdown.mechanise`.
     force_n : tuple of float
         [m/s², NED] Specific force.
-    ned_from_body : ndarray, shape (3, 3)
-        [-] Attitude C.
+    rate_b : tuple of float
+        [rad/s, body] Angular rate, for the errors of its scale.
 
     Returns
     -------
-    ndarray, shape (18, 18)
-        [1/s and mixed] Row block, column block in the order of the state.
+    tuple of float
+        [1/s and mixed]
 
     Notes
     -----
     With w the rates w_ie and w_en, and D_v, D_p their derivatives by velocity and by position in metres::
 
-        psi' = -sk(w_ie + w_en) psi - D_v w_en dv - D_p(w_ie + w_en) dr + C b_g
+        psi' = -sk(w_ie + w_en) psi - D_v w_en dv - D_p(w_ie + w_en) dr + C (b_g + diag(w) s_g)
         dv'  = -sk(f_n) psi + [sk(v) D_v w_en - sk(w_en + 2 w_ie)] dv
-               + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr + C b_a
+               + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr + C (b_a + diag(f_b) s_a)
         dr'  = dv + [turn and stretch of the local axes] dr
 
     The change of the radii with latitude is neglected (0.5 % of the smallest blocks). The body is these products,
@@ -68,81 +94,53 @@ def system_matrix(state: InertialState, force_n: Vector, ned_from_body: FloatArr
     P. Groves, 2nd ed., eq. 14.63 to 14.71, here with the position in metres; equals
     J. Zuriarrain Sosa et al., 2024, appendix A, after correction of its A6, A7 and A9.
     """
-    north, east, down = state.velocity
-    latitude, _, height = state.position
-    meridian, transverse = curvature_radii(latitude)
+    (qw, qx, qy, qz), (north, east, down), (_, _, height), (sine, cosine, meridian, transverse, surface, _) = motion
     m, t = 1.0 / (meridian + height), 1.0 / (transverse + height)
-    tangent, secant2 = tan(latitude), 1.0 / cos(latitude) ** 2
-    earth_n, earth_d = EARTH_RATE * cos(latitude), -EARTH_RATE * sin(latitude)
-    turn_n, turn_e, turn_d = earth_n + east * t, -north * m, earth_d - east * tangent * t
+    tangent, secant2 = sine / cosine, 1.0 / (cosine * cosine)
+    earth_n, earth_d = EARTH_RATE * cosine, -EARTH_RATE * sine
+    et, nm = east * t, north * m
+    turn_n, turn_e, turn_d = earth_n + et, -nm, earth_d - et * tangent
     fn, fe, fd = force_n
-    (c11, c12, c13), (c21, c22, c23), (c31, c32, c33) = ned_from_body.tolist()
-    free_air = 2.0 * gravity(latitude, 0.0) / geocentric_radius(latitude)
+    wx, wy, wz = rate_b
+    c11, c12, c13 = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)
+    c21, c22, c23 = 2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)
+    c31, c32, c33 = 2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
+    fx, fy, fz = c11 * fn + c21 * fe + c31 * fd, c12 * fn + c22 * fe + c32 * fd, c13 * fn + c23 * fe + c33 * fd
+    free_air = 2.0 * surface / (transverse * sqrt(cosine * cosine + (POLAR_FACTOR * sine) ** 2))
 
     # fmt: off
-    rows = [
-        [0.0, turn_d, -turn_e, 0.0, -t, 0.0,
-         -earth_d * m, 0.0, -east * t * t, 0.0, 0.0, 0.0, c11, c12, c13],
-        [-turn_d, 0.0, turn_n, m, 0.0, 0.0,
-         0.0, 0.0, north * m * m, 0.0, 0.0, 0.0, c21, c22, c23],
-        [turn_e, -turn_n, 0.0, 0.0, tangent * t, 0.0,
-         (earth_n + east * secant2 * t) * m, 0.0, east * tangent * t * t, 0.0, 0.0, 0.0, c31, c32, c33],
-        [0.0, fd, -fe, down * m, 2.0 * (earth_d - east * tangent * t), north * m,
-         -(east * east * secant2 * t + 2.0 * east * earth_n) * m, 0.0,
-         north * down * m * m - east * east * tangent * t * t, c11, c12, c13, 0.0, 0.0, 0.0],
-        [-fd, 0.0, fn, east * tangent * t - 2.0 * earth_d, (north * tangent + down) * t, east * t + 2.0 * earth_n,
-         (north * east * secant2 * t + 2.0 * (north * earth_n + down * earth_d)) * m, 0.0,
-         (north * east * tangent + east * down) * t * t, c21, c22, c23, 0.0, 0.0, 0.0],
-        [fe, -fn, 0.0, -2.0 * north * m, -2.0 * (east * t + earth_n), 0.0,
-         -2.0 * east * earth_d * m, 0.0,
-         free_air - (east * t) ** 2 - (north * m) ** 2, c31, c32, c33, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, -down * m, 0.0, north * m, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, east * tangent * m, -(down + north * tangent) * t, east * t,
-         0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    ]
+    return (
+        turn_d, -turn_e, -t, -earth_d * m, -et * t, c11, c12, c13, c11 * wx, c12 * wy, c13 * wz,
+        -turn_d, turn_n, m, nm * m, c21, c22, c23, c21 * wx, c22 * wy, c23 * wz,
+        turn_e, -turn_n, tangent * t, (earth_n + et * secant2) * m, et * tangent * t,
+        c31, c32, c33, c31 * wx, c32 * wy, c33 * wz,
+        fd, -fe, down * m, 2.0 * (earth_d - et * tangent), nm,
+        -(et * secant2 + 2.0 * earth_n) * east * m, nm * down * m - et * et * tangent,
+        c11, c12, c13, c11 * fx, c12 * fy, c13 * fz,
+        -fd, fn, et * tangent - 2.0 * earth_d, (north * tangent + down) * t, et + 2.0 * earth_n,
+        (north * et * secant2 + 2.0 * (north * earth_n + down * earth_d)) * m, (north * tangent + down) * et * t,
+        c21, c22, c23, c21 * fx, c22 * fy, c23 * fz,
+        fe, -fn, -2.0 * nm, -2.0 * (et + earth_n), -2.0 * east * earth_d * m, free_air - et * et - nm * nm,
+        c31, c32, c33, c31 * fx, c32 * fy, c33 * fz,
+        1.0, -down * m, nm,
+        1.0, east * tangent * m, -(down + north * tangent) * t, et,
+        1.0,
+    )
     # fmt: on
-    F = np.zeros((SIZE, SIZE))
-    F[:9, :15] = rows
-    return F
 
 
-def geocentric_radius(latitude: float) -> float:
-    """Distance [m] from the Earth's centre to the ellipsoid (Groves, 2nd ed., eq. 2.137)."""
-    transverse = curvature_radii(latitude)[1]
-    factor = 1.0 - ECCENTRICITY_SQUARED
-    return transverse * float(np.hypot(cos(latitude), factor * sin(latitude)))
-
-
-def noise_matrix(
-    *,
-    gyroscope_psd: float,
-    accelerometer_psd: float,
-    accelerometer_bias_psd: float,
-    gyroscope_bias_psd: float,
-    odometer_scale_psd: float,
-    mounting_psd: float,
-) -> FloatArray:
+def noise_density(*densities: tuple[int | slice, float]) -> FloatArray:
     """Power spectral density of the noise that drives the errors.
 
     Parameters
     ----------
-    gyroscope_psd : float
-        [rad²/s] S_rg, square of the angle random walk.
-    accelerometer_psd : float
-        [m²/s³] S_ra, square of the velocity random walk.
-    accelerometer_bias_psd : float
-        [m²/s⁵] S_bad.
-    gyroscope_bias_psd : float
-        [rad²/s³] S_bgd.
-    odometer_scale_psd : float
-        [1/s] Of the walk of the odometer's scale: tyres warm up and wear.
-    mounting_psd : float
-        [rad²/s] Of the walk of the mounting angles: the load shifts.
+    densities : tuple of place and float
+        [unit²/s] Place of the error in the state, and density: rad²/s of attitude (S_rg, square of the angle random
+        walk), m²/s³ of velocity (S_ra, square of the velocity random walk), and so on.
 
     Returns
     -------
-    ndarray, shape (18,)
+    ndarray, shape (30,)
         Diagonal of the matrix; times a short step it is the covariance that the step adds.
 
     References
@@ -150,17 +148,13 @@ def noise_matrix(
     J. Zuriarrain Sosa et al., 2024, eq. A10, with the names of the two bias terms put right.
     """
     diagonal = np.zeros(SIZE)
-    diagonal[ATTITUDE] = gyroscope_psd
-    diagonal[VELOCITY] = accelerometer_psd
-    diagonal[ACCELEROMETER_BIAS] = accelerometer_bias_psd
-    diagonal[GYROSCOPE_BIAS] = gyroscope_bias_psd
-    diagonal[ODOMETER_SCALE] = odometer_scale_psd
-    diagonal[MOUNTING] = mounting_psd
+    for place, value in densities:
+        diagonal[place] = value
     return diagonal
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:
-    """Matrix H, shape (3, 18), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
+    """Matrix H, shape (3, 30), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(arm_n)
     H[:, POSITION] = -np.eye(3)
@@ -181,7 +175,7 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
 
     Returns
     -------
-    ndarray, shape (3, 18)
+    ndarray, shape (3, 30)
         The small term of the Earth's rate in the prediction is neglected.
 
     Notes
@@ -221,7 +215,7 @@ def axle_velocity_matrix(
 
     Returns
     -------
-    ndarray, shape (3, 18)
+    ndarray, shape (3, 30)
         Rows forward, right, down. The roll of the mounting is taken for zero: driving does not show it.
 
     Notes

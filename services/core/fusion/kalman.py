@@ -56,8 +56,10 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
 
     Parameters
     ----------
-    P, F : ndarray, shape (n, n)
-        Covariance before, and system matrix [1/s].
+    P : ndarray, shape (n, n)
+        Covariance before.
+    F : ndarray, shape (m, k), m <= k <= n
+        [1/s] System matrix; beyond these rows and columns it is zero.
     noise : ndarray, shape (n,)
         [unit²/s] Diagonal of the power spectral density.
     step_s : float
@@ -67,14 +69,28 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
     -------
     ndarray, shape (n, n)
         Exactly symmetric.
+
+    Notes
+    -----
+    Only the first m rows and columns change, and the rest of the diagonal::
+
+        A = P[:m] + F t P[:k],  P+[:m, :m] = A[:, :m] + A[:, :k] (F t)^T,  P+[:m, m:] = A[:, m:]
     """
-    every = len(P) + 1  # from one element of the diagonal to the next
-    Phi = F * step_s
-    Phi.reshape(-1)[::every] += 1.0
-    P = Phi @ P @ Phi.T
-    P.reshape(-1)[::every] += noise * step_s
-    symmetric: FloatArray = 0.5 * (P + P.T)
-    return symmetric
+    m, k = F.shape
+    Ft = F * step_s
+    upper = Ft.dot(P[:k])
+    upper += P[:m]
+    square = upper[:, :k].dot(Ft.T)
+    square += upper[:, :m]
+    after = P.copy()
+    after[:m] = upper
+    after[:, :m] = upper.T
+    corner = after[:m, :m]
+    np.add(square, square.T, out=corner)
+    corner *= 0.5
+    diagonal = after.reshape(-1)[:: len(P) + 1]
+    diagonal += noise * step_s
+    return after
 
 
 @dataclass(frozen=True)
@@ -85,6 +101,10 @@ class Correction:
     P: FloatArray
     innovation_sd: FloatArray
     distance2: float  # normalised innovation squared, d²
+    z: FloatArray
+    H: FloatArray
+    K: FloatArray
+    S_inverse: FloatArray
 
 
 def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
@@ -123,7 +143,7 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
         np.linalg.cholesky(S)
     except np.linalg.LinAlgError as error:
         raise FilterDiverged("the covariance of an innovation is not positive definite") from error
-    inverse = np.linalg.inv(S)
+    inverse = np.asarray(np.linalg.inv(S), dtype=np.float64)
     K = PHt @ inverse
     distance2 = float(z @ inverse @ z)
     if not np.isfinite(distance2):
@@ -131,4 +151,4 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     A = -K @ H
     A.reshape(-1)[:: len(P) + 1] += 1.0
     P_after = A @ P @ A.T + K @ R @ K.T
-    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2)
+    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2, z, H, K, inverse)

@@ -48,7 +48,7 @@ class WheelSpeed:
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Hold it against (1 + k) times the forward velocity of the rear axle, k being the error of its scale."""
         ahead, H = _axle(navigation, self.settings)
-        forward, scale = float(ahead[0]), 1.0 + navigation.vehicle[0]
+        forward, scale = float(ahead[0]), 1.0 + navigation.parameter(em.ODOMETER_SCALE)
         backwards = self.speed > 0.0 and forward < -REVERSE_M_S
         z = (-self.speed if backwards else self.speed) - scale * forward
         H = scale * H[:1]

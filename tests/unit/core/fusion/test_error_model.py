@@ -1,7 +1,7 @@
 """The error model against finite differences of the mechanisation, and against its own equations in matrices."""
 
 from collections.abc import Sequence
-from math import cos, sin, tan
+from math import cos, hypot, sin, tan
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from services.core.fusion.strapdown import InertialState
 from services.core.fusion.wheels import NonHolonomic, WheelSpeed
 from shared.maths.earth import (
     EARTH_RATE,
+    ECCENTRICITY_SQUARED,
     Geodetic,
     curvature_radii,
     earth_rate_n,
@@ -42,8 +43,9 @@ FORCE_N = (1.2, -0.7, -9.6)
 ATTITUDE = ned_from_body(0.1, -0.2, 0.7)
 RATE: Vector = (0.05, -0.02, 0.3)
 STATE = InertialState(0, quaternion_from_matrix(ATTITUDE), VELOCITY, Geodetic(LATITUDE, 0.2, HEIGHT))
+MOTION = strapdown.motion_of(STATE)
 STEP_NS = 1_000_000
-PERTURBATION = np.repeat([1e-3, 1.0, 1000.0, 1.0, 1e-3, 1e-3], 3)
+PERTURBATION = np.repeat([1e-3, 1.0, 1000.0, 1.0, 1e-3, 0.01, 1e-3], 3)
 NEGLECTED = {0: 1e-9, 3: 0.01, 6: 0.01}  # by first row: what the length of the step leaves where the model has nought
 
 
@@ -77,21 +79,21 @@ def error_of(estimate: InertialState, truth: InertialState) -> FloatArray:
 
 @pytest.fixture
 def differences(monkeypatch: pytest.MonkeyPatch) -> FloatArray:
-    """Derivative of the first nine errors by all eighteen, by finite differences, with gravity of one latitude."""
-    monkeypatch.setattr(strapdown, "gravity", lambda _latitude, height: gravity(LATITUDE, height))
+    """Derivative of the first nine errors by all that drive them, with gravity of one latitude."""
+    parallel = strapdown.parallel
+    monkeypatch.setattr(strapdown, "parallel", lambda latitude: (*parallel(latitude)[:4], *parallel(LATITUDE)[4:]))
     force, rate = vector(ATTITUDE.T @ np.array(FORCE_N)), RATE
 
     def after(error: FloatArray) -> FloatArray:
-        wrong_force = vector(np.array(force) + error[em.ACCELEROMETER_BIAS])
-        wrong_rate = vector(np.array(rate) + error[em.GYROSCOPE_BIAS])
+        wrong_force = vector(np.array(force) * (1.0 + error[em.ACCELEROMETER_SCALE]) + error[em.ACCELEROMETER_BIAS])
+        wrong_rate = vector(np.array(rate) * (1.0 + error[em.GYROSCOPE_SCALE]) + error[em.GYROSCOPE_BIAS])
         estimate, _ = strapdown.propagate(disturbed(STATE, error), wrong_force, wrong_rate, STEP_NS)
         truth, _ = strapdown.propagate(STATE, force, rate, STEP_NS)
         return (error_of(estimate, truth) - error[:9]) / (STEP_NS * 1e-9)
 
     columns = []
-    for j in range(em.SIZE):
-        size = PERTURBATION[j]
-        step = np.zeros(em.SIZE)
+    for j, size in enumerate(PERTURBATION):
+        step = np.zeros(em.DRIVING)
         step[j] = size
         columns.append((after(step) - after(-step)) / (2.0 * size))
     return np.array(columns).T
@@ -100,12 +102,20 @@ def differences(monkeypatch: pytest.MonkeyPatch) -> FloatArray:
 BLOCKS = [
     (row, column)
     for row in (em.ATTITUDE, em.VELOCITY, em.POSITION)
-    for column in (em.ATTITUDE, em.VELOCITY, em.POSITION, em.ACCELEROMETER_BIAS, em.GYROSCOPE_BIAS)
+    for column in (
+        em.ATTITUDE,
+        em.VELOCITY,
+        em.POSITION,
+        em.ACCELEROMETER_BIAS,
+        em.GYROSCOPE_BIAS,
+        em.ACCELEROMETER_SCALE,
+        em.GYROSCOPE_SCALE,
+    )
 ]
 
 
 def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differences: FloatArray) -> None:
-    F = em.system_matrix(STATE, FORCE_N, ATTITUDE)
+    F = em.system_matrix(MOTION, FORCE_N, RATE)
     one_percent = 0.01
     for row, column in BLOCKS:
         size = np.linalg.norm(F[row, column])
@@ -114,7 +124,7 @@ def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differe
 
 
 def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
-    F = em.system_matrix(STATE, FORCE_N, ATTITUDE)
+    F = em.system_matrix(MOTION, FORCE_N, RATE)
     latitude_scale, east_scale = curvature_radii(LATITUDE)
     m, t, tangent = latitude_scale + HEIGHT, east_scale + HEIGHT, tan(LATITUDE)
     north, east, _ = VELOCITY
@@ -130,8 +140,9 @@ def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
             [-east / cos(LATITUDE) ** 2 / (t * m), 0.0, -east * tangent / t**2],
         ]
     )
+    geocentric_radius = east_scale * hypot(cos(LATITUDE), (1.0 - ECCENTRICITY_SQUARED) * sin(LATITUDE))
     free_air = np.zeros((3, 3))
-    free_air[2, 2] = 2.0 * gravity(LATITUDE, 0.0) / em.geocentric_radius(LATITUDE)
+    free_air[2, 2] = 2.0 * gravity(LATITUDE, 0.0) / geocentric_radius
     expected = {
         (em.ATTITUDE.start, em.ATTITUDE.start): -skew(earth + transport),
         (em.ATTITUDE.start, em.VELOCITY.start): -by_velocity,
@@ -143,18 +154,19 @@ def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
         + free_air,
         (em.VELOCITY.start, em.ACCELEROMETER_BIAS.start): ATTITUDE,
         (em.POSITION.start, em.VELOCITY.start): np.eye(3),
+        (em.VELOCITY.start, em.ACCELEROMETER_SCALE.start): ATTITUDE @ np.diag(ATTITUDE.T @ np.array(FORCE_N)),
+        (em.ATTITUDE.start, em.GYROSCOPE_SCALE.start): ATTITUDE @ np.diag(RATE),
     }
     for (row, column), block in expected.items():
         assert F[row : row + 3, column : column + 3] == pytest.approx(block, rel=1e-12, abs=1e-19), (row, column)
-    assert not F[em.POSITION, em.ATTITUDE].any() and not F[9:].any()
-    assert not F[:, em.VEHICLE].any(), "only the aiding by the vehicle knows of these"
+    assert not F[em.POSITION, em.ATTITUDE].any() and not F[em.POSITION, em.ACCELEROMETER_BIAS.start :].any()
 
 
 def navigation(error: FloatArray) -> ErrorStateFilter:
     """Filter that is wrong by an error; the biases of the error are what is left after correction."""
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
     wrong.rate = vector(np.array(RATE) + error[em.GYROSCOPE_BIAS])
-    wrong.vehicle = vector(np.array(VEHICLE) + error[em.VEHICLE])
+    wrong.parameters = (*(np.array(VEHICLE) + error[em.VEHICLE]).tolist(), *error[em.VEHICLE.stop :].tolist())
     return wrong
 
 
@@ -209,15 +221,9 @@ def test_the_matrices_of_the_wheels_agree_with_finite_differences(
 
 
 def test_the_noise_goes_where_its_name_says() -> None:
-    noise = em.noise_matrix(
-        gyroscope_psd=1.0,
-        accelerometer_psd=2.0,
-        accelerometer_bias_psd=3.0,
-        gyroscope_bias_psd=4.0,
-        odometer_scale_psd=5.0,
-        mounting_psd=6.0,
-    )
-    assert noise.tolist() == [1.0] * 3 + [2.0] * 3 + [0.0] * 3 + [3.0] * 3 + [4.0] * 3 + [5.0] + [6.0] * 2
+    noise = em.noise_density((em.ATTITUDE, 1.0), (em.GYROSCOPE_BIAS, 4.0), (em.ODOMETER_SCALE, 5.0))
+    assert noise[em.ATTITUDE].tolist() == [1.0] * 3 and noise[em.GYROSCOPE_BIAS].tolist() == [4.0] * 3
+    assert noise[em.ODOMETER_SCALE] == 5.0 and noise.sum() == 20.0
 
 
 def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:

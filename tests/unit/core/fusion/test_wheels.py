@@ -14,7 +14,7 @@ from services.core.fusion.filter import ErrorStateFilter
 from services.core.fusion.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from services.core.fusion.stationary import QUIET_S, SMOOTHING_S, Rest
+from services.core.fusion.stationary import QUIET_S, SMOOTHING_S, UNSETTLED, at_rest
 from services.core.fusion.wheels import WheelSpeed
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
@@ -100,7 +100,7 @@ def test_scale_and_mounting_are_learnt_as_well_as_the_filter_says() -> None:
     truth = np.hypot(d.velocity_n[:, 0], d.velocity_n[:, 1])
     scale = 1.03 * float(np.median(d.odometer[1:][moving[1:]] / truth[9::10][moving[1:]])) - 1.0
     sd = np.sqrt(inside.P.diagonal()[em.VEHICLE])
-    errors = np.array(inside.vehicle) - (scale, MOUNTING[1], MOUNTING[2])
+    errors = np.array(inside.parameters[:3]) - (scale, MOUNTING[1], MOUNTING[2])
     assert (np.abs(errors) < 4.0 * sd).all()
     assert sd[0] < 0.005 and (sd[1:] < radians(0.7)).all(), "much better than at switch-on"
 
@@ -117,7 +117,7 @@ def test_neither_aid_is_used_if_the_settings_say_so() -> None:
     made = navigator(odometer=False, non_holonomic=False)
     kinds = {o.kind for o in feed(made, drive().odometer)}
     assert not kinds & {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
-    assert filter_of(made).vehicle == (0.0, 0.0, 0.0)
+    assert filter_of(made).parameters[:3] == (0.0, 0.0, 0.0)
     cross = filter_of(made).P[em.VEHICLE, :15]
     assert not cross.any(), "what is not measured does not touch the other fifteen states"
 
@@ -151,10 +151,10 @@ def test_a_speed_without_a_sign_may_be_one_backwards() -> None:
 
 
 def rest_after(speed: float, limit: float, force: float = 0.0) -> bool:
-    rest = Rest()
+    rest = UNSETTLED
     for _ in range(round((SMOOTHING_S + QUIET_S) * 100) + 2):
-        rest = rest.after((0.0, 0.0, 0.0), (force, 0.0, 0.0), (speed, 0.0, 0.0), 0.01, limit)
-    return rest.stationary
+        rest = at_rest(rest, (0.0, 0.0, 0.0), (force, 0.0, 0.0), speed, 0.01, limit)
+    return rest[2] >= QUIET_S
 
 
 def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> None:
