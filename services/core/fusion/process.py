@@ -71,8 +71,7 @@ class Process:
         for sampled_ns, force, rate in samples:
             outcomes = self._navigator.advance(sampled_ns, force, rate)
             yield from self._solution(sampled_ns)  # first: whoever needs it shall not wait for what is late anyway
-            outcomes += self._navigator.release(batch.received_ns)
-            yield from map(translate.aiding_message, outcomes)
+            yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))
             yield from self._state(sampled_ns)
 
     def _is_silent(self, now_ns: int) -> bool:
