@@ -1,6 +1,7 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import hypot, radians, sqrt
 from typing import NamedTuple
 
@@ -11,6 +12,8 @@ from shared.messages import AidingKind, NavigationPhase
 from . import error_model as em
 from .aiding import Measurement, Outcome
 from .alignment import Alignment
+from .baseline import BaselineHeading
+from .compass import CompassCheck, MagneticHeading
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Prior
@@ -73,6 +76,7 @@ class Engine:
         self._rest_s = 0.0
         self._rolling_s = 0.0  # since the wheels were last held against the filter
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
+        self._compass = CompassCheck()
         self._rejections = 0  # successive positions
         self._why = ""  # the solution was lost
 
@@ -158,6 +162,9 @@ class Engine:
             return []
         if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, self.filter):
             return []
+        if isinstance(measurement, MagneticHeading):
+            self._compass = self._compass.judged(measurement, self.filter)
+            measurement = replace(measurement, check=self._compass)
         outcomes = []
         try:
             for observe in measurement.observers():
@@ -191,6 +198,8 @@ class Engine:
         assert self._alignment is not None
         if isinstance(measurement, GnssVelocity):
             self._alignment.see_velocity(measurement)
+        elif isinstance(measurement, BaselineHeading):
+            self._alignment.see_heading(measurement)
         started = self._alignment.start_at(measurement) if isinstance(measurement, GnssPosition) else None
         if started is None:
             return
