@@ -115,4 +115,4 @@ class TruthState(Message):
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
-    angular_rate_body_rad_s: Vector3
+    angular_rate_body_rad_s: Vector3 | None = None  # not every reference tells it
