@@ -9,12 +9,12 @@ from shared.maths.rotation import Vector
 from shared.messages import AidingKind, NavigationPhase
 
 from . import error_model as em
-from .aiding import Measurement, Observation, Outcome
+from .aiding import Measurement, Outcome
 from .alignment import Alignment
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Prior
-from .kalman import chi_square_limit
+from .judging import Judge
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import SPEED_LIMIT, Rest
@@ -29,11 +29,6 @@ GAP_RATE_SD = 0.3  # [rad/s]
 LOST_YAW_SD = radians(20.0)
 ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
 ZERO_SDS = 3.0  # of the velocity, within which a speed of zero is believed
-# A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
-WIDENING = {
-    AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
-    AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
-}
 
 
 class Sample(NamedTuple):
@@ -70,6 +65,7 @@ class Engine:
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
+        self._judge = Judge(settings)
         self._rest = Rest()
         self._rest_turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] of the rest since its last update
         self._rest_s = 0.0
@@ -84,6 +80,7 @@ class Engine:
         twin.__dict__.update(self.__dict__)
         twin.filter = self.filter.fork() if self.filter else None
         twin._alignment = self._alignment.fork() if self._alignment else None
+        twin._judge = self._judge.fork()
         return twin
 
     def remember(self, prior: Prior) -> None:
@@ -160,35 +157,16 @@ class Engine:
         outcomes = []
         try:
             for observe in measurement.observers():
-                outcomes.append(self._judge(self.filter, measurement, observe(self.filter)))
+                outcome = self._judge.judge(self.filter, measurement, observe(self.filter))
+                outcomes.append(outcome)
+                if outcome.kind is AidingKind.GNSS_POSITION:
+                    self._count_position(measurement.time_ns, outcome.used)
         except FilterDiverged as error:
             self._reset(measurement.time_ns, str(error), yaw_sd=None)
         if self._is_astray(measurement.time_ns):
             self._reset(measurement.time_ns, f"{self._rejections} positions in a row rejected", LOST_YAW_SD)
             self._align(measurement)
         return outcomes
-
-    def _judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
-        """Use an observation if its d² is within the limit of d²."""
-        correction = navigation.weigh(seen.z, seen.H, seen.R)
-        ratio = correction.distance2 / chi_square_limit(len(seen.z), self._settings.gate_false_alarm)
-        used = ratio <= 1.0
-        if used:
-            navigation.accept(correction)
-        elif seen.kind in WIDENING:
-            navigation.widen(**WIDENING[seen.kind])
-        if seen.kind is AidingKind.GNSS_POSITION:
-            self._count_position(measurement.time_ns, used)
-        return Outcome(
-            measurement.time_ns,
-            measurement.source,
-            seen.kind,
-            tuple(seen.z.tolist()),
-            tuple(correction.innovation_sd.tolist()),
-            ratio,
-            used,
-            None if used else "beyond the gate",
-        )
 
     def _count_position(self, time_ns: int, used: bool) -> None:
         counts = self.counts
