@@ -18,6 +18,7 @@ from .judging import Judge
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import SPEED_LIMIT, Rest
+from .watch import Watch, block
 from .wheels import PERIOD_S as WHEELS_PERIOD_S
 from .wheels import SLOWEST_M_S, NonHolonomic, WheelSpeed
 
@@ -64,6 +65,7 @@ class Engine:
         self.filter: ErrorStateFilter | None = None
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
+        self.watch = Watch()
         self._alignment: Alignment | None = Alignment(settings)
         self._judge = Judge(settings)
         self._rest = Rest()
@@ -157,8 +159,10 @@ class Engine:
         outcomes = []
         try:
             for observe in measurement.observers():
+                before = block(self.filter)
                 outcome = self._judge.judge(self.filter, measurement, observe(self.filter))
                 outcomes.append(outcome)
+                self.watch = self.watch.after(outcome, before, self.filter, self._settings.gate_false_alarm)
                 if outcome.kind is AidingKind.GNSS_POSITION:
                     self._count_position(measurement.time_ns, outcome.used)
         except FilterDiverged as error:
@@ -192,6 +196,7 @@ class Engine:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
         self.filter, self._alignment, self._why = started, None, ""
+        self.watch = self.watch.begun(measurement.time_ns, started)
         self._rest, self._rest_s = Rest(), 0.0
         self._count_position(measurement.time_ns, used=True)
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
