@@ -80,6 +80,9 @@ class AidingKind(StrEnum):
     COURSE = "course"
     ODOMETER = "odometer"
     NON_HOLONOMIC = "non_holonomic"
+    BAROMETRIC_HEIGHT = "barometric_height"
+    BASELINE_HEADING = "baseline_heading"
+    MAGNETIC_HEADING = "magnetic_heading"
 
 
 class AidingUpdate(Message):

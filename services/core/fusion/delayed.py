@@ -7,6 +7,7 @@ measurement that came in time.
 
 from bisect import bisect_right, insort
 from collections import deque
+from collections.abc import Sequence
 
 from .aiding import Measurement, Outcome
 from .engine import Engine, Sample
@@ -45,8 +46,11 @@ class DelayedEngine:
 
     def step(self, sample: Sample) -> list[Outcome]:
         """Advance by one sample, newer than all before."""
-        last_ns = self.engine.last.time_ns if self.engine.last else sample.time_ns
-        outcomes = self.engine.step(sample, self._between(last_ns, sample.time_ns))
+        engine = self.engine
+        due: Sequence[Measurement] = ()
+        if self._measurements:
+            due = self._between(engine.last.time_ns if engine.last else sample.time_ns, sample.time_ns)
+        outcomes = engine.step(sample, due)
         self._samples.append(sample)
         self._fresh += 1
         if self._fresh >= KEPT_EVERY or not self._copies:

@@ -30,7 +30,7 @@ class Judge:
         """Use an observation if its d² is within the limit of d²."""
         correction = navigation.weigh(seen.z, seen.H, seen.R)
         ratio = correction.distance2 / chi_square_limit(len(seen.z), self._settings.gate_false_alarm)
-        used = ratio <= 1.0
+        used = ratio <= 1.0 and seen.unfit is None
         if used:
             navigation.accept(correction)
         elif seen.kind in WIDENING:
@@ -43,5 +43,5 @@ class Judge:
             tuple(correction.innovation_sd.tolist()),
             ratio,
             used,
-            None if used else "beyond the gate",
+            None if used else seen.unfit or "beyond the gate",
         )

@@ -78,13 +78,18 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
     """
     m, k = F.shape
     Ft = F * step_s
-    upper = P[:m] + Ft @ P[:k]
-    square = upper[:, :m] + upper[:, :k] @ Ft.T
+    upper = Ft.dot(P[:k])
+    upper += P[:m]
+    square = upper[:, :k].dot(Ft.T)
+    square += upper[:, :m]
     after = P.copy()
-    after[:m, :m] = 0.5 * (square + square.T)
-    after[:m, m:] = upper[:, m:]
-    after[m:, :m] = upper[:, m:].T
-    after.reshape(-1)[:: len(P) + 1] += noise * step_s
+    after[:m] = upper
+    after[:, :m] = upper.T
+    corner = after[:m, :m]
+    np.add(square, square.T, out=corner)
+    corner *= 0.5
+    diagonal = after.reshape(-1)[:: len(P) + 1]
+    diagonal += noise * step_s
     return after
 
 
