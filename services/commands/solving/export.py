@@ -10,7 +10,15 @@ from .track import NAMES, Track
 
 HEADER = ("sampled_ns", "time_s", "phase", *NAMES)
 # Enough digits that rounding is far below what any of these means: 1 mm, 0.1 mm/s, 1 microradian.
-DECIMALS = {"latitude_deg": 9, "longitude_deg": 9, "height_ellipsoid_m": 4, "stationary": 0, "gnss_age_s": 3}
+DECIMALS = {
+    "latitude_deg": 9,
+    "longitude_deg": 9,
+    "height_ellipsoid_m": 4,
+    "protection_level_horizontal_m": 4,
+    "protection_level_vertical_m": 4,
+    "stationary": 0,
+    "gnss_age_s": 3,
+}
 KML_POINTS = 20_000
 
 
@@ -22,7 +30,7 @@ def csv_lines(track: Track) -> Iterator[str]:
     first = int(track.stamps_ns[0]) if len(track) else 0
     for stamp, phase, row in zip(track.stamps_ns.tolist(), track.phases, track.values.tolist(), strict=True):
         text = line % (stamp, (stamp - first) * 1e-9, phase.value, *row)
-        yield (text.replace("nan", "") if math.isnan(row[-1]) else text) + "\n"
+        yield (text.replace("nan", "") if any(map(math.isnan, row)) else text) + "\n"
 
 
 def kml_text(track: Track, name: str) -> str:
