@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
 
@@ -81,7 +80,7 @@ def protected(errors: Errors, alert_limits_m: Sequence[float]) -> list[Protected
     """Put errors beside protection levels, horizontal and vertical; nothing where one of them is unknown."""
     if errors.position_n is None or errors.protection_m is None:
         return []
-    known: npt.NDArray[np.bool_] = np.isfinite(errors.protection_m).all(axis=1)
+    known = np.flatnonzero(np.isfinite(errors.protection_m.sum(axis=1)))
     error, level = errors.position_n[known], errors.protection_m[known]
     if not len(error):
         return []

@@ -62,8 +62,8 @@ def _cells(axes: "Axes", one: Protected, edges: FloatArray) -> None:
     from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
 
-    inside = (np.clip(values, edges[0], edges[-1]) for values in (one.error_m, one.level_m))
-    counts, _, _ = np.histogram2d(*inside, bins=(edges, edges))
+    error, level = (np.clip(values, edges[0], edges[-1]) for values in (one.error_m, one.level_m))
+    counts, _, _ = np.histogram2d(error, level, bins=[edges, edges])
     rows, columns = np.nonzero(counts)
     density = np.log1p(counts[rows, columns])
     left, right, lower, upper = edges[rows], edges[rows + 1], edges[columns], edges[columns + 1]

@@ -14,7 +14,9 @@ MEAN_S = 10.0  # over which innovations are averaged: white noise hardly survive
 BREAK_S = 5.0  # after it two innovations are no neighbours
 LARGEST = 5.0  # [-] of an innovation, beyond which one of them would teach for minutes
 CHANCE_SDS = 2.0  # by which noise may look like an error that lasts
-HIDDEN = 1.5  # what innovations show of an error that lasts, and half as much again that the filter has followed
+HIDDEN = 1.25  # what innovations show of an error that lasts, and a quarter as much again that the filter has followed
+TRIAL_S = 20.0  # for so long counts what was taken for granted at first
+CHANCE = 0.5  # by which `Axis.habit` scatters about one, averaged over three axes
 ALIKE = 4.0  # an error that lasts cannot be more than four times what neighbours have in common
 
 
@@ -35,6 +37,7 @@ class Evidence:
     """Innovations of one kind of measurement, north, east and down, as far as they are remembered."""
 
     time_ns: int = 0
+    elapsed_s: float = 0.0  # since the first
     interval_s: float = 1.0  # between two of them
     mean_variance: float = 1.0  # that `Axis.mean` has if u is white
     axes: tuple[Axis, Axis, Axis] = (Axis(), Axis(), Axis())
@@ -44,7 +47,8 @@ class Evidence:
         first = self.time_ns == 0
         span_s = 1.0 if first else max(0.0, (time_ns - self.time_ns) * 1e-9)
         step_s = min(span_s, MEAN_S)
-        quick, slow = 1.0 - exp(-step_s / MEAN_S), 1.0 - exp(-step_s / MEMORY_S)
+        quick = 1.0 - exp(-step_s / MEAN_S)
+        slow = max(1.0 - exp(-step_s / MEMORY_S), step_s / (self.elapsed_s + TRIAL_S))
         mean_variance = quick**2 if first else (1.0 - quick) ** 2 * self.mean_variance + quick**2
         neighbours = not first and span_s <= BREAK_S
         interval_s = self.interval_s
@@ -55,7 +59,7 @@ class Evidence:
             for axis, z, s in zip(self.axes, innovation, sd, strict=False)
         ]
         north, east, down = (*learnt, *self.axes[len(learnt) :])
-        return Evidence(time_ns, interval_s, mean_variance, (north, east, down))
+        return Evidence(time_ns, self.elapsed_s + step_s, interval_s, mean_variance, (north, east, down))
 
     def lasting(self, place: int) -> float:
         """Variance [m² or m²/s²] of an error of the measurements that lasts, on one axis.
@@ -67,7 +71,7 @@ class Evidence:
         neighbours are strangers, or innovations so small that nothing of that size can be behind them::
 
             w = E u² - max(0, E u_k u_k-1)       1 - w - 2 √(3/n),   n = 2 `MEMORY_S` / interval
-            L = min( that,  1.5 E u²,  4 E u_k u_k-1 ) S
+            L = min( that,  1.25 E u²,  4 E u_k u_k-1 ) S
         """
         axis = self.axes[place]
         alike = max(0.0, axis.alike)
@@ -91,7 +95,7 @@ class Evidence:
 
         The variance of the mean over `MEAN_S` over that of as many independent ones; 1 if they are.
         """
-        return max(1.0, (self.axes[0].habit + self.axes[1].habit + self.axes[2].habit) / 3.0)
+        return max(1.0, (self.axes[0].habit + self.axes[1].habit + self.axes[2].habit) / 3.0 - CHANCE)
 
 
 def _learnt(
