@@ -54,6 +54,12 @@ def report() -> str:
     return page(heading, metrics, figures_of(run, truth))
 
 
+def test_every_run_with_truth_has_a_stanford_diagram_of_each_axis() -> None:
+    text = report()
+    assert 'aria-label="Stanford diagram, horizontal"' in text and 'aria-label="Stanford diagram, vertical"' in text
+    assert "protection_vertical_ratio_median" in text
+
+
 def test_the_page_is_whole_and_loads_nothing_from_anywhere() -> None:
     text = report()
     checker = Checker()
