@@ -8,7 +8,7 @@ SEED ?= 1
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers bench drives picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers bench drives integrity picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
