@@ -21,6 +21,7 @@ from .judging import Judge
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import QUIET_S, SPEED_LIMIT, UNSETTLED, at_rest, length
+from .trail import Trail
 from .watch import Watch, block
 from .wheels import PERIOD_S as WHEELS_PERIOD_S
 from .wheels import SLOWEST_M_S, NonHolonomic, WheelSpeed
@@ -68,6 +69,7 @@ class Engine:
         self.counts = Counts()
         self.last: Sample | None = None
         self.filter: ErrorStateFilter | None = None
+        self.trail: Trail | None = None  # of whatever filter runs, for a smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
         self.watch = Watch()
@@ -210,6 +212,8 @@ class Engine:
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
         self.filter, self._alignment, self._why = started, None, ""
         self.watch = self.watch.begun(measurement.time_ns, started)
+        if self.trail is not None:
+            self.trail.follow(started)
         self._rest, self._rest_s = UNSETTLED, 0.0
         self._count_position(measurement.time_ns, used=True)
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)

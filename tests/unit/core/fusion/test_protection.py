@@ -80,9 +80,19 @@ def test_a_level_does_not_depend_on_where_north_is(turn: float, major: float, ra
     assert level == pytest.approx(major * circle_factor(ratio, 1e-3), rel=1e-6)
 
 
-def watch(**changes: object) -> Watch:
+KNOWING = Watch(used_ns=SECOND_NS, anchored=(4.0, 1.0, 2.0, 9.0))
+
+
+def watch(
+    position: Evidence | None = None,
+    *,
+    anchored: tuple[float, float, float, float] = KNOWING.anchored,
+    pulled: tuple[float, float] = (0.0, 0.0),
+    contested: tuple[float, float] = (0.0, 0.0),
+) -> Watch:
     """Make one that knows nothing but that a position was just used."""
-    return replace(Watch(used_ns=SECOND_NS, anchored=(4.0, 1.0, 2.0, 9.0), position=learnt(white(400))), **changes)
+    known = learnt(white(400)) if position is None else position
+    return replace(KNOWING, position=known, anchored=anchored, pulled=pulled, contested=contested)
 
 
 def white(count: int, seed: int = 1) -> FloatArray:
