@@ -85,7 +85,7 @@ class Navigator:
     def imu(
         self, time_ns: int, force: Sequence[float], rate: Sequence[float], received_ns: int | None = None
     ) -> list[Outcome]:
-        """Take one inertial sample.
+        """Take one inertial sample, and use what has waited for it: `advance` and `release` in one.
 
         Parameters
         ----------
@@ -103,8 +103,11 @@ class Navigator:
         list of Outcome
             What became of the measurements that were used now.
         """
-        arrival_ns = time_ns if received_ns is None else received_ns
-        outcomes = self._release(arrival_ns) if self._held and self._held[0][0] <= arrival_ns else []
+        outcomes = self.advance(time_ns, force, rate)
+        return outcomes + self.release(time_ns if received_ns is None else received_ns)
+
+    def advance(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> list[Outcome]:
+        """Take one inertial sample, without what has waited for it: that can take twenty times as long."""
         fx, fy, fz = force
         wx, wy, wz = rate
         credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
@@ -112,11 +115,10 @@ class Navigator:
         if not credible or (last is not None and time_ns <= last[0]):
             self.samples_rejected += 1
             self.rejects[self._went_back() if credible else _fault(force, rate)] += 1
-            return outcomes
+            return []
         self._backwards = 0
         self.samples_used += 1
-        outcomes += self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)))
-        return outcomes
+        return self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)))
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -264,8 +266,8 @@ class Navigator:
             integrity_risk=levels.risk,
         )
 
-    def _release(self, received_ns: int) -> list[Outcome]:
-        """Use what has waited long enough."""
+    def release(self, received_ns: int) -> list[Outcome]:
+        """Use what has waited long enough, when a sample has arrived at `received_ns`."""
         outcomes: list[Outcome] = []
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
