@@ -26,6 +26,7 @@ from .delayed import DelayedEngine
 from .engine import Counts, Sample
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
+from .protection import protection_levels
 from .settings import Settings
 from .trail import Trail
 from .wheels import WheelSpeed
@@ -59,6 +60,9 @@ class Solution:
     gyroscope_bias: Vector
     stationary: bool
     gnss_age_s: float | None
+    protection_level_horizontal: float  # [m] beyond which the error is with probability `integrity_risk`
+    protection_level_vertical: float  # [m] the same of the height
+    integrity_risk: float
 
 
 class Navigator:
@@ -232,6 +236,15 @@ class Navigator:
             return None
         roll, pitch, yaw = roll_pitch_yaw(navigation.ned_from_body)
         time_ns = navigation.inertial.time_ns
+        position_cov = navigation.P[em.POSITION, em.POSITION]
+        levels = protection_levels(
+            position_cov.tolist(),
+            navigation.inertial.velocity,
+            time_ns,
+            engine.watch,
+            risk=self.settings.integrity_risk,
+            time_sd_s=self.settings.gnss_time_sd_s,
+        )
         return Solution(
             time_ns=time_ns,
             phase=engine.phase,
@@ -240,7 +253,7 @@ class Navigator:
             roll=roll,
             pitch=pitch,
             yaw=yaw,
-            position_cov=navigation.P[em.POSITION, em.POSITION],
+            position_cov=position_cov,
             velocity_cov=navigation.P[em.VELOCITY, em.VELOCITY],
             attitude_cov=navigation.P[em.ATTITUDE, em.ATTITUDE],
             rate=navigation.rate,
@@ -248,6 +261,9 @@ class Navigator:
             gyroscope_bias=navigation.gyroscope_bias,
             stationary=engine.stationary,
             gnss_age_s=None if engine.accepted_ns is None else (time_ns - engine.accepted_ns) * 1e-9,
+            protection_level_horizontal=levels.horizontal,
+            protection_level_vertical=levels.vertical,
+            integrity_risk=levels.risk,
         )
 
     def release(self, received_ns: int) -> list[Outcome]:
