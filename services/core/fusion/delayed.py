@@ -17,7 +17,8 @@ from .settings import Settings
 KEPT_EVERY = 8  # samples between two copies of the engine
 
 
-def _order(measurement: Measurement) -> tuple[int, int, str]:
+def order(measurement: Measurement) -> tuple[int, int, str]:
+    """Key by which measurements are used."""
     return measurement.time_ns, measurement.received_ns, measurement.source
 
 
@@ -73,7 +74,7 @@ class DelayedEngine:
         reached_ns = self.engine.last.time_ns if self.engine.last else None
         if reached_ns is not None and measurement.time_ns <= reached_ns:
             return self._go_back_for(measurement)
-        insort(self._measurements, measurement, key=_order)
+        insort(self._measurements, measurement, key=order)
         return []
 
     def _go_back_for(self, measurement: Measurement) -> list[Outcome]:
@@ -82,7 +83,7 @@ class DelayedEngine:
         while self._copies[-1][0] >= measurement.time_ns:
             self._copies.pop()
         stamp, kept = self._copies[-1]
-        insort(self._measurements, measurement, key=_order)
+        insort(self._measurements, measurement, key=order)
         self.engine = kept.fork()
         self._fresh = 0
         again = [sample for sample in self._samples if sample.time_ns > stamp]

@@ -22,7 +22,7 @@ from shared.messages import NavigationPhase
 from . import error_model as em
 from .aiding import Measurement, Outcome
 from .delayed import DelayedEngine
-from .engine import Counts, Sample
+from .engine import Counts, Engine, Sample
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .settings import Settings
@@ -166,6 +166,11 @@ class Navigator:
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
         self._delayed.remember(prior)
+
+    @property
+    def engine(self) -> Engine:
+        """The estimator as of the newest sample."""
+        return self._delayed.engine
 
     @property
     def phase(self) -> NavigationPhase:
