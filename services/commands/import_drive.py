@@ -1,15 +1,20 @@
-"""`obu import`: a folder of CSV files becomes a recording of typed messages."""
+"""`obu import`: a folder of tables (CSV, text, NumPy arrays) becomes a recording of typed messages."""
 
 import csv
 import hashlib
 import heapq
 import json
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Annotated
+from zipfile import BadZipFile
 
+import numpy as np
+import numpy.typing as npt
 import typer
 from rich.console import Console
 from rich.progress import Progress
@@ -25,20 +30,20 @@ from shared.topics import BY_MESSAGE
 
 from .importing.convert import Converted, Imported, convert, wanted_columns
 from .importing.mapping import Mapping, parse_mapping
-from .importing.schema import CsvFile
-from .importing.table import Table, read_table
+from .importing.schema import TableFile
+from .importing.table import Table, arrays_table, read_table
 from .recordings import progress_on
 
 
 def import_drive(
     mapping: Annotated[Path, typer.Argument(help="TOML file that says what the columns mean.")],
-    folder: Annotated[Path, typer.Argument(help="Folder with the CSV files.")],
+    folder: Annotated[Path, typer.Argument(help="Folder with the files that the mapping names.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write.")] = Path("drive.mcap"),
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the one the mapping names.")
     ] = None,
 ) -> int:
-    """Turn a folder of CSV files (IMU, GNSS, speed, truth) into a recording.
+    """Turn a folder of files (IMU, GNSS, speed, truth; CSV, text or .npz) into a recording.
 
     Example: [bold]obu import deploy/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
     """
@@ -55,6 +60,8 @@ def import_drive(
         parts = [_read(table, folder, spec.start_utc_s, progress) for table in spec.files()]
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)
+    for sentence in spec.made():
+        print(sentence)
     return 0
 
 
@@ -84,10 +91,16 @@ def _vehicle(spec: Mapping, mapping: Path, vehicle: Path | None) -> VehicleFile:
     return parse_vehicle("", "<no vehicle file>")
 
 
-def _read(spec: CsvFile, folder: Path, start_s: float, progress: Progress) -> Part:
+def _read(spec: TableFile, folder: Path, start_s: float, progress: Progress) -> Part:
     path = folder / spec.file
     task = progress.add_task(f"reading {spec.file}", total=path.stat().st_size)
     digest = hashlib.sha256()
+    if path.suffix == ".npz":
+        data = path.read_bytes()
+        digest.update(data)
+        progress.advance(task, len(data))
+        table = arrays_table(_arrays(data, spec.file), wanted_columns(spec), spec.file)
+        return Part(spec.file, digest.hexdigest(), convert(spec, table, start_s=start_s))
 
     def lines() -> Iterator[str]:
         with path.open("rb") as file:
@@ -100,15 +113,29 @@ def _read(spec: CsvFile, folder: Path, start_s: float, progress: Progress) -> Pa
     return Part(spec.file, digest.hexdigest(), convert(spec, table, start_s=start_s))
 
 
-def _table(spec: CsvFile, lines: Iterator[str]) -> Table:
+def _arrays(data: bytes, name: str) -> dict[str, npt.NDArray[np.generic]]:
+    try:
+        with np.lib.npyio.NpzFile(BytesIO(data), allow_pickle=False) as archive:
+            return {key: archive[key] for key in archive.files}
+    except (OSError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+        raise UserError(f"{name} is no archive of NumPy arrays ({error}); write it with numpy.savez") from error
+
+
+def _table(spec: TableFile, lines: Iterator[str]) -> Table:
     skipped = islice(lines, spec.skip_rows, None)
-    rows = csv.reader(skipped, delimiter=spec.separator, skipinitialspace=True)
+    rows = _rows(spec, skipped)
     try:
         # A byte order mark, as spreadsheets write it, is no part of the first name.
         header = list(spec.header) or [name.strip().lstrip("\ufeff") for name in next(rows, [])]
         return read_table(rows, header, wanted_columns(spec), spec.file)
     except csv.Error as error:
         raise UserError(f"{spec.file} is no CSV file ({error}); check `file` and `separator` in the mapping") from error
+
+
+def _rows(spec: TableFile, lines: Iterator[str]) -> Iterator[list[str]]:
+    if spec.separator == "whitespace":
+        return (line.split() for line in lines)
+    return csv.reader(lines, delimiter=spec.separator, skipinitialspace=True)
 
 
 def _arrival_ns(message: Imported) -> int:
@@ -123,6 +150,7 @@ def _provenance(spec: Mapping, text: str, parts: list[Part]) -> dict[str, str]:
         "files": json.dumps({part.name: part.sha256 for part in parts}),
         "truth_is": spec.truth_is,
         "truth_quantities": ",".join(spec.truth_quantities),
+        "made": " ".join(spec.made()),
     }
 
 

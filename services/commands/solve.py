@@ -4,7 +4,7 @@ import csv
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -29,19 +29,22 @@ from shared.offline import OfflineUnit
 
 from .importing.table import read_table
 from .recordings import open_recording, progress_on, tell_problems, vehicle_of
+from .solving.drift import drift_lines
 from .solving.errors import errors_against
 from .solving.export import csv_lines, kml_text
 from .solving.inputs import Inputs, all_fixes, arrival_of, inputs_of
 from .solving.metrics import Run, Value, metrics_of
 from .solving.outages import Outages
+from .solving.overrides import SWITCHES, Aiding, with_settings
 from .solving.reference import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
 from .solving.report import Heading, page, summary
 from .solving.tally import Tally
 from .solving.track import TrackBuilder
 
 
-def solve(
+def solve(  # noqa: PLR0913  # one argument an option
     recording: Annotated[Path, typer.Argument(help="A recording, from `obu record` or `obu import`.")],
+    *,
     truth: Annotated[
         str | None,
         typer.Option(help="fixes, recorded, none, or a CSV file; without it what the recording says of itself."),
@@ -50,7 +53,25 @@ def solve(
         Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the recorded one.")
     ] = None,
     outage: Annotated[
-        str | None, typer.Option(help="Take GNSS away: 10/30 is for 10 s of every 30 s, once the filter is aligned.")
+        str | None,
+        typer.Option(
+            help="Take GNSS away: 10/30 is for 10 s of every 30 s once the filter is aligned, 60/180@650 for 60 s of "
+            "every 180 s from 650 s after the first input on."
+        ),
+    ] = None,
+    score_from: Annotated[
+        float, typer.Option(min=0.0, help="Seconds after the first input whose errors are in no root mean square.")
+    ] = 0.0,
+    aiding: Annotated[
+        Aiding | None,
+        typer.Option(
+            help="What helps besides GNSS: free is nothing but standstill, nhc wheels that do not slide, odometer "
+            "those and the speed; without it what the vehicle's file says."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A setting in place of the vehicle's, such as core.fusion.odometer=false."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results; without it the recording's name and -solution.")
@@ -59,11 +80,16 @@ def solve(
 ) -> int:
     """Run the whole unit over a recording, and write solution.csv, solution.kml, metrics.json and report.html.
 
-    Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]
+    Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]  |
+    [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]  |
+    [bold]obu solve drive.mcap --set core.fusion.gnss_delay_s=0.1[/]
     """
     outages = Outages.parse(outage) if outage is not None else None
     console = Console(stderr=True)
-    drive = _read(recording, vehicle, console)
+    changes = (*(SWITCHES[aiding] if aiding else ()), *(settings or ()))
+    drive = _changed(_read(recording, vehicle, console), changes)
+    if outages is not None:
+        outages.recording_ns = drive.first_ns
     given, by_fixes = _given_truth(drive, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with progress_on(console) as progress:
@@ -75,9 +101,10 @@ def solve(
     reference = (
         _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
     )
-    run = _judged(drive, solved, reference, fixes)
+    run = replace(_judged(drive, solved, reference, fixes), scored_from_ns=drive.first_ns + round(score_from * 1e9))
     metrics = metrics_of(run)
-    heading = Heading(drive.name, reference.description if reference else "none was given", outage, _facts(drive))
+    truth_is = reference.description if reference else "none was given"
+    heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), drive.provenance.get("made", ""))
     _write(folder, run, reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
@@ -132,6 +159,13 @@ def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
     _check(path, inputs)
     provenance = recording.metadata.get("provenance", {})
     return Drive(provenance.get("name", path.stem), path.name, inputs, vehicle_of(recording, vehicle), provenance)
+
+
+def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
+    """Put settings of the command line in the place of the vehicle's, and fail at once if they are wrong."""
+    changed = replace(drive, vehicle=with_settings(drive.vehicle, changes))
+    OfflineUnit(changed.vehicle)
+    return changed
 
 
 def _check(path: Path, inputs: Inputs) -> None:
@@ -255,11 +289,12 @@ def _by_fixes(drive: Drive, fixes: list[GnssFix]) -> Reference:
     return from_fixes(fixes, delay_s=config.gnss_delay_s, velocity_delay_s=config.gnss_velocity_delay_s)
 
 
-def _facts(drive: Drive) -> list[tuple[str, str]]:
+def _facts(drive: Drive, changes: tuple[str, ...]) -> list[tuple[str, str]]:
     files = json.loads(drive.provenance.get("files", "{}"))
     return [
         ("recording", drive.file),
         ("vehicle", drive.vehicle.name),
+        *(("set", change) for change in changes),
         *((name, f"SHA-256 {digest}") for name, digest in files.items()),
         *((topic, f"{count} messages") for topic, count in sorted(drive.inputs.topics.items())),
     ]
@@ -273,6 +308,9 @@ def _write(folder: Path, run: Run, reference: Reference | None, heading: Heading
         with (folder / "solution.csv").open("w", encoding="utf-8") as file:
             file.writelines(csv_lines(run.track))
         (folder / "solution.kml").write_text(kml_text(run.track, heading.name), encoding="utf-8")
+        if heading.outage is not None:
+            with (folder / "outages.csv").open("w", encoding="utf-8") as file:
+                file.writelines(drift_lines(run.drifts(), run.first_ns))
         (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
         (folder / "report.html").write_text(report, encoding="utf-8")
     except OSError as error:

@@ -29,6 +29,7 @@ class Heading:
     truth: str
     outage: str | None
     facts: Sequence[tuple[str, str]]  # of the recording: what, and how it is
+    made: str = ""  # what of the recording no sensor has measured
 
 
 def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure]) -> str:
@@ -83,7 +84,7 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"{_metres(metrics['vertical_rmse_m'])}."
         )
     if metrics["outage_count"]:
-        gap_s, _, period_s = (heading.outage or "").partition("/")
+        gap_s, _, period_s = (heading.outage or "").partition("@")[0].partition("/")
         often = "once" if metrics["outage_count"] == 1 else f"{metrics['outage_count']} times"
         found.append(
             f"GNSS was taken away {often}, for {gap_s} s of every {period_s} s; at the end of an outage the horizontal "
@@ -93,6 +94,8 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
     if metrics["innovation_horizontal_rms_m"] is not None:
         found.append(f"One fix ahead, positions are predicted to {_metres(metrics['innovation_horizontal_rms_m'])}.")
     found.append(f"The truth is: {heading.truth}.")
+    if heading.made:
+        found.append(heading.made)
     return found
 
 

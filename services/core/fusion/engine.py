@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import replace
 from math import hypot, radians, sqrt
 from typing import NamedTuple
 
@@ -10,12 +11,14 @@ from shared.maths.rotation import Vector
 from shared.messages import AidingKind, NavigationPhase
 
 from . import error_model as em
-from .aiding import Measurement, Observation, Outcome
+from .aiding import Measurement, Outcome
 from .alignment import Alignment
+from .baseline import BaselineHeading
+from .compass import CompassCheck, MagneticHeading
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Prior
-from .kalman import chi_square_limit
+from .judging import Judge
 from .ordinary import GAP_S, NEVER, Rows, Run, Stamps
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
@@ -32,11 +35,6 @@ LOST_YAW_SD = radians(20.0)
 ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
 ZERO_SDS = 3.0  # of the velocity, within which a speed of zero is believed
 COASTING, NAVIGATING = NavigationPhase.COASTING, NavigationPhase.NAVIGATING  # looked up for every sample
-# A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
-WIDENING = {
-    AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
-    AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
-}
 
 
 class Sample(NamedTuple):
@@ -74,11 +72,13 @@ class Engine:
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
+        self._judge = Judge(settings)
         self._rest = UNSETTLED
         self._rest_turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] of the rest since its last update
         self._rest_s = 0.0
         self._rolling_s = 0.0  # since the wheels were last held against the filter
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
+        self._compass = CompassCheck()
         self._rejections = 0  # successive positions
         self._why = ""  # the solution was lost
 
@@ -88,6 +88,7 @@ class Engine:
         twin.__dict__.update(self.__dict__)
         twin.filter = self.filter.fork() if self.filter else None
         twin._alignment = self._alignment.fork() if self._alignment else None
+        twin._judge = self._judge.fork()
         return twin
 
     def remember(self, prior: Prior) -> None:
@@ -191,38 +192,22 @@ class Engine:
             return []
         if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, self.filter):
             return []
+        if isinstance(measurement, MagneticHeading):
+            self._compass = self._compass.judged(measurement, self.filter)
+            measurement = replace(measurement, check=self._compass)
         outcomes = []
         try:
             for observe in measurement.observers():
-                outcomes.append(self._judge(self.filter, measurement, observe(self.filter)))
+                outcome = self._judge.judge(self.filter, measurement, observe(self.filter))
+                outcomes.append(outcome)
+                if outcome.kind is AidingKind.GNSS_POSITION:
+                    self._count_position(measurement.time_ns, outcome.used)
         except FilterDiverged as error:
             self._reset(measurement.time_ns, str(error), yaw_sd=None)
         if self._is_astray(measurement.time_ns):
             self._reset(measurement.time_ns, f"{self._rejections} positions in a row rejected", LOST_YAW_SD)
             self._align(measurement)
         return outcomes
-
-    def _judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
-        """Use an observation if its d² is within the limit of d²."""
-        correction = navigation.weigh(seen.z, seen.H, seen.R)
-        ratio = correction.distance2 / chi_square_limit(len(seen.z), self._settings.gate_false_alarm)
-        used = ratio <= 1.0
-        if used:
-            navigation.accept(correction)
-        elif seen.kind in WIDENING:
-            navigation.widen(**WIDENING[seen.kind])
-        if seen.kind is AidingKind.GNSS_POSITION:
-            self._count_position(measurement.time_ns, used)
-        return Outcome(
-            measurement.time_ns,
-            measurement.source,
-            seen.kind,
-            tuple(seen.z.tolist()),
-            tuple(correction.innovation_sd.tolist()),
-            ratio,
-            used,
-            None if used else "beyond the gate",
-        )
 
     def _count_position(self, time_ns: int, used: bool) -> None:
         counts = self.counts
@@ -243,6 +228,8 @@ class Engine:
         assert self._alignment is not None
         if isinstance(measurement, GnssVelocity):
             self._alignment.see_velocity(measurement)
+        elif isinstance(measurement, BaselineHeading):
+            self._alignment.see_heading(measurement)
         started = self._alignment.start_at(measurement) if isinstance(measurement, GnssPosition) else None
         if started is None:
             return

@@ -79,6 +79,7 @@ class ErrorStateFilter:
             (em.GYROSCOPE_BIAS, settings.gyroscope_bias_psd_rad2_s3),
             (em.ODOMETER_SCALE, SCALE_PSD),
             (em.MOUNTING, MOUNTING_PSD),
+            (em.BAROMETER_OFFSET, settings.barometer_walk_m_sqrt_s**2 if settings.barometer else 0.0),
         )
 
     def fork(self) -> "ErrorStateFilter":

@@ -19,6 +19,7 @@ from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector, roll_pitch_yaw
 from shared.messages import NavigationPhase
 
+from . import barometer, compass
 from . import error_model as em
 from .aiding import Measurement, Outcome
 from .delayed import DelayedEngine
@@ -73,7 +74,7 @@ class Navigator:
         self.samples_rejected = 0
         self._delayed = DelayedEngine(self.settings)
         self._backwards = 0
-        self._speed_ns: dict[str, int] = {}  # stamp of the newest speed of each device
+        self._used_ns: dict[str, int] = {}  # stamp of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -157,11 +158,40 @@ class Navigator:
 
         It is `exact` if it is that of both rear wheels, and its resolution [m/s] is the step in which it comes.
         """
-        if not self.settings.odometer or time_ns - self._speed_ns.get(source, 0) < SPEED_PERIOD_NS:
+        if not self.settings.odometer or not self._is_due(f"{source}/speed", time_ns, SPEED_PERIOD_NS):
             return
-        self._speed_ns[source] = time_ns
         arrival_ns = time_ns if received_ns is None else received_ns
         self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
+
+    def pressure(
+        self, time_ns: int, pressure_pa: float, *, received_ns: int | None = None, source: str = "barometer"
+    ) -> None:
+        """Take a static pressure [Pa] at a stamp; one a second is used."""
+        if not self.settings.barometer or not self._is_due(f"{source}/pressure", time_ns, barometer.PERIOD_NS):
+            return
+        if not barometer.LOWEST_PA <= pressure_pa <= barometer.HIGHEST_PA:
+            self.rejects["pressure of no road"] += 1
+            return
+        height = barometer.pressure_height(pressure_pa)
+        arrival_ns = time_ns if received_ns is None else received_ns
+        self.measure(barometer.BarometricHeight(time_ns, arrival_ns, source, height, self.settings))
+
+    def magnetic_field(
+        self, time_ns: int, field_b: Vector, *, received_ns: int | None = None, source: str = "compass"
+    ) -> None:
+        """Take a magnetic field [body, 1 where it was calibrated] at a stamp; one a second is used."""
+        if not self.settings.compass or not self._is_due(f"{source}/field", time_ns, compass.PERIOD_NS):
+            return
+        arrival_ns = time_ns if received_ns is None else received_ns
+        declination = self.settings.magnetic_declination_rad
+        self.measure(compass.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
+
+    def _is_due(self, key: str, time_ns: int, period_ns: int) -> bool:
+        """Whether the newest used value of a device is so old; values from the past are not due."""
+        if 0 <= time_ns - self._used_ns.get(key, time_ns - period_ns) < period_ns:
+            return False
+        self._used_ns[key] = time_ns
+        return True
 
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""

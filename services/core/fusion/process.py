@@ -66,6 +66,7 @@ class Process:
             self.rejects["samples of a second imu"] += 1
             return
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
+        translate.give_environment(self._navigator, batch)
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         for sampled_ns, force, rate in samples:
             outcomes = self._navigator.imu(sampled_ns, force, rate, batch.received_ns)

@@ -10,6 +10,7 @@ from services.commands.import_drive import import_drive
 from services.commands.solve import solve
 from services.commands.solving.export import HEADER
 from services.commands.solving.metrics import METRICS, TIMINGS
+from services.commands.solving.overrides import Aiding
 from services.sensors.simulator.drive import simulate
 from services.sensors.simulator.world import messages
 from shared.bus import Envelope
@@ -82,6 +83,21 @@ def test_outages_take_fixes_away_and_are_judged_and_the_metrics_are_printed(
     assert {name: found[name] for name in METRICS} == cut
     assert found["realtime_factor"] > 5.0
     assert printed.err == "", "no progress bar where nobody watches"
+
+
+def test_outages_at_fixed_times_are_listed_and_settings_take_the_place_of_the_vehicles(
+    recording: Path, tmp_path: Path
+) -> None:
+    solve(recording, outage="5/15@30", score_from=20.0, aiding=Aiding.FREE, out=tmp_path)
+    with (tmp_path / "outages.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["start_s"]) for row in rows] == [30.0, 45.0, 60.0]
+    found = metrics_in(tmp_path)
+    assert found["outage_end_error_max_m"] == pytest.approx(max(float(row["end_error_m"]) for row in rows), abs=1e-4)
+    assert found["truth_count"] == pytest.approx(500, abs=5), "50 of 70 s at 10 Hz"
+    assert "core.fusion.non_holonomic=false" in (tmp_path / "report.html").read_text()
+    with pytest.raises(UserError, match="did you mean 'odometer'"):
+        solve(recording, settings=["core.fusion.odometr=true"], out=tmp_path)
 
 
 def test_the_same_recording_gives_the_same_files(recording: Path, solution: Path, tmp_path: Path) -> None:
