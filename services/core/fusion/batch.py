@@ -1,6 +1,6 @@
 """A whole log at once: all samples and measurements are there, and each is used when it was true."""
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -10,7 +10,8 @@ from .aiding import Measurement
 from .delayed import order
 from .engine import Sample
 from .navigator import FORCE_LIMIT, RATE_LIMIT, Navigator, Solution
-from .ordinary import Rows, Run, Stamps, run
+from .ordinary import Run
+from .stretch import Stretch
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -50,29 +51,20 @@ def solve(
     usable = _usable(stamps_ns, samples)
     navigator.samples_used += int(usable.sum())
     navigator.samples_rejected += int((~usable).sum())
-    stamps_ns, samples = np.ascontiguousarray(stamps_ns[usable]), np.ascontiguousarray(samples[usable])
-    stamps, rows = stamps_ns.tolist(), samples.tolist()
-    pending = sorted(measurements, key=order)
-    due_ns = [measurement.time_ns for measurement in pending]
-    engine = navigator.engine
-    here = used = 0
-    while here < len(stamps):
-        period_end_ns = (stamps[max(here - 1, 0)] // every_ns + 1) * every_ns
-        stop = min(bisect_left(stamps, period_end_ns, here) + 1, len(stamps))
-        if used < len(due_ns):
-            stop = min(stop, bisect_left(stamps, due_ns[used], here))
-        taken = 0
-        if here and stop > here:
-            times: Stamps = stamps_ns[here - 1 : stop] if compiled else stamps[here - 1 : stop]
-            block: Rows = samples[here:stop] if compiled else rows[here:stop]
-            taken = engine.stride(compiled or run, times, block)
-            here += taken
-        if here < stop or not taken:
-            fx, fy, fz, wx, wy, wz = rows[here]
-            first, used = used, bisect_right(due_ns, stamps[here], used)
-            engine.step(Sample(stamps[here], (fx, fy, fz), (wx, wy, wz)), pending[first:used])
-            here += 1
-        if stamps[here - 1] >= period_end_ns and (solution := navigator.solution()) is not None:
+    stamps: list[int] = stamps_ns[usable].tolist()
+    rows: list[list[float]] = samples[usable].tolist()
+    if not stamps:
+        return
+    engine, pending = navigator.engine, sorted(measurements, key=order)
+    (fx, fy, fz, wx, wy, wz), here = rows[0], 0
+    engine.step(Sample(stamps[0], (fx, fy, fz), (wx, wy, wz)), [])
+    stretch = Stretch(stamps, rows[1:], compiled)
+    while here + 1 < len(stamps):
+        next_period_ns = (stamps[here] // every_ns + 1) * every_ns
+        stop = min(bisect_left(stamps, next_period_ns, here + 1), len(stamps) - 1)
+        stretch.through(engine, here, stop, pending)
+        here = stop
+        if stamps[here] >= next_period_ns and (solution := navigator.solution()) is not None:
             yield solution
 
 

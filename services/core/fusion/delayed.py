@@ -12,9 +12,11 @@ from collections.abc import Sequence
 from .aiding import Measurement, Outcome
 from .engine import Engine, Sample
 from .heading import Prior
+from .ordinary import Run
 from .settings import Settings
+from .stretch import Stretch
 
-KEPT_EVERY = 8  # samples between two copies of the engine
+KEPT_EVERY = 16  # samples between two copies of the engine
 
 
 def order(measurement: Measurement) -> tuple[int, int, str]:
@@ -25,8 +27,9 @@ def order(measurement: Measurement) -> tuple[int, int, str]:
 class DelayedEngine:
     """Engine for samples in order and measurements in any order, up to a time back."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, compiled: Run | None = None) -> None:
         self._settings = settings
+        self._compiled = compiled
         self.engine = Engine(settings)
         self._horizon_ns = int(settings.history_s * 1e9)
         self._samples: deque[Sample] = deque()
@@ -41,7 +44,7 @@ class DelayedEngine:
 
     def restarted(self, why: str) -> "DelayedEngine":
         """Begin again from nothing, with the counts kept."""
-        fresh = DelayedEngine(self._settings)
+        fresh = DelayedEngine(self._settings, self._compiled)
         fresh.engine.begin_after(self.engine.counts, why)
         return fresh
 
@@ -87,13 +90,14 @@ class DelayedEngine:
         self.engine = kept.fork()
         self._fresh = 0
         again = [sample for sample in self._samples if sample.time_ns > stamp]
+        stretch = Stretch([stamp, *(s.time_ns for s in again)], [[*s.force, *s.rate] for s in again], self._compiled)
         outcomes: list[Outcome] = []
-        for sample in again:
-            outcomes += self.engine.step(sample, self._between(stamp, sample.time_ns))
-            stamp = sample.time_ns
-            self._fresh += 1
-            if self._fresh >= KEPT_EVERY:
-                self._copies.append((stamp, self.engine.fork()))
+        for here in range(0, len(again), KEPT_EVERY):
+            stop = min(here + KEPT_EVERY, len(again))
+            outcomes += stretch.through(self.engine, here, stop, self._measurements)
+            self._fresh = stop - here
+            if self._fresh == KEPT_EVERY:
+                self._copies.append((again[stop - 1].time_ns, self.engine.fork()))
                 self._fresh = 0
         return [o for o in outcomes if o.time_ns == measurement.time_ns and o.source == measurement.source]
 

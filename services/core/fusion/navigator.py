@@ -26,6 +26,7 @@ from .delayed import DelayedEngine
 from .engine import Counts, Engine, Sample
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
+from .ordinary import Run
 from .settings import Settings
 from .wheels import WheelSpeed
 
@@ -67,12 +68,12 @@ class Navigator:
     order; then it is used at the instant at which it was true.
     """
 
-    def __init__(self, settings: Settings | None = None) -> None:
+    def __init__(self, settings: Settings | None = None, compiled: Run | None = None) -> None:
         self.settings = settings or Settings()
         self.rejects: Counter[str] = Counter()
         self.samples_used = 0
         self.samples_rejected = 0
-        self._delayed = DelayedEngine(self.settings)
+        self._delayed = DelayedEngine(self.settings, compiled)
         self._backwards = 0
         self._used_ns: dict[str, int] = {}  # stamp of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
