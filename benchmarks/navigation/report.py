@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from math import degrees
 from pathlib import Path
@@ -25,6 +26,14 @@ from .runs import REPOSITORY, Metrics, data_folder, import_drives, jobs_of, pres
 RESULTS = REPOSITORY / "benchmarks" / "results"
 PAGE = REPOSITORY / "docs" / "reference" / "drives.md"
 SPEED_SETS = ("rtk", "spp")
+NOTES = """
+`rtk` and `spp` are the two sets of `rtk_drive_57min`: errors of the 300 s after the protocol's start are left out,
+outages of 60 s come every 180 s in three runs shifted by 60 s. Those of `navmatlab` and `rtkexp` are shifted alike.
+`free` is GNSS, IMU and standstill; `nhc` adds wheels that do not slide; `odometer` and `wheel` add the speed as well.
+The odometer of `navmatlab` is made from its reference with 0.1 m/s of noise, for the car had none. Recordings are not
+part of the repository; docs/how-to/import-a-drive.md says how to come by a recording of your own.
+
+"""
 HEAD = "<!-- Printed by `make drives` from benchmarks/results/navigation.json; a test holds it to that file. -->\n\n"
 
 
@@ -42,6 +51,7 @@ class Document(TypedDict):
     measured_at: str
     machine: str
     load_before: float
+    quick: bool  # of runs that are shifted against each other the first alone
     cases: dict[str, Metrics]
     speed: dict[str, Cost]
     peers: dict[str, PeerResult]
@@ -51,6 +61,8 @@ def main(arguments: Sequence[str]) -> int:
     """Measure the drives that are there."""
     options = _options(arguments)
     cases = {key: case for key, case in CASES.items() if not options.only or case.drive in options.only}
+    if options.quick:
+        cases = {key: replace(case, outages=case.outages[:1]) for key, case in cases.items()}
     drives = present(case.drive for case in cases.values())
     if not drives:
         print(f"no drive is measured: {data_folder()} holds none of them; set OBU_DATA to the folder of the recordings")
@@ -64,6 +76,7 @@ def main(arguments: Sequence[str]) -> int:
     document = Document(
         measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
         machine=machine(),
+        quick=options.quick,
         load_before=round(load, 2),
         cases=measured,
         speed=speed,
@@ -77,6 +90,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.navigation", description=__doc__)
     names = sorted({case.drive for case in CASES.values()})
     parser.add_argument("--only", nargs="+", choices=names, help="these drives alone; prints, and keeps nothing")
+    parser.add_argument("--quick", action="store_true", help="of the shifted runs the first alone")
     parser.add_argument("--keep", type=Path, help="folder in which recordings and reports are to stay")
     return parser.parse_args(arguments)
 
@@ -128,14 +142,11 @@ def page(document: Document) -> str:
     return (
         "# Accuracy on drives\n\n"
         f"Measured {document['measured_at']} on {document['machine']}; load {document['load_before']:.1f} before. "
-        "Peers: published or measured by others on the same data, none of them in this run.\n\n"
+        + ("**Of the shifted runs the first alone was made.** " if document["quick"] else "")
+        + "Peers: published or measured by others on the same data, none of them in this run.\n\n"
         + _markdown(("drive", "quantity", "ours", "goal", "holds", "peers"), list(_accuracy(document["cases"])))
-        + "\n`rtk` and `spp` are the two sets of `rtk_drive_57min`: errors of the 300 s after the protocol's start are "
-        "left out, outages of 60 s come every 180 s in three runs shifted by 60 s. `free` is GNSS, IMU and standstill; "
-        "`nhc` adds wheels that do not slide, `odometer` those and the speed. The odometer of `navmatlab` is made "
-        "from its reference with 0.1 m/s of noise, for the car had none. Recordings are not part of the repository; "
-        "docs/how-to/import-a-drive.md says how to come by a recording of your own.\n\n"
-        "## Cost of an inertial sample\n\n"
+        + NOTES
+        + "## Cost of an inertial sample\n\n"
         + _markdown(("program", "set", "CPU, us a sample", "peak memory, MB"), list(_costs(document)))
         + "\nOurs is the navigator alone, without reading the file; peers are whole programs, files included.\n\n"
         "## Peers in this run\n\n" + "".join(f"- {sentence}\n" for sentence in _peers(document["peers"]))

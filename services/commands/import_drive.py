@@ -5,8 +5,8 @@ import hashlib
 import heapq
 import json
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -24,13 +24,14 @@ from shared.bus import Envelope
 from shared.codec import encode, topic_name
 from shared.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.errors import UserError
-from shared.messages import ImuSamples, Message, TruthState
+from shared.messages import GnssFix, ImuSamples, Message, TruthState, VehicleSpeed
 from shared.recording import RecordingWriter
 from shared.topics import BY_MESSAGE
 
+from .importing.clocks import offset_of, shifted
 from .importing.convert import Converted, Imported, convert, wanted_columns
 from .importing.mapping import Mapping, parse_mapping
-from .importing.schema import TableFile
+from .importing.schema import Speed, TableFile
 from .importing.table import Table, arrays_table, read_table
 from .recordings import progress_on
 
@@ -50,17 +51,18 @@ def import_drive(
     text = _text(mapping)
     spec = parse_mapping(text, str(mapping))
     file = _vehicle(spec, mapping, vehicle)
-    for table in spec.files():
+    tables = [table for table in spec.files() if not table.optional or (folder / table.file).is_file()]
+    for table in tables:
         if not (folder / table.file).is_file():
             raise UserError(f"{folder} holds no file {table.file!r}; give the folder that holds it, or mend {mapping}")
     if output.exists():
         raise UserError(f"{output} exists already; name another file with --output, or remove it")
     console = Console(stderr=True)
     with progress_on(console) as progress:
-        parts = [_read(table, folder, spec.start_utc_s, progress) for table in spec.files()]
+        parts = _on_one_clock(tables, [_read(table, folder, spec.start_utc_s, progress) for table in tables])
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)
-    for sentence in spec.made():
+    for sentence in (*(part.clock for part in parts if part.clock), *spec.made()):
         print(sentence)
     return 0
 
@@ -72,6 +74,26 @@ class Part:
     name: str
     sha256: str
     converted: Converted
+    clock: str = ""  # how it was put onto that of the others, where it had to be
+
+
+def _on_one_clock(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
+    """Shift the speeds whose clock has nothing to do with the others."""
+    fixes = [message for part in parts for message in part.converted.messages if isinstance(message, GnssFix)]
+    return [
+        _shifted(part, fixes) if isinstance(table, Speed) and table.clock_by_speed else part
+        for table, part in zip(tables, parts, strict=True)
+    ]
+
+
+def _shifted(part: Part, fixes: Sequence[GnssFix]) -> Part:
+    speeds = [message for message in part.converted.messages if isinstance(message, VehicleSpeed)]
+    offset = offset_of(speeds, fixes)
+    clock = (
+        f"The clock of {part.name} was put {offset.seconds:+.3f} s further, where its speed agrees best with that of "
+        f"the fixes: to {offset.rms_m_s:.3f} m/s (RMS)."
+    )
+    return replace(part, converted=replace(part.converted, messages=shifted(speeds, offset.seconds)), clock=clock)
 
 
 def _text(path: Path) -> str:
@@ -157,6 +179,9 @@ def _provenance(spec: Mapping, text: str, parts: list[Part]) -> dict[str, str]:
 def _write(
     output: Path, parts: list[Part], vehicle: VehicleFile, provenance: dict[str, str], progress: Progress
 ) -> None:
+    firsts = [_arrival_ns(part.converted.messages[0]) for part in parts if part.converted.messages]
+    if min(firsts, default=0) < 0:
+        raise UserError("the clocks of the files begin before 1970; add `start_utc_s = 1e9` or later to the mapping")
     messages = heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns)
     task = progress.add_task(f"writing {output.name}", total=sum(len(part.converted.messages) for part in parts))
     draft = output.with_name(output.name + ".part")

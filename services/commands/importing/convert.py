@@ -162,7 +162,8 @@ def _speeds(spec: Speed, table: Table, sampled: Stamps, received: Stamps) -> Ite
     if spec.made_from is not None:
         speeds = _made_speeds(spec, spec.made_from, table)
     else:
-        speeds = (table[spec.column or ""] * units.SPEED[spec.unit]).tolist()
+        factor = units.SPEED[spec.unit] if spec.wheel_radius_m is None else units.RATE[spec.unit] * spec.wheel_radius_m
+        speeds = (table[spec.column or ""] * (-factor if spec.opposite else factor)).tolist()
     for stamp, arrival, speed in zip(sampled.tolist(), received.tolist(), speeds, strict=True):
         yield VehicleSpeed(
             sampled_ns=stamp,

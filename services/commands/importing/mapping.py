@@ -55,6 +55,8 @@ class Mapping(Section):
             raise ValueError("there is nothing to import: add [imu], [gnss], [speed] or [wheels]")
         if self.truth_is == "recorded" and self.truth is None:
             raise ValueError('truth_is = "recorded" needs a [truth] table')
+        if self.speed is not None and self.speed.clock_by_speed and self.gnss is None:
+            raise ValueError("`clock_by_speed` needs a [gnss] table")
         if self.truth_is == "fixes" and self.gnss is None:
             raise ValueError('truth_is = "fixes" needs a [gnss] table')
         return self

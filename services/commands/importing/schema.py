@@ -55,6 +55,7 @@ class TableFile(Section):
     """
 
     file: str
+    optional: bool = False  # a file that not every drive of the kind has
     separator: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
     skip_rows: int = Field(default=0, ge=0)
     header: tuple[str, ...] = ()
@@ -228,7 +229,10 @@ class Speed(TableFile):
 
     source: str = "speed"
     column: str | None = None
-    unit: units.SpeedUnit = "m/s"
+    unit: units.SpeedUnit | units.RateUnit = "m/s"
+    wheel_radius_m: float | None = Field(default=None, gt=0.0)  # of a wheel whose turning is the column
+    opposite: bool = False  # it is below zero while the vehicle drives forward
+    clock_by_speed: bool = False  # the file's clock is its own; where it is, the speed of the fixes says
     resolution_m_s: float | None = Field(default=None, gt=0.0)
     made_from: Velocity | None = None
     noise_sd_m_s: float = Field(default=0.0, ge=0.0)  # white, added to a speed that is made
@@ -238,6 +242,10 @@ class Speed(TableFile):
     def _one_origin(self) -> Self:
         if (self.column is None) == (self.made_from is None):
             raise ValueError("a speed is either a `column` or `made_from` the velocity of a reference")
+        if (self.unit in units.RATE) != (self.wheel_radius_m is not None):
+            raise ValueError("a wheel's turning needs `wheel_radius_m`, and a speed has none")
+        if self.unit not in units.RATE and self.unit not in units.SPEED:
+            raise ValueError(f"{self.unit!r} is no unit of a speed, nor of a wheel's turning")
         if self.column is not None and self.noise_sd_m_s:
             raise ValueError("`noise_sd_m_s` is for a speed that is made; what a sensor measured has its own noise")
         return self

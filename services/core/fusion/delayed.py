@@ -15,6 +15,7 @@ from .heading import Prior
 from .ordinary import Run
 from .settings import Settings
 from .stretch import Stretch
+from .trail import Trail
 
 KEPT_EVERY = 16  # samples between two copies of the engine
 
@@ -42,10 +43,17 @@ class DelayedEngine:
         for engine in (self.engine, *(copy for _, copy in self._copies)):
             engine.remember(prior)
 
+    def leave(self, trail: Trail) -> None:
+        """Keep a trail for a smoother, from the first sample on."""
+        self.engine.trail = trail
+
     def restarted(self, why: str) -> "DelayedEngine":
         """Begin again from nothing, with the counts kept."""
         fresh = DelayedEngine(self._settings, self._compiled)
         fresh.engine.begin_after(self.engine.counts, why)
+        if self.engine.trail is not None:
+            self.engine.trail.seal()
+            fresh.engine.trail = self.engine.trail
         return fresh
 
     def step(self, sample: Sample) -> list[Outcome]:
@@ -88,6 +96,8 @@ class DelayedEngine:
         stamp, kept = self._copies[-1]
         insort(self._measurements, measurement, key=order)
         self.engine = kept.fork()
+        if self.engine.trail is not None:
+            self.engine.trail.rewind(stamp)
         self._fresh = 0
         again = [sample for sample in self._samples if sample.time_ns > stamp]
         stretch = Stretch([stamp, *(s.time_ns for s in again)], [[*s.force, *s.rate] for s in again], self._compiled)

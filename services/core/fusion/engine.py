@@ -23,6 +23,7 @@ from .ordinary import GAP_S, NEVER, Rows, Run, Stamps
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import QUIET_S, SPEED_LIMIT, UNSETTLED, at_rest, length
+from .trail import Trail
 from .wheels import PERIOD_S as WHEELS_PERIOD_S
 from .wheels import SLOWEST_M_S, NonHolonomic, WheelSpeed
 
@@ -69,6 +70,7 @@ class Engine:
         self.counts = Counts()
         self.last: Sample | None = None
         self.filter: ErrorStateFilter | None = None
+        self.trail: Trail | None = None  # of whatever filter runs, for a smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
@@ -135,8 +137,8 @@ class Engine:
         `times_ns` begins with the stamp of the last sample, and no measurement is due before the last of them.
         """
         navigation = self.filter
-        if navigation is None or self.last is None:
-            return 0
+        if navigation is None or self.last is None or navigation.trail is not None:
+            return 0  # there is nothing to carry on, or a smoother wants to know of every step
         if self.phase is not COASTING:
             times_ns = times_ns[: bisect_right(times_ns, (self.accepted_ns or 0) + self._coasting_ns)]
         count = len(times_ns) - 1
@@ -235,6 +237,8 @@ class Engine:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
         self.filter, self._alignment, self._why = started, None, ""
+        if self.trail is not None:
+            self.trail.follow(started)
         self._rest, self._rest_s = UNSETTLED, 0.0
         self._count_position(measurement.time_ns, used=True)
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)

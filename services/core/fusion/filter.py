@@ -22,6 +22,7 @@ from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, Beside, Moment, Ro
 from .sampling import NO_SUMS, Shaking, means, take_sample
 from .settings import Settings
 from .strapdown import InertialState, motion_of, normalised
+from .trail import Trail
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -67,6 +68,7 @@ class ErrorStateFilter:
         self.parameters = parameters
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
         self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
+        self.trail: Trail | None = None  # is told what happens to the errors, for a smoother
         self._period_s = settings.covariance_period_s
         self._settings = settings
         self._last: tuple[Vector, Vector] | None = None  # sample as measured
@@ -169,6 +171,8 @@ class ErrorStateFilter:
         self.P = predict(self.P, F, self._noise(), since_s)
         self._sums = NO_SUMS
         self._check()
+        if self.trail is not None:
+            self.trail.stepped(self, F, since_s, None)
 
     def widen(self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0) -> None:
         """Admit more error [rad, m/s, m] than the model knows of."""
@@ -187,6 +191,8 @@ class ErrorStateFilter:
         self.P = self.P.copy()
         self.P[em.ODOMETER_SCALE] = self.P[:, em.ODOMETER_SCALE] = 0.0
         self.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE] = self._settings.odometer_scale_sd**2
+        if self.trail is not None:
+            self.trail.forgot(self.inertial.time_ns, em.ODOMETER_SCALE)
 
     def weigh(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
         """Work out what a measurement says, without believing it yet."""
@@ -195,8 +201,14 @@ class ErrorStateFilter:
 
     def accept(self, correction: Correction) -> None:
         """Take the estimated errors out of the state, where they are zero from then on."""
-        x = correction.x.tolist()
-        self.P = correction.P
+        self.take_out(correction.x, correction.P)
+        if self.trail is not None:
+            self.trail.corrected(self.inertial.time_ns, correction)
+
+    def take_out(self, errors: FloatArray, P: FloatArray) -> None:
+        """Move the state by errors, shape (30,), that leave the covariance P."""
+        x = errors.tolist()
+        self.P = P
         time_ns, quaternion, velocity, position = self.inertial
         self.inertial = InertialState(
             time_ns,

@@ -114,6 +114,10 @@ class Correction:
     P: FloatArray
     innovation_sd: FloatArray
     distance2: float  # normalised innovation squared, d²
+    z: FloatArray
+    H: FloatArray
+    K: FloatArray
+    S_inverse: FloatArray
 
 
 def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
@@ -152,7 +156,7 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
         np.linalg.cholesky(S)
     except np.linalg.LinAlgError as error:
         raise FilterDiverged("the covariance of an innovation is not positive definite") from error
-    inverse = np.linalg.inv(S)
+    inverse = np.asarray(np.linalg.inv(S), dtype=np.float64)
     K = PHt @ inverse
     distance2 = float(z @ inverse @ z)
     if not np.isfinite(distance2):
@@ -160,4 +164,4 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     A = -K @ H
     A.reshape(-1)[:: len(P) + 1] += 1.0
     P_after = A @ P @ A.T + K @ R @ K.T
-    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2)
+    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2, z, H, K, inverse)

@@ -28,6 +28,7 @@ from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .ordinary import Run
 from .settings import Settings
+from .trail import Trail
 from .wheels import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
@@ -193,6 +194,10 @@ class Navigator:
             return False
         self._used_ns[key] = time_ns
         return True
+
+    def leave(self, trail: Trail) -> None:
+        """Keep a trail for a smoother, from the first sample on."""
+        self._delayed.leave(trail)
 
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""

@@ -34,8 +34,8 @@ class Process:
     """Feeds the navigator from the bus, and the bus from the navigator."""
 
     def __init__(self, config: Config) -> None:
-        self._config = config
         self._navigator = Navigator(config)
+        self.leave = self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution = -1  # number of its period
         self._last_state: tuple[NavigationPhase, str, int] | None = None

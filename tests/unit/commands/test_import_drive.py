@@ -177,3 +177,19 @@ def test_a_file_that_is_no_archive_of_arrays_is_refused_in_a_sentence(arrays: Pa
         with pytest.raises(UserError, match=r"imu.npz is no archive of NumPy arrays .* numpy.savez"):
             import_drive(arrays / "m.toml", arrays, arrays / "out.mcap")
     assert not list(arrays.glob("out*"))
+
+
+def test_a_file_that_not_every_drive_has_may_be_missing(drive: Path) -> None:
+    extra = '\n[speed]\nfile = "wheel.csv"\ntime = { column = "t" }\ncolumn = "v"\n'
+    (drive / "m.toml").write_text(MAPPING + extra)
+    with pytest.raises(UserError, match=r"holds no file 'wheel.csv'"):
+        import_drive(drive / "m.toml", drive, drive / "out.mcap")
+    (drive / "m.toml").write_text(MAPPING + extra + "optional = true\n")
+    assert import_drive(drive / "m.toml", drive, drive / "out.mcap") == 0
+
+
+def test_clocks_before_the_epoch_are_refused_in_a_sentence(drive: Path) -> None:
+    (drive / "m.toml").write_text(MAPPING.replace("[imu]", "[imu]\nstamps_late_s = 5.0"))
+    with pytest.raises(UserError, match="begin before 1970; add `start_utc_s"):
+        import_drive(drive / "m.toml", drive, drive / "out.mcap")
+    assert not list(drive.glob("out*"))

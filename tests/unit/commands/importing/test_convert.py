@@ -276,3 +276,16 @@ def test_any_table_may_hold_its_values_until_they_change() -> None:
     found = converted(spec, "t,v\n0,1\n1,1\n2,2\n3,2\n4,3")
     assert [m.speed_m_s for m in found.messages if isinstance(m, VehicleSpeed)] == [2.0, 3.0]
     assert found.rejects == {"unchanged": 3}
+
+
+def test_the_turning_of_a_wheel_is_a_speed() -> None:
+    spec = """[speed]
+file = "w.csv"
+time = { column = "t" }
+column = "w"
+unit = "deg/s"
+wheel_radius_m = 0.3
+opposite = true
+"""
+    (message,) = converted(spec, "t,w\n0,-180").messages
+    assert isinstance(message, VehicleSpeed) and message.speed_m_s == pytest.approx(0.3 * math.pi)

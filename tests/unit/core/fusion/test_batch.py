@@ -112,7 +112,7 @@ def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
 def test_a_log_solved_at_once_is_to_the_last_bit_what_its_samples_are_one_by_one(aided: bool) -> None:
     """Stops, turns, an outage, gaps and samples that are refused: nothing makes a difference."""
     switches = {"zero_velocity": aided, "non_holonomic": aided}
-    whole, solutions = at_once(**switches)
+    whole, solutions = at_once(None, **switches)
     single, expected = one_by_one(**switches)
     assert len(solutions) > 1100
     assert {NavigationPhase.NAVIGATING, NavigationPhase.COASTING} <= {solution.phase for solution in solutions}
@@ -132,7 +132,7 @@ def test_a_compiler_changes_nothing(aided: bool) -> None:
         pytest.skip("Numba is not installed: pip install .[fast]")
     switches = {"zero_velocity": aided, "non_holonomic": aided}
     fast, solutions = at_once(compiled, **switches)
-    plain, expected = at_once(**switches)
+    plain, expected = at_once(None, **switches)
     assert len(solutions) == len(expected) > 1100
     for ours, theirs in zip(solutions, expected, strict=True):
         away_m = ned_from_geodetic_difference(ours.position, theirs.position)
