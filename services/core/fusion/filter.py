@@ -1,6 +1,6 @@
 """The error-state filter: a mechanisation, the covariance of its errors, and the corrections between them."""
 
-from math import isfinite, pi, sqrt
+from math import isfinite, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,9 @@ from shared.maths.rotation import (
 )
 
 from . import error_model as em
-from .kalman import Correction, correct, predict
-from .sampling import NO_SUMS, Shaking, take_sample
+from .kalman import Correction, correct, predict, variances
+from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, Beside, Moment, Rows, Run, Stamps
+from .sampling import NO_SUMS, Shaking, means, take_sample
 from .settings import Settings
 from .strapdown import InertialState, motion_of, normalised
 from .trail import Trail
@@ -27,9 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
-FASTEST_M_S = 500.0
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
-HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
 
 
 class ErrorStateFilter:
@@ -76,6 +75,8 @@ class ErrorStateFilter:
         self._shaking: Shaking = (0.0, 0.0)  # [m²/s³, rad²/s] power spectral densities
         self._sums = NO_SUMS  # since the covariance was brought up
         self._walks = em.noise_density(
+            (em.ATTITUDE, settings.angle_random_walk_rad_sqrt_s**2),
+            (em.VELOCITY, settings.velocity_random_walk_m_s_sqrt_s**2),
             (em.ACCELEROMETER_BIAS, settings.accelerometer_bias_psd_m2_s5),
             (em.GYROSCOPE_BIAS, settings.gyroscope_bias_psd_rad2_s3),
             (em.ODOMETER_SCALE, SCALE_PSD),
@@ -135,8 +136,23 @@ class ErrorStateFilter:
             step_s,
         )
         self._last, self._time_ns = sample, time_ns
-        if self._sums[0] >= self._period_s - 1e-9:
+        if self._sums[0] >= self._period_s - EARLY_S:
             self.bring_covariance_up()
+
+    def stride(
+        self, run: Run, times_ns: Stamps, samples: Rows, beside: Beside, dues: tuple[float, float, float]
+    ) -> tuple[int, Beside]:
+        """Take samples as long as they are ordinary; what goes on beside the filter comes and goes with it."""
+        start = samples[0]
+        last = self._last or ((start[0], start[1], start[2]), (start[3], start[4], start[5]))
+        errors = self.accelerometer_bias, self.gyroscope_bias, self.accelerometer_scale, self.gyroscope_scale
+        moment: Moment = (self._motion, self._sums, self._shaking, last, self.rate, self.acceleration, beside)
+        limits = self._period_s, self._settings.vibration_factor, *dues
+        taken, moment, self.P = run(moment, self.P, times_ns, samples, errors, self._walks, limits)
+        if taken:
+            self._motion, self._sums, self._shaking, self._last, self.rate, self.acceleration, beside = moment
+            self._time_ns = int(times_ns[taken])
+        return taken, beside
 
     def rate_noise(self, span_s: float) -> float:
         """Standard deviation [rad/s] that vibration gives to the mean rate of a time."""
@@ -144,21 +160,14 @@ class ErrorStateFilter:
 
     def _noise(self) -> FloatArray:
         """Power spectral density of the errors' growth: that of the sensor, or of the vibration if it is more."""
-        settings, (force_shake, rate_shake) = self._settings, self._shaking
-        factor = settings.vibration_factor
-        density = self._walks.copy()
-        density[em.ATTITUDE] = max(settings.angle_random_walk_rad_sqrt_s**2, factor * rate_shake)
-        density[em.VELOCITY] = max(settings.velocity_random_walk_m_s_sqrt_s**2, factor * force_shake)
-        return density
+        return em.with_vibration(self._walks, self._shaking, self._settings.vibration_factor)
 
     def bring_covariance_up(self) -> None:
         """Carry the covariance to the instant of the state."""
-        since_s, ix, iy, iz, tx, ty, tz = self._sums
+        since_s = self._sums[0]
         if since_s == 0.0:
             return
-        per_s = 1.0 / since_s
-        mean_force, mean_rate = (ix * per_s, iy * per_s, iz * per_s), (tx * per_s, ty * per_s, tz * per_s)
-        F = em.system_matrix(self._motion, mean_force, mean_rate)
+        F = em.system_matrix(self._motion, *means(self._sums))
         self.P = predict(self.P, F, self._noise(), since_s)
         self._sums = NO_SUMS
         self._check()
@@ -220,8 +229,8 @@ class ErrorStateFilter:
 
     def _check(self) -> None:
         """Raise `FilterDiverged` where numbers have lost their meaning, rather than hand them on."""
-        variances = self.P.diagonal().tolist()
-        if not (isfinite(sum(variances)) and min(variances[: em.ACCELEROMETER_SCALE.start]) > 0.0):
+        total, least = variances(self.P, em.ACCELEROMETER_SCALE.start)
+        if not (isfinite(total) and least > 0.0):
             raise FilterDiverged("the covariance is no longer positive")
         quaternion, (north, east, down), (latitude, longitude, height), _ = self._motion
         if not isfinite(sum(quaternion) + north + east + down + latitude + longitude + height):

@@ -13,6 +13,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @cache
+@cache
 def chi_square_limit(dimension: int, false_alarm: float) -> float:
     """Size that a normalised innovation squared exceeds by chance with a given probability.
 
@@ -78,19 +79,31 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
     """
     m, k = F.shape
     Ft = F * step_s
-    upper = Ft.dot(P[:k])
+    upper = product(Ft, P[:k])
     upper += P[:m]
-    square = upper[:, :k].dot(Ft.T)
+    square = product(upper[:, :k], Ft.T)
     square += upper[:, :m]
     after = P.copy()
     after[:m] = upper
     after[:, :m] = upper.T
     corner = after[:m, :m]
-    np.add(square, square.T, out=corner)
+    np.add(square, square.T, corner)
     corner *= 0.5
     diagonal = after.reshape(-1)[:: len(P) + 1]
     diagonal += noise * step_s
     return after
+
+
+def product(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Matrix product, under a name of its own, since a compiler would ask for SciPy's."""
+    result: FloatArray = left.dot(right)
+    return result
+
+
+def variances(P: FloatArray, count: int) -> tuple[float, float]:
+    """Sum of all variances, and the least of the first ones: how a covariance is seen to be sound."""
+    diagonal = P.diagonal().tolist()
+    return sum(diagonal), min(diagonal[:count])
 
 
 @dataclass(frozen=True)
