@@ -161,6 +161,8 @@ class Engine:
         try:
             for observe in measurement.observers():
                 outcomes.append(self._judge(self.filter, measurement, observe(self.filter)))
+            if isinstance(measurement, GnssPosition) and outcomes[-1].used:
+                measurement.teach(self.filter)
         except FilterDiverged as error:
             self._reset(measurement.time_ns, str(error), yaw_sd=None)
         if self._is_astray(measurement.time_ns):

@@ -1,6 +1,6 @@
 """The error-state filter: a mechanisation, the covariance of its errors, and the corrections between them."""
 
-from math import isfinite, pi, sqrt
+from math import exp, isfinite, pi, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,8 @@ from shared.maths.rotation import (
 )
 
 from . import error_model as em
-from .kalman import Correction, correct, predict
+from .colour import UNKNOWN, Colour
+from .kalman import Correction, correct, decay, predict
 from .settings import Settings
 from .strapdown import InertialState, normalised, propagate
 
@@ -48,6 +49,8 @@ class ErrorStateFilter:
         [m/s²], [rad/s] Body axes, as far as known.
     parameters : tuple of float
         Of what aids it, in the order of `error_model.PARAMETERS`, as far as known.
+    colour : Colour
+        How GNSS errors run over time, as far as known.
     """
 
     def __init__(
@@ -58,6 +61,7 @@ class ErrorStateFilter:
         accelerometer_bias: Vector = (0.0, 0.0, 0.0),
         gyroscope_bias: Vector = (0.0, 0.0, 0.0),
         parameters: tuple[float, ...] = NO_PARAMETERS,
+        colour: Colour = UNKNOWN,
     ) -> None:
         self.inertial = inertial
         self.P = P
@@ -66,6 +70,8 @@ class ErrorStateFilter:
         self.accelerometer_scale: Vector = (0.0, 0.0, 0.0)
         self.gyroscope_scale: Vector = (0.0, 0.0, 0.0)
         self.parameters = parameters
+        self.colour = colour
+        self.moved: Vector = (0.0, 0.0, 0.0)  # [m, NED] by all corrections together
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
         self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
         self._period_s = settings.covariance_period_s
@@ -91,6 +97,11 @@ class ErrorStateFilter:
     def parameter(self, place: int) -> float:
         """Value of a parameter by the place of its error in the state."""
         return self.parameters[place - em.DRIVING]
+
+    @property
+    def gnss_error(self) -> FloatArray:
+        """Lasting error of GNSS positions over its standard deviation, shape (3,)."""
+        return np.array(self.parameters[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING])
 
     @property
     def vehicle_from_body(self) -> FloatArray:
@@ -162,8 +173,20 @@ class ErrorStateFilter:
         mean_force, mean_rate = (x * per_s, y * per_s, z * per_s), (a * per_s, b * per_s, c * per_s)
         F = em.system_matrix(self.inertial, mean_force, self.ned_from_body, mean_rate)
         self.P = predict(self.P, F, self._noise(), self._since_s)
+        self._let_gnss_error_decay(self._since_s)
         self._since_s, self._impulse, self._turn = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         self._check()
+
+    def _let_gnss_error_decay(self, span_s: float) -> None:
+        """Bring what lasts of the error of GNSS towards zero, and its variance towards one."""
+        first, last = em.GNSS_ERROR.start, em.GNSS_ERROR.stop
+        if self.P[first, first] == 0.0:
+            return
+        remains = exp(-span_s / self.colour.correlation_s)
+        self.P = decay(self.P, em.GNSS_ERROR, remains)
+        first, last = first - em.DRIVING, last - em.DRIVING
+        old = self.parameters
+        self.parameters = (*old[:first], *(remains * value for value in old[first:last]), *old[last:])
 
     def widen(self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0) -> None:
         """Admit more error [rad, m/s, m] than the model knows of."""
@@ -199,6 +222,7 @@ class ErrorStateFilter:
             (velocity[0] - x[3], velocity[1] - x[4], velocity[2] - x[5]),
             _moved_back(position, (x[6], x[7], x[8])),
         )
+        self.moved = (self.moved[0] - x[6], self.moved[1] - x[7], self.moved[2] - x[8])
         bias, drift = self.accelerometer_bias, self.gyroscope_bias
         self.accelerometer_bias = (bias[0] + x[9], bias[1] + x[10], bias[2] + x[11])
         self.gyroscope_bias = (drift[0] + x[12], drift[1] + x[13], drift[2] + x[14])

@@ -88,6 +88,34 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
     return after
 
 
+def decay(P: FloatArray, place: slice, remains: float) -> FloatArray:
+    """Covariance after a step of first-order Gauss-Markov states of variance one, which nothing else depends on.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance before.
+    place : slice
+        Of the states.
+    remains : float
+        [-] phi = exp(-step / correlation time).
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Phi P Phi^T + Q, with phi on the diagonal of Phi and 1 - phi² on that of Q, and exact at any step.
+
+    References
+    ----------
+    Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6.
+    """
+    after = P.copy()
+    after[place] *= remains
+    after[:, place] *= remains
+    np.einsum("ii->i", after[place, place])[:] += 1.0 - remains * remains
+    return after
+
+
 @dataclass(frozen=True)
 class Correction:
     """What a measurement says about the errors: the estimate, its covariance, and how surprising it was."""

@@ -56,10 +56,10 @@ def errors(drive: Drive, solution: Solution) -> tuple[FloatArray, FloatArray, Fl
 @pytest.fixture(scope="module")
 def sizes() -> FloatArray:
     """Normalised errors squared, shape (runs, instants, 3 kinds)."""
-    instants = (40.0, 70.0)
+    instants = (70.0, 100.0)  # by when the filter knows that the errors are white
     rows = []
     for seed in range(RUNS):
-        drive = simulate(with_error(scenario_of("parking_lot"), WHITE), seed, duration_s=71.0)
+        drive = simulate(with_error(scenario_of("parking_lot"), WHITE), seed, duration_s=101.0)
         row = []
         for solution in follow(drive, instants):
             covs = (solution.position_cov, solution.velocity_cov, solution.attitude_cov)
