@@ -17,12 +17,13 @@ FloatArray = npt.NDArray[np.float64]
 
 TIMES_S = (2.0, 5.0, 10.0, 20.0, 60.0, 200.0)
 WHITE_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 0.7)
-# [s], [-] the hypotheses: correlation time, and share of the variance that is white; the first is all white.
-HYPOTHESES = ((1.0, 1.0), *product(TIMES_S, WHITE_SHARES))
+# [s], [-] the hypotheses: correlation time, and share of the variance that is white. The first is nearly all white;
+# what is left of it is so constant that no fix can show it, and not to be forgotten for that.
+HYPOTHESES = ((600.0, 0.95), *product(TIMES_S, WHITE_SHARES))
 CORRELATION_S = np.array([[time] for time, _ in HYPOTHESES])
 WHITE = np.array([[share] for _, share in HYPOTHESES])
 LASTING = 1.0 - WHITE
-WHITE_PRIOR = 0.3  # probability that nothing lasts; the other hypotheses are equally likely
+WHITE_PRIOR = 0.3  # probability of the first; the other hypotheses are equally likely
 MEMORY_S = 600.0  # after which what was learned counts for 1/e, for places differ
 START_SDS = 100.0  # of the unknown place against the error of a fix
 SURPRISE = 9.0  # d² of one axis beyond which it is an outlier, and says nothing of correlation
