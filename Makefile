@@ -7,7 +7,7 @@ APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
 SCENARIO ?= urban
 
-.PHONY: help setup demo test check slow up down containers docs lock papers bench picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers bench drives picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -80,6 +80,9 @@ papers: setup ## reproduce the papers' numbers (minutes)
 
 bench: $(VENV)/.debian ## measure beside C and print the ratios (minutes)
 	@$(PYTHON) -m benchmarks
+
+drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (half an hour)
+	@$(PYTHON) -m benchmarks.navigation
 
 picture: $(VENV)/.debian ## take the README's picture anew from a running demo
 	@$(PYTHON) docs/picture.py

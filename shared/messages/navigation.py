@@ -76,6 +76,9 @@ class AidingKind(StrEnum):
     COURSE = "course"
     ODOMETER = "odometer"
     NON_HOLONOMIC = "non_holonomic"
+    BAROMETRIC_HEIGHT = "barometric_height"
+    BASELINE_HEADING = "baseline_heading"
+    MAGNETIC_HEADING = "magnetic_heading"
 
 
 class AidingUpdate(Message):
@@ -115,4 +118,4 @@ class TruthState(Message):
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
-    angular_rate_body_rad_s: Vector3
+    angular_rate_body_rad_s: Vector3 | None = None  # not every reference tells it

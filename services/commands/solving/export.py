@@ -1,6 +1,5 @@
 """A track as text: CSV for programs, KML for maps."""
 
-import math
 from collections.abc import Iterator
 from html import escape
 
@@ -22,7 +21,7 @@ def csv_lines(track: Track) -> Iterator[str]:
     first = int(track.stamps_ns[0]) if len(track) else 0
     for stamp, phase, row in zip(track.stamps_ns.tolist(), track.phases, track.values.tolist(), strict=True):
         text = line % (stamp, (stamp - first) * 1e-9, phase.value, *row)
-        yield (text.replace("nan", "") if math.isnan(row[-1]) else text) + "\n"
+        yield text.replace("nan", "") + "\n"
 
 
 def kml_text(track: Track, name: str) -> str:

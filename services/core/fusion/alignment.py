@@ -14,6 +14,7 @@ from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, qu
 from shared.messages import NavigationPhase
 
 from . import error_model as em
+from .baseline import BaselineHeading
 from .colour import UNKNOWN
 from .filter import NO_PARAMETERS, ErrorStateFilter
 from .first_place import FirstPlace, first_place
@@ -29,6 +30,9 @@ BASELINE_S = 5.0  # longest time between two positions that give a course
 MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
 REST_VELOCITY_SD = 0.05  # [m/s]
 ARM_RATE_SD = 0.05  # [rad/s] by which the swing of the lever arm may be wrong
+UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
+BASELINE_AGE_S = 2.0  # up to which the heading of two antennas is one at the fix
+BASELINE_TILT_SD = 0.02  # [rad] by which a tilt that is not yet known turns it
 
 
 class Alignment:
@@ -58,6 +62,7 @@ class Alignment:
         self._has_velocity = False
         self._motion: Motion | None = None
         self._course: Heading | None = None
+        self._baseline: tuple[int, Heading] | None = None  # stamp, and what two antennas say
         self._fixes: tuple[tuple[GnssPosition, float], ...] = ()  # newest last, with the yaw in the level frame
         self._fixes_at_rest: tuple[GnssPosition, ...] = ()
 
@@ -98,6 +103,11 @@ class Alignment:
         sd = (north, east, down if seen.axes == 3 else 1.0)
         self._move(Motion(seen.time_ns, seen.velocity, sd, self._swing()))
 
+    def see_heading(self, seen: BaselineHeading) -> None:
+        """Take in the heading of the line between two antennas."""
+        turn = seen.turn_from(self.levelling.quaternion)
+        self._baseline = seen.time_ns, Heading(turn, hypot(seen.sd, BASELINE_TILT_SD), "two antennas")
+
     def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
         """Take a position in, and start the filter with it if all that it needs is known."""
         self.seen_fix = True
@@ -111,8 +121,16 @@ class Alignment:
             return None
         kept = None if self._yaw_sd is None else Heading(0.0, self._yaw_sd + drift_sd(self.levelling), "heading kept")
         saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
-        heading = min((way for way in (kept, saved, self._course) if way), key=lambda way: way.sd, default=None)
+        heading = min(
+            (way for way in (kept, saved, self._course, self._two_antennas(fix)) if way),
+            key=lambda way: way.sd,
+            default=None,
+        )
         return self._start(fix, self._motion, heading) if heading else None
+
+    def _two_antennas(self, fix: GnssPosition) -> Heading | None:
+        fresh = self._baseline is not None and abs(fix.time_ns - self._baseline[0]) <= BASELINE_AGE_S * 1e9
+        return self._baseline[1] if self._baseline and fresh else None
 
     def _see_displacement(self) -> None:
         """Tell the levelling of a motion that two successive positions show, for want of a velocity."""
@@ -180,6 +198,7 @@ class Alignment:
         sd = np.zeros(em.SIZE)
         sd[em.ODOMETER_SCALE] = self._settings.odometer_scale_sd
         sd[em.MOUNTING] = self._settings.mounting_sd_rad
+        sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer else 0.0
         return np.diag(np.square(sd[em.PARAMETERS]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:

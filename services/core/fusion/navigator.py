@@ -19,6 +19,7 @@ from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector, roll_pitch_yaw
 from shared.messages import NavigationPhase
 
+from . import barometer, compass
 from . import error_model as em
 from .aiding import Measurement, Outcome
 from .delayed import DelayedEngine
@@ -26,6 +27,7 @@ from .engine import Counts, Sample
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .settings import Settings
+from .trail import Trail
 from .wheels import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
@@ -73,7 +75,7 @@ class Navigator:
         self.samples_rejected = 0
         self._delayed = DelayedEngine(self.settings)
         self._backwards = 0
-        self._speed_ns: dict[str, int] = {}  # stamp of the newest speed of each device
+        self._used_ns: dict[str, int] = {}  # stamp of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -97,15 +99,20 @@ class Navigator:
         list of Outcome
             What became of the measurements that were used now.
         """
-        outcomes = self._release(time_ns if received_ns is None else received_ns)
-        fault = self._fault(time_ns, force, rate)
-        if fault:
+        arrival_ns = time_ns if received_ns is None else received_ns
+        outcomes = self._release(arrival_ns) if self._held and self._held[0][0] <= arrival_ns else []
+        fx, fy, fz = force
+        wx, wy, wz = rate
+        credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
+        last = self._delayed.engine.last
+        if not credible or (last is not None and time_ns <= last[0]):
             self.samples_rejected += 1
-            self.rejects[fault] += 1
+            self.rejects[self._went_back() if credible else _fault(force, rate)] += 1
             return outcomes
+        self._backwards = 0
         self.samples_used += 1
-        sample = Sample(time_ns, (force[0], force[1], force[2]), (rate[0], rate[1], rate[2]))
-        return outcomes + self._delayed.step(sample)
+        outcomes += self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)))
+        return outcomes
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -152,11 +159,44 @@ class Navigator:
 
         It is `exact` if it is that of both rear wheels, and its resolution [m/s] is the step in which it comes.
         """
-        if not self.settings.odometer or time_ns - self._speed_ns.get(source, 0) < SPEED_PERIOD_NS:
+        if not self.settings.odometer or not self._is_due(f"{source}/speed", time_ns, SPEED_PERIOD_NS):
             return
-        self._speed_ns[source] = time_ns
         arrival_ns = time_ns if received_ns is None else received_ns
         self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
+
+    def pressure(
+        self, time_ns: int, pressure_pa: float, *, received_ns: int | None = None, source: str = "barometer"
+    ) -> None:
+        """Take a static pressure [Pa] at a stamp; one a second is used."""
+        if not self.settings.barometer or not self._is_due(f"{source}/pressure", time_ns, barometer.PERIOD_NS):
+            return
+        if not barometer.LOWEST_PA <= pressure_pa <= barometer.HIGHEST_PA:
+            self.rejects["pressure of no road"] += 1
+            return
+        height = barometer.pressure_height(pressure_pa)
+        arrival_ns = time_ns if received_ns is None else received_ns
+        self.measure(barometer.BarometricHeight(time_ns, arrival_ns, source, height, self.settings))
+
+    def magnetic_field(
+        self, time_ns: int, field_b: Vector, *, received_ns: int | None = None, source: str = "compass"
+    ) -> None:
+        """Take a magnetic field [body, 1 where it was calibrated] at a stamp; one a second is used."""
+        if not self.settings.compass or not self._is_due(f"{source}/field", time_ns, compass.PERIOD_NS):
+            return
+        arrival_ns = time_ns if received_ns is None else received_ns
+        declination = self.settings.magnetic_declination_rad
+        self.measure(compass.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
+
+    def _is_due(self, key: str, time_ns: int, period_ns: int) -> bool:
+        """Whether the newest used value of a device is so old; values from the past are not due."""
+        if 0 <= time_ns - self._used_ns.get(key, time_ns - period_ns) < period_ns:
+            return False
+        self._used_ns[key] = time_ns
+        return True
+
+    def leave(self, trail: Trail) -> None:
+        """Keep a trail for a smoother, from the first sample on."""
+        self._delayed.leave(trail)
 
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
@@ -219,21 +259,17 @@ class Navigator:
                 self.rejects["measurement older than the memory"] += 1
         return outcomes
 
-    def _fault(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> str | None:
-        """What is wrong with a sample, if anything is."""
-        fx, fy, fz = force
-        wx, wy, wz = rate
-        if not (abs(fx) + abs(fy) + abs(fz) < FORCE_LIMIT and abs(wx) + abs(wy) + abs(wz) < RATE_LIMIT):
-            return "sample beyond any sensor" if isfinite(fx + fy + fz + wx + wy + wz) else "sample not finite"
-        last = self._delayed.engine.last
-        if last is None or time_ns > last.time_ns:
-            self._backwards = 0
-            return None
+    def _went_back(self) -> str:
+        """Say what is wrong with a sample that is no newer than the last; after many of them begin again."""
         self._backwards += 1
         if self._backwards > BACKWARDS_LIMIT:
             self._backwards = 0
             self._delayed = self._delayed.restarted("the inertial clock went back")
         return "sample doubled or out of order"
+
+
+def _fault(force: Sequence[float], rate: Sequence[float]) -> str:
+    return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
 
 
 def _diagonal(sd: Vector | None) -> FloatArray | None:
