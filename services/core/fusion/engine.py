@@ -208,6 +208,8 @@ class Engine:
                 self.watch = self.watch.after(outcome, before, self.filter, self._settings.gate_false_alarm)
                 if outcome.kind is AidingKind.GNSS_POSITION:
                     self._count_position(measurement.time_ns, outcome.used)
+            if isinstance(measurement, GnssPosition) and outcomes[-1].used:
+                measurement.teach(self.filter)
         except FilterDiverged as error:
             self._reset(measurement.time_ns, str(error), yaw_sd=None)
         if self._is_astray(measurement.time_ns):

@@ -22,7 +22,7 @@ PARTS = (
     sampling.take_sample, sampling.means,
     stationary.blend, stationary.length, stationary.at_rest,
     error_model.error_rates, error_model.system_matrix, error_model.with_vibration,
-    kalman.predict, ordinary.sound,
+    kalman.predict, kalman.decay, ordinary.sound,
 )  # fmt: skip
 COLUMNS = error_model.DRIVING
 ROWS = error_model.MOVING

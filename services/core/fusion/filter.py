@@ -1,6 +1,6 @@
 """The error-state filter: a mechanisation, the covariance of its errors, and the corrections between them."""
 
-from math import isfinite, sqrt
+from math import exp, isfinite, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,9 @@ from shared.maths.rotation import (
 )
 
 from . import error_model as em
-from .kalman import Correction, correct, predict, variances
-from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, Beside, Moment, Rows, Run, Stamps
+from .colour import UNKNOWN, Colour
+from .kalman import Correction, correct, decay, predict, variances
+from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, NEVER, Beside, Moment, Rows, Run, Stamps
 from .sampling import NO_SUMS, Shaking, means, take_sample
 from .settings import Settings
 from .strapdown import InertialState, motion_of, normalised
@@ -48,6 +49,8 @@ class ErrorStateFilter:
         [m/s²], [rad/s] Body axes, as far as known.
     parameters : tuple of float
         Of what aids it, in the order of `error_model.PARAMETERS`, as far as known.
+    colour : Colour
+        How GNSS errors run over time, as far as known.
     """
 
     def __init__(
@@ -58,6 +61,7 @@ class ErrorStateFilter:
         accelerometer_bias: Vector = (0.0, 0.0, 0.0),
         gyroscope_bias: Vector = (0.0, 0.0, 0.0),
         parameters: tuple[float, ...] = NO_PARAMETERS,
+        colour: Colour = UNKNOWN,
     ) -> None:
         self.inertial = inertial
         self.P = P
@@ -66,6 +70,8 @@ class ErrorStateFilter:
         self.accelerometer_scale: Vector = (0.0, 0.0, 0.0)
         self.gyroscope_scale: Vector = (0.0, 0.0, 0.0)
         self.parameters = parameters
+        self.colour = colour
+        self.moved: Vector = (0.0, 0.0, 0.0)  # [m, NED] by all corrections together
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
         self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
         self.trail: Trail | None = None  # is told what happens to the errors, for a smoother
@@ -115,6 +121,11 @@ class ErrorStateFilter:
         return self.parameters[place - em.DRIVING]
 
     @property
+    def gnss_error(self) -> FloatArray:
+        """Lasting error of GNSS positions over its standard deviation, shape (3,)."""
+        return np.array(self.parameters[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING])
+
+    @property
     def vehicle_from_body(self) -> FloatArray:
         """Mounting as a matrix, shape (3, 3)."""
         first = em.MOUNTING.start
@@ -146,11 +157,17 @@ class ErrorStateFilter:
         start = samples[0]
         last = self._last or ((start[0], start[1], start[2]), (start[3], start[4], start[5]))
         errors = self.accelerometer_bias, self.gyroscope_bias, self.accelerometer_scale, self.gyroscope_scale
-        moment: Moment = (self._motion, self._sums, self._shaking, last, self.rate, self.acceleration, beside)
-        limits = self._period_s, self._settings.vibration_factor, *dues
+        north, east, down = self.gnss_error.tolist()
+        moment: Moment = (
+            *(self._motion, self._sums, self._shaking, last, self.rate, self.acceleration),
+            (north, east, down),
+            beside,
+        )
+        limits = self._period_s, self._settings.vibration_factor, self._memory_s, *dues
         taken, moment, self.P = run(moment, self.P, times_ns, samples, errors, self._walks, limits)
         if taken:
-            self._motion, self._sums, self._shaking, self._last, self.rate, self.acceleration, beside = moment
+            self._motion, self._sums, self._shaking, self._last, self.rate, self.acceleration, lasting, beside = moment
+            self._remember_gnss_error(lasting)
             self._time_ns = int(times_ns[taken])
         return taken, beside
 
@@ -169,10 +186,34 @@ class ErrorStateFilter:
             return
         F = em.system_matrix(self._motion, *means(self._sums))
         self.P = predict(self.P, F, self._noise(), since_s)
+        remains = self._let_gnss_error_decay(since_s)
         self._sums = NO_SUMS
         self._check()
         if self.trail is not None:
-            self.trail.stepped(self, F, since_s, None)
+            self.trail.stepped(self, F, since_s, remains)
+
+    @property
+    def _memory_s(self) -> float:
+        """Correlation time of what lasts of the error of GNSS, if it is estimated."""
+        place = em.GNSS_ERROR.start
+        return NEVER if self.P[place, place] == 0.0 else self.colour.correlation_s
+
+    def _let_gnss_error_decay(self, span_s: float) -> FloatArray | None:
+        """Bring what lasts of the error of GNSS towards zero; return what remains of each error, if not all."""
+        memory_s, place = self._memory_s, em.GNSS_ERROR
+        if memory_s == NEVER:
+            return None
+        remains = exp(-span_s / memory_s)
+        self.P = decay(self.P, place.start, place.stop, remains)
+        north, east, down = self.gnss_error.tolist()
+        self._remember_gnss_error((remains * north, remains * east, remains * down))
+        share = np.ones(em.SIZE)
+        share[place] = remains
+        return share
+
+    def _remember_gnss_error(self, lasting: Vector) -> None:
+        first, last, old = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING, self.parameters
+        self.parameters = (*old[:first], *lasting, *old[last:])
 
     def widen(self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0) -> None:
         """Admit more error [rad, m/s, m] than the model knows of."""
@@ -216,6 +257,7 @@ class ErrorStateFilter:
             (velocity[0] - x[3], velocity[1] - x[4], velocity[2] - x[5]),
             _moved_back(position, (x[6], x[7], x[8])),
         )
+        self.moved = (self.moved[0] - x[6], self.moved[1] - x[7], self.moved[2] - x[8])
         bias, drift = self.accelerometer_bias, self.gyroscope_bias
         self.accelerometer_bias = (bias[0] + x[9], bias[1] + x[10], bias[2] + x[11])
         self.gyroscope_bias = (drift[0] + x[12], drift[1] + x[13], drift[2] + x[14])

@@ -106,6 +106,35 @@ def variances(P: FloatArray, count: int) -> tuple[float, float]:
     return sum(diagonal), min(diagonal[:count])
 
 
+def decay(P: FloatArray, first: int, end: int, remains: float) -> FloatArray:
+    """Covariance after a step of first-order Gauss-Markov states of variance one, which nothing else depends on.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance before.
+    first, end : int
+        Place of the states, the end not included.
+    remains : float
+        [-] phi = exp(-step / correlation time).
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Phi P Phi^T + Q, with phi on the diagonal of Phi and 1 - phi² on that of Q, and exact at any step.
+
+    References
+    ----------
+    Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6.
+    """
+    after = P.copy()
+    after[first:end] *= remains
+    after[:, first:end] *= remains
+    for place in range(first, end):
+        after[place, place] += 1.0 - remains * remains
+    return after
+
+
 @dataclass(frozen=True)
 class Correction:
     """What a measurement says about the errors: the estimate, its covariance, and how surprising it was."""

@@ -6,15 +6,15 @@ one place.
 """
 
 from collections.abc import Callable
-from math import isfinite, pi
+from math import exp, isfinite, pi
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.maths.rotation import Vector
 
-from .error_model import ACCELEROMETER_SCALE, system_matrix, with_vibration
-from .kalman import predict, variances
+from .error_model import ACCELEROMETER_SCALE, GNSS_ERROR, system_matrix, with_vibration
+from .kalman import decay, predict, variances
 from .sampling import NO_SUMS, Errors, Shaking, Sums, means, take_sample
 from .stationary import QUIET_S, SPEED_LIMIT, Rest, at_rest, length
 from .strapdown import Motion
@@ -27,11 +27,12 @@ Rows = FloatArray | list[list[float]]
 # What the engine counts beside the filter: what the detector of standstill knows; turn [rad, body] and time [s] of a
 # standstill, and time [s] since the wheels were held against the filter, each since it was last made use of.
 Beside = tuple[Rest, Vector, float, float]
-# Motion, sums and vibration as of `sampling`; the last sample; rate and acceleration of the filter; what is beside it.
-Moment = tuple[Motion, Sums, Shaking, Sample, Vector, Vector, Beside]
-# Period of the covariance [s], factor on the vibration; times [s] after which a standstill and the wheels are due;
-# speed [m/s] from which the odometer has a say in whether the vehicle stands.
-Limits = tuple[float, float, float, float, float]
+# Motion, sums and vibration as of `sampling`; the last sample; rate and acceleration of the filter; the lasting error
+# of GNSS; what is beside it.
+Moment = tuple[Motion, Sums, Shaking, Sample, Vector, Vector, Vector, Beside]
+# Period of the covariance [s], factor on the vibration, correlation time [s] of the lasting error; times [s] after
+# which a standstill and the wheels are due; speed [m/s] from which the odometer has a say in whether the vehicle stands.
+Limits = tuple[float, float, float, float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
 
 GAP_S = 0.05  # a longer step is a gap
@@ -39,6 +40,7 @@ FASTEST_M_S = 500.0
 HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
 EARLY_S = 1e-9  # by which a step of the covariance may come too early, for the sums are rounded
 NEVER = 1e99  # [s], [m/s] of limits
+LASTING_FIRST, LASTING_END = GNSS_ERROR.start, GNSS_ERROR.stop
 
 
 def run(
@@ -72,8 +74,8 @@ def run(
     ndarray, shape (30, 30)
         The covariance of then.
     """
-    period, factor, standstill_due, wheels_due, doubtful = limits
-    motion, sums, shaking, last, rate, acceleration, (rest, turn, still, rolling) = moment
+    period, factor, memory, standstill_due, wheels_due, doubtful = limits
+    motion, sums, shaking, last, rate, acceleration, lasting, (rest, turn, still, rolling) = moment
     taken = 0
     for k in range(len(samples)):
         step = (times_ns[k + 1] - times_ns[k]) * 1e-9
@@ -92,15 +94,20 @@ def run(
         if summed[0] >= period - EARLY_S:
             force_n, rate_b = means(summed)
             grown = predict(P, system_matrix(moved, force_n, rate_b), with_vibration(walks, shaken, factor), summed[0])
+            if memory < NEVER:
+                remains = exp(-summed[0] / memory)
+                grown = decay(grown, LASTING_FIRST, LASTING_END, remains)
             if not sound(moved, grown):
                 break
             P, summed = grown, NO_SUMS
+            if memory < NEVER:
+                lasting = remains * lasting[0], remains * lasting[1], remains * lasting[2]
         motion, sums, shaking, last, rate, acceleration = moved, summed, shaken, sample, turning, gaining
         turn = (
             (turn[0] + rate[0] * step, turn[1] + rate[1] * step, turn[2] + rate[2] * step) if stilled > 0.0 else STILL
         )
         rest, still, rolling, taken = resting, stilled, rolling + step, k + 1
-    return taken, (motion, sums, shaking, last, rate, acceleration, (rest, turn, still, rolling)), P
+    return taken, (motion, sums, shaking, last, rate, acceleration, lasting, (rest, turn, still, rolling)), P
 
 
 def sound(motion: Motion, P: FloatArray) -> bool:
