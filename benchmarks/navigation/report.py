@@ -91,7 +91,11 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     names = sorted({case.drive for case in CASES.values()})
     parser.add_argument("--only", nargs="+", choices=names, help="these drives alone; prints, and keeps nothing")
     parser.add_argument("--quick", action="store_true", help="of the shifted runs the first alone")
-    parser.add_argument("--keep", type=Path, help="folder in which recordings and reports are to stay")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        help="folder for recordings and reports, which stay there; what it holds already is not made again",
+    )
     return parser.parse_args(arguments)
 
 

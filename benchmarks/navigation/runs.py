@@ -74,13 +74,18 @@ def jobs_of(key: str, case: Case) -> list[Job]:
 
 def solve_cases(cases: dict[str, Case], folder: Path, advance: Advance) -> dict[str, Metrics]:
     """Run every job, as many at once as there are cores; the metrics of each case."""
-    jobs = [job for key, case in cases.items() for job in jobs_of(key, case)]
+    jobs = [job for key, case in cases.items() for job in jobs_of(key, case) if not _done(job, folder)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         waiting = {pool.submit(_solve, job, folder): job for job in jobs}
         for done in as_completed(waiting):
             done.result()
             advance(f"solved {waiting[done].case}")
     return {key: _metrics(key, case, folder) for key, case in cases.items()}
+
+
+def _done(job: Job, folder: Path) -> bool:
+    """Whether a folder that was kept holds the results already."""
+    return (folder / job.folder / "report.html").is_file()
 
 
 def _solve(job: Job, folder: Path) -> None:

@@ -282,7 +282,8 @@ def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: li
         raise UserError(
             f"the filter never began to navigate ({reason}); check lever arm, axes and stamps, or drive further"
         )
-    lever_arm = _fusion(drive.vehicle).lever_arm_body_m
+    config = _fusion(drive.vehicle)
+    lever_arm = config.lever_arm_body_m
     outages = solved.outages
     return Run(
         track,
@@ -293,6 +294,7 @@ def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: li
         drive.last_ns,
         len(fixes),
         len(fixes) - len(solved.fixes),
+        alert_limits_m=(config.alert_limit_horizontal_m, config.alert_limit_vertical_m),
     )
 
 

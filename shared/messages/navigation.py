@@ -49,6 +49,10 @@ class NavigationSolution(Message):
     gyroscope_bias_rad_s: Vector3
     stationary: bool
     gnss_age_s: float | None = None  # since the stamp of the last fix that was used
+    # Error beyond which the position is with probability `integrity_risk` only; absent in recordings of older units.
+    protection_level_horizontal_m: Deviation | None = None
+    protection_level_vertical_m: Deviation | None = None
+    integrity_risk: float | None = None
 
 
 class NavigationState(Message):

@@ -39,7 +39,7 @@ def at_whole_seconds(gnss: FloatArray) -> FloatArray:
     late = gnss[:, 0] - seconds
     near = np.abs(late) < 0.01
     rows, late = gnss[near, :7].copy(), late[near, None]
-    metres = np.array([METRES_PER_DEGREE, METRES_PER_DEGREE * np.cos(np.radians(rows[0, 1])), -1.0])
+    metres = np.array([METRES_PER_DEGREE, METRES_PER_DEGREE * np.cos(np.radians(gnss[0, 1])), -1.0])
     rows[:, 1:4] -= late * gnss[near, 7:10] / metres
     rows[:, 0] = seconds[near]
     return rows

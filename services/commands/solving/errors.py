@@ -28,6 +28,7 @@ class Errors:
     attitude: FloatArray | None  # [rad] roll, pitch, yaw in (-pi, pi], shape (n, 3)
     angles: FloatArray | None = None  # [rad] roll, pitch, yaw of the solution, shape (n, 3)
     distance_m: FloatArray | None = None  # along the reference since its first instant, horizontally, shape (n,)
+    protection_m: FloatArray | None = None  # horizontal and vertical protection level, shape (n, 2)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -48,6 +49,7 @@ class Errors:
             rest(self.attitude),
             rest(self.angles),
             rest(self.distance_m),
+            rest(self.protection_m),
         )
 
 
@@ -93,7 +95,15 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
         attitude = (difference + np.pi) % (2.0 * np.pi) - np.pi
     angles = None if attitude is None else state.angles()
     return Errors(
-        reference.stamps_ns[rows], track.stamps_ns[state.after], position, sd, velocity, attitude, angles, distance
+        reference.stamps_ns[rows],
+        track.stamps_ns[state.after],
+        position,
+        sd,
+        velocity,
+        attitude,
+        angles,
+        distance,
+        state.linear("protection_level_horizontal_m", 2),
     )
 
 
@@ -126,9 +136,9 @@ class _Between:
         self._step_s = (last - first) * 1e-9
         self._share = ((stamps_ns - first) / (last - first))[:, None]
 
-    def linear(self, name: str) -> FloatArray:
-        """Three columns, on the straight line between two rows."""
-        values = self._track.columns(name)
+    def linear(self, name: str, count: int = 3) -> FloatArray:
+        """Neighbouring columns, on the straight line between two rows."""
+        values = self._track.columns(name, count)
         found: FloatArray = values[self._before] * (1.0 - self._share) + values[self.after] * self._share
         return found
 

@@ -9,7 +9,15 @@ from .track import NAMES, Track
 
 HEADER = ("sampled_ns", "time_s", "phase", *NAMES)
 # Enough digits that rounding is far below what any of these means: 1 mm, 0.1 mm/s, 1 microradian.
-DECIMALS = {"latitude_deg": 9, "longitude_deg": 9, "height_ellipsoid_m": 4, "stationary": 0, "gnss_age_s": 3}
+DECIMALS = {
+    "latitude_deg": 9,
+    "longitude_deg": 9,
+    "height_ellipsoid_m": 4,
+    "protection_level_horizontal_m": 4,
+    "protection_level_vertical_m": 4,
+    "stationary": 0,
+    "gnss_age_s": 3,
+}
 KML_POINTS = 20_000
 
 

@@ -11,6 +11,7 @@ from shared.messages import AidingKind
 
 from .drift import Drift, drifts, horizontal_error
 from .errors import Errors
+from .integrity import INTEGRITY, integrity_metrics
 from .mounting import without_mounting
 from .outages import Gap
 from .tally import Tally
@@ -62,6 +63,7 @@ METRICS: dict[str, str] = {
     "median of the outages that are longer than 10 m",
     "outage_largest_error_rms_m": "largest horizontal error within each outage, root mean square of the outages",
     "outage_largest_error_max_m": "the same, the worst",
+    **INTEGRITY,
 }
 # Printed, but in no file: they differ from run to run.
 TIMINGS: dict[str, str] = {
@@ -83,6 +85,7 @@ class Run:
     fixes_recorded: int
     fixes_removed: int
     scored_from_ns: int = 0  # errors before this instant are in no root mean square
+    alert_limits_m: tuple[float, float] = (10.0, 20.0)  # horizontal, vertical
 
     def drifts(self) -> list[Drift]:
         """Judge the outages that were made."""
@@ -112,6 +115,7 @@ def metrics_of(run: Run) -> dict[str, Value]:
         "filter_resets": None if run.tally.state is None else run.tally.state.resets,
         **_innovations(run.tally),
         **({} if run.errors is None else _against_truth(run.errors.since(run.scored_from_ns))),
+        **({} if run.errors is None else integrity_metrics(run.errors, run.alert_limits_m)),
         **(_outages(run.drifts()) if run.gaps and run.errors and run.errors.position_n is not None else {}),
     }
     return {name: _rounded(found.get(name)) for name in METRICS}

@@ -24,6 +24,7 @@ from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import QUIET_S, SPEED_LIMIT, UNSETTLED, at_rest, length
 from .trail import Trail
+from .watch import Watch, block
 from .wheels import PERIOD_S as WHEELS_PERIOD_S
 from .wheels import SLOWEST_M_S, NonHolonomic, WheelSpeed
 
@@ -73,6 +74,7 @@ class Engine:
         self.trail: Trail | None = None  # of whatever filter runs, for a smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
+        self.watch = Watch()
         self._alignment: Alignment | None = Alignment(settings)
         self._judge = Judge(settings)
         self._rest = UNSETTLED
@@ -200,8 +202,10 @@ class Engine:
         outcomes = []
         try:
             for observe in measurement.observers():
+                before = block(self.filter)
                 outcome = self._judge.judge(self.filter, measurement, observe(self.filter))
                 outcomes.append(outcome)
+                self.watch = self.watch.after(outcome, before, self.filter, self._settings.gate_false_alarm)
                 if outcome.kind is AidingKind.GNSS_POSITION:
                     self._count_position(measurement.time_ns, outcome.used)
         except FilterDiverged as error:
@@ -237,6 +241,7 @@ class Engine:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
         self.filter, self._alignment, self._why = started, None, ""
+        self.watch = self.watch.begun(measurement.time_ns, started)
         if self.trail is not None:
             self.trail.follow(started)
         self._rest, self._rest_s = UNSETTLED, 0.0

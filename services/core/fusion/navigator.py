@@ -27,6 +27,7 @@ from .engine import Counts, Engine, Sample
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .ordinary import Run
+from .protection import protection_levels
 from .settings import Settings
 from .trail import Trail
 from .wheels import WheelSpeed
@@ -60,6 +61,9 @@ class Solution:
     gyroscope_bias: Vector
     stationary: bool
     gnss_age_s: float | None
+    protection_level_horizontal: float  # [m] beyond which the error is with probability `integrity_risk`
+    protection_level_vertical: float  # [m] the same of the height
+    integrity_risk: float
 
 
 class Navigator:
@@ -82,7 +86,7 @@ class Navigator:
     def imu(
         self, time_ns: int, force: Sequence[float], rate: Sequence[float], received_ns: int | None = None
     ) -> list[Outcome]:
-        """Take one inertial sample.
+        """Take one inertial sample, and use what has waited for it: `advance` and `release` in one.
 
         Parameters
         ----------
@@ -100,8 +104,11 @@ class Navigator:
         list of Outcome
             What became of the measurements that were used now.
         """
-        arrival_ns = time_ns if received_ns is None else received_ns
-        outcomes = self._release(arrival_ns) if self._held and self._held[0][0] <= arrival_ns else []
+        outcomes = self.advance(time_ns, force, rate)
+        return outcomes + self.release(time_ns if received_ns is None else received_ns)
+
+    def advance(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> list[Outcome]:
+        """Take one inertial sample, without what has waited for it: that can take twenty times as long."""
         fx, fy, fz = force
         wx, wy, wz = rate
         credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
@@ -109,11 +116,10 @@ class Navigator:
         if not credible or (last is not None and time_ns <= last[0]):
             self.samples_rejected += 1
             self.rejects[self._went_back() if credible else _fault(force, rate)] += 1
-            return outcomes
+            return []
         self._backwards = 0
         self.samples_used += 1
-        outcomes += self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)))
-        return outcomes
+        return self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)))
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -236,6 +242,15 @@ class Navigator:
             return None
         roll, pitch, yaw = roll_pitch_yaw(navigation.ned_from_body)
         time_ns = navigation.inertial.time_ns
+        position_cov = navigation.P[em.POSITION, em.POSITION]
+        levels = protection_levels(
+            position_cov.tolist(),
+            navigation.inertial.velocity,
+            time_ns,
+            engine.watch,
+            risk=self.settings.integrity_risk,
+            time_sd_s=self.settings.gnss_time_sd_s,
+        )
         return Solution(
             time_ns=time_ns,
             phase=engine.phase,
@@ -244,7 +259,7 @@ class Navigator:
             roll=roll,
             pitch=pitch,
             yaw=yaw,
-            position_cov=navigation.P[em.POSITION, em.POSITION],
+            position_cov=position_cov,
             velocity_cov=navigation.P[em.VELOCITY, em.VELOCITY],
             attitude_cov=navigation.P[em.ATTITUDE, em.ATTITUDE],
             rate=navigation.rate,
@@ -252,10 +267,13 @@ class Navigator:
             gyroscope_bias=navigation.gyroscope_bias,
             stationary=engine.stationary,
             gnss_age_s=None if engine.accepted_ns is None else (time_ns - engine.accepted_ns) * 1e-9,
+            protection_level_horizontal=levels.horizontal,
+            protection_level_vertical=levels.vertical,
+            integrity_risk=levels.risk,
         )
 
-    def _release(self, received_ns: int) -> list[Outcome]:
-        """Use what has waited long enough."""
+    def release(self, received_ns: int) -> list[Outcome]:
+        """Use what has waited long enough, when a sample has arrived at `received_ns`."""
         outcomes: list[Outcome] = []
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]

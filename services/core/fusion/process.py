@@ -69,10 +69,10 @@ class Process:
         translate.give_environment(self._navigator, batch)
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         for sampled_ns, force, rate in samples:
-            outcomes = self._navigator.imu(sampled_ns, force, rate, batch.received_ns)
-            yield from map(translate.aiding_message, outcomes)
+            outcomes = self._navigator.advance(sampled_ns, force, rate)
+            yield from self._solution(sampled_ns)  # first: whoever needs it shall not wait for what is late anyway
+            yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))
             yield from self._state(sampled_ns)
-            yield from self._solution(sampled_ns)
 
     def _is_silent(self, now_ns: int) -> bool:
         return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS

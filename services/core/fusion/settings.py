@@ -100,3 +100,10 @@ class Settings(Section):
     )
     reset_after_rejections: int = Field(default=10, ge=1, description="successive refused positions, and")
     reset_after_s: float = Field(default=5.0, ge=0.0, description="so long without an accepted one, begin again")
+    integrity_risk: float = Field(
+        default=1e-3, ge=1e-9, le=0.1, description="probability with which the error is beyond a protection level"
+    )
+    alert_limit_horizontal_m: float = Field(
+        default=10.0, gt=0.0, description="horizontal error up to which a position is of use; reports judge by it"
+    )
+    alert_limit_vertical_m: float = Field(default=20.0, gt=0.0, description="the same of the height")

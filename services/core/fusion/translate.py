@@ -150,6 +150,9 @@ def solution_message(solution: Solution) -> NavigationSolution:
         gyroscope_bias_rad_s=solution.gyroscope_bias,
         stationary=solution.stationary,
         gnss_age_s=solution.gnss_age_s,
+        protection_level_horizontal_m=solution.protection_level_horizontal,
+        protection_level_vertical_m=solution.protection_level_vertical,
+        integrity_risk=solution.integrity_risk,
     )
 
 
