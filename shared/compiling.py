@@ -39,7 +39,7 @@ def compiled(
         overload(original, strict=False)(lambda *_, instead=instead: instead)
     folder = _cache_folder(function, *parts, *loops, *loops.values())
     if folder is not None:
-        numba.config.CACHE_DIR = str(folder)
+        vars(numba.config)["CACHE_DIR"] = str(folder)
     machine_code: Function = numba.njit(function, cache=folder is not None)
     return machine_code
 
