@@ -31,7 +31,7 @@ Beside = tuple[Rest, Vector, float, float]
 # of GNSS; what is beside it.
 Moment = tuple[Motion, Sums, Shaking, Sample, Vector, Vector, Vector, Beside]
 # Period of the covariance [s], factor on the vibration, correlation time [s] of the lasting error; times [s] after
-# which a standstill and the wheels are due; speed [m/s] from which the odometer has a say in whether the vehicle stands.
+# a standstill and the wheels are due; speed [m/s] from which the odometer has a say in whether the vehicle stands.
 Limits = tuple[float, float, float, float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
 
