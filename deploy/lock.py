@@ -1,7 +1,7 @@
 """Write the lock files: what this environment has of all that pyproject.toml asks for, by version.
 
-Run by `make lock` in a fresh environment. `requirements.lock` is what runs in the vehicle, and
-`requirements-dev.lock` adds the tools of the tests.
+Run by `make lock` in a fresh environment. `requirements.lock` is what runs in the vehicle, `requirements-fast.lock`
+what the extra [fast] adds to it, and `requirements-dev.lock` holds these and the tools of the tests.
 """
 
 import tomllib
@@ -46,11 +46,12 @@ def lock_text(wanted: list[str]) -> str:
 
 
 def main() -> None:
-    """Write both files at the top of the repository."""
+    """Write the files at the top of the repository."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     run_time: list[str] = project["dependencies"]
     development: list[str] = project["optional-dependencies"]["dev"]
     (ROOT / "requirements.lock").write_text(lock_text(run_time))
+    (ROOT / "requirements-fast.lock").write_text(lock_text(project["optional-dependencies"]["fast"]))
     (ROOT / "requirements-dev.lock").write_text(lock_text(run_time + development))
 
 

@@ -17,6 +17,7 @@ PURE = {
 }  # fmt: skip
 PURE_SHARED = {"shared.maths", "shared.messages", "shared.xbus", "shared.processes", "shared.topics", "shared.errors"}
 PURE_SHARED |= {"shared.config"}  # for `Section`, the base of settings
+PURE_SHARED |= {"shared.compiling"}  # it changes how fast mathematics runs, and not what comes of it
 
 
 def files_of(process: str) -> list[Path]:

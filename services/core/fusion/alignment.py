@@ -7,17 +7,17 @@ import numpy.typing as npt
 
 from shared.maths.earth import (
     STANDARD_GRAVITY,
-    Geodetic,
     earth_rate_n,
     geodetic_from_ned_difference,
-    ned_from_geodetic_difference,
 )
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
 from shared.messages import NavigationPhase
 
 from . import error_model as em
 from .baseline import BaselineHeading
+from .colour import UNKNOWN
 from .filter import NO_PARAMETERS, ErrorStateFilter
+from .first_place import FirstPlace, first_place
 from .gnss import GnssPosition, GnssVelocity
 from .heading import REST_RATE_SD, Heading, Motion, Prior, drift_sd, heading_of_motion, motion_between, saved_heading
 from .levelling import Levelling, rest_gyroscope_bias
@@ -30,8 +30,6 @@ BASELINE_S = 5.0  # longest time between two positions that give a course
 MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
 REST_VELOCITY_SD = 0.05  # [m/s]
 ARM_RATE_SD = 0.05  # [rad/s] by which the swing of the lever arm may be wrong
-REST_CORRELATION_S = 5.0  # GNSS errors closer than this are taken for one
-UNKNOWN_HEIGHT_SD = 100.0  # [m]
 UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
 BASELINE_AGE_S = 2.0  # up to which the heading of two antennas is one at the fix
 BASELINE_TILT_SD = 0.02  # [rad] by which a tilt that is not yet known turns it
@@ -165,9 +163,9 @@ class Alignment:
         quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
         arm_n = rotate(quaternion, arm)
         swing = rotate(north_from_level, motion.swing)
-        antenna, position_cov = self._position(fix)
+        first = self._first_place(fix)
         velocity = (motion.velocity[0] - swing[0], motion.velocity[1] - swing[1], motion.velocity[2] - swing[2])
-        position = geodetic_from_ned_difference((-arm_n[0], -arm_n[1], -arm_n[2]), antenna)
+        position = geodetic_from_ned_difference((-arm_n[0], -arm_n[1], -arm_n[2]), first.position)
         bias, bias_cov = self._accelerometer_bias()
         drift, drift_cov = self._gyroscope_bias(north_from_level, position.latitude)
         tilt2 = self.levelling.tilt_sd**2 + float(bias_cov[0, 0]) / STANDARD_GRAVITY**2
@@ -175,25 +173,24 @@ class Alignment:
         P = np.zeros((em.SIZE, em.SIZE))
         P[em.ATTITUDE, em.ATTITUDE] = np.diag([tilt2, tilt2, heading.sd**2])
         P[em.VELOCITY, em.VELOCITY] = np.diag(np.square(motion.sd)) + (ARM_RATE_SD * hypot(*arm)) ** 2 * np.eye(3)
-        P[em.POSITION, em.POSITION] = position_cov
         P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
         P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
         P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
+        P[em.POSITION, em.POSITION] = first.cov
+        P[em.GNSS_ERROR, :] = P[:, em.GNSS_ERROR] = 0.0
+        P[em.GNSS_ERROR, em.GNSS_ERROR] = first.error_cov
+        P[em.POSITION, em.GNSS_ERROR] = first.both
+        P[em.GNSS_ERROR, em.POSITION] = first.both.T
         inertial = InertialState(fix.time_ns, quaternion, velocity, position)
-        parameters = self._lost.parameters if self._lost else NO_PARAMETERS
-        return ErrorStateFilter(settings, inertial, P, bias, drift, parameters)
+        known = self._lost.parameters if self._lost else NO_PARAMETERS
+        begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
+        parameters = (*known[:begin], *first.error, *known[end:])
+        return ErrorStateFilter(settings, inertial, P, bias, drift, parameters, first.colour)
 
-    def _position(self, fix: GnssPosition) -> tuple[Geodetic, FloatArray]:
-        """Mean of the fixes of a rest, or the one fix of a vehicle that drives."""
-        cov = fix.cov + np.diag([0.0, 0.0, 0.0 if fix.axes == 3 else UNKNOWN_HEIGHT_SD**2])
-        rest = [other for other in self._fixes_at_rest if other.axes == fix.axes]
-        if len(rest) < 2:
-            return fix.position, cov
-        offsets = [ned_from_geodetic_difference(other.position, fix.position) for other in rest]
-        north, east, down = np.mean(offsets, axis=0).tolist()
-        span_s = (rest[-1].time_ns - rest[0].time_ns) * 1e-9
-        independent = min(float(len(rest)), 1.0 + span_s / REST_CORRELATION_S)
-        return geodetic_from_ned_difference((north, east, down), fix.position), cov / independent
+    def _first_place(self, fix: GnssPosition) -> FirstPlace:
+        """Weigh the fixes of a rest, or take the one fix of a vehicle that drives."""
+        rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
+        return first_place(rest or [fix], self._lost.colour.at_start() if self._lost else UNKNOWN)
 
     def _parameters_cov(self) -> FloatArray:
         if self._lost is not None:

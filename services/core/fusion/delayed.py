@@ -12,21 +12,25 @@ from collections.abc import Sequence
 from .aiding import Measurement, Outcome
 from .engine import Engine, Sample
 from .heading import Prior
+from .ordinary import Run
 from .settings import Settings
+from .stretch import Stretch
 from .trail import Trail
 
-KEPT_EVERY = 8  # samples between two copies of the engine
+KEPT_EVERY = 16  # samples between two copies of the engine
 
 
-def _order(measurement: Measurement) -> tuple[int, int, str]:
+def order(measurement: Measurement) -> tuple[int, int, str]:
+    """Key by which measurements are used."""
     return measurement.time_ns, measurement.received_ns, measurement.source
 
 
 class DelayedEngine:
     """Engine for samples in order and measurements in any order, up to a time back."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, compiled: Run | None = None) -> None:
         self._settings = settings
+        self._compiled = compiled
         self.engine = Engine(settings)
         self._horizon_ns = int(settings.history_s * 1e9)
         self._samples: deque[Sample] = deque()
@@ -45,7 +49,7 @@ class DelayedEngine:
 
     def restarted(self, why: str) -> "DelayedEngine":
         """Begin again from nothing, with the counts kept."""
-        fresh = DelayedEngine(self._settings)
+        fresh = DelayedEngine(self._settings, self._compiled)
         fresh.engine.begin_after(self.engine.counts, why)
         if self.engine.trail is not None:
             self.engine.trail.seal()
@@ -81,7 +85,7 @@ class DelayedEngine:
         reached_ns = self.engine.last.time_ns if self.engine.last else None
         if reached_ns is not None and measurement.time_ns <= reached_ns:
             return self._go_back_for(measurement)
-        insort(self._measurements, measurement, key=_order)
+        insort(self._measurements, measurement, key=order)
         return []
 
     def _go_back_for(self, measurement: Measurement) -> list[Outcome]:
@@ -90,19 +94,20 @@ class DelayedEngine:
         while self._copies[-1][0] >= measurement.time_ns:
             self._copies.pop()
         stamp, kept = self._copies[-1]
-        insort(self._measurements, measurement, key=_order)
+        insort(self._measurements, measurement, key=order)
         self.engine = kept.fork()
         if self.engine.trail is not None:
             self.engine.trail.rewind(stamp)
         self._fresh = 0
         again = [sample for sample in self._samples if sample.time_ns > stamp]
+        stretch = Stretch([stamp, *(s.time_ns for s in again)], [[*s.force, *s.rate] for s in again], self._compiled)
         outcomes: list[Outcome] = []
-        for sample in again:
-            outcomes += self.engine.step(sample, self._between(stamp, sample.time_ns))
-            stamp = sample.time_ns
-            self._fresh += 1
-            if self._fresh >= KEPT_EVERY:
-                self._copies.append((stamp, self.engine.fork()))
+        for here in range(0, len(again), KEPT_EVERY):
+            stop = min(here + KEPT_EVERY, len(again))
+            outcomes += stretch.through(self.engine, here, stop, self._measurements)
+            self._fresh = stop - here
+            if self._fresh == KEPT_EVERY:
+                self._copies.append((again[stop - 1].time_ns, self.engine.fork()))
                 self._fresh = 0
         return [o for o in outcomes if o.time_ns == measurement.time_ns and o.source == measurement.source]
 

@@ -1,5 +1,6 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot, radians, sqrt
@@ -18,6 +19,7 @@ from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Prior
 from .judging import Judge
+from .ordinary import GAP_S, NEVER, Rows, Run, Stamps
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import QUIET_S, SPEED_LIMIT, UNSETTLED, at_rest, length
@@ -26,7 +28,7 @@ from .watch import Watch, block
 from .wheels import PERIOD_S as WHEELS_PERIOD_S
 from .wheels import SLOWEST_M_S, NonHolonomic, WheelSpeed
 
-GAP_S = 0.05  # a longer step is a gap: carried over, and admitted in the covariance
+# A step longer than GAP_S is a gap: carried over, and admitted in the covariance.
 LOST_S = 1.0  # a longer one ends the solution, though not the attitude
 FORGOTTEN_S = 5.0  # a still longer one ends that too
 GAP_FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
@@ -131,6 +133,34 @@ class Engine:
         self._settle_phase(time_ns)
         return outcomes
 
+    def stride(self, run: Run, times_ns: Stamps, samples: Rows) -> int:
+        """Take samples that follow the last one as long as they are ordinary, and say how many that were.
+
+        `times_ns` begins with the stamp of the last sample, and no measurement is due before the last of them.
+        """
+        navigation = self.filter
+        if navigation is None or self.last is None or navigation.trail is not None:
+            return 0  # there is nothing to carry on, or a smoother wants to know of every step
+        if self.phase is not COASTING:
+            times_ns = times_ns[: bisect_right(times_ns, (self.accepted_ns or 0) + self._coasting_ns)]
+        count = len(times_ns) - 1
+        if count < 1:
+            return 0
+        settings, odometer = self._settings, self._odometer
+        dues = (
+            PERIOD_S - 1e-3 if settings.zero_velocity else NEVER,
+            WHEELS_PERIOD_S - 1e-3 if settings.non_holonomic else NEVER,
+            SPEED_LIMIT if odometer is not None and odometer.speed == 0.0 else NEVER,
+        )
+        beside = self._rest, self._rest_turn, self._rest_s, self._rolling_s
+        taken, beside = navigation.stride(run, times_ns, samples[:count], beside, dues)
+        if taken:
+            fx, fy, fz, wx, wy, wz = map(float, samples[taken - 1])
+            self.last = Sample(int(times_ns[taken]), (fx, fy, fz), (wx, wy, wz))
+            self._rest, self._rest_turn, self._rest_s, self._rolling_s = beside
+            self.stationary = self._rest[2] >= QUIET_S
+        return taken
+
     def _advance(self, sample: Sample, time_ns: int) -> None:
         """Carry alignment or filter to an instant within the step that the sample describes."""
         assert self.last is not None
@@ -178,6 +208,8 @@ class Engine:
                 self.watch = self.watch.after(outcome, before, self.filter, self._settings.gate_false_alarm)
                 if outcome.kind is AidingKind.GNSS_POSITION:
                     self._count_position(measurement.time_ns, outcome.used)
+            if isinstance(measurement, GnssPosition) and outcomes[-1].used:
+                measurement.teach(self.filter)
         except FilterDiverged as error:
             self._reset(measurement.time_ns, str(error), yaw_sd=None)
         if self._is_astray(measurement.time_ns):

@@ -28,7 +28,7 @@ GYROSCOPE_SCALE = slice(18, 21)
 ODOMETER_SCALE = 21
 MOUNTING = slice(22, 24)  # pitch, yaw
 VEHICLE = slice(21, 24)
-GNSS_ERROR = slice(24, 27)  # [m, NED] of GNSS positions, the part that lasts
+GNSS_ERROR = slice(24, 27)  # [-] of GNSS positions, the part that lasts over its standard deviation
 GNSS_DELAY = 27  # [s] by which GNSS is older than assumed
 ODOMETER_DELAY = 28  # [s]
 BAROMETER_OFFSET = 29  # [m] of barometric height
@@ -53,10 +53,15 @@ PATTERN = """
 PLACES = np.array([place for place, mark in enumerate(PATTERN.split()) if mark == "x"])
 
 
-def system_matrix(motion: Motion, force_n: Vector, rate_b: Vector = (0.0, 0.0, 0.0)) -> FloatArray:
+def system_matrix(motion: Motion, force_n: Vector, rate_b: Vector) -> FloatArray:
     """Matrix F of the error model, shape (9, 21) [1/s and mixed], as far as it is not zero: see `error_rates`."""
+    return scattered(error_rates(motion, force_n, rate_b))
+
+
+def scattered(values: tuple[float, ...]) -> FloatArray:
+    """Put the elements of F in their places."""
     F = np.zeros(MOVING * DRIVING)
-    F[PLACES] = error_rates(motion, force_n, rate_b)
+    F[PLACES] = values
     return F.reshape(MOVING, DRIVING)
 
 
@@ -151,6 +156,14 @@ def noise_density(*densities: tuple[int | slice, float]) -> FloatArray:
     for place, value in densities:
         diagonal[place] = value
     return diagonal
+
+
+def with_vibration(density: FloatArray, shaking: tuple[float, float], factor: float) -> FloatArray:
+    """Raise the density of velocity and attitude to a share of the measured vibration [m²/s³, rad²/s], if less."""
+    raised = density.copy()
+    raised[ATTITUDE] = max(density[0], factor * shaking[1])
+    raised[VELOCITY] = max(density[3], factor * shaking[0])
+    return raised
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:

@@ -1,6 +1,6 @@
 """The error-state filter: a mechanisation, the covariance of its errors, and the corrections between them."""
 
-from math import isfinite, pi, sqrt
+from math import exp, isfinite, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,10 @@ from shared.maths.rotation import (
 )
 
 from . import error_model as em
-from .kalman import Correction, correct, predict
-from .sampling import NO_SUMS, Shaking, take_sample
+from .colour import UNKNOWN, Colour
+from .kalman import Correction, correct, decay, predict, variances
+from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, NEVER, Beside, Moment, Rows, Run, Stamps
+from .sampling import NO_SUMS, Shaking, means, take_sample
 from .settings import Settings
 from .strapdown import InertialState, motion_of, normalised
 from .trail import Trail
@@ -27,9 +29,7 @@ FloatArray = npt.NDArray[np.float64]
 
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
-FASTEST_M_S = 500.0
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
-HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
 
 
 class ErrorStateFilter:
@@ -49,6 +49,8 @@ class ErrorStateFilter:
         [m/s²], [rad/s] Body axes, as far as known.
     parameters : tuple of float
         Of what aids it, in the order of `error_model.PARAMETERS`, as far as known.
+    colour : Colour
+        How GNSS errors run over time, as far as known.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class ErrorStateFilter:
         accelerometer_bias: Vector = (0.0, 0.0, 0.0),
         gyroscope_bias: Vector = (0.0, 0.0, 0.0),
         parameters: tuple[float, ...] = NO_PARAMETERS,
+        colour: Colour = UNKNOWN,
     ) -> None:
         self.inertial = inertial
         self.P = P
@@ -67,6 +70,8 @@ class ErrorStateFilter:
         self.accelerometer_scale: Vector = (0.0, 0.0, 0.0)
         self.gyroscope_scale: Vector = (0.0, 0.0, 0.0)
         self.parameters = parameters
+        self.colour = colour
+        self.moved: Vector = (0.0, 0.0, 0.0)  # [m, NED] by all corrections together
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
         self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
         self.trail: Trail | None = None  # is told what happens to the errors, for a smoother
@@ -76,6 +81,8 @@ class ErrorStateFilter:
         self._shaking: Shaking = (0.0, 0.0)  # [m²/s³, rad²/s] power spectral densities
         self._sums = NO_SUMS  # since the covariance was brought up
         self._walks = em.noise_density(
+            (em.ATTITUDE, settings.angle_random_walk_rad_sqrt_s**2),
+            (em.VELOCITY, settings.velocity_random_walk_m_s_sqrt_s**2),
             (em.ACCELEROMETER_BIAS, settings.accelerometer_bias_psd_m2_s5),
             (em.GYROSCOPE_BIAS, settings.gyroscope_bias_psd_rad2_s3),
             (em.ODOMETER_SCALE, SCALE_PSD),
@@ -114,6 +121,11 @@ class ErrorStateFilter:
         return self.parameters[place - em.DRIVING]
 
     @property
+    def gnss_error(self) -> FloatArray:
+        """Lasting error of GNSS positions over its standard deviation, shape (3,)."""
+        return np.array(self.parameters[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING])
+
+    @property
     def vehicle_from_body(self) -> FloatArray:
         """Mounting as a matrix, shape (3, 3)."""
         first = em.MOUNTING.start
@@ -135,8 +147,29 @@ class ErrorStateFilter:
             step_s,
         )
         self._last, self._time_ns = sample, time_ns
-        if self._sums[0] >= self._period_s - 1e-9:
+        if self._sums[0] >= self._period_s - EARLY_S:
             self.bring_covariance_up()
+
+    def stride(
+        self, run: Run, times_ns: Stamps, samples: Rows, beside: Beside, dues: tuple[float, float, float]
+    ) -> tuple[int, Beside]:
+        """Take samples as long as they are ordinary; what goes on beside the filter comes and goes with it."""
+        start = samples[0]
+        last = self._last or ((start[0], start[1], start[2]), (start[3], start[4], start[5]))
+        errors = self.accelerometer_bias, self.gyroscope_bias, self.accelerometer_scale, self.gyroscope_scale
+        north, east, down = self.gnss_error.tolist()
+        moment: Moment = (
+            *(self._motion, self._sums, self._shaking, last, self.rate, self.acceleration),
+            (north, east, down),
+            beside,
+        )
+        limits = self._period_s, self._settings.vibration_factor, self._memory_s, *dues
+        taken, moment, self.P = run(moment, self.P, times_ns, samples, errors, self._walks, limits)
+        if taken:
+            self._motion, self._sums, self._shaking, self._last, self.rate, self.acceleration, lasting, beside = moment
+            self._remember_gnss_error(lasting)
+            self._time_ns = int(times_ns[taken])
+        return taken, beside
 
     def rate_noise(self, span_s: float) -> float:
         """Standard deviation [rad/s] that vibration gives to the mean rate of a time."""
@@ -144,26 +177,43 @@ class ErrorStateFilter:
 
     def _noise(self) -> FloatArray:
         """Power spectral density of the errors' growth: that of the sensor, or of the vibration if it is more."""
-        settings, (force_shake, rate_shake) = self._settings, self._shaking
-        factor = settings.vibration_factor
-        density = self._walks.copy()
-        density[em.ATTITUDE] = max(settings.angle_random_walk_rad_sqrt_s**2, factor * rate_shake)
-        density[em.VELOCITY] = max(settings.velocity_random_walk_m_s_sqrt_s**2, factor * force_shake)
-        return density
+        return em.with_vibration(self._walks, self._shaking, self._settings.vibration_factor)
 
     def bring_covariance_up(self) -> None:
         """Carry the covariance to the instant of the state."""
-        since_s, ix, iy, iz, tx, ty, tz = self._sums
+        since_s = self._sums[0]
         if since_s == 0.0:
             return
-        per_s = 1.0 / since_s
-        mean_force, mean_rate = (ix * per_s, iy * per_s, iz * per_s), (tx * per_s, ty * per_s, tz * per_s)
-        F = em.system_matrix(self._motion, mean_force, mean_rate)
+        F = em.system_matrix(self._motion, *means(self._sums))
         self.P = predict(self.P, F, self._noise(), since_s)
+        remains = self._let_gnss_error_decay(since_s)
         self._sums = NO_SUMS
         self._check()
         if self.trail is not None:
-            self.trail.stepped(self, F, since_s, None)
+            self.trail.stepped(self, F, since_s, remains)
+
+    @property
+    def _memory_s(self) -> float:
+        """Correlation time of what lasts of the error of GNSS, if it is estimated."""
+        place = em.GNSS_ERROR.start
+        return NEVER if self.P[place, place] == 0.0 else self.colour.correlation_s
+
+    def _let_gnss_error_decay(self, span_s: float) -> FloatArray | None:
+        """Bring what lasts of the error of GNSS towards zero; return what remains of each error, if not all."""
+        memory_s, place = self._memory_s, em.GNSS_ERROR
+        if memory_s == NEVER:
+            return None
+        remains = exp(-span_s / memory_s)
+        self.P = decay(self.P, place.start, place.stop, remains)
+        north, east, down = self.gnss_error.tolist()
+        self._remember_gnss_error((remains * north, remains * east, remains * down))
+        share = np.ones(em.SIZE)
+        share[place] = remains
+        return share
+
+    def _remember_gnss_error(self, lasting: Vector) -> None:
+        first, last, old = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING, self.parameters
+        self.parameters = (*old[:first], *lasting, *old[last:])
 
     def widen(self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0) -> None:
         """Admit more error [rad, m/s, m] than the model knows of."""
@@ -207,6 +257,7 @@ class ErrorStateFilter:
             (velocity[0] - x[3], velocity[1] - x[4], velocity[2] - x[5]),
             _moved_back(position, (x[6], x[7], x[8])),
         )
+        self.moved = (self.moved[0] - x[6], self.moved[1] - x[7], self.moved[2] - x[8])
         bias, drift = self.accelerometer_bias, self.gyroscope_bias
         self.accelerometer_bias = (bias[0] + x[9], bias[1] + x[10], bias[2] + x[11])
         self.gyroscope_bias = (drift[0] + x[12], drift[1] + x[13], drift[2] + x[14])
@@ -220,8 +271,8 @@ class ErrorStateFilter:
 
     def _check(self) -> None:
         """Raise `FilterDiverged` where numbers have lost their meaning, rather than hand them on."""
-        variances = self.P.diagonal().tolist()
-        if not (isfinite(sum(variances)) and min(variances[: em.ACCELEROMETER_SCALE.start]) > 0.0):
+        total, least = variances(self.P, em.ACCELEROMETER_SCALE.start)
+        if not (isfinite(total) and least > 0.0):
             raise FilterDiverged("the covariance is no longer positive")
         quaternion, (north, east, down), (latitude, longitude, height), _ = self._motion
         if not isfinite(sum(quaternion) + north + east + down + latitude + longitude + height):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from .strapdown import rotate
 FloatArray = npt.NDArray[np.float64]
 
 LARGEST_SD = 1e4  # [m, m/s] a receiver that knows nothing may say anything
+LASTING_ABOVE_M = 0.1  # of the larger horizontal axis; errors below it are of a carrier phase
 SMALLEST_EIGENVALUE = 1e-3  # [-] of a correlation matrix that is a matrix of correlations
 
 
@@ -51,21 +53,38 @@ class GnssPosition:
     axes: int
     lever_arm: Vector
     time_sd_s: float
+    lasts: bool = False  # its error, in part
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Position alone."""
         yield self.observe
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold it against the predicted position of the antenna, in metres."""
+        """Hold it against the predicted position of the antenna and the part of its error that lasts, in metres."""
         arm_n = rotate(navigation.inertial.quaternion, self.lever_arm)
-        antenna = geodetic_from_ned_difference(arm_n, navigation.inertial.position)
-        z = np.array(ned_from_geodetic_difference(self.position, antenna))
-        H = em.antenna_position_matrix(arm_n)
+        z, H = self._beside(navigation, arm_n), em.antenna_position_matrix(arm_n)
         along = np.array(navigation.inertial.velocity) * self.time_sd_s  # what an error of the stamp does
-        R = self.cov + np.outer(along, along)
+        lasting = navigation.colour.lasting if self.lasts else 0.0
+        R = (1.0 - lasting) * self.cov + np.outer(along, along)
+        if lasting > 0.0:
+            root = sqrt(lasting) * np.linalg.cholesky(self.cov)
+            z -= root @ navigation.gnss_error
+            H[:, em.GNSS_ERROR] = -root
         n = self.axes
         return Observation(AidingKind.GNSS_POSITION, z[:n], H[:n], R[:n, :n])
+
+    def teach(self, navigation: ErrorStateFilter) -> None:
+        """Let a filter that has used it learn how GNSS errors run over time."""
+        if self.lasts and self.axes == 3:
+            arm_n = rotate(navigation.inertial.quaternion, self.lever_arm)
+            path = self._beside(navigation, arm_n) + navigation.moved
+            variances = navigation.P.diagonal()[em.VELOCITY]
+            navigation.colour = navigation.colour.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances)
+
+    def _beside(self, navigation: ErrorStateFilter, arm_n: Vector) -> FloatArray:
+        """Find where it is beside the predicted antenna [m, NED]."""
+        antenna = geodetic_from_ned_difference(arm_n, navigation.inertial.position)
+        return np.array(ned_from_geodetic_difference(self.position, antenna))
 
 
 @dataclass(frozen=True)
@@ -102,7 +121,13 @@ def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> FloatAr
 
 
 def gnss_measurements(
-    settings: Settings, stamp: Stamp, position: Geodetic, reading: Reading, velocity: Reading | None
+    settings: Settings,
+    stamp: Stamp,
+    position: Geodetic,
+    reading: Reading,
+    velocity: Reading | None,
+    *,
+    fixed: bool = False,
 ) -> list[Measurement]:
     """Make measurements of one epoch of a receiver, with covariances that can be trusted.
 
@@ -118,6 +143,8 @@ def gnss_measurements(
         The position's covariance [m², NED] and axes; its vector is of no account.
     velocity : Reading or None
         [m/s, NED]
+    fixed : bool
+        Whether the carrier's ambiguities are resolved, so that no error of metres is left to last.
 
     Returns
     -------
@@ -140,16 +167,18 @@ def gnss_measurements(
             )
         )
     floor, factor = settings.gnss_position_sd_floor_m, settings.gnss_sd_factor
+    cov = _trusted(reading.cov, settings.gnss_position_sd_m, floor, factor)
     measurements.append(
         GnssPosition(
             time_ns=true_ns,
             received_ns=stamp.received_ns,
             source=stamp.source,
             position=position,
-            cov=_trusted(reading.cov, settings.gnss_position_sd_m, floor, factor),
+            cov=cov,
             axes=reading.axes,
             lever_arm=settings.lever_arm_body_m,
             time_sd_s=settings.gnss_time_sd_s,
+            lasts=settings.gnss_lasting_errors and not fixed and bool(cov[:2, :2].max() > LASTING_ABOVE_M**2),
         )
     )
     return measurements

@@ -13,6 +13,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @cache
+@cache
 def chi_square_limit(dimension: int, false_alarm: float) -> float:
     """Size that a normalised innovation squared exceeds by chance with a given probability.
 
@@ -78,18 +79,59 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
     """
     m, k = F.shape
     Ft = F * step_s
-    upper = Ft.dot(P[:k])
+    upper = product(Ft, P[:k])
     upper += P[:m]
-    square = upper[:, :k].dot(Ft.T)
+    square = product(upper[:, :k], Ft.T)
     square += upper[:, :m]
     after = P.copy()
     after[:m] = upper
     after[:, :m] = upper.T
     corner = after[:m, :m]
-    np.add(square, square.T, out=corner)
+    np.add(square, square.T, corner)
     corner *= 0.5
     diagonal = after.reshape(-1)[:: len(P) + 1]
     diagonal += noise * step_s
+    return after
+
+
+def product(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Matrix product, under a name of its own, since a compiler would ask for SciPy's."""
+    result: FloatArray = left.dot(right)
+    return result
+
+
+def variances(P: FloatArray, count: int) -> tuple[float, float]:
+    """Sum of all variances, and the least of the first ones: how a covariance is seen to be sound."""
+    diagonal = P.diagonal().tolist()
+    return sum(diagonal), min(diagonal[:count])
+
+
+def decay(P: FloatArray, first: int, end: int, remains: float) -> FloatArray:
+    """Covariance after a step of first-order Gauss-Markov states of variance one, which nothing else depends on.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance before.
+    first, end : int
+        Place of the states, the end not included.
+    remains : float
+        [-] phi = exp(-step / correlation time).
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Phi P Phi^T + Q, with phi on the diagonal of Phi and 1 - phi² on that of Q, and exact at any step.
+
+    References
+    ----------
+    Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6.
+    """
+    after = P.copy()
+    after[first:end] *= remains
+    after[:, first:end] *= remains
+    for place in range(first, end):
+        after[place, place] += 1.0 - remains * remains
     return after
 
 

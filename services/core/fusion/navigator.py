@@ -23,9 +23,10 @@ from . import barometer, compass
 from . import error_model as em
 from .aiding import Measurement, Outcome
 from .delayed import DelayedEngine
-from .engine import Counts, Sample
+from .engine import Counts, Engine, Sample
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
+from .ordinary import Run
 from .protection import protection_levels
 from .settings import Settings
 from .trail import Trail
@@ -72,12 +73,12 @@ class Navigator:
     order; then it is used at the instant at which it was true.
     """
 
-    def __init__(self, settings: Settings | None = None) -> None:
+    def __init__(self, settings: Settings | None = None, compiled: Run | None = None) -> None:
         self.settings = settings or Settings()
         self.rejects: Counter[str] = Counter()
         self.samples_used = 0
         self.samples_rejected = 0
-        self._delayed = DelayedEngine(self.settings)
+        self._delayed = DelayedEngine(self.settings, compiled)
         self._backwards = 0
         self._used_ns: dict[str, int] = {}  # stamp of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
@@ -207,6 +208,11 @@ class Navigator:
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
         self._delayed.remember(prior)
+
+    @property
+    def engine(self) -> Engine:
+        """The estimator as of the newest sample."""
+        return self._delayed.engine
 
     @property
     def phase(self) -> NavigationPhase:

@@ -71,3 +71,10 @@ def take_sample(
     force_shake += share * (scale * (fx * fx + fy * fy + fz * fz) - force_shake)
     rate_shake += share * (scale * (wx * wx + wy * wy + wz * wz) - rate_shake)
     return motion, sums, (force_shake, rate_shake), true_rate, acceleration
+
+
+def means(sums: Sums) -> tuple[Vector, Vector]:
+    """Mean specific force [m/s², NED] and rate [rad/s, body] of the time that was summed up."""
+    since, ix, iy, iz, tx, ty, tz = sums
+    per_s = 1.0 / since
+    return (ix * per_s, iy * per_s, iz * per_s), (tx * per_s, ty * per_s, tz * per_s)

@@ -95,6 +95,10 @@ class Settings(Section):
     gnss_sd_factor: float = Field(
         default=1.0, gt=0.0, description="on what a receiver states of positions, against correlated errors"
     )
+    gnss_lasting_errors: bool = Field(
+        default=True,
+        description="estimate the part of GNSS position errors that lasts, where corrections leave more than 0.1 m",
+    )
     gate_false_alarm: float = Field(
         default=0.001, gt=0.0, lt=0.5, description="probability with which a good measurement is refused"
     )

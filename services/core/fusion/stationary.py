@@ -45,7 +45,7 @@ def at_rest(
     if speed > DRIVING_M_S and speed > speed_limit:
         return UNSETTLED
     quiet_s, share = rest[2], min(1.0, step / SMOOTHING_S)
-    rate, acceleration = _blend(rest[0], rate, share), _blend(rest[1], acceleration, share)
+    rate, acceleration = blend(rest[0], rate, share), blend(rest[1], acceleration, share)
     if quiet_s < 0.0:
         return rate, acceleration, min(0.0, quiet_s + step)
     quiet = length(rate) < RATE_LIMIT and length(acceleration) < ACCELERATION_LIMIT and speed < speed_limit
@@ -58,6 +58,7 @@ def length(vector: Vector) -> float:
     return sqrt(x * x + y * y + z * z)
 
 
-def _blend(old: Vector, new: Vector, share: float) -> Vector:
+def blend(old: Vector, new: Vector, share: float) -> Vector:
+    """Go a share of the way from one vector to another."""
     x, y, z = old
     return x + share * (new[0] - x), y + share * (new[1] - y), z + share * (new[2] - z)

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from shared.maths.earth import Geodetic
 from shared.messages import (
     AidingUpdate,
+    CarrierSolution,
     FixType,
     GnssFix,
     ImuSamples,
@@ -45,8 +46,9 @@ def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]
     has_height = height is not None and fix.fix_type is not FixType.TWO_D
     position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), height or 0.0)
     reading = Reading((0.0, 0.0, 0.0), _position_cov(fix), 3 if has_height else 2)
+    fixed = fix.carrier_solution is CarrierSolution.FIXED
     stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
-    return gnss_measurements(settings, stamp, position, reading, _velocity(fix))
+    return gnss_measurements(settings, stamp, position, reading, _velocity(fix), fixed=fixed)
 
 
 def give_fix(navigator: Navigator, fix: GnssFix) -> bool:

@@ -1,0 +1,79 @@
+"""A whole log at once: all samples and measurements are there, and each is used when it was true."""
+
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from .aiding import Measurement
+from .delayed import order
+from .engine import Sample
+from .navigator import FORCE_LIMIT, RATE_LIMIT, Navigator, Solution
+from .ordinary import Run
+from .stretch import Stretch
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+def solve(
+    navigator: Navigator,
+    stamps_ns: IntArray,
+    samples: FloatArray,
+    measurements: Sequence[Measurement],
+    *,
+    every_ns: int,
+    compiled: Run | None = None,
+) -> Iterator[Solution]:
+    """Navigate through a log; the result is that of samples and measurements one by one, with nothing late.
+
+    Parameters
+    ----------
+    navigator : Navigator
+        Fresh, or told of a saved position.
+    stamps_ns : ndarray of int64, shape (n,)
+        Ends of the samples; what does not ascend is left out and counted.
+    samples : ndarray, shape (n, 6)
+        [m/s², rad/s, body] Specific force and angular rate, as measured; what no sensor measures is left out as well.
+    measurements : sequence of Measurement
+        In any order.
+    every_ns : int
+        A solution is given at the first sample of each such period.
+    compiled : callable, optional
+        What a compiler has made of `ordinary.run`: see `fast`.
+
+    Yields
+    ------
+    Solution
+        As soon as there are any, until the last sample.
+    """
+    usable = _usable(stamps_ns, samples)
+    navigator.samples_used += int(usable.sum())
+    navigator.samples_rejected += int((~usable).sum())
+    stamps: list[int] = stamps_ns[usable].tolist()
+    rows: list[list[float]] = samples[usable].tolist()
+    if not stamps:
+        return
+    engine, pending = navigator.engine, sorted(measurements, key=order)
+    (fx, fy, fz, wx, wy, wz), here = rows[0], 0
+    engine.step(Sample(stamps[0], (fx, fy, fz), (wx, wy, wz)), [])
+    stretch = Stretch(stamps, rows[1:], compiled)
+    while here + 1 < len(stamps):
+        next_period_ns = (stamps[here] // every_ns + 1) * every_ns
+        stop = min(bisect_left(stamps, next_period_ns, here + 1), len(stamps) - 1)
+        stretch.through(engine, here, stop, pending)
+        here = stop
+        if stamps[here] >= next_period_ns and (solution := navigator.solution()) is not None:
+            yield solution
+
+
+def _usable(stamps_ns: IntArray, samples: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which samples a navigator would take, one by one."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = samples * samples
+        credible: npt.NDArray[np.bool_] = size[:, :3].sum(axis=1) < FORCE_LIMIT**2
+        credible &= size[:, 3:].sum(axis=1) < RATE_LIMIT**2
+    newest = np.maximum.accumulate(np.where(credible, stamps_ns, stamps_ns.min(initial=0)))
+    credible[1:] &= stamps_ns[1:] > newest[:-1]
+    return credible

@@ -1,0 +1,148 @@
+"""A log solved at once, with and without a compiler, is what its samples are one by one."""
+
+from collections.abc import Sequence
+from functools import cache
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from services.core.fusion.aiding import Measurement
+from services.core.fusion.batch import solve
+from services.core.fusion.engine import Sample
+from services.core.fusion.fast import compiled_run
+from services.core.fusion.heading import Prior
+from services.core.fusion.navigator import Navigator, Solution
+from services.core.fusion.ordinary import Run
+from services.core.fusion.settings import Settings
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.messages import NavigationPhase
+
+FloatArray = npt.NDArray[np.float64]
+TENTH_NS = 100_000_000
+SAME = 1e-9  # [m], [m/s], [rad] by which a compiler may differ
+
+
+class Collector(Navigator):
+    """Keeps measurements instead of using them."""
+
+    collected: list[Measurement]
+
+    def measure(self, measurement: Measurement) -> None:
+        self.collected.append(measurement)
+
+
+@cache
+def drive() -> Drive:
+    """Two minutes in a town, with stops; GNSS is away from 60 s to 75 s."""
+    return simulate("urban", seed=4, duration_s=120.0)
+
+
+def settings(**changes: object) -> Settings:
+    return Settings.model_validate({"lever_arm_body_m": drive().lever_arm_b, "levelling_s": 2.0, **changes})
+
+
+def fresh(**changes: object) -> Navigator:
+    d = drive()
+    navigator = Navigator(settings(**changes))
+    navigator.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    return navigator
+
+
+@cache
+def measurements() -> list[Measurement]:
+    """Fixes between the samples, and speeds of the wheels."""
+    d, collector = drive(), Collector(settings())
+    collector.collected = []
+    for k in np.flatnonzero(d.fix_valid & ~((d.fix_ns > 60e9) & (d.fix_ns < 75e9))).tolist():
+        north, east, down = d.fix_velocity_n[k].tolist()
+        collector.fix(
+            int(d.fix_ns[k]) - 3_300_000,
+            position=Geodetic(*d.fix_position[k].tolist()),
+            velocity=(north, east, down),
+            position_sd=tuple(d.fix_position_sd_n[k].tolist()),
+            velocity_sd=tuple(d.fix_velocity_sd_n[k].tolist()),
+        )
+    for stamp, speed in zip(d.odometer_ns.tolist(), d.odometer.tolist(), strict=True):
+        collector.speed(stamp, speed)
+    return collector.collected
+
+
+def log() -> tuple[npt.NDArray[np.int64], FloatArray]:
+    """Samples of the drive, of which some are missing, doubled, swapped and mad."""
+    d = drive()
+    stamps, samples = d.t_ns.copy(), np.column_stack([d.force_b, d.rate_b])
+    keep = np.ones(len(stamps), dtype=bool)
+    keep[4000:4020] = keep[8000:8003] = False
+    stamps[5000] = stamps[4999]
+    stamps[[6000, 6001]] = stamps[[6001, 6000]]
+    samples[7000, 2], samples[7010, 4] = np.nan, 1e200
+    return stamps[keep], samples[keep]
+
+
+def at_once(compiled: Run | None = None, **changes: object) -> tuple[Navigator, list[Solution]]:
+    navigator = fresh(**changes)
+    return navigator, list(solve(navigator, *log(), measurements(), every_ns=TENTH_NS, compiled=compiled))
+
+
+def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
+    """Each sample alone, and with it what was true since the last; a solution in the first sample of each tenth."""
+    navigator, solutions, place, tenth = fresh(**changes), [], 0, 0
+    pending = sorted(measurements(), key=lambda m: (m.time_ns, m.received_ns, m.source))
+    newest = -1
+    for stamp, row in zip(log()[0].tolist(), log()[1].tolist(), strict=True):
+        if stamp <= newest or not np.isfinite(row).all() or abs(row[4]) > 100.0:
+            navigator.samples_rejected += 1
+            continue
+        due: Sequence[Measurement] = []
+        while place < len(pending) and pending[place].time_ns <= stamp:
+            due = [*due, pending[place]]
+            place += 1
+        fx, fy, fz, wx, wy, wz = row
+        navigator.engine.step(Sample(stamp, (fx, fy, fz), (wx, wy, wz)), due)
+        if newest >= 0 and stamp // TENTH_NS != tenth and (solution := navigator.solution()):
+            solutions.append(solution)
+        newest, tenth = stamp, stamp // TENTH_NS
+    return navigator, solutions
+
+
+@pytest.mark.parametrize("aided", [True, False])
+def test_a_log_solved_at_once_is_to_the_last_bit_what_its_samples_are_one_by_one(aided: bool) -> None:
+    """Stops, turns, an outage, gaps and samples that are refused: nothing makes a difference."""
+    switches = {"zero_velocity": aided, "non_holonomic": aided}
+    whole, solutions = at_once(None, **switches)
+    single, expected = one_by_one(**switches)
+    assert len(solutions) > 1100
+    assert {NavigationPhase.NAVIGATING, NavigationPhase.COASTING} <= {solution.phase for solution in solutions}
+    assert {True, False} == {solution.stationary for solution in solutions}
+    for ours, theirs in zip(solutions, expected, strict=True):
+        for name in ("time_ns", "phase", "position", "velocity", "yaw", "rate", "stationary", "gnss_age_s"):
+            assert getattr(ours, name) == getattr(theirs, name), (name, ours.time_ns)
+        assert np.array_equal(ours.position_cov, theirs.position_cov)
+    assert whole.counts == single.counts and whole.counts.imu_gaps == 1
+    assert whole.samples_rejected == single.samples_rejected == 4
+
+
+@pytest.mark.parametrize("aided", [True, False])
+def test_a_compiler_changes_nothing(aided: bool) -> None:
+    compiled = compiled_run()
+    if compiled is None:
+        pytest.skip("Numba is not installed: pip install .[fast]")
+    switches = {"zero_velocity": aided, "non_holonomic": aided}
+    fast, solutions = at_once(compiled, **switches)
+    plain, expected = at_once(None, **switches)
+    assert len(solutions) == len(expected) > 1100
+    for ours, theirs in zip(solutions, expected, strict=True):
+        away_m = ned_from_geodetic_difference(ours.position, theirs.position)
+        assert away_m == pytest.approx((0.0, 0.0, 0.0), abs=SAME)
+        assert ours.velocity == pytest.approx(theirs.velocity, abs=SAME)
+        assert (ours.roll, ours.pitch, ours.yaw) == pytest.approx((theirs.roll, theirs.pitch, theirs.yaw), abs=SAME)
+        assert ours.position_cov == pytest.approx(theirs.position_cov, rel=SAME, abs=SAME)
+        assert (ours.time_ns, ours.phase, ours.stationary) == (theirs.time_ns, theirs.phase, theirs.stationary)
+    assert fast.counts == plain.counts
+
+
+def test_an_empty_log_has_no_solution() -> None:
+    assert list(solve(fresh(), np.zeros(0, dtype=np.int64), np.zeros((0, 6)), [], every_ns=TENTH_NS)) == []
