@@ -1,7 +1,7 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
 from collections.abc import Sequence
-from math import hypot, radians, sqrt
+from math import degrees, hypot, radians, sqrt
 from typing import NamedTuple
 
 from shared.errors import FilterDiverged
@@ -12,9 +12,10 @@ from . import error_model as em
 from .aiding import Measurement, Outcome
 from .alignment import Alignment
 from .filter import ErrorStateFilter
-from .gnss import GnssPosition, GnssVelocity
-from .heading import Prior
+from .gnss import GnssPosition, GnssVelocity, antenna_velocity
+from .heading import Heading, Prior
 from .judging import Judge
+from .matching import Comparison, Corrections
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import SPEED_LIMIT, Rest
@@ -26,7 +27,8 @@ LOST_S = 1.0  # a longer one ends the solution, though not the attitude
 FORGOTTEN_S = 5.0  # a still longer one ends that too
 GAP_FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
 GAP_RATE_SD = 0.3  # [rad/s]
-LOST_YAW_SD = radians(20.0)
+KEPT = Heading(0.0, radians(20.0), "heading kept")
+TURNED_SD = radians(3.0)
 ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
 ZERO_SDS = 3.0  # of the velocity, within which a speed of zero is believed
 
@@ -66,6 +68,7 @@ class Engine:
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
         self._judge = Judge(settings)
+        self._comparison = Comparison()  # of the filter's heading with GNSS
         self._rest = Rest()
         self._rest_turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] of the rest since its last update
         self._rest_s = 0.0
@@ -131,16 +134,16 @@ class Engine:
             elif self._alignment is not None:
                 self._alignment.levelling.advance(sample.force, sample.rate, step_s)
         except FilterDiverged as error:
-            self._reset(time_ns, str(error), yaw_sd=None)
+            self._reset(time_ns, str(error), kept=None)
 
     def _bridge(self, gap_s: float, sample: Sample) -> Sample:
         """Decide what survives a gap, and what is taken to have happened in it: the mean of its two ends."""
         assert self.last is not None
         self.counts = self.counts._replace(imu_gaps=self.counts.imu_gaps + 1)
         if gap_s > LOST_S:
-            yaw_sd = LOST_YAW_SD if gap_s <= FORGOTTEN_S else None
+            kept = KEPT if gap_s <= FORGOTTEN_S else None
             self.last = sample
-            self._lose(sample.time_ns, f"no inertial sample for {gap_s:.1f} s", yaw_sd, self.filter)
+            self._lose(sample.time_ns, f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
             return sample
         if self.filter is not None:
             force_sd, rate_sd = GAP_FORCE_SD * gap_s, GAP_RATE_SD * gap_s
@@ -154,6 +157,9 @@ class Engine:
             return []
         if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, self.filter):
             return []
+        if isinstance(measurement, GnssPosition | GnssVelocity) and self._is_turned(measurement, self.filter):
+            self._align(measurement)
+            return []
         outcomes = []
         try:
             for observe in measurement.observers():
@@ -162,11 +168,25 @@ class Engine:
                 if outcome.kind is AidingKind.GNSS_POSITION:
                     self._count_position(measurement.time_ns, outcome.used)
         except FilterDiverged as error:
-            self._reset(measurement.time_ns, str(error), yaw_sd=None)
+            self._reset(measurement.time_ns, str(error), kept=None)
         if self._is_astray(measurement.time_ns):
-            self._reset(measurement.time_ns, f"{self._rejections} positions in a row rejected", LOST_YAW_SD)
+            self._reset(measurement.time_ns, f"{self._rejections} positions in a row rejected", KEPT)
             self._align(measurement)
         return outcomes
+
+    def _is_turned(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> bool:
+        """Watch the heading, and begin again if it is wrong by more than a filter can mend."""
+        corrections = self._judge.corrections.at(seen.time_ns)
+        own = antenna_velocity(navigation, seen.lever_arm) + navigation.inertial.velocity
+        pure = complex(own[0], own[1]) + corrections.velocity
+        self._judge.corrections = corrections._replace(yaw=0.0)
+        self._comparison = self._comparison.turned(-corrections.yaw).after(seen, pure)
+        if not self._comparison.is_wrong(seen.time_ns):
+            return False
+        turn, sd = self._comparison.result()
+        why = f"the heading was wrong by {abs(degrees(turn)):.0f} degrees"
+        self._reset(seen.time_ns, why, Heading(turn, max(sd, TURNED_SD), "matched accelerations"))
+        return True
 
     def _count_position(self, time_ns: int, used: bool) -> None:
         counts = self.counts
@@ -191,6 +211,7 @@ class Engine:
         if started is None:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
+        self._comparison, self._judge.corrections = self._alignment.comparison, Corrections()
         self.filter, self._alignment, self._why = started, None, ""
         self._rest, self._rest_s = Rest(), 0.0
         self._count_position(measurement.time_ns, used=True)
@@ -259,14 +280,16 @@ class Engine:
     def _enter(self, phase: NavigationPhase, time_ns: int, reason: str) -> None:
         self.phase, self.since_ns, self.reason = phase, time_ns, reason
 
-    def _reset(self, time_ns: int, why: str, yaw_sd: float | None) -> None:
+    def _reset(self, time_ns: int, why: str, kept: Heading | None) -> None:
         """Begin again, because the filter cannot be right."""
         self.counts = self.counts._replace(resets=self.counts.resets + 1)
-        sound = self.filter if yaw_sd is not None else None
-        self._lose(time_ns, why, yaw_sd, sound)
+        sound = self.filter if kept is not None else None
+        self._lose(time_ns, why, kept, sound)
 
-    def _lose(self, time_ns: int, why: str, yaw_sd: float | None, lost: ErrorStateFilter | None = None) -> None:
-        self._alignment = Alignment(self._settings, lost, yaw_sd)
+    def _lose(self, time_ns: int, why: str, kept: Heading | None, lost: ErrorStateFilter | None = None) -> None:
+        self._alignment = Alignment(self._settings, lost, kept)
+        if lost is not None:
+            self._alignment.comparison = self._comparison.interrupted()
         self.filter, self._why, self._rejections = None, why, 0
         self._enter(self._alignment.phase, time_ns, f"{self._alignment.reason}, after {why}")
 

@@ -5,6 +5,7 @@ from shared.messages import AidingKind
 from .aiding import Measurement, Observation, Outcome
 from .filter import ErrorStateFilter
 from .kalman import chi_square_limit
+from .matching import Corrections
 from .settings import Settings
 
 # A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
@@ -19,6 +20,7 @@ class Judge:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
+        self.corrections = Corrections()
 
     def fork(self) -> "Judge":
         """Copy that goes its own way."""
@@ -33,6 +35,7 @@ class Judge:
         used = ratio <= 1.0
         if used:
             navigation.accept(correction)
+            self.corrections = self.corrections.after(measurement.time_ns, correction.x[:5].tolist())
         elif seen.kind in WIDENING:
             navigation.widen(**WIDENING[seen.kind])
         return Outcome(
