@@ -59,3 +59,4 @@ class Outcome:
     test_ratio: float
     used: bool
     reason: str | None = None
+    weight: float = 1.0  # on the inverse of R

@@ -9,8 +9,9 @@ from bisect import bisect_right, insort
 from collections import deque
 
 from .aiding import Measurement, Outcome
-from .engine import Engine, Sample
+from .engine import Engine
 from .heading import Prior
+from .samples import Sample
 from .settings import Settings
 
 KEPT_EVERY = 8  # samples between two copies of the engine

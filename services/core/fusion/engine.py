@@ -15,7 +15,8 @@ from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity, antenna_velocity
 from .heading import Heading, Prior
 from .judging import Judge
-from .matching import Comparison, Corrections
+from .matching import Comparison
+from .samples import Sample
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
 from .stationary import SPEED_LIMIT, Rest
@@ -27,18 +28,12 @@ LOST_S = 1.0  # a longer one ends the solution, though not the attitude
 FORGOTTEN_S = 5.0  # a still longer one ends that too
 GAP_FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
 GAP_RATE_SD = 0.3  # [rad/s]
+DOUBT_PERIOD_S = 0.1
+DOUBT_CORRELATION_S = 1.0
 KEPT = Heading(0.0, radians(20.0), "heading kept")
 TURNED_SD = radians(3.0)
 ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
 ZERO_SDS = 3.0  # of the velocity, within which a speed of zero is believed
-
-
-class Sample(NamedTuple):
-    """Mean specific force and angular rate [m/s², rad/s; body] of the time that ends at the stamp."""
-
-    time_ns: int
-    force: Vector
-    rate: Vector
 
 
 class Counts(NamedTuple):
@@ -72,6 +67,7 @@ class Engine:
         self._rest = Rest()
         self._rest_turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] of the rest since its last update
         self._rest_s = 0.0
+        self._doubtful_s = 0.0  # of samples, since the filter was told
         self._rolling_s = 0.0  # since the wheels were last held against the filter
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
         self._rejections = 0  # successive positions
@@ -116,6 +112,8 @@ class Engine:
             outcomes += self._aid(measurement)
         self._advance(held, sample.time_ns)
         self.last = sample
+        if sample.doubt is not None:
+            self._admit(gap_s)
         outcomes += self._watch_for_standstill(sample.time_ns, gap_s)
         outcomes += self._watch_the_wheels(sample.time_ns, gap_s)
         self._settle_phase(sample.time_ns)
@@ -150,6 +148,15 @@ class Engine:
             self.filter.widen(attitude_sd=rate_sd, velocity_sd=force_sd, position_sd=0.5 * force_sd * gap_s)
         return Sample(sample.time_ns, _mean(self.last.force, sample.force), _mean(self.last.rate, sample.rate))
 
+    def _admit(self, span_s: float) -> None:
+        """Take a doubtful sample for no better than a guess, ten times a second: errors that last about a second."""
+        self._doubtful_s += span_s
+        if self.filter is None or self._doubtful_s < DOUBT_PERIOD_S - 1e-3:
+            return
+        grown = sqrt(self._doubtful_s * DOUBT_CORRELATION_S)
+        self.filter.widen(attitude_sd=GAP_RATE_SD * grown, velocity_sd=GAP_FORCE_SD * grown)
+        self._doubtful_s = 0.0
+
     def _aid(self, measurement: Measurement) -> list[Outcome]:
         """Hold a measurement against the filter, or hand it to the alignment."""
         if self.filter is None:
@@ -166,7 +173,7 @@ class Engine:
                 outcome = self._judge.judge(self.filter, measurement, observe(self.filter))
                 outcomes.append(outcome)
                 if outcome.kind is AidingKind.GNSS_POSITION:
-                    self._count_position(measurement.time_ns, outcome.used)
+                    self._count_position(outcome)
         except FilterDiverged as error:
             self._reset(measurement.time_ns, str(error), kept=None)
         if self._is_astray(measurement.time_ns):
@@ -188,14 +195,13 @@ class Engine:
         self._reset(seen.time_ns, why, Heading(turn, max(sd, TURNED_SD), "matched accelerations"))
         return True
 
-    def _count_position(self, time_ns: int, used: bool) -> None:
+    def _count_position(self, outcome: Outcome) -> None:
         counts = self.counts
-        if used:
-            self.counts = counts._replace(fixes_used=counts.fixes_used + 1)
-            self.accepted_ns, self._rejections = time_ns, 0
+        if outcome.used:
+            self.counts, self.accepted_ns = counts._replace(fixes_used=counts.fixes_used + 1), outcome.time_ns
         else:
             self.counts = counts._replace(fixes_rejected=counts.fixes_rejected + 1)
-            self._rejections += 1
+        self._rejections = 0 if outcome.used or outcome.test_ratio <= 1.0 else self._rejections + 1
 
     def _is_astray(self, time_ns: int) -> bool:
         """Whether the receiver has contradicted the filter for so often and so long that the filter must be wrong."""
@@ -211,10 +217,12 @@ class Engine:
         if started is None:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
-        self._comparison, self._judge.corrections = self._alignment.comparison, Corrections()
+        self._comparison = self._alignment.comparison
+        self._judge.acquit()
         self.filter, self._alignment, self._why = started, None, ""
         self._rest, self._rest_s = Rest(), 0.0
-        self._count_position(measurement.time_ns, used=True)
+        self.counts = self.counts._replace(fixes_used=self.counts.fixes_used + 1)
+        self.accepted_ns, self._rejections = measurement.time_ns, 0
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
 
     def _watch_for_standstill(self, time_ns: int, step_s: float) -> list[Outcome]:

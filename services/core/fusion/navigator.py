@@ -10,7 +10,6 @@ from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
@@ -22,16 +21,15 @@ from shared.messages import NavigationPhase
 from . import error_model as em
 from .aiding import Measurement, Outcome
 from .delayed import DelayedEngine
-from .engine import Counts, Sample
+from .engine import Counts
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
+from .samples import Repeats, Sample, begun, impossible
 from .settings import Settings
 from .wheels import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
 
-FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
-RATE_LIMIT = 100.0  # [rad/s]
 FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheels say more often what they say
@@ -73,11 +71,18 @@ class Navigator:
         self.samples_rejected = 0
         self._delayed = DelayedEngine(self.settings)
         self._backwards = 0
+        self._repeats: Repeats | None = None
         self._speed_ns: dict[str, int] = {}  # stamp of the newest speed of each device
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
-        self, time_ns: int, force: Sequence[float], rate: Sequence[float], received_ns: int | None = None
+        self,
+        time_ns: int,
+        force: Sequence[float],
+        rate: Sequence[float],
+        received_ns: int | None = None,
+        *,
+        saturated: bool = False,
     ) -> list[Outcome]:
         """Take one inertial sample.
 
@@ -91,6 +96,8 @@ class Navigator:
             [rad/s, body] Angular rate as measured.
         received_ns : int, optional
             When it arrived at the driver; `time_ns` if not given.
+        saturated : bool
+            Whether the sensor says that it was driven beyond its range.
 
         Returns
         -------
@@ -98,13 +105,18 @@ class Navigator:
             What became of the measurements that were used now.
         """
         outcomes = self._release(time_ns if received_ns is None else received_ns)
-        fault = self._fault(time_ns, force, rate)
+        readings = (*force, *rate)
+        fault = impossible(readings) or self._backward(time_ns)
         if fault:
             self.samples_rejected += 1
             self.rejects[fault] += 1
             return outcomes
         self.samples_used += 1
-        sample = Sample(time_ns, (force[0], force[1], force[2]), (rate[0], rate[1], rate[2]))
+        self._repeats = self._repeats.after(time_ns, readings) if self._repeats else begun(time_ns, readings)
+        doubt = "gyroscope saturated" if saturated else self._repeats.doubt()
+        if doubt:
+            self.rejects[doubt] += 1
+        sample = Sample(time_ns, (force[0], force[1], force[2]), (rate[0], rate[1], rate[2]), doubt)
         return outcomes + self._delayed.step(sample)
 
     def measure(self, measurement: Measurement) -> None:
@@ -219,12 +231,8 @@ class Navigator:
                 self.rejects["measurement older than the memory"] += 1
         return outcomes
 
-    def _fault(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> str | None:
-        """What is wrong with a sample, if anything is."""
-        fx, fy, fz = force
-        wx, wy, wz = rate
-        if not (abs(fx) + abs(fy) + abs(fz) < FORCE_LIMIT and abs(wx) + abs(wy) + abs(wz) < RATE_LIMIT):
-            return "sample beyond any sensor" if isfinite(fx + fy + fz + wx + wy + wz) else "sample not finite"
+    def _backward(self, time_ns: int) -> str | None:
+        """Say whether a sample is not newer than the last; many of them are a clock that was set back."""
         last = self._delayed.engine.last
         if last is None or time_ns > last.time_ns:
             self._backwards = 0

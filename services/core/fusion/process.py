@@ -68,7 +68,7 @@ class Process:
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         for sampled_ns, force, rate in samples:
-            outcomes = self._navigator.imu(sampled_ns, force, rate, batch.received_ns)
+            outcomes = self._navigator.imu(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated)
             yield from map(translate.aiding_message, outcomes)
             yield from self._state(sampled_ns)
             yield from self._solution(sampled_ns)

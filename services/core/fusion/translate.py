@@ -139,6 +139,7 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
         innovation_sd=outcome.innovation_sd,
         test_ratio=outcome.test_ratio,
         used=outcome.used,
+        weight=outcome.weight,
         reason=outcome.reason,
     )
 

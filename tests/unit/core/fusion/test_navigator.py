@@ -265,7 +265,8 @@ def test_every_measurement_yields_an_outcome() -> None:
     used = [o for o in run.outcomes if o.kind is AidingKind.GNSS_POSITION and o.used]
     assert len(used) == run.navigator.counts.fixes_used - 1  # the first started the filter
     assert {o.kind for o in run.outcomes} == set(AidingKind) - {AidingKind.COURSE, AidingKind.ODOMETER}
-    assert all((o.test_ratio <= 1.0) == o.used == (o.reason is None) for o in run.outcomes)
+    assert all(o.used == (o.reason is None) == (o.weight > 0.0) for o in run.outcomes)
+    assert all((o.weight == 1.0) == (o.test_ratio <= 1.0) for o in run.outcomes)
 
 
 def test_a_jump_is_refused_and_a_lasting_one_resets_with_its_reason() -> None:
