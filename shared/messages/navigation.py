@@ -64,6 +64,7 @@ class NavigationState(Message):
     samples_rejected: int
     imu_gaps: int
     resets: int
+    lever_arm_error_body_m: tuple[float, float] | None = None  # forward, right: true minus set, if that is wrong
 
 
 class AidingKind(StrEnum):

@@ -73,6 +73,11 @@ class Engine:
         self._rejections = 0  # successive positions
         self._why = ""  # the solution was lost
 
+    @property
+    def lever_arm_error(self) -> tuple[float, float] | None:
+        """Error [m, forward and right] of the lever arm, if it is wrong beyond doubt."""
+        return self._judge.arm.wrong()
+
     def fork(self) -> "Engine":
         """Copy that goes its own way."""
         twin = Engine.__new__(Engine)
@@ -153,6 +158,7 @@ class Engine:
         self._doubtful_s += span_s
         if self.filter is None or self._doubtful_s < DOUBT_PERIOD_S - 1e-3:
             return
+        self._comparison = Comparison()  # it would be one with nonsense
         grown = sqrt(self._doubtful_s * DOUBT_CORRELATION_S)
         self.filter.widen(attitude_sd=GAP_RATE_SD * grown, velocity_sd=GAP_FORCE_SD * grown)
         self._doubtful_s = 0.0

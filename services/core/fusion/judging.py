@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from shared.messages import AidingKind
 
+from . import arms
 from .aiding import Measurement, Observation, Outcome
 from .filter import ErrorStateFilter
 from .kalman import Correction, chi_square_limit
@@ -15,6 +16,7 @@ WIDENING = {
     AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
     AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
 }
+TOLD_LIMIT = 9.0  # times the gate: what is beyond it tells nothing of the lever arm
 FORGIVEN_S = 60.0  # without a fault, after which the ones before are forgotten
 
 
@@ -54,6 +56,7 @@ class Judge:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.corrections = Corrections()
+        self.arm = arms.begun()
         self._height_ns: int | None = None  # since when heights have been refused
         self._standings: dict[tuple[str, AidingKind], Standing] = {}
 
@@ -65,7 +68,7 @@ class Judge:
 
     def acquit(self) -> None:
         """Begin with all devices in good standing: it was the filter that was wrong, and it is a new one."""
-        self._standings, self.corrections = {}, Corrections()
+        self._standings, self.corrections, self.arm = {}, Corrections(), arms.begun()
 
     def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
         """Use an observation if its d² is within the limit of d², with less weight up to `robust_limit` times it.
@@ -107,6 +110,8 @@ class Judge:
         remark: str | None,
     ) -> Outcome:
         gnss = seen.kind in WIDENING
+        if gnss and ratio < TOLD_LIMIT:
+            self._watch_arm(navigation, measurement, seen)
         limit = self._settings.robust_limit if gnss else 1.0
         excluded = gnss and self._is_excluded(measurement, seen.kind, ratio <= limit)
         refused = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
@@ -130,6 +135,12 @@ class Judge:
             refused or remark,
             weight,
         )
+
+    def _watch_arm(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> None:
+        S = seen.H @ navigation.P @ seen.H.T + seen.R
+        gain = 1.0 - float(seen.R[0, 0] + seen.R[1, 1]) / float(S[0, 0] + S[1, 1])
+        position = seen.kind is AidingKind.GNSS_POSITION
+        self.arm = self.arm.after(measurement.time_ns, navigation, seen.z, S, gain=gain, position=position)
 
     def _is_excluded(self, measurement: Measurement, kind: AidingKind, agrees: bool) -> bool:
         """Keep the books of GNSS, and say whether what it says now is of no account."""

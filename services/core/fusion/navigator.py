@@ -194,6 +194,11 @@ class Navigator:
         """What was used, rejected, bridged and reset."""
         return self._delayed.engine.counts
 
+    @property
+    def lever_arm_error(self) -> tuple[float, float] | None:
+        """True minus assumed lever arm [m, forward and right], if GNSS contradicts the setting in turns."""
+        return self._delayed.engine.lever_arm_error
+
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is none to be believed."""
         engine = self._delayed.engine

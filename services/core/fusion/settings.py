@@ -87,7 +87,7 @@ class Settings(Section):
         default=0.001, gt=0.0, lt=0.5, description="probability with which a good measurement is refused"
     )
     robust_limit: float = Field(
-        default=4.0,
+        default=2.0,
         ge=1.0,
         description="times the gate, in d²: up to it GNSS is used with less weight",
     )
