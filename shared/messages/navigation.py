@@ -89,7 +89,9 @@ class AidingUpdate(Message):
     innovation_sd: tuple[float, ...]
     test_ratio: float  # normalised innovation squared over its limit: above 1 the gate rejects
     used: bool
-    weight: float = 1.0  # less than 1 of one that was used although it is beyond the gate, 0 of one that was not used
+    weight_ratio: float = (
+        1.0  # less than 1 of one that was used although it is beyond the gate, 0 of one that was not used
+    )
     reason: Reason | None = None
 
 

@@ -160,7 +160,7 @@ def _trusted(cov: FloatArray | None, default_sd: Vector, floor_sd: float, factor
 
     A receiver that says zero does not know.
     """
-    if cov is None or not (np.isfinite(cov).all() and cov.diagonal().min() > 0.0):
+    if cov is None or not (np.isfinite(cov).all() and cov.diagonal().max() > 0.0):
         return np.diag(np.square(default_sd))
     stated = np.sqrt(np.clip(cov.diagonal(), floor_sd**2, LARGEST_SD**2))
     correlation = np.clip(cov / np.outer(stated, stated), -1.0, 1.0)

@@ -139,7 +139,7 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
         innovation_sd=outcome.innovation_sd,
         test_ratio=outcome.test_ratio,
         used=outcome.used,
-        weight=outcome.weight,
+        weight_ratio=outcome.weight,
         reason=outcome.reason,
     )
 
