@@ -6,8 +6,9 @@ SUDO := $(shell [ "$$(id -u)" = 0 ] || command -v sudo)
 APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
 SCENARIO ?= urban
+RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers bench picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers bench drives integrity picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -80,6 +81,12 @@ papers: setup ## reproduce the papers' numbers (minutes)
 
 bench: $(VENV)/.debian ## measure beside C and print the ratios (minutes)
 	@$(PYTHON) -m benchmarks
+
+drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (half an hour)
+	@$(PYTHON) -m benchmarks.navigation
+
+integrity: setup ## hold protection levels against true errors: RUNS simulated drives, and RECORDINGS=folder (half an hour)
+	@$(PYTHON) -m benchmarks.integrity --runs $(RUNS) $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
 picture: $(VENV)/.debian ## take the README's picture anew from a running demo
 	@$(PYTHON) docs/picture.py

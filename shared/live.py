@@ -136,9 +136,10 @@ class LiveReactor:
             self._bus.rejects["payload"] += 1
             self._bus.last_error = str(error)[:400]
             return
+        self._say(self._process.handle(message))  # the books are kept when the answer is on its way
         self._journal.add(envelope)
-        self._say(self._process.handle(message))
-        self._bus.rejects.update({kind: n - self._bus.rejects[kind] for kind, n in self._rejects.items()})
+        if self._rejects:
+            self._bus.rejects.update({kind: n - self._bus.rejects[kind] for kind, n in self._rejects.items()})
 
     def _tick(self) -> None:
         now_ns = self._bus.now_ns()
@@ -150,10 +151,16 @@ class LiveReactor:
         self._say(self._process.handle(tick))
 
     def _say(self, messages: Iterable[Message]) -> None:
+        """Send the first message as soon as it is there, and those that follow from the same cause in one write."""
+        first = True
         for message in messages:
-            self._bus.publish(message)
+            self._bus.publish(message, at_once=first)
             if BY_MESSAGE[type(message)].persist:
+                self._bus.flush()
                 _save(self._bus.state_dir, message)
+            first = False
+        if not first:
+            self._bus.flush()
 
     def _restore(self) -> None:
         """Give the process what it said before the last power-off, and the bus as well."""

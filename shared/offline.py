@@ -26,6 +26,10 @@ class OfflineUnit:
         self._processes = {name: cast(Reactor, load_process(name, vehicle)) for name in names}
         self._next_tick_ns: int | None = None
 
+    def process(self, name: str) -> Reactor:
+        """Give one of the processes, for what goes beyond messages."""
+        return self._processes[name]
+
     def run(self, inputs: Iterable[Message]) -> Iterator[Message]:
         """Feed inputs in order of arrival; yield each input and everything that follows from it."""
         for message in inputs:

@@ -7,9 +7,11 @@ Source: Xsens, "MT Low Level Communication Protocol Documentation", chapters 2 a
 
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import itemgetter
+from typing import NamedTuple
 
 HEADER = b"\xfa\xff"
 MTDATA2 = 0x36
@@ -145,7 +147,13 @@ def decode_mtdata2(payload: bytes, rejects: Counter[str]) -> dict[int, tuple[flo
     dict
         Data identifier without format bits -> its numbers; they may be NaN or infinite if the device said so.
     """
+    form = _forms.get(len(payload))
+    if form is not None:
+        numbers = form.layout.unpack(payload)
+        if form.heads(numbers) == form.expected:
+            return {kind: numbers[start:stop] for kind, start, stop in form.fields}
     values: dict[int, tuple[float, ...]] = {}
+    faults = rejects.total()
     try:
         for data_id, data in split_mtdata2(payload):
             kind = data_id & 0xFFF0
@@ -157,7 +165,46 @@ def decode_mtdata2(payload: bytes, rejects: Counter[str]) -> dict[int, tuple[flo
                 rejects["bad_field"] += 1
     except ValueError:
         rejects["cut_field"] += 1
+    if rejects.total() == faults:
+        _learn(payload)
     return values
+
+
+class _Form(NamedTuple):
+    """Which fields a whole measurement of one length holds: a tracker sends the same ones again and again."""
+
+    layout: struct.Struct
+    heads: Callable[[tuple[float, ...]], tuple[float, ...]]
+    expected: tuple[float, ...]
+    fields: tuple[tuple[int, int, int], ...]  # data identifier, first number, number after the last
+
+
+_forms: dict[int, _Form] = {}  # one a length, so at most as many as lengths
+MOST_NUMBERS = 64
+
+
+def _learn(payload: bytes) -> None:
+    """Remember the fields of a measurement without a fault, if there are two or more and none needs scaling."""
+    code, count = ">", 0
+    heads: list[int] = []
+    fields: list[tuple[int, int, int]] = []
+    for data_id, data in split_mtdata2(payload):
+        heads += count, count + 1
+        count += 2
+        kind = data_id & 0xFFF0
+        if kind not in _INTEGERS and kind not in _REALS:
+            code += f"HB{len(data)}x"
+            continue
+        layout, scale = _layout(data_id)
+        if scale != 1:
+            return
+        code += "HB" + layout.format.removeprefix(">")
+        fields.append((kind, count, count + len(layout.unpack(data))))
+        count = fields[-1][2]
+    if len(heads) > 2 and count <= MOST_NUMBERS:
+        form = struct.Struct(code)
+        pick = itemgetter(*heads)
+        _forms[len(payload)] = _Form(form, pick, pick(form.unpack(payload)), tuple(fields))
 
 
 def decode_field(data_id: int, data: bytes) -> tuple[float, ...]:
@@ -198,10 +245,12 @@ class XbusReader:
         self.rejects: Counter[str] = Counter() if rejects is None else rejects
         self._buffer = bytearray()
 
-    def feed(self, data: bytes) -> Iterator[XbusMessage]:
-        """Take the next bytes and yield the messages that they complete."""
+    def feed(self, data: bytes) -> Sequence[XbusMessage]:
+        """Take the next bytes and give the messages that they complete."""
+        if not self._buffer and (message := _only(data)) is not None:
+            return (message,)
         self._buffer += data
-        yield from list(self._messages())
+        return list(self._messages())
 
     def _messages(self) -> Iterable[XbusMessage]:
         buffer, start = self._buffer, 0
@@ -229,6 +278,12 @@ class XbusReader:
     def _count(self, kind: str, n: int) -> None:
         if n:
             self.rejects[kind] += n
+
+
+def _only(data: bytes) -> XbusMessage | None:
+    """Give the one good message that these bytes are, as most chunks of a tracker are."""
+    whole = len(data) > 4 and data.startswith(HEADER) and data[3] == len(data) - 5 < 0xFF and not sum(data[1:]) & 0xFF
+    return XbusMessage(data[2], data[4:-1]) if whole else None
 
 
 def _find_header(buffer: bytearray, start: int) -> int:

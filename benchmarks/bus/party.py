@@ -54,11 +54,11 @@ def subscribe(count: int) -> None:
 class Driver(Bus):
     """The bus of a driver that takes the time at the last moment."""
 
-    def publish(self, message: Message) -> None:
+    def publish(self, message: Message, *, at_once: bool = True) -> None:
         """Stamp what a device sent, and send it."""
         if isinstance(message, RawBytes):
             message = message.model_copy(update={"received_ns": self.now_ns()})
-        super().publish(message)
+        super().publish(message, at_once=at_once)
 
 
 def drive() -> None:

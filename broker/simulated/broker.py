@@ -4,15 +4,16 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from shared.mqtt.packets import Connect, Publish, Subscribe, Subscription, Unsubscribe, encode_publish
+from shared.mqtt.properties import Property
+from shared.mqtt.wire import ProtocolError, Reason
+
 from .acl import Acl
-from .packets import Connect, Publish, Subscribe, Subscription, Unsubscribe, encode_publish
-from .properties import Property
 from .retained import Kept, Retained
 from .routing import Routes
 from .session import Delivery, Limits, Session, Writer
 from .tally import Tally
 from .topics import is_filter, is_name
-from .wire import ProtocolError, Reason
 
 LONGEST_CLIENT_ID = 256
 

@@ -5,9 +5,8 @@ import logging
 import socket
 from typing import cast
 
-from .broker import Broker
-from .framing import Framer
-from .packets import (
+from shared.mqtt.framing import Framer
+from shared.mqtt.packets import (
     PINGRESP,
     Acknowledge,
     Connect,
@@ -26,9 +25,11 @@ from .packets import (
     encode_refusal,
     encode_suback,
 )
-from .properties import Properties, Property
+from shared.mqtt.properties import Properties, Property
+from shared.mqtt.wire import ProtocolError, Reason
+
+from .broker import Broker
 from .session import Delivery, Session
-from .wire import ProtocolError, Reason
 
 log = logging.getLogger(__name__)
 UNSENT_BYTES = 262_144  # beyond it, messages wait in the session's bounded queue

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from .packets import Publish
+from shared.mqtt.packets import Publish
+
 from .topics import matches
 
 

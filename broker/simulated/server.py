@@ -3,9 +3,10 @@
 import asyncio
 import contextlib
 
+from shared.mqtt.wire import Reason
+
 from .broker import Broker
 from .connection import Connection
-from .wire import Reason
 
 SWEEP_PERIOD_S = 1.0
 FAREWELL_S = 0.05  # for clients to read why the connection ends

@@ -4,9 +4,10 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from .packets import Publish, Subscription, encode_publish
+from shared.mqtt.packets import Publish, Subscription, encode_publish
+from shared.mqtt.wire import Reason
+
 from .tally import Tally
-from .wire import Reason
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,6 +41,10 @@ class Summary:
     gnss_position_rmse_m: float | None
     fusion_position_rmse_m: float | None
     fusion_horizontal_rmse_m: float | None
+    protection_horizontal_median_m: float | None
+    protection_vertical_median_m: float | None
+    misleading_horizontal: int  # solutions whose error is above their protection level
+    misleading_vertical: int
     fixes: int
     solutions: int
     end_to_end_latency_p50_ms: float | None
@@ -88,7 +92,9 @@ class Balance:
 
     def summary(self, alive: int, expected: int, restarts: int) -> Summary:
         """Add everything up."""
-        fusion = self._errors([(s.sampled_ns, _position(s)) for s in self._solutions], np.zeros(3))
+        judged = [s for s in self._solutions if self._knows(s.sampled_ns)]
+        fusion = self._errors([(s.sampled_ns, _position(s)) for s in judged], np.zeros(3))
+        levels = np.array([_levels(s) for s in judged]).reshape(-1, 2)
         fixes = [(f.sampled_ns, position) for f in self._fixes if (position := _fix_position(f)) is not None]
         gnss = self._errors(fixes, self._lever_b)
         ready = [h for h in self._health.values() if h.state == ProcessState.READY]
@@ -105,6 +111,10 @@ class Balance:
             gnss_position_rmse_m=_rms(gnss),
             fusion_position_rmse_m=_rms(fusion),
             fusion_horizontal_rmse_m=_rms(fusion[:, :2]),
+            protection_horizontal_median_m=_median(levels[:, 0]),
+            protection_vertical_median_m=_median(levels[:, 1]),
+            misleading_horizontal=int((np.hypot(fusion[:, 0], fusion[:, 1]) > levels[:, 0]).sum()),
+            misleading_vertical=int((np.abs(fusion[:, 2]) > levels[:, 1]).sum()),
             fixes=len(self._fixes),
             solutions=len(self._solutions),
             end_to_end_latency_p50_ms=_quantile(self._latencies, 0.5),
@@ -112,6 +122,10 @@ class Balance:
             worst_topic=worst.topic if worst else None,
             worst_topic_age_s=round(worst.age_s, 2) if worst and worst.age_s is not None else None,
         )
+
+    def _knows(self, stamp_ns: int) -> bool:
+        """Whether the truth is known before and behind an instant."""
+        return bool(self._truth) and self._truth[0].sampled_ns < stamp_ns <= self._truth[-1].sampled_ns
 
     def _errors(self, positions: list[tuple[int, tuple[float, float, float]]], lever_b: FloatArray) -> FloatArray:
         """Compare positions with the truth at their own stamps, in metres north, east, down."""
@@ -149,6 +163,12 @@ def _position(s: NavigationSolution) -> tuple[float, float, float]:
     return s.latitude_deg, s.longitude_deg, s.height_ellipsoid_m
 
 
+def _levels(s: NavigationSolution) -> tuple[float, float]:
+    """Protection levels [m]; without one nothing was promised."""
+    horizontal, vertical = s.protection_level_horizontal_m, s.protection_level_vertical_m
+    return math.inf if horizontal is None else horizontal, math.inf if vertical is None else vertical
+
+
 def _fix_position(f: GnssFix) -> tuple[float, float, float] | None:
     if f.latitude_deg is None or f.longitude_deg is None or f.height_ellipsoid_m is None:
         return None
@@ -157,6 +177,11 @@ def _fix_position(f: GnssFix) -> tuple[float, float, float] | None:
 
 def _rms(errors: FloatArray) -> float | None:
     return round(float(np.sqrt((errors**2).sum(axis=1).mean())), 3) if len(errors) else None
+
+
+def _median(levels: FloatArray) -> float | None:
+    known = levels[np.isfinite(levels)]
+    return round(float(np.median(known)), 3) if len(known) else None
 
 
 def _quantile(values: list[float], share: float) -> float | None:

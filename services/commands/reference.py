@@ -12,6 +12,7 @@ from shared.contract import Json, asyncapi_json, processes_table, table, topics_
 from shared.processes import PROCESSES
 
 from .solving.metrics import METRICS, TIMINGS
+from .solving.smoothing import SMOOTHED_METRICS
 from .solving.track import COLUMNS
 
 HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
@@ -37,6 +38,7 @@ def configuration_pages() -> str:
 def metrics_page() -> str:
     """Print what `obu solve` writes: the metrics, and the columns of solution.csv."""
     metrics = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in METRICS.items()])
+    smoothed = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in SMOOTHED_METRICS.items()])
     timings = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in TIMINGS.items()])
     stamps = [
         ("`sampled_ns`", "instant on the time line of the recording, ns"),
@@ -50,13 +52,17 @@ def metrics_page() -> str:
         f"## metrics.json\n\n{metrics}\n\n"
         "Root mean squares and percentiles are taken over the instants of the truth while the filter navigates or "
         "coasts, outages included.\n\n"
+        f"`--smooth` adds:\n\n{smoothed}\n\n"
         f"## Times, printed only\n\nThese differ from run to run, and so are in no file.\n\n{timings}\n\n"
         f"## solution.csv\n\nOne row a solution while the filter navigates or coasts.\n\n{columns}\n\n"
+        "`solution_smoothed.csv`, of `--smooth`, has the same columns: a row a period of the solution, at a step of "
+        "the filter's covariance and so not at the very stamps of solution.csv; phase, standstill and age of GNSS are "
+        "the filter's, and what no smoother knows is empty.\n\n"
         "## A truth of your own\n\n"
         "`--truth FILE` takes a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970, "
         "and any of position (`latitude_deg`, `longitude_deg`, `height_ellipsoid_m`), velocity (`velocity_north_m_s`, "
         "`velocity_east_m_s`, `velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They are of "
-        "the IMU. Another solution.csv is such a file.\n"
+        "the IMU. Another solution.csv or solution_smoothed.csv is such a file.\n"
     )
 
 

@@ -4,16 +4,19 @@ import csv
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from services.core.fusion.process import Config
+from services.core.fusion.process import Config, Process
+from services.core.fusion.smoother import smoothed_filters
+from services.core.fusion.trail import Trail
 from shared.config import VehicleFile
 from shared.errors import UserError
 from shared.messages import (
@@ -29,19 +32,23 @@ from shared.offline import OfflineUnit
 
 from .importing.table import read_table
 from .recordings import open_recording, progress_on, tell_problems, vehicle_of
+from .solution_files import write
 from .solving.errors import errors_against
-from .solving.export import csv_lines, kml_text
 from .solving.inputs import Inputs, all_fixes, arrival_of, inputs_of
 from .solving.metrics import Run, Value, metrics_of
 from .solving.outages import Outages
+from .solving.overrides import SWITCHES, Aiding, with_settings
 from .solving.reference import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
-from .solving.report import Heading, page, summary
+from .solving.report import Heading, summary
+from .solving.smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .solving.tally import Tally
-from .solving.track import TrackBuilder
+from .solving.track import Track, TrackBuilder
+from .spool import Spool
 
 
-def solve(
+def solve(  # noqa: PLR0913  # one argument an option
     recording: Annotated[Path, typer.Argument(help="A recording, from `obu record` or `obu import`.")],
+    *,
     truth: Annotated[
         str | None,
         typer.Option(help="fixes, recorded, none, or a CSV file; without it what the recording says of itself."),
@@ -50,24 +57,54 @@ def solve(
         Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the recorded one.")
     ] = None,
     outage: Annotated[
-        str | None, typer.Option(help="Take GNSS away: 10/30 is for 10 s of every 30 s, once the filter is aligned.")
+        str | None,
+        typer.Option(
+            help="Take GNSS away: 10/30 is for 10 s of every 30 s once the filter is aligned, 60/180@650 for 60 s of "
+            "every 180 s from 650 s after the first input on."
+        ),
+    ] = None,
+    score_from: Annotated[
+        float, typer.Option(min=0.0, help="Seconds after the first input whose errors are in no root mean square.")
+    ] = 0.0,
+    aiding: Annotated[
+        Aiding | None,
+        typer.Option(
+            help="What helps besides GNSS: free is nothing but standstill, nhc wheels that do not slide, odometer "
+            "those and the speed; without it what the vehicle's file says."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A setting in place of the vehicle's, such as core.fusion.odometer=false."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results; without it the recording's name and -solution.")
     ] = None,
+    smooth: Annotated[
+        bool, typer.Option(help="Go back over the drive as well: solution_smoothed.csv, for maps and as a reference.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as one JSON object.")] = False,
 ) -> int:
     """Run the whole unit over a recording, and write solution.csv, solution.kml, metrics.json and report.html.
 
-    Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]
+    Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]  |
+    [bold]obu solve drive.mcap --smooth[/]  |
+    [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]  |
+    [bold]obu solve drive.mcap --set core.fusion.gnss_delay_s=0.1[/]
     """
     outages = Outages.parse(outage) if outage is not None else None
     console = Console(stderr=True)
-    drive = _read(recording, vehicle, console)
+    changes = (*(SWITCHES[aiding] if aiding else ()), *(settings or ()))
+    drive = _changed(_read(recording, vehicle, console), changes)
+    if outages is not None:
+        outages.recording_ns = drive.first_ns
     given, by_fixes = _given_truth(drive, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
-    with progress_on(console) as progress:
-        solved = _run(drive, outages, progress)
+    with ExitStack() as stack:
+        progress = stack.enter_context(progress_on(console))
+        spool = stack.enter_context(Spool(folder)) if smooth else None
+        solved = _run(drive, outages, progress, spool)
+        smoothed = _smooth(drive, solved, spool, progress) if spool is not None else None
     if count := len(drive.inputs.undecodable):
         console.print(f"{recording.name}: {count} messages could not be decoded and were left out", markup=False)
     # All fixes of the recording, those that an outage took away as well.
@@ -75,10 +112,15 @@ def solve(
     reference = (
         _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
     )
-    run = _judged(drive, solved, reference, fixes)
+    run = replace(_judged(drive, solved, reference, fixes), scored_from_ns=drive.first_ns + round(score_from * 1e9))
     metrics = metrics_of(run)
-    heading = Heading(drive.name, reference.description if reference else "none was given", outage, _facts(drive))
-    _write(folder, run, reference, heading, metrics)
+    again = None
+    if smoothed is not None:
+        again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).lever_arm_body_m)
+        metrics |= smoothed_metrics(run, again)
+    truth_is = reference.description if reference else "none was given"
+    heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), drive.provenance.get("made", ""))
+    write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
         "realtime_factor": round((drive.last_ns - drive.first_ns) * 1e-9 / solved.seconds, 1),
@@ -89,7 +131,8 @@ def solve(
         for sentence in summary(heading, metrics):
             print(sentence)
         print(f"Solved in {solved.seconds:.1f} s, {timings['realtime_factor']} times as fast as driven.")
-        print(f"Wrote {folder / 'report.html'} and beside it solution.csv, solution.kml and metrics.json.")
+        beside = "solution.csv, solution.kml" + (", the same as solution_smoothed" if smooth else "")
+        print(f"Wrote {folder / 'report.html'} and beside it {beside} and metrics.json.")
     return 0
 
 
@@ -134,6 +177,13 @@ def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
     return Drive(provenance.get("name", path.stem), path.name, inputs, vehicle_of(recording, vehicle), provenance)
 
 
+def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
+    """Put settings of the command line in the place of the vehicle's, and fail at once if they are wrong."""
+    changed = replace(drive, vehicle=with_settings(drive.vehicle, changes))
+    OfflineUnit(changed.vehicle)
+    return changed
+
+
 def _check(path: Path, inputs: Inputs) -> None:
     for sensor, topics in (("IMU", ("imu/raw", "imu/sample")), ("GNSS", ("gnss/raw", "gnss/fix"))):
         if not any(inputs.topics[topic] for topic in topics):
@@ -143,9 +193,12 @@ def _check(path: Path, inputs: Inputs) -> None:
             )
 
 
-def _run(drive: Drive, outages: Outages | None, progress: Progress) -> Solved:
+def _run(drive: Drive, outages: Outages | None, progress: Progress, spool: Spool | None = None) -> Solved:
     """Run layers 2 to 4 over all inputs, in the order of their arrival."""
     unit, builder, tally = OfflineUnit(drive.vehicle), TrackBuilder(), Tally()
+    if spool is not None:
+        period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
+        cast(Process, unit.process("core.fusion")).leave(Trail(spool, period_ns))
     fixes: list[GnssFix] = []
     started = time.perf_counter()
     for message in unit.run(_fed(drive.inputs, outages, tally, progress)):
@@ -159,6 +212,12 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress) -> Solved:
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
     return Solved(builder, tally, outages, fixes, time.perf_counter() - started)
+
+
+def _smooth(drive: Drive, solved: Solved, spool: Spool, progress: Progress) -> Track:
+    """Go back over what the filter did."""
+    records = progress.track(spool.newest_first(), total=len(spool), description="smoothing")
+    return smoothed_track(smoothed_filters(records), solved.builder.track().valid())
 
 
 def _fed(inputs: Inputs, outages: Outages | None, tally: Tally, progress: Progress) -> Iterator[Message]:
@@ -223,7 +282,8 @@ def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: li
         raise UserError(
             f"the filter never began to navigate ({reason}); check lever arm, axes and stamps, or drive further"
         )
-    lever_arm = _fusion(drive.vehicle).lever_arm_body_m
+    config = _fusion(drive.vehicle)
+    lever_arm = config.lever_arm_body_m
     outages = solved.outages
     return Run(
         track,
@@ -234,6 +294,7 @@ def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: li
         drive.last_ns,
         len(fixes),
         len(fixes) - len(solved.fixes),
+        alert_limits_m=(config.alert_limit_horizontal_m, config.alert_limit_vertical_m),
     )
 
 
@@ -255,25 +316,12 @@ def _by_fixes(drive: Drive, fixes: list[GnssFix]) -> Reference:
     return from_fixes(fixes, delay_s=config.gnss_delay_s, velocity_delay_s=config.gnss_velocity_delay_s)
 
 
-def _facts(drive: Drive) -> list[tuple[str, str]]:
+def _facts(drive: Drive, changes: tuple[str, ...]) -> list[tuple[str, str]]:
     files = json.loads(drive.provenance.get("files", "{}"))
     return [
         ("recording", drive.file),
         ("vehicle", drive.vehicle.name),
+        *(("set", change) for change in changes),
         *((name, f"SHA-256 {digest}") for name, digest in files.items()),
         *((topic, f"{count} messages") for topic, count in sorted(drive.inputs.topics.items())),
     ]
-
-
-def _write(folder: Path, run: Run, reference: Reference | None, heading: Heading, metrics: dict[str, Value]) -> None:
-    from .solving.plots import figures_of  # matplotlib costs half a second: only once there is something to draw
-
-    report = page(heading, metrics, figures_of(run, reference))
-    try:
-        with (folder / "solution.csv").open("w", encoding="utf-8") as file:
-            file.writelines(csv_lines(run.track))
-        (folder / "solution.kml").write_text(kml_text(run.track, heading.name), encoding="utf-8")
-        (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
-        (folder / "report.html").write_text(report, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error

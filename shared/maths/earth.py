@@ -22,7 +22,7 @@ ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)  # [-]
 EQUATORIAL_GRAVITY = 9.7803253359  # [m/s²] NIMA TR8350.2, table 3.4
 SOMIGLIANA_CONSTANT = 0.00193185265241  # [-] NIMA TR8350.2, table 3.4
 STANDARD_GRAVITY = 9.80665  # [m/s²] exact, by definition (3rd CGPM, 1901)
-_GRAVITY_RATIO = EARTH_RATE**2 * SEMI_MAJOR_AXIS**2 * SEMI_MINOR_AXIS / GRAVITATIONAL_CONSTANT
+GRAVITY_RATIO = EARTH_RATE**2 * SEMI_MAJOR_AXIS**2 * SEMI_MINOR_AXIS / GRAVITATIONAL_CONSTANT
 
 
 class Geodetic(NamedTuple):
@@ -97,7 +97,7 @@ def gravity(latitude: float, height: float) -> float:
     sin2 = sin(latitude) ** 2
     surface = EQUATORIAL_GRAVITY * (1.0 + SOMIGLIANA_CONSTANT * sin2) / sqrt(1.0 - ECCENTRICITY_SQUARED * sin2)
     ratio = height / SEMI_MAJOR_AXIS
-    return surface * (1.0 - 2.0 * ratio * (1.0 + FLATTENING * (1.0 - 2.0 * sin2) + _GRAVITY_RATIO) + 3.0 * ratio**2)
+    return surface * (1.0 - 2.0 * ratio * (1.0 + FLATTENING * (1.0 - 2.0 * sin2) + GRAVITY_RATIO) + 3.0 * ratio**2)
 
 
 def earth_rate_n(latitude: float) -> Vector:

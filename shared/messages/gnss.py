@@ -3,6 +3,7 @@
 from enum import StrEnum
 
 from .base import (
+    Deviation,
     Deviation3,
     Height,
     Latitude,
@@ -70,6 +71,9 @@ class GnssFix(Stamped):
     hdop: float | None = None
     vdop: float | None = None
     correction_age_s: float | None = None
+    baseline_heading_rad: float | None = None  # from the first antenna to the second, clockwise from true north
+    baseline_heading_sd_rad: Deviation | None = None
+    baseline_length_m: float | None = None
 
 
 class Constellation(StrEnum):

@@ -49,6 +49,10 @@ class NavigationSolution(Message):
     gyroscope_bias_rad_s: Vector3
     stationary: bool
     gnss_age_s: float | None = None  # since the stamp of the last fix that was used
+    # Error beyond which the position is with probability `integrity_risk` only; absent in recordings of older units.
+    protection_level_horizontal_m: Deviation | None = None
+    protection_level_vertical_m: Deviation | None = None
+    integrity_risk: float | None = None
 
 
 class NavigationState(Message):
@@ -77,6 +81,9 @@ class AidingKind(StrEnum):
     COURSE = "course"
     ODOMETER = "odometer"
     NON_HOLONOMIC = "non_holonomic"
+    BAROMETRIC_HEIGHT = "barometric_height"
+    BASELINE_HEADING = "baseline_heading"
+    MAGNETIC_HEADING = "magnetic_heading"
 
 
 class AidingUpdate(Message):
@@ -119,4 +126,4 @@ class TruthState(Message):
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
-    angular_rate_body_rad_s: Vector3
+    angular_rate_body_rad_s: Vector3 | None = None  # not every reference tells it

@@ -22,10 +22,11 @@ ROOT = Path(__file__).parents[2]
 UNITS = ("m", "m_s", "m_s2", "m2", "m2_s2", "rad", "rad_s", "rad2", "deg", "s", "ns", "hz", "k", "pa", "db_hz", "bytes")
 # Numbers without a unit, each with its reason in the message's own comment or docstring.
 UNITLESS = {
-    "pdop", "hdop", "vdop", "test_ratio", "weight_ratio", "seed", "speed", "incarnation", "satellites_used", "number", "request_id",
+    "integrity_risk",
+    "pdop", "hdop", "vdop", "test_ratio", "seed", "speed", "incarnation", "satellites_used", "number", "request_id",
     "count", "restarts", "messages", "messages_in", "messages_out", "dropped", "reconnections", "fixes_used",
     "fixes_rejected", "samples_used", "samples_rejected", "imu_gaps", "resets", "bytes_written", "innovation",
-    "innovation_sd", "magnetic_field_body",
+    "innovation_sd", "weight_ratio", "magnetic_field_body",
 }  # fmt: skip
 
 

@@ -42,4 +42,5 @@ def test_the_tests_run_on_the_versions_that_the_vehicle_runs() -> None:
 
 
 def test_the_vehicle_gets_no_test_tools() -> None:
-    assert not pins("requirements.lock").keys() & {"pytest", "mypy", "ruff", "playwright", "hypothesis", "scipy"}
+    tools = {"pytest", "mypy", "ruff", "playwright", "hypothesis", "scipy", "paho-mqtt", "psutil"}
+    assert not pins("requirements.lock").keys() & tools

@@ -255,3 +255,35 @@ def test_a_browser_that_is_one_too_many_is_told(tmp_path: Path, open_page: Calla
         expect(first.locator("svg.closeup")).to_be_visible()
         second = open_page(server.address)
         expect(second.get_by_text("refuses another dashboard: close one elsewhere")).to_be_visible(timeout=8000)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark", "phone"])
+def test_protection_levels_are_drawn_and_told_in_plain_words(
+    tmp_path: Path, open_page: Callable[..., Page], theme: str
+) -> None:
+    with status_server(tmp_path) as server:
+        page = open_page(server.address, theme=theme)
+        ring = page.locator("svg.closeup circle.level")
+        expect(ring).to_be_attached()
+        ellipse = page.locator("svg.closeup ellipse.ellipse")
+        assert float(ring.get_attribute("r") or 0) > float(ellipse.get_attribute("ry") or 0) > 0
+        assert "Protection level: 3.1 m on the ground" in (
+            page.locator("svg.closeup").get_attribute("aria-label") or ""
+        )
+        position = page.get_by_role("region", name="Position", exact=True)
+        expect(position).to_contain_text("3.1 m on the ground, 4.3 m in height")
+        expect(position).to_contain_text("off by more than this at most once in 1,000 times")
+        if theme == "phone":
+            expect(page.locator(".glance")).to_contain_text("Protection level")
+            assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+
+def test_an_old_protection_level_is_not_shown_as_one_of_now(tmp_path: Path, open_page: Callable[..., Page]) -> None:
+    with status_server(tmp_path) as server:
+        assert server.unit is not None
+        page = open_page(server.address)
+        expect(page.locator("svg.closeup circle.level:not(.old)")).to_be_attached()
+        server.unit.silent.add("core.fusion")
+        page.locator("svg.closeup circle.level.old").wait_for(state="attached", timeout=8000)
+        expect(page.get_by_role("region", name="Position", exact=True)).to_contain_text("it says nothing about now")
+        expect(page.locator(".glance")).not_to_contain_text("Protection level")

@@ -15,6 +15,7 @@ wid_car, trial 10   0.013       0.013       0.11, 0.19 (2 outages)
 """
 
 import json
+from math import radians
 from pathlib import Path
 
 import pytest
@@ -86,7 +87,7 @@ def test_jumps_of_metres_among_houses_are_rejected_and_do_not_stop_the_filter(tr
 def test_a_truck_knows_attitude_and_velocity_as_a_reference_of_higher_grade_does(tmp_path: Path) -> None:
     found = solved(imported("auburn_truck", recording("auburn_truck") / "turn", tmp_path))
     # The IMU sits turned by several degrees against the reference, and the cab leans on its springs.
-    assert found["yaw_sd_rad"] < 0.025, "what another filter reached on this drive: 1.3 degrees"
+    assert found["yaw_sd_rad"] <= radians(1.0), "the goal; 0.76 degrees were measured, another filter reached 1.3"
     assert found["roll_rmse_rad"] < 0.05 and found["pitch_rmse_rad"] < 0.05
     assert found["velocity_rmse_m_s"] < 0.4, "the antenna is several metres from the IMU, and how many is not known"
     assert found["horizontal_rmse_m"] is None, "the reference does not know the position to better than 3 m"

@@ -216,6 +216,9 @@ class FakeUnit:
                 gyroscope_bias_rad_s=(1e-4, 2e-4, -1e-4),
                 stationary=False,
                 gnss_age_s=12.4 if self.coasting else (now_ns % 10**9) * 1e-9,
+                protection_level_horizontal_m=14.2 if self.coasting else 3.14,
+                protection_level_vertical_m=9.8 if self.coasting else 4.27,
+                integrity_risk=1e-3,
             ),
         )
 

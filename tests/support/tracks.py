@@ -49,6 +49,9 @@ def solution(
         gyroscope_bias_rad_s=(0.0, 0.0, 0.0),
         stationary=False,
         gnss_age_s=0.2,
+        protection_level_horizontal_m=5.0 * sd,
+        protection_level_vertical_m=4.0 * sd,
+        integrity_risk=1e-3,
     )
 
 

@@ -21,11 +21,7 @@ QUALITIES = {
 
 
 def usable_fixes(spec: Gnss, table: Table) -> Table:
-    """Leave out repeated rows, impossible positions and qualities that the mapping does not list."""
-    if spec.only_changes_of:
-        watched = table.many(spec.only_changes_of)
-        # The first row may repeat an epoch from before the file began: its age is unknown.
-        table = table.keep(np.r_[False, np.any(np.diff(watched, axis=0) != 0.0, axis=1)], "unchanged")
+    """Leave out impossible positions and qualities that the mapping does not list."""
     latitude, longitude = degrees_of(spec.latitude, table), degrees_of(spec.longitude, table)
     table = table.keep((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0), "off the Earth")
     if isinstance(spec.quality, Quality):
@@ -41,6 +37,11 @@ def fixes(spec: Gnss, table: Table, sampled: Stamps, received: Stamps) -> Iterat
     velocity = _velocity(spec.velocity, table) if spec.velocity else None
     position_sd, velocity_sd = _accuracy(spec.position_sd, table), _accuracy(spec.velocity_sd, table)
     satellites = table[spec.satellites_used].tolist() if spec.satellites_used else None
+    ground_speed = (
+        (table[spec.ground_speed.column] * units.SPEED[spec.ground_speed.unit]) if spec.ground_speed else None
+    )
+    course = (table[spec.course.column] * units.ANGLE[spec.course.unit]) if spec.course else None
+    hdop, vdop = (table[name].tolist() if name else None for name in (spec.hdop, spec.vdop))
     words = _qualities(spec.quality, table)
     for i, stamp in enumerate(sampled.tolist()):
         carrier, differential = QUALITIES[words[i]]
@@ -57,6 +58,10 @@ def fixes(spec: Gnss, table: Table, sampled: Stamps, received: Stamps) -> Iterat
             height_ellipsoid_m=ellipsoid[i] if ellipsoid else None,
             height_msl_m=msl[i] if msl else None,
             velocity_ned_m_s=velocity[i] if velocity else None,
+            ground_speed_m_s=None if ground_speed is None else float(ground_speed[i]),
+            course_rad=None if course is None else float(course[i]),
+            hdop=hdop[i] if hdop else None,
+            vdop=vdop[i] if vdop else None,
             position_sd_ned_m=position_sd[i] if position_sd else None,
             velocity_sd_ned_m_s=velocity_sd[i] if velocity_sd else None,
         )

@@ -1,4 +1,4 @@
-"""The mapping of a drive: a TOML document that says what the columns of its CSV files mean."""
+"""The mapping of a drive: a TOML document that says what the columns of its files mean."""
 
 import difflib
 import tomllib
@@ -12,9 +12,9 @@ from shared.errors import UserError
 
 from .schema import (
     Accuracy,
+    Angle,
     Angles,
     Coordinate,
-    CsvFile,
     Ecef,
     Force,
     Gnss,
@@ -22,7 +22,9 @@ from .schema import (
     Imu,
     Quality,
     Rate,
+    Scalar,
     Speed,
+    TableFile,
     Time,
     Truth,
     Velocity,
@@ -34,7 +36,7 @@ TrustedQuantity = Literal["position", "velocity", "attitude"]
 
 
 class Mapping(Section):
-    """All of a drive: what each CSV file of its folder means."""
+    """All of a drive: what each file of its folder means."""
 
     name: str = Field(min_length=1, max_length=64)
     vehicle_file: str | None = None  # from the folder of the mapping
@@ -53,15 +55,21 @@ class Mapping(Section):
             raise ValueError("there is nothing to import: add [imu], [gnss], [speed] or [wheels]")
         if self.truth_is == "recorded" and self.truth is None:
             raise ValueError('truth_is = "recorded" needs a [truth] table')
+        if self.speed is not None and self.speed.clock_by_speed and self.gnss is None:
+            raise ValueError("`clock_by_speed` needs a [gnss] table")
         if self.truth_is == "fixes" and self.gnss is None:
             raise ValueError('truth_is = "fixes" needs a [gnss] table')
         return self
 
-    def files(self) -> Iterator[CsvFile]:
+    def files(self) -> Iterator[TableFile]:
         """Give the tables that name a file, in the order in which rows of one instant are delivered."""
         for table in (self.imu, self.speed, self.wheels, self.gnss, self.truth):
             if table is not None:
                 yield table
+
+    def made(self) -> list[str]:
+        """Say of each table that no sensor measured how it was made."""
+        return [sentence for sentence in (self.speed.made() if self.speed else None,) if sentence]
 
 
 def parse_mapping(text: str, path: str) -> Mapping:
@@ -89,6 +97,6 @@ def _explain(error: ValidationError) -> str:
 def _every_key() -> set[str]:
     tables: tuple[type[Section], ...] = (
         Mapping, Imu, Gnss, Speed, Wheels, Truth,
-        Time, Force, Rate, Angles, Coordinate, Height, Ecef, Velocity, Accuracy, Quality,
+        Time, Force, Rate, Angle, Angles, Scalar, Coordinate, Height, Ecef, Velocity, Accuracy, Quality,
     )  # fmt: skip
     return {key for table in tables for key in table.model_fields}

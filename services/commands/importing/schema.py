@@ -1,6 +1,6 @@
-"""The tables of a mapping: each says what the columns of one CSV file mean."""
+"""The tables of a mapping: each says what the columns of one file mean."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -48,28 +48,37 @@ class Time(Section):
         return self
 
 
-class CsvFile(Section):
-    """One CSV file; without `header` its first line after `skip_rows` names the columns."""
+class TableFile(Section):
+    """One file of rows; without `header` its first line after `skip_rows` names the columns.
+
+    A file whose name ends in .npz holds NumPy arrays instead: `name`, or `name[0]`, `name[1]`... of one with columns.
+    """
 
     file: str
-    separator: str = Field(default=",", min_length=1, max_length=1)
+    optional: bool = False  # a file that not every drive of the kind has
+    separator: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
     skip_rows: int = Field(default=0, ge=0)
     header: tuple[str, ...] = ()
     source: str = Field(default="file", max_length=64)
     time: Time
     stamps_late_s: float = 0.0  # how much later than the truth of its row a stamp is
     latency_s: float = Field(default=0.0, ge=0.0)  # of the arrival, to be simulated
+    only_changes_of: tuple[str, ...] = ()  # keep a row only if one of these columns changed
 
 
 class Force(Section):
-    """Specific force along the sensor's x, y and z axes."""
+    """Specific force along the sensor's x, y and z axes, or what it adds to the velocity over each sample.
+
+    With `opposite` the file holds what gravity does to the sensor: at rest -1 g along the axis that points up.
+    """
 
     columns: Columns
     unit: units.ForceUnit
+    opposite: bool = False
 
 
 class Rate(Section):
-    """Angular rate about three axes."""
+    """Angular rate about three axes, or the angle by which each sample turns."""
 
     columns: Columns
     unit: units.RateUnit
@@ -79,6 +88,20 @@ class Angles(Section):
     """Roll, pitch and yaw of the body against north, east and down."""
 
     columns: Columns
+    unit: units.AngleUnit
+
+
+class Scalar(Section):
+    """A speed."""
+
+    column: str
+    unit: units.SpeedUnit
+
+
+class Angle(Section):
+    """One angle."""
+
+    column: str
     unit: units.AngleUnit
 
 
@@ -140,7 +163,7 @@ class Quality(Section):
         return self
 
 
-class Imu(CsvFile):
+class Imu(TableFile):
     """The inertial measurement unit, and how it sits in the vehicle.
 
     Either `axes` says where the sensor's x, y and z axes point, or `body_from_sensor` is the rotation matrix.
@@ -175,7 +198,7 @@ class Imu(CsvFile):
         return np.array(self.body_from_sensor)
 
 
-class Gnss(CsvFile):
+class Gnss(TableFile):
     """The GNSS receiver: position and velocity of its antenna."""
 
     source: str = "gnss"
@@ -183,29 +206,61 @@ class Gnss(CsvFile):
     longitude: Coordinate
     height: Height
     velocity: Velocity | None = None
+    ground_speed: Scalar | None = None
+    course: Angle | None = None  # clockwise from north
+    hdop: str | None = None
+    vdop: str | None = None
     position_sd: Accuracy | None = None  # [m]
     velocity_sd: Accuracy | None = None  # [m/s]
     quality: Quality | QualityWord = "single"
     satellites_used: str | None = None
-    only_changes_of: tuple[str, ...] = ()  # keep a row only if one of these columns changed
 
     @model_validator(mode="after")
     def _earth_axes(self) -> Self:
         if self.velocity is not None and self.velocity.axes == "body":
             raise ValueError("a receiver knows no body axes: velocity.axes is ned, enu or neu")
+        if (self.ground_speed is None) != (self.course is None):
+            raise ValueError("`ground_speed` says nothing without `course`, nor the other way round")
         return self
 
 
-class Speed(CsvFile):
-    """Speed of the vehicle as one number."""
+class Speed(TableFile):
+    """Speed of the vehicle as one number: from a sensor's column, or made from the velocity of a reference."""
 
     source: str = "speed"
-    column: str
-    unit: units.SpeedUnit
+    column: str | None = None
+    unit: units.SpeedUnit | units.RateUnit = "m/s"
+    wheel_radius_m: float | None = Field(default=None, gt=0.0)  # of a wheel whose turning is the column
+    opposite: bool = False  # it is below zero while the vehicle drives forward
+    clock_by_speed: bool = False  # the file's clock is its own; where it is, the speed of the fixes says
     resolution_m_s: float | None = Field(default=None, gt=0.0)
+    made_from: Velocity | None = None
+    noise_sd_m_s: float = Field(default=0.0, ge=0.0)  # white, added to a speed that is made
+    noise_seed: int = Field(default=1, ge=0)
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if (self.column is None) == (self.made_from is None):
+            raise ValueError("a speed is either a `column` or `made_from` the velocity of a reference")
+        if (self.unit in units.RATE) != (self.wheel_radius_m is not None):
+            raise ValueError("a wheel's turning needs `wheel_radius_m`, and a speed has none")
+        if self.unit not in units.RATE and self.unit not in units.SPEED:
+            raise ValueError(f"{self.unit!r} is no unit of a speed, nor of a wheel's turning")
+        if self.column is not None and self.noise_sd_m_s:
+            raise ValueError("`noise_sd_m_s` is for a speed that is made; what a sensor measured has its own noise")
+        return self
+
+    def made(self) -> str | None:
+        """Say in a sentence that no sensor measured this speed, if none did."""
+        if self.made_from is None:
+            return None
+        return (
+            f"The speed was measured by no sensor: it is that of the reference in {self.file} with "
+            f"{self.noise_sd_m_s:g} m/s of white noise (seed {self.noise_seed})."
+        )
 
 
-class Wheels(CsvFile):
+class Wheels(TableFile):
     """Speed of each wheel; a wheel without a column is missing."""
 
     source: str = "wheels"
@@ -222,7 +277,7 @@ class Wheels(CsvFile):
         return self
 
 
-class Truth(CsvFile):
+class Truth(TableFile):
     """A reference of higher grade: position, velocity, attitude and angular rate of the body."""
 
     source: str = "truth"
@@ -232,7 +287,7 @@ class Truth(CsvFile):
     height: Height | None = None
     velocity: Velocity
     attitude: Angles
-    angular_rate: Rate
+    angular_rate: Rate | None = None
 
     @model_validator(mode="after")
     def _one_position(self) -> Self:

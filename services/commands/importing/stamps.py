@@ -6,18 +6,18 @@ import numpy.typing as npt
 from shared.maths.earth import FloatArray
 
 from . import units
-from .schema import CsvFile
+from .schema import TableFile
 from .table import Table
 
 Stamps = npt.NDArray[np.int64]
 
 
-def stamped(spec: CsvFile, table: Table, start_s: float) -> tuple[Table, Stamps, Stamps]:
+def stamped(spec: TableFile, table: Table, start_s: float) -> tuple[Table, Stamps, Stamps]:
     """Put each row on the time line, and leave out rows that are not later than the one before.
 
     Parameters
     ----------
-    spec : CsvFile
+    spec : TableFile
         Which columns are clocks, and what is known of their delays.
     table : Table
         The columns of the file.

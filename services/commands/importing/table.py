@@ -3,7 +3,7 @@
 import difflib
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -81,6 +81,54 @@ def read_table(lines: Iterable[list[str]], header: Sequence[str], wanted: Sequen
     if not values:
         raise UserError(f"{where} holds no row of numbers; check `separator` and `skip_rows` in the mapping")
     return Table(columns, np.array(values), np.array(numbers, dtype=float), rejects)
+
+
+def arrays_table(arrays: Mapping[str, npt.NDArray[np.generic]], wanted: Sequence[str], where: str) -> Table:
+    """Take the wanted columns out of arrays.
+
+    Parameters
+    ----------
+    arrays : mapping of str to ndarray, shape (rows,) or (rows, k)
+        What the file holds; those that are not wanted may have other lengths.
+    wanted : sequence of str
+        `name` of an array of one column, `name[0]`, `name[1]`... of one with several.
+    where : str
+        The file's name, for the error.
+
+    Returns
+    -------
+    Table
+        Rows whose wanted numbers are all finite; the others are counted.
+
+    Raises
+    ------
+    UserError
+        A wanted column is not there, or the columns differ in length.
+    """
+    header = [name for key, array in arrays.items() for name in _names(key, array)]
+    columns = tuple(dict.fromkeys(wanted))
+    found = [_column(arrays, header[_place(column, header, where)]) for column in columns]
+    if len({len(column) for column in found}) > 1:
+        lengths = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, found, strict=True))
+        raise UserError(f"{where}: the arrays differ in length ({lengths}); one table takes arrays of one length")
+    values = np.column_stack(found)
+    if not len(values):
+        raise UserError(f"{where} holds empty arrays; nothing can be imported from it")
+    table = Table(columns, values, np.arange(len(values), dtype=float))
+    return table.keep(np.isfinite(values.sum(axis=1)), "not finite")
+
+
+def _names(key: str, array: npt.NDArray[np.generic]) -> list[str]:
+    """Name the columns of an array; what is no table of numbers has none."""
+    if not np.issubdtype(array.dtype, np.number) or array.ndim not in (1, 2):
+        return []
+    return [key] if array.ndim == 1 else [f"{key}[{k}]" for k in range(array.shape[1])]
+
+
+def _column(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> FloatArray:
+    key, _, place = name.removesuffix("]").partition("[")
+    column = arrays[name] if name in arrays else arrays[key][:, int(place)]
+    return column.astype(np.float64)
 
 
 def _numbers(fields: list[str], places: list[int]) -> list[float] | str:

@@ -11,7 +11,7 @@ from shared.messages import TruthState
 
 from . import units
 from .quantities import Rows, as_ned, degrees_of, heights, triples
-from .schema import Truth
+from .schema import Rate, Truth
 from .stamps import Stamps
 from .table import Table
 
@@ -20,7 +20,7 @@ def true_states(spec: Truth, table: Table, sampled: Stamps) -> Iterator[TruthSta
     """Give one true state a row."""
     positions = _positions(spec, table)
     attitude = table.many(spec.attitude.columns) * units.ANGLE[spec.attitude.unit]
-    rates = triples(table.many(spec.angular_rate.columns) * units.RATE[spec.angular_rate.unit])
+    rates = _rates(spec.angular_rate, table)
     velocities = triples(_velocity_ned(spec, table, attitude))
     for i, (roll, pitch, yaw) in enumerate(attitude.tolist()):
         latitude, longitude, height = positions[i]
@@ -33,8 +33,12 @@ def true_states(spec: Truth, table: Table, sampled: Stamps) -> Iterator[TruthSta
             roll_rad=roll,
             pitch_rad=pitch,
             yaw_rad=yaw,
-            angular_rate_body_rad_s=rates[i],
+            angular_rate_body_rad_s=rates[i] if rates else None,
         )
+
+
+def _rates(spec: Rate | None, table: Table) -> Rows | None:
+    return None if spec is None else triples(table.many(spec.columns) * units.RATE[spec.unit])
 
 
 def _velocity_ned(spec: Truth, table: Table, attitude: FloatArray) -> FloatArray:

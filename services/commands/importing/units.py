@@ -12,6 +12,9 @@ from shared.maths.earth import STANDARD_GRAVITY
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 FORCE = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}
 RATE = {"rad/s": 1.0, "deg/s": radians(1.0), "mdeg/s": radians(1e-3)}
+# Some sensors add up over each sample what others give as a mean: the change of velocity, and of angle.
+FORCE_INCREMENT = {"m/s": 1.0}
+RATE_INCREMENT = {"rad": 1.0, "deg": radians(1.0)}
 ANGLE = {"rad": 1.0, "deg": radians(1.0)}
 COORDINATE = {"deg": 1.0, "1e-7 deg": 1e-7, "rad": degrees(1.0)}  # latitude and longitude are degrees in messages
 LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048}
@@ -30,8 +33,8 @@ def _known(units: Mapping[str, float]) -> Callable[[str], str]:
 
 
 TimeUnit = Annotated[str, AfterValidator(_known(TIME))]
-ForceUnit = Annotated[str, AfterValidator(_known(FORCE))]
-RateUnit = Annotated[str, AfterValidator(_known(RATE))]
+ForceUnit = Annotated[str, AfterValidator(_known(FORCE | FORCE_INCREMENT))]
+RateUnit = Annotated[str, AfterValidator(_known(RATE | RATE_INCREMENT))]
 AngleUnit = Annotated[str, AfterValidator(_known(ANGLE))]
 CoordinateUnit = Annotated[str, AfterValidator(_known(COORDINATE))]
 LengthUnit = Annotated[str, AfterValidator(_known(LENGTH))]

@@ -26,9 +26,31 @@ class Errors:
     position_sd_n: FloatArray  # [m, NED] of the difference, shape (n, 3)
     velocity_n: FloatArray | None  # [m/s, NED], shape (n, 3)
     attitude: FloatArray | None  # [rad] roll, pitch, yaw in (-pi, pi], shape (n, 3)
+    angles: FloatArray | None = None  # [rad] roll, pitch, yaw of the solution, shape (n, 3)
+    distance_m: FloatArray | None = None  # along the reference since its first instant, horizontally, shape (n,)
+    protection_m: FloatArray | None = None  # horizontal and vertical protection level, shape (n, 2)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    def since(self, stamp_ns: int) -> "Errors":
+        """Give the part from an instant on."""
+        first = int(np.searchsorted(self.stamps_ns, stamp_ns, side="left"))
+
+        def rest(values: FloatArray | None) -> FloatArray | None:
+            return None if values is None else values[first:]
+
+        return Errors(
+            self.stamps_ns[first:],
+            self.next_solution_ns[first:],
+            rest(self.position_n),
+            self.position_sd_n[first:],
+            rest(self.velocity_n),
+            rest(self.attitude),
+            rest(self.angles),
+            rest(self.distance_m),
+            rest(self.protection_m),
+        )
 
 
 def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) -> Errors:
@@ -62,15 +84,35 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
     sd = state.linear("position_sd_north_m")
     if reference.position_sd_n is not None:
         sd = np.hypot(sd, reference.position_sd_n[rows])
-    position = velocity = attitude = None
+    position = velocity = attitude = distance = None
     if reference.geodetic is not None and len(rows):
+        distance = _distance(reference.geodetic)[rows]
         position = state.position_minus(reference.geodetic[rows]) + state.turned(arm)
     if reference.velocity_n is not None:
         velocity = earlier.linear("velocity_north_m_s") + earlier.arm_velocity(arm) - reference.velocity_n[rows]
     if reference.attitude is not None:
         difference = state.angles() - reference.attitude[rows]
         attitude = (difference + np.pi) % (2.0 * np.pi) - np.pi
-    return Errors(reference.stamps_ns[rows], track.stamps_ns[state.after], position, sd, velocity, attitude)
+    angles = None if attitude is None else state.angles()
+    return Errors(
+        reference.stamps_ns[rows],
+        track.stamps_ns[state.after],
+        position,
+        sd,
+        velocity,
+        attitude,
+        angles,
+        distance,
+        state.linear("protection_level_horizontal_m", 2),
+    )
+
+
+def _distance(geodetic: FloatArray) -> FloatArray:
+    """Horizontal way along positions [m], shape (n,)."""
+    path = ned_track(geodetic, Geodetic(*geodetic[len(geodetic) // 2].tolist()))
+    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    way: FloatArray = np.r_[0.0, np.cumsum(steps)]
+    return way
 
 
 def _covered(track: Track, stamps_ns: Stamps) -> npt.NDArray[np.bool_]:
@@ -94,9 +136,9 @@ class _Between:
         self._step_s = (last - first) * 1e-9
         self._share = ((stamps_ns - first) / (last - first))[:, None]
 
-    def linear(self, name: str) -> FloatArray:
-        """Three columns, on the straight line between two rows."""
-        values = self._track.columns(name)
+    def linear(self, name: str, count: int = 3) -> FloatArray:
+        """Neighbouring columns, on the straight line between two rows."""
+        values = self._track.columns(name, count)
         found: FloatArray = values[self._before] * (1.0 - self._share) + values[self.after] * self._share
         return found
 

@@ -1,6 +1,5 @@
 """A track as text: CSV for programs, KML for maps."""
 
-import math
 from collections.abc import Iterator
 from html import escape
 
@@ -10,7 +9,15 @@ from .track import NAMES, Track
 
 HEADER = ("sampled_ns", "time_s", "phase", *NAMES)
 # Enough digits that rounding is far below what any of these means: 1 mm, 0.1 mm/s, 1 microradian.
-DECIMALS = {"latitude_deg": 9, "longitude_deg": 9, "height_ellipsoid_m": 4, "stationary": 0, "gnss_age_s": 3}
+DECIMALS = {
+    "latitude_deg": 9,
+    "longitude_deg": 9,
+    "height_ellipsoid_m": 4,
+    "protection_level_horizontal_m": 4,
+    "protection_level_vertical_m": 4,
+    "stationary": 0,
+    "gnss_age_s": 3,
+}
 KML_POINTS = 20_000
 
 
@@ -22,7 +29,7 @@ def csv_lines(track: Track) -> Iterator[str]:
     first = int(track.stamps_ns[0]) if len(track) else 0
     for stamp, phase, row in zip(track.stamps_ns.tolist(), track.phases, track.values.tolist(), strict=True):
         text = line % (stamp, (stamp - first) * 1e-9, phase.value, *row)
-        yield (text.replace("nan", "") if math.isnan(row[-1]) else text) + "\n"
+        yield text.replace("nan", "") + "\n"
 
 
 def kml_text(track: Track, name: str) -> str:

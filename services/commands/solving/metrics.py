@@ -9,13 +9,15 @@ import numpy.typing as npt
 from shared.maths.earth import FloatArray, Geodetic, ned_track
 from shared.messages import AidingKind
 
+from .drift import Drift, drifts, horizontal_error
 from .errors import Errors
+from .integrity import INTEGRITY, integrity_metrics
+from .mounting import without_mounting
 from .outages import Gap
 from .tally import Tally
 from .track import Track
 
 Value = float | int | None
-MINIMUM_GAP_SHARE = 0.8  # a gap whose last truth is earlier than that tells nothing about its end
 
 # Name and meaning of each metric, in the order of the files; docs/reference/metrics.md is printed from here.
 METRICS: dict[str, str] = {
@@ -39,18 +41,29 @@ METRICS: dict[str, str] = {
     "horizontal_max_m": "largest horizontal position error",
     "vertical_rmse_m": "vertical position error, root mean square",
     "velocity_rmse_m_s": "error of the velocity vector, root mean square of its length",
+    "velocity_horizontal_rmse_m_s": "error of the horizontal velocity, root mean square of its length",
     "roll_rmse_rad": "error of the roll, root mean square",
     "pitch_rmse_rad": "error of the pitch, root mean square",
     "yaw_rmse_rad": "error of the heading, root mean square",
     "yaw_mean_error_rad": "mean error of the heading; a mounting angle between IMU and reference shows here",
     "yaw_sd_rad": "error of the heading about its mean: what is left once a mounting angle is removed",
+    "mounting_roll_rad": "roll of the IMU's axes in those of the reference, as one constant rotation of the drive",
+    "mounting_pitch_rad": "the same, pitch",
+    "mounting_yaw_rad": "the same, yaw",
+    "roll_rmse_mounted_rad": "error of the roll once that constant rotation is removed, root mean square",
+    "pitch_rmse_mounted_rad": "the same, pitch",
+    "yaw_rmse_mounted_rad": "the same, heading",
     "within_3_sigma_fraction": "share of the position errors (north, east and down counted one by one) within three "
     "of their standard deviations: 0.997 if the filter knows its errors",
     "outage_count": "GNSS outages made by --outage that could be judged",
     "outage_end_error_median_m": "horizontal error at the last truth before GNSS comes back, median of the outages",
     "outage_end_error_p95_m": "the same, 95th percentile",
     "outage_end_error_max_m": "the same, the worst",
+    "outage_end_error_share_median": "horizontal error at the end over the distance that was driven in the outage, "
+    "median of the outages that are longer than 10 m",
     "outage_largest_error_rms_m": "largest horizontal error within each outage, root mean square of the outages",
+    "outage_largest_error_max_m": "the same, the worst",
+    **INTEGRITY,
 }
 # Printed, but in no file: they differ from run to run.
 TIMINGS: dict[str, str] = {
@@ -71,6 +84,12 @@ class Run:
     last_ns: int
     fixes_recorded: int
     fixes_removed: int
+    scored_from_ns: int = 0  # errors before this instant are in no root mean square
+    alert_limits_m: tuple[float, float] = (10.0, 20.0)  # horizontal, vertical
+
+    def drifts(self) -> list[Drift]:
+        """Judge the outages that were made."""
+        return [] if self.errors is None else drifts(self.errors, self.gaps)
 
 
 def metrics_of(run: Run) -> dict[str, Value]:
@@ -95,8 +114,9 @@ def metrics_of(run: Run) -> dict[str, Value]:
         "fixes_removed": run.fixes_removed,
         "filter_resets": None if run.tally.state is None else run.tally.state.resets,
         **_innovations(run.tally),
-        **({} if run.errors is None else _against_truth(run.errors)),
-        **({} if run.errors is None else _outages(run.errors, run.gaps)),
+        **({} if run.errors is None else _against_truth(run.errors.since(run.scored_from_ns))),
+        **({} if run.errors is None else integrity_metrics(run.errors, run.alert_limits_m)),
+        **(_outages(run.drifts()) if run.gaps and run.errors and run.errors.position_n is not None else {}),
     }
     return {name: _rounded(found.get(name)) for name in METRICS}
 
@@ -127,6 +147,7 @@ def _against_truth(errors: Errors) -> dict[str, Value]:
         }
     if errors.velocity_n is not None:
         found["velocity_rmse_m_s"] = _rms(np.linalg.norm(errors.velocity_n, axis=1))
+        found["velocity_horizontal_rmse_m_s"] = _rms(horizontal_error(errors.velocity_n))
     if errors.attitude is not None and len(errors):
         roll, pitch, yaw = errors.attitude.T
         # The mean of angles is that of their directions: -179 and 179 degrees make 180, not 0.
@@ -138,35 +159,34 @@ def _against_truth(errors: Errors) -> dict[str, Value]:
             "yaw_rmse_rad": _rms(yaw),
             "yaw_mean_error_rad": mean,
             "yaw_sd_rad": _rms(about_mean),
+            **_mounted(errors),
         }
     return found
 
 
-def _outages(errors: Errors, gaps: Sequence[Gap]) -> dict[str, Value]:
-    if errors.position_n is None or not gaps:
+def _mounted(errors: Errors) -> dict[str, Value]:
+    if errors.attitude is None or errors.angles is None:
         return {}
-    horizontal = horizontal_error(errors.position_n)
-    ends, largest = [], []
-    for first, last in gaps:
-        # What is behind the gap must not help: both solutions around the instant lie before its end.
-        inside = (errors.stamps_ns >= first) & (errors.next_solution_ns < last)
-        rows = np.flatnonzero(inside)
-        if len(rows) and errors.stamps_ns[rows[-1]] - first >= MINIMUM_GAP_SHARE * (last - first):
-            ends.append(float(horizontal[rows[-1]]))
-            largest.append(float(horizontal[rows].max()))
+    mounting, left = without_mounting(errors.angles, errors.angles - errors.attitude)
+    axes = ("roll", "pitch", "yaw")
     return {
-        "outage_count": len(ends),
-        "outage_end_error_median_m": _quantile(np.array(ends), 0.5),
-        "outage_end_error_p95_m": _quantile(np.array(ends), 0.95),
-        "outage_end_error_max_m": _quantile(np.array(ends), 1.0),
-        "outage_largest_error_rms_m": _rms(np.array(largest)),
+        **{f"mounting_{axis}_rad": float(angle) for axis, angle in zip(axes, mounting, strict=True)},
+        **{f"{axis}_rmse_mounted_rad": _rms(column) for axis, column in zip(axes, left.T, strict=True)},
     }
 
 
-def horizontal_error(errors_n: FloatArray) -> FloatArray:
-    """Length of the horizontal part of errors in north, east and down, shape (n,)."""
-    found: FloatArray = np.hypot(errors_n[:, 0], errors_n[:, 1])
-    return found
+def _outages(found: Sequence[Drift]) -> dict[str, Value]:
+    ends, largest = np.array([drift.end_m for drift in found]), np.array([drift.largest_m for drift in found])
+    shares = np.array([drift.end_share for drift in found if drift.end_share is not None])
+    return {
+        "outage_count": len(found),
+        "outage_end_error_median_m": _quantile(ends, 0.5),
+        "outage_end_error_p95_m": _quantile(ends, 0.95),
+        "outage_end_error_max_m": _quantile(ends, 1.0),
+        "outage_end_error_share_median": _quantile(shares, 0.5),
+        "outage_largest_error_rms_m": _rms(largest),
+        "outage_largest_error_max_m": _quantile(largest, 1.0),
+    }
 
 
 def _distance(track: Track) -> float | None:

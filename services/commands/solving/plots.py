@@ -13,6 +13,7 @@ import numpy.typing as npt
 from shared.maths.earth import FloatArray, Geodetic, ned_track
 from shared.messages import AidingKind
 
+from .integrity import protected
 from .metrics import Run
 from .outages import Gap
 from .reference import Reference
@@ -70,9 +71,17 @@ def _figures(run: Run, reference: Reference | None) -> Iterator[Figure]:
         if errors.attitude is not None:
             labels = _Labels(("roll [deg]", "pitch [deg]", "heading [deg]"), gaps, run.first_ns)
             yield _three("Attitude errors", "Solution minus truth.", time_s, np.degrees(errors.attitude), labels)
+        yield from _integrity(run)
     yield _speed(run)
     yield _innovations(run)
     yield _biases(run)
+
+
+def _integrity(run: Run) -> Iterator[Figure]:
+    from .stanford import stanford  # it draws with what is here
+
+    if run.errors is not None:
+        yield from map(stanford, protected(run.errors, run.alert_limits_m))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from math import degrees
 
 from .metrics import METRICS, Value
 from .plots import Figure
+from .smoothing import SMOOTHED_METRICS
 
 STYLE = """
 :root { color-scheme: light; }
@@ -29,6 +30,7 @@ class Heading:
     truth: str
     outage: str | None
     facts: Sequence[tuple[str, str]]  # of the recording: what, and how it is
+    made: str = ""  # what of the recording no sensor has measured
 
 
 def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure]) -> str:
@@ -37,7 +39,7 @@ def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure])
     rows = "\n".join(
         f'<tr><td class="name"><code>{name}</code></td><td class="value">{_shown(name, metrics[name])}</td>'
         f'<td class="meaning">{escape(meaning)}</td></tr>'
-        for name, meaning in METRICS.items()
+        for name, meaning in (METRICS | SMOOTHED_METRICS).items()
         if metrics.get(name) is not None
     )
     drawn = "\n".join(
@@ -83,16 +85,26 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"{_metres(metrics['vertical_rmse_m'])}."
         )
     if metrics["outage_count"]:
-        gap_s, _, period_s = (heading.outage or "").partition("/")
+        gap_s, _, period_s = (heading.outage or "").partition("@")[0].partition("/")
         often = "once" if metrics["outage_count"] == 1 else f"{metrics['outage_count']} times"
         found.append(
             f"GNSS was taken away {often}, for {gap_s} s of every {period_s} s; at the end of an outage the horizontal "
             f"position is off by {_metres(metrics['outage_end_error_median_m'])} (median; worst "
             f"{_metres(metrics['outage_end_error_max_m'])})."
         )
+    if metrics.get("smoothed_horizontal_rmse_m") is not None:
+        found.append(f"Smoothed, the position is off by {_metres(metrics['smoothed_horizontal_rmse_m'])}.")
+    if metrics.get("smoothed_outage_inside_max_m") is not None:
+        found.append(
+            f"Within the outages it is off by {_metres(metrics['smoothed_outage_inside_median_m'])} (median; worst "
+            f"{_metres(metrics['smoothed_outage_inside_max_m'])}), where the filter is off by "
+            f"{_metres(metrics['outage_inside_median_m'])} (worst {_metres(metrics['outage_inside_max_m'])})."
+        )
     if metrics["innovation_horizontal_rms_m"] is not None:
         found.append(f"One fix ahead, positions are predicted to {_metres(metrics['innovation_horizontal_rms_m'])}.")
     found.append(f"The truth is: {heading.truth}.")
+    if heading.made:
+        found.append(heading.made)
     return found
 
 

@@ -25,6 +25,8 @@ COLUMNS: dict[str, str] = {
     **{f"angular_rate_{axis}_rad_s": f"angular rate about {axis}, bias removed" for axis in FRD},
     **{f"accelerometer_bias_{axis}_m_s2": f"estimated bias of the accelerometer, {axis}" for axis in FRD},
     **{f"gyroscope_bias_{axis}_rad_s": f"estimated bias of the gyroscope about {axis}" for axis in FRD},
+    "protection_level_horizontal_m": "horizontal error beyond which the position is with the integrity risk only",
+    "protection_level_vertical_m": "the same of the height",
     "stationary": "1 where the vehicle was found to stand still",
     "gnss_age_s": "since the last fix that was used; empty before the first",
 }
@@ -50,6 +52,8 @@ class TrackBuilder:
         for covariance in (s.position_cov_ned_m2, s.velocity_cov_ned_m2_s2, s.attitude_cov_ned_rad2):
             values.extend(max(covariance[k], 0.0) ** 0.5 for k in DIAGONAL)
         values.extend((*s.angular_rate_body_rad_s, *s.accelerometer_bias_m_s2, *s.gyroscope_bias_rad_s))
+        levels = (s.protection_level_horizontal_m, s.protection_level_vertical_m)
+        values.extend(float("nan") if level is None else level for level in levels)
         values.extend((float(s.stationary), float("nan") if s.gnss_age_s is None else s.gnss_age_s))
 
     def track(self) -> "Track":

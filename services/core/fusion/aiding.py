@@ -22,6 +22,7 @@ class Observation:
     z: FloatArray
     H: FloatArray
     R: FloatArray
+    unfit: str | None = None  # why it is told and not used
 
 
 class Measurement(Protocol):

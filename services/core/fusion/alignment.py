@@ -16,6 +16,7 @@ from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, qu
 from shared.messages import NavigationPhase
 
 from . import error_model as em
+from .baseline import BaselineHeading
 from .filter import NO_PARAMETERS, ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity
 from .heading import (
@@ -43,6 +44,9 @@ REST_VELOCITY_SD = 0.05  # [m/s]
 ARM_RATE_SD = 0.05  # [rad/s] by which the swing of the lever arm may be wrong
 REST_CORRELATION_S = 5.0  # GNSS errors closer than this are taken for one
 UNKNOWN_HEIGHT_SD = 100.0  # [m]
+UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
+BASELINE_AGE_S = 2.0  # up to which the heading of two antennas is one at the fix
+BASELINE_TILT_SD = 0.02  # [rad] by which a tilt that is not yet known turns it
 
 
 class Alignment:
@@ -73,6 +77,7 @@ class Alignment:
         self._has_velocity = False
         self._motion: Motion | None = None
         self._course: Heading | None = None
+        self._baseline: tuple[int, Heading] | None = None  # stamp, and what two antennas say
         self._fixes: tuple[tuple[GnssPosition, float], ...] = ()  # newest last, with the yaw in the level frame
         self._fixes_at_rest: tuple[GnssPosition, ...] = ()
 
@@ -115,6 +120,11 @@ class Alignment:
         self._compare(seen, swing)
         self._move(Motion(seen.time_ns, seen.velocity, sd, swing))
 
+    def see_heading(self, seen: BaselineHeading) -> None:
+        """Take in the heading of the line between two antennas."""
+        turn = seen.turn_from(self.levelling.quaternion)
+        self._baseline = seen.time_ns, Heading(turn, hypot(seen.sd, BASELINE_TILT_SD), "two antennas")
+
     def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
         """Take a position in, and start the filter with it if all that it needs is known."""
         self.seen_fix = True
@@ -138,7 +148,11 @@ class Alignment:
         known = [way for way in (kept, saved) if way and not self.comparison.contradicts(way.turn)]
         course = self._course and forwards_or_backwards(self._course, self.comparison)
         matched = heading_of_accelerations(self.comparison)
-        return min((way for way in (*known, course, matched) if way), key=lambda way: way.sd, default=None)
+        return min(
+            (way for way in (*known, course, matched, self._two_antennas(fix)) if way),
+            key=lambda way: way.sd,
+            default=None,
+        )
 
     def _compare(self, seen: GnssPosition | GnssVelocity, swing: Vector) -> None:
         """Hold the velocity of the antenna by inertial sensors alone against GNSS."""
@@ -146,6 +160,10 @@ class Alignment:
             self.comparison = Comparison(offset_sd=REST_OFFSET_SD)
         (north, east), (x, y) = self.levelling.velocity, self.levelling.before
         self.comparison = self.comparison.after(seen, complex(north + x + swing[0], east + y + swing[1]))
+
+    def _two_antennas(self, fix: GnssPosition) -> Heading | None:
+        fresh = self._baseline is not None and abs(fix.time_ns - self._baseline[0]) <= BASELINE_AGE_S * 1e9
+        return self._baseline[1] if self._baseline and fresh else None
 
     def _see_displacement(self) -> None:
         """Tell the levelling of a motion that two successive positions show, for want of a velocity."""
@@ -214,6 +232,7 @@ class Alignment:
         sd = np.zeros(em.SIZE)
         sd[em.ODOMETER_SCALE] = self._settings.odometer_scale_sd
         sd[em.MOUNTING] = self._settings.mounting_sd_rad
+        sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer else 0.0
         return np.diag(np.square(sd[em.PARAMETERS]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:

@@ -7,12 +7,14 @@ measurement that came in time.
 
 from bisect import bisect_right, insort
 from collections import deque
+from collections.abc import Sequence
 
 from .aiding import Measurement, Outcome
 from .engine import Engine
 from .heading import Prior
 from .samples import Sample
 from .settings import Settings
+from .trail import Trail
 
 KEPT_EVERY = 8  # samples between two copies of the engine
 
@@ -38,16 +40,26 @@ class DelayedEngine:
         for engine in (self.engine, *(copy for _, copy in self._copies)):
             engine.remember(prior)
 
+    def leave(self, trail: Trail) -> None:
+        """Keep a trail for a smoother, from the first sample on."""
+        self.engine.trail = trail
+
     def restarted(self, why: str) -> "DelayedEngine":
         """Begin again from nothing, with the counts kept."""
         fresh = DelayedEngine(self._settings)
         fresh.engine.begin_after(self.engine.counts, why)
+        if self.engine.trail is not None:
+            self.engine.trail.seal()
+            fresh.engine.trail = self.engine.trail
         return fresh
 
     def step(self, sample: Sample) -> list[Outcome]:
         """Advance by one sample, newer than all before."""
-        last_ns = self.engine.last.time_ns if self.engine.last else sample.time_ns
-        outcomes = self.engine.step(sample, self._between(last_ns, sample.time_ns))
+        engine = self.engine
+        due: Sequence[Measurement] = ()
+        if self._measurements:
+            due = self._between(engine.last.time_ns if engine.last else sample.time_ns, sample.time_ns)
+        outcomes = engine.step(sample, due)
         self._samples.append(sample)
         self._fresh += 1
         if self._fresh >= KEPT_EVERY or not self._copies:
@@ -81,6 +93,8 @@ class DelayedEngine:
         stamp, kept = self._copies[-1]
         insort(self._measurements, measurement, key=_order)
         self.engine = kept.fork()
+        if self.engine.trail is not None:
+            self.engine.trail.rewind(stamp)
         self._fresh = 0
         again = [sample for sample in self._samples if sample.time_ns > stamp]
         outcomes: list[Outcome] = []

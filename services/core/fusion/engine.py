@@ -1,6 +1,7 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import degrees, hypot, radians, sqrt
 from typing import NamedTuple
 
@@ -11,15 +12,19 @@ from shared.messages import AidingKind, NavigationPhase
 from . import error_model as em
 from .aiding import Measurement, Outcome
 from .alignment import Alignment
+from .baseline import BaselineHeading
+from .compass import CompassCheck, MagneticHeading
 from .filter import ErrorStateFilter
-from .gnss import GnssPosition, GnssVelocity, antenna_velocity
+from .gnss import GnssPosition, GnssVelocity
 from .heading import Heading, Prior
 from .judging import Judge
 from .matching import Comparison
 from .samples import Sample
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
-from .stationary import SPEED_LIMIT, Rest
+from .stationary import QUIET_S, SPEED_LIMIT, UNSETTLED, at_rest, length
+from .trail import Trail
+from .watch import Watch, block
 from .wheels import PERIOD_S as WHEELS_PERIOD_S
 from .wheels import SLOWEST_M_S, NonHolonomic, WheelSpeed
 
@@ -34,6 +39,7 @@ KEPT = Heading(0.0, radians(20.0), "heading kept")
 TURNED_SD = radians(3.0)
 ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
 ZERO_SDS = 3.0  # of the velocity, within which a speed of zero is believed
+COASTING, NAVIGATING = NavigationPhase.COASTING, NavigationPhase.NAVIGATING  # looked up for every sample
 
 
 class Counts(NamedTuple):
@@ -53,23 +59,26 @@ class Engine:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
+        self._coasting_ns = settings.coasting_after_s * 1e9
         self.phase = NavigationPhase.WAITING_FOR_IMU
         self.since_ns = 0
         self.reason = "no inertial sample yet"
         self.counts = Counts()
         self.last: Sample | None = None
         self.filter: ErrorStateFilter | None = None
+        self.trail: Trail | None = None  # of whatever filter runs, for a smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
+        self.watch = Watch()
         self._alignment: Alignment | None = Alignment(settings)
         self._judge = Judge(settings)
-        self._comparison = Comparison()  # of the filter's heading with GNSS
-        self._rest = Rest()
+        self._rest = UNSETTLED
         self._rest_turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] of the rest since its last update
         self._rest_s = 0.0
         self._doubtful_s = 0.0  # of samples, since the filter was told
         self._rolling_s = 0.0  # since the wheels were last held against the filter
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
+        self._compass = CompassCheck()
         self._rejections = 0  # successive positions
         self._why = ""  # the solution was lost
 
@@ -99,43 +108,45 @@ class Engine:
 
     def step(self, sample: Sample, due: Sequence[Measurement]) -> list[Outcome]:
         """Advance to the stamp of a sample, using on the way the measurements that were true before it."""
-        if self.last is None:
+        last, time_ns = self.last, sample[0]
+        if last is None:
             self.last = sample
             self._enter(
                 NavigationPhase.LEVELLING,
-                sample.time_ns,
+                time_ns,
                 f"levelling, after {self._why}" if self._why else "measuring tilt and gyroscope bias at rest",
             )
             return []
-        gap_s = (sample.time_ns - self.last.time_ns) * 1e-9
+        gap_s = (time_ns - last[0]) * 1e-9
         held = self._bridge(gap_s, sample) if gap_s > GAP_S else sample
         outcomes: list[Outcome] = []
         for measurement in due:
+            assert self.last is not None
             if measurement.time_ns < self.last.time_ns:
                 continue  # it was true in a gap after which nothing is known of its time
             self._advance(held, measurement.time_ns)
+            self.last = held._replace(time_ns=measurement.time_ns)
             outcomes += self._aid(measurement)
-        self._advance(held, sample.time_ns)
+        self._advance(held, time_ns)
         self.last = sample
-        if sample.doubt is not None:
+        if sample[3] is not None:
             self._admit(gap_s)
-        outcomes += self._watch_for_standstill(sample.time_ns, gap_s)
-        outcomes += self._watch_the_wheels(sample.time_ns, gap_s)
-        self._settle_phase(sample.time_ns)
+        self._watch_for_standstill(time_ns, gap_s, outcomes)
+        self._watch_the_wheels(time_ns, gap_s, outcomes)
+        self._settle_phase(time_ns)
         return outcomes
 
     def _advance(self, sample: Sample, time_ns: int) -> None:
         """Carry alignment or filter to an instant within the step that the sample describes."""
         assert self.last is not None
-        step_s = (time_ns - self.last.time_ns) * 1e-9
-        if step_s <= 0.0:
+        if time_ns <= self.last[0]:
             return
-        self.last = sample._replace(time_ns=time_ns)
+        force, rate = sample[1], sample[2]
         try:
             if self.filter is not None:
-                self.filter.advance(sample.force, sample.rate, time_ns)
+                self.filter.advance(force, rate, time_ns)
             elif self._alignment is not None:
-                self._alignment.levelling.advance(sample.force, sample.rate, step_s)
+                self._alignment.levelling.advance(force, rate, (time_ns - self.last[0]) * 1e-9)
         except FilterDiverged as error:
             self._reset(time_ns, str(error), kept=None)
 
@@ -158,7 +169,7 @@ class Engine:
         self._doubtful_s += span_s
         if self.filter is None or self._doubtful_s < DOUBT_PERIOD_S - 1e-3:
             return
-        self._comparison = Comparison()  # it would be one with nonsense
+        self._judge.comparison = Comparison()  # it would be one with nonsense
         grown = sqrt(self._doubtful_s * DOUBT_CORRELATION_S)
         self.filter.widen(attitude_sd=GAP_RATE_SD * grown, velocity_sd=GAP_FORCE_SD * grown)
         self._doubtful_s = 0.0
@@ -173,11 +184,16 @@ class Engine:
         if isinstance(measurement, GnssPosition | GnssVelocity) and self._is_turned(measurement, self.filter):
             self._align(measurement)
             return []
+        if isinstance(measurement, MagneticHeading):
+            self._compass = self._compass.judged(measurement, self.filter)
+            measurement = replace(measurement, check=self._compass)
         outcomes = []
         try:
             for observe in measurement.observers():
+                before = block(self.filter)
                 outcome = self._judge.judge(self.filter, measurement, observe(self.filter))
                 outcomes.append(outcome)
+                self.watch = self.watch.after(outcome, before, self.filter, self._settings.gate_false_alarm)
                 if outcome.kind is AidingKind.GNSS_POSITION:
                     self._count_position(outcome)
         except FilterDiverged as error:
@@ -189,14 +205,10 @@ class Engine:
 
     def _is_turned(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> bool:
         """Watch the heading, and begin again if it is wrong by more than a filter can mend."""
-        corrections = self._judge.corrections.at(seen.time_ns)
-        own = antenna_velocity(navigation, seen.lever_arm) + navigation.inertial.velocity
-        pure = complex(own[0], own[1]) + corrections.velocity
-        self._judge.corrections = corrections._replace(yaw=0.0)
-        self._comparison = self._comparison.turned(-corrections.yaw).after(seen, pure)
-        if not self._comparison.is_wrong(seen.time_ns):
+        found = self._judge.compare(seen, navigation)
+        if found is None:
             return False
-        turn, sd = self._comparison.result()
+        turn, sd = found
         why = f"the heading was wrong by {abs(degrees(turn)):.0f} degrees"
         self._reset(seen.time_ns, why, Heading(turn, max(sd, TURNED_SD), "matched accelerations"))
         return True
@@ -219,38 +231,45 @@ class Engine:
         assert self._alignment is not None
         if isinstance(measurement, GnssVelocity):
             self._alignment.see_velocity(measurement)
+        elif isinstance(measurement, BaselineHeading):
+            self._alignment.see_heading(measurement)
         started = self._alignment.start_at(measurement) if isinstance(measurement, GnssPosition) else None
         if started is None:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
-        self._comparison = self._alignment.comparison
-        self._judge.acquit()
+        self._judge.acquit(self._alignment.comparison)
         self.filter, self._alignment, self._why = started, None, ""
-        self._rest, self._rest_s = Rest(), 0.0
+        self.watch = self.watch.begun(measurement.time_ns, started)
+        if self.trail is not None:
+            self.trail.follow(started)
+        self._rest, self._rest_s = UNSETTLED, 0.0
         self.counts = self.counts._replace(fixes_used=self.counts.fixes_used + 1)
         self.accepted_ns, self._rejections = measurement.time_ns, 0
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
 
-    def _watch_for_standstill(self, time_ns: int, step_s: float) -> list[Outcome]:
+    def _watch_for_standstill(self, time_ns: int, step_s: float, outcomes: list[Outcome]) -> None:
         """Tell the filter at 10 Hz that the vehicle stands, for as long as it does."""
-        if self.filter is None:
+        navigation = self.filter
+        if navigation is None:
             self.stationary = self._alignment is not None and self._alignment.levelling.at_rest
-            return []
-        navigation, rate = self.filter, self.filter.rate
-        velocity, limit = navigation.inertial.velocity, self._speed_at_rest(time_ns, navigation)
-        self._rest = self._rest.after(rate, navigation.acceleration, velocity, step_s, limit)
-        self.stationary = self._rest.stationary
+            return
+        rate, speed, limit = navigation.rate, length(navigation.velocity), SPEED_LIMIT
+        if speed >= limit and self._odometer is not None:
+            limit = self._speed_at_rest(time_ns, navigation)
+        rest = self._rest = at_rest(self._rest, rate, navigation.acceleration, speed, step_s, limit)
+        self.stationary = rest[2] >= QUIET_S
         if not (self.stationary and self._settings.zero_velocity):
-            self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
-            return []
+            if self._rest_s:
+                self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
+            return
         x, y, z = self._rest_turn
         self._rest_turn = (x + rate[0] * step_s, y + rate[1] * step_s, z + rate[2] * step_s)
         self._rest_s += step_s
         if self._rest_s < PERIOD_S - 1e-3:
-            return []
+            return
         x, y, z, span_s = *self._rest_turn, self._rest_s
         self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
-        return self._aid(Standstill(time_ns, (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)))
+        outcomes += self._aid(Standstill(time_ns, (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)))
 
     def _speed_at_rest(self, time_ns: int, navigation: ErrorStateFilter) -> float:
         """Find the speed [m/s] up to which the vehicle may be at rest: more, if wheels that stand make it likely."""
@@ -270,24 +289,24 @@ class Engine:
         self._odometer = seen
         return False
 
-    def _watch_the_wheels(self, time_ns: int, step_s: float) -> list[Outcome]:
+    def _watch_the_wheels(self, time_ns: int, step_s: float, outcomes: list[Outcome]) -> None:
         """Tell the filter at 10 Hz that the vehicle goes where its wheels point."""
         self._rolling_s += step_s
-        if self.filter is None or not self._settings.non_holonomic or self._rolling_s < WHEELS_PERIOD_S - 1e-3:
-            return []
+        if self._rolling_s < WHEELS_PERIOD_S - 1e-3 or self.filter is None or not self._settings.non_holonomic:
+            return
         self._rolling_s = 0.0
-        fast = hypot(*self.filter.inertial.velocity) > SLOWEST_M_S
-        return self._aid(NonHolonomic(time_ns, self._settings)) if fast else []
+        if hypot(*self.filter.velocity) > SLOWEST_M_S:
+            outcomes += self._aid(NonHolonomic(time_ns, self._settings))
 
     def _settle_phase(self, time_ns: int) -> None:
         """Say what goes on, where that has changed."""
         if self.filter is None:
             assert self._alignment is not None
             phase, reason = self._alignment.phase, self._alignment.reason
-        elif time_ns - (self.accepted_ns or 0) > self._settings.coasting_after_s * 1e9:
-            phase, reason = NavigationPhase.COASTING, "no position used lately"
+        elif time_ns - (self.accepted_ns or 0) > self._coasting_ns:
+            phase, reason = COASTING, "no position used lately"
         else:
-            phase, reason = NavigationPhase.NAVIGATING, "positions are used again"
+            phase, reason = NAVIGATING, "positions are used again"
         if phase is not self.phase:
             self._enter(phase, time_ns, f"{reason}, after {self._why}" if self._why else reason)
 
@@ -303,7 +322,7 @@ class Engine:
     def _lose(self, time_ns: int, why: str, kept: Heading | None, lost: ErrorStateFilter | None = None) -> None:
         self._alignment = Alignment(self._settings, lost, kept)
         if lost is not None:
-            self._alignment.comparison = self._comparison.interrupted()
+            self._alignment.comparison = self._judge.comparison.interrupted()
         self.filter, self._why, self._rejections = None, why, 0
         self._enter(self._alignment.phase, time_ns, f"{self._alignment.reason}, after {why}")
 

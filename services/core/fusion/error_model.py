@@ -6,20 +6,15 @@ the correction already made, and are therefore added to it. x' = F x + noise: th
 twenty-one, and every other one goes its own way, constant or with a walk or a decay of its own.
 """
 
-from math import cos, sin, tan
+from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import (
-    EARTH_RATE,
-    ECCENTRICITY_SQUARED,
-    curvature_radii,
-    gravity,
-)
+from shared.maths.earth import EARTH_RATE
 from shared.maths.rotation import Vector, skew
 
-from .strapdown import InertialState
+from .strapdown import POLAR_FACTOR, Motion
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -43,26 +38,44 @@ DRIVING = 21  # the first twenty-one
 PARAMETERS = slice(DRIVING, SIZE)
 
 
-def system_matrix(
-    state: InertialState, force_n: Vector, ned_from_body: FloatArray, rate_b: Vector = (0.0, 0.0, 0.0)
-) -> FloatArray:
-    """Matrix F of the error model, as far as it is not zero.
+# Where F is not zero: rows of attitude, velocity, position; columns of the same, biases and scales of the IMU.
+PATTERN = """
+    . x x  . x .  x . x   . . .  x x x   . . .  x x x
+    x . x  x . .  . . x   . . .  x x x   . . .  x x x
+    x x .  . x .  x . x   . . .  x x x   . . .  x x x
+    . x x  x x x  x . x   x x x  . . .   x x x  . . .
+    x . x  x x x  x . x   x x x  . . .   x x x  . . .
+    x x .  x x .  x . x   x x x  . . .   x x x  . . .
+    . . .  x . .  x . x   . . .  . . .   . . .  . . .
+    . . .  . x .  x x x   . . .  . . .   . . .  . . .
+    . . .  . . x  . . .   . . .  . . .   . . .  . . .
+"""
+PLACES = np.array([place for place, mark in enumerate(PATTERN.split()) if mark == "x"])
+
+
+def system_matrix(motion: Motion, force_n: Vector, rate_b: Vector = (0.0, 0.0, 0.0)) -> FloatArray:
+    """Matrix F of the error model, shape (9, 21) [1/s and mixed], as far as it is not zero: see `error_rates`."""
+    F = np.zeros(MOVING * DRIVING)
+    F[PLACES] = error_rates(motion, force_n, rate_b)
+    return F.reshape(MOVING, DRIVING)
+
+
+def error_rates(motion: Motion, force_n: Vector, rate_b: Vector) -> tuple[float, ...]:
+    """Elements of the matrix F of the error model, row by row, where `PATTERN` has a mark.
 
     Parameters
     ----------
-    state : InertialState
-        Where the errors are linearised.
+    motion : tuple
+        Where the errors are linearised, as of `strapdown.mechanise`.
     force_n : tuple of float
         [m/s², NED] Specific force.
-    ned_from_body : ndarray, shape (3, 3)
-        [-] Attitude C.
     rate_b : tuple of float
         [rad/s, body] Angular rate, for the errors of its scale.
 
     Returns
     -------
-    ndarray, shape (9, 21)
-        [1/s and mixed] Row block, column block in the order of the state.
+    tuple of float
+        [1/s and mixed]
 
     Notes
     -----
@@ -81,52 +94,39 @@ def system_matrix(
     P. Groves, 2nd ed., eq. 14.63 to 14.71, here with the position in metres; equals
     J. Zuriarrain Sosa et al., 2024, appendix A, after correction of its A6, A7 and A9.
     """
-    north, east, down = state.velocity
-    latitude, _, height = state.position
-    meridian, transverse = curvature_radii(latitude)
+    (qw, qx, qy, qz), (north, east, down), (_, _, height), (sine, cosine, meridian, transverse, surface, _) = motion
     m, t = 1.0 / (meridian + height), 1.0 / (transverse + height)
-    tangent, secant2 = tan(latitude), 1.0 / cos(latitude) ** 2
-    earth_n, earth_d = EARTH_RATE * cos(latitude), -EARTH_RATE * sin(latitude)
-    turn_n, turn_e, turn_d = earth_n + east * t, -north * m, earth_d - east * tangent * t
+    tangent, secant2 = sine / cosine, 1.0 / (cosine * cosine)
+    earth_n, earth_d = EARTH_RATE * cosine, -EARTH_RATE * sine
+    et, nm = east * t, north * m
+    turn_n, turn_e, turn_d = earth_n + et, -nm, earth_d - et * tangent
     fn, fe, fd = force_n
-    (c11, c12, c13), (c21, c22, c23), (c31, c32, c33) = ned_from_body.tolist()
-    free_air = 2.0 * gravity(latitude, 0.0) / geocentric_radius(latitude)
+    wx, wy, wz = rate_b
+    c11, c12, c13 = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)
+    c21, c22, c23 = 2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)
+    c31, c32, c33 = 2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
+    fx, fy, fz = c11 * fn + c21 * fe + c31 * fd, c12 * fn + c22 * fe + c32 * fd, c13 * fn + c23 * fe + c33 * fd
+    free_air = 2.0 * surface / (transverse * sqrt(cosine * cosine + (POLAR_FACTOR * sine) ** 2))
 
     # fmt: off
-    rows = [
-        [0.0, turn_d, -turn_e, 0.0, -t, 0.0,
-         -earth_d * m, 0.0, -east * t * t, 0.0, 0.0, 0.0, c11, c12, c13],
-        [-turn_d, 0.0, turn_n, m, 0.0, 0.0,
-         0.0, 0.0, north * m * m, 0.0, 0.0, 0.0, c21, c22, c23],
-        [turn_e, -turn_n, 0.0, 0.0, tangent * t, 0.0,
-         (earth_n + east * secant2 * t) * m, 0.0, east * tangent * t * t, 0.0, 0.0, 0.0, c31, c32, c33],
-        [0.0, fd, -fe, down * m, 2.0 * (earth_d - east * tangent * t), north * m,
-         -(east * east * secant2 * t + 2.0 * east * earth_n) * m, 0.0,
-         north * down * m * m - east * east * tangent * t * t, c11, c12, c13, 0.0, 0.0, 0.0],
-        [-fd, 0.0, fn, east * tangent * t - 2.0 * earth_d, (north * tangent + down) * t, east * t + 2.0 * earth_n,
-         (north * east * secant2 * t + 2.0 * (north * earth_n + down * earth_d)) * m, 0.0,
-         (north * east * tangent + east * down) * t * t, c21, c22, c23, 0.0, 0.0, 0.0],
-        [fe, -fn, 0.0, -2.0 * north * m, -2.0 * (east * t + earth_n), 0.0,
-         -2.0 * east * earth_d * m, 0.0,
-         free_air - (east * t) ** 2 - (north * m) ** 2, c31, c32, c33, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, -down * m, 0.0, north * m, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, east * tangent * m, -(down + north * tangent) * t, east * t,
-         0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    ]
+    return (
+        turn_d, -turn_e, -t, -earth_d * m, -et * t, c11, c12, c13, c11 * wx, c12 * wy, c13 * wz,
+        -turn_d, turn_n, m, nm * m, c21, c22, c23, c21 * wx, c22 * wy, c23 * wz,
+        turn_e, -turn_n, tangent * t, (earth_n + et * secant2) * m, et * tangent * t,
+        c31, c32, c33, c31 * wx, c32 * wy, c33 * wz,
+        fd, -fe, down * m, 2.0 * (earth_d - et * tangent), nm,
+        -(et * secant2 + 2.0 * earth_n) * east * m, nm * down * m - et * et * tangent,
+        c11, c12, c13, c11 * fx, c12 * fy, c13 * fz,
+        -fd, fn, et * tangent - 2.0 * earth_d, (north * tangent + down) * t, et + 2.0 * earth_n,
+        (north * et * secant2 + 2.0 * (north * earth_n + down * earth_d)) * m, (north * tangent + down) * et * t,
+        c21, c22, c23, c21 * fx, c22 * fy, c23 * fz,
+        fe, -fn, -2.0 * nm, -2.0 * (et + earth_n), -2.0 * east * earth_d * m, free_air - et * et - nm * nm,
+        c31, c32, c33, c31 * fx, c32 * fy, c33 * fz,
+        1.0, -down * m, nm,
+        1.0, east * tangent * m, -(down + north * tangent) * t, et,
+        1.0,
+    )
     # fmt: on
-    F = np.zeros((MOVING, DRIVING))
-    F[:, :15] = rows
-    F[VELOCITY, ACCELEROMETER_SCALE] = ned_from_body * (force_n @ ned_from_body)
-    F[ATTITUDE, GYROSCOPE_SCALE] = ned_from_body * rate_b
-    return F
-
-
-def geocentric_radius(latitude: float) -> float:
-    """Distance [m] from the Earth's centre to the ellipsoid (Groves, 2nd ed., eq. 2.137)."""
-    transverse = curvature_radii(latitude)[1]
-    factor = 1.0 - ECCENTRICITY_SQUARED
-    return transverse * float(np.hypot(cos(latitude), factor * sin(latitude)))
 
 
 def noise_density(*densities: tuple[int | slice, float]) -> FloatArray:

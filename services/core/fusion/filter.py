@@ -18,14 +18,15 @@ from shared.maths.rotation import (
 
 from . import error_model as em
 from .kalman import Correction, correct, predict
+from .sampling import NO_SUMS, Shaking, take_sample
 from .settings import Settings
-from .strapdown import InertialState, normalised, propagate
+from .strapdown import InertialState, motion_of, normalised
+from .trail import Trail
 
 FloatArray = npt.NDArray[np.float64]
 
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
-SHAKE_S = 1.0  # time constant of the measured vibration
 FASTEST_M_S = 500.0
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
 HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
@@ -68,14 +69,19 @@ class ErrorStateFilter:
         self.parameters = parameters
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
         self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
+        self.trail: Trail | None = None  # is told what happens to the errors, for a smoother
         self._period_s = settings.covariance_period_s
         self._settings = settings
         self._last: tuple[Vector, Vector] | None = None  # sample as measured
-        self._force_shake = 0.0  # [m²/s³] power spectral density of what samples differ by from each other
-        self._rate_shake = 0.0  # [rad²/s]
-        self._since_s = 0.0  # of the covariance
-        self._impulse: Vector = (0.0, 0.0, 0.0)  # [m/s, NED] specific force summed over that time
-        self._turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] angular rate summed over that time
+        self._shaking: Shaking = (0.0, 0.0)  # [m²/s³, rad²/s] power spectral densities
+        self._sums = NO_SUMS  # since the covariance was brought up
+        self._walks = em.noise_density(
+            (em.ACCELEROMETER_BIAS, settings.accelerometer_bias_psd_m2_s5),
+            (em.GYROSCOPE_BIAS, settings.gyroscope_bias_psd_rad2_s3),
+            (em.ODOMETER_SCALE, SCALE_PSD),
+            (em.MOUNTING, MOUNTING_PSD),
+            (em.BAROMETER_OFFSET, settings.barometer_walk_m_sqrt_s**2 if settings.barometer else 0.0),
+        )
 
     def fork(self) -> "ErrorStateFilter":
         """Copy that goes its own way; nothing that both hold is ever changed in place."""
@@ -84,9 +90,24 @@ class ErrorStateFilter:
         return twin
 
     @property
+    def inertial(self) -> InertialState:
+        """Attitude, velocity and position."""
+        quaternion, velocity, position, _ = self._motion
+        return InertialState(self._time_ns, quaternion, velocity, Geodetic(*position))
+
+    @inertial.setter
+    def inertial(self, state: InertialState) -> None:
+        self._time_ns, self._motion = state.time_ns, motion_of(state)
+
+    @property
+    def velocity(self) -> Vector:
+        """[m/s, NED], without the rest."""
+        return self._motion[1]
+
+    @property
     def ned_from_body(self) -> FloatArray:
         """Attitude as a matrix, shape (3, 3)."""
-        return matrix_from_quaternion(self.inertial.quaternion)
+        return matrix_from_quaternion(self._motion[0])
 
     def parameter(self, place: int) -> float:
         """Value of a parameter by the place of its error in the state."""
@@ -100,70 +121,49 @@ class ErrorStateFilter:
 
     def advance(self, force: Vector, rate: Vector, time_ns: int) -> None:
         """Carry the state to an instant with a sample [m/s², rad/s, body; as measured] that holds until then."""
-        bias = self.accelerometer_bias
-        drift = self.gyroscope_bias
-        step_s = (time_ns - self.inertial.time_ns) * 1e-9
+        step_s = (time_ns - self._time_ns) * 1e-9
         if step_s <= 0.0:
             return
-        self._feel_vibration(force, rate, step_s)
-        (a, b, c), (fx, fy, fz) = self.gyroscope_scale, force
-        (p, q, r), (wx, wy, wz) = self.accelerometer_scale, rate
-        self.rate = (wx - drift[0] - a * wx, wy - drift[1] - b * wy, wz - drift[2] - c * wz)
-        true_force = (fx - bias[0] - p * fx, fy - bias[1] - q * fy, fz - bias[2] - r * fz)
-        before = self.inertial.velocity
-        self.inertial, (north, east, down) = propagate(self.inertial, true_force, self.rate, time_ns)
-        after = self.inertial.velocity
-        per_s = 1.0 / step_s
-        self.acceleration = (
-            (after[0] - before[0]) * per_s,
-            (after[1] - before[1]) * per_s,
-            (after[2] - before[2]) * per_s,
+        sample = force, rate
+        self._motion, self._sums, self._shaking, self.rate, self.acceleration = take_sample(
+            self._motion,
+            self._sums,
+            self._shaking,
+            (self.accelerometer_bias, self.gyroscope_bias, self.accelerometer_scale, self.gyroscope_scale),
+            sample,
+            self._last or sample,
+            step_s,
         )
-        x, y, z = self._impulse
-        self._impulse = (x + north * step_s, y + east * step_s, z + down * step_s)
-        (x, y, z), (wx, wy, wz) = self._turn, self.rate
-        self._turn = (x + wx * step_s, y + wy * step_s, z + wz * step_s)
-        self._since_s += step_s
-        if self._since_s >= self._period_s - 1e-9:
+        self._last, self._time_ns = sample, time_ns
+        if self._sums[0] >= self._period_s - 1e-9:
             self.bring_covariance_up()
-
-    def _feel_vibration(self, force: Vector, rate: Vector, step_s: float) -> None:
-        """Measure white noise by the difference of successive samples, whose variance is twice its own."""
-        if self._last is not None:
-            (x, y, z), (a, b, c) = self._last
-            force2 = (force[0] - x) ** 2 + (force[1] - y) ** 2 + (force[2] - z) ** 2
-            rate2 = (rate[0] - a) ** 2 + (rate[1] - b) ** 2 + (rate[2] - c) ** 2
-            share, scale = min(1.0, step_s / SHAKE_S), step_s / 6.0
-            self._force_shake += share * (scale * force2 - self._force_shake)
-            self._rate_shake += share * (scale * rate2 - self._rate_shake)
-        self._last = (force, rate)
 
     def rate_noise(self, span_s: float) -> float:
         """Standard deviation [rad/s] that vibration gives to the mean rate of a time."""
-        return sqrt(self._rate_shake / span_s)
+        return sqrt(self._shaking[1] / span_s)
 
     def _noise(self) -> FloatArray:
         """Power spectral density of the errors' growth: that of the sensor, or of the vibration if it is more."""
-        settings, factor = self._settings, self._settings.vibration_factor
-        return em.noise_density(
-            (em.ATTITUDE, max(settings.angle_random_walk_rad_sqrt_s**2, factor * self._rate_shake)),
-            (em.VELOCITY, max(settings.velocity_random_walk_m_s_sqrt_s**2, factor * self._force_shake)),
-            (em.ACCELEROMETER_BIAS, settings.accelerometer_bias_psd_m2_s5),
-            (em.GYROSCOPE_BIAS, settings.gyroscope_bias_psd_rad2_s3),
-            (em.ODOMETER_SCALE, SCALE_PSD),
-            (em.MOUNTING, MOUNTING_PSD),
-        )
+        settings, (force_shake, rate_shake) = self._settings, self._shaking
+        factor = settings.vibration_factor
+        density = self._walks.copy()
+        density[em.ATTITUDE] = max(settings.angle_random_walk_rad_sqrt_s**2, factor * rate_shake)
+        density[em.VELOCITY] = max(settings.velocity_random_walk_m_s_sqrt_s**2, factor * force_shake)
+        return density
 
     def bring_covariance_up(self) -> None:
         """Carry the covariance to the instant of the state."""
-        if self._since_s == 0.0:
+        since_s, ix, iy, iz, tx, ty, tz = self._sums
+        if since_s == 0.0:
             return
-        (x, y, z), (a, b, c), per_s = self._impulse, self._turn, 1.0 / self._since_s
-        mean_force, mean_rate = (x * per_s, y * per_s, z * per_s), (a * per_s, b * per_s, c * per_s)
-        F = em.system_matrix(self.inertial, mean_force, self.ned_from_body, mean_rate)
-        self.P = predict(self.P, F, self._noise(), self._since_s)
-        self._since_s, self._impulse, self._turn = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        per_s = 1.0 / since_s
+        mean_force, mean_rate = (ix * per_s, iy * per_s, iz * per_s), (tx * per_s, ty * per_s, tz * per_s)
+        F = em.system_matrix(self._motion, mean_force, mean_rate)
+        self.P = predict(self.P, F, self._noise(), since_s)
+        self._sums = NO_SUMS
         self._check()
+        if self.trail is not None:
+            self.trail.stepped(self, F, since_s, None)
 
     def widen(
         self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0, height_sd: float = 0.0
@@ -185,6 +185,8 @@ class ErrorStateFilter:
         self.P = self.P.copy()
         self.P[em.ODOMETER_SCALE] = self.P[:, em.ODOMETER_SCALE] = 0.0
         self.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE] = self._settings.odometer_scale_sd**2
+        if self.trail is not None:
+            self.trail.forgot(self.inertial.time_ns, em.ODOMETER_SCALE)
 
     def weigh(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
         """Work out what a measurement says, without believing it yet."""
@@ -193,8 +195,14 @@ class ErrorStateFilter:
 
     def accept(self, correction: Correction) -> None:
         """Take the estimated errors out of the state, where they are zero from then on."""
-        x = correction.x.tolist()
-        self.P = correction.P
+        self.take_out(correction.x, correction.P)
+        if self.trail is not None:
+            self.trail.corrected(self.inertial.time_ns, correction)
+
+    def take_out(self, errors: FloatArray, P: FloatArray) -> None:
+        """Move the state by errors, shape (30,), that leave the covariance P."""
+        x = errors.tolist()
+        self.P = P
         time_ns, quaternion, velocity, position = self.inertial
         self.inertial = InertialState(
             time_ns,
@@ -218,12 +226,12 @@ class ErrorStateFilter:
         variances = self.P.diagonal().tolist()
         if not (isfinite(sum(variances)) and min(variances[: em.ACCELEROMETER_SCALE.start]) > 0.0):
             raise FilterDiverged("the covariance is no longer positive")
-        _, quaternion, velocity, position = self.inertial
-        if not isfinite(sum(quaternion) + sum(velocity) + sum(position)):
+        quaternion, (north, east, down), (latitude, longitude, height), _ = self._motion
+        if not isfinite(sum(quaternion) + north + east + down + latitude + longitude + height):
             raise FilterDiverged("the state is no longer finite")
-        if max(map(abs, velocity)) > FASTEST_M_S:
+        if max(abs(north), abs(east), abs(down)) > FASTEST_M_S:
             raise FilterDiverged("the velocity is beyond any vehicle's")
-        if abs(position.latitude) > HIGHEST_LATITUDE:
+        if abs(latitude) > HIGHEST_LATITUDE:
             raise FilterDiverged("the position is too near a pole")
 
 

@@ -7,8 +7,9 @@ from shared.messages import AidingKind
 from . import arms
 from .aiding import Measurement, Observation, Outcome
 from .filter import ErrorStateFilter
+from .gnss import GnssPosition, GnssVelocity, antenna_velocity
 from .kalman import Correction, chi_square_limit
-from .matching import Corrections
+from .matching import Comparison, Corrections
 from .settings import Settings
 
 # A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
@@ -56,6 +57,7 @@ class Judge:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.corrections = Corrections()
+        self.comparison = Comparison()  # of the filter's heading with GNSS
         self.arm = arms.begun()
         self._height_ns: int | None = None  # since when heights have been refused
         self._standings: dict[tuple[str, AidingKind], Standing] = {}
@@ -66,9 +68,19 @@ class Judge:
         twin.__dict__.update(self.__dict__)
         return twin
 
-    def acquit(self) -> None:
+    def acquit(self, comparison: Comparison) -> None:
         """Begin with all devices in good standing: it was the filter that was wrong, and it is a new one."""
         self._standings, self.corrections, self.arm = {}, Corrections(), arms.begun()
+        self.comparison = comparison
+
+    def compare(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> tuple[float, float] | None:
+        """Turn [rad] by which the filter's heading is wrong, and its standard deviation; None if it is not."""
+        corrections = self.corrections.at(seen.time_ns)
+        own = antenna_velocity(navigation, seen.lever_arm) + navigation.inertial.velocity
+        self.corrections = corrections._replace(yaw=0.0)
+        pure = complex(own[0], own[1]) + corrections.velocity
+        self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
+        return self.comparison.result() if self.comparison.is_wrong(seen.time_ns) else None
 
     def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
         """Use an observation if its d² is within the limit of d², with less weight up to `robust_limit` times it.
@@ -115,6 +127,7 @@ class Judge:
         limit = self._settings.robust_limit if gnss else 1.0
         excluded = gnss and self._is_excluded(measurement, seen.kind, ratio <= limit)
         refused = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
+        refused = seen.unfit or refused
         weight = 0.0 if refused else _weight(ratio, limit)
         if not refused:
             lighter = correction if weight == 1.0 else navigation.weigh(seen.z, seen.H, seen.R / weight)

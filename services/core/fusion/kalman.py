@@ -78,13 +78,18 @@ def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> F
     """
     m, k = F.shape
     Ft = F * step_s
-    upper = P[:m] + Ft @ P[:k]
-    square = upper[:, :m] + upper[:, :k] @ Ft.T
+    upper = Ft.dot(P[:k])
+    upper += P[:m]
+    square = upper[:, :k].dot(Ft.T)
+    square += upper[:, :m]
     after = P.copy()
-    after[:m, :m] = 0.5 * (square + square.T)
-    after[:m, m:] = upper[:, m:]
-    after[m:, :m] = upper[:, m:].T
-    after.reshape(-1)[:: len(P) + 1] += noise * step_s
+    after[:m] = upper
+    after[:, :m] = upper.T
+    corner = after[:m, :m]
+    np.add(square, square.T, out=corner)
+    corner *= 0.5
+    diagonal = after.reshape(-1)[:: len(P) + 1]
+    diagonal += noise * step_s
     return after
 
 
@@ -96,6 +101,10 @@ class Correction:
     P: FloatArray
     innovation_sd: FloatArray
     distance2: float  # normalised innovation squared, d²
+    z: FloatArray
+    H: FloatArray
+    K: FloatArray
+    S_inverse: FloatArray
 
 
 def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
@@ -134,7 +143,7 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
         np.linalg.cholesky(S)
     except np.linalg.LinAlgError as error:
         raise FilterDiverged("the covariance of an innovation is not positive definite") from error
-    inverse = np.linalg.inv(S)
+    inverse = np.asarray(np.linalg.inv(S), dtype=np.float64)
     K = PHt @ inverse
     distance2 = float(z @ inverse @ z)
     if not np.isfinite(distance2):
@@ -142,4 +151,4 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     A = -K @ H
     A.reshape(-1)[:: len(P) + 1] += 1.0
     P_after = A @ P @ A.T + K @ R @ K.T
-    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2)
+    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2, z, H, K, inverse)

@@ -10,6 +10,7 @@ from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
@@ -18,18 +19,23 @@ from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector, roll_pitch_yaw
 from shared.messages import NavigationPhase
 
+from . import barometer, compass
 from . import error_model as em
 from .aiding import Measurement, Outcome
 from .delayed import DelayedEngine
 from .engine import Counts
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
-from .samples import Repeats, Sample, begun, impossible
+from .protection import protection_levels
+from .samples import Repeats, Sample, begun
 from .settings import Settings
+from .trail import Trail
 from .wheels import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
 
+FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
+RATE_LIMIT = 100.0  # [rad/s]
 FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheels say more often what they say
@@ -55,6 +61,9 @@ class Solution:
     gyroscope_bias: Vector
     stationary: bool
     gnss_age_s: float | None
+    protection_level_horizontal: float  # [m] beyond which the error is with probability `integrity_risk`
+    protection_level_vertical: float  # [m] the same of the height
+    integrity_risk: float
 
 
 class Navigator:
@@ -72,7 +81,7 @@ class Navigator:
         self._delayed = DelayedEngine(self.settings)
         self._backwards = 0
         self._repeats: Repeats | None = None
-        self._speed_ns: dict[str, int] = {}  # stamp of the newest speed of each device
+        self._used_ns: dict[str, int] = {}  # stamp of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -84,7 +93,7 @@ class Navigator:
         *,
         saturated: bool = False,
     ) -> list[Outcome]:
-        """Take one inertial sample.
+        """Take one inertial sample, and use what has waited for it: `advance` and `release` in one.
 
         Parameters
         ----------
@@ -104,20 +113,29 @@ class Navigator:
         list of Outcome
             What became of the measurements that were used now.
         """
-        outcomes = self._release(time_ns if received_ns is None else received_ns)
-        readings = (*force, *rate)
-        fault = impossible(readings) or self._backward(time_ns)
-        if fault:
+        outcomes = self.advance(time_ns, force, rate, saturated=saturated)
+        return outcomes + self.release(time_ns if received_ns is None else received_ns)
+
+    def advance(
+        self, time_ns: int, force: Sequence[float], rate: Sequence[float], *, saturated: bool = False
+    ) -> list[Outcome]:
+        """Take one inertial sample, without what has waited for it: that can take twenty times as long."""
+        fx, fy, fz = force
+        wx, wy, wz = rate
+        credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
+        last = self._delayed.engine.last
+        if not credible or (last is not None and time_ns <= last[0]):
             self.samples_rejected += 1
-            self.rejects[fault] += 1
-            return outcomes
+            self.rejects[self._went_back() if credible else _fault(force, rate)] += 1
+            return []
+        self._backwards = 0
         self.samples_used += 1
-        self._repeats = self._repeats.after(time_ns, readings) if self._repeats else begun(time_ns, readings)
-        doubt = "gyroscope saturated" if saturated else self._repeats.doubt()
+        readings = (fx, fy, fz, wx, wy, wz)
+        repeats = self._repeats = self._repeats.after(time_ns, readings) if self._repeats else begun(time_ns, readings)
+        doubt = "gyroscope saturated" if saturated else repeats.doubt()
         if doubt:
             self.rejects[doubt] += 1
-        sample = Sample(time_ns, (force[0], force[1], force[2]), (rate[0], rate[1], rate[2]), doubt)
-        return outcomes + self._delayed.step(sample)
+        return self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz), doubt))
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -164,11 +182,44 @@ class Navigator:
 
         It is `exact` if it is that of both rear wheels, and its resolution [m/s] is the step in which it comes.
         """
-        if not self.settings.odometer or time_ns - self._speed_ns.get(source, 0) < SPEED_PERIOD_NS:
+        if not self.settings.odometer or not self._is_due(f"{source}/speed", time_ns, SPEED_PERIOD_NS):
             return
-        self._speed_ns[source] = time_ns
         arrival_ns = time_ns if received_ns is None else received_ns
         self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
+
+    def pressure(
+        self, time_ns: int, pressure_pa: float, *, received_ns: int | None = None, source: str = "barometer"
+    ) -> None:
+        """Take a static pressure [Pa] at a stamp; one a second is used."""
+        if not self.settings.barometer or not self._is_due(f"{source}/pressure", time_ns, barometer.PERIOD_NS):
+            return
+        if not barometer.LOWEST_PA <= pressure_pa <= barometer.HIGHEST_PA:
+            self.rejects["pressure of no road"] += 1
+            return
+        height = barometer.pressure_height(pressure_pa)
+        arrival_ns = time_ns if received_ns is None else received_ns
+        self.measure(barometer.BarometricHeight(time_ns, arrival_ns, source, height, self.settings))
+
+    def magnetic_field(
+        self, time_ns: int, field_b: Vector, *, received_ns: int | None = None, source: str = "compass"
+    ) -> None:
+        """Take a magnetic field [body, 1 where it was calibrated] at a stamp; one a second is used."""
+        if not self.settings.compass or not self._is_due(f"{source}/field", time_ns, compass.PERIOD_NS):
+            return
+        arrival_ns = time_ns if received_ns is None else received_ns
+        declination = self.settings.magnetic_declination_rad
+        self.measure(compass.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
+
+    def _is_due(self, key: str, time_ns: int, period_ns: int) -> bool:
+        """Whether the newest used value of a device is so old; values from the past are not due."""
+        if 0 <= time_ns - self._used_ns.get(key, time_ns - period_ns) < period_ns:
+            return False
+        self._used_ns[key] = time_ns
+        return True
+
+    def leave(self, trail: Trail) -> None:
+        """Keep a trail for a smoother, from the first sample on."""
+        self._delayed.leave(trail)
 
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
@@ -207,6 +258,15 @@ class Navigator:
             return None
         roll, pitch, yaw = roll_pitch_yaw(navigation.ned_from_body)
         time_ns = navigation.inertial.time_ns
+        position_cov = navigation.P[em.POSITION, em.POSITION]
+        levels = protection_levels(
+            position_cov.tolist(),
+            navigation.inertial.velocity,
+            time_ns,
+            engine.watch,
+            risk=self.settings.integrity_risk,
+            time_sd_s=self.settings.gnss_time_sd_s,
+        )
         return Solution(
             time_ns=time_ns,
             phase=engine.phase,
@@ -215,7 +275,7 @@ class Navigator:
             roll=roll,
             pitch=pitch,
             yaw=yaw,
-            position_cov=navigation.P[em.POSITION, em.POSITION],
+            position_cov=position_cov,
             velocity_cov=navigation.P[em.VELOCITY, em.VELOCITY],
             attitude_cov=navigation.P[em.ATTITUDE, em.ATTITUDE],
             rate=navigation.rate,
@@ -223,10 +283,13 @@ class Navigator:
             gyroscope_bias=navigation.gyroscope_bias,
             stationary=engine.stationary,
             gnss_age_s=None if engine.accepted_ns is None else (time_ns - engine.accepted_ns) * 1e-9,
+            protection_level_horizontal=levels.horizontal,
+            protection_level_vertical=levels.vertical,
+            integrity_risk=levels.risk,
         )
 
-    def _release(self, received_ns: int) -> list[Outcome]:
-        """Use what has waited long enough."""
+    def release(self, received_ns: int) -> list[Outcome]:
+        """Use what has waited long enough, when a sample has arrived at `received_ns`."""
         outcomes: list[Outcome] = []
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
@@ -236,17 +299,17 @@ class Navigator:
                 self.rejects["measurement older than the memory"] += 1
         return outcomes
 
-    def _backward(self, time_ns: int) -> str | None:
-        """Say whether a sample is not newer than the last; many of them are a clock that was set back."""
-        last = self._delayed.engine.last
-        if last is None or time_ns > last.time_ns:
-            self._backwards = 0
-            return None
+    def _went_back(self) -> str:
+        """Say what is wrong with a sample that is no newer than the last; after many of them begin again."""
         self._backwards += 1
         if self._backwards > BACKWARDS_LIMIT:
             self._backwards = 0
             self._delayed = self._delayed.restarted("the inertial clock went back")
         return "sample doubled or out of order"
+
+
+def _fault(force: Sequence[float], rate: Sequence[float]) -> str:
+    return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
 
 
 def _diagonal(sd: Vector | None) -> FloatArray | None:

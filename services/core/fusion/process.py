@@ -34,8 +34,8 @@ class Process:
     """Feeds the navigator from the bus, and the bus from the navigator."""
 
     def __init__(self, config: Config) -> None:
-        self._config = config
         self._navigator = Navigator(config)
+        self.leave = self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution = -1  # number of its period
         self._last_state: tuple[NavigationPhase, str, int] | None = None
@@ -66,12 +66,13 @@ class Process:
             self.rejects["samples of a second imu"] += 1
             return
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
+        translate.give_environment(self._navigator, batch)
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         for sampled_ns, force, rate in samples:
-            outcomes = self._navigator.imu(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated)
-            yield from map(translate.aiding_message, outcomes)
+            outcomes = self._navigator.advance(sampled_ns, force, rate, saturated=batch.saturated)
+            yield from self._solution(sampled_ns)  # first: whoever needs it shall not wait for what is late anyway
+            yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))
             yield from self._state(sampled_ns)
-            yield from self._solution(sampled_ns)
 
     def _is_silent(self, now_ns: int) -> bool:
         return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS

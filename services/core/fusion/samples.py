@@ -1,13 +1,10 @@
-"""What may be wrong with an inertial sample: impossible numbers, a clipped gyroscope, a dead accelerometer."""
+"""What may be wrong with an inertial sample: a clipped gyroscope, a dead accelerometer."""
 
-from math import isfinite
 from operator import eq
 from typing import NamedTuple
 
 from shared.maths.rotation import Vector
 
-FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
-RATE_LIMIT = 100.0  # [rad/s]
 STUCK_S = 0.5  # noise changes the last digit of any sensor that works sooner
 FLAT_TOP_S = 0.03  # the largest value of a sensor, again and again
 FLAT_TOP_RAD_S = 1.5  # below it no gyroscope clips
@@ -64,11 +61,3 @@ _ALL = (True,) * 6
 def begun(time_ns: int, readings: tuple[float, ...]) -> Repeats:
     """Begin with the first sample."""
     return Repeats(time_ns, readings, (time_ns,) * 6, (False,) * 6)
-
-
-def impossible(readings: tuple[float, ...]) -> str | None:
-    """What no sensor says."""
-    fx, fy, fz, wx, wy, wz = readings
-    if abs(fx) + abs(fy) + abs(fz) < FORCE_LIMIT and abs(wx) + abs(wy) + abs(wz) < RATE_LIMIT:
-        return None
-    return "sample beyond any sensor" if isfinite(fx + fy + fz + wx + wy + wz) else "sample not finite"

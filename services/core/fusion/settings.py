@@ -1,6 +1,6 @@
 """Settings of the navigation filter; the defaults suit an MTi-630 in a car."""
 
-from math import radians
+from math import pi, radians
 
 from pydantic import Field
 
@@ -76,6 +76,18 @@ class Settings(Section):
     mounting_sd_rad: float = Field(
         default=radians(3.0), gt=0.0, description="of the IMU against the vehicle: pitch and yaw, which are estimated"
     )
+    barometer: bool = Field(default=True, description="aid the filter by the pressure, if the IMU tells it")
+    barometer_sd_m: float = Field(default=0.5, gt=0.0, description="of barometric height, apart from its offset")
+    barometer_walk_m_sqrt_s: float = Field(default=0.1, gt=0.0, description="how its offset wanders: weather, windows")
+    baseline_yaw_body_rad: float = Field(
+        default=0.0, ge=-pi, le=pi, description="direction from the first to the second antenna, clockwise from forward"
+    )
+    compass: bool = Field(
+        default=False, description="aid the filter by the magnetometer as far as it agrees with headings that are known"
+    )
+    magnetic_declination_rad: float = Field(
+        default=0.0, ge=-pi, le=pi, description="of magnetic north from true north, positive to the east"
+    )
     gnss_position_sd_m: Vector3 = Field(default=(2.5, 2.5, 5.0), description="NED, of a receiver that states none")
     gnss_velocity_sd_m_s: Vector3 = Field(default=(0.2, 0.2, 0.4), description="NED, of a receiver that states none")
     gnss_position_sd_floor_m: float = Field(default=0.01, gt=0.0, description="least that is believed of a receiver")
@@ -102,3 +114,10 @@ class Settings(Section):
     healthy_max_s: float = Field(default=8.0, ge=0.0, description="longest time of that kind")
     reset_after_rejections: int = Field(default=10, ge=1, description="successive refused positions, and")
     reset_after_s: float = Field(default=5.0, ge=0.0, description="so long without an accepted one, begin again")
+    integrity_risk: float = Field(
+        default=1e-3, ge=1e-9, le=0.1, description="probability with which the error is beyond a protection level"
+    )
+    alert_limit_horizontal_m: float = Field(
+        default=10.0, gt=0.0, description="horizontal error up to which a position is of use; reports judge by it"
+    )
+    alert_limit_vertical_m: float = Field(default=20.0, gt=0.0, description="the same of the height")

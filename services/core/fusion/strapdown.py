@@ -1,16 +1,35 @@
 """Strapdown mechanisation in the local north-east-down frame, one inertial sample a step, in plain floats.
 
 v' = C f + g - (2 w_ie + w_en) x v,    C' = C sk(w_ib) - sk(w_ie + w_en) C
+
+This runs for every sample, and is multiplied out for that reason: numbers and tuples in, tuples out, so that it is the
+same function whether Python or a compiler runs it.
 """
 
-from math import cos, sin, sqrt, tan
+from math import cos, pi, sin, sqrt
 from typing import NamedTuple
 
-from shared.maths.earth import EARTH_RATE, ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, Geodetic, gravity, wrap_angle
-from shared.maths.rotation import Quaternion, Vector, quaternion_from_rotation_vector, quaternion_product
+from shared.maths.earth import (
+    EARTH_RATE,
+    ECCENTRICITY_SQUARED,
+    EQUATORIAL_GRAVITY,
+    FLATTENING,
+    GRAVITY_RATIO,
+    SEMI_MAJOR_AXIS,
+    SOMIGLIANA_CONSTANT,
+    Geodetic,
+)
+from shared.maths.rotation import Quaternion, Vector
 
-_SMALL_ANGLE2 = 1e-8  # [rad²] below it, two terms of the series are exact to rounding
-_POLAR_FACTOR = 1.0 - ECCENTRICITY_SQUARED
+SMALL_ANGLE2 = 1e-8  # [rad²] below it, two terms of the series are exact to rounding
+POLAR_FACTOR = 1.0 - ECCENTRICITY_SQUARED
+# Of the decrease of gravity with height: its slope at the equator, what the latitude changes, and its curvature.
+EQUATORIAL_SLOPE = 2.0 * (1.0 + FLATTENING + GRAVITY_RATIO) / SEMI_MAJOR_AXIS  # [1/m]
+POLEWARD_SLOPE = -4.0 * FLATTENING / SEMI_MAJOR_AXIS  # [1/m]
+SLOPE_CHANGE = 3.0 / SEMI_MAJOR_AXIS**2  # [1/m²]
+
+Parallel = tuple[float, float, float, float, float, float]
+Motion = tuple[Quaternion, Vector, Vector, Parallel]
 
 
 class InertialState(NamedTuple):
@@ -30,63 +49,72 @@ def rotate(quaternion: Quaternion, vector: Vector) -> Vector:
     return a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
 
 
-def average_force(force: Vector, turn: Vector) -> Vector:
-    """Mean over a step, in the body axes of its start, of a specific force that is constant in turning axes.
-
-    Parameters
-    ----------
-    force : tuple of float
-        [m/s², body] Specific force, bias removed.
-    turn : tuple of float
-        [rad, body] Rotation vector of the step, bias removed.
+def parallel(latitude: float) -> Parallel:
+    """What a latitude [rad] decides, computed once for the end of one step and the beginning of the next.
 
     Returns
     -------
     tuple of float
-        [m/s², body at the start of the step]
-
-    Notes
-    -----
-    The average rotation of `shared.maths.rotation.average_matrix_from_rotation_vector`, applied without a matrix::
-
-        f + (1 - cos|a|)/|a|² (a x f) + (1 - sin|a|/|a|)/|a|² a x (a x f)
+        Its sine and cosine, the radii R_N and R_E [m], gravity on the ellipsoid [m/s²], and the slope [1/m] with which
+        gravity decreases: those of `shared.maths.earth`.
     """
-    fx, fy, fz = force
-    x, y, z = turn
-    angle2 = x * x + y * y + z * z
-    if angle2 < _SMALL_ANGLE2:
-        first, second = 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
-    else:
-        angle = sqrt(angle2)
-        first, second = (1.0 - cos(angle)) / angle2, (1.0 - sin(angle) / angle) / angle2
-    cx, cy, cz = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
+    sine = sin(latitude)
+    sin2 = sine * sine
+    s = 1.0 - ECCENTRICITY_SQUARED * sin2
+    root = sqrt(s)
+    transverse = SEMI_MAJOR_AXIS / root
+    surface = EQUATORIAL_GRAVITY * (1.0 + SOMIGLIANA_CONSTANT * sin2) / root
     return (
-        fx + first * cx + second * (y * cz - z * cy),
-        fy + first * cy + second * (z * cx - x * cz),
-        fz + first * cz + second * (x * cy - y * cx),
+        sine,
+        cos(latitude),
+        transverse * POLAR_FACTOR / s,
+        transverse,
+        surface,
+        EQUATORIAL_SLOPE + POLEWARD_SLOPE * sin2,
     )
 
 
-def propagate(state: InertialState, force: Vector, rate: Vector, time_ns: int) -> tuple[InertialState, Vector]:
+def turn_terms(angle2: float) -> tuple[float, float, float, float]:
+    """Factors of a turn by the square of its angle |a| [rad²].
+
+    Returns
+    -------
+    tuple of float
+        cos(|a|/2) and sin(|a|/2)/|a|, which make its quaternion; (1 - cos|a|)/|a|² and (1 - sin|a|/|a|)/|a|², which
+        make the average rotation of `shared.maths.rotation.average_matrix_from_rotation_vector`.
+    """
+    if angle2 < SMALL_ANGLE2:
+        return 1.0 - angle2 / 8.0, 0.5 - angle2 / 48.0, 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
+    angle = sqrt(angle2)
+    cosine, scale = cos(0.5 * angle), sin(0.5 * angle) / angle
+    return cosine, scale, 2.0 * scale * scale, (1.0 - 2.0 * scale * cosine) / angle2
+
+
+def mechanise(motion: Motion, force: Vector, rate: Vector, step: float) -> tuple[Motion, Vector, Vector, Vector]:
     """Carry attitude, velocity and position over one inertial sample.
 
     Parameters
     ----------
-    state : InertialState
-        At the start of the step.
+    motion : tuple
+        At the start of the step: quaternion, velocity [m/s, NED], latitude, longitude [rad] and height [m], and
+        what `parallel` says of the latitude.
     force : tuple of float
         [m/s², body] Mean specific force over the step, bias removed.
     rate : tuple of float
         [rad/s, body] Mean angular rate over the step, bias removed.
-    time_ns : int
-        End of the step.
+    step : float
+        [s] Length of the step.
 
     Returns
     -------
-    InertialState
-        At the end of the step.
+    tuple
+        Motion at the end of the step.
     tuple of float
         [m/s², NED] Mean specific force over the step.
+    tuple of float
+        [m/s², NED] Mean acceleration over the step.
+    tuple of float
+        [rad, body] Turn.
 
     Notes
     -----
@@ -99,62 +127,89 @@ def propagate(state: InertialState, force: Vector, rate: Vector, time_ns: int) -
         lon+ = lon + t/2 [v_E/((R_E + h) cos L) + v_E+/((R_E+ + h+) cos L+)]
         q+   = exp(-(w_ie + (w_en + w_en+)/2) t) q exp(a)
 
+    The first exponential, of a few microradians, is 1 minus half its vector, and q+ is brought back to unit length by
+    a Newton step of 1/sqrt: both are exact to rounding.
+
     References
     ----------
     P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., section 5.5;
     J. Zuriarrain Sosa et al., Appl. Sci. 14, 4401, 2024, eq. 9-19, with its eq. 10, 14, 16 and 18 corrected.
     """
-    _, quaternion, (north, east, down), position = state
-    latitude, longitude, height = position
-    step = (time_ns - state.time_ns) * 1e-9
-
-    sine, cosine = sin(latitude), cos(latitude)
-    s = 1.0 - ECCENTRICITY_SQUARED * sine * sine
-    transverse = SEMI_MAJOR_AXIS / sqrt(s)
-    meridian = transverse * _POLAR_FACTOR / s
-    earth_n, earth_d = EARTH_RATE * cosine, -EARTH_RATE * sine
-    east_angular = east / (transverse + height)
-    north_angular = north / (meridian + height)
-    carried_d = -east_angular * sine / cosine
-
-    turn = (rate[0] * step, rate[1] * step, rate[2] * step)
-    fn, fe, fd = rotate(quaternion, average_force(force, turn))
+    (w, x, y, z), (north, east, down), (latitude, longitude, height), place = motion
+    sine, cosine, meridian, transverse, surface, slope = place
+    fx, fy, fz = force
     half = 0.5 * step
-    gn, ge, gd = rotate(quaternion, force)
-    wn, we, wd = earth_n + east_angular, -north_angular, earth_d + carried_d
-    fn, fe, fd = (
-        fn - half * (we * gd - wd * ge),
-        fe - half * (wd * gn - wn * gd),
-        fd - half * (wn * ge - we * gn),
-    )
+
+    # A(a) f = f + (1 - cos|a|)/|a|² c + (1 - sin|a|/|a|)/|a|² a x c  with  c = a x f; here what is added to f.
+    ax, ay, az = rate[0] * step, rate[1] * step, rate[2] * step
+    turn = ax, ay, az
+    half_cosine, scale, first, second = turn_terms(ax * ax + ay * ay + az * az)
+    cx, cy, cz = ay * fz - az * fy, az * fx - ax * fz, ax * fy - ay * fx
+    dx = first * cx + second * (ay * cz - az * cy)
+    dy = first * cy + second * (az * cx - ax * cz)
+    dz = first * cz + second * (ax * cy - ay * cx)
+
+    tx, ty, tz = 2.0 * (y * fz - z * fy), 2.0 * (z * fx - x * fz), 2.0 * (x * fy - y * fx)
+    gn, ge, gd = fx + w * tx + y * tz - z * ty, fy + w * ty + z * tx - x * tz, fz + w * tz + x * ty - y * tx
+    tx, ty, tz = 2.0 * (y * dz - z * dy), 2.0 * (z * dx - x * dz), 2.0 * (x * dy - y * dx)
+
+    earth_n, earth_d = EARTH_RATE * cosine, -EARTH_RATE * sine
+    by_east, by_north = east / (transverse + height), north / (meridian + height)
+    carried_d = by_east * sine / cosine
+    wn, we, wd = earth_n + by_east, -by_north, earth_d - carried_d
+    fn = gn + dx + w * tx + y * tz - z * ty - half * (we * gd - wd * ge)
+    fe = ge + dy + w * ty + z * tx - x * tz - half * (wd * gn - wn * gd)
+    fd = gd + dz + w * tz + x * ty - y * tx - half * (wn * ge - we * gn)
 
     wn, wd = wn + earth_n, wd + earth_d
-    new_north = north + (fn - (we * down - wd * east)) * step
-    new_east = east + (fe - (wd * north - wn * down)) * step
-    new_down = down + (fd + gravity(latitude, height) - (wn * east - we * north)) * step
+    gravity = surface * (1.0 - height * (slope - SLOPE_CHANGE * height))
+    an, ae, ad = fn - we * down + wd * east, fe - wd * north + wn * down, fd + gravity - wn * east + we * north
+    new_north, new_east, new_down = north + an * step, east + ae * step, down + ad * step
 
     new_height = height - half * (down + new_down)
-    new_latitude = latitude + half * (north_angular + new_north / (meridian + new_height))
-    new_cosine = cos(new_latitude)
-    s = 1.0 - ECCENTRICITY_SQUARED * sin(new_latitude) ** 2
-    transverse = SEMI_MAJOR_AXIS / sqrt(s)
-    new_east_angular = new_east / (transverse + new_height)
-    new_longitude = longitude + half * (east_angular / cosine + new_east_angular / new_cosine)
+    new_latitude = latitude + half * (by_north + new_north / (meridian + new_height))
+    place = sine, new_cosine, meridian, transverse, _, _ = parallel(new_latitude)
+    new_by_east = new_east / (transverse + new_height)
+    new_longitude = longitude + half * (by_east / cosine + new_by_east / new_cosine)
+    if new_longitude > pi:
+        new_longitude -= 2.0 * pi
+    elif new_longitude <= -pi:
+        new_longitude += 2.0 * pi
 
-    carried = (
-        earth_n + 0.5 * (east_angular + new_east_angular),
-        -0.5 * (north_angular + new_north / (transverse * _POLAR_FACTOR / s + new_height)),
-        earth_d + 0.5 * (carried_d - new_east_angular * tan(new_latitude)),
+    half = 0.5 * half
+    quaternion = turned(
+        motion[0],
+        (half_cosine, scale * ax, scale * ay, scale * az),
+        half * (2.0 * earth_n + by_east + new_by_east),
+        -half * (by_north + new_north / (meridian + new_height)),
+        half * (2.0 * earth_d - carried_d - new_by_east * sine / new_cosine),
     )
-    backwards = quaternion_from_rotation_vector((-carried[0] * step, -carried[1] * step, -carried[2] * step))
-    turned = quaternion_product(quaternion_product(backwards, quaternion), quaternion_from_rotation_vector(turn))
-    end = InertialState(
-        time_ns,
-        normalised(turned),
-        (new_north, new_east, new_down),
-        Geodetic(new_latitude, wrap_angle(new_longitude), new_height),
-    )
-    return end, (fn, fe, fd)
+    end = quaternion, (new_north, new_east, new_down), (new_latitude, new_longitude, new_height), place
+    return end, (fn, fe, fd), (an, ae, ad), turn
+
+
+def turned(quaternion: Quaternion, turn: Quaternion, bn: float, be: float, bd: float) -> Quaternion:
+    """Turn a quaternion on its right by another, and on its left back by a rotation vector 2 b of microradians."""
+    w, x, y, z = quaternion
+    c, ax, ay, az = turn
+    p, q = c * w - ax * x - ay * y - az * z, c * x + ax * w + az * y - ay * z
+    r, s = c * y + ay * w + ax * z - az * x, c * z + az * w + ay * x - ax * y
+    w, x = p + bn * q + be * r + bd * s, q - bn * p - be * s + bd * r
+    y, z = r - be * p - bd * q + bn * s, s - bd * p - bn * r + be * q
+    to_unit = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)
+    return w * to_unit, x * to_unit, y * to_unit, z * to_unit
+
+
+def motion_of(state: InertialState) -> Motion:
+    """Put a state into the form that `mechanise` takes."""
+    _, quaternion, velocity, (latitude, longitude, height) = state
+    return quaternion, velocity, (latitude, longitude, height), parallel(latitude)
+
+
+def propagate(state: InertialState, force: Vector, rate: Vector, time_ns: int) -> tuple[InertialState, Vector]:
+    """Carry a state to an instant with one sample, errors removed; and its force [m/s², NED]: see `mechanise`."""
+    end, force_n, _, _ = mechanise(motion_of(state), force, rate, (time_ns - state.time_ns) * 1e-9)
+    return InertialState(time_ns, end[0], end[1], Geodetic(*end[2])), force_n
 
 
 def normalised(quaternion: Quaternion) -> Quaternion:

@@ -10,6 +10,7 @@ from shared.messages import (
     AidingUpdate,
     FixType,
     GnssFix,
+    ImuSamples,
     LastPosition,
     NavigationPhase,
     NavigationSolution,
@@ -21,6 +22,7 @@ from shared.messages import (
 )
 
 from .aiding import Measurement, Outcome
+from .baseline import BaselineHeading
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .navigator import Navigator, Solution
@@ -31,6 +33,7 @@ FloatArray = npt.NDArray[np.float64]
 USABLE = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 COURSE_SPEED_M_S = 0.5  # below it the course of a receiver is noise
 GROUND_SPEED_SD = 0.3  # [m/s] of a speed and course that the receiver has smoothed
+LEAST_BASELINE_SD = 1e-3  # [rad]
 UERE_M = 2.5  # [m] times the dilution of precision it is what a receiver without covariance is good for
 
 
@@ -48,10 +51,31 @@ def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]
 
 def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
     """Hand a fix to the navigator; False if it holds no position."""
-    measurements = measurements_from_fix(fix, navigator.settings)
+    settings = navigator.settings
+    measurements = measurements_from_fix(fix, settings)
+    if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
+        measurements.append(
+            BaselineHeading(
+                fix.sampled_ns - round(settings.gnss_delay_s * 1e9),
+                fix.received_ns,
+                fix.source,
+                fix.baseline_heading_rad,
+                max(fix.baseline_heading_sd_rad, LEAST_BASELINE_SD),
+                settings.baseline_yaw_body_rad,
+            )
+        )
     for measurement in measurements:
         navigator.measure(measurement)
     return bool(measurements)
+
+
+def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
+    """Hand pressure and magnetic field of a batch of samples to the navigator."""
+    sampled_ns, received_ns, source = batch.sampled_ns[-1], batch.received_ns, batch.source
+    if batch.pressure_pa is not None:
+        navigator.pressure(sampled_ns, batch.pressure_pa, received_ns=received_ns, source=source)
+    if batch.magnetic_field_body is not None:
+        navigator.magnetic_field(sampled_ns, batch.magnetic_field_body, received_ns=received_ns, source=source)
 
 
 def give_speed(navigator: Navigator, speed: VehicleSpeed | WheelSpeeds) -> None:
@@ -126,6 +150,9 @@ def solution_message(solution: Solution) -> NavigationSolution:
         gyroscope_bias_rad_s=solution.gyroscope_bias,
         stationary=solution.stationary,
         gnss_age_s=solution.gnss_age_s,
+        protection_level_horizontal_m=solution.protection_level_horizontal,
+        protection_level_vertical_m=solution.protection_level_vertical,
+        integrity_risk=solution.integrity_risk,
     )
 
 

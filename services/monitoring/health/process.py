@@ -9,6 +9,7 @@ from .watch import Watch
 
 REPORT_NS = 500_000_000
 STEP_NS = 40_000_000
+WILL_NS = 10_000_000  # a broker that shuts down sends everybody's last will before it closes the connections
 
 
 class Config(Section):
@@ -26,10 +27,11 @@ class Process:
         watch = Watch(parse_vehicle(bus.vehicle_toml).processes, bus.now_ns())
         report_ns = step_ns = 0
         while not bus.stopping:
-            for envelope in bus.receive(0.04):
+            until_step_s = (step_ns - bus.now_ns()) * 1e-9
+            for envelope in bus.receive(min(max(until_step_s, 0.01), 0.04)):
                 _take(watch, envelope, bus)
                 if envelope.topic.startswith("health/"):
-                    step_ns = 0  # it may be a last will
+                    step_ns = min(step_ns, bus.now_ns() + WILL_NS)
             now_ns = bus.now_ns()
             if now_ns >= step_ns and bus.sequence:  # before its first word it never met the broker
                 step_ns = now_ns + STEP_NS

@@ -16,6 +16,7 @@ from shared.topics import BY_NAME
 from .geometry import vertical_sd
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
+ALERT_LIMIT_M = 10.0  # of the horizontal protection level
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
 
@@ -88,7 +89,6 @@ WAITING = {
     NavigationPhase.WAITING_FOR_HEADING: "the heading is not known, which needs the vehicle to drive a little",
 }
 NOT_MONITORED = (
-    ("protection", "Protection level", "no bound on the position error is computed by this version"),
     ("raim", "Satellite fault (RAIM)", "not part of this version"),
     ("spoofing", "Spoofing and jamming", "not part of this version"),
     ("motion", "GNSS against odometer", "not part of this version"),
@@ -178,6 +178,7 @@ def _checks(e: Evidence) -> list[Check]:
         _age_check("imu", "Inertial unit", e.imu_age_s, "imu/sample", "samples"),
         _phase_check(e),
         _heading_check(e),
+        _protection_check(e),
         *_gate_checks(e),
         _age_check("odometer", "Vehicle speed", e.odometer_age_s, "vehicle/wheel_speed", "speed"),
     ]
@@ -228,6 +229,18 @@ def _heading_check(e: Evidence) -> Check:
     return Check(
         "heading", "Heading", state, text, min(sd_deg / HEADING_SD_LIMIT_DEG, 9.99), "topic=navigation/solution"
     )
+
+
+def _protection_check(e: Evidence) -> Check:
+    name, label, link = "protection", "Protection level", "topic=navigation/solution"
+    if e.solution is None or _is_old(e):
+        return Check(name, label, Trust.STALE, "unknown", link=link)
+    level_m = e.solution.protection_level_horizontal_m
+    if level_m is None:
+        return Check(name, label, Trust.OFF, "the filter states none", link=link, fitted=False)
+    state = Trust.SAFE if level_m <= ALERT_LIMIT_M else Trust.CAUTION
+    text = f"{level_m:.1f} m on the ground, limit {ALERT_LIMIT_M:g} m"
+    return Check(name, label, state, text, min(level_m / ALERT_LIMIT_M, 9.99), link)
 
 
 def _gate_checks(e: Evidence) -> list[Check]:

@@ -64,6 +64,15 @@ def _position(state: State, now_ns: int) -> Iterator[Metric]:
         yield GaugeMetricFamily(
             "obu_position_error_ellipse_95_meters", "Major semi-axis of the 95 % error ellipse.", semi_major_m
         )
+        for name, axis, level_m in (
+            ("hpl", "Horizontal", solution.protection_level_horizontal_m),
+            ("vpl", "Vertical", solution.protection_level_vertical_m),
+        ):
+            if level_m is not None:
+                yield GaugeMetricFamily(f"obu_position_{name}_meters", f"{axis} protection level.", level_m)
+        if solution.integrity_risk is not None:
+            help_text = "Probability with which the error is beyond a protection level."
+            yield GaugeMetricFamily("obu_position_integrity_risk", help_text, solution.integrity_risk)
 
 
 def _trust(state: State) -> Iterator[Metric]:

@@ -209,6 +209,9 @@ def _solution(state: State, now_ns: int) -> Json | None:
         "heading_sd_rad": round(vertical_sd(s.attitude_cov_ned_rad2), 5),
         "stationary": s.stationary,
         "gnss_age_s": rounded(s.gnss_age_s, 2),
+        "protection_level_horizontal_m": rounded(s.protection_level_horizontal_m, 3),
+        "protection_level_vertical_m": rounded(s.protection_level_vertical_m, 3),
+        "integrity_risk": s.integrity_risk,
         "ellipse": {
             "semi_major_m": round(ellipse.semi_major_m, 3),
             "semi_minor_m": round(ellipse.semi_minor_m, 3),

@@ -24,6 +24,7 @@ class Epoch:
     dop: ubx.Dop | None = None
     covariance: ubx.Covariance | None = None
     high_precision: ubx.HighPrecision | None = None
+    baseline: ubx.Baseline | None = None
 
 
 class EpochAssembler:
@@ -81,6 +82,8 @@ def _store(epoch: Epoch, kind: str, message: Any) -> None:
         epoch.covariance = ubx.decode_covariance(message)
     elif kind == "HPPOSLLH":
         epoch.high_precision = ubx.decode_high_precision(message)
+    elif kind == "RELPOSNED":
+        epoch.baseline = ubx.decode_baseline(message)
 
 
 def fix_from_epoch(epoch: Epoch, pvt: ubx.Pvt, *, sampled_ns: int, source: str) -> GnssFix:
@@ -143,6 +146,9 @@ def fix_from_epoch(epoch: Epoch, pvt: ubx.Pvt, *, sampled_ns: int, source: str) 
         hdop=dop.hdop,
         vdop=dop.vdop,
         correction_age_s=pvt.correction_age_s,
+        baseline_heading_rad=epoch.baseline.heading_rad if epoch.baseline else None,
+        baseline_heading_sd_rad=epoch.baseline.heading_sd_rad if epoch.baseline else None,
+        baseline_length_m=epoch.baseline.length_m if epoch.baseline else None,
     )
 
 

@@ -13,11 +13,18 @@ from pyubx2.ubxmessage import UBXMessage
 from shared.messages import CarrierSolution, Constellation, FixType, Satellite, Symmetric3
 
 NAV = 0x01
-KINDS = {0x04: "DOP", 0x07: "PVT", 0x14: "HPPOSLLH", 0x35: "SAT", 0x36: "COV", 0x61: "EOE"}
+KINDS = {0x04: "DOP", 0x07: "PVT", 0x14: "HPPOSLLH", 0x35: "SAT", 0x36: "COV", 0x3C: "RELPOSNED", 0x61: "EOE"}
 WEEK_MS = 604_800_000
 
 _IDS = {kind: bytes((number,)) for number, kind in KINDS.items()}
-_SIZES = {"DOP": 18, "PVT": 78, "HPPOSLLH": 36, "COV": 64, "EOE": 4}  # [bytes]; what is missing pyubx2 reads as 0
+_SIZES = {
+    "DOP": 18,
+    "PVT": 78,
+    "HPPOSLLH": 36,
+    "COV": 64,
+    "RELPOSNED": 64,
+    "EOE": 4,
+}  # [bytes]; what is missing pyubx2 reads as 0
 _PVT_WITH_FLAGS3 = 92  # [bytes] since protocol 15; in the 84 before, their place was reserved
 # NAV-SAT alone is unpacked here: pyubx2 needs 2 ms for 32 satellites and 7.5 ms for 120, this 0.06 and 0.22 ms.
 _SAT = struct.Struct("<BBBbhhI")
@@ -103,6 +110,16 @@ class HighPrecision:
     position: Position | None
 
 
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """UBX-NAV-RELPOSNED of a moving base: the line from the base's antenna to the receiver's."""
+
+    itow_ms: int
+    heading_rad: float | None  # None unless both antennas are on the vehicle and the ambiguities are integers
+    heading_sd_rad: float | None
+    length_m: float | None
+
+
 def parse(kind: str, payload: bytes) -> Any:
     """Let pyubx2 read a message; it gives the fields their names at run time, hence Any.
 
@@ -156,6 +173,15 @@ def decode_covariance(message: Any) -> Covariance:
 def decode_high_precision(message: Any) -> HighPrecision:
     """Judge UBX-NAV-HPPOSLLH; pyubx2 has added its high-precision parts to the coordinates."""
     return HighPrecision(message.iTOW, _position(message, digit_mm=0.1))
+
+
+def decode_baseline(message: Any) -> Baseline:
+    """Judge UBX-NAV-RELPOSNED; a base that stands by the road has a direction too, but not one of the vehicle."""
+    good = message.gnssFixOK and message.relPosValid and message.isMoving and message.relPosHeadingValid
+    if not good or _CARRIER[message.carrSoln] is not CarrierSolution.FIXED or message.accHeading <= 0:
+        return Baseline(message.iTOW, None, None, None)
+    heading, sd = math.radians(message.relPosHeading), math.radians(message.accHeading)
+    return Baseline(message.iTOW, heading, sd, message.relPosLength * 1e-2)
 
 
 def satellites_itow_ms(payload: bytes) -> int:

@@ -14,6 +14,15 @@ GEOID_M = 47.0  # [m] height of the geoid above the ellipsoid: central Italy
 
 
 @dataclass(frozen=True)
+class Baseline:
+    """The line to a second antenna on the vehicle, as measured."""
+
+    length_m: float
+    heading: float  # [rad] clockwise from north
+    heading_sd: float  # [rad]
+
+
+@dataclass(frozen=True)
 class Epoch:
     """Time, fix and sky of one epoch."""
 
@@ -21,6 +30,7 @@ class Epoch:
     fix: Fix
     sky: Sky
     constellations: tuple[Constellation, ...]
+    baseline: Baseline | None = None
 
     @property
     def itow_ms(self) -> int:

@@ -3,7 +3,7 @@
 import logging
 from typing import Literal
 
-from pydantic import field_validator
+from pydantic import Field, field_validator
 
 from shared.bus import Bus
 from shared.config import Section
@@ -26,6 +26,7 @@ class Config(Section):
     seed: int = 1
     protocols: tuple[Literal["ubx", "nmea"], ...] = ("ubx", "nmea")  # that the GNSS receiver starts with
     mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)  # roll, pitch, yaw of the IMU's case in the vehicle
+    second_antenna_m: float = Field(default=0.0, ge=0.0, le=10.0)  # ahead of the first; 0: there is none
 
     @field_validator("scenario")
     @classmethod
@@ -52,7 +53,7 @@ class Process:
         while not bus.stopping and not bus.connected:
             bus.receive(0.1)
         scenario = scenario_of(self._config.scenario, self._config.seed)
-        equipment = Equipment(self._config.protocols, self._config.mounting_rpy_deg)
+        equipment = Equipment(self._config.protocols, self._config.mounting_rpy_deg, self._config.second_antenna_m)
         world = World(scenario, self._config.seed, bus.now_ns(), equipment)
         log.info("driving %s with seed %d: %s", scenario.name, self._config.seed, scenario.purpose)
         for due_ns, message in world:

@@ -8,7 +8,7 @@ from shared.messages import GnssRaw, Message
 
 from . import nmea, ubx
 from .devices import Delay, DeviceClock
-from .epoch import Epoch
+from .epoch import Baseline, Epoch
 from .reception import Reception
 from .scenarios import Scenario
 from .settings import Settings
@@ -21,6 +21,7 @@ BYTE_NS = 10 * 1_000_000_000 // 115_200
 FULL_NS = 1_000_000_000  # of bytes are waiting: a receiver leaves the next epoch out
 ANSWER_NS = 8 * MS
 CHUNK_BYTES = (120, 330)  # what a read of a serial port returns
+BASELINE_SD_M = 0.004  # of the line between two antennas, across it
 HOST_ERROR_MS = 30.0  # of the host's clock at boot
 ENCODERS = {**ubx.ENCODERS, **nmea.ENCODERS}
 
@@ -29,7 +30,13 @@ class Receiver:
     """Turns antenna states into UBX and NMEA bytes, and obeys UBX-CFG-VALSET."""
 
     def __init__(
-        self, scenario: Scenario, seed: int, start_ns: int, clocks: np.random.Generator, protocols: tuple[str, ...]
+        self,
+        scenario: Scenario,
+        seed: int,
+        start_ns: int,
+        clocks: np.random.Generator,
+        protocols: tuple[str, ...],
+        second_antenna_m: float = 0.0,
     ) -> None:
         self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
         self.settings = Settings(protocols)
@@ -39,6 +46,8 @@ class Receiver:
         self._utc_start_ns = start_ns - round(clocks.uniform(-HOST_ERROR_MS, HOST_ERROR_MS) * MS)
         self._delay = Delay(0.050, 0.004, 0.080, clocks)
         self._chunks = np.random.default_rng((seed, Stream.SATELLITES, 1))
+        self._second_antenna_m = second_antenna_m  # ahead of the first; 0: there is none
+        self._headings = np.random.default_rng((seed, Stream.SATELLITES, 2))
         self._free_ns = 0  # when the line has sent everything
         self._period_ms = self.settings.period_ms
         self._reception = Reception(scenario, seed, self._period_ms * 1e-3)
@@ -67,10 +76,16 @@ class Receiver:
             loss_db=self._scenario.loss_db,
             covered=antenna.covered,
         )
-        epoch = Epoch(utc_ms, fix, sky, tuple(self._sky.rows))
+        epoch = Epoch(utc_ms, fix, sky, tuple(self._sky.rows), self._baseline(antenna))
         data = b"".join(ENCODERS[name](epoch) for name in self.settings.due(index))
         first = min(len(data), int(self._chunks.integers(*CHUNK_BYTES)))
         yield from self._send(data, self._delay.arrival_ns(epoch_ns) - first * BYTE_NS, first)
+
+    def _baseline(self, antenna: AntennaState) -> Baseline | None:
+        if not self._second_antenna_m:
+            return None
+        sd = BASELINE_SD_M / self._second_antenna_m
+        return Baseline(self._second_antenna_m, antenna.heading + sd * float(self._headings.standard_normal()), sd)
 
     def write(self, data: bytes, now_ns: int) -> Iterator[tuple[int, Message]]:
         """Yield (arrival, message) of what the receiver answers."""

@@ -5,7 +5,7 @@ Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), sections 3.10 a
 
 import struct
 from collections.abc import Callable
-from math import atan2, degrees, hypot
+from math import atan2, cos, degrees, hypot, sin
 
 import numpy as np
 
@@ -21,6 +21,7 @@ _PVT = struct.Struct("<IH5BBIi4B4i2I5i2IHH4xihH")
 _DOP = struct.Struct("<I7H")
 _COV = struct.Struct("<IBBB9x12f")
 _HPPOSLLH = struct.Struct("<B2xBI4i4b2I")
+_RELPOSNED = struct.Struct("<BxHI5i4x4b5I4xI")
 _SATELLITE = np.dtype([
     ("system", "u1"), ("number", "u1"), ("cn0", "u1"), ("elevation", "i1"), ("azimuth", "<i2"), ("residual", "<i2"),
     ("flags", "<u4"),
@@ -109,6 +110,22 @@ def nav_sat(epoch: Epoch) -> bytes:
     return frame(NAV, 0x35, struct.pack("<IBB2x", epoch.itow_ms, 1, len(rows)) + rows.tobytes())
 
 
+def nav_relposned(epoch: Epoch) -> bytes:
+    """Line from the first antenna to the second, as a moving base; nothing where there is no second."""
+    line = epoch.baseline
+    if line is None:
+        return b""
+    fixed = epoch.fix.valid and epoch.fix.carrier == "fixed"
+    north, east = line.length_m * cos(line.heading), line.length_m * sin(line.heading)
+    flags = epoch.fix.valid | 1 << 1 | fixed << 2 | _CARRIER[epoch.fix.carrier] << 3 | 1 << 5 | fixed << 8
+    accuracy = round(line.heading_sd * line.length_m * 1e4)
+    return frame(NAV, 0x3C, _RELPOSNED.pack(
+        1, 0, epoch.itow_ms, round(north * 100), round(east * 100), 0, round(line.length_m * 100),
+        round(degrees(line.heading) % 360.0 * 1e5), 0, 0, 0, 0, accuracy, accuracy, accuracy, accuracy,
+        round(degrees(line.heading_sd) * 1e5), flags,
+    ))  # fmt: skip
+
+
 def nav_eoe(epoch: Epoch) -> bytes:
     """End of the epoch."""
     return frame(NAV, 0x61, struct.pack("<I", epoch.itow_ms))
@@ -147,5 +164,6 @@ ENCODERS: dict[str, Callable[[Epoch], bytes]] = {
     "UBX_NAV_DOP": nav_dop,
     "UBX_NAV_COV": nav_cov,
     "UBX_NAV_SAT": nav_sat,
+    "UBX_NAV_RELPOSNED": nav_relposned,
     "UBX_NAV_EOE": nav_eoe,
 }

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from math import atan2
 
 import numpy as np
 import numpy.typing as npt
@@ -74,6 +75,7 @@ class AntennaState:
     position: Geodetic
     velocity_n: Vector
     covered: bool
+    heading: float  # [rad] of the vehicle's forward axis, clockwise from north
 
 
 def antenna_at(motion: Motion, node: float, lever_b: Vector = LEVER_ARM_B) -> AntennaState:
@@ -106,4 +108,5 @@ def antenna_at(motion: Motion, node: float, lever_b: Vector = LEVER_ARM_B) -> An
     north, east, down = lever_n.tolist()
     position = geodetic_from_ned_difference((north, east, down), Geodetic(latitude, longitude, height))
     v_north, v_east, v_down = velocity.tolist()
-    return AntennaState(position, (v_north, v_east, v_down), bool(motion.covered[index + (share > 0.5)]))
+    covered = bool(motion.covered[index + (share > 0.5)])
+    return AntennaState(position, (v_north, v_east, v_down), covered, atan2(C[1, 0], C[0, 0]))

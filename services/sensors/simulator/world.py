@@ -30,6 +30,7 @@ class Equipment:
 
     protocols: tuple[str, ...] = ("ubx", "nmea")
     mounting_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the IMU's case, beyond lying flat
+    second_antenna_m: float = 0.0  # ahead of the first; 0: there is none
 
 
 class World:
@@ -45,7 +46,7 @@ class World:
         self._tracker = Tracker(seed, start_ns, clocks, equipment.mounting_rpy_deg)
         self._step_ns = self._tracker.clock.period_ns(STEP_NS)
         self._vehicle = Vehicle(scenario, seed, self._step_ns * 1e-9)
-        self._receiver = Receiver(scenario, seed, start_ns, clocks, equipment.protocols)
+        self._receiver = Receiver(scenario, seed, start_ns, clocks, equipment.protocols, equipment.second_antenna_m)
         self._can = CanBus(seed, start_ns, clocks)
         self._heap: list[tuple[int, int, Message | None]] = []  # None: a navigation epoch of the receiver
         self._order = count()

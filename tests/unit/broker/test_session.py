@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from broker.simulated import packets
 from broker.simulated.broker import Broker
-from broker.simulated.framing import Framer
-from broker.simulated.packets import Acknowledge, Connect, Publish, Subscribe, Subscription
-from broker.simulated.properties import NONE, Properties, Property
 from broker.simulated.session import Limits, Session
-from broker.simulated.wire import Reason
+from shared.mqtt import packets
+from shared.mqtt.framing import Framer
+from shared.mqtt.packets import Acknowledge, Connect, Publish, Subscribe, Subscription
+from shared.mqtt.properties import NONE, Properties, Property
+from shared.mqtt.wire import Reason
 
 
 class Wire:

@@ -10,6 +10,8 @@ from services.commands.import_drive import import_drive
 from services.commands.solve import solve
 from services.commands.solving.export import HEADER
 from services.commands.solving.metrics import METRICS, TIMINGS
+from services.commands.solving.overrides import Aiding
+from services.commands.solving.smoothing import SMOOTHED_METRICS
 from services.sensors.simulator.drive import simulate
 from services.sensors.simulator.world import messages
 from shared.bus import Envelope
@@ -82,6 +84,21 @@ def test_outages_take_fixes_away_and_are_judged_and_the_metrics_are_printed(
     assert {name: found[name] for name in METRICS} == cut
     assert found["realtime_factor"] > 5.0
     assert printed.err == "", "no progress bar where nobody watches"
+
+
+def test_outages_at_fixed_times_are_listed_and_settings_take_the_place_of_the_vehicles(
+    recording: Path, tmp_path: Path
+) -> None:
+    solve(recording, outage="5/15@30", score_from=20.0, aiding=Aiding.FREE, out=tmp_path)
+    with (tmp_path / "outages.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["start_s"]) for row in rows] == [30.0, 45.0, 60.0]
+    found = metrics_in(tmp_path)
+    assert found["outage_end_error_max_m"] == pytest.approx(max(float(row["end_error_m"]) for row in rows), abs=1e-4)
+    assert found["truth_count"] == pytest.approx(500, abs=5), "50 of 70 s at 10 Hz"
+    assert "core.fusion.non_holonomic=false" in (tmp_path / "report.html").read_text()
+    with pytest.raises(UserError, match="did you mean 'odometer'"):
+        solve(recording, settings=["core.fusion.odometr=true"], out=tmp_path)
 
 
 def test_the_same_recording_gives_the_same_files(recording: Path, solution: Path, tmp_path: Path) -> None:
@@ -162,3 +179,34 @@ def test_a_recording_that_was_cut_off_is_solved_as_far_as_it_goes(
     assert solve(tmp_path / "cut.mcap", out=tmp_path / "out") == 0
     assert "cut.mcap: " in capsys.readouterr().err
     assert 30.0 < metrics_in(tmp_path / "out")["duration_s"] < DURATION_S
+
+
+def test_a_smoothed_drive_stands_beside_the_filtered_one_and_is_closer_to_the_truth(
+    recording: Path, solution: Path, tmp_path: Path
+) -> None:
+    assert solve(recording, out=tmp_path, smooth=True) == 0
+    assert (tmp_path / "solution.csv").read_bytes() == (solution / "solution.csv").read_bytes(), (
+        "the filter is the same"
+    )
+    found = metrics_in(tmp_path)
+    assert list(found) == [*METRICS, *SMOOTHED_METRICS]
+    for name in ("horizontal_rmse_m", "vertical_rmse_m", "velocity_rmse_m_s", "yaw_rmse_rad"):
+        assert found[f"smoothed_{name}"] < found[name], name
+    assert (tmp_path / "solution_smoothed.kml").read_text().count("<coordinates>") == 1
+    report = (tmp_path / "report.html").read_text()
+    assert "Position errors, filtered and smoothed" in report and "Smoothed, the position is off by" in report
+    assert "smoothed_horizontal_rmse_m" in report
+    assert not [path.name for path in tmp_path.iterdir() if path.stem.startswith("tmp")]
+
+
+def test_a_smoothed_drive_bridges_outages_and_serves_as_a_truth(recording: Path, tmp_path: Path) -> None:
+    assert solve(recording, outage="5/15", out=tmp_path / "cut", smooth=True) == 0
+    found = metrics_in(tmp_path / "cut")
+    assert found["smoothed_outage_inside_max_m"] < found["outage_inside_max_m"]
+    assert found["smoothed_outage_largest_error_rms_m"] < found["outage_largest_error_rms_m"]
+    assert solve(recording, out=tmp_path / "reference", smooth=True) == 0
+    truth = str(tmp_path / "reference" / "solution_smoothed.csv")
+    assert solve(recording, truth=truth, outage="5/15", out=tmp_path / "judged") == 0
+    judged = metrics_in(tmp_path / "judged")
+    assert judged["truth_count"] > 400
+    assert judged["outage_end_error_max_m"] == pytest.approx(found["outage_end_error_max_m"], abs=0.5)

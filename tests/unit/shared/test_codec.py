@@ -10,8 +10,19 @@ from hypothesis import strategies as st
 from shared import codec
 from shared.envelope import make_envelope
 from shared.errors import BadPayload
-from shared.messages import CanRaw, FixType, GnssFix, GnssRaw, ImuSamples, ProcessHealth, ProcessState, Vector3
+from shared.messages import (
+    CanRaw,
+    FixType,
+    GnssFix,
+    GnssRaw,
+    ImuSamples,
+    NavigationSolution,
+    ProcessHealth,
+    ProcessState,
+    Vector3,
+)
 from shared.topics import TOPICS
+from tests.support.status_world import solution
 
 FIX = GnssFix(
     sampled_ns=1, received_ns=2, source="gnss", fix_type=FixType.THREE_D, latitude_deg=48.1, longitude_deg=11.5
@@ -28,6 +39,19 @@ def test_a_message_comes_back_as_it_was() -> None:
 def test_what_is_missing_is_left_out() -> None:
     payload, _ = codec.encode(FIX)
     assert "height_ellipsoid_m" not in json.loads(payload)
+
+
+def test_a_solution_of_an_older_unit_opens_without_protection_levels() -> None:
+    """Recordings from before they were computed: what is missing is unknown, and not a level of zero."""
+    old = solution(0)
+    payload, properties = codec.encode(old)
+    assert (
+        not {"protection_level_horizontal_m", "protection_level_vertical_m", "integrity_risk"}
+        & json.loads(payload).keys()
+    )
+    found = codec.decode("navigation/solution", payload, properties)
+    assert found == old and isinstance(found, NavigationSolution)
+    assert found.protection_level_horizontal_m is None and found.integrity_risk is None
 
 
 def test_raw_bytes_travel_unchanged_beside_their_stamp() -> None:

@@ -113,6 +113,7 @@ function items(sc) {
   const { s } = sc;
   const rows = [["fused", sc.stale ? w.fusedStale : w.fused, `${s.latitude_deg.toFixed(6)}, ${s.longitude_deg.toFixed(6)}`]];
   rows.push(["ellipse", w.ellipse, `${metres(s.ellipse.semi_major_m)} × ${metres(s.ellipse.semi_minor_m)}`]);
+  if (s.protection_level_horizontal_m != null) rows.push(["level", sc.stale ? w.levelOld : w.level, `${metres(s.protection_level_horizontal_m)} ${w.levelNote}`]);
   if (sc.gnss) rows.push(["gnss", w.gnss, w.apart(metres(away(sc.gnss)))]);
   if (sc.truth) rows.push(["truth", w.truth, w.apart(metres(away(sc.truth)))]);
   if (sc.stale) rows.push(["within", w.within(metres(sc.withinM)), w.withinNote]);
@@ -122,6 +123,7 @@ function items(sc) {
 const KEYS = {
   fused: html`<path d="M9 2l5.5 14L9 13l-5.5 3z" class="vehicle" />`,
   ellipse: html`<ellipse cx="9" cy="9" rx="8" ry="5" class="ellipse" />`,
+  level: html`<circle cx="9" cy="9" r="7.5" class="level" />`,
   gnss: html`<path d="M9 2.5 15.5 9 9 15.5 2.5 9z" class="gnss" />`,
   truth: html`<path d="M9 1.5v15M1.5 9h15" class="truth" />`,
   within: html`<circle cx="9" cy="9" r="7.5" class="within" />`,
@@ -147,6 +149,7 @@ function Picture({ sc, size, half, headingUp }) {
     </g>
     <g transform=${`translate(${width / 2} ${height / 2}) rotate(${turn})`}>
       ${sc.stale && html`<circle r=${Math.min(sc.withinM * scale, 4000)} class="within" />`}
+      ${s.protection_level_horizontal_m != null && html`<circle r=${Math.min(s.protection_level_horizontal_m * scale, 4000)} class="level ${sc.stale ? "old" : ""}" />`}
       <ellipse rx=${s.ellipse.semi_minor_m * scale} ry=${s.ellipse.semi_major_m * scale}
         transform=${`rotate(${degrees(s.ellipse.orientation_rad)})`} class="ellipse ${sc.stale ? "old" : ""}" />
       ${sc.gnss && html`<path d="M0-7 7 0 0 7-7 0z" transform=${at(sc.gnss)} class="gnss" />`}
@@ -173,7 +176,7 @@ export function CloseUp() {
   let level = zoom ?? world.level;
   if (sc && zoom === null) {
     const seen = [sc.gnss, sc.truth].filter(Boolean).map(away);
-    level = fit(Math.max(6 * Math.min(sc.s.ellipse.semi_major_m, 1), 1.3 * sc.s.ellipse.semi_major_m, 1.3 * Math.max(0, ...seen), 1.2 * sc.s.speed_m_s,
+    level = fit(Math.max(6 * Math.min(sc.s.ellipse.semi_major_m, 1), 1.3 * sc.s.ellipse.semi_major_m, Math.min(1.15 * (sc.s.protection_level_horizontal_m ?? 0), REACH_M), 1.3 * Math.max(0, ...seen), 1.2 * sc.s.speed_m_s,
       Math.min(1.15 * (sc.withinM ?? 0), REACH_M)));
   }
   const turn = (by) => setZoom(Math.max(0, Math.min(HALF_M.length - 1, level + by)));

@@ -31,6 +31,8 @@ function PositionCard() {
       <${Row} label=${p.speed} value=${fixed(s.speed_m_s * KMH, 1)} unit=${words.speed.unit} unitName=${words.speed.unitName} extra=${s.stationary ? p.standing : null} />
       <${Row} label=${p.heading} value=${`${fixed(compass(s.heading_rad), 1).padStart(5, "0")}°`} extra=${`± ${fixed(degrees(s.heading_sd_rad), 1)}° (${p.sigma})`} />
       <${Row} label=${p.height} value=${fixed(s.height_ellipsoid_m, 1)} unit="m" unitName="metres" extra=${`± ${metres(s.height_sd_m)} ${p.heightNote}`} />
+      ${s.protection_level_horizontal_m != null && html`<${Row} label=${p.levels} value=${p.levelsValue(metres(s.protection_level_horizontal_m), metres(s.protection_level_vertical_m))}
+        extra=${old ? p.levelsOld : p.levelsMeaning(Math.round(1 / s.integrity_risk).toLocaleString("en"))} />`}
       <${Row} label=${p.phase} value=${p.phases[s.phase] ?? s.phase} extra=${navigation && s.phase !== "navigating" ? navigation.reason : null} />
       <${Row} label=${p.gnssUsed} value=${s.gnss_age_s == null ? p.never : p.ago(s.gnss_age_s < 1 ? words.age.now : duration(s.gnss_age_s))} />
       ${off !== null && html`<${Row} label=${p.truthError} value=${metres(off)} extra=${p.truthNote} />`}
@@ -66,6 +68,7 @@ function Glance() {
     [g.speed, html`<span class="value">${fixed(s.speed_m_s * KMH, 1)}</span><small> ${words.speed.unit}</small>`],
     [g.fix, kind],
     [sc.stale ? words.position.byNow : words.position.error95, html`± ${metres(sc.stale ? sc.withinM : s.ellipse.semi_major_m)}`],
+    ...(s.protection_level_horizontal_m == null || sc.stale ? [] : [[g.level, metres(s.protection_level_horizontal_m)]]),
     [g.age, html`<${Age} topic="navigation/solution" stamp=${s.updated_ns} />`],
   ];
   return html`<dl class="card glance ${sc.stale ? "old" : ""}">${cells.map(([label, value]) => html`<div><dt>${label}</dt><dd>${value}</dd></div>`)}</dl>`;

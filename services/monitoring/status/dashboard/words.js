@@ -105,6 +105,9 @@ export const words = {
     gnss: "GNSS alone",
     truth: "Truth (simulator)",
     ellipse: "95 % error ellipse",
+    level: "Protection level",
+    levelOld: "Protection level of then",
+    levelNote: "on the ground",
     within: (metres) => `by now within ${metres}`,
     withinNote: "(speeding up by 3 m/s² at most)",
     table: "Table",
@@ -139,6 +142,11 @@ export const words = {
     gnssUsed: "GNSS used",
     ago: (age) => `${age} ago`,
     never: "not yet",
+    levels: "Protection level",
+    levelsShort: "HPL",
+    levelsValue: (horizontal, vertical) => `${horizontal} on the ground, ${vertical} in height`,
+    levelsMeaning: (oneIn) => `The position is off by more than this at most once in ${oneIn} times.`,
+    levelsOld: "Of the last position: it says nothing about now.",
     truthError: "True error",
     truthNote: "(simulator)",
     standing: "standing",
@@ -165,7 +173,7 @@ export const words = {
     },
   },
 
-  glance: { speed: "Speed", fix: "GNSS fix", age: "Age" },
+  glance: { speed: "Speed", fix: "GNSS fix", level: "Protection level", age: "Age" },
 
   speed: {
     title: "Speed",

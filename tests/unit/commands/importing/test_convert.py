@@ -179,3 +179,113 @@ def test_a_reference_in_ecef_with_velocity_in_body_axes_becomes_a_true_state() -
         "forward is east at a heading of 90 degrees"
     )
     assert state.yaw_rad == pytest.approx(math.pi / 2)
+
+
+INCREMENTS = """
+[imu]
+file = "imu.txt"
+time = { column = "t" }
+specific_force = { columns = ["x", "y", "z"], unit = "m/s" }
+angular_rate = { columns = ["gx", "gy", "gz"], unit = "deg" }
+axes = ["forward", "right", "down"]
+"""
+
+
+def test_increments_become_means_over_the_length_of_their_sample() -> None:
+    # 100 Hz; one sample is lost between 0.02 and 0.04 s, and what was measured is then still over 10 ms.
+    rows = "\n".join(f"{t},0.02,0,-0.0981,0,0,0.05" for t in ("0.00", "0.01", "0.02", "0.04", "0.05"))
+    messages = converted(INCREMENTS, "t,x,y,z,gx,gy,gz\n" + rows).messages
+    forces = [force for m in messages if isinstance(m, ImuSamples) for force in m.specific_force_body_m_s2]
+    rates = [rate for m in messages if isinstance(m, ImuSamples) for rate in m.angular_rate_body_rad_s]
+    assert forces == [pytest.approx((2.0, 0.0, -9.81))] * 5
+    assert rates == [pytest.approx((0.0, 0.0, math.radians(5.0)))] * 5
+
+
+def test_a_mean_times_the_time_between_its_stamps_is_the_increment_again() -> None:
+    stamps = (0.0, 0.0051, 0.0099, 0.0150)
+    rows = "\n".join(f"{t},0,0,{-9.81 * 0.005},0,0,{0.01 * k}" for k, t in enumerate(stamps))
+    messages = converted(INCREMENTS, "t,x,y,z,gx,gy,gz\n" + rows).messages
+    times = [stamp * 1e-9 for m in messages if isinstance(m, ImuSamples) for stamp in m.sampled_ns]
+    rates = [rate[2] for m in messages if isinstance(m, ImuSamples) for rate in m.angular_rate_body_rad_s]
+    turned = [rate * (last - first) for rate, first, last in zip(rates[1:], times, times[1:], strict=False)]
+    assert turned == pytest.approx([math.radians(0.01 * k) for k in (1, 2, 3)], rel=1e-12)
+
+
+def test_a_unit_that_leaves_gravity_out_is_refused() -> None:
+    wrong = INCREMENTS.replace('"m/s"', '"m/s2"')
+    with pytest.raises(UserError, match=r"specific forces of 0\.0981 m/s2 .* check the unit 'm/s2' .* increments: m/s"):
+        converted(wrong, "t,x,y,z,gx,gy,gz\n0,0,0,-0.0981,0,0,0\n0.01,0,0,-0.0981,0,0,0")
+
+
+def test_a_file_of_what_gravity_does_is_turned_round() -> None:
+    up = IMU.replace('unit = "g"', 'unit = "g", opposite = true')
+    (sample,) = converted(up, "t,ax,ay,az,gx,gy,gz\n0,0.2,0,-1,0,0,5").messages
+    assert isinstance(sample, ImuSamples)
+    assert sample.specific_force_body_m_s2[0] == pytest.approx((-0.2 * STANDARD_GRAVITY, 0.0, -STANDARD_GRAVITY))
+    assert sample.angular_rate_body_rad_s[0][2] == pytest.approx(-math.radians(5.0)), "rates stay as they are"
+
+
+def test_a_receiver_may_tell_ground_speed_and_course_instead_of_a_velocity() -> None:
+    mapping = (
+        REPEATED
+        + """
+ground_speed = { column = "v", unit = "km/h" }
+course = { column = "c", unit = "deg" }
+hdop = "hd"
+vdop = "vd"
+"""
+    )
+    (fix,) = converted(mapping, "lat,lon,h,v,c,hd,vd\n49,6,0,0,0,1,2\n49.1,6,0,36,90,1.5,2.5").messages
+    assert isinstance(fix, GnssFix)
+    assert fix.velocity_ned_m_s is None and fix.ground_speed_m_s == pytest.approx(10.0)
+    assert fix.course_rad == pytest.approx(math.pi / 2) and (fix.hdop, fix.vdop) == (1.5, 2.5)
+    with pytest.raises(UserError, match="says nothing without `course`"):
+        converted(mapping.replace('course = { column = "c", unit = "deg" }', ""), "lat,lon,h,v\n49,6,0,36")
+
+
+MADE = """
+[speed]
+file = "reference.csv"
+time = { column = "t" }
+made_from = { columns = ["vn", "ve", "vd"], unit = "m/s", axes = "ned" }
+noise_sd_m_s = 0.1
+"""
+
+
+def test_a_speed_may_be_made_from_a_reference_and_says_so() -> None:
+    text = "t,vn,ve,vd\n" + "\n".join(f"{0.05 * k:.2f},3,4,0" for k in range(2000))
+    found = [m.speed_m_s for m in converted(MADE, text).messages if isinstance(m, VehicleSpeed)]
+    assert found == [m.speed_m_s for m in converted(MADE, text).messages if isinstance(m, VehicleSpeed)]
+    mean = sum(found) / len(found)
+    sd = math.sqrt(sum((v - mean) ** 2 for v in found) / len(found))
+    # Of 2000 values the mean is known to 0.1/sqrt(2000) and the deviation to 0.1/sqrt(4000); four times that.
+    assert mean == pytest.approx(5.0, abs=0.009) and sd == pytest.approx(0.1, abs=0.0064)
+    (sentence,) = parse_mapping('name = "drive"\n' + MADE, "m.toml").made()
+    assert sentence.startswith("The speed was measured by no sensor: it is that of the reference in reference.csv")
+
+
+def test_a_speed_is_either_measured_or_made() -> None:
+    with pytest.raises(UserError, match="either a `column` or `made_from`"):
+        converted(MADE + 'column = "v"\n', "t,v\n0,1")
+    with pytest.raises(UserError, match="what a sensor measured has its own noise"):
+        converted('[speed]\nfile = "s.csv"\ntime = { column = "t" }\ncolumn = "v"\nnoise_sd_m_s = 0.1', "t,v\n0,1")
+
+
+def test_any_table_may_hold_its_values_until_they_change() -> None:
+    spec = '[speed]\nfile = "s.csv"\ntime = { column = "t" }\ncolumn = "v"\nonly_changes_of = ["v"]'
+    found = converted(spec, "t,v\n0,1\n1,1\n2,2\n3,2\n4,3")
+    assert [m.speed_m_s for m in found.messages if isinstance(m, VehicleSpeed)] == [2.0, 3.0]
+    assert found.rejects == {"unchanged": 3}
+
+
+def test_the_turning_of_a_wheel_is_a_speed() -> None:
+    spec = """[speed]
+file = "w.csv"
+time = { column = "t" }
+column = "w"
+unit = "deg/s"
+wheel_radius_m = 0.3
+opposite = true
+"""
+    (message,) = converted(spec, "t,w\n0,-180").messages
+    assert isinstance(message, VehicleSpeed) and message.speed_m_s == pytest.approx(0.3 * math.pi)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from services.commands.reference import pages
+from services.commands.solving.drift import drift_lines
 from services.commands.solving.errors import Errors, errors_against
 from services.commands.solving.metrics import METRICS, TIMINGS, Run, metrics_of
 from services.commands.solving.outages import Outages
@@ -12,7 +13,7 @@ from services.commands.solving.tally import Tally
 from services.commands.solving.track import Track
 from shared.messages import AidingKind, AidingUpdate, NavigationPhase, NavigationState, Vector3
 from tests.support.data import REPOSITORY
-from tests.support.tracks import START_NS, reference, solution, track
+from tests.support.tracks import START_NS, circle, reference, solution, track
 
 S = 1_000_000_000
 NOWHERE = (0.0, 0.0, 0.0)
@@ -111,6 +112,12 @@ def test_an_outage_is_judged_by_its_last_truth_that_nothing_behind_it_has_correc
     # The last truth of the gap with solutions from within the gap on both sides is at 29.76 s.
     assert found["outage_end_error_median_m"] == pytest.approx(9.76, abs=0.01)
     assert found["outage_largest_error_rms_m"] == pytest.approx(9.76, abs=0.01)
+    assert found["outage_largest_error_max_m"] == pytest.approx(9.76, abs=0.01)
+    # From the truth at 20.01 s to that at 29.76 s the vehicle goes 97.5 m at 10 m/s; its truth cuts corners by 0.01 %.
+    assert found["outage_end_error_share_median"] == pytest.approx(9.76 / 97.5, rel=2e-3)
+    lines = list(drift_lines(replace(run(made, errors), gaps=gaps).drifts(), START_NS))
+    assert lines[0] == "start_s,end_s,end_error_m,largest_error_m,distance_m\n"
+    assert [float(field) for field in lines[1].split(",")] == pytest.approx([20.0, 30.0, 9.76, 9.76, 97.5], abs=0.02)
 
 
 def test_a_gap_without_a_truth_near_its_end_is_not_judged() -> None:
@@ -123,3 +130,19 @@ def test_a_gap_without_a_truth_near_its_end_is_not_judged() -> None:
 def test_the_page_of_metrics_is_what_the_code_says() -> None:
     printed = (REPOSITORY / "docs" / "reference" / "metrics.md").read_text(encoding="utf-8")
     assert printed == pages()["metrics.md"], "print it anew with `make docs`"
+
+
+def test_what_came_before_the_score_is_in_no_mean() -> None:
+    errors = errors_of([(5.0, 0.0, 0.0)] * 20 + [(0.3, 0.4, 0.0)] * 20, period_s=0.25)
+    made = run(track([solution(0.0)]), errors)
+    assert metrics_of(replace(made, scored_from_ns=START_NS + 5 * S))["horizontal_rmse_m"] == pytest.approx(0.5)
+    assert metrics_of(made)["truth_count"] == 40
+
+
+def test_attitude_is_judged_without_the_mounting_as_well() -> None:
+    times = [0.1 * k for k in range(300)]
+    turned = track(solution(t).model_copy(update={"yaw_rad": circle(t)[2] + 0.07}) for t in times)
+    found = metrics_of(run(turned, errors_against(reference(times[1:-1]), turned, lever_arm_b=NOWHERE)))
+    assert found["yaw_rmse_rad"] == pytest.approx(0.07, abs=1e-6)
+    assert found["mounting_yaw_rad"] == pytest.approx(0.07, abs=1e-6) and found["mounting_roll_rad"] == 0.0
+    assert found["yaw_rmse_mounted_rad"] == pytest.approx(0.0, abs=1e-6)

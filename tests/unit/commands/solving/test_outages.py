@@ -39,3 +39,19 @@ def test_a_gap_may_be_a_fraction_of_a_second() -> None:
 def test_what_is_no_outage_is_one_sentence_with_an_example(text: str) -> None:
     with pytest.raises(UserError, match="--outage"):
         Outages.parse(text)
+
+
+def test_a_start_puts_the_gaps_at_fixed_times_whatever_the_filter_does() -> None:
+    outages = Outages.parse("10/30@50")
+    outages.recording_ns = 5 * S
+    hidden = [t for t in range(130) if outages.hides(t * S)]
+    assert hidden == [*range(55, 65), *range(85, 95), *range(115, 125)]
+    outages.aligned_ns = 20 * S
+    assert hidden == [t for t in range(130) if outages.hides(t * S)]
+    assert outages.gaps(124 * S) == [(55 * S, 65 * S), (85 * S, 95 * S)]
+
+
+@pytest.mark.parametrize("text", ["10/30@", "10/30@x", "10/30@-1", "10/30@nan", "@50", "10/30@50@60"])
+def test_what_is_no_start_is_one_sentence(text: str) -> None:
+    with pytest.raises(UserError, match="--outage"):
+        Outages.parse(text)

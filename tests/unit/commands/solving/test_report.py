@@ -54,6 +54,12 @@ def report() -> str:
     return page(heading, metrics, figures_of(run, truth))
 
 
+def test_every_run_with_truth_has_a_stanford_diagram_of_each_axis() -> None:
+    text = report()
+    assert 'aria-label="Stanford diagram, horizontal"' in text and 'aria-label="Stanford diagram, vertical"' in text
+    assert "protection_vertical_ratio_median" in text
+
+
 def test_the_page_is_whole_and_loads_nothing_from_anywhere() -> None:
     text = report()
     checker = Checker()
@@ -67,9 +73,10 @@ def test_the_page_is_whole_and_loads_nothing_from_anywhere() -> None:
 def test_the_page_shows_all_figures_and_the_numbers_in_words() -> None:
     text = report()
     titles = re.findall(r"<h2>(.*?)</h2>", text)
-    assert titles == ["Trajectory", "Position errors", "Velocity errors", "Attitude errors", "Speed", "Innovations",
+    assert titles == ["Trajectory", "Position errors", "Velocity errors", "Attitude errors",
+                      "Stanford diagram, horizontal", "Stanford diagram, vertical", "Speed", "Innovations",
                       "Sensor biases", "Metrics", "Where the data come from"]  # fmt: skip
-    assert text.count("<svg") == 7 and text.count('role="img"') == 7
+    assert text.count("<svg") == 9 and text.count('role="img"') == 9
     assert "drive &lt;1&gt;" in text and "file &amp; co" in text
     assert "GNSS was taken away once" in text
     assert "The truth is: a circle." in text

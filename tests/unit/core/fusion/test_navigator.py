@@ -264,7 +264,13 @@ def test_every_measurement_yields_an_outcome() -> None:
     run = feed(navigator(), samples() + fixes())
     used = [o for o in run.outcomes if o.kind is AidingKind.GNSS_POSITION and o.used]
     assert len(used) == run.navigator.counts.fixes_used - 1  # the first started the filter
-    assert {o.kind for o in run.outcomes} == set(AidingKind) - {AidingKind.COURSE, AidingKind.ODOMETER}
+    assert {o.kind for o in run.outcomes} == {
+        AidingKind.GNSS_POSITION,
+        AidingKind.GNSS_VELOCITY,
+        AidingKind.ZERO_VELOCITY,
+        AidingKind.ZERO_ANGULAR_RATE,
+        AidingKind.NON_HOLONOMIC,
+    }
     assert all(o.used == (o.reason is None) == (o.weight > 0.0) for o in run.outcomes)
     assert all((o.weight == 1.0) == (o.test_ratio <= 1.0) for o in run.outcomes)
 

@@ -1,4 +1,4 @@
-from math import pi
+from math import cos, pi, sin
 
 import numpy as np
 import pytest
@@ -9,13 +9,22 @@ from scipy.spatial.transform import Rotation
 from services.core.fusion import strapdown
 from services.core.fusion.strapdown import InertialState
 from services.sensors.simulator.drive import Drive, simulate
-from shared.maths.earth import EARTH_RATE, Geodetic, earth_rate_n, gravity, ned_from_geodetic_difference
+from shared.maths.earth import (
+    EARTH_RATE,
+    Geodetic,
+    curvature_radii,
+    earth_rate_n,
+    gravity,
+    ned_from_geodetic_difference,
+)
 from shared.maths.rotation import (
     average_matrix_from_rotation_vector,
     matrix_from_quaternion,
     ned_from_body,
     quaternion_from_matrix,
+    quaternion_from_rotation_vector,
     rotation_vector_from_matrix,
+    skew,
 )
 
 STEP_NS = 10_000_000
@@ -30,12 +39,22 @@ def test_turning_by_a_quaternion_agrees_with_scipy(turn: tuple[float, ...], vect
     assert turned == pytest.approx(matrix @ np.array(vector), abs=1e-13)
 
 
-@given(st.one_of(VECTORS, st.tuples(*[st.floats(-1e-4, 1e-4)] * 3)), VECTORS)
-def test_the_average_force_is_that_of_the_average_rotation(
-    turn: tuple[float, float, float], force: tuple[float, float, float]
-) -> None:
-    expected = average_matrix_from_rotation_vector(turn) @ np.array(force)
-    assert strapdown.average_force(force, turn) == pytest.approx(expected, abs=1e-12)
+@given(st.one_of(VECTORS, st.tuples(*[st.floats(-1e-4, 1e-4)] * 3)))
+def test_the_factors_of_a_turn_make_its_quaternion_and_its_average_rotation(turn: tuple[float, float, float]) -> None:
+    half_cosine, scale, first, second = strapdown.turn_terms(sum(component * component for component in turn))
+    quaternion = (half_cosine, *(scale * component for component in turn))
+    assert quaternion == pytest.approx(quaternion_from_rotation_vector(turn), abs=1e-15)
+    average = np.eye(3) + first * skew(turn) + second * skew(turn) @ skew(turn)
+    assert average == pytest.approx(average_matrix_from_rotation_vector(turn), abs=1e-12)
+
+
+@given(st.floats(-1.57, 1.57), st.floats(-500.0, 9000.0))
+def test_what_a_latitude_decides_is_what_the_earth_says_of_it(latitude: float, height: float) -> None:
+    sine, cosine, meridian, transverse, surface, slope = strapdown.parallel(latitude)
+    assert (sine, cosine) == (sin(latitude), cos(latitude))
+    assert (meridian, transverse) == pytest.approx(curvature_radii(latitude), rel=1e-15)
+    expected = gravity(latitude, height)
+    assert surface * (1.0 - height * (slope - strapdown.SLOPE_CHANGE * height)) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from services.core.fusion.filter import ErrorStateFilter
 from services.core.fusion.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from services.core.fusion.stationary import QUIET_S, SMOOTHING_S, Rest
+from services.core.fusion.stationary import QUIET_S, SMOOTHING_S, UNSETTLED, at_rest
 from services.core.fusion.wheels import WheelSpeed
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
@@ -151,10 +151,10 @@ def test_a_speed_without_a_sign_may_be_one_backwards() -> None:
 
 
 def rest_after(speed: float, limit: float, force: float = 0.0) -> bool:
-    rest = Rest()
+    rest = UNSETTLED
     for _ in range(round((SMOOTHING_S + QUIET_S) * 100) + 2):
-        rest = rest.after((0.0, 0.0, 0.0), (force, 0.0, 0.0), (speed, 0.0, 0.0), 0.01, limit)
-    return rest.stationary
+        rest = at_rest(rest, (0.0, 0.0, 0.0), (force, 0.0, 0.0), speed, 0.01, limit)
+    return rest[2] >= QUIET_S
 
 
 def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> None:

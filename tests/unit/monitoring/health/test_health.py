@@ -48,3 +48,22 @@ def test_nothing_is_judged_before_the_broker_was_met(tmp_path: Path) -> None:
     Process(Config()).run(bus.as_bus())
 
     assert bus.published == []
+
+
+def test_the_wills_of_all_before_the_connection_ends_are_the_broker_shutting_down(tmp_path: Path) -> None:
+    def script(call: int) -> list[Envelope] | None:
+        bus.connected = call < 50 or call >= 80
+        if call == 49:
+            wills = [
+                codec.encode(ProcessHealth(process=name, state=ProcessState.LOST, incarnation=1, sent_ns=1))[0]
+                for name in ("core.fusion", "parsers.imu")
+            ]
+            return [heartbeat(call, "core.fusion", wills[0]), heartbeat(call, "parsers.imu", wills[1])]
+        alive = [heartbeat(call, "core.fusion"), heartbeat(call, "parsers.imu")] if bus.connected else []
+        return [envelope._replace(received_ns=bus.now_ns()) for envelope in alive] if call < 800 else None
+
+    bus = FakeBus(tmp_path, script, start_ns=START_NS, step_ns=STEP_NS // 8)
+    bus.vehicle_toml = ""
+    Process(Config()).run(bus.as_bus())
+
+    assert [message.what for message in bus.published if isinstance(message, Outage)] == ["broker"]

@@ -10,9 +10,10 @@ from services.monitoring.status.banner import NOT_MONITORED, Evidence, Trust, ju
 from shared.messages import AidingKind, FixType, NavigationPhase
 from tests.support.status_world import START_NS, aiding, fix, solution
 
+LEVELS = {"protection_level_horizontal_m": 3.14, "protection_level_vertical_m": 4.2, "integrity_risk": 1e-3}
 GOOD = Evidence(
     broker=True,
-    solution=solution(START_NS),
+    solution=solution(START_NS, **LEVELS),
     solution_age_s=0.05,
     phase=NavigationPhase.NAVIGATING,
     fix=fix(START_NS),
@@ -162,6 +163,14 @@ def test_sensors_that_never_spoke_are_not_green() -> None:
         "fix": Trust.STALE,
         "gate": Trust.STALE,
     }
+
+
+def test_the_protection_level_is_held_against_the_alert_limit() -> None:
+    assert check(GOOD, "protection") == (Trust.SAFE, "3.1 m on the ground, limit 10 m")
+    wide = changed(solution=solution(START_NS, **(LEVELS | {"protection_level_horizontal_m": 12.0})))
+    assert check(wide, "protection") == (Trust.CAUTION, "12.0 m on the ground, limit 10 m")
+    assert check(changed(solution=solution(START_NS)), "protection") == (Trust.OFF, "the filter states none")
+    assert check(changed(solution_age_s=60.0), "protection") == (Trust.STALE, "unknown")
 
 
 def test_monitors_that_do_not_exist_are_listed_as_not_monitored() -> None:

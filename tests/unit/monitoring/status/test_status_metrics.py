@@ -52,7 +52,18 @@ def test_names_follow_the_conventions_of_prometheus(world: World) -> None:
 
 
 def test_no_protection_level_is_claimed_while_none_is_computed(world: World) -> None:
-    assert not any("hpl" in name for name in scrape(world))
+    assert not any("hpl" in name or "vpl" in name or "risk" in name for name in scrape(world))
+
+
+def test_protection_levels_are_there_with_their_risk_until_they_are_stale(world: World) -> None:
+    levels = {"protection_level_horizontal_m": 3.1, "protection_level_vertical_m": 4.2, "integrity_risk": 1e-3}
+    world.hear(solution(world.now_ns, **levels), "core.fusion")
+    found = scrape(world)
+    assert found["obu_position_hpl_meters"] == {(): 3.1}
+    assert found["obu_position_vpl_meters"] == {(): 4.2}
+    assert found["obu_position_integrity_risk"] == {(): 1e-3}
+    world.pass_time(20.0)
+    assert "obu_position_hpl_meters" not in scrape(world)
 
 
 def test_a_stale_value_is_left_out_and_not_repeated(world: World) -> None:

@@ -266,9 +266,33 @@ def test_any_payload_is_decoded_or_refused(kind: str, payload: bytes) -> None:
         "COV": decode_covariance,
         "HPPOSLLH": decode_high_precision,
         "SAT": ubx.decode_satellites,
+        "RELPOSNED": lambda data: ubx.decode_baseline(ubx.parse("RELPOSNED", data)),
         "EOE": lambda data: ubx.parse("EOE", data).iTOW,
     }
     try:
         assert decoders[kind](payload) is not None
     except ubx.UbxError as fault:
         assert str(fault)
+
+
+GOOD_LINE = {"version": 1, "iTOW": 1000, "relPosLength": 120, "relPosHeading": 12.3, "accHeading": 0.2, "gnssFixOK": 1,
+             "relPosValid": 1, "isMoving": 1, "relPosHeadingValid": 1, "carrSoln": 2}  # fmt: skip
+
+
+def baseline(**changes: int) -> ubx.Baseline:
+    return ubx.decode_baseline(ubx.parse("RELPOSNED", encode("NAV-RELPOSNED", **{**GOOD_LINE, **changes})))
+
+
+def test_the_line_between_two_antennas_has_a_heading() -> None:
+    line = baseline()
+    assert line.length_m == pytest.approx(1.2)
+    assert line.heading_rad == pytest.approx(math.radians(12.3))
+    assert line.heading_sd_rad == pytest.approx(math.radians(0.2))
+
+
+@pytest.mark.parametrize(
+    "flag", ["gnssFixOK", "relPosValid", "isMoving", "relPosHeadingValid", "carrSoln", "accHeading"]
+)
+def test_a_line_that_is_not_the_vehicles_has_none(flag: str) -> None:
+    line = baseline(**{flag: 1 if flag == "carrSoln" else 0})
+    assert line == ubx.Baseline(1000, None, None, None)

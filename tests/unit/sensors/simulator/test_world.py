@@ -2,6 +2,7 @@ import hashlib
 import tracemalloc
 from collections import Counter, defaultdict
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import islice, pairwise, takewhile
 from typing import Any
 
@@ -254,3 +255,22 @@ def test_a_long_drive_does_not_grow() -> None:
 def test_sources_are_named(minute: list[Message]) -> None:
     sources = {m.source for m in minute if isinstance(m, ImuRaw | GnssRaw | CanRaw)}
     assert sources == {"imu0", SOURCE, "can0"}
+
+
+def test_a_second_antenna_tells_the_heading_of_the_vehicle() -> None:
+    scenario = replace(BY_NAME["tunnel"], carrier="fixed")
+    world = World(scenario, 1, DEFAULT_START_NS, Equipment(protocols=("ubx",), second_antenna_m=1.0))
+    end = DEFAULT_START_NS + 100 * NS
+    stream = [message for due_ns, message in takewhile(lambda arrival: arrival[0] <= end, world)]
+    truth = [m for m in stream if isinstance(m, TruthState)]
+    yaw = np.unwrap([m.yaw_rad for m in truth])
+    lines = [(at, m) for at, m in frames(stream) if m.identity == "NAV-RELPOSNED"]
+    valid = [(at, m) for at, m in lines if m.relPosHeadingValid]
+    assert len(lines) > 95 and 50 < len(valid) < len(lines), "none in a tunnel, and for a while after it"
+    assert all(m.carrSoln == 2 and m.isMoving and m.relPosLength == 100 for _, m in valid)
+    errors = []
+    for at, line in valid:
+        before = np.searchsorted([m.sampled_ns for m in truth], at) - 1
+        if abs(yaw[before] - yaw[before - 3]) < np.radians(0.1):  # in a bend it is another one when it arrives
+            errors.append(np.angle(np.exp(1j * (np.radians(line.relPosHeading) - yaw[before]))))
+    assert len(errors) > 20 and np.degrees(np.abs(errors)).max() < 5.0 * valid[0][1].accHeading

@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties as PahoProperties
 
-from broker.simulated import packets, properties, wire
-from broker.simulated.framing import Framer
-from broker.simulated.packets import Connect, Publish, Subscribe, Subscription, Unsubscribe, UnsupportedVersion
-from broker.simulated.properties import Properties, Property
-from broker.simulated.wire import ProtocolError, Reader, Reason
+from shared.mqtt import packets, properties, wire
+from shared.mqtt.framing import Framer
+from shared.mqtt.packets import Connect, Publish, Subscribe, Subscription, Unsubscribe, UnsupportedVersion
+from shared.mqtt.properties import Properties, Property
+from shared.mqtt.wire import ProtocolError, Reader, Reason
 from tests.support import raw_mqtt
 
 texts = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=40)

@@ -28,6 +28,15 @@ class Framer:
         else:
             del self._left[:position]
 
+    def only(self, data: bytes) -> tuple[tuple[int, bytes]] | None:
+        """Give the one packet that these bytes are, as most reads of a client are; else None, and `feed` them."""
+        if self._left or not 2 < len(data) <= self.limit:
+            return None
+        start, size = 2, data[1]
+        if size > 127:
+            start, size = 3, size & 0x7F | data[2] << 7
+        return ((data[0], data[start:]),) if start + size == len(data) and data[start - 1] < 128 else None
+
     def _span(self, source: bytes | bytearray, position: int) -> tuple[int, int] | None:
         """Find where the body of the packet at `position` starts and stops; None while bytes are missing."""
         size = 0

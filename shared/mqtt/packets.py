@@ -1,9 +1,9 @@
-"""MQTT 5 control packets: what a broker reads and what it writes (OASIS MQTT 5.0, chapter 3)."""
+"""MQTT 5 control packets as a broker reads and writes them (OASIS MQTT 5.0, chapter 3)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from . import properties as p
 from .properties import Properties, Property
@@ -100,6 +100,7 @@ class Disconnect:
     properties: Properties = p.NONE
 
 
+P = TypeVar("P")
 Packet = Connect | Publish | Acknowledge | Subscribe | Unsubscribe | Ping | Disconnect
 FLAGS = {Kind.SUBSCRIBE: 2, Kind.UNSUBSCRIBE: 2}  # the lower four bits of the first byte; else 0
 
@@ -114,29 +115,35 @@ class UnsupportedVersion(Exception):
 
 def decode(first: int, body: bytes) -> Packet:
     """Read a packet that a client sends; raises ProtocolError or UnsupportedVersion, nothing else."""
-    reader = Reader(body)
+    if first >> 4 == Kind.PUBLISH:
+        return decode_publish(first & 0x0F, Reader(body))
+    return decode_by(READERS, first, body)
+
+
+def decode_by(readers: Mapping[int, Callable[[Reader], P]], first: int, body: bytes) -> P:
+    """Read a packet to its very end by the reader of its type."""
     kind, flags = first >> 4, first & 0x0F
-    if kind == Kind.PUBLISH:
-        return _decode_publish(flags, reader)
-    reads = READERS.get(kind)
+    reads = readers.get(kind)
     if reads is None:
-        raise ProtocolError(Reason.PROTOCOL_ERROR, f"a client does not send packets of type {kind}")
+        raise ProtocolError(Reason.PROTOCOL_ERROR, f"the other side does not send packets of type {kind}")
     if flags != FLAGS.get(Kind(kind), 0):
         raise ProtocolError(Reason.MALFORMED_PACKET, f"flags {flags:#x} on a packet of type {kind}")
+    reader = Reader(body)
     packet = reads(reader)
     if reader.position != reader.end:
         raise ProtocolError(Reason.MALFORMED_PACKET, "bytes after the end of the packet")
     return packet
 
 
-def _decode_publish(flags: int, reader: Reader) -> Publish:
+def decode_publish(flags: int, reader: Reader) -> Publish:
+    """Read a PUBLISH; neither the broker nor the client offers topic aliases or QoS 2."""
     qos = flags >> 1 & 3
     if qos > 1:
         raise ProtocolError(Reason.MALFORMED_PACKET if qos == 3 else Reason.QOS_NOT_SUPPORTED, f"QoS {qos}")
     if flags & 8 and not qos:
         raise ProtocolError(Reason.MALFORMED_PACKET, "a duplicate of QoS 0")
     topic = reader.text()
-    packet_id = _packet_id(reader) if qos else 0
+    packet_id = packet_id_of(reader) if qos else 0
     found = p.decode(reader, p.ON_PUBLISH)
     if Property.TOPIC_ALIAS in found.numbers:
         raise ProtocolError(Reason.TOPIC_ALIAS_INVALID, "a topic alias, of which there are none")
@@ -144,7 +151,8 @@ def _decode_publish(flags: int, reader: Reader) -> Publish:
     return Publish(topic, reader.rest(), qos, bool(flags & 1), bool(flags & 8), packet_id, found.passed_on, expiry_s)
 
 
-def _packet_id(reader: Reader) -> int:
+def packet_id_of(reader: Reader) -> int:
+    """Read a packet identifier, which is never 0."""
     packet_id = reader.integer(2)
     if packet_id == 0:
         raise ProtocolError(Reason.PROTOCOL_ERROR, "packet identifier 0")
@@ -183,8 +191,9 @@ def _decode_will(flags: int, reader: Reader) -> Publish | None:
     return Publish(topic, payload, qos, retain, properties=found.passed_on, expiry_s=expiry_s)
 
 
-def _decode_acknowledge(reader: Reader) -> Acknowledge:
-    packet_id = _packet_id(reader)
+def decode_acknowledge(reader: Reader) -> Acknowledge:
+    """Read a PUBACK."""
+    packet_id = packet_id_of(reader)
     reason = reader.integer(1) if reader.position < reader.end else 0
     if reader.position < reader.end:
         p.decode(reader, p.ON_ACKNOWLEDGE)
@@ -192,7 +201,7 @@ def _decode_acknowledge(reader: Reader) -> Acknowledge:
 
 
 def _decode_subscribe(reader: Reader) -> Subscribe:
-    packet_id = _packet_id(reader)
+    packet_id = packet_id_of(reader)
     found = p.decode(reader, p.ON_SUBSCRIBE)
     _at_least_one(reader)
     subscriptions = []
@@ -205,7 +214,7 @@ def _decode_subscribe(reader: Reader) -> Subscribe:
 
 
 def _decode_unsubscribe(reader: Reader) -> Unsubscribe:
-    packet_id = _packet_id(reader)
+    packet_id = packet_id_of(reader)
     p.decode(reader, p.ON_UNSUBSCRIBE)
     _at_least_one(reader)
     patterns = []
@@ -219,7 +228,8 @@ def _at_least_one(reader: Reader) -> None:
         raise ProtocolError(Reason.PROTOCOL_ERROR, "no topic filter")
 
 
-def _decode_disconnect(reader: Reader) -> Disconnect:
+def decode_disconnect(reader: Reader) -> Disconnect:
+    """Read a farewell."""
     reason = reader.integer(1) if reader.position < reader.end else 0
     found = p.decode(reader, p.ON_DISCONNECT) if reader.position < reader.end else p.NONE
     return Disconnect(reason, found)
@@ -227,11 +237,11 @@ def _decode_disconnect(reader: Reader) -> Disconnect:
 
 READERS: dict[int, Callable[[Reader], Packet]] = {
     Kind.CONNECT: _decode_connect,
-    Kind.PUBACK: _decode_acknowledge,
+    Kind.PUBACK: decode_acknowledge,
     Kind.SUBSCRIBE: _decode_subscribe,
     Kind.UNSUBSCRIBE: _decode_unsubscribe,
     Kind.PINGREQ: lambda _: Ping(),
-    Kind.DISCONNECT: _decode_disconnect,
+    Kind.DISCONNECT: decode_disconnect,
 }
 
 
@@ -243,10 +253,20 @@ def frame(kind: Kind, body: bytes, flags: int = 0) -> bytes:
 def encode_publish(message: Publish) -> bytes:
     """Write a PUBLISH."""
     flags = message.duplicate << 3 | message.qos << 1 | message.retain
-    packet_id = message.packet_id.to_bytes(2) if message.qos else b""
+    return publish_frame(flags, text(message.topic), message.packet_id, publish_properties(message), message.payload)
+
+
+def publish_properties(message: Publish) -> bytes:
+    """Write the properties of a PUBLISH, with their length."""
     expiry = {} if message.expiry_s is None else {Property.MESSAGE_EXPIRY_S: message.expiry_s}
-    properties = p.encode(Properties(expiry, passed_on=message.properties))
-    return frame(Kind.PUBLISH, b"".join((text(message.topic), packet_id, properties, message.payload)), flags)
+    return p.encode(Properties(expiry, passed_on=message.properties))
+
+
+def publish_frame(flags: int, topic: bytes, packet_id: int, properties: bytes, payload: bytes) -> bytes:
+    """Put a PUBLISH together from parts that are encoded already."""
+    number = packet_id.to_bytes(2) if flags & 6 else b""
+    size = len(topic) + len(number) + len(properties) + len(payload)
+    return b"".join((FIRST_OF_PUBLISH[flags], varint(size), topic, number, properties, payload))
 
 
 def encode_connack(reason: Reason, *, session_present: bool = False, properties: Properties = p.NONE) -> bytes:
@@ -276,4 +296,5 @@ def encode_disconnect(reason: Reason) -> bytes:
     return frame(Kind.DISCONNECT, bytes((reason,)))
 
 
+FIRST_OF_PUBLISH = tuple(bytes((Kind.PUBLISH << 4 | flags,)) for flags in range(16))
 PINGRESP = frame(Kind.PINGRESP, b"")

@@ -76,6 +76,12 @@ ON_CONNECT = frozenset((
     P.REQUEST_RESPONSE_INFORMATION, P.REQUEST_PROBLEM_INFORMATION, P.USER_PROPERTY,
     P.AUTHENTICATION_METHOD, P.AUTHENTICATION_DATA,
 ))  # fmt: skip
+ON_CONNACK = frozenset((
+    P.SESSION_EXPIRY_S, P.RECEIVE_MAXIMUM, P.MAXIMUM_QOS, P.RETAIN_AVAILABLE, P.MAXIMUM_PACKET_SIZE,
+    P.ASSIGNED_CLIENT_ID, P.TOPIC_ALIAS_MAXIMUM, P.REASON_STRING, P.USER_PROPERTY, P.WILDCARD_AVAILABLE,
+    P.SUBSCRIPTION_IDENTIFIER_AVAILABLE, P.SHARED_AVAILABLE, P.SERVER_KEEP_ALIVE_S, P.RESPONSE_INFORMATION,
+    P.SERVER_REFERENCE, P.AUTHENTICATION_METHOD, P.AUTHENTICATION_DATA,
+))  # fmt: skip
 ON_ACKNOWLEDGE = frozenset((P.REASON_STRING, P.USER_PROPERTY))
 ON_SUBSCRIBE = frozenset((P.SUBSCRIPTION_IDENTIFIER, P.USER_PROPERTY))
 ON_UNSUBSCRIBE = frozenset((P.USER_PROPERTY,))
@@ -109,7 +115,7 @@ def decode(reader: Reader, allowed: frozenset[Property]) -> Properties:
             reader.text()
         else:
             seen.add(kind)
-            _read_value(reader, Property(kind), numbers, texts)
+            read_value(reader, Property(kind), numbers, texts)
         if kind in PASSED_ON:
             passed_on.append(reader.data[start : reader.position])
     if reader.position != stop:
@@ -117,7 +123,8 @@ def decode(reader: Reader, allowed: frozenset[Property]) -> Properties:
     return Properties(numbers, texts, b"".join(passed_on))
 
 
-def _read_value(reader: Reader, kind: Property, numbers: dict[Property, int], texts: dict[Property, str]) -> None:
+def read_value(reader: Reader, kind: Property, numbers: dict[Property, int], texts: dict[Property, str]) -> None:
+    """Read the value of any property but the user's own, and note it where it is one to act upon."""
     form = FORMS[kind]
     if form is Form.TEXT:
         texts[kind] = reader.text()

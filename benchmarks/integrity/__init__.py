@@ -1,0 +1,1 @@
+"""Protection levels against true errors: simulated drives by the hundred, and recordings with truth."""

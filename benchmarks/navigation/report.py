@@ -1,0 +1,201 @@
+"""Measures everything, prints the table beside goals and peers, and keeps it; `docs/reference/drives.md` is a copy."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from math import degrees
+from pathlib import Path
+from typing import TypedDict
+
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks.bus.report import machine
+
+from .cases import CASES, ROWS, Case, Row
+from .peers import PEERS, PeerResult
+from .runs import REPOSITORY, Metrics, data_folder, import_drives, jobs_of, present, recording, solve_cases
+
+RESULTS = REPOSITORY / "benchmarks" / "results"
+PAGE = REPOSITORY / "docs" / "reference" / "drives.md"
+SPEED_SETS = ("rtk", "spp")
+NOTES = """
+`rtk` and `spp` are the two sets of `rtk_drive_57min`: errors of the 300 s after the protocol's start are left out,
+outages of 60 s come every 180 s in three runs shifted by 60 s. Those of `navmatlab` and `rtkexp` are shifted alike.
+`free` is GNSS, IMU and standstill; `nhc` adds wheels that do not slide; `odometer` and `wheel` add the speed as well.
+The odometer of `navmatlab` is made from its reference with 0.1 m/s of noise, for the car had none. Recordings are not
+part of the repository; docs/how-to/import-a-drive.md says how to come by a recording of your own.
+
+"""
+HEAD = "<!-- Printed by `make drives` from benchmarks/results/navigation.json; a test holds it to that file. -->\n\n"
+
+
+class Cost(TypedDict):
+    """What one inertial sample costs: batch, one core."""
+
+    us_per_sample: float
+    samples: int
+    peak_mb: float
+
+
+class Document(TypedDict):
+    """All that was measured in one run."""
+
+    measured_at: str
+    machine: str
+    load_before: float
+    quick: bool  # of runs that are shifted against each other the first alone
+    cases: dict[str, Metrics]
+    speed: dict[str, Cost]
+    peers: dict[str, PeerResult]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure the drives that are there."""
+    options = _options(arguments)
+    cases = {key: case for key, case in CASES.items() if not options.only or case.drive in options.only}
+    if options.quick:
+        cases = {key: replace(case, outages=case.outages[:1]) for key, case in cases.items()}
+    drives = present(case.drive for case in cases.values())
+    if not drives:
+        print(f"no drive is measured: {data_folder()} holds none of them; set OBU_DATA to the folder of the recordings")
+        return 0
+    cases = {key: case for key, case in cases.items() if case.drive in drives}
+    load = os.getloadavg()[0]
+    with _workshop(options.keep) as folder:
+        measured = _measure(cases, drives, folder)
+        speed = {name: _speed(recording(folder, name)) for name in SPEED_SETS if name in drives}
+        peers = {peer.name: peer.measure(folder) for peer in PEERS}
+    document = Document(
+        measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        machine=machine(),
+        quick=options.quick,
+        load_before=round(load, 2),
+        cases=measured,
+        speed=speed,
+        peers=peers,
+    )
+    store(document, partial=bool(options.only))
+    return 0
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.navigation", description=__doc__)
+    names = sorted({case.drive for case in CASES.values()})
+    parser.add_argument("--only", nargs="+", choices=names, help="these drives alone; prints, and keeps nothing")
+    parser.add_argument("--quick", action="store_true", help="of the shifted runs the first alone")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        help="folder for recordings and reports, which stay there; what it holds already is not made again",
+    )
+    return parser.parse_args(arguments)
+
+
+@contextmanager
+def _workshop(keep: Path | None) -> Iterator[Path]:
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+        yield keep.resolve()
+        return
+    with tempfile.TemporaryDirectory(prefix="obu-drives-") as name:
+        yield Path(name)
+
+
+def _measure(cases: dict[str, Case], drives: Sequence[str], folder: Path) -> dict[str, Metrics]:
+    missing = [name for name in drives if not recording(folder, name).is_file()]
+    steps = len(missing) + sum(len(jobs_of(key, case)) for key, case in cases.items())
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task("importing", total=steps)
+
+        def advance(what: str) -> None:
+            progress.update(task, advance=1, description=what)
+
+        import_drives(missing, folder, advance)
+        return solve_cases(cases, folder, advance)
+
+
+def _speed(path: Path) -> Cost:
+    command = [sys.executable, "-m", "benchmarks.navigation.speed", str(path)]
+    done = subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True, text=True)
+    cost: Cost = json.loads(done.stdout)
+    return cost
+
+
+def store(document: Document, *, partial: bool) -> None:
+    """Print the table; keep it with all numbers behind it, if all drives were asked for."""
+    text = page(document)
+    print(text)
+    if partial:
+        return
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / "navigation.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    (RESULTS / "navigation.md").write_text(text, encoding="utf-8")
+    PAGE.write_text(HEAD + text, encoding="utf-8")
+
+
+def page(document: Document) -> str:
+    """Lay out what was measured."""
+    return (
+        "# Accuracy on drives\n\n"
+        f"Measured {document['measured_at']} on {document['machine']}; load {document['load_before']:.1f} before. "
+        + ("**Of the shifted runs the first alone was made.** " if document["quick"] else "")
+        + "Peers: published or measured by others on the same data, none of them in this run.\n\n"
+        + _markdown(("drive", "quantity", "ours", "goal", "holds", "peers"), list(_accuracy(document["cases"])))
+        + NOTES
+        + "## Cost of an inertial sample\n\n"
+        + _markdown(("program", "set", "CPU, us a sample", "peak memory, MB"), list(_costs(document)))
+        + "\nOurs is the navigator alone, without reading the file; peers are whole programs, files included.\n\n"
+        "## Peers in this run\n\n" + "".join(f"- {sentence}\n" for sentence in _peers(document["peers"]))
+    )
+
+
+def _accuracy(cases: dict[str, Metrics]) -> Iterator[tuple[str, ...]]:
+    for row in ROWS:
+        if row.case in cases:
+            value = shown(row, cases[row.case])
+            holds = "" if row.goal is None or value is None else ("yes" if value <= row.goal else "**no**")
+            goal = "" if row.goal is None else f"<= {row.goal:g}"
+            ours = "unknown" if value is None else f"{value:.3g} {row.unit}".strip()
+            yield f"{row.case}{_count(cases[row.case])}", row.quantity, ours, goal, holds, row.peers
+
+
+def shown(row: Row, metrics: Metrics) -> float | None:
+    """Value of a row in its unit."""
+    value = metrics.get(row.metric)
+    if value is None:
+        return None
+    return degrees(value) if row.unit == "deg" else 100.0 * value if row.unit == "%" else value
+
+
+def _count(metrics: Metrics) -> str:
+    count = metrics.get("outage_count")
+    return f" ({count:.0f} outages)" if count else ""
+
+
+def _costs(document: Document) -> Iterator[tuple[str, ...]]:
+    for name, cost in document["speed"].items():
+        yield "ours", name, f"{cost['us_per_sample']:.2f}", f"{cost['peak_mb']:.0f}"
+    for peer, result in document["peers"].items():
+        for name, found in result["sets"].items():
+            yield peer, name, f"{found['us_per_sample']:.2f}", f"{found['peak_mb']:.0f}"
+
+
+def _peers(peers: dict[str, PeerResult]) -> Iterator[str]:
+    for name, result in peers.items():
+        if result["absent"] is not None:
+            yield f"{name}: not run. {result['absent']}"
+        for case, found in result["sets"].items():
+            yield f"{name} on {case}: " + ", ".join(f"{key} {value}" for key, value in found["accuracy"].items())
+
+
+def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)

@@ -1,0 +1,73 @@
+"""What every inertial sample does to the filter, in plain floats: see `strapdown` for why.
+
+The sample, corrected for what is known of the IMU's errors, carries the motion on; what the covariance needs to know
+of the time since its last step is summed up; and the vibration is measured.
+"""
+
+from shared.maths.rotation import Vector
+
+from .strapdown import Motion, mechanise
+
+SHAKE_S = 1.0  # time constant of the measured vibration
+
+Errors = tuple[Vector, Vector, Vector, Vector]  # biases [m/s², rad/s] and scales [-] of accelerometer and gyroscope
+Sums = tuple[float, float, float, float, float, float, float]
+Shaking = tuple[float, float]
+NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def take_sample(
+    motion: Motion,
+    sums: Sums,
+    shaking: Shaking,
+    errors: Errors,
+    sample: tuple[Vector, Vector],
+    last: tuple[Vector, Vector],
+    step: float,
+) -> tuple[Motion, Sums, Shaking, Vector, Vector]:
+    """Carry everything that goes on between two steps of the covariance over one sample.
+
+    Parameters
+    ----------
+    motion : tuple
+        As of `strapdown.mechanise`.
+    sums : tuple of float
+        Over the time since the last step of the covariance: the time [s], the specific force's impulse [m/s, NED], the
+        turn [rad, body].
+    shaking : tuple of float
+        [m²/s³], [rad²/s] Power spectral density of what samples differ by from each other: force, rate.
+    errors : tuple
+        What is known of the IMU's errors, in the order of the error model.
+    sample, last : tuple
+        [m/s², rad/s, body] Force and rate of this sample and of the one before, as measured.
+    step : float
+        [s] Length of the step.
+
+    Returns
+    -------
+    tuple
+        Motion, sums and shaking after the step; the rate [rad/s, body] without its errors; acceleration [m/s², NED].
+
+    Notes
+    -----
+    White noise is measured by the difference of successive samples, whose variance is twice its own; the mean of three
+    axes, smoothed over a second: S+ = S + t/T (t/6 |f - f_last|² - S).
+    """
+    (fx, fy, fz), (wx, wy, wz) = sample
+    (lfx, lfy, lfz), (lwx, lwy, lwz) = last
+    (bx, by, bz), (dx, dy, dz), (px, py, pz), (qx, qy, qz) = errors
+    true_rate = wx - dx - qx * wx, wy - dy - qy * wy, wz - dz - qz * wz
+    true_force = fx - bx - px * fx, fy - by - py * fy, fz - bz - pz * fz
+    motion, (north, east, down), acceleration, (ax, ay, az) = mechanise(motion, true_force, true_rate, step)
+
+    since, ix, iy, iz, tx, ty, tz = sums
+    sums = since + step, ix + north * step, iy + east * step, iz + down * step, tx + ax, ty + ay, tz + az
+
+    force_shake, rate_shake = shaking
+    share, scale = step / SHAKE_S, step / 6.0
+    share = min(share, 1.0)
+    fx, fy, fz = fx - lfx, fy - lfy, fz - lfz
+    wx, wy, wz = wx - lwx, wy - lwy, wz - lwz
+    force_shake += share * (scale * (fx * fx + fy * fy + fz * fz) - force_shake)
+    rate_shake += share * (scale * (wx * wx + wy * wy + wz * wz) - rate_shake)
+    return motion, sums, (force_shake, rate_shake), true_rate, acceleration

@@ -1,0 +1,114 @@
+"""What is kept from one measurement to the next so that a solution can say how far off it may be."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import hypot, sqrt
+
+from shared.messages import AidingKind
+
+from . import error_model as em
+from .aiding import Outcome
+from .consistency import Evidence
+from .filter import ErrorStateFilter
+from .kalman import chi_square_limit
+
+Block = tuple[float, float, float, float]  # [m²] NN, NE, EE, DD of a position's covariance
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Evidence of positions and velocities, and what the last position has done; replaced, never changed."""
+
+    position: Evidence = field(default_factory=Evidence)
+    velocity: Evidence = field(default_factory=Evidence)
+    used_ns: int = 0  # stamp of the last position that was used
+    anchored: Block = (0.0, 0.0, 0.0, 0.0)  # covariance after it
+    pulled: tuple[float, float] = (0.0, 0.0)  # [m] most that it can have moved the solution unseen, on ground and up
+    contested: tuple[float, float] = (0.0, 0.0)  # [m] by which a position was refused, until one is used again
+
+    def begun(self, time_ns: int, started: ErrorStateFilter) -> "Watch":
+        """Begin with a filter, but keep what is known of the receiver."""
+        return replace(self, used_ns=time_ns, anchored=block(started), pulled=(0.0, 0.0), contested=(0.0, 0.0))
+
+    def after(self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float) -> "Watch":
+        """Learn from a measurement.
+
+        Parameters
+        ----------
+        outcome : Outcome
+            What became of it.
+        before : Block
+            [m²] Covariance of the position before it.
+        navigation : ErrorStateFilter
+            After it.
+        false_alarm : float
+            [-] Probability of the gate that it has passed.
+
+        Returns
+        -------
+        Watch
+
+        Notes
+        -----
+        A fix that passes the gate has moved the solution by K z with zᵀ S⁻¹ z <= T. As K S Kᵀ is the covariance
+        that it took away, the farthest of these moves is √(T λ), λ being the largest eigenvalue of P⁻ - P⁺.
+
+        References
+        ----------
+        The slope of RAIM (R. G. Brown, "A baseline GPS RAIM scheme and a note on the equivalence of three RAIM
+        methods", Navigation 39(3), 1992), for the innovation of a Kalman filter in place of a residual.
+        """
+        if outcome.kind is AidingKind.GNSS_VELOCITY:
+            seen = self.velocity.after(outcome.time_ns, outcome.innovation, outcome.innovation_sd)
+            return replace(self, velocity=seen)
+        if outcome.kind is not AidingKind.GNSS_POSITION:
+            return self
+        z = outcome.innovation
+        seen = self.position.after(outcome.time_ns, z, outcome.innovation_sd)
+        if not outcome.used:
+            contested = (hypot(z[0], z[1]), abs(z[2]) if len(z) > 2 else self.contested[1])
+            return replace(self, position=seen, contested=contested)
+        now, limit = block(navigation), chi_square_limit(len(z), false_alarm)
+        nn, ne, ee, dd = (old - new for old, new in zip(before, now, strict=True))
+        taken = max(0.0, 0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne))
+        pulled = (sqrt(limit * taken), sqrt(limit * max(0.0, dd)))
+        return Watch(seen, self.velocity, outcome.time_ns, now, pulled)
+
+    @property
+    def fault(self) -> tuple[float, float]:
+        """How far [m, ground and up] a wrong fix can have moved it, or by a right one that was refused it is off."""
+        return self.pulled[0] + self.contested[0], self.pulled[1] + self.contested[1]
+
+    @property
+    def overstatement(self) -> float:
+        """By how much the filter overstates what it has learnt."""
+        return max(self.position.overstatement, self.velocity.overstatement)
+
+    @property
+    def scale_horizontal(self) -> float:
+        """How much larger than expected horizontal innovations are, squared."""
+        return max(self.position.scale_horizontal, self.velocity.scale_horizontal)
+
+    @property
+    def scale_vertical(self) -> float:
+        """The same of vertical ones."""
+        return max(self.position.scale_vertical, self.velocity.scale_vertical)
+
+    @property
+    def lasting_horizontal(self) -> float:
+        """Variance [m²] of an error of GNSS that lasts, along the worse axis; the start's until there is evidence."""
+        if not self.position.time_ns:
+            return max(self.anchored[0], self.anchored[2])
+        return max(self.position.lasting(0), self.position.lasting(1))
+
+    @property
+    def lasting_vertical(self) -> float:
+        """The same of the height."""
+        return self.position.lasting(2) if self.position.time_ns else self.anchored[3]
+
+
+def block(navigation: ErrorStateFilter) -> Block:
+    """Take out of the covariance of now what the levels are made of."""
+    navigation.bring_covariance_up()
+    rows: Sequence[Sequence[float]] = navigation.P[em.POSITION, em.POSITION].tolist()
+    return rows[0][0], rows[0][1], rows[1][1], rows[2][2]

@@ -1,0 +1,172 @@
+"""The benchmark on drives: what it pools and prints, and that peers get the files that their makers document."""
+
+import json
+import stat
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.navigation import report
+from benchmarks.navigation.cases import CASES, DRIVES, ROWS, Row
+from benchmarks.navigation.peers import PEERS
+from benchmarks.navigation.peers.common import Given, given, judged, protocol_gaps, thinned
+from benchmarks.navigation.peers.kf_gins import KfGins
+from benchmarks.navigation.peers.ob_gins import at_whole_seconds
+from benchmarks.navigation.runs import MAPPINGS, jobs_of, pooled
+from services.commands.solving.metrics import METRICS
+from tests.support.data import REPOSITORY
+
+PLACE = (np.radians(30.4), np.radians(114.4), 20.0)
+
+
+def test_every_row_names_a_case_and_a_metric_and_every_drive_a_mapping() -> None:
+    assert {row.case for row in ROWS} <= set(CASES)
+    assert {row.metric for row in ROWS} <= set(METRICS)
+    assert all((MAPPINGS / f"{drive.mapping}.toml").is_file() for drive in DRIVES.values())
+    assert {case.drive for case in CASES.values()} <= set(DRIVES)
+
+
+def test_outages_of_shifted_runs_are_judged_as_one_set() -> None:
+    runs = [
+        [{"end_error_m": 3.0, "largest_error_m": 4.0, "distance_m": 300.0}],
+        [{"end_error_m": 1.0, "largest_error_m": 2.0, "distance_m": 5.0}],
+        [{"end_error_m": 2.0, "largest_error_m": 2.0, "distance_m": 100.0}],
+    ]
+    found = pooled(runs)
+    assert found["outage_count"] == 3 and found["outage_end_error_median_m"] == 2.0
+    assert found["outage_largest_error_rms_m"] == pytest.approx(np.sqrt((16 + 4 + 4) / 3))
+    assert found["outage_end_error_share_median"] == pytest.approx(0.015), "5 m of way are none"
+    assert set(found) <= set(METRICS)
+    assert pooled([[]]) == {"outage_count": 0}
+
+
+def test_a_case_is_one_run_or_one_an_outage_pattern() -> None:
+    assert [job.options for job in jobs_of("truck", CASES["truck"])] == [("--score-from", "0.0")]
+    shifted = jobs_of("rtk free 60 s", CASES["rtk free 60 s"])
+    assert [job.options[-1] for job in shifted] == ["60/180@650", "60/180@710", "60/180@770"]
+    assert len({job.folder for job in shifted}) == 3
+
+
+def test_a_missed_goal_is_said_and_units_are_those_of_the_row() -> None:
+    assert report.shown(Row("a", "yaw", "yaw_rmse_rad", "deg"), {"yaw_rmse_rad": np.pi / 180}) == pytest.approx(1.0)
+    assert report.shown(Row("a", "share", "outage_end_error_share_median", "%"),
+                        {"outage_end_error_share_median": 0.02}) == pytest.approx(2.0)  # fmt: skip
+    document = report.Document(
+        measured_at="2026-01-01T00:00:00+00:00", machine="a machine", load_before=0.0, quick=False,
+        cases={"truck": {"yaw_sd_rad": 0.0175}, "balzer": {"fixes_rejected": 0, "filter_resets": 0}},
+        speed={"rtk": {"us_per_sample": 7.123, "samples": 10, "peak_mb": 50.0}},
+        peers={"KF-GINS": {"absent": "OBU_KF_GINS names no program.", "sets": {}}},
+    )  # fmt: skip
+    text = report.page(document)
+    assert "| truck | heading, standard deviation about its mean | 1 deg | <= 1 | **no** |" in text
+    assert "| balzer | resets of the filter | 0 | <= 0 | yes |" in text
+    assert "| ours | rtk | 7.12 | 50 |" in text and "KF-GINS: not run. OBU_KF_GINS names no program." in text
+
+
+def test_the_page_in_the_documentation_is_that_of_the_last_run() -> None:
+    kept = REPOSITORY / "benchmarks" / "results" / "navigation.json"
+    printed = (REPOSITORY / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
+    assert printed == report.HEAD + report.page(json.loads(kept.read_text(encoding="utf-8"))), "run `make drives`"
+
+
+@pytest.fixture
+def small_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Given:
+    """Make a set in the form of rtk_drive_57min, of a car that drives north at 10 m/s for a while."""
+    folder = tmp_path / DRIVES["rtk"].folder
+    folder.mkdir(parents=True)
+    monkeypatch.setenv("OBU_DATA", str(tmp_path))
+    truth_s, imu_s = np.arange(456250.0, 456720.0, 0.05), np.arange(456250.0, 456720.0, 0.05)
+    north = (truth_s - truth_s[0]) * 10.0 / 6_352_000.0
+    lla = np.column_stack([PLACE[0] + north, np.full(len(north), PLACE[1]), np.full(len(north), PLACE[2])])
+    velocity, still = np.tile([10.0, 0.0, 0.0], (len(north), 1)), np.zeros((len(north), 3))
+    np.savez(folder / "truth_20hz.npz", t_s=truth_s, lla=lla, velocity_ned_m_s=velocity, rpy_rad=still)
+    np.savez(folder / "imu.npz", t_s=imu_s, dtheta_rad=still, dvel_m_s=np.tile([0.0, 0.0, -0.49], (len(imu_s), 1)))
+    fixes_s = np.arange(456251.0021, 456719.0, 1.0)
+    lat = np.degrees(PLACE[0] + (fixes_s - truth_s[0]) * 10.0 / 6_352_000.0)
+    columns = [fixes_s, lat, np.full_like(lat, np.degrees(PLACE[1])), np.full_like(lat, PLACE[2])]
+    rest = np.tile([0.01, 0.01, 0.02, 10.0, 0.0, 0.0, 0.03, 0.03, 0.05], (len(lat), 1))
+    np.savetxt(folder / "gnssv.txt", np.column_stack([*columns, rest]), fmt="%.10f")
+    np.savetxt(folder / "odo.txt", np.column_stack([imu_s[::2], np.full(len(imu_s[::2]), 10.0)]), fmt="%.3f")
+    return given("rtk")
+
+
+def test_a_set_is_read_with_the_true_state_at_the_start(small_set: Given) -> None:
+    assert small_set.rate_hz == 20 and small_set.imu.shape[1] == 7 and small_set.gnss.shape[1] == 13
+    assert small_set.initial[:3] == pytest.approx([np.degrees(PLACE[0] + 500.0 / 6_352_000.0), 114.4, 20.0])
+    assert small_set.initial[3:6] == pytest.approx([10.0, 0.0, 0.0])
+
+
+def test_outages_of_peers_are_those_of_obu_solve(small_set: Given) -> None:
+    gaps = protocol_gaps(650)
+    assert len(gaps) == 15 and gaps[0] == (456_900_000_000_000, 456_960_000_000_000)
+    assert gaps[-1][1] == 459_480_000_000_000
+    hidden = small_set.without([(456_300_000_000_000, 456_360_000_000_000)])
+    assert len(small_set.gnss) - len(hidden.gnss) == 60
+
+
+def test_fixes_are_carried_to_the_whole_second_that_ob_gins_wants(small_set: Given) -> None:
+    rows = at_whole_seconds(small_set.gnss)
+    assert rows[:, 0] == pytest.approx(np.round(small_set.gnss[:, 0]), abs=1e-9)
+    back_m = np.radians(small_set.gnss[:, 1] - rows[:, 1]) * 6_352_000.0
+    assert back_m == pytest.approx(0.021, abs=2e-4), "2.1 ms at 10 m/s"
+    fast = small_set.gnss.copy()
+    fast[:, 0] += 0.2
+    assert len(at_whole_seconds(fast)) == 0, "fixes between seconds are left out"
+
+
+def test_a_result_that_is_the_truth_has_no_error(small_set: Given) -> None:
+    time_s = np.arange(456300.0, 456719.0, 0.005)
+    lat = np.degrees(PLACE[0] + (time_s - 456250.0) * 10.0 / 6_352_000.0)
+    rows = np.column_stack([time_s, lat, np.full_like(lat, 114.4), np.full_like(lat, 20.0), np.zeros((len(lat), 6))])
+    rows[:, 4], rows[:, 9] = 10.0, 0.5
+    kept = thinned(rows)
+    assert np.diff(kept[:, 0]) == pytest.approx(0.05, abs=1e-6)
+    found = judged(kept, small_set.truth)
+    assert found["horizontal_rmse_m"] < 0.01, "a meridian's metre is not quite that of a sphere"
+    assert found["velocity_horizontal_rmse_m_s"] == 0.0 and found["yaw_rmse_deg"] == pytest.approx(0.5)
+
+
+FAKE = """#!{python}
+import sys
+from pathlib import Path
+import numpy as np
+import yaml
+
+config = yaml.safe_load(Path(sys.argv[1]).read_text())
+imu, gnss = np.loadtxt(config["imupath"]), np.loadtxt(config["gnsspath"])
+assert imu.shape[1] == config["imudatalen"] == 7 and gnss.shape[1] == 7
+rows = imu[(imu[:, 0] > config["starttime"]) & (imu[:, 0] < gnss[-1, 0]), 0]
+lat = np.interp(rows, gnss[:, 0], gnss[:, 1])
+known = np.tile([config["initpos"][1], config["initpos"][2], *config["initvel"], *config["initatt"]], (len(rows), 1))
+out = np.column_stack([np.zeros(len(rows)), rows, lat, known])
+np.savetxt(Path(config["outputpath"]) / "KF_GINS_Navresult.nav", out, fmt="%.10f")
+"""
+
+
+def test_a_peer_is_fed_by_its_documented_files_and_judged_by_what_it_writes(
+    small_set: Given, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "KF-GINS"
+    program.write_text(FAKE.format(python=sys.executable))
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("OBU_KF_GINS", str(program))
+    peer = KfGins()
+    peer.sets, peer.outages = ("rtk",), False
+    found = peer.measure(tmp_path / "work")
+    assert found["absent"] is None
+    result = found["sets"]["rtk"]
+    assert result["accuracy"]["horizontal_rmse_m"] < 0.01 and result["accuracy"]["yaw_rmse_deg"] == 0.0
+    assert result["us_per_sample"] > 0.0 and result["peak_mb"] > 5.0
+
+
+def test_a_peer_that_is_absent_or_fails_is_said_in_a_sentence(
+    small_set: Given, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for peer in PEERS:
+        monkeypatch.delenv(peer.variable, raising=False)
+        assert f"{peer.variable} names no program." in (peer.measure(tmp_path)["absent"] or "")
+    monkeypatch.setenv("OBU_KF_GINS", "/bin/false")
+    assert "It was started, but failed" in (KfGins().measure(tmp_path / "work")["absent"] or "")
+    assert len(small_set.gnss) > 400

@@ -1,0 +1,51 @@
+"""The trail on disk gives back what it was given, from the end, and forgets what it is told to forget."""
+
+from pathlib import Path
+
+import pytest
+
+from services.commands import spool
+from services.core.fusion.trail import Start
+from shared.errors import UserError
+
+
+def stamps(records: spool.Spool) -> list[int]:
+    return [record.time_ns for record in records.newest_first()]
+
+
+@pytest.fixture(autouse=True)
+def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spool, "CHUNK", 10)
+
+
+def test_it_gives_everything_back_from_the_end(tmp_path: Path) -> None:
+    with spool.Spool(tmp_path) as records:
+        for k in range(57):
+            records.push(Start(k))
+        assert len(records) == 57
+        assert stamps(records) == list(reversed(range(57)))
+        assert stamps(records) == list(reversed(range(57))), "as often as it is asked"
+
+
+@pytest.mark.parametrize("until", [56, 50, 41, 40, 39, 12, 0, -1])
+def test_it_forgets_across_what_is_on_disk_and_goes_on(tmp_path: Path, until: int) -> None:
+    with spool.Spool(tmp_path) as records:
+        for k in range(57):
+            records.push(Start(k))
+        records.forget_after(until)
+        assert stamps(records) == list(reversed(range(until + 1)))
+        for k in range(100, 145):
+            records.push(Start(k))
+        assert stamps(records) == [*reversed(range(100, 145)), *reversed(range(until + 1))]
+
+
+def test_it_leaves_no_file_behind(tmp_path: Path) -> None:
+    with spool.Spool(tmp_path) as records:
+        for k in range(100):
+            records.push(Start(k))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_a_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="choose another folder with --out"):
+        spool.Spool(tmp_path / "missing")
