@@ -68,6 +68,7 @@ class NavigationState(Message):
     samples_rejected: int
     imu_gaps: int
     resets: int
+    lever_arm_error_body_m: tuple[float, float] | None = None  # forward, right: true minus set, if that is wrong
 
 
 class AidingKind(StrEnum):
@@ -95,6 +96,9 @@ class AidingUpdate(Message):
     innovation_sd: tuple[float, ...]
     test_ratio: float  # normalised innovation squared over its limit: above 1 the gate rejects
     used: bool
+    weight_ratio: float = (
+        1.0  # less than 1 of one that was used although it is beyond the gate, 0 of one that was not used
+    )
     reason: Reason | None = None
 
 

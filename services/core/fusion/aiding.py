@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -60,3 +60,19 @@ class Outcome:
     test_ratio: float
     used: bool
     reason: str | None = None
+    weight: float = 1.0  # on the inverse of R
+
+
+class Counts(NamedTuple):
+    """What was used and what was not."""
+
+    fixes_used: int = 0
+    fixes_rejected: int = 0
+    imu_gaps: int = 0
+    resets: int = 0
+
+    def with_position(self, used: bool) -> "Counts":
+        """Count one more position."""
+        if used:
+            return self._replace(fixes_used=self.fixes_used + 1)
+        return self._replace(fixes_rejected=self.fixes_rejected + 1)

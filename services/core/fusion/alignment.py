@@ -19,8 +19,20 @@ from .colour import UNKNOWN
 from .filter import NO_PARAMETERS, ErrorStateFilter
 from .first_place import FirstPlace, first_place
 from .gnss import GnssPosition, GnssVelocity
-from .heading import REST_RATE_SD, Heading, Motion, Prior, drift_sd, heading_of_motion, motion_between, saved_heading
+from .heading import (
+    REST_RATE_SD,
+    Heading,
+    Motion,
+    Prior,
+    drift_sd,
+    forwards_or_backwards,
+    heading_of_accelerations,
+    heading_of_motion,
+    motion_between,
+    saved_heading,
+)
 from .levelling import Levelling, rest_gyroscope_bias
+from .matching import REST_OFFSET_SD, Comparison
 from .settings import Settings
 from .strapdown import InertialState, rotate
 
@@ -44,21 +56,22 @@ class Alignment:
         Of the filter to be.
     lost : ErrorStateFilter, optional
         One that ran before, whose biases are still good.
-    yaw_sd : float, optional
-        [rad] How well its attitude is still known; if not given, not at all.
+    kept : Heading, optional
+        How well its attitude is still known; if not given, not at all. If it was found to be wrong by a turn, tilt,
+        biases and parameters that it has learnt are doubtful.
     """
 
-    def __init__(self, settings: Settings, lost: ErrorStateFilter | None = None, yaw_sd: float | None = None) -> None:
+    def __init__(self, settings: Settings, lost: ErrorStateFilter | None = None, kept: Heading | None = None) -> None:
         self.how = ""  # the heading was found
         self.seen_fix = False
         self._settings = settings
-        self._lost = lost
+        self._lost = None if kept and kept.turn else lost
         self._saved: Prior | None = None
-        self._yaw_sd = yaw_sd
-        keep = lost is not None and yaw_sd is not None
+        self._kept = kept
         self.levelling = (
-            Levelling(settings, lost.inertial.quaternion, lost.gyroscope_bias) if lost and keep else Levelling(settings)
+            Levelling(settings, lost.inertial.quaternion, lost.gyroscope_bias) if lost and kept else Levelling(settings)
         )
+        self.comparison = Comparison()
         self._has_velocity = False
         self._motion: Motion | None = None
         self._course: Heading | None = None
@@ -101,7 +114,9 @@ class Alignment:
         self.levelling.see_speed(hypot(seen.velocity[0], seen.velocity[1]))
         north, east, down = np.sqrt(seen.cov.diagonal()).tolist()
         sd = (north, east, down if seen.axes == 3 else 1.0)
-        self._move(Motion(seen.time_ns, seen.velocity, sd, self._swing()))
+        swing = self._swing()
+        self._compare(seen, swing)
+        self._move(Motion(seen.time_ns, seen.velocity, sd, swing))
 
     def see_heading(self, seen: BaselineHeading) -> None:
         """Take in the heading of the line between two antennas."""
@@ -114,19 +129,35 @@ class Alignment:
         recent = fix.time_ns - int(BASELINE_S * 1e9)
         self._fixes = (*(pair for pair in self._fixes if pair[0].time_ns >= recent), (fix, self.levelling.yaw))
         self._see_displacement()
+        self._compare(fix, self._swing())
         self._fixes_at_rest = (*self._fixes_at_rest[-99:], fix) if self.levelling.at_rest else ()
         if self._motion is None or abs(fix.time_ns - self._motion.time_ns) > MOTION_AGE_S * 1e9:
             self._move(self._motion_without_velocity(fix))
         if self._motion is None or not self.levelling.ready:
             return None
-        kept = None if self._yaw_sd is None else Heading(0.0, self._yaw_sd + drift_sd(self.levelling), "heading kept")
+        heading = self._heading(fix)
+        return self._start(fix, self._motion, heading) if heading else None
+
+    def _heading(self, fix: GnssPosition) -> Heading | None:
+        """Choose the best of all headings that the motion so far does not contradict."""
+        drift = drift_sd(self.levelling)
+        kept = self._kept and self._kept._replace(sd=self._kept.sd + drift)
         saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
-        heading = min(
-            (way for way in (kept, saved, self._course, self._two_antennas(fix)) if way),
+        known = [way for way in (kept, saved) if way and not self.comparison.contradicts(way.turn)]
+        course = self._course and forwards_or_backwards(self._course, self.comparison)
+        matched = heading_of_accelerations(self.comparison)
+        return min(
+            (way for way in (*known, course, matched, self._two_antennas(fix)) if way),
             key=lambda way: way.sd,
             default=None,
         )
-        return self._start(fix, self._motion, heading) if heading else None
+
+    def _compare(self, seen: GnssPosition | GnssVelocity, swing: Vector) -> None:
+        """Hold the velocity of the antenna by inertial sensors alone against GNSS."""
+        if self.levelling.quaternion_at_rest is not None and self.comparison.offset_sd != REST_OFFSET_SD:
+            self.comparison = Comparison(offset_sd=REST_OFFSET_SD)
+        (north, east), (x, y) = self.levelling.velocity, self.levelling.before
+        self.comparison = self.comparison.after(seen, complex(north + x + swing[0], east + y + swing[1]))
 
     def _two_antennas(self, fix: GnssPosition) -> Heading | None:
         fresh = self._baseline is not None and abs(fix.time_ns - self._baseline[0]) <= BASELINE_AGE_S * 1e9
@@ -157,7 +188,7 @@ class Alignment:
 
     def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
         """Make the filter at the instant of the fix."""
-        self.how = heading.how
+        self.how, self.comparison = heading.how, self.comparison.turned(heading.turn).interrupted()
         settings, arm = self._settings, self._settings.lever_arm_body_m
         north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
         quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
@@ -214,4 +245,4 @@ class Alignment:
             return bias, np.eye(3) * REST_RATE_SD**2
         if self._lost is not None:
             return self._lost.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
-        return (0.0, 0.0, 0.0), np.eye(3) * self._settings.gyroscope_bias_sd_rad_s**2
+        return self.levelling.rate_bias, np.eye(3) * self._settings.gyroscope_bias_sd_rad_s**2

@@ -8,9 +8,10 @@ import numpy.typing as npt
 
 from .aiding import Measurement
 from .delayed import order
-from .engine import Sample
-from .navigator import FORCE_LIMIT, RATE_LIMIT, Navigator, Solution
+from .navigator import FORCE_LIMIT, RATE_LIMIT, Navigator
 from .ordinary import Run
+from .samples import Sample, doubts
+from .solution import Solution
 from .stretch import Stretch
 
 FloatArray = npt.NDArray[np.float64]
@@ -58,7 +59,7 @@ def solve(
     engine, pending = navigator.engine, sorted(measurements, key=order)
     (fx, fy, fz, wx, wy, wz), here = rows[0], 0
     engine.step(Sample(stamps[0], (fx, fy, fz), (wx, wy, wz)), [])
-    stretch = Stretch(stamps, rows[1:], compiled)
+    stretch = Stretch(stamps, rows[1:], compiled, {place - 1: doubt for place, doubt in doubts(stamps, rows).items()})
     while here + 1 < len(stamps):
         next_period_ns = (stamps[here] // every_ns + 1) * every_ns
         stop = min(bisect_left(stamps, next_period_ns, here + 1), len(stamps) - 1)

@@ -10,9 +10,10 @@ from collections import deque
 from collections.abc import Sequence
 
 from .aiding import Measurement, Outcome
-from .engine import Engine, Sample
+from .engine import Engine
 from .heading import Prior
 from .ordinary import Run
+from .samples import Sample
 from .settings import Settings
 from .stretch import Stretch
 from .trail import Trail
@@ -100,7 +101,9 @@ class DelayedEngine:
             self.engine.trail.rewind(stamp)
         self._fresh = 0
         again = [sample for sample in self._samples if sample.time_ns > stamp]
-        stretch = Stretch([stamp, *(s.time_ns for s in again)], [[*s.force, *s.rate] for s in again], self._compiled)
+        doubts = {place: sample.doubt for place, sample in enumerate(again) if sample.doubt}
+        stamps, rows = [stamp, *(s.time_ns for s in again)], [[*s.force, *s.rate] for s in again]
+        stretch = Stretch(stamps, rows, self._compiled, doubts)
         outcomes: list[Outcome] = []
         for here in range(0, len(again), KEPT_EVERY):
             stop = min(here + KEPT_EVERY, len(again))

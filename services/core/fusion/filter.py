@@ -215,7 +215,9 @@ class ErrorStateFilter:
         first, last, old = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING, self.parameters
         self.parameters = (*old[:first], *lasting, *old[last:])
 
-    def widen(self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0) -> None:
+    def widen(
+        self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0, height_sd: float = 0.0
+    ) -> None:
         """Admit more error [rad, m/s, m] than the model knows of."""
         self.bring_covariance_up()
         widened = self.P.copy()
@@ -223,6 +225,7 @@ class ErrorStateFilter:
         diagonal[em.ATTITUDE] += attitude_sd**2
         diagonal[em.VELOCITY] += velocity_sd**2
         diagonal[em.POSITION] += position_sd**2
+        diagonal[em.POSITION.stop - 1] += height_sd**2
         self.P = widened
 
     def forget_odometer(self) -> None:

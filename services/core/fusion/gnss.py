@@ -185,8 +185,11 @@ def gnss_measurements(
 
 
 def _trusted(cov: FloatArray | None, default_sd: Vector, floor_sd: float, factor: float) -> FloatArray:
-    """Covariance that is finite, positive definite and not too small; impossible correlations are dropped."""
-    if cov is None:
+    """Covariance that is finite, positive definite and not too small; impossible correlations are dropped.
+
+    A receiver that says zero does not know.
+    """
+    if cov is None or not (np.isfinite(cov).all() and cov.diagonal().max() > 0.0):
         return np.diag(np.square(default_sd))
     stated = np.sqrt(np.clip(cov.diagonal(), floor_sd**2, LARGEST_SD**2))
     correlation = np.clip(cov / np.outer(stated, stated), -1.0, 1.0)

@@ -1,7 +1,7 @@
 """Ways to tell north in the level frame of `levelling`, before the filter runs."""
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, radians, sin, sqrt
+from math import atan2, cos, hypot, pi, radians, sin, sqrt
 from typing import NamedTuple
 
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference, wrap_angle
@@ -9,6 +9,7 @@ from shared.maths.rotation import Vector
 
 from .gnss import GnssPosition
 from .levelling import Levelling
+from .matching import Comparison
 from .settings import Settings
 
 MATCH_S = 20.0  # how long the velocity gained since a rest is good enough to be matched with that of GNSS
@@ -17,6 +18,10 @@ REST_RATE_SD = 2e-4  # [rad/s] of the mean rate over a rest of a few seconds
 SAVED_YAW_SD_FLOOR = radians(0.5)
 MOVED_M = 20.0  # a first fix so far from the saved position says that the vehicle was moved
 FASTEST_M_S = 60.0
+ACCELERATIONS_SD = radians(2.0)  # tilt changes while nobody levels
+ACCELERATIONS_LIMIT = radians(10.0)
+SENSE_LIMIT = radians(25.0)  # to tell forwards from backwards
+COURSE = "course over ground"
 BASELINE_M = 2.0  # shortest distance of two positions that give a course
 BASELINE_SDS = 8.0  # and in standard deviations of position
 
@@ -83,7 +88,21 @@ def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) 
     yaw = levelling.yaw
     sideways = motion.swing[1] * cos(yaw) - motion.swing[0] * sin(yaw)
     turn = wrap_angle(course - atan2(sideways, speed) - yaw)
-    return Heading(turn, hypot(noise, settings.course_yaw_sd_rad), "course over ground")
+    return Heading(turn, hypot(noise, settings.course_yaw_sd_rad), COURSE)
+
+
+def heading_of_accelerations(comparison: Comparison) -> Heading | None:
+    """Match the accelerations of the last half minute; it needs neither rest nor straight mount, but manoeuvres."""
+    turn, sd = comparison.velocities.result(comparison.offset_sd)
+    return Heading(turn, max(sd, ACCELERATIONS_SD), "matched accelerations") if sd < ACCELERATIONS_LIMIT else None
+
+
+def forwards_or_backwards(course: Heading, comparison: Comparison) -> Heading:
+    """Turn a course round if the accelerations so far say that the vehicle reverses."""
+    turn, sd = comparison.result()
+    if course.how != COURSE or sd > SENSE_LIMIT or abs(wrap_angle(turn - course.turn)) < pi - 3.0 * SENSE_LIMIT:
+        return course
+    return Heading(wrap_angle(course.turn + pi), course.sd, f"{COURSE}, backwards")
 
 
 def motion_between(earlier: tuple[GnssPosition, float], later: tuple[GnssPosition, float]) -> Motion | None:

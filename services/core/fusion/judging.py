@@ -1,10 +1,15 @@
 """Which observations the filter is given, with what weight, and how a device that was wrong earns its way back."""
 
+from typing import NamedTuple
+
 from shared.messages import AidingKind
 
+from . import arms
 from .aiding import Measurement, Observation, Outcome
 from .filter import ErrorStateFilter
-from .kalman import chi_square_limit
+from .gnss import GnssPosition, GnssVelocity, antenna_velocity
+from .kalman import Correction, chi_square_limit
+from .matching import Comparison, Corrections
 from .settings import Settings
 
 # A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
@@ -12,6 +17,38 @@ WIDENING = {
     AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
     AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
 }
+TOLD_LIMIT = 9.0  # times the gate: what is beyond it tells nothing of the lever arm
+FORGIVEN_S = 60.0  # without a fault, after which the ones before are forgotten
+
+
+class Standing(NamedTuple):
+    """What a device has to show for one kind of observation."""
+
+    wrong_ns: int | None = None  # since when all has been refused
+    sound_ns: int | None = None  # since when a device at fault agrees again
+    faults: int = 0
+    fault_ns: int = 0  # when the newest began or ended
+    excluded: bool = False
+
+    def after(self, time_ns: int, agrees: bool, settings: Settings) -> "Standing":
+        """Take in whether an observation was near enough to be used.
+
+        What is refused for `fault_after_s` is a fault, which excludes the device until all that it says has agreed for
+        `healthy_s`, twice as long after each further fault within a minute, but not longer than `healthy_max_s`.
+        """
+        if not agrees:
+            since = time_ns if self.wrong_ns is None else self.wrong_ns
+            if self.excluded or time_ns - since < settings.fault_after_s * 1e9:
+                return self._replace(wrong_ns=since, sound_ns=None)
+            recent = time_ns - self.fault_ns < FORGIVEN_S * 1e9
+            return Standing(since, None, 1 + (self.faults if recent else 0), time_ns, excluded=True)
+        if not self.excluded:
+            return self if self.wrong_ns is None else self._replace(wrong_ns=None)
+        since = time_ns if self.sound_ns is None else self.sound_ns
+        needed_s = min(settings.healthy_s * 2.0 ** (self.faults - 1), settings.healthy_max_s)
+        if time_ns - since >= needed_s * 1e9:
+            return Standing(faults=self.faults, fault_ns=time_ns)
+        return self._replace(wrong_ns=None, sound_ns=since)
 
 
 class Judge:
@@ -19,6 +56,11 @@ class Judge:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
+        self.corrections = Corrections()
+        self.comparison = Comparison()  # of the filter's heading with GNSS
+        self.arm = arms.begun()
+        self._height_ns: int | None = None  # since when heights have been refused
+        self._standings: dict[tuple[str, AidingKind], Standing] = {}
 
     def fork(self) -> "Judge":
         """Copy that goes its own way."""
@@ -26,15 +68,75 @@ class Judge:
         twin.__dict__.update(self.__dict__)
         return twin
 
+    def acquit(self, comparison: Comparison) -> None:
+        """Begin with all devices in good standing: it was the filter that was wrong, and it is a new one."""
+        self._standings, self.corrections, self.arm = {}, Corrections(), arms.begun()
+        self.comparison = comparison
+
+    def compare(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> tuple[float, float] | None:
+        """Turn [rad] by which the filter's heading is wrong, and its standard deviation; None if it is not."""
+        corrections = self.corrections.at(seen.time_ns)
+        own = antenna_velocity(navigation, seen.lever_arm) + navigation.inertial.velocity
+        self.corrections = corrections._replace(yaw=0.0)
+        pure = complex(own[0], own[1]) + corrections.velocity
+        self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
+        return self.comparison.result() if self.comparison.is_wrong(seen.time_ns) else None
+
     def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
-        """Use an observation if its d² is within the limit of d²."""
+        """Use an observation if its d² is within the limit of d², with less weight up to `robust_limit` times it.
+
+        A position whose height alone is beyond it is used without its height.
+        """
+        correction, ratio = self._weigh(navigation, seen)
+        limit = self._settings.robust_limit if seen.kind in WIDENING else 1.0
+        if ratio > limit and seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3:
+            level = Observation(seen.kind, seen.z[:2], seen.H[:2], seen.R[:2, :2])
+            flat, flat_ratio = self._weigh(navigation, level)
+            if flat_ratio <= 1.0:
+                told = self._judge(navigation, measurement, level, flat, flat_ratio, self._height(seen))
+                self._follow_height(navigation, seen, measurement.time_ns)
+                return told
+        return self._judge(navigation, measurement, seen, correction, ratio, None)
+
+    def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:
         correction = navigation.weigh(seen.z, seen.H, seen.R)
-        ratio = correction.distance2 / chi_square_limit(len(seen.z), self._settings.gate_false_alarm)
-        used = ratio <= 1.0 and seen.unfit is None
-        if used:
-            navigation.accept(correction)
-        elif seen.kind in WIDENING:
+        return correction, correction.distance2 / chi_square_limit(len(seen.z), self._settings.gate_false_alarm)
+
+    def _height(self, seen: Observation) -> str:
+        return f"height beyond the gate by {-float(seen.z[2]):.0f} m: used without it"
+
+    def _follow_height(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int) -> None:
+        """Take a height over that has been refused for as long as a reset needs."""
+        self._height_ns = time_ns if self._height_ns is None else self._height_ns
+        if time_ns - self._height_ns >= self._settings.reset_after_s * 1e9:
+            self._height_ns = None
+            navigation.widen(height_sd=abs(float(seen.z[2])))
+
+    def _judge(
+        self,
+        navigation: ErrorStateFilter,
+        measurement: Measurement,
+        seen: Observation,
+        correction: Correction,
+        ratio: float,
+        remark: str | None,
+    ) -> Outcome:
+        gnss = seen.kind in WIDENING
+        if gnss and ratio < TOLD_LIMIT:
+            self._watch_arm(navigation, measurement, seen)
+        limit = self._settings.robust_limit if gnss else 1.0
+        excluded = gnss and self._is_excluded(measurement, seen.kind, ratio <= limit)
+        refused = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
+        refused = seen.unfit or refused
+        weight = 0.0 if refused else _weight(ratio, limit)
+        if not refused:
+            lighter = correction if weight == 1.0 else navigation.weigh(seen.z, seen.H, seen.R / weight)
+            navigation.accept(lighter)
+            self.corrections = self.corrections.after(measurement.time_ns, lighter.x[:5].tolist())
+        if gnss and refused and ratio > 1.0:
             navigation.widen(**WIDENING[seen.kind])
+        if seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3 and not refused:
+            self._height_ns = None
         return Outcome(
             measurement.time_ns,
             measurement.source,
@@ -42,6 +144,27 @@ class Judge:
             tuple(seen.z.tolist()),
             tuple(correction.innovation_sd.tolist()),
             ratio,
-            used,
-            None if used else seen.unfit or "beyond the gate",
+            refused is None,
+            refused or remark,
+            weight,
         )
+
+    def _watch_arm(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> None:
+        S = seen.H @ navigation.P @ seen.H.T + seen.R
+        gain = 1.0 - float(seen.R[0, 0] + seen.R[1, 1]) / float(S[0, 0] + S[1, 1])
+        position = seen.kind is AidingKind.GNSS_POSITION
+        self.arm = self.arm.after(measurement.time_ns, navigation, seen.z, S, gain=gain, position=position)
+
+    def _is_excluded(self, measurement: Measurement, kind: AidingKind, agrees: bool) -> bool:
+        """Keep the books of GNSS, and say whether what it says now is of no account."""
+        key = measurement.source, kind
+        before = self._standings.get(key, Standing())
+        after = before.after(measurement.time_ns, agrees, self._settings)
+        if after is not before:
+            self._standings = {**self._standings, key: after}
+        return after.excluded
+
+
+def _weight(ratio: float, limit: float) -> float:
+    """Full weight within the gate, none at the limit, and Tukey's biweight between them."""
+    return 1.0 if ratio <= 1.0 else max(1e-3, ((limit - ratio) / (limit - 1.0)) ** 2)

@@ -111,12 +111,14 @@ class Levelling:
         self.rate_bias = bias  # [rad/s, body] mean rate of the last rest: gyroscope bias and the Earth's rate
         self.quaternion_at_rest: Quaternion | None = None  # of the rest that `rate_bias` is from
         self.velocity = (0.0, 0.0)  # [m/s, level frame] gained since the last rest
+        self.before = (0.0, 0.0)  # [m/s, level frame] gained up to then, and what levelling has kept from it
+        self._leant = (0.0, 0.0)  # [m/s²] that levelling has taken for tilt so far
         self.moving_s = 0.0  # since the last rest
         self.yaw_at_start: float | None = None  # in the level frame, of a vehicle that stood when all this began
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] last sample, mean rate of the rest removed
         self._started = self.ready
         self._longest_s = 0.0  # of all rests
-        self._elapsed_s = 0.0
+        self._elapsed_s = SLOW_S if self.ready else 0.0
         self._unrest_s = 0.0
         self._fast_s = 0.0
         self._rest = _Rest()
@@ -181,6 +183,9 @@ class Levelling:
         share = step_s / min(self._elapsed_s, SLOW_S) / STANDARD_GRAVITY
         correction = quaternion_from_rotation_vector((-east * share, north * share, 0.0))
         self.quaternion = normalised(quaternion_product(correction, self.quaternion))
+        (a, b), (x, y) = self._leant, self.before
+        self._leant = a + STANDARD_GRAVITY * share * north, b + STANDARD_GRAVITY * share * east
+        self.before = x + a * step_s, y + b * step_s
 
     def _close(self, block: "_Block") -> None:
         """Decide whether the last half second was rest."""
@@ -205,6 +210,8 @@ class Levelling:
         self.quaternion_at_rest = self.quaternion
         if self.yaw_at_start is None and self._unrest_s < MOTION_S:  # doors and starters shake, too
             self.yaw_at_start = self.yaw
+        (north, east), (x, y) = self.velocity, self.before
+        self.before = (x + north, y + east)
         self.velocity, self.moving_s = (0.0, 0.0), 0.0
 
 

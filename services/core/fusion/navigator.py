@@ -9,26 +9,25 @@ solution = navigator.solution()
 from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
-from shared.maths.rotation import Vector, roll_pitch_yaw
+from shared.maths.rotation import Vector
 from shared.messages import NavigationPhase
 
 from . import barometer, compass
-from . import error_model as em
-from .aiding import Measurement, Outcome
+from .aiding import Counts, Measurement, Outcome
 from .delayed import DelayedEngine
-from .engine import Counts, Engine, Sample
+from .engine import Engine
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .ordinary import Run
-from .protection import protection_levels
+from .samples import Repeats, Sample, begun
 from .settings import Settings
+from .solution import Solution, solution_of
 from .trail import Trail
 from .wheels import WheelSpeed
 
@@ -40,30 +39,6 @@ FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheels say more often what they say
 BACKWARDS_LIMIT = 100  # successive samples from the past, after which it is the clock that was set back
-
-
-@dataclass(frozen=True)
-class Solution:
-    """State of the IMU at an inertial sample, with covariances (3, 3) in m², m²/s² and rad², NED."""
-
-    time_ns: int
-    phase: NavigationPhase
-    position: Geodetic
-    velocity: Vector
-    roll: float
-    pitch: float
-    yaw: float
-    position_cov: FloatArray
-    velocity_cov: FloatArray
-    attitude_cov: FloatArray
-    rate: Vector
-    accelerometer_bias: Vector
-    gyroscope_bias: Vector
-    stationary: bool
-    gnss_age_s: float | None
-    protection_level_horizontal: float  # [m] beyond which the error is with probability `integrity_risk`
-    protection_level_vertical: float  # [m] the same of the height
-    integrity_risk: float
 
 
 class Navigator:
@@ -80,11 +55,18 @@ class Navigator:
         self.samples_rejected = 0
         self._delayed = DelayedEngine(self.settings, compiled)
         self._backwards = 0
+        self._repeats: Repeats | None = None
         self._used_ns: dict[str, int] = {}  # stamp of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
-        self, time_ns: int, force: Sequence[float], rate: Sequence[float], received_ns: int | None = None
+        self,
+        time_ns: int,
+        force: Sequence[float],
+        rate: Sequence[float],
+        received_ns: int | None = None,
+        *,
+        saturated: bool = False,
     ) -> list[Outcome]:
         """Take one inertial sample, and use what has waited for it: `advance` and `release` in one.
 
@@ -98,16 +80,20 @@ class Navigator:
             [rad/s, body] Angular rate as measured.
         received_ns : int, optional
             When it arrived at the driver; `time_ns` if not given.
+        saturated : bool
+            Whether the sensor says that it was driven beyond its range.
 
         Returns
         -------
         list of Outcome
             What became of the measurements that were used now.
         """
-        outcomes = self.advance(time_ns, force, rate)
+        outcomes = self.advance(time_ns, force, rate, saturated=saturated)
         return outcomes + self.release(time_ns if received_ns is None else received_ns)
 
-    def advance(self, time_ns: int, force: Sequence[float], rate: Sequence[float]) -> list[Outcome]:
+    def advance(
+        self, time_ns: int, force: Sequence[float], rate: Sequence[float], *, saturated: bool = False
+    ) -> list[Outcome]:
         """Take one inertial sample, without what has waited for it: that can take twenty times as long."""
         fx, fy, fz = force
         wx, wy, wz = rate
@@ -119,7 +105,12 @@ class Navigator:
             return []
         self._backwards = 0
         self.samples_used += 1
-        return self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)))
+        readings = (fx, fy, fz, wx, wy, wz)
+        repeats = self._repeats = self._repeats.after(time_ns, readings) if self._repeats else begun(time_ns, readings)
+        doubt = "gyroscope saturated" if saturated else repeats.doubt()
+        if doubt:
+            self.rejects[doubt] += 1
+        return self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz), doubt))
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -234,43 +225,14 @@ class Navigator:
         """What was used, rejected, bridged and reset."""
         return self._delayed.engine.counts
 
+    @property
+    def lever_arm_error(self) -> tuple[float, float] | None:
+        """True minus assumed lever arm [m, forward and right], if GNSS contradicts the setting in turns."""
+        return self._delayed.engine.aids.judge.arm.wrong()
+
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is none to be believed."""
-        engine = self._delayed.engine
-        navigation = engine.filter
-        if navigation is None:
-            return None
-        roll, pitch, yaw = roll_pitch_yaw(navigation.ned_from_body)
-        time_ns = navigation.inertial.time_ns
-        position_cov = navigation.P[em.POSITION, em.POSITION]
-        levels = protection_levels(
-            position_cov.tolist(),
-            navigation.inertial.velocity,
-            time_ns,
-            engine.watch,
-            risk=self.settings.integrity_risk,
-            time_sd_s=self.settings.gnss_time_sd_s,
-        )
-        return Solution(
-            time_ns=time_ns,
-            phase=engine.phase,
-            position=navigation.inertial.position,
-            velocity=navigation.inertial.velocity,
-            roll=roll,
-            pitch=pitch,
-            yaw=yaw,
-            position_cov=position_cov,
-            velocity_cov=navigation.P[em.VELOCITY, em.VELOCITY],
-            attitude_cov=navigation.P[em.ATTITUDE, em.ATTITUDE],
-            rate=navigation.rate,
-            accelerometer_bias=navigation.accelerometer_bias,
-            gyroscope_bias=navigation.gyroscope_bias,
-            stationary=engine.stationary,
-            gnss_age_s=None if engine.accepted_ns is None else (time_ns - engine.accepted_ns) * 1e-9,
-            protection_level_horizontal=levels.horizontal,
-            protection_level_vertical=levels.vertical,
-            integrity_risk=levels.risk,
-        )
+        return solution_of(self._delayed.engine, self.settings)
 
     def release(self, received_ns: int) -> list[Outcome]:
         """Use what has waited long enough, when a sample has arrived at `received_ns`."""

@@ -69,7 +69,7 @@ class Process:
         translate.give_environment(self._navigator, batch)
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         for sampled_ns, force, rate in samples:
-            outcomes = self._navigator.advance(sampled_ns, force, rate)
+            outcomes = self._navigator.advance(sampled_ns, force, rate, saturated=batch.saturated)
             yield from self._solution(sampled_ns)  # first: whoever needs it shall not wait for what is late anyway
             yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))
             yield from self._state(sampled_ns)

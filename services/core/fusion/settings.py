@@ -102,6 +102,20 @@ class Settings(Section):
     gate_false_alarm: float = Field(
         default=0.001, gt=0.0, lt=0.5, description="probability with which a good measurement is refused"
     )
+    robust_limit: float = Field(
+        default=2.0,
+        ge=1.0,
+        description="times the gate, in d²: up to it GNSS is used with less weight",
+    )
+    fault_after_s: float = Field(
+        default=2.0,
+        ge=0.0,
+        description="GNSS that is refused for so long is at fault and has to prove itself",
+    )
+    healthy_s: float = Field(
+        default=1.0, ge=0.0, description="how long all that it says must agree again; doubled by each further fault"
+    )
+    healthy_max_s: float = Field(default=8.0, ge=0.0, description="longest time of that kind")
     reset_after_rejections: int = Field(default=10, ge=1, description="successive refused positions, and")
     reset_after_s: float = Field(default=5.0, ge=0.0, description="so long without an accepted one, begin again")
     integrity_risk: float = Field(

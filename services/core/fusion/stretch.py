@@ -1,13 +1,14 @@
 """Successive samples that are all there, and how an engine gets through them: together where they are ordinary."""
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .aiding import Measurement, Outcome
-from .engine import Engine, Sample
+from .engine import Engine
 from .ordinary import Rows, Run, Stamps, run
+from .samples import Sample
 
 
 class Stretch:
@@ -21,10 +22,20 @@ class Stretch:
         [m/s², rad/s, body] Specific force and angular rate that end at the second stamp, the third, and so on.
     compiled : callable, optional
         What a compiler has made of `ordinary.run`: see `fast`.
+    doubts : mapping
+        What is wrong with samples, by their row.
     """
 
-    def __init__(self, stamps_ns: list[int], rows: list[list[float]], compiled: Run | None) -> None:
+    def __init__(
+        self,
+        stamps_ns: list[int],
+        rows: list[list[float]],
+        compiled: Run | None,
+        doubts: Mapping[int, str] | None = None,
+    ) -> None:
         self._stamps_ns = stamps_ns
+        self._doubts = doubts or {}
+        self._doubtful = sorted(self._doubts)
         self._rows = rows
         self._run = compiled or run
         # A compiler wants arrays; Python is faster with lists.
@@ -39,6 +50,7 @@ class Stretch:
             free = (
                 stop if next_ == len(due) else min(stop, bisect_left(self._stamps_ns, due[next_].time_ns, here + 1) - 1)
             )
+            free = min([free, *self._doubtful[(k := bisect_left(self._doubtful, here)) : k + 1]])
             if free > here:
                 taken = engine.stride(self._run, times_ns[here : free + 1], rows[here:free])
                 here += taken
@@ -46,7 +58,9 @@ class Stretch:
                     continue
             stamp_ns, (fx, fy, fz, wx, wy, wz) = self._stamps_ns[here + 1], self._rows[here]
             used = bisect_right(due, stamp_ns, next_, key=_time_ns)
-            outcomes += engine.step(Sample(stamp_ns, (fx, fy, fz), (wx, wy, wz)), due[next_:used])
+            outcomes += engine.step(
+                Sample(stamp_ns, (fx, fy, fz), (wx, wy, wz), self._doubts.get(here)), due[next_:used]
+            )
             here += 1
         return outcomes
 

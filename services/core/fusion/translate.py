@@ -26,8 +26,9 @@ from .aiding import Measurement, Outcome
 from .baseline import BaselineHeading
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
-from .navigator import Navigator, Solution
+from .navigator import Navigator
 from .settings import Settings
+from .solution import Solution
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -168,6 +169,7 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
         innovation_sd=outcome.innovation_sd,
         test_ratio=outcome.test_ratio,
         used=outcome.used,
+        weight_ratio=outcome.weight,
         reason=outcome.reason,
     )
 
@@ -187,6 +189,7 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         samples_rejected=navigator.samples_rejected,
         imu_gaps=counts.imu_gaps,
         resets=counts.resets,
+        lever_arm_error_body_m=navigator.lever_arm_error,
     )
 
 

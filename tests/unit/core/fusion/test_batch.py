@@ -10,12 +10,13 @@ import pytest
 
 from services.core.fusion.aiding import Measurement
 from services.core.fusion.batch import solve
-from services.core.fusion.engine import Sample
 from services.core.fusion.fast import compiled_run
 from services.core.fusion.heading import Prior
-from services.core.fusion.navigator import Navigator, Solution
+from services.core.fusion.navigator import Navigator
 from services.core.fusion.ordinary import Run
+from services.core.fusion.samples import Sample
 from services.core.fusion.settings import Settings
+from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages import NavigationPhase

@@ -8,8 +8,9 @@ import pytest
 from scipy.stats import chi2
 
 from services.commands.papers_navigation import navigate, position_errors, saved_heading
-from services.core.fusion.navigator import Navigator, Solution
+from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
+from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from services.core.fusion.aiding import Outcome
 from services.core.fusion.heading import Prior
-from services.core.fusion.navigator import Navigator, Solution
+from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
+from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages import AidingKind, NavigationPhase
@@ -271,7 +272,8 @@ def test_every_measurement_yields_an_outcome() -> None:
         AidingKind.ZERO_ANGULAR_RATE,
         AidingKind.NON_HOLONOMIC,
     }
-    assert all((o.test_ratio <= 1.0) == o.used == (o.reason is None) for o in run.outcomes)
+    assert all(o.used == (o.reason is None) == (o.weight > 0.0) for o in run.outcomes)
+    assert all((o.weight == 1.0) == (o.test_ratio <= 1.0) for o in run.outcomes)
 
 
 def test_a_jump_is_refused_and_a_lasting_one_resets_with_its_reason() -> None:

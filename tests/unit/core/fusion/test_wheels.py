@@ -169,8 +169,8 @@ def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> Non
 def test_only_wheels_that_stand_now_widen_the_limit_of_the_detector(speed: float, supports: bool) -> None:
     made = navigator()
     feed(made, np.where(np.arange(1101) > 1050, speed, drive().odometer))
-    engine = made._delayed.engine
+    aids = made.engine.aids
     inside = filter_of(made)
     inside.widen(velocity_sd=1.0)
-    assert (engine._speed_at_rest(inside.inertial.time_ns, inside) > 3.0) is supports
-    assert engine._speed_at_rest(inside.inertial.time_ns + 3 * 10**9, inside) == 0.3, "it was too long ago"
+    assert (aids.speed_at_rest(inside.inertial.time_ns, inside) > 3.0) is supports
+    assert aids.speed_at_rest(inside.inertial.time_ns + 3 * 10**9, inside) == 0.3, "it was too long ago"

@@ -1,0 +1,77 @@
+"""Which devices the filter listens to, and what is learnt of each while it does."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import sqrt
+
+from . import error_model as em
+from .aiding import Measurement, Outcome
+from .compass import CompassCheck, MagneticHeading
+from .filter import ErrorStateFilter
+from .gnss import GnssPosition
+from .judging import Judge
+from .settings import Settings
+from .stationary import SPEED_LIMIT
+from .watch import Watch, block
+from .wheels import WheelSpeed
+
+ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
+ZERO_SDS = 3.0  # of the velocity, within which a speed of zero is believed
+
+
+class Aids:
+    """Leads measurements to the filter; what it knows is replaced and never changed in place."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.judge = Judge(settings)
+        self.watch = Watch()
+        self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
+        self._compass = CompassCheck()
+
+    def fork(self) -> "Aids":
+        """Copy that goes its own way."""
+        twin = Aids.__new__(Aids)
+        twin.__dict__.update(self.__dict__)
+        twin.judge = self.judge.fork()
+        return twin
+
+    @property
+    def wheels_stand(self) -> bool:
+        """Whether the newest speed was zero."""
+        return self._odometer is not None and self._odometer.speed == 0.0
+
+    def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
+        """Hold a measurement against the filter, unless a better device says the same."""
+        if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, navigation):
+            return
+        if isinstance(measurement, MagneticHeading):
+            self._compass = self._compass.judged(measurement, navigation)
+            measurement = replace(measurement, check=self._compass)
+        used = False
+        for observe in measurement.observers():
+            before = block(navigation)
+            outcome = self.judge.judge(navigation, measurement, observe(navigation))
+            self.watch = self.watch.after(outcome, before, navigation, self._settings.gate_false_alarm)
+            used = outcome.used
+            yield outcome
+        if isinstance(measurement, GnssPosition) and used:
+            measurement.teach(navigation)
+
+    def speed_at_rest(self, time_ns: int, navigation: ErrorStateFilter) -> float:
+        """Find the speed [m/s] up to which the vehicle may be at rest: more, if wheels that stand make it likely."""
+        seen = self._odometer
+        if seen is None or seen.speed != 0.0 or time_ns - seen.time_ns > ODOMETER_SILENT_NS:
+            return SPEED_LIMIT
+        return max(SPEED_LIMIT, ZERO_SDS * sqrt(float(navigation.P.diagonal()[em.VELOCITY].sum())))
+
+    def _is_spare(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
+        """Whether another odometer is in use; one that takes its place has a scale of its own."""
+        used = self._odometer
+        if used is not None and (used.source, used.of_wheels) != (seen.source, seen.of_wheels):
+            better = seen.of_wheels and not used.of_wheels
+            if not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS:
+                return True
+            navigation.forget_odometer()
+        self._odometer = seen
+        return False

@@ -1,0 +1,79 @@
+"""What the navigator tells of its state."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import Geodetic
+from shared.maths.rotation import Vector, roll_pitch_yaw
+from shared.messages import NavigationPhase
+
+from . import error_model as em
+from .engine import Engine
+from .protection import protection_levels
+from .settings import Settings
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """State of the IMU at an inertial sample, with covariances (3, 3) in m², m²/s² and rad², NED."""
+
+    time_ns: int
+    phase: NavigationPhase
+    position: Geodetic
+    velocity: Vector
+    roll: float
+    pitch: float
+    yaw: float
+    position_cov: FloatArray
+    velocity_cov: FloatArray
+    attitude_cov: FloatArray
+    rate: Vector
+    accelerometer_bias: Vector
+    gyroscope_bias: Vector
+    stationary: bool
+    gnss_age_s: float | None
+    protection_level_horizontal: float  # [m] beyond which the error is with probability `integrity_risk`
+    protection_level_vertical: float  # [m] the same of the height
+    integrity_risk: float
+
+
+def solution_of(engine: Engine, settings: Settings) -> Solution | None:
+    """State at the newest inertial sample, or None while there is none to be believed."""
+    navigation = engine.filter
+    if navigation is None:
+        return None
+    roll, pitch, yaw = roll_pitch_yaw(navigation.ned_from_body)
+    time_ns = navigation.inertial.time_ns
+    position_cov = navigation.P[em.POSITION, em.POSITION]
+    levels = protection_levels(
+        position_cov.tolist(),
+        navigation.inertial.velocity,
+        time_ns,
+        engine.aids.watch,
+        risk=settings.integrity_risk,
+        time_sd_s=settings.gnss_time_sd_s,
+    )
+    return Solution(
+        time_ns=time_ns,
+        phase=engine.phase,
+        position=navigation.inertial.position,
+        velocity=navigation.inertial.velocity,
+        roll=roll,
+        pitch=pitch,
+        yaw=yaw,
+        position_cov=position_cov,
+        velocity_cov=navigation.P[em.VELOCITY, em.VELOCITY],
+        attitude_cov=navigation.P[em.ATTITUDE, em.ATTITUDE],
+        rate=navigation.rate,
+        accelerometer_bias=navigation.accelerometer_bias,
+        gyroscope_bias=navigation.gyroscope_bias,
+        stationary=engine.stationary,
+        gnss_age_s=None if engine.accepted_ns is None else (time_ns - engine.accepted_ns) * 1e-9,
+        protection_level_horizontal=levels.horizontal,
+        protection_level_vertical=levels.vertical,
+        integrity_risk=levels.risk,
+    )

@@ -1,0 +1,124 @@
+"""Switch-on anywhere: how soon and how well does the unit know where the vehicle points?
+
+The demand is 3 degrees within 5 s of exceeding 3 m/s, with heading unknown and no standstill asked for. Measured with
+the starts below: always with receivers that tell velocity; the others are in `docs/explanation/navigation.md`.
+"""
+
+from math import degrees, inf, radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from services.core.fusion.heading import Prior
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from shared.maths.earth import Geodetic
+from tests.support.starts import Leg, Receiver, Start, drive, manoeuvre
+
+LIMIT = radians(3.0)
+REVERSING_OUT: tuple[Leg, ...] = (
+    (3, 0, 0),
+    (3, -1.0, -0.1),
+    (1, 0, -0.1),
+    (3, 1.0, 0),
+    (1, 0, 0),
+    (6, 1.5, 0),
+    (9, 0, 0.01),
+)
+REVERSING_LONG: tuple[Leg, ...] = ((3, 0, 0), (3, -1.0, 0), (12, 0, 0), (3, 1.0, 0), (2, 0, 0), (6, 1.5, 0))
+DRIVING_OFF: tuple[Leg, ...] = ((3, 0, 0), (6, 1.5, 0), (10, 0, 0.02), (6, 0, -0.02))
+WITH_VELOCITY = [Receiver(1), Receiver(5), Receiver(10)]
+
+
+def moments(scenario: str, seed: int, duration_s: float, moving: bool) -> npt.NDArray[np.floating]:
+    """Times in motion, or just before driving off."""
+    d = drive(scenario, seed, duration_s)
+    speed = np.hypot(d.velocity_n[:, 0], d.velocity_n[:, 1])[:-2500]
+    if moving:
+        return np.flatnonzero(speed > 4.0) * 0.01
+    return np.flatnonzero((speed[1:] > 0.0) & (speed[:-1] == 0.0)) * 0.01 - 0.1
+
+
+@pytest.mark.parametrize("moving", [False, True], ids=["from rest without levelling", "at speed"])
+@pytest.mark.parametrize(
+    ("scenario", "seed", "duration_s"), [("parking_lot", 1, 240.0), ("urban", 2, 300.0), ("tunnel", 3, 200.0)]
+)
+def test_an_unknown_heading_is_known_five_seconds_after_three_metres_a_second(
+    scenario: str, seed: int, duration_s: float, moving: bool
+) -> None:
+    """Bends, slopes and straights, at 1, 5 and 10 Hz, with the errors of a receiver without corrections."""
+    rng = np.random.default_rng(seed)
+    times = moments(scenario, seed, duration_s, moving)
+    for k, receiver in enumerate(WITH_VELOCITY):
+        start = Start(drive(scenario, seed, duration_s), receiver, float(rng.choice(times)), rng.uniform(0.0, 1.5), k)
+        settled_s, _, how = start.known_after_s(LIMIT, 20.0)
+        assert settled_s <= 5.0, (start.at_s, receiver, how)
+
+
+def errors_of(start: Start, made: Navigator, duration_s: float) -> dict[float, float]:
+    """Error of the heading [degrees] by time, none while there is no solution."""
+    found = {}
+    for i, navigator in start.lead(made, duration_s):
+        solution = navigator.solution()
+        found[round(i * 0.01, 2)] = degrees(start.yaw_error(i, solution)) if solution else inf
+    return found
+
+
+def plain(start: Start) -> Navigator:
+    return Navigator(Settings(lever_arm_body_m=start.drive.lever_arm_b))
+
+
+@pytest.mark.parametrize("receiver", WITH_VELOCITY)
+@pytest.mark.parametrize("at_s", [0.0, 2.9, 6.0], ids=["after a rest", "without a rest", "while it reverses"])
+def test_reversing_out_of_a_parking_space_is_not_taken_for_driving_forwards(receiver: Receiver, at_s: float) -> None:
+    start = Start(manoeuvre(REVERSING_OUT, seed=3, yaw=1.0), receiver, at_s, 0.3, 1)
+    errors = errors_of(start, plain(start), 30.0)
+    assert all(abs(error) < 15.0 for error in errors.values() if error != inf)
+    assert abs(errors[14.0]) < LIMIT * 60.0
+
+
+@pytest.mark.parametrize("receiver", [Receiver(1), Receiver(5)])
+def test_a_vehicle_switched_on_at_even_speed_backwards_is_put_right_when_it_brakes(receiver: Receiver) -> None:
+    """Nothing tells forwards from backwards at even speed; braking begins at 18 s."""
+    start = Start(manoeuvre(REVERSING_LONG, seed=3, yaw=1.0), receiver, 7.0, 0.3, 1)
+    made = plain(start)
+    errors = errors_of(start, made, 30.0)
+    assert abs(errors[17.9]) > 170.0
+    assert abs(errors[21.0]) < 15.0 and abs(errors[26.0]) < 3.0
+    assert made.counts.resets == 1
+
+
+@pytest.mark.parametrize("receiver", [Receiver(1), Receiver(5), Receiver(10)])
+@pytest.mark.parametrize("wrong_deg", [180.0, 90.0, -60.0])
+def test_a_saved_heading_that_is_wrong_is_found_out_soon_after_driving_off(
+    receiver: Receiver, wrong_deg: float
+) -> None:
+    """The vehicle was turned on a tow truck; it drives off at 3 s with 1.5 m/s²."""
+    start = Start(manoeuvre(DRIVING_OFF, seed=3, yaw=1.0), receiver, 0.0, 0.3, 1)
+    made, place = plain(start), Geodetic(*start.drive.position[0].tolist())
+    made.remember(Prior(place, (1.0, 1.0, 2.0), 1.0 + radians(wrong_deg), radians(1.0)))
+    reasons = set()
+    errors = {}
+    for i, navigator in start.lead(made, 25.0):
+        solution = navigator.solution()
+        errors[i] = degrees(start.yaw_error(i, solution)) if solution else inf
+        reasons.add(navigator.reason)
+    wrong = [i for i, error in errors.items() if error != inf and abs(error) > 20.0]
+    assert max(wrong) < 850, "5.5 s after driving off, and 3.5 s after 3 m/s"
+    assert max(abs(errors[i]) for i in range(1200, 2499)) < 3.0
+    assert any("the heading was wrong by" in reason for reason in reasons)
+
+
+def test_a_right_heading_is_never_taken_for_a_wrong_one() -> None:
+    """Five drives among bends and stops, with a receiver that jumps by 20 m/s now and then."""
+    for seed in range(5):
+        start = Start(drive("parking_lot", seed, 100.0), Receiver(5), 10.0, 0.3, seed)
+        made, rng = plain(start), np.random.default_rng(seed)
+        for i, navigator in start.lead(made, 80.0):
+            solution = navigator.solution()
+            if solution and rng.random() < 0.002:
+                north, east, _ = (20.0 * rng.standard_normal(3)).tolist()
+                navigator.fix(int(start.drive.t_ns[i]), position=solution.position, velocity=(north, east, 0.0))
+        assert made.counts.resets == 0, made.reason
+        assert made.counts.fixes_used > 300
