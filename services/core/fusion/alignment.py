@@ -206,6 +206,7 @@ class Alignment:
         P[em.VELOCITY, em.VELOCITY] = np.diag(np.square(motion.sd)) + (ARM_RATE_SD * hypot(*arm)) ** 2 * np.eye(3)
         P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
         P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
+        P[em.SCALES, em.SCALES] = self._scales_cov()
         P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
         P[em.POSITION, em.POSITION] = first.cov
         P[em.GNSS_ERROR, :] = P[:, em.GNSS_ERROR] = 0.0
@@ -216,12 +217,24 @@ class Alignment:
         known = self._lost.parameters if self._lost else NO_PARAMETERS
         begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
         parameters = (*known[:begin], *first.error, *known[end:])
-        return ErrorStateFilter(settings, inertial, P, bias, drift, parameters, first.colour)
+        started = ErrorStateFilter(settings, inertial, P, bias, drift, parameters, first.colour)
+        if self._lost is not None:
+            started.accelerometer_scale, started.gyroscope_scale = (
+                self._lost.accelerometer_scale,
+                self._lost.gyroscope_scale,
+            )
+        return started
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weigh the fixes of a rest, or take the one fix of a vehicle that drives."""
         rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
         return first_place(rest or [fix], self._lost.colour.at_start() if self._lost else UNKNOWN)
+
+    def _scales_cov(self) -> FloatArray:
+        if self._lost is not None:
+            return self._lost.P[em.SCALES, em.SCALES]
+        sd = self._settings.accelerometer_scale_sd, self._settings.gyroscope_scale_sd
+        return np.diag(np.repeat(np.square(sd), 3))
 
     def _parameters_cov(self) -> FloatArray:
         if self._lost is not None:

@@ -25,6 +25,7 @@ ACCELEROMETER_BIAS = slice(9, 12)
 GYROSCOPE_BIAS = slice(12, 15)
 ACCELEROMETER_SCALE = slice(15, 18)
 GYROSCOPE_SCALE = slice(18, 21)
+SCALES = slice(15, 21)
 ODOMETER_SCALE = 21
 MOUNTING = slice(22, 24)  # pitch, yaw
 VEHICLE = slice(21, 24)

@@ -52,6 +52,12 @@ class Settings(Section):
     )
     gyroscope_bias_sd_rad_s: float = Field(default=radians(0.2), gt=0.0, description="of the bias at switch-on")
     accelerometer_bias_sd_m_s2: float = Field(default=0.03, gt=0.0, description="of the bias at switch-on")
+    gyroscope_scale_sd: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="of the scale of each axis at switch-on; 0: it is not estimated"
+    )
+    accelerometer_scale_sd: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="of the scale of each axis at switch-on; 0: it is not estimated"
+    )
 
     levelling_s: float = Field(
         default=15.0, ge=1.0, description="standstill for levelling; a vehicle that drives off is not waited for"
