@@ -53,8 +53,8 @@ class Process:
         lock = threading.Lock()
         server = self._make_server(state, lock, bus)
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
+        self._announce(listener, bus)  # before the server can fail and close the port
         thread.start()
-        self._announce(listener, bus)
         while not bus.stopping:
             take_in(bus, state, lock)
             if not thread.is_alive():
