@@ -13,7 +13,7 @@ from .aiding import Observation
 from .filter import ErrorStateFilter
 from .settings import Settings
 
-PERIOD_NS = 950_000_000  # once a second is enough
+PERIOD_NS = 1_000_000_000  # once a second is enough
 CORRELATION_S = 10.0  # of the pressure of the wind: successive readings are no independent evidence
 WIND = 0.002  # [m per (m/s)²] by which the air stream shifts the height: 2 % of its stagnation pressure
 LOWEST_PA, HIGHEST_PA = 40_000.0, 115_000.0  # no road is higher or lower

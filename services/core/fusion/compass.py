@@ -15,7 +15,7 @@ from .aiding import Observation
 from .filter import ErrorStateFilter
 from .strapdown import rotate
 
-PERIOD_NS = 950_000_000
+PERIOD_NS = 1_000_000_000
 CORRELATION_S = 20.0  # of the disturbance by iron that the vehicle passes: readings are no independent evidence
 STRENGTH = (0.8, 1.2)  # [-] of the field where it was calibrated
 KNOWN_SD = radians(2.0)  # of a heading that can judge the compass

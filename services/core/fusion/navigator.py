@@ -56,7 +56,7 @@ class Navigator:
         self._delayed = DelayedEngine(self.settings, compiled)
         self._backwards = 0
         self._repeats: Repeats | None = None
-        self._used_ns: dict[str, int] = {}  # stamp of the newest value that was taken, by device and quantity
+        self._used: dict[str, int] = {}  # period of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -186,10 +186,11 @@ class Navigator:
         self.measure(compass.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
 
     def _is_due(self, key: str, time_ns: int, period_ns: int) -> bool:
-        """Whether the newest used value of a device is so old; values from the past are not due."""
-        if 0 <= time_ns - self._used_ns.get(key, time_ns - period_ns) < period_ns:
+        """Whether it is the first value of a device in its period: by the stamp alone, whenever it was switched on."""
+        period = time_ns // period_ns
+        if self._used.get(key) == period:
             return False
-        self._used_ns[key] = time_ns
+        self._used[key] = period
         return True
 
     def leave(self, trail: Trail) -> None:

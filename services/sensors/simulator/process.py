@@ -28,6 +28,8 @@ class Config(Section):
     mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)  # roll, pitch, yaw of the IMU's case in the vehicle
     second_antenna_m: float = Field(default=0.0, ge=0.0, le=10.0)  # ahead of the first; 0: there is none
 
+    pause_s: float = Field(default=1.5, ge=0.0, le=60.0)  # so that who starts with it misses nothing of the drive
+
     @field_validator("scenario")
     @classmethod
     def _exists(cls, name: str) -> str:
@@ -51,6 +53,9 @@ class Process:
     def run(self, bus: Bus) -> None:
         """Drive until told to stop."""
         while not bus.stopping and not bus.connected:
+            bus.receive(0.1)
+        begin_ns = bus.now_ns() + round(self._config.pause_s * 1e9)
+        while not bus.stopping and bus.now_ns() < begin_ns:
             bus.receive(0.1)
         scenario = scenario_of(self._config.scenario, self._config.seed)
         equipment = Equipment(self._config.protocols, self._config.mounting_rpy_deg, self._config.second_antenna_m)

@@ -28,7 +28,7 @@ def drive(tmp_path: Path, envelopes: dict[int, Envelope], calls: int = 600, conf
         start_ns=START_NS,
         step_ns=STEP_NS,
     )
-    Process(config or Config()).run(bus.as_bus())
+    Process(config or Config(pause_s=0.0)).run(bus.as_bus())
     return bus
 
 
@@ -72,7 +72,7 @@ def test_what_a_sleeping_host_missed_is_left_out(tmp_path: Path) -> None:
             return super().receive(timeout_s)
 
     bus = SleepyBus(tmp_path, lambda n: None if n >= 1500 else [], start_ns=START_NS, step_ns=STEP_NS)
-    Process(Config()).run(bus.as_bus())
+    Process(Config(pause_s=0.0)).run(bus.as_bus())
     stamps = [message.received_ns for message in bus.published if isinstance(message, ImuRaw)]
     assert max(b - a for a, b in pairwise(stamps)) > 2 * NS
     assert bus.rejects["late"] > 250
