@@ -12,7 +12,7 @@ from .gnss import GnssPosition
 from .judging import Judge
 from .settings import Settings
 from .stationary import SPEED_LIMIT
-from .watch import Watch, block
+from .watch import NO_BLOCK, Watch, block
 from .wheels import WheelSpeed
 
 ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
@@ -48,15 +48,13 @@ class Aids:
         if isinstance(measurement, MagneticHeading):
             self._compass = self._compass.judged(measurement, navigation)
             measurement = replace(measurement, check=self._compass)
-        used = False
         for observe in measurement.observers():
-            before = block(navigation)
+            before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
             outcome = self.judge.judge(navigation, measurement, observe(navigation))
             self.watch = self.watch.after(outcome, before, navigation, self._settings.gate_false_alarm)
-            used = outcome.used
             yield outcome
-        if isinstance(measurement, GnssPosition) and used:
-            measurement.teach(navigation)
+            if isinstance(measurement, GnssPosition) and outcome.used:
+                measurement.teach(navigation)
 
     def speed_at_rest(self, time_ns: int, navigation: ErrorStateFilter) -> float:
         """Find the speed [m/s] up to which the vehicle may be at rest: more, if wheels that stand make it likely."""

@@ -120,6 +120,11 @@ def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> FloatAr
     return swing
 
 
+def true_time_ns(settings: Settings, sampled_ns: int) -> int:
+    """When an epoch of this stamp was true, on the clock of the inertial samples."""
+    return sampled_ns - round(settings.gnss_delay_s * 1e9)
+
+
 def gnss_measurements(
     settings: Settings,
     stamp: Stamp,
@@ -152,7 +157,7 @@ def gnss_measurements(
         Velocity, if there is one, before position. A stated covariance is scaled by `gnss_sd_factor` (positions
         only) and its diagonal kept between a floor, for some receivers say zero, and a ceiling.
     """
-    true_ns = stamp.sampled_ns - round(settings.gnss_delay_s * 1e9)
+    true_ns = true_time_ns(settings, stamp.sampled_ns)
     measurements: list[Measurement] = []
     if velocity is not None and not settings.position_only:
         measurements.append(

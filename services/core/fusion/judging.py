@@ -8,7 +8,7 @@ from . import arms
 from .aiding import Measurement, Observation, Outcome
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity, antenna_velocity
-from .kalman import Correction, chi_square_limit
+from .kalman import Correction, FloatArray, chi_square_limit
 from .matching import Comparison, Corrections
 from .settings import Settings
 
@@ -123,7 +123,7 @@ class Judge:
     ) -> Outcome:
         gnss = seen.kind in WIDENING
         if gnss and ratio < TOLD_LIMIT:
-            self._watch_arm(navigation, measurement, seen)
+            self._watch_arm(navigation, measurement, seen, correction.S)
         limit = self._settings.robust_limit if gnss else 1.0
         excluded = gnss and self._is_excluded(measurement, seen.kind, ratio <= limit)
         refused = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
@@ -149,8 +149,9 @@ class Judge:
             weight,
         )
 
-    def _watch_arm(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> None:
-        S = seen.H @ navigation.P @ seen.H.T + seen.R
+    def _watch_arm(
+        self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation, S: FloatArray
+    ) -> None:
         gain = 1.0 - float(seen.R[0, 0] + seen.R[1, 1]) / float(S[0, 0] + S[1, 1])
         position = seen.kind is AidingKind.GNSS_POSITION
         self.arm = self.arm.after(measurement.time_ns, navigation, seen.z, S, gain=gain, position=position)

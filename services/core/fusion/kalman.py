@@ -141,12 +141,18 @@ class Correction:
 
     x: FloatArray
     P: FloatArray
-    innovation_sd: FloatArray
     distance2: float  # normalised innovation squared, d²
     z: FloatArray
     H: FloatArray
     K: FloatArray
+    S: FloatArray  # covariance of z
     S_inverse: FloatArray
+
+    @property
+    def innovation_sd(self) -> FloatArray:
+        """Standard deviations of z."""
+        sd: FloatArray = np.sqrt(self.S.diagonal())
+        return sd
 
 
 def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
@@ -193,4 +199,4 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     A = -K @ H
     A.reshape(-1)[:: len(P) + 1] += 1.0
     P_after = A @ P @ A.T + K @ R @ K.T
-    return Correction(K @ z, 0.5 * (P_after + P_after.T), np.sqrt(S.diagonal()), distance2, z, H, K, inverse)
+    return Correction(K @ z, 0.5 * (P_after + P_after.T), distance2, z, H, K, S, inverse)

@@ -24,7 +24,7 @@ from shared.messages import (
 
 from .aiding import Measurement, Outcome
 from .baseline import BaselineHeading
-from .gnss import Reading, Stamp, gnss_measurements
+from .gnss import Reading, Stamp, gnss_measurements, true_time_ns
 from .heading import Prior
 from .navigator import Navigator
 from .settings import Settings
@@ -59,7 +59,7 @@ def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
     if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
         measurements.append(
             BaselineHeading(
-                fix.sampled_ns - round(settings.gnss_delay_s * 1e9),
+                true_time_ns(settings, fix.sampled_ns),
                 fix.received_ns,
                 fix.source,
                 fix.baseline_heading_rad,

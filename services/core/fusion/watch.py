@@ -13,6 +13,7 @@ from .filter import ErrorStateFilter
 from .kalman import chi_square_limit
 
 Block = tuple[float, float, float, float]  # [m²] NN, NE, EE, DD of a position's covariance
+NO_BLOCK: Block = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Watch:
     position: Evidence = field(default_factory=Evidence)
     velocity: Evidence = field(default_factory=Evidence)
     used_ns: int = 0  # stamp of the last position that was used
-    anchored: Block = (0.0, 0.0, 0.0, 0.0)  # covariance after it
+    anchored: Block = NO_BLOCK  # covariance after it
     pulled: tuple[float, float] = (0.0, 0.0)  # [m] most that it can have moved the solution unseen, on ground and up
     contested: tuple[float, float] = (0.0, 0.0)  # [m] by which a position was refused, until one is used again
 
@@ -38,7 +39,7 @@ class Watch:
         outcome : Outcome
             What became of it.
         before : Block
-            [m²] Covariance of the position before it.
+            [m²] Covariance of the position before it; of no account unless it is a position.
         navigation : ErrorStateFilter
             After it.
         false_alarm : float
