@@ -59,7 +59,7 @@ def _figures(run: Run, reference: Reference | None) -> Iterator[Figure]:
     yield _trajectory(run, reference)
     errors, gaps = run.errors, run.gaps
     if errors is not None and len(errors):
-        time_s = _seconds(errors.stamps_ns, run.first_ns)
+        time_s = seconds_since(errors.stamps_ns, run.first_ns)
         if errors.position_n is not None:
             labels = _Labels(("north [m]", "east [m]", "down [m]"), gaps, run.first_ns)
             caption = "Solution minus truth; the band is three standard deviations as the filter knows them."
@@ -94,7 +94,7 @@ class _Labels:
 
 
 @contextmanager
-def _axes(rows: int, height: float, store: Callable[[str], None]) -> Iterator[list["Axes"]]:
+def stacked_axes(rows: int, height: float, store: Callable[[str], None]) -> Iterator[list["Axes"]]:
     """Give axes above each other, and hand the finished figure over as SVG."""
     from matplotlib import style
     from matplotlib.figure import Figure as Canvas
@@ -108,7 +108,7 @@ def _axes(rows: int, height: float, store: Callable[[str], None]) -> Iterator[li
     store(text.getvalue())
 
 
-def _inline(svg: str, title: str) -> str:
+def inline_svg(svg: str, title: str) -> str:
     """Cut the prologue off, and keep the names inside this figure apart from those of the others."""
     prefix = re.sub(r"\W+", "-", title.lower())
     body = svg[svg.index("<svg") :]
@@ -125,7 +125,7 @@ def _trajectory(run: Run, reference: Reference | None) -> Figure:
     drawn: list[str] = []
     origin = Geodetic(*run.track.geodetic[0].tolist())
     path = ned_track(run.track.geodetic, origin)
-    with _axes(1, 5.2, drawn.append) as (axes,):
+    with stacked_axes(1, 5.2, drawn.append) as (axes,):
         if reference is not None and reference.geodetic is not None:
             true = ned_track(reference.geodetic, origin)
             true = true[:: max(1, len(true) // POINTS)]
@@ -140,7 +140,7 @@ def _trajectory(run: Run, reference: Reference | None) -> Figure:
         axes.set(xlabel="east [m]", ylabel="north [m]")
         axes.legend(loc="best")
     title = "Trajectory"
-    return Figure(title, "Metres from the first solution; north is up.", _inline(drawn[0], title))
+    return Figure(title, "Metres from the first solution; north is up.", inline_svg(drawn[0], title))
 
 
 def _three(
@@ -148,42 +148,42 @@ def _three(
 ) -> Figure:
     """Three components above each other, each with its band."""
     drawn: list[str] = []
-    with _axes(3, 5.0, drawn.append) as rows:
+    with stacked_axes(3, 5.0, drawn.append) as rows:
         for column, axes in enumerate(rows):
-            _shade(axes, labels.gaps, labels.first_ns)
+            shade_gaps(axes, labels.gaps, labels.first_ns)
             if band is not None:
-                at, edge = _thinned(time_s, band[:, column])
+                at, edge = thinned(time_s, band[:, column])
                 axes.fill_between(at, -edge, edge, color=BLUE, alpha=0.14, linewidth=0)
-            axes.plot(*_thinned(time_s, values[:, column]), color=BLUE)
+            axes.plot(*thinned(time_s, values[:, column]), color=BLUE)
             axes.set_ylabel(labels.names[column])
         rows[-1].set_xlabel("time [s]")
-    return Figure(title, caption + (" Shaded: GNSS taken away." if labels.gaps else ""), _inline(drawn[0], title))
+    return Figure(title, caption + (" Shaded: GNSS taken away." if labels.gaps else ""), inline_svg(drawn[0], title))
 
 
 def _speed(run: Run) -> Figure:
     drawn: list[str] = []
-    time_s = _seconds(run.track.stamps_ns, run.first_ns)
+    time_s = seconds_since(run.track.stamps_ns, run.first_ns)
     speed = np.sqrt((run.track.columns("velocity_north_m_s") ** 2).sum(axis=1))
     still = run.track.columns("stationary", 1)[:, 0] > 0.5
-    with _axes(1, 2.4, drawn.append) as (axes,):
-        _shade(axes, run.gaps, run.first_ns)
-        axes.plot(*_thinned(time_s, speed), color=BLUE)
+    with stacked_axes(1, 2.4, drawn.append) as (axes,):
+        shade_gaps(axes, run.gaps, run.first_ns)
+        axes.plot(*thinned(time_s, speed), color=BLUE)
         axes.fill_between(time_s, 0.0, 1.0, where=still.tolist(), transform=axes.get_xaxis_transform(),
                           color=GREEN, alpha=0.12, linewidth=0)  # fmt: skip
         axes.set(xlabel="time [s]", ylabel="speed [m/s]")
-    return Figure("Speed", "Green: the vehicle was found to stand still.", _inline(drawn[0], "Speed"))
+    return Figure("Speed", "Green: the vehicle was found to stand still.", inline_svg(drawn[0], "Speed"))
 
 
 def _innovations(run: Run) -> Figure:
     drawn: list[str] = []
     updates = run.tally.updates(AidingKind.GNSS_POSITION)
-    time_s = _seconds(updates.stamps_ns, run.first_ns)
-    with _axes(2, 4.0, drawn.append) as (size, ratio):
+    time_s = seconds_since(updates.stamps_ns, run.first_ns)
+    with stacked_axes(2, 4.0, drawn.append) as (size, ratio):
         for used, colour, word in ((updates.used, BLUE, "used"), (~updates.used, RED, "rejected")):
             if used.any():
-                at, horizontal = _thinned(time_s[used], np.hypot(*updates.innovation[used, :2].T))
+                at, horizontal = thinned(time_s[used], np.hypot(*updates.innovation[used, :2].T))
                 _dots(size, at, horizontal, colour, word)
-                at, values = _thinned(time_s[used], np.maximum(updates.test_ratio[used], 1e-4))
+                at, values = thinned(time_s[used], np.maximum(updates.test_ratio[used], 1e-4))
                 _dots(ratio, at, values, colour)
         ratio.axhline(1.0, color=GREY, linewidth=1.0, linestyle="--")
         size.set(ylabel="horizontal [m]", yscale=_scale(np.hypot(*updates.innovation[:, :2].T)))
@@ -192,7 +192,7 @@ def _innovations(run: Run) -> Figure:
             size.legend(loc="upper right")
             ratio.set_ylim(bottom=1e-4)
     caption = "Each GNSS position against its prediction. Above a test ratio of 1 the gate rejects it."
-    return Figure("Innovations", caption, _inline(drawn[0], "Innovations"))
+    return Figure("Innovations", caption, inline_svg(drawn[0], "Innovations"))
 
 
 def _scale(values: FloatArray) -> str:
@@ -202,18 +202,18 @@ def _scale(values: FloatArray) -> str:
 
 def _biases(run: Run) -> Figure:
     drawn: list[str] = []
-    time_s = _seconds(run.track.stamps_ns, run.first_ns)
+    time_s = seconds_since(run.track.stamps_ns, run.first_ns)
     accelerometer = run.track.columns("accelerometer_bias_forward_m_s2")
     gyroscope = np.degrees(run.track.columns("gyroscope_bias_forward_rad_s"))
-    with _axes(2, 3.6, drawn.append) as rows:
+    with stacked_axes(2, 3.6, drawn.append) as rows:
         for axes, values, label in ((rows[0], accelerometer, "accelerometer [m/s²]"),
                                     (rows[1], gyroscope, "gyroscope [deg/s]")):  # fmt: skip
             for column, (colour, axis) in enumerate(zip(COLOURS, ("forward", "right", "down"), strict=True)):
-                axes.plot(*_thinned(time_s, values[:, column]), color=colour, label=axis)
+                axes.plot(*thinned(time_s, values[:, column]), color=colour, label=axis)
             axes.set_ylabel(label)
         rows[0].legend(loc="upper right", ncols=3)
         rows[1].set_xlabel("time [s]")
-    return Figure("Sensor biases", "As the filter estimates them.", _inline(drawn[0], "Sensor biases"))
+    return Figure("Sensor biases", "As the filter estimates them.", inline_svg(drawn[0], "Sensor biases"))
 
 
 def _dots(axes: "Axes", x: FloatArray, y: FloatArray, colour: str, label: str | None = None) -> None:
@@ -223,16 +223,18 @@ def _dots(axes: "Axes", x: FloatArray, y: FloatArray, colour: str, label: str | 
     axes.plot(at, values, color=colour, linewidth=2.2, solid_capstyle="round", label=label)
 
 
-def _shade(axes: "Axes", gaps: Sequence[Gap], first_ns: int) -> None:
+def shade_gaps(axes: "Axes", gaps: Sequence[Gap], first_ns: int) -> None:
+    """Mark where GNSS was taken away."""
     for first, last in gaps:
         axes.axvspan((first - first_ns) * 1e-9, (last - first_ns) * 1e-9, color=ORANGE, alpha=0.13, linewidth=0)
 
 
-def _seconds(stamps_ns: npt.NDArray[np.int64], first_ns: int) -> FloatArray:
+def seconds_since(stamps_ns: npt.NDArray[np.int64], first_ns: int) -> FloatArray:
+    """Times of stamps after the first input."""
     return np.asarray((stamps_ns - first_ns) * 1e-9, dtype=np.float64)
 
 
-def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+def thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Keep the smallest and the largest value of each stretch, so that no peak is lost."""
     width = -(-len(x) // (POINTS // 2))
     if width < 3:

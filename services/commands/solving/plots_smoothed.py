@@ -7,7 +7,7 @@ import numpy as np
 from shared.maths.earth import FloatArray
 
 from .metrics import Run
-from .plots import BLUE, GREEN, Figure, _axes, _inline, _seconds, _shade, _thinned
+from .plots import BLUE, GREEN, Figure, inline_svg, seconds_since, shade_gaps, stacked_axes, thinned
 
 BANDS = 3.0  # standard deviations
 
@@ -28,39 +28,39 @@ def _figures(filtered: Run, smoothed: Run) -> Iterator[Figure]:
 
 def _errors(filtered: Run, smoothed: Run) -> Figure:
     drawn: list[str] = []
-    with _axes(3, 5.0, drawn.append) as rows:
+    with stacked_axes(3, 5.0, drawn.append) as rows:
         for run, colour, word in ((filtered, BLUE, "filter"), (smoothed, GREEN, "smoothed")):
             assert run.errors is not None and run.errors.position_n is not None
-            time_s = _seconds(run.errors.stamps_ns, run.first_ns)
+            time_s = seconds_since(run.errors.stamps_ns, run.first_ns)
             for column, axes in enumerate(rows):
-                at, edge = _thinned(time_s, BANDS * run.errors.position_sd_n[:, column])
+                at, edge = thinned(time_s, BANDS * run.errors.position_sd_n[:, column])
                 axes.fill_between(at, -edge, edge, color=colour, alpha=0.14, linewidth=0)
-                axes.plot(*_thinned(time_s, run.errors.position_n[:, column]), color=colour, label=word)
+                axes.plot(*thinned(time_s, run.errors.position_n[:, column]), color=colour, label=word)
         for axes, name in zip(rows, ("north [m]", "east [m]", "down [m]"), strict=True):
-            _shade(axes, filtered.gaps, filtered.first_ns)
+            shade_gaps(axes, filtered.gaps, filtered.first_ns)
             axes.set_ylabel(name)
         rows[0].legend(loc="upper right", ncols=2)
         rows[-1].set_xlabel("time [s]")
     title = "Position errors, filtered and smoothed"
     caption = "Minus truth; the bands are three standard deviations as each knows them."
-    return Figure(title, caption, _inline(drawn[0], title))
+    return Figure(title, caption, inline_svg(drawn[0], title))
 
 
 def _deviations(filtered: Run, smoothed: Run, what: str, column: tuple[str, str, float]) -> Figure:
     name, unit, scale = column
     drawn: list[str] = []
-    with _axes(3, 4.4, drawn.append) as rows:
+    with stacked_axes(3, 4.4, drawn.append) as rows:
         for run, colour, word in ((filtered, BLUE, "filter"), (smoothed, GREEN, "smoothed")):
-            time_s, sd = _seconds(run.track.stamps_ns, run.first_ns), _sd(run, name, scale)
+            time_s, sd = seconds_since(run.track.stamps_ns, run.first_ns), _sd(run, name, scale)
             for place, axes in enumerate(rows):
-                axes.plot(*_thinned(time_s, sd[:, place]), color=colour, label=word)
+                axes.plot(*thinned(time_s, sd[:, place]), color=colour, label=word)
         for axes, axis in zip(rows, ("north", "east", "down"), strict=True):
-            _shade(axes, filtered.gaps, filtered.first_ns)
+            shade_gaps(axes, filtered.gaps, filtered.first_ns)
             axes.set(ylabel=f"{axis} [{unit}]", yscale="log")
         rows[0].legend(loc="upper right", ncols=2)
         rows[-1].set_xlabel("time [s]")
     title = f"Standard deviation of the {what}, filtered and smoothed"
-    return Figure(title, "What each says of its own error.", _inline(drawn[0], title))
+    return Figure(title, "What each says of its own error.", inline_svg(drawn[0], title))
 
 
 def _sd(run: Run, name: str, scale: float) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 from shared.maths.earth import FloatArray
 
 from .integrity import Protected, Region
-from .plots import GREY, Figure, _axes, _inline
+from .plots import GREY, Figure, inline_svg, stacked_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +27,7 @@ def stanford(one: Protected) -> Figure:
     """Draw the diagram of one axis, with the counts of its regions."""
     drawn: list[str] = []
     title = f"Stanford diagram, {one.axis}"
-    with _axes(1, 5.6, drawn.append) as (axes,):
+    with stacked_axes(1, 5.6, drawn.append) as (axes,):
         low, high = _range(one)
         edges = np.geomspace(low, high, CELLS + 1)
         _regions(axes, one.alert_limit_m, low, high)
@@ -37,7 +37,7 @@ def stanford(one: Protected) -> Figure:
                       bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5})  # fmt: skip
         axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal",
                  xlabel=f"{one.axis} error [m]", ylabel=f"{one.axis} protection level [m]")  # fmt: skip
-    return Figure(title, CAPTION.format(limit=one.alert_limit_m), _inline(drawn[0], title))
+    return Figure(title, CAPTION.format(limit=one.alert_limit_m), inline_svg(drawn[0], title))
 
 
 def _range(one: Protected) -> tuple[float, float]:
