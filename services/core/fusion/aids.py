@@ -5,11 +5,13 @@ from dataclasses import replace
 from math import sqrt
 
 from . import error_model as em
+from . import standstill, wheels
 from .aiding import Measurement, Outcome
 from .compass import CompassCheck, MagneticHeading
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition
 from .judging import Judge
+from .ordinary import NEVER
 from .settings import Settings
 from .stationary import SPEED_LIMIT
 from .watch import NO_BLOCK, Watch, block
@@ -40,6 +42,18 @@ class Aids:
     def wheels_stand(self) -> bool:
         """Whether the newest speed was zero."""
         return self._odometer is not None and self._odometer.speed == 0.0
+
+    @property
+    def dues(self) -> tuple[float, float, float]:
+        """Times [s] after which a standstill and the wheels are made use of, and speed [m/s] of which wheels tell more.
+
+        The last of the `Limits` of `ordinary`.
+        """
+        return (
+            standstill.PERIOD_S - 1e-3 if self._settings.zero_velocity else NEVER,
+            wheels.PERIOD_S - 1e-3 if self._settings.non_holonomic else NEVER,
+            SPEED_LIMIT if self.wheels_stand else NEVER,
+        )
 
     def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
         """Hold a measurement against the filter, unless a better device says the same."""

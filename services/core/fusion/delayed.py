@@ -50,24 +50,29 @@ class DelayedEngine:
 
     def restarted(self, why: str) -> "DelayedEngine":
         """Begin again from nothing, with the counts kept."""
-        fresh = DelayedEngine(self._settings, self._compiled)
-        fresh.engine.begin_after(self.engine.counts, why)
+        fresh, counts = DelayedEngine(self._settings, self._compiled), self.engine.counts
+        fresh.engine = Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
         if self.engine.trail is not None:
             self.engine.trail.seal()
             fresh.engine.trail = self.engine.trail
         return fresh
 
-    def step(self, sample: Sample) -> list[Outcome]:
-        """Advance by one sample, newer than all before."""
+    def carry(self, sample: Sample) -> list[Outcome]:
+        """Advance by one sample, newer than all before, as far as a solution needs it; `attend` does the rest."""
         engine = self.engine
         due: Sequence[Measurement] = ()
         if self._measurements:
             due = self._between(engine.last.time_ns if engine.last else sample.time_ns, sample.time_ns)
-        outcomes = engine.step(sample, due)
+        outcomes = engine.carry(sample, due)
         self._samples.append(sample)
         self._fresh += 1
-        if self._fresh >= KEPT_EVERY or not self._copies:
-            self._keep(sample.time_ns)
+        return outcomes
+
+    def attend(self) -> list[Outcome]:
+        """Do what is left of the last step."""
+        outcomes = self.engine.attend()
+        if self._samples and (self._fresh >= KEPT_EVERY or not self._copies):
+            self._keep(self._samples[-1].time_ns)
         return outcomes
 
     def insert(self, measurement: Measurement) -> list[Outcome]:

@@ -2,10 +2,9 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from math import degrees, hypot, radians, sqrt
+from math import degrees, hypot, radians
 
 from shared.errors import FilterDiverged
-from shared.maths.rotation import Vector
 from shared.messages import AidingKind, NavigationPhase
 
 from .aiding import Counts, Measurement, Outcome
@@ -13,10 +12,11 @@ from .aids import Aids
 from .alignment import Alignment
 from .baseline import BaselineHeading
 from .filter import ErrorStateFilter
+from .gaps import admit_doubt, admit_gap
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Heading, Prior
 from .matching import Comparison
-from .ordinary import GAP_S, NEVER, Rows, Run, Stamps
+from .ordinary import GAP_S, STILL, Rows, Run, Stamps
 from .samples import Sample, mean
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
@@ -28,12 +28,8 @@ from .wheels import SLOWEST_M_S, NonHolonomic
 # A step longer than GAP_S is a gap: carried over, and admitted in the covariance.
 LOST_S = 1.0  # a longer one ends the solution, though not the attitude
 FORGOTTEN_S = 5.0  # a still longer one ends that too
-GAP_FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
-GAP_RATE_SD = 0.3  # [rad/s]
 DOUBT_PERIOD_S = 0.1
-DOUBT_CORRELATION_S = 1.0
 KEPT = Heading(0.0, radians(20.0), "heading kept")
-TURNED_SD = radians(3.0)
 COASTING, NAVIGATING = NavigationPhase.COASTING, NavigationPhase.NAVIGATING  # looked up for every sample
 
 
@@ -43,13 +39,13 @@ class Engine:
     Everything that it knows is replaced and never changed in place, so that a `fork` is cheap and stays as it was.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, counts: Counts | None = None, why: str = "") -> None:
         self._settings = settings
         self._coasting_ns = settings.coasting_after_s * 1e9
         self.phase = NavigationPhase.WAITING_FOR_IMU
         self.since_ns = 0
         self.reason = "no inertial sample yet"
-        self.counts = Counts()
+        self.counts = counts or Counts()
         self.last: Sample | None = None
         self.filter: ErrorStateFilter | None = None
         self.trail: Trail | None = None  # of whatever filter runs, for a smoother
@@ -58,12 +54,12 @@ class Engine:
         self._alignment: Alignment | None = Alignment(settings)
         self.aids = Aids(settings)
         self._rest = UNSETTLED
-        self._rest_turn: Vector = (0.0, 0.0, 0.0)  # [rad, body] of the rest since its last update
-        self._rest_s = 0.0
+        self._rest_turn, self._rest_s = STILL, 0.0  # [rad, body; s] of the rest since its last update
+        self._unattended_s = 0.0  # since the last sample that was attended to
         self._doubtful_s = 0.0  # of samples, since the filter was told
         self._rolling_s = 0.0  # since the wheels were last held against the filter
         self._rejections = 0  # successive positions
-        self._why = ""  # the solution was lost
+        self._why = why  # the solution was lost
 
     def fork(self) -> "Engine":
         """Copy that goes its own way."""
@@ -79,13 +75,12 @@ class Engine:
         if self._alignment is not None and self.accepted_ns is None:
             self._alignment.remember(prior)
 
-    def begin_after(self, counts: Counts, why: str) -> None:
-        """Begin with the counts of an engine that was given up."""
-        self.counts = counts._replace(resets=counts.resets + 1)
-        self._why = why
-
     def step(self, sample: Sample, due: Sequence[Measurement]) -> list[Outcome]:
         """Advance to the stamp of a sample, using on the way the measurements that were true before it."""
+        return self.carry(sample, due) + self.attend()
+
+    def carry(self, sample: Sample, due: Sequence[Measurement]) -> list[Outcome]:
+        """Do of a step what a solution needs; `attend` does the rest."""
         last, time_ns = self.last, sample[0]
         if last is None:
             self.last = sample
@@ -103,12 +98,26 @@ class Engine:
             self.last = held._replace(time_ns=measurement.time_ns)
             outcomes += self._aid(measurement)
         self._advance(held, time_ns)
-        self.last = sample
-        if sample[3] is not None:
+        self.last, self._unattended_s = sample, gap_s
+        return outcomes
+
+    def attend(self) -> list[Outcome]:
+        """Bring the covariance up, aid the filter by what a car does not do, and settle the phase."""
+        last, gap_s = self.last, self._unattended_s
+        if last is None or not gap_s:
+            return []
+        self._unattended_s = 0.0
+        outcomes: list[Outcome] = []
+        try:
+            if self.filter is not None:
+                self.filter.keep_covariance()
+        except FilterDiverged as error:
+            self._reset(last[0], str(error), kept=None)
+        if last[3] is not None:
             self._admit(gap_s)
-        self._watch_for_standstill(time_ns, gap_s, outcomes)
-        self._watch_the_wheels(time_ns, gap_s, outcomes)
-        self._settle_phase(time_ns)
+        self._watch_for_standstill(last[0], gap_s, outcomes)
+        self._watch_the_wheels(last[0], gap_s, outcomes)
+        self._settle_phase(last[0])
         return outcomes
 
     def stride(self, run: Run, times_ns: Stamps, samples: Rows) -> int:
@@ -124,14 +133,8 @@ class Engine:
         count = len(times_ns) - 1
         if count < 1:
             return 0
-        settings = self._settings
-        dues = (
-            PERIOD_S - 1e-3 if settings.zero_velocity else NEVER,
-            WHEELS_PERIOD_S - 1e-3 if settings.non_holonomic else NEVER,
-            SPEED_LIMIT if self.aids.wheels_stand else NEVER,
-        )
         beside = self._rest, self._rest_turn, self._rest_s, self._rolling_s
-        taken, beside = navigation.stride(run, times_ns, samples[:count], beside, dues)
+        taken, beside = navigation.stride(run, times_ns, samples[:count], beside, self.aids.dues)
         if taken:
             fx, fy, fz, wx, wy, wz = map(float, samples[taken - 1])
             self.last = Sample(int(times_ns[taken]), (fx, fy, fz), (wx, wy, wz))
@@ -163,18 +166,16 @@ class Engine:
             self._lose(sample.time_ns, f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
             return sample
         if self.filter is not None:
-            force_sd, rate_sd = GAP_FORCE_SD * gap_s, GAP_RATE_SD * gap_s
-            self.filter.widen(attitude_sd=rate_sd, velocity_sd=force_sd, position_sd=0.5 * force_sd * gap_s)
+            admit_gap(self.filter, gap_s)
         return Sample(sample.time_ns, mean(self.last.force, sample.force), mean(self.last.rate, sample.rate))
 
     def _admit(self, span_s: float) -> None:
-        """Take a doubtful sample for no better than a guess, ten times a second: errors that last about a second."""
+        """Take a doubtful sample for no better than a guess; the filter is told ten times a second."""
         self._doubtful_s += span_s
         if self.filter is None or self._doubtful_s < DOUBT_PERIOD_S - 1e-3:
             return
         self.aids.judge.comparison = Comparison()  # it would be one with nonsense
-        grown = sqrt(self._doubtful_s * DOUBT_CORRELATION_S)
-        self.filter.widen(attitude_sd=GAP_RATE_SD * grown, velocity_sd=GAP_FORCE_SD * grown)
+        admit_doubt(self.filter, self._doubtful_s)
         self._doubtful_s = 0.0
 
     def _aid(self, measurement: Measurement) -> list[Outcome]:
@@ -200,12 +201,10 @@ class Engine:
 
     def _is_turned(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> bool:
         """Watch the heading, and begin again if it is wrong by more than a filter can mend."""
-        found = self.aids.judge.compare(seen, navigation)
-        if found is None:
+        kept = self.aids.judge.compare(seen, navigation)
+        if kept is None:
             return False
-        turn, sd = found
-        kept = Heading(turn, max(sd, TURNED_SD), "matched accelerations")
-        self._reset(seen.time_ns, f"the heading was wrong by {abs(degrees(turn)):.0f} degrees", kept)
+        self._reset(seen.time_ns, f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
         return True
 
     def _count_position(self, outcome: Outcome) -> None:
@@ -252,7 +251,7 @@ class Engine:
         self.stationary = rest[2] >= QUIET_S
         if not (self.stationary and self._settings.zero_velocity):
             if self._rest_s:
-                self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
+                self._rest_turn, self._rest_s = STILL, 0.0
             return
         x, y, z = self._rest_turn
         self._rest_turn = (x + rate[0] * step_s, y + rate[1] * step_s, z + rate[2] * step_s)
@@ -260,7 +259,7 @@ class Engine:
         if self._rest_s < PERIOD_S - 1e-3:
             return
         x, y, z, span_s = *self._rest_turn, self._rest_s
-        self._rest_turn, self._rest_s = (0.0, 0.0, 0.0), 0.0
+        self._rest_turn, self._rest_s = STILL, 0.0
         outcomes += self._aid(Standstill(time_ns, (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)))
 
     def _watch_the_wheels(self, time_ns: int, step_s: float, outcomes: list[Outcome]) -> None:

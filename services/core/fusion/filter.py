@@ -147,6 +147,9 @@ class ErrorStateFilter:
             step_s,
         )
         self._last, self._time_ns = sample, time_ns
+
+    def keep_covariance(self) -> None:
+        """Carry the covariance to the instant of the state, if that is due."""
         if self._sums[0] >= self._period_s - EARLY_S:
             self.bring_covariance_up()
 

@@ -1,5 +1,6 @@
 """Which observations the filter is given, with what weight, and how a device that was wrong earns its way back."""
 
+from math import radians
 from typing import NamedTuple
 
 from shared.messages import AidingKind
@@ -8,6 +9,7 @@ from . import arms
 from .aiding import Measurement, Observation, Outcome
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity, antenna_velocity
+from .heading import Heading
 from .kalman import Correction, FloatArray, chi_square_limit
 from .matching import Comparison, Corrections
 from .settings import Settings
@@ -17,6 +19,7 @@ WIDENING = {
     AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
     AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
 }
+TURNED_SD = radians(3.0)  # at best, of a heading that is mended
 TOLD_LIMIT = 9.0  # times the gate: what is beyond it tells nothing of the lever arm
 FORGIVEN_S = 60.0  # without a fault, after which the ones before are forgotten
 
@@ -73,14 +76,17 @@ class Judge:
         self._standings, self.corrections, self.arm = {}, Corrections(), arms.begun()
         self.comparison = comparison
 
-    def compare(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> tuple[float, float] | None:
-        """Turn [rad] by which the filter's heading is wrong, and its standard deviation; None if it is not."""
+    def compare(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> Heading | None:
+        """Turn by which the filter's heading is wrong; None if it is not."""
         corrections = self.corrections.at(seen.time_ns)
         own = antenna_velocity(navigation, seen.lever_arm) + navigation.inertial.velocity
         self.corrections = corrections._replace(yaw=0.0)
         pure = complex(own[0], own[1]) + corrections.velocity
         self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
-        return self.comparison.result() if self.comparison.is_wrong(seen.time_ns) else None
+        if not self.comparison.is_wrong(seen.time_ns):
+            return None
+        turn, sd = self.comparison.result()
+        return Heading(turn, max(sd, TURNED_SD), "matched accelerations")
 
     def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
         """Use an observation if its d² is within the limit of d², with less weight up to `robust_limit` times it.

@@ -94,7 +94,7 @@ class Navigator:
     def advance(
         self, time_ns: int, force: Sequence[float], rate: Sequence[float], *, saturated: bool = False
     ) -> list[Outcome]:
-        """Take one inertial sample, without what has waited for it: that can take twenty times as long."""
+        """Carry the motion on by one inertial sample; `release` must follow, which can take twenty times as long."""
         fx, fy, fz = force
         wx, wy, wz = rate
         credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
@@ -110,7 +110,7 @@ class Navigator:
         doubt = "gyroscope saturated" if saturated else repeats.doubt()
         if doubt:
             self.rejects[doubt] += 1
-        return self._delayed.step(Sample(time_ns, (fx, fy, fz), (wx, wy, wz), doubt))
+        return self._delayed.carry(Sample(time_ns, (fx, fy, fz), (wx, wy, wz), doubt))
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -236,8 +236,8 @@ class Navigator:
         return solution_of(self._delayed.engine, self.settings)
 
     def release(self, received_ns: int) -> list[Outcome]:
-        """Use what has waited long enough, when a sample has arrived at `received_ns`."""
-        outcomes: list[Outcome] = []
+        """Do what the last sample left to do, and use what has waited long enough, now that it is `received_ns`."""
+        outcomes = self._delayed.attend()
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
             try:

@@ -383,6 +383,7 @@ def matched(seed: int) -> World:
         fx, fy, fz = (drive.ideal_force_b[i] + force_bias + noise[0] * rng.standard_normal(3)).tolist()
         wx, wy, wz = (drive.ideal_rate_b[i] + rate_bias + noise[1] * rng.standard_normal(3)).tolist()
         navigation.advance((fx, fy, fz), (wx, wy, wz), int(drive.t_ns[i]))
+        navigation.keep_covariance()
         if k == 2000:
             biases = force_bias, rate_bias
         if k % 100 == 0 and not 1500 <= k < 2500:
