@@ -149,7 +149,7 @@ class Bus:
         )
 
     def _request(self) -> Connect:
-        identity = f"{self.process}-{os.getpid()}" if self._observer else self.process
+        identity = f"{self.process}-{self.incarnation:x}" if self._observer else self.process
         user = self.address.username or self.process
         return Connect(identity, True, KEEP_ALIVE_S, user, None if self._observer else self._will(), NONE)
 

@@ -60,10 +60,18 @@ class UnitResult:
 
 
 class Listener:
-    """Follows inertial samples from the arrival of their bytes to the arrival of their solution."""
+    """Follows inertial samples from the arrival of their bytes to the arrival of their solution.
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+    As the yardstick's subscriber it wakes for solutions only, and takes the time when it has a packet in its hands;
+    when the bytes arrived it reads from a second connection, once there is a solution.
+    """
+
+    def __init__(self, port: int, folder: Path) -> None:
+        address = BrokerAddress("127.0.0.1", port)
+        self._solutions, self._samples = (
+            Bus("observer", "bench", address, [BY_NAME[name]], folder, observer=True)
+            for name in ("navigation/solution", "imu/sample")
+        )
         self._received_ns: dict[int, int] = {}
         self._order: deque[int] = deque()
         self.navigating = False
@@ -73,21 +81,29 @@ class Listener:
         found: list[int] = []
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
-            for envelope in self._bus.receive(0.05):
-                match envelope.decode():
-                    case ImuSamples() as samples:
-                        self._note(samples)
-                    case NavigationSolution() as solution:
-                        arrived_ns = self._bus.now_ns()
-                        self.navigating = solution.phase is NavigationPhase.NAVIGATING
-                        if solution.sampled_ns in self._received_ns:
-                            found.append(arrived_ns - self._received_ns[solution.sampled_ns])
+            arrived = self._solutions.receive(0.05)
+            self._note()
+            for envelope in arrived:
+                solution = envelope.decode()
+                assert isinstance(solution, NavigationSolution)
+                self.navigating = solution.phase is NavigationPhase.NAVIGATING
+                if solution.sampled_ns in self._received_ns:
+                    found.append(envelope.received_ns - self._received_ns[solution.sampled_ns])
         return found
 
-    def _note(self, samples: ImuSamples) -> None:
-        for stamp_ns in samples.sampled_ns:
-            self._received_ns[stamp_ns] = samples.received_ns
-            self._order.append(stamp_ns)
+    def close(self) -> None:
+        """Leave the bus."""
+        self._solutions.close()
+        self._samples.close()
+
+    def _note(self) -> None:
+        """Take down what came of samples; all of those of a solution did before it."""
+        for envelope in self._samples.receive(0.0):
+            samples = envelope.decode()
+            assert isinstance(samples, ImuSamples)
+            for stamp_ns in samples.sampled_ns:
+                self._received_ns[stamp_ns] = samples.received_ns
+                self._order.append(stamp_ns)
         while len(self._order) > 10 * IMU_RATE_HZ:
             del self._received_ns[self._order.popleft()]
 
@@ -116,9 +132,7 @@ def running_unit(folder: Path) -> Iterator[tuple[Supervisor, int]]:
 def measure(folder: Path, seconds: float) -> UnitResult:
     """Drive the simulated vehicle, and measure once it navigates."""
     with running_unit(folder) as (supervisor, port):
-        topics = [BY_NAME["imu/sample"], BY_NAME["navigation/solution"]]
-        bus = Bus("observer", "bench", BrokerAddress("127.0.0.1", port), topics, folder, observer=True)
-        listener = Listener(bus)
+        listener = Listener(port, folder)
         _await_navigation(listener, folder)
         before, started = _cpu_s(supervisor), time.monotonic()
         alone = Ages.of(listener.ages(seconds))
@@ -128,7 +142,7 @@ def measure(folder: Path, seconds: float) -> UnitResult:
         thread.start()
         beside = Ages.of(listener.ages(seconds))
         thread.join()
-        bus.close()
+        listener.close()
         return UnitResult(costs, alone, beside, yardstick[0])
 
 

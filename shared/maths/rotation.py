@@ -125,6 +125,17 @@ def roll_pitch_yaw(matrix: npt.ArrayLike) -> Vector:
     return atan2(float(C[2, 1]), float(C[2, 2])), pitch, atan2(float(C[1, 0]), float(C[0, 0]))
 
 
+def roll_pitch_yaw_of_quaternion(quaternion: Quaternion) -> Vector:
+    """Roll, pitch and yaw [rad] of the unit quaternion NED from body, without arrays; at pitch ±90° roll is 0."""
+    w, x, y, z = quaternion
+    sine = 2.0 * (w * y - x * z)
+    pitch = asin(max(-1.0, min(1.0, sine)))
+    if abs(sine) > 1.0 - 1e-12:
+        return 0.0, pitch, atan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (x * x + z * z))
+    roll = atan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+    return roll, pitch, atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+
+
 def matrix_from_quaternion(quaternion: Quaternion) -> FloatArray:
     """Rotation matrix, shape (3, 3), of a unit quaternion."""
     w, x, y, z = quaternion

@@ -1,12 +1,12 @@
 """What the navigator tells of its state."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
-from shared.maths.rotation import Vector, roll_pitch_yaw
+from shared.maths.rotation import Vector, roll_pitch_yaw_of_quaternion
 from shared.messages import NavigationPhase
 
 from . import error_model as em
@@ -17,8 +17,7 @@ from .settings import Settings
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Solution:
+class Solution(NamedTuple):
     """State of the IMU at an inertial sample, with covariances (3, 3) in m², m²/s² and rad², NED."""
 
     time_ns: int
@@ -46,12 +45,12 @@ def solution_of(engine: Engine, settings: Settings) -> Solution | None:
     navigation = engine.filter
     if navigation is None:
         return None
-    roll, pitch, yaw = roll_pitch_yaw(navigation.ned_from_body)
-    time_ns = navigation.inertial.time_ns
+    time_ns, quaternion, velocity, position = navigation.inertial
+    roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion)
     position_cov = navigation.P[em.POSITION, em.POSITION]
     levels = protection_levels(
         position_cov.tolist(),
-        navigation.inertial.velocity,
+        velocity,
         time_ns,
         engine.aids.watch,
         risk=settings.integrity_risk,
@@ -60,8 +59,8 @@ def solution_of(engine: Engine, settings: Settings) -> Solution | None:
     return Solution(
         time_ns=time_ns,
         phase=engine.phase,
-        position=navigation.inertial.position,
-        velocity=navigation.inertial.velocity,
+        position=position,
+        velocity=velocity,
         roll=roll,
         pitch=pitch,
         yaw=yaw,

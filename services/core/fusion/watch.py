@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import hypot, sqrt
 
 from shared.messages import AidingKind
@@ -75,34 +76,34 @@ class Watch:
         pulled = (sqrt(limit * taken), sqrt(limit * max(0.0, dd)))
         return Watch(seen, self.velocity, outcome.time_ns, now, pulled)
 
-    @property
+    @cached_property
     def fault(self) -> tuple[float, float]:
         """How far [m, ground and up] a wrong fix can have moved it, or by a right one that was refused it is off."""
         return self.pulled[0] + self.contested[0], self.pulled[1] + self.contested[1]
 
-    @property
+    @cached_property
     def overstatement(self) -> float:
         """By how much the filter overstates what it has learnt."""
         return max(self.position.overstatement, self.velocity.overstatement)
 
-    @property
+    @cached_property
     def scale_horizontal(self) -> float:
         """How much larger than expected horizontal innovations are, squared."""
         return max(self.position.scale_horizontal, self.velocity.scale_horizontal)
 
-    @property
+    @cached_property
     def scale_vertical(self) -> float:
         """The same of vertical ones."""
         return max(self.position.scale_vertical, self.velocity.scale_vertical)
 
-    @property
+    @cached_property
     def lasting_horizontal(self) -> float:
         """Variance [m²] of an error of GNSS that lasts, along the worse axis; the start's until there is evidence."""
         if not self.position.time_ns:
             return max(self.anchored[0], self.anchored[2])
         return max(self.position.lasting(0), self.position.lasting(1))
 
-    @property
+    @cached_property
     def lasting_vertical(self) -> float:
         """The same of the height."""
         return self.position.lasting(2) if self.position.time_ns else self.anchored[3]

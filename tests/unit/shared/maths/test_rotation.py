@@ -39,12 +39,16 @@ def test_roll_pitch_yaw_agree_with_scipy(angles: tuple[float, float, float]) -> 
     expected = Rotation.from_euler("ZYX", angles[::-1]).as_matrix()
     assert matrix == pytest.approx(expected, abs=1e-14)
     assert rotation.ned_from_body(*rotation.roll_pitch_yaw(matrix)) == pytest.approx(matrix, abs=1e-12)
+    found = rotation.roll_pitch_yaw_of_quaternion(rotation.quaternion_from_matrix(matrix))
+    assert rotation.ned_from_body(*found) == pytest.approx(matrix, abs=1e-12)
 
 
 @pytest.mark.parametrize("pitch", [-pi / 2, pi / 2])
 def test_a_vertical_body_has_a_yaw_and_no_roll(pitch: float) -> None:
     matrix = rotation.ned_from_body(0.0, pitch, 0.7)
     assert rotation.roll_pitch_yaw(matrix) == pytest.approx((0.0, pitch, 0.7), abs=1e-7)
+    found = rotation.roll_pitch_yaw_of_quaternion(rotation.quaternion_from_matrix(matrix))
+    assert found == pytest.approx((0.0, pitch, 0.7), abs=1e-7)
 
 
 @given(VECTORS)
