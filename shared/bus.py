@@ -4,6 +4,7 @@ Nothing runs in a thread or a callback: the process's own loop decodes, and the 
 that a process that hangs goes silent.
 """
 
+import faulthandler
 import logging
 import os
 import time
@@ -29,6 +30,7 @@ __all__ = ["Bus", "Envelope"]
 log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.5
+HUNG_S = 20.0  # without a heartbeat: longer than a slow disk takes, and whoever restarts it should get to know
 KEEP_ALIVE_S = 5
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 QUEUE_LENGTH = 2000
@@ -73,7 +75,7 @@ class Bus:
         self._next_heartbeat = self._next_attempt = 0.0
         self._attempts = 0
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
-        self._observer = observer
+        self._observer, self._guarded = observer, False
         filters = [Subscription(self._prefix + topic.name, topic.qos) for topic in subscriptions]
         if len(subscriptions) == len(TOPICS):
             # Mosquitto serves those who name a topic before those who take everything: the hot path before observers.
@@ -123,6 +125,8 @@ class Bus:
     def close(self) -> None:
         """Say farewell and disconnect; the last will is not sent."""
         self.stopping = True
+        if self._guarded:
+            faulthandler.cancel_dump_traceback_later()
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.DISCONNECTED))
         deadline = time.monotonic() + 0.5
@@ -223,10 +227,18 @@ class Bus:
             self._next_attempt = time.monotonic() + RECONNECT_S[min(self._attempts, len(RECONNECT_S) - 1)]
         self.connected = False
 
+    def guard(self) -> None:
+        """From now on end the program, with a traceback on standard error, when `receive` is not called any more."""
+        self._guarded = True
+
     def _heartbeat(self) -> None:
         now = time.monotonic()
-        if self.connected and not self._observer and now >= self._next_heartbeat:
-            self._next_heartbeat = now + HEARTBEAT_S
+        if self._observer or now < self._next_heartbeat:
+            return
+        self._next_heartbeat = now + HEARTBEAT_S
+        if self._guarded:
+            faulthandler.dump_traceback_later(HUNG_S, exit=True)
+        if self.connected:
             self.publish(self.health(ProcessState.READY))
             if self._alive_file:
                 Path(self._alive_file).touch()

@@ -94,6 +94,7 @@ def run_process(name: str, vehicle: VehicleFile) -> None:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
+    bus.guard()
     gc.collect()
     gc.freeze()  # what was made so far stays: a search through it for garbage would stop the process for 4 to 9 ms
     if BY_NAME[name].layer in (1, 5):
