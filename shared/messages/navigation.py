@@ -68,6 +68,8 @@ class NavigationState(Message):
     samples_rejected: int
     imu_gaps: int
     resets: int
+    epochs_repeated: int = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
+    measurements_late: int = 0  # used at their own time after newer ones of the same device
     lever_arm_error_body_m: tuple[float, float] | None = None  # forward, right: true minus set, if that is wrong
 
 

@@ -26,7 +26,7 @@ UNITLESS = {
     "pdop", "hdop", "vdop", "test_ratio", "seed", "speed", "incarnation", "satellites_used", "number", "request_id",
     "count", "restarts", "messages", "messages_in", "messages_out", "dropped", "reconnections", "fixes_used",
     "fixes_rejected", "samples_used", "samples_rejected", "imu_gaps", "resets", "bytes_written", "innovation",
-    "innovation_sd", "weight_ratio", "magnetic_field_body",
+    "innovation_sd", "weight_ratio", "magnetic_field_body", "epochs_repeated", "measurements_late",
 }  # fmt: skip
 
 

@@ -70,6 +70,7 @@ class Counts(NamedTuple):
     fixes_rejected: int = 0
     imu_gaps: int = 0
     resets: int = 0
+    epochs_repeated: int = 0  # by a receiver: left out
 
     def with_position(self, used: bool) -> "Counts":
         """Count one more position."""

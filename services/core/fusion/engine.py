@@ -11,6 +11,7 @@ from .aiding import Counts, Measurement, Outcome
 from .aids import Aids
 from .alignment import Alignment
 from .baseline import BaselineHeading
+from .epochs import Epochs
 from .filter import ErrorStateFilter
 from .gaps import admit_doubt, admit_gap
 from .gnss import GnssPosition, GnssVelocity
@@ -53,6 +54,7 @@ class Engine:
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
         self.aids = Aids(settings)
+        self._epochs = Epochs()
         self._rest = UNSETTLED
         self._rest_turn, self._rest_s = STILL, 0.0  # [rad, body; s] of the rest since its last update
         self._unattended_s = 0.0  # since the last sample that was attended to
@@ -180,6 +182,11 @@ class Engine:
 
     def _aid(self, measurement: Measurement) -> list[Outcome]:
         """Hold a measurement against the filter, or hand it to the alignment."""
+        if isinstance(measurement, GnssPosition | GnssVelocity):
+            self._epochs, again = self._epochs.after(measurement, self.filter)
+            if again:
+                self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
+                return []
         if self.filter is None:
             self._align(measurement)
             return []

@@ -53,9 +53,11 @@ class Navigator:
         self.rejects: Counter[str] = Counter()
         self.samples_used = 0
         self.samples_rejected = 0
+        self.measurements_late = 0  # used at their own time, after newer ones of the same device
         self._delayed = DelayedEngine(self.settings, compiled)
         self._backwards = 0
         self._repeats: Repeats | None = None
+        self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
         self._used: dict[str, int] = {}  # period of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
@@ -244,7 +246,15 @@ class Navigator:
                 outcomes += self._delayed.insert(measurement)
             except LookupError:
                 self.rejects["measurement older than the memory"] += 1
+            else:
+                self._count_if_late(measurement)
         return outcomes
+
+    def _count_if_late(self, measurement: Measurement) -> None:
+        key = measurement.source, type(measurement)
+        newest_ns = self._newest.setdefault(key, measurement.time_ns)
+        self.measurements_late += measurement.time_ns < newest_ns
+        self._newest[key] = max(newest_ns, measurement.time_ns)
 
     def _went_back(self) -> str:
         """Say what is wrong with a sample that is no newer than the last; after many of them begin again."""

@@ -33,7 +33,7 @@ class Settings(Section):
     merge_delay_s: float = Field(
         default=0.2, ge=0.0, le=1.0, description="how long a measurement waits for what the bus may have delayed"
     )
-    history_s: float = Field(default=1.5, ge=0.2, le=10.0, description="how late a measurement may be")
+    history_s: float = Field(default=2.5, ge=0.2, le=10.0, description="how late a measurement may be")
     solution_period_s: float = Field(default=0.1, gt=0.0, le=10.0, description="between two solutions on the bus")
     covariance_period_s: float = Field(default=0.05, gt=0.0, le=1.0, description="between two steps of the covariance")
 

@@ -189,6 +189,8 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         samples_rejected=navigator.samples_rejected,
         imu_gaps=counts.imu_gaps,
         resets=counts.resets,
+        epochs_repeated=counts.epochs_repeated,
+        measurements_late=navigator.measurements_late,
         lever_arm_error_body_m=navigator.lever_arm_error,
     )
 

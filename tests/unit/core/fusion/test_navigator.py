@@ -1,6 +1,6 @@
 """The navigator as a whole: late, doubled, missing and mad input, and what it says of itself."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import degrees, hypot, radians
 
@@ -62,6 +62,7 @@ class Event:
     received_ns: int
     sample: int = 0
     fix: int | None = None
+    repeats: int | None = None  # the fix whose values it tells again
 
 
 def samples(until_s: float = DURATION_S, delay_ns: int = 2_000_000) -> list[Event]:
@@ -78,7 +79,9 @@ def feed(run: Navigator, events: list[Event], *, stamp_offset_ns: int = 0, **fix
     d, result = drive(), Run(run, [], [])
     for event in sorted(events, key=lambda e: e.arrival_ns):
         if event.fix is not None:
-            give_fix(run, event.fix, event.received_ns, stamp_offset_ns, **fix_changes)
+            repeated_ns = 0 if event.repeats is None else int(d.fix_ns[event.fix] - d.fix_ns[event.repeats])
+            value = event.fix if event.repeats is None else event.repeats
+            give_fix(run, value, event.received_ns, stamp_offset_ns + repeated_ns, **fix_changes)
             continue
         i = event.sample
         result.outcomes += run.imu(int(d.t_ns[i]), d.force_b[i].tolist(), d.rate_b[i].tolist(), event.received_ns)
@@ -345,3 +348,61 @@ def test_measurements_without_samples_are_forgotten_at_last() -> None:
     for k in range(1200):
         give_fix(made, 0, SECOND_NS + k)
     assert made.rejects["held without inertial samples"] == 2400 - 1000
+
+
+def test_an_epoch_told_twice_is_used_once_and_counted() -> None:
+    """Also if the second comes late, and with other numbers: the first of a stamp counts."""
+    once = feed(navigator(), samples(22.0) + fixes(22.0))
+    twice = [Event(e.arrival_ns + 150_000_000, e.received_ns + 150_000_000, fix=e.fix) for e in fixes(21.0)]
+    again = feed(navigator(), samples(22.0) + fixes(22.0) + twice)
+    assert same(once.last, again.last)
+    assert again.navigator.counts == once.navigator.counts._replace(epochs_repeated=2 * len(twice))
+    assert again.navigator.measurements_late == 0, "newer stamps had not come yet"
+
+
+def test_epochs_out_of_order_are_used_in_theirs_and_counted() -> None:
+    """Every tenth fix comes half a second late, two others later than it was true."""
+    late = [replace(e, arrival_ns=e.arrival_ns + 500_000_000, received_ns=e.received_ns + 500_000_000)
+            if e.fix is not None and e.fix % 10 == 0 else e for e in fixes(21.0)]  # fmt: skip
+    in_order, swapped = feed(navigator(), samples(22.0) + fixes(21.0)), feed(navigator(), samples(22.0) + late)
+    assert same(in_order.last, swapped.last)
+    assert swapped.navigator.measurements_late == 2 * sum(e.fix is not None and e.fix % 10 == 0 for e in late)
+    assert in_order.navigator.measurements_late == 0
+
+
+def test_a_fix_two_seconds_late_is_used_without_a_setting() -> None:
+    until_s = 20.0
+    prompt = [Event(e.arrival_ns, e.received_ns, fix=e.fix) for e in fixes(until_s, delay_ns=0)]
+    late = [replace(e, arrival_ns=e.arrival_ns + 2 * SECOND_NS, received_ns=e.received_ns + 2 * SECOND_NS)
+            for e in prompt]  # fmt: skip
+    end = samples(until_s + 2.3)
+    in_time, afterwards = feed(navigator(), end + prompt), feed(navigator(), end + late)
+    assert same(in_time.last, afterwards.last) and not afterwards.navigator.rejects
+
+
+def hold(run: Navigator, begin_s: float, end_s: float, until_s: float, *, no_velocity: bool = False) -> Run:
+    """Feed the drive; from one time to another the receiver repeats its fix under new stamps."""
+    held = int(np.searchsorted(drive().fix_ns, begin_s * 1e9))
+    events = samples(until_s)
+    for k, event in enumerate(fixes(until_s)):
+        inside = begin_s * 1e9 <= drive().fix_ns[k] < end_s * 1e9
+        events.append(replace(event, repeats=held) if inside else event)
+    return feed(run, events, no_velocity=no_velocity)
+
+
+@pytest.mark.parametrize("no_velocity", [False, True])
+def test_a_fix_that_a_receiver_holds_while_the_vehicle_drives_is_left_out(no_velocity: bool) -> None:
+    """The receiver holds for 4 s; without the rule its positions pull, and are then refused."""
+    begin_s = float(drive().t_ns[np.argmax(np.hypot(*drive().velocity_n[:, :2].T) > 3.0)]) * 1e-9 + 1.0
+    end_s = begin_s + 6.0
+    found = hold(navigator(), begin_s, begin_s + 4.0, end_s, no_velocity=no_velocity)
+    whole = feed(navigator(), samples(end_s) + fixes(end_s), no_velocity=no_velocity)
+    assert found.navigator.counts.epochs_repeated >= (18 if no_velocity else 30)
+    assert found.navigator.counts.resets == 0
+    assert found.error_m() < whole.error_m() + 0.3
+
+
+def test_a_receiver_that_repeats_itself_at_rest_is_believed() -> None:
+    """Static hold: the same position and a velocity of zero for as long as the vehicle stands."""
+    found = hold(navigator(), 2.0, 14.0, until_s=15.0)
+    assert found.navigator.counts.epochs_repeated == 0 and found.navigator.counts.fixes_used > 40
