@@ -8,8 +8,9 @@ from . import error_model as em
 from . import standstill, wheels
 from .aiding import Measurement, Outcome
 from .compass import CompassCheck, MagneticHeading
+from .epochs import Epochs
 from .filter import ErrorStateFilter
-from .gnss import GnssPosition
+from .gnss import GnssPosition, GnssVelocity
 from .judging import Judge
 from .ordinary import NEVER
 from .settings import Settings
@@ -30,6 +31,7 @@ class Aids:
         self.watch = Watch()
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
         self._compass = CompassCheck()
+        self._epochs = Epochs()
 
     def fork(self) -> "Aids":
         """Copy that goes its own way."""
@@ -54,6 +56,13 @@ class Aids:
             wheels.PERIOD_S - 1e-3 if self._settings.non_holonomic else NEVER,
             SPEED_LIMIT if self.wheels_stand else NEVER,
         )
+
+    def is_told_again(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
+        """Whether a receiver has said this before."""
+        if not isinstance(measurement, GnssPosition | GnssVelocity):
+            return False
+        self._epochs, again = self._epochs.after(measurement, navigation)
+        return again
 
     def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
         """Hold a measurement against the filter, unless a better device says the same."""

@@ -11,9 +11,8 @@ from .aiding import Counts, Measurement, Outcome
 from .aids import Aids
 from .alignment import Alignment
 from .baseline import BaselineHeading
-from .epochs import Epochs
 from .filter import ErrorStateFilter
-from .gaps import admit_doubt, admit_gap
+from .gaps import DOUBT_PERIOD_S, admit_doubt, admit_gap
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Heading, Prior
 from .matching import Comparison
@@ -29,7 +28,6 @@ from .wheels import SLOWEST_M_S, NonHolonomic
 # A step longer than GAP_S is a gap: carried over, and admitted in the covariance.
 LOST_S = 1.0  # a longer one ends the solution, though not the attitude
 FORGOTTEN_S = 5.0  # a still longer one ends that too
-DOUBT_PERIOD_S = 0.1
 KEPT = Heading(0.0, radians(20.0), "heading kept")
 COASTING, NAVIGATING = NavigationPhase.COASTING, NavigationPhase.NAVIGATING  # looked up for every sample
 
@@ -43,8 +41,7 @@ class Engine:
     def __init__(self, settings: Settings, counts: Counts | None = None, why: str = "") -> None:
         self._settings = settings
         self._coasting_ns = settings.coasting_after_s * 1e9
-        self.phase = NavigationPhase.WAITING_FOR_IMU
-        self.since_ns = 0
+        self.phase, self.since_ns = NavigationPhase.WAITING_FOR_IMU, 0
         self.reason = "no inertial sample yet"
         self.counts = counts or Counts()
         self.last: Sample | None = None
@@ -54,7 +51,6 @@ class Engine:
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
         self.aids = Aids(settings)
-        self._epochs = Epochs()
         self._rest = UNSETTLED
         self._rest_turn, self._rest_s = STILL, 0.0  # [rad, body; s] of the rest since its last update
         self._unattended_s = 0.0  # since the last sample that was attended to
@@ -182,11 +178,9 @@ class Engine:
 
     def _aid(self, measurement: Measurement) -> list[Outcome]:
         """Hold a measurement against the filter, or hand it to the alignment."""
-        if isinstance(measurement, GnssPosition | GnssVelocity):
-            self._epochs, again = self._epochs.after(measurement, self.filter)
-            if again:
-                self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
-                return []
+        if self.aids.is_told_again(measurement, self.filter):
+            self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
+            return []
         if self.filter is None:
             self._align(measurement)
             return []

@@ -6,6 +6,7 @@ from .filter import ErrorStateFilter
 
 FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
 RATE_SD = 0.3  # [rad/s]
+DOUBT_PERIOD_S = 0.1  # between two times that the filter is told of doubtful samples
 DOUBT_CORRELATION_S = 1.0
 
 
