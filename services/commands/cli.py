@@ -193,16 +193,16 @@ def _end_on_sigterm() -> None:
 
 @papers.command()
 def navigation(
-    runs: Annotated[int, typer.Option(min=1, help="Seeds for each of the six drives.")] = 10,
+    runs: Annotated[int, typer.Option(min=1, help="Seeds for each row.")] = 10,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the table.")] = False,
 ) -> None:
-    """Repeat the degraded scenarios of the EMERGE paper and print them beside its table 2.
+    """Repeat the degraded scenarios of the EMERGE paper beside its table 2, and outages.
 
     Example: [bold]obu papers navigation --runs 2[/]
     """
-    from .papers_navigation import run
+    from .papers import navigation as repeat
 
-    raise typer.Exit(run(runs, as_json))
+    raise typer.Exit(repeat(runs, as_json))
 
 
 @recordings.callback(invoke_without_command=True)
