@@ -8,11 +8,11 @@ SEED ?= 1
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers bench drives integrity picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers bench drives integrity consistency picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(VENV)/.installed $(VENV)/.dashboard ## install what the unit needs into $(VENV)
 
@@ -86,7 +86,10 @@ drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and
 	@$(PYTHON) -m benchmarks.navigation
 
 integrity: setup ## hold protection levels against true errors: RUNS simulated drives, and RECORDINGS=folder (half an hour)
-	@$(PYTHON) -m benchmarks.integrity --runs $(RUNS) $(if $(RECORDINGS),--recordings $(RECORDINGS))
+	@$(PYTHON) -m benchmarks.integrity --runs $(RUNS) --keep .obu/integrity $(if $(RECORDINGS),--recordings $(RECORDINGS))
+
+consistency: setup ## hold errors against the filter's covariance: 50 drives a case (a quarter of an hour)
+	@$(PYTHON) -m benchmarks.consistency
 
 picture: $(VENV)/.debian ## take the README's picture anew from a running demo
 	@$(PYTHON) docs/picture.py

@@ -206,6 +206,10 @@ class Alignment:
         P[em.VELOCITY, em.VELOCITY] = np.diag(np.square(motion.sd)) + (ARM_RATE_SD * hypot(*arm)) ** 2 * np.eye(3)
         P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
         P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
+        if self._lost is None:
+            tilt = _tilt_by_bias(matrix_from_quaternion(quaternion))
+            P[em.ATTITUDE, em.ACCELEROMETER_BIAS] = tilt @ bias_cov
+            P[em.ACCELEROMETER_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.ACCELEROMETER_BIAS].T
         P[em.SCALES, em.SCALES] = self._scales_cov()
         P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
         P[em.POSITION, em.POSITION] = first.cov
@@ -259,3 +263,10 @@ class Alignment:
         if self._lost is not None:
             return self._lost.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
         return self.levelling.rate_bias, np.eye(3) * self._settings.gyroscope_bias_sd_rad_s**2
+
+
+def _tilt_by_bias(ned_from_body: FloatArray) -> FloatArray:
+    """Matrix [rad per m/s²] of what a bias does to a body that was levelled by its force: f_n stays upright."""
+    sideways = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    tilt: FloatArray = sideways @ ned_from_body / STANDARD_GRAVITY
+    return tilt

@@ -1,0 +1,1 @@
+"""Whether the filter's errors are as large as its covariance says, over independent simulated drives."""

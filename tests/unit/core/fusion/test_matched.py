@@ -1,0 +1,43 @@
+"""A filter whose sensors err by exactly what it assumes knows how large its errors are: `make consistency`, small."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from benchmarks.consistency.matched import Model, run
+from benchmarks.consistency.report import band, dimension, row_of
+from benchmarks.consistency.sizes import BLOCKS, Sizes
+
+RUNS = 8
+
+
+@pytest.fixture(scope="module", params=[Model(), Model(lasts=True)], ids=["white", "60 s"])
+def runs(request: pytest.FixtureRequest) -> list[Sizes]:
+    return [run(request.param, "urban", seed, 60.0) for seed in range(100, 100 + RUNS)]
+
+
+def test_errors_are_as_large_as_the_covariance_says(runs: list[Sizes]) -> None:
+    """Mean over time of every block within the 99.9 % band of a single instant, which is wider than its own."""
+    row = row_of("matched", runs)
+    for block, size in row.nees.items():
+        degrees = RUNS * dimension(block)
+        low, high = chi2.ppf(0.0005, degrees) / degrees, chi2.isf(0.0005, degrees) / degrees
+        assert low < size < high, block
+
+
+def test_innovations_are_as_large_as_expected(runs: list[Sizes]) -> None:
+    assert all(0.9 < size < 1.1 for size in row_of("matched", runs).innovations)
+
+
+def test_a_filter_that_is_too_sure_of_itself_is_found_out(runs: list[Sizes]) -> None:
+    doubled = [Sizes(one.time_s, 4.0 * one.errors, one.innovations) for one in runs]
+    halved = [Sizes(one.time_s, 0.25 * one.errors, one.innovations) for one in runs]
+    assert not row_of("too sure", doubled).within
+    assert not row_of("too careful", halved).within
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_band_is_that_of_chi_square(block: str) -> None:
+    degrees = 50 * dimension(block)
+    exact = np.array([chi2.ppf(0.025, degrees), chi2.isf(0.025, degrees)]) / degrees
+    assert band(50, dimension(block)) == pytest.approx(exact, abs=1e-3)
