@@ -22,19 +22,19 @@ RESULTS = Path(__file__).resolve().parents[1] / "results"
 SHARE_GOAL, RATIO_GOAL = 1e-3, 6.0
 # Recording and options of `obu solve`; docs/how-to/solve-a-recorded-drive.md says how each is imported.
 RECORDINGS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("rtkexp", ()),
-    ("rtkexp", ("--outage", "10/30")),
-    ("rtkexp", ("--outage", "15/45")),
-    ("rtkexp", ("--outage", "15/45", "--aiding", "free")),
-    ("wid02", ()),
-    ("wid02", ("--outage", "10/30")),
-    ("wid08", ()),
-    ("wid08", ("--outage", "10/30")),
-    ("wid10", ()),
-    ("wid10", ("--outage", "10/30")),
-    ("navmatlab", ()),
-    ("navmatlab", ("--outage", "60/180@120", "--aiding", "nhc")),
-    ("navmatlab", ("--outage", "60/180@180", "--aiding", "free")),
+    ("rtkexp_drive", ()),
+    ("rtkexp_drive", ("--outage", "10/30")),
+    ("rtkexp_drive", ("--outage", "15/45")),
+    ("rtkexp_drive", ("--outage", "15/45", "--aiding", "free")),
+    ("wid_car_trial02", ()),
+    ("wid_car_trial02", ("--outage", "10/30")),
+    ("wid_car_trial08", ()),
+    ("wid_car_trial08", ("--outage", "10/30")),
+    ("wid_car_trial10", ()),
+    ("wid_car_trial10", ("--outage", "10/30")),
+    ("navmatlab_car", ()),
+    ("navmatlab_car", ("--outage", "60/180@120", "--aiding", "nhc")),
+    ("navmatlab_car", ("--outage", "60/180@180", "--aiding", "free")),
     ("mems_rtk_200hz", ()),
     ("mems_rtk_200hz", ("--outage", "60/180@650", "--aiding", "odometer")),
     ("mems_rtk_200hz", ("--outage", "60/180@710", "--aiding", "free")),
@@ -68,11 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the first runs")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--recordings", type=Path, help="folder with imported recordings")
+    parser.add_argument("--keep", type=Path, help="folder for what is done, so that a campaign can be taken up again")
     options = parser.parse_args(arguments)
     console = Console(stderr=True)
     judged = list(
         track(
-            judge_all(options.runs, options.workers, options.seed),
+            judge_all(options.runs, options.workers, options.seed, options.keep),
             "simulating",
             options.runs,
             console=console,

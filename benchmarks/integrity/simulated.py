@@ -1,22 +1,29 @@
 """Simulated drives with outages, under errors that the filter knows of and errors that it does not."""
 
+import hashlib
 import multiprocessing
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 
-from services.commands.papers_navigation import YAW_SD, give_fix, saved_heading
+from benchmarks.given import fixes_of, speeds_of
+from services.commands.papers_navigation import YAW_SD, saved_heading
+from services.core.fusion.batch import solve
+from services.core.fusion.fast import compiled_run
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error
-from shared.maths.earth import FloatArray, Geodetic, ned_track
+from shared.maths.earth import FloatArray, Geodetic, geodetic_from_ned_difference, ned_track
 
 DURATION_S = 180.0
 OUTAGE_S, PERIOD_S, FIRST_NS = 15, 60, 45_000_000_000
-EVERY = 50  # inertial samples of 10 ms between two solutions that are judged: neighbours tell the same
+EVERY_NS = 500_000_000  # between two solutions that are judged: neighbours tell the same
+WHITE_RMSE = (3.0, 2.0, 1.6)  # [m, NED]
 STREAM = 11  # of random numbers that no other part of the simulator draws
 
 
@@ -27,6 +34,7 @@ class Case:
     name: str
     scenario: str
     error: InjectedError | None = None  # None: that of the scenario
+    base_share: float = 0.0  # standard deviation of an error that never changes, over that of the others
 
 
 @dataclass(frozen=True)
@@ -52,6 +60,8 @@ CASES = (
     Case("town, 1.5 m over 60 s", "urban", _lasting((1.5, 1.5, 3.0), 60.0)),
     Case("motorway, RTK", "highway"),
     Case("country road with tunnels", "tunnel"),
+    Case("car park, white 3 m and a fifth for ever", "parking_lot", InjectedError(ErrorKind.WHITE, WHITE_RMSE), 0.2),
+    Case("country road, 1 m over 30 min", "tunnel", _lasting((1.0, 1.0, 1.5), 1800.0)),
 )
 
 
@@ -61,10 +71,20 @@ def judge_run(job: tuple[Case, int]) -> Judged:
     scenario = scenario_of(case.scenario, seed)
     drive = simulate(with_error(scenario, case.error) if case.error else scenario, seed, DURATION_S)
     drive.fix_valid[_hidden(drive.fix_ns)] = False
-    settings = Settings(lever_arm_body_m=drive.lever_arm_b, merge_delay_s=0.0)
+    settings = Settings(lever_arm_body_m=drive.lever_arm_b)
     rng = np.random.default_rng((seed, STREAM))
-    late_ns = round(abs(settings.gnss_time_sd_s * rng.standard_normal()) * 1e9)
-    return _judged(case, drive, settings, late_ns)
+    drive.fix_ns[:] += round(abs(settings.gnss_time_sd_s * rng.standard_normal()) * 1e9)
+    base_sd = case.base_share * drive.fix_position_sd_n[0]
+    _shift(drive, base_sd * rng.standard_normal(3))
+    drive.fix_position_sd_n[:] = np.hypot(drive.fix_position_sd_n, base_sd)
+    return _judged(case, drive, settings)
+
+
+def _shift(drive: Drive, base: FloatArray) -> None:
+    """Move all fixes [m, NED]."""
+    north, east, down = base.tolist()
+    for k in range(len(drive.fix_ns)):
+        drive.fix_position[k] = geodetic_from_ned_difference((north, east, down), Geodetic(*drive.fix_position[k]))
 
 
 def _hidden(stamps_ns: "np.typing.NDArray[np.int64]") -> "np.typing.NDArray[np.bool_]":
@@ -73,38 +93,54 @@ def _hidden(stamps_ns: "np.typing.NDArray[np.int64]") -> "np.typing.NDArray[np.b
     return found
 
 
-def _judged(case: Case, drive: Drive, settings: Settings, late_ns: int) -> Judged:
+def _judged(case: Case, drive: Drive, settings: Settings) -> Judged:
     navigator = Navigator(settings)
     navigator.remember(saved_heading(drive, YAW_SD))
-    fixes = [k for k in range(len(drive.fix_ns)) if drive.fix_valid[k]]
-    speeds = list(range(len(drive.odometer_ns))) if drive.seed % 2 else []
-    drive.fix_ns[:] += late_ns
-    rows, positions, levels = [], [], []
-    times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
-    for i, time_ns in enumerate(times):
-        while fixes and drive.fix_ns[fixes[0]] <= time_ns:
-            give_fix(drive, fixes.pop(0), navigator)
-        while speeds and drive.odometer_ns[speeds[0]] <= time_ns:
-            k = speeds.pop(0)
-            navigator.speed(int(drive.odometer_ns[k]), float(drive.odometer[k]))
-        navigator.imu(time_ns, forces[i], rates[i])
-        solution = navigator.solution() if i % EVERY == EVERY - 1 else None
-        if solution:
-            rows.append(i)
-            positions.append(solution.position)
-            levels.append((solution.protection_level_horizontal, solution.protection_level_vertical))
+    told = fixes_of(drive, settings) + (speeds_of(drive, settings) if drive.seed % 2 else [])
+    readings = np.hstack([drive.force_b, drive.rate_b])
+    found = list(solve(navigator, drive.t_ns, readings, told, every_ns=EVERY_NS, compiled=compiled_run()))
+    rows = np.searchsorted(drive.t_ns, [solution.time_ns for solution in found])
     origin = Geodetic(*drive.position[0].tolist())
-    off = ned_track(np.array(positions), origin) - ned_track(drive.position[rows], origin)
-    return Judged(
-        case.name, drive.seed, np.column_stack([np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2])]), np.array(levels)
-    )
+    places = np.array([solution.position for solution in found])
+    off = ned_track(places, origin) - ned_track(drive.position[rows], origin)
+    levels = np.array([(one.protection_level_horizontal, one.protection_level_vertical) for one in found])
+    return Judged(case.name, drive.seed, np.column_stack([np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2])]), levels)
 
 
-def judge_all(runs: int, workers: int, first_seed: int = 0) -> Iterator[Judged]:
-    """Judge a number of runs, the cases in turn, each with a seed of its own."""
+def judge_all(runs: int, workers: int, first_seed: int = 0, kept: Path | None = None) -> Iterator[Judged]:
+    """Judge a number of runs, the cases in turn, each with a seed of its own.
+
+    What a folder has `kept` of earlier campaigns of the same code is not done again.
+    """
     jobs = [(CASES[i % len(CASES)], first_seed + i // len(CASES)) for i in range(runs)]
+    judge = partial(judge_or_recall, kept) if kept else judge_run
     if workers == 1:
-        yield from map(judge_run, jobs)
+        yield from map(judge, jobs)
         return
     with multiprocessing.get_context("spawn").Pool(min(workers, len(jobs))) as pool:
-        yield from pool.imap_unordered(judge_run, jobs)
+        yield from pool.imap_unordered(judge, jobs)
+
+
+def judge_or_recall(kept: Path, job: tuple[Case, int]) -> Judged:
+    """Look in the folder first, and leave there what was not in it."""
+    case, seed = job
+    path = kept / f"{_code()}-{CASES.index(case)}-{seed}.npz"
+    if path.exists():
+        with np.load(path) as found:
+            return Judged(case.name, seed, found["error_m"], found["level_m"])
+    one = judge_run(job)
+    kept.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_suffix(".part")
+    with unfinished.open("wb") as file:
+        np.savez_compressed(file, error_m=one.error_m, level_m=one.level_m)
+    unfinished.rename(path)
+    return one
+
+
+@cache
+def _code() -> str:
+    """Digest of everything that a result depends on."""
+    root = Path(__file__).resolve().parents[2]
+    folders = ("services/core/fusion", "services/sensors/simulator", "shared/maths", "benchmarks/integrity")
+    paths = sorted(path for folder in folders for path in (root / folder).rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:12]

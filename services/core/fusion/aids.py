@@ -74,7 +74,10 @@ class Aids:
         for observe in measurement.observers():
             before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
             outcome = self.judge.judge(navigation, measurement, observe(navigation))
-            self.watch = self.watch.after(outcome, before, navigation, self._settings.gate_false_alarm)
+            estimated = isinstance(measurement, GnssPosition) and measurement.lasts
+            self.watch = self.watch.after(
+                outcome, before, navigation, self._settings.gate_false_alarm, estimated=estimated
+            )
             yield outcome
             if isinstance(measurement, GnssPosition) and outcome.used:
                 measurement.teach(navigation)

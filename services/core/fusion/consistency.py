@@ -17,6 +17,7 @@ CHANCE_SDS = 2.0  # by which noise may look like an error that lasts
 HIDDEN = 1.25  # what innovations show of an error that lasts, and a quarter as much again that the filter has followed
 TRIAL_S = 20.0  # for so long counts what was taken for granted at first
 CHANCE = 0.5  # by which `Axis.habit` scatters about one, averaged over three axes
+RARE = 3.3  # [-] what one u in a thousand is larger than: when larger ones come, the tails are not a normal number's
 ALIKE = 4.0  # an error that lasts cannot be more than four times what neighbours have in common
 
 
@@ -30,6 +31,7 @@ class Axis(NamedTuple):
     last: float = 0.0
     variance: float = 0.0  # [m² or m²/s²] mean of the innovation's
     newest: float = 0.0  # [m² or m²/s²] the newest of them
+    peak: float = 0.0  # largest u of late, which fades with `MEMORY_S`
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Evidence:
         if neighbours:
             interval_s += 0.1 * (min(span_s, 2.0 * interval_s + 0.1) - interval_s)
         learnt = [
-            _learnt(axis, z, s, quick, slow, mean_variance, neighbours)
+            _learnt(axis, z, s, quick, slow, mean_variance, neighbours, exp(-span_s / MEMORY_S))
             for axis, z, s in zip(self.axes, innovation, sd, strict=False)
         ]
         north, east, down = (*learnt, *self.axes[len(learnt) :])
@@ -81,13 +83,22 @@ class Evidence:
 
     @property
     def scale_horizontal(self) -> float:
-        """How much larger than expected the squares of horizontal innovations are; 1 if they are not."""
-        return max(1.0, 0.5 * (self.axes[0].power + self.axes[1].power))
+        """How much larger than expected, and than by chance, squared horizontal innovations are; 1 if they are not.
+
+        On average, or the largest of late if that is more.
+        """
+        mean = 0.5 * (self.axes[0].power + self.axes[1].power) - sqrt(0.5) * self._chance
+        return max(1.0, mean, (max(self.axes[0].peak, self.axes[1].peak) / RARE) ** 2)
 
     @property
     def scale_vertical(self) -> float:
         """The same of vertical ones."""
-        return max(1.0, self.axes[2].power)
+        return max(1.0, self.axes[2].power - self._chance, (self.axes[2].peak / RARE) ** 2)
+
+    @property
+    def _chance(self) -> float:
+        """Standard deviation of the mean of u² of n = 2 `MEMORY_S` / interval: √(2/n)."""
+        return sqrt(min(self.interval_s, MEMORY_S) / MEMORY_S)
 
     @property
     def overstatement(self) -> float:
@@ -98,8 +109,19 @@ class Evidence:
         return max(1.0, (self.axes[0].habit + self.axes[1].habit + self.axes[2].habit) / 3.0 - CHANCE)
 
 
+UNKNOWN = Evidence()
+ESTIMATED = Evidence(axes=(Axis(alike=0.0),) * 3)  # of errors whose lasting part is a state of the filter
+
+
 def _learnt(
-    axis: Axis, innovation: float, sd: float, quick: float, slow: float, mean_variance: float, neighbours: bool
+    axis: Axis,
+    innovation: float,
+    sd: float,
+    quick: float,
+    slow: float,
+    mean_variance: float,
+    neighbours: bool,
+    fading: float,
 ) -> Axis:
     u = min(LARGEST, max(-LARGEST, innovation / sd))
     mean = axis.mean + quick * (u - axis.mean)
@@ -112,4 +134,5 @@ def _learnt(
         u,
         axis.variance + slow * (variance - axis.variance) if axis.newest else variance,
         variance,
+        max(abs(u), fading * axis.peak),
     )

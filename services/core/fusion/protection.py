@@ -2,10 +2,10 @@
 
 The covariance is where it begins; what it does not know of is added, and nothing is ever taken away::
 
-    level = max( k(risk/2) σ,  fault + k(risk/2 / P_fault) σ )
+    risk = (1 - P_fault) P(|σ n| > L) + P_fault P(|σ n + fault| > L),   level = disputed + L
 
-with k of a normal number (vertical) or of a normal pair (horizontal), σ² the inflated covariance, and fault the most
-that one wrong fix can have done without the gate seeing it. docs/explanation/protection-levels.md has every term.
+with n a normal number (vertical) or a normal pair (horizontal), σ² the inflated covariance, and fault the most that
+one wrong fix can have done without the gate seeing it. docs/explanation/protection-levels.md has every term.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +19,7 @@ from .watch import Watch
 
 NODES = 64  # of the mean over a quarter turn
 STEPS = 32  # of the table of factors, from a line to a circle
+SPLITS = (0.5, 0.75, 0.95)  # [-] shares of the risk that horizontal errors without a fault may have
 FAULT_PROBABILITY = 0.01  # that one fix is wrong by as much as the gate lets pass
 OUTAGE_FACTOR = 3.0  # [-] on the variance that an outage adds, for errors of sensors that no state stands for
 OUTAGE_S = 10.0  # time in which these have come to bear
@@ -107,9 +108,9 @@ def _factors(risk: float) -> tuple[float, ...]:
     return (*found, high)
 
 
-def _where(tail: Callable[[float], float], probability: float, low: float, high: float) -> float:
-    """Find where a tail has fallen to a probability, on the safe side."""
-    while high - low > 1e-9:
+def _where(tail: Callable[[float], float], probability: float, low: float, high: float, near: float = 1e-9) -> float:
+    """Find where a tail has fallen to a probability, on the safe side by as much as is `near`."""
+    while high - low > near:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if tail(middle) > probability else (low, middle)
     return high
@@ -127,6 +128,40 @@ def horizontal_level(nn: float, ne: float, ee: float, risk: float) -> float:
 def vertical_level(variance: float, risk: float) -> float:
     """Half height [m] that holds a vertical error of a variance [m²] but for a probability."""
     return sqrt(max(variance, 0.0)) * line_factor(risk)
+
+
+def horizontal_level_with_fault(cov: tuple[float, float, float], fault: float, risk: float) -> float:
+    """Radius [m] that holds a horizontal error of a covariance [m²: NN, NE, EE], moved by a fault [m] or not.
+
+    Notes
+    -----
+    For every share a of the risk::
+
+        L(a) = max( k(a risk) σ,  fault + k((1 - a) risk / P_fault) σ )
+
+    is enough, and so is the least of some.
+    """
+    return min(
+        max(
+            horizontal_level(*cov, share * risk),
+            fault + horizontal_level(*cov, min(1.0, (1.0 - share) * risk / FAULT_PROBABILITY)),
+        )
+        for share in SPLITS
+    )
+
+
+def vertical_level_with_fault(variance: float, fault: float, risk: float) -> float:
+    """Half height [m] that holds a vertical error of a variance [m²], moved by a fault [m] or not: exactly."""
+    low = vertical_level(variance, risk)
+    if fault <= 0.0 or variance <= 0.0:
+        return low + max(0.0, fault)
+    per_m = sqrt(0.5 / variance)
+
+    def outside(level: float) -> float:
+        moved = 0.5 * (erfc((level - fault) * per_m) + erfc((level + fault) * per_m))
+        return (1.0 - FAULT_PROBABILITY) * erfc(level * per_m) + FAULT_PROBABILITY * moved
+
+    return _where(outside, risk, low, low + fault, 1e-4 * low)
 
 
 def protection_levels(
@@ -186,10 +221,9 @@ def protection_levels(
     variance = high * dd + watch.lasting_vertical
     if not isfinite(sum(cov) + variance):
         return Levels(LARGEST_M, LARGEST_M, risk)  # of numbers that have broken down nothing is known
-    usual, faulty = 0.5 * risk, min(1.0, 0.5 * risk / FAULT_PROBABILITY)
-    fault_h, fault_v = watch.fault
-    horizontal = max(horizontal_level(*cov, usual), fault_h + horizontal_level(*cov, faulty))
-    vertical = max(vertical_level(variance, usual), fault_v + vertical_level(variance, faulty))
+    (fault_h, fault_v), (disputed_h, disputed_v) = watch.pulled, watch.disputed
+    horizontal = disputed_h + horizontal_level_with_fault(cov, fault_h, risk)
+    vertical = disputed_v + vertical_level_with_fault(variance, fault_v, risk)
     return Levels(min(horizontal, LARGEST_M), min(vertical, LARGEST_M), risk)
 
 

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import hypot, sqrt
+from math import exp, hypot, sqrt
 
 from shared.messages import AidingKind
 
 from . import error_model as em
 from .aiding import Outcome
-from .consistency import Evidence
+from .consistency import ESTIMATED, MEMORY_S, UNKNOWN, Evidence
 from .filter import ErrorStateFilter
 from .kalman import chi_square_limit
 
@@ -23,16 +23,28 @@ class Watch:
 
     position: Evidence = field(default_factory=Evidence)
     velocity: Evidence = field(default_factory=Evidence)
+    estimated: bool = False  # what lasts of positions is a state of the filter
     used_ns: int = 0  # stamp of the last position that was used
     anchored: Block = NO_BLOCK  # covariance after it
     pulled: tuple[float, float] = (0.0, 0.0)  # [m] most that it can have moved the solution unseen, on ground and up
     contested: tuple[float, float] = (0.0, 0.0)  # [m] by which a position was refused, until one is used again
+    yielded: tuple[float, float] = (0.0, 0.0)  # [m] the same when the filter gave way to them; it fades
 
     def begun(self, time_ns: int, started: ErrorStateFilter) -> "Watch":
-        """Begin with a filter, but keep what is known of the receiver."""
-        return replace(self, used_ns=time_ns, anchored=block(started), pulled=(0.0, 0.0), contested=(0.0, 0.0))
+        """Begin with a filter, but keep what is known of the receiver.
 
-    def after(self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float) -> "Watch":
+        If the one before contradicted it until it was given up, nobody knows which of the two was right.
+        """
+        (level, upright), (more, higher) = self.yielded, self.contested
+        if more > 0.0:
+            more += hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9  # it went on since
+        given_up = (level + more, upright + higher)
+        anchored = block(started)
+        return Watch(self.position, self.velocity, self.estimated, time_ns, anchored, yielded=given_up)
+
+    def after(
+        self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float, *, estimated: bool
+    ) -> "Watch":
         """Learn from a measurement.
 
         Parameters
@@ -45,6 +57,8 @@ class Watch:
             After it.
         false_alarm : float
             [-] Probability of the gate that it has passed.
+        estimated : bool
+            Whether the filter has a state for what lasts of its error.
 
         Returns
         -------
@@ -66,20 +80,25 @@ class Watch:
         if outcome.kind is not AidingKind.GNSS_POSITION:
             return self
         z = outcome.innovation
-        seen = self.position.after(outcome.time_ns, z, outcome.innovation_sd)
+        known = self.position
+        if not known.time_ns or (self.estimated and not estimated):  # a new kind of error has to show itself anew
+            known = ESTIMATED if estimated else UNKNOWN
+        seen = known.after(outcome.time_ns, z, outcome.innovation_sd)
         if not outcome.used:
             contested = (hypot(z[0], z[1]), abs(z[2]) if len(z) > 2 else self.contested[1])
-            return replace(self, position=seen, contested=contested)
+            return replace(self, position=seen, contested=contested, estimated=estimated)
         now, limit = block(navigation), chi_square_limit(len(z), false_alarm)
         nn, ne, ee, dd = (old - new for old, new in zip(before, now, strict=True))
         taken = max(0.0, 0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne))
         pulled = (sqrt(limit * taken), sqrt(limit * max(0.0, dd)))
-        return Watch(seen, self.velocity, outcome.time_ns, now, pulled)
+        fading = exp(-max(0, outcome.time_ns - self.used_ns) * 1e-9 / MEMORY_S)
+        yielded = fading * self.yielded[0], fading * self.yielded[1]
+        return Watch(seen, self.velocity, estimated, outcome.time_ns, now, pulled, yielded=yielded)
 
     @cached_property
-    def fault(self) -> tuple[float, float]:
-        """How far [m, ground and up] a wrong fix can have moved it, or by a right one that was refused it is off."""
-        return self.pulled[0] + self.contested[0], self.pulled[1] + self.contested[1]
+    def disputed(self) -> tuple[float, float]:
+        """How far [m, ground and up] it is off if the positions that contradict it, or did, were right, or wrong."""
+        return self.contested[0] + self.yielded[0], self.contested[1] + self.yielded[1]
 
     @cached_property
     def overstatement(self) -> float:

@@ -11,16 +11,19 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from services.core.fusion.consistency import Evidence
+from services.core.fusion.consistency import ESTIMATED, RARE, Evidence
 from services.core.fusion.kalman import chi_square_limit, correct
 from services.core.fusion.protection import (
+    FAULT_PROBABILITY,
     LARGEST_M,
     circle_factor,
     horizontal_level,
+    horizontal_level_with_fault,
     line_factor,
     probability_outside,
     protection_levels,
     vertical_level,
+    vertical_level_with_fault,
 )
 from services.core.fusion.watch import Watch
 
@@ -191,17 +194,67 @@ def test_what_a_fix_may_have_done_unseen_is_the_farthest_that_the_gate_lets_it_g
     assert levels(pulled)[0] >= bound + horizontal_level(4.0, 1.0, 2.0, 0.05)
 
 
+@pytest.mark.parametrize("fault", [0.0, 0.5, 2.0, 4.0, 20.0])
+def test_with_faults_as_often_as_assumed_the_vertical_level_is_exact(fault: float) -> None:
+    sd = 3.0
+    level = vertical_level_with_fault(sd**2, fault * sd, 1e-3)
+    moved = norm.sf(level / sd - fault) + norm.sf(level / sd + fault)
+    outside = 2.0 * (1.0 - FAULT_PROBABILITY) * norm.sf(level / sd) + FAULT_PROBABILITY * moved
+    assert 0.999e-3 < outside <= 1e-3
+
+
+@pytest.mark.parametrize("fault", [0.0, 2.0, 8.0])
+def test_with_faults_as_often_as_assumed_no_more_than_a_thousandth_lies_outside(fault: float) -> None:
+    """A million draws, moved in the worst direction, along the major axis."""
+    rng = np.random.default_rng(6)
+    draws = rng.standard_normal((1_000_000, 2)) * (2.0, 1.0)
+    draws[rng.random(1_000_000) < FAULT_PROBABILITY, 0] += fault
+    level = horizontal_level_with_fault((4.0, 0.0, 1.0), fault, 1e-3)
+    assert (np.hypot(*draws.T) > level).sum() < 1000 + 4.0 * sqrt(1000)
+    assert level < fault + horizontal_level(4.0, 0.0, 1.0, 5e-4), "and it is less than both together"
+
+
+def test_errors_that_come_larger_than_a_normal_number_s_count_for_a_minute() -> None:
+    calm, struck = white(200), white(200)
+    calm = np.clip(calm, -3.0, 3.0)
+    struck = np.vstack([np.clip(struck, -3.0, 3.0), [[0.0, 0.0, 4.5]]])
+    then, before = learnt(struck), learnt(calm)
+    assert before.scale_vertical == pytest.approx(1.0, abs=0.15)
+    assert then.scale_vertical == pytest.approx((4.5 / RARE) ** 2)
+    assert then.scale_horizontal == before.scale_horizontal == 1.0
+    later = then
+    for k in range(60):
+        later = later.after((202 + k) * SECOND_NS, [0.0, 0.0, 0.0], (2.0, 2.0, 2.0))
+    assert later.scale_vertical == 1.0
+
+
+def test_what_the_filter_estimates_is_not_taken_for_granted_besides() -> None:
+    first = ESTIMATED.after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0))
+    assert first.lasting(0) == 0.0 < Evidence().after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0)).lasting(0)
+    found = ESTIMATED
+    for k, row in enumerate(correlated(100, 60.0).tolist()):
+        found = found.after((k + 1) * SECOND_NS, [2.0 * u for u in row], (2.0, 2.0, 2.0))
+    assert max(found.lasting(axis) for axis in range(3)) > 0.4 * 4.0, "but it counts if it shows all the same"
+
+
 def test_a_refused_position_counts_until_one_is_used_again() -> None:
     """Either it is wrong or the solution is, and nobody knows which."""
     assert levels(watch(contested=(30.0, 12.0)))[0] > 30.0
     assert levels(watch(contested=(30.0, 12.0)))[1] > 12.0
 
 
+def test_a_filter_that_gave_way_to_positions_is_unsure_of_them_for_minutes() -> None:
+    contested = watch(contested=(30.0, 12.0))
+    given_up = replace(KNOWING, position=contested.position, yielded=contested.disputed)
+    assert given_up.disputed == (30.0, 12.0)
+    assert levels(given_up)[0] > 30.0 and levels(given_up)[1] > 12.0
+
+
 def test_an_error_of_the_stamp_is_an_error_along_the_road() -> None:
     sharp = ((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 1e-6))
     seen = watch(position=learnt(white(400), sd=1e-3), anchored=(1e-6, 0.0, 1e-6, 1e-6))
     slow, fast = levels(seen, cov=sharp)[0], levels(seen, cov=sharp, velocity=30.0)[0]
-    assert fast >= line_factor(5e-4) * 0.06 > 5.0 * slow
+    assert fast >= line_factor(1e-3) * 0.06 > 5.0 * slow
 
 
 def test_numbers_that_have_broken_down_protect_nothing() -> None:

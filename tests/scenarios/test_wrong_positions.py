@@ -1,0 +1,96 @@
+"""Positions that freeze or drift away: what the filter alone can do is to tell, and to widen its levels."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from benchmarks.given import fixes_of
+from services.commands.papers_navigation import YAW_SD, saved_heading
+from services.core.fusion.aiding import Counts
+from services.core.fusion.batch import solve
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import FloatArray, Geodetic, geodetic_from_ned_difference, ned_track
+
+BEGIN_S, END_S, DURATION_S = 60, 90, 100.0
+Wrong = Callable[[Drive, int], None]  # spoils a fix
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Horizontal errors and levels [m] since the begin, twice a second, and what was told."""
+
+    error: FloatArray
+    level: FloatArray
+    before: Counts  # of the same drive until the fault began
+    counts: Counts
+
+
+def drive_with(wrong: Wrong, scenario: str = "urban", seed: int = 3) -> Seen:
+    drive = simulate(scenario, seed, DURATION_S)
+    for k in np.flatnonzero((drive.fix_ns > BEGIN_S * 10**9) & (drive.fix_ns <= END_S * 10**9)).tolist():
+        wrong(drive, k)
+    settings = Settings(lever_arm_body_m=drive.lever_arm_b)
+    navigator = Navigator(settings)
+    navigator.remember(saved_heading(drive, YAW_SD))
+    readings, before, rows = np.hstack([drive.force_b, drive.rate_b]), Counts(), []
+    for solution in solve(navigator, drive.t_ns, readings, fixes_of(drive, settings), every_ns=500_000_000):
+        if solution.time_ns <= BEGIN_S * 10**9:
+            before = navigator.counts
+            continue
+        true = Geodetic(*drive.position[np.searchsorted(drive.t_ns, solution.time_ns)].tolist())
+        north, east, _ = ned_track(np.array([solution.position]), true)[0]
+        rows.append((np.hypot(north, east), solution.protection_level_horizontal))
+    error, level = np.array(rows).T
+    return Seen(error, level, before, navigator.counts)
+
+
+def frozen(drive: Drive, k: int) -> None:
+    """Repeat the last position, with the velocity that is true."""
+    drive.fix_position[k] = drive.fix_position[k - 1]
+
+
+def held(drive: Drive, k: int) -> None:
+    """Repeat the last position and the last velocity."""
+    frozen(drive, k)
+    drive.fix_velocity_n[k] = drive.fix_velocity_n[k - 1]
+
+
+def drifting(rate: float) -> Wrong:
+    """Let positions drift to the east [m/s], with the velocity that is true."""
+
+    def drift(drive: Drive, k: int) -> None:
+        east = rate * (drive.fix_ns[k] * 1e-9 - BEGIN_S)
+        place = Geodetic(*drive.fix_position[k].tolist())
+        drive.fix_position[k] = geodetic_from_ned_difference((0.0, east, 0.0), place)
+
+    return drift
+
+
+@pytest.mark.parametrize(("wrong", "scenario"), [(frozen, "urban"), (frozen, "highway"), (held, "highway")])
+def test_a_position_that_freezes_is_refused_and_the_level_stays_above_the_error(wrong: Wrong, scenario: str) -> None:
+    """Even after the filter has given way to it, and begun again at the wrong place: who was right is not known."""
+    seen = drive_with(wrong, scenario)
+    assert seen.counts.fixes_rejected - seen.before.fixes_rejected >= 10 and seen.counts.resets > 0, "it is told"
+    assert seen.error.max() > 50.0, "and it is a grave one"
+    assert (seen.error <= seen.level).all()
+
+
+def test_a_position_that_drifts_by_a_metre_a_second_is_told_within_seconds() -> None:
+    seen = drive_with(drifting(1.0))
+    assert seen.counts.fixes_rejected - seen.before.fixes_rejected >= 10
+    assert seen.level.max() > seen.error.max()
+
+
+def test_a_position_that_drifts_slowly_is_followed_and_told_when_it_returns() -> None:
+    """0.1 m/s is within every gate; the level is not made for it: see docs/explanation/protection-levels.md."""
+    seen = drive_with(drifting(0.1))
+    assert 1.0 < seen.error.max() < 0.1 * (END_S - BEGIN_S) + 1.5, "no farther than it was dragged"
+
+
+def test_who_gave_way_is_unsure_of_it_for_minutes() -> None:
+    seen = drive_with(frozen)
+    assert seen.level[-1] > 30.0, "ten seconds after everything is right again"
