@@ -1,70 +1,101 @@
-"""How GNSS position errors run over time, learned from the fixes themselves: how much of them lasts, and how long.
+"""How GNSS position errors run over time, learned from the fixes: how large, how much of them lasts, and how long.
 
-A receiver says how large its errors are, but not whether they last. Between two fixes the inertial sensors know the
-way to centimetres, so what the fixes show of themselves beside that way are the changes of their errors. A bank of
-small filters, one for each hypothesis, follows them; each is as likely as the changes are under it.
+A receiver says how large its errors are, not always rightly, and never whether they last. Between two fixes the
+inertial sensors know the way to centimetres, so what the fixes show of themselves beside that way are the changes of
+their errors. A bank of small filters, one for each hypothesis, follows them; each is as likely as the changes are
+under it.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from math import exp
+from math import exp, log, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-TIMES_S = (2.0, 5.0, 10.0, 20.0, 60.0, 200.0)
+TIMES_S = (2.0, 5.0, 10.0, 20.0, 60.0, 200.0, 600.0, 2000.0)
 WHITE_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 0.7)
 # [s], [-] the hypotheses: correlation time, and share of the variance that is white. The first is nearly all white;
 # what is left of it is so constant that no fix can show it, and not to be forgotten for that.
 HYPOTHESES = ((600.0, 0.95), *product(TIMES_S, WHITE_SHARES))
-CORRELATION_S = np.array([[time] for time, _ in HYPOTHESES])
-WHITE = np.array([[share] for _, share in HYPOTHESES])
-LASTING = 1.0 - WHITE
+CORRELATION_S = np.array([time for time, _ in HYPOTHESES])
+LASTING = np.array([1.0 - share for _, share in HYPOTHESES])
 WHITE_PRIOR = 0.3  # probability of the first; the other hypotheses are equally likely
+SCALES = 2.0 ** np.arange(-3.0, 2.5, 0.5)  # [-] each with each of them: how large errors are, over what is stated
+SCALE_PRIOR_SDS = 0.35, 0.7  # [-] of its logarithm, below 1 and above: a filter that was too sure stays it for long
+SHAPE = (len(HYPOTHESES), len(SCALES), 3)  # of the bank, for each axis
 MEMORY_S = 600.0  # after which what was learned counts for 1/e, for places differ
 START_SDS = 100.0  # of the unknown place against the error of a fix
-SURPRISE = 9.0  # d² of one axis beyond which it is an outlier, and says nothing of correlation
+SURPRISE = 9.0  # d² of one axis beyond which it moves nothing any further
+FLOOR = log(0.01) - log(10.0)  # of an axis' likelihood: one fix in a hundred may be ten times as wrong as stated
+PERIOD_S = 2.0  # between fixes that teach: nearer ones show how a receiver smooths, and not how it errs
+BREAK_S = 10.0  # without a fix, after which the way is unknown again
 VELOCITY_CORRELATION_S = 2.0  # of the error of the filter's velocity
 
 
 @dataclass(frozen=True)
 class Colour:
-    """A bank of hypotheses with their logarithmic weights, and where each takes way and error to be.
+    """A bank of hypotheses with what speaks for each, and where each takes way and error to be.
 
-    Each has, an axis, two states: the way [m] by which the inertial track is off, and the lasting error over its
-    standard deviation. Their covariance is that of way, both, and error.
+    Each has, a scale and an axis, two states: the way [m] by which the inertial track is off, and the lasting error
+    over its standard deviation. Their covariance is that of way, both, and error.
     """
 
-    log_weight: FloatArray  # shape (h,)
-    way: FloatArray  # shape (h, 3)
+    evidence: FloatArray  # shape (h, s, 2), logarithmic, of horizontal and vertical errors, whose scales may differ
+    way: FloatArray  # shape (h, s, 3)
     error: FloatArray
     cov: tuple[FloatArray, FloatArray, FloatArray]
     time_ns: int | None = None
 
     @cached_property
+    def _weights(self) -> tuple[FloatArray, FloatArray]:
+        """Probability of each hypothesis, shape (h,), and of each scale under it, shape (h, s, 2)."""
+        exponent = PRIOR + self.evidence
+        most = exponent.max(axis=1, keepdims=True)
+        weight = np.exp(exponent - most)
+        total = weight.sum(axis=1, keepdims=True)
+        joint = (most + np.log(total)).sum(axis=(1, 2))
+        weights = np.exp(joint - joint.max())
+        return weights / weights.sum(), weight / total
+
+    @property
     def weight(self) -> FloatArray:
         """Probability of each hypothesis, shape (h,)."""
-        weight = np.exp(self.log_weight - self.log_weight.max())
-        normalised: FloatArray = weight / weight.sum()
-        return normalised
+        return self._weights[0]
 
     @cached_property
     def lasting(self) -> float:
         """Share of the variance that lasts, the mean over all hypotheses."""
-        return float(self.weight @ LASTING[:, 0])
+        return float(self.weight @ LASTING)
 
     @cached_property
     def correlation_s(self) -> float:
         """Correlation time [s] of what lasts, the geometric mean over all hypotheses."""
-        weight = self.weight * LASTING[:, 0] + 1e-12
-        return exp(float(weight @ np.log(CORRELATION_S[:, 0])) / float(weight.sum()))
+        weight = self.weight * LASTING + 1e-12
+        return exp(float(weight @ np.log(CORRELATION_S)) / float(weight.sum()))
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
+        weight, of_scales = self._weights
+        level, upright = np.sqrt(np.einsum("h,hsg,s->g", weight, of_scales, SCALES**2)).tolist()
+        return np.array([level, level, upright])
+
+    @property
+    def unit(self) -> FloatArray:
+        """Of the lasting error, in what the receiver states: north, east and down, shape (3,)."""
+        return self.scale * sqrt(max(self.lasting, 1e-6))
+
+    def scaled(self, cov: FloatArray) -> FloatArray:
+        """Covariance, shape (3, 3), with errors as large as they have shown themselves."""
+        return cov * np.outer(self.scale, self.scale)
 
     def at_start(self) -> "Colour":
         """Keep what was learned, of a track that begins anew."""
-        return Colour(self.log_weight, *_unknown())
+        return Colour(self.evidence, *_unknown())
 
     def after(self, time_ns: int, path: FloatArray, sd: FloatArray, velocity_variance: FloatArray) -> "Colour":
         """Learn from one more fix.
@@ -83,59 +114,71 @@ class Colour:
         Returns
         -------
         Colour
-            This one, if the fix is not newer than the last.
+            This one, if the fix is not newer than the last by `PERIOD_S`.
 
         Notes
         -----
-        For each hypothesis and axis, with w its white share and T its correlation time::
+        For each hypothesis, scale and axis, with w its white share, T its correlation time and k the scale::
 
-            path = c + s sqrt(1-w) u + s sqrt(w) n,  c' = velocity error,  u' = -u/T + sqrt(2/T) noise
+            path = c + k s sqrt(1-w) u + k s sqrt(w) n,  c' = velocity error,  u' = -u/T + sqrt(2/T) noise
         """
         if self.time_ns is None:
-            way_variance = np.broadcast_to((START_SDS * sd) ** 2, self.way.shape)
-            start = (way_variance, np.zeros_like(self.way), np.ones_like(self.way))
-            return self._updated(time_ns, path, sd, self.way, self.error, start, self.log_weight)
+            way_variance = np.broadcast_to((START_SDS * sd) ** 2, SHAPE)
+            start = (way_variance, np.zeros(SHAPE), np.ones(SHAPE))
+            return self._updated(time_ns, path, sd, self.error, start, self.evidence)
         step_s = (time_ns - self.time_ns) * 1e-9
-        if step_s <= 0.0:
+        if step_s < PERIOD_S - 1e-3:
             return self
-        phi = np.exp(-step_s / CORRELATION_S)
+        phi = np.exp(-step_s / CORRELATION_S)[:, np.newaxis, np.newaxis]
         ways, both, errors = self.cov
         drift = velocity_variance * step_s * max(step_s, VELOCITY_CORRELATION_S)
+        if step_s > BREAK_S:  # the velocity may have been far worse than it is now
+            drift = drift + (START_SDS * sd) ** 2
         predicted = (ways + drift, phi * both, phi**2 * errors + 1.0 - phi**2)
-        kept = exp(-step_s / MEMORY_S) * self.log_weight
-        return self._updated(time_ns, path, sd, self.way, phi * self.error, predicted, kept)
+        return self._updated(time_ns, path, sd, phi * self.error, predicted, exp(-step_s / MEMORY_S) * self.evidence)
 
     def _updated(
         self,
         time_ns: int,
         path: FloatArray,
         sd: FloatArray,
-        way: FloatArray,
         error: FloatArray,
         cov: tuple[FloatArray, FloatArray, FloatArray],
-        log_weight: FloatArray,
+        evidence: FloatArray,
     ) -> "Colour":
         ways, both, errors = cov
-        h = np.sqrt(LASTING) * sd
+        h = ROOTS * sd
         to_way, to_error = ways + h * both, both + h * errors
-        S = to_way + h * to_error + WHITE * sd**2
-        z = path - way - h * error
+        S = to_way + h * to_error + WHITES * sd**2
+        z = path - self.way - h * error
         surprise = z * z / S
         used = np.where(surprise < SURPRISE, z, np.copysign(np.sqrt(SURPRISE * S), z)) / S
-        likelihood = -0.5 * (np.minimum(surprise, SURPRISE) + np.log(S / sd**2)).sum(axis=1)
+        likelihood = np.maximum(-0.5 * (surprise + np.log(S / sd**2)), FLOOR)
         after = (ways - to_way**2 / S, both - to_way * to_error / S, errors - to_error**2 / S)
-        log_weight = log_weight + likelihood
-        return Colour(log_weight - log_weight.max(), way + to_way * used, error + to_error * used, after, time_ns)
+        way, error = self.way + to_way * used, error + to_error * used
+        if self.time_ns is not None:  # the first fix of a track has nothing to be held against
+            evidence = evidence + np.stack([likelihood[:, :, 0] + likelihood[:, :, 1], likelihood[:, :, 2]], axis=2)
+        return Colour(evidence, way, error, after, time_ns)
 
 
 def _unknown() -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
-    zeros = np.zeros((len(HYPOTHESES), 3))
+    zeros = np.zeros(SHAPE)
     return zeros, zeros, (zeros, zeros, zeros)
 
 
-UNKNOWN = Colour(
-    np.log([WHITE_PRIOR] + [(1.0 - WHITE_PRIOR) / (len(HYPOTHESES) - 1)] * (len(HYPOTHESES) - 1)), *_unknown()
-)
+def _prior() -> FloatArray:
+    """Logarithmic, of each hypothesis and scale, shape (h, s, 1); half the first in each of the two groups of axes."""
+    others = len(HYPOTHESES) - 1
+    of_hypotheses = 0.5 * np.log([WHITE_PRIOR] + [(1.0 - WHITE_PRIOR) / others] * others)
+    of_scales = -0.5 * (np.log(SCALES) / np.where(SCALES < 1.0, *SCALE_PRIOR_SDS)) ** 2
+    prior: FloatArray = (of_hypotheses[:, np.newaxis] + of_scales)[:, :, np.newaxis]
+    return prior
+
+
+ROOTS = (SCALES * np.sqrt(LASTING)[:, np.newaxis])[:, :, np.newaxis]  # [-] lasting part over what is stated
+WHITES = (SCALES**2 * (1.0 - LASTING)[:, np.newaxis])[:, :, np.newaxis]  # [-] variance of the white part over it
+PRIOR = _prior()
+UNKNOWN = Colour(np.zeros((*SHAPE[:2], 2)), *_unknown())
 
 
 def mean_at_rest(times_s: FloatArray, lasting: float, correlation_s: float) -> tuple[FloatArray, FloatArray]:

@@ -6,23 +6,20 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.errors import FilterDiverged
-from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.maths.earth import Geodetic
 from shared.maths.rotation import (
-    Quaternion,
     Vector,
     matrix_from_quaternion,
     ned_from_body,
-    quaternion_from_rotation_vector,
-    quaternion_product,
 )
 
 from . import error_model as em
 from .colour import UNKNOWN, Colour
-from .kalman import Correction, correct, decay, predict, variances
+from .kalman import Correction, correct, decay, predict, resized, variances
 from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, NEVER, Beside, Moment, Rows, Run, Stamps
 from .sampling import NO_SUMS, Shaking, means, take_sample
 from .settings import Settings
-from .strapdown import InertialState, motion_of, normalised
+from .strapdown import InertialState, motion_of, without
 from .trail import Trail
 
 FloatArray = npt.NDArray[np.float64]
@@ -214,6 +211,18 @@ class ErrorStateFilter:
         share[place] = remains
         return share
 
+    def learn(self, colour: Colour) -> None:
+        """Take over what was learned of GNSS errors: what is estimated of them [m] stays, and its variance follows."""
+        ratios, place = colour.unit / self.colour.unit, em.GNSS_ERROR
+        self.colour = colour
+        if self.P[place.start, place.start] == 0.0 or (ratios == 1.0).all():
+            return
+        if self.trail is not None:
+            self.trail.resized(self.inertial.time_ns, place, ratios, self.P[place])
+        self.P = resized(self.P, place.start, place.stop, ratios)
+        north, east, down = (self.gnss_error / ratios).tolist()
+        self._remember_gnss_error((north, east, down))
+
     def _remember_gnss_error(self, lasting: Vector) -> None:
         first, last, old = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING, self.parameters
         self.parameters = (*old[:first], *lasting, *old[last:])
@@ -233,13 +242,21 @@ class ErrorStateFilter:
 
     def forget_odometer(self) -> None:
         """Take the scale of the odometer for unknown: it is another one."""
-        place = em.ODOMETER_SCALE - em.DRIVING
-        self.parameters = (*self.parameters[:place], 0.0, *self.parameters[place + 1 :])
+        self._forget(em.ODOMETER_SCALE, self._settings.odometer_scale_sd**2)
+
+    def forget_gnss_error(self) -> None:
+        """Take the lasting error of GNSS for unknown: it is another one."""
+        for place in range(em.GNSS_ERROR.start, em.GNSS_ERROR.stop):
+            self._forget(place, 1.0)
+
+    def _forget(self, place: int, variance: float) -> None:
+        own = place - em.DRIVING
+        self.parameters = (*self.parameters[:own], 0.0, *self.parameters[own + 1 :])
         self.P = self.P.copy()
-        self.P[em.ODOMETER_SCALE] = self.P[:, em.ODOMETER_SCALE] = 0.0
-        self.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE] = self._settings.odometer_scale_sd**2
+        self.P[place] = self.P[:, place] = 0.0
+        self.P[place, place] = variance
         if self.trail is not None:
-            self.trail.forgot(self.inertial.time_ns, em.ODOMETER_SCALE)
+            self.trail.forgot(self.inertial.time_ns, place)
 
     def weigh(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
         """Work out what a measurement says, without believing it yet."""
@@ -256,13 +273,7 @@ class ErrorStateFilter:
         """Move the state by errors, shape (30,), that leave the covariance P."""
         x = errors.tolist()
         self.P = P
-        time_ns, quaternion, velocity, position = self.inertial
-        self.inertial = InertialState(
-            time_ns,
-            _turned_back(quaternion, (x[0], x[1], x[2])),
-            (velocity[0] - x[3], velocity[1] - x[4], velocity[2] - x[5]),
-            _moved_back(position, (x[6], x[7], x[8])),
-        )
+        self.inertial = without(self.inertial, x[: em.MOVING])
         self.moved = (self.moved[0] - x[6], self.moved[1] - x[7], self.moved[2] - x[8])
         bias, drift = self.accelerometer_bias, self.gyroscope_bias
         self.accelerometer_bias = (bias[0] + x[9], bias[1] + x[10], bias[2] + x[11])
@@ -287,13 +298,3 @@ class ErrorStateFilter:
             raise FilterDiverged("the velocity is beyond any vehicle's")
         if abs(latitude) > HIGHEST_LATITUDE:
             raise FilterDiverged("the position is too near a pole")
-
-
-def _turned_back(quaternion: Quaternion, error: Vector) -> Quaternion:
-    """exp(-sk(psi)) C, exactly."""
-    back = quaternion_from_rotation_vector((-error[0], -error[1], -error[2]))
-    return normalised(quaternion_product(back, quaternion))
-
-
-def _moved_back(position: Geodetic, error: Vector) -> Geodetic:
-    return geodetic_from_ned_difference((-error[0], -error[1], -error[2]), position)

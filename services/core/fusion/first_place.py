@@ -46,14 +46,14 @@ def first_place(rest: Sequence[GnssPosition], colour: Colour) -> FirstPlace:
         return FirstPlace(place, cov / independent, (0.0,) * 3, np.eye(3), zeros, colour.at_start())
     for fix, offset in zip(rest, offsets, strict=True):
         colour = colour.after(fix.time_ns, offset, np.sqrt(fix.cov.diagonal()), NOWHERE)
-    lasting = max(colour.lasting, 1e-6)
+    lasting, scaled = max(colour.lasting, 1e-6), colour.scaled(newest.cov)
     weights, joint = mean_at_rest(times_s, lasting, colour.correlation_s)
-    root = np.linalg.cholesky(newest.cov)
+    root = np.linalg.cholesky(scaled)
     place, error = weights @ offsets
     in_sds = np.linalg.solve(root, error) / sqrt(lasting)
     return FirstPlace(
         _moved(newest.position, place),
-        joint[0, 0] * newest.cov + cov - newest.cov,
+        joint[0, 0] * scaled + cov - newest.cov,
         tuple(in_sds.tolist()),
         joint[1, 1] / lasting * np.eye(3),
         joint[0, 1] / sqrt(lasting) * root,

@@ -64,10 +64,11 @@ class GnssPosition:
         arm_n = rotate(navigation.inertial.quaternion, self.lever_arm)
         z, H = self._beside(navigation, arm_n), em.antenna_position_matrix(arm_n)
         along = np.array(navigation.inertial.velocity) * self.time_sd_s  # what an error of the stamp does
-        lasting = navigation.colour.lasting if self.lasts else 0.0
-        R = (1.0 - lasting) * self.cov + np.outer(along, along)
+        lasting = max(navigation.colour.lasting, 1e-6) if self.lasts else 0.0
+        cov = navigation.colour.scaled(self.cov) if self.lasts else self.cov
+        R = (1.0 - lasting) * cov + np.outer(along, along)
         if lasting > 0.0:
-            root = sqrt(lasting) * np.linalg.cholesky(self.cov)
+            root = sqrt(lasting) * np.linalg.cholesky(cov)
             z -= root @ navigation.gnss_error
             H[:, em.GNSS_ERROR] = -root
         n = self.axes
@@ -79,7 +80,7 @@ class GnssPosition:
             arm_n = rotate(navigation.inertial.quaternion, self.lever_arm)
             path = self._beside(navigation, arm_n) + navigation.moved
             variances = navigation.P.diagonal()[em.VELOCITY]
-            navigation.colour = navigation.colour.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances)
+            navigation.learn(navigation.colour.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances))
 
     def _beside(self, navigation: ErrorStateFilter, arm_n: Vector) -> FloatArray:
         """Find where it is beside the predicted antenna [m, NED]."""

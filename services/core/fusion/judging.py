@@ -3,9 +3,12 @@
 from math import radians
 from typing import NamedTuple
 
+import numpy as np
+
 from shared.messages import AidingKind
 
 from . import arms
+from . import error_model as em
 from .aiding import Measurement, Observation, Outcome
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity, antenna_velocity
@@ -20,6 +23,9 @@ WIDENING = {
     AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
 }
 TURNED_SD = radians(3.0)  # at best, of a heading that is mended
+# So does a refused speed of the wheels, along them and with time: for spinning wheels are refused as well, and rightly.
+DOUBT_M_S_SQRT_S = 0.1
+DOUBT_AFTER_NS, DOUBT_STEP_NS = 2_000_000_000, 1_000_000_000
 TOLD_LIMIT = 9.0  # times the gate: what is beyond it tells nothing of the lever arm
 FORGIVEN_S = 60.0  # without a fault, after which the ones before are forgotten
 
@@ -63,6 +69,7 @@ class Judge:
         self.comparison = Comparison()  # of the filter's heading with GNSS
         self.arm = arms.begun()
         self._height_ns: int | None = None  # since when heights have been refused
+        self._doubt_ns: int | None = None  # when the next doubt is due, while speeds of the wheels are refused
         self._standings: dict[tuple[str, AidingKind], Standing] = {}
 
     def fork(self) -> "Judge":
@@ -91,10 +98,20 @@ class Judge:
     def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
         """Use an observation if its d² is within the limit of d², with less weight up to `robust_limit` times it.
 
-        A position whose height alone is beyond it is used without its height.
+        A position that is beyond it, but not beyond what the receiver states, has another lasting error than the ones
+        before it. One whose height alone is beyond it is used without its height.
         """
         correction, ratio = self._weigh(navigation, seen)
         limit = self._settings.robust_limit if seen.kind in WIDENING else 1.0
+        if ratio > limit and isinstance(measurement, GnssPosition) and seen.H[:, em.GNSS_ERROR].any():
+            other = navigation.fork()
+            other.trail = None
+            other.forget_gnss_error()
+            anew = measurement.observe(other)
+            if self._weigh(other, anew)[1] <= 1.0:
+                navigation.forget_gnss_error()
+                seen = anew
+                correction, ratio = self._weigh(navigation, seen)
         if ratio > limit and seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3:
             level = Observation(seen.kind, seen.z[:2], seen.H[:2], seen.R[:2, :2])
             flat, flat_ratio = self._weigh(navigation, level)
@@ -117,6 +134,19 @@ class Judge:
         if time_ns - self._height_ns >= self._settings.reset_after_s * 1e9:
             self._height_ns = None
             navigation.widen(height_sd=abs(float(seen.z[2])))
+
+    def _follow_speed(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int, refused: bool) -> None:
+        """Doubt a velocity that the wheels have contradicted for long: once a second, and along the wheels alone."""
+        if not refused:
+            self._doubt_ns = None
+            return
+        if self._doubt_ns is None:
+            self._doubt_ns = time_ns + DOUBT_AFTER_NS
+        if time_ns >= self._doubt_ns:
+            self._doubt_ns = time_ns + DOUBT_STEP_NS
+            along, widened = DOUBT_M_S_SQRT_S * seen.H[0, em.VELOCITY], navigation.P.copy()
+            widened[em.VELOCITY, em.VELOCITY] += np.outer(along, along)
+            navigation.P = widened
 
     def _judge(
         self,
@@ -141,6 +171,8 @@ class Judge:
             self.corrections = self.corrections.after(measurement.time_ns, lighter.x[:5].tolist())
         if gnss and refused and ratio > 1.0:
             navigation.widen(**WIDENING[seen.kind])
+        if seen.kind is AidingKind.ODOMETER:
+            self._follow_speed(navigation, seen, measurement.time_ns, refused is not None)
         if seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3 and not refused:
             self._height_ns = None
         return Outcome(

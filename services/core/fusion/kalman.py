@@ -135,6 +135,38 @@ def decay(P: FloatArray, first: int, end: int, remains: float) -> FloatArray:
     return after
 
 
+def resized(P: FloatArray, first: int, end: int, ratios: FloatArray) -> FloatArray:
+    """Covariance after the unit of some errors was found to be another one, in which they are as large as before.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance before.
+    first, end : int
+        Place of these errors u, the end not included; all of them have variance.
+    ratios : ndarray, shape (end - first,)
+        [-] New unit of each over the old one.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        What of the other errors x stems from u is as much larger; all else stays, as if the unit had been known from
+        the beginning.
+
+    Notes
+    -----
+    With P_xu, P_uu the blocks of P and D = diag(ratios)::
+
+        A = P_xu P_uu^-1,  x = A u + rest  ->  A D u + rest
+    """
+    stems = np.linalg.solve(P[first:end, first:end], P[first:end]).T
+    stems[first:end] = 0.0
+    T = np.eye(len(P))
+    T[:, first:end] += stems * (ratios - 1.0)
+    after = product(product(T, P), T.T)
+    return 0.5 * (after + after.T)
+
+
 @dataclass(frozen=True)
 class Correction:
     """What a measurement says about the errors: the estimate, its covariance, and how surprising it was."""

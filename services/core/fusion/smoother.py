@@ -15,7 +15,7 @@ from shared.errors import FilterDiverged
 
 from . import error_model as em
 from .filter import ErrorStateFilter
-from .trail import Corrected, Forgotten, Knot, Record, Start, Step
+from .trail import Corrected, Forgotten, Knot, Record, Resized, Start, Step
 
 FloatArray = npt.NDArray[np.float64]
 LEAST_SHARE = 1e-12  # of a variance, that rounding may leave of it
@@ -77,6 +77,31 @@ class Backwards:
         self.adjoint[place] = 0.0
         self.information[place] = self.information[:, place] = 0.0
 
+    def resize(self, place: slice, ratios: FloatArray, rows: FloatArray) -> None:
+        """Go back over a new unit of some errors u, across which all errors are the same in their old units.
+
+        Notes
+        -----
+        With D = diag(ratios), E the columns of the unit matrix at u, N = P_uu^-1 and N P_u. = N E^T P from `rows`::
+
+            lambda = B D^-1 lambda,    Lambda = B D^-1 Lambda D^-1 B^T + E (N - N D P_uu D N) E^T
+            B = (I + E N (D - I) P_u.) (I + E (D - I) N P_u.)
+
+        for then P lambda, and P - P Lambda P, have the values that they have behind it.
+        """
+        own = rows[:, place]
+        inverse = np.linalg.inv(own)
+        own_change, change = np.eye(rows.shape[1]), np.eye(rows.shape[1])
+        more = np.diag(ratios - 1.0)
+        own_change[place] += inverse @ more @ rows
+        change[place] += more @ inverse @ rows
+        change = own_change @ change
+        change[:, place] /= ratios
+        self.adjoint = change @ self.adjoint
+        information = change @ self.information @ change.T
+        information[place, place] += inverse - inverse @ (ratios[:, np.newaxis] * own * ratios) @ inverse
+        self.information = 0.5 * (information + information.T)
+
     def smoothed(self, P: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Smoothed errors, shape (n,), and their covariance, shape (n, n), where the filter has P."""
         told = P @ self.information @ P
@@ -109,6 +134,8 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
                 back.correction(record.z, record.H, record.K, record.S_inverse)
             case Forgotten():
                 back.forget(record.place)
+            case Resized():
+                back.resize(record.place, record.ratios, record.rows)
             case Start():
                 back = Backwards(em.SIZE)
             case Knot():

@@ -6,6 +6,7 @@ This runs for every sample, and is multiplied out for that reason: numbers and t
 same function whether Python or a compiler runs it.
 """
 
+from collections.abc import Sequence
 from math import cos, pi, sin, sqrt
 from typing import NamedTuple
 
@@ -18,8 +19,9 @@ from shared.maths.earth import (
     SEMI_MAJOR_AXIS,
     SOMIGLIANA_CONSTANT,
     Geodetic,
+    geodetic_from_ned_difference,
 )
-from shared.maths.rotation import Quaternion, Vector
+from shared.maths.rotation import Quaternion, Vector, quaternion_from_rotation_vector, quaternion_product
 
 SMALL_ANGLE2 = 1e-8  # [rad²] below it, two terms of the series are exact to rounding
 POLAR_FACTOR = 1.0 - ECCENTRICITY_SQUARED
@@ -217,3 +219,16 @@ def normalised(quaternion: Quaternion) -> Quaternion:
     w, x, y, z = quaternion
     scale = 1.0 / sqrt(w * w + x * x + y * y + z * z)
     return w * scale, x * scale, y * scale, z * scale
+
+
+def without(state: InertialState, errors: Sequence[float]) -> InertialState:
+    """Take errors of attitude [rad, NED], velocity [m/s] and position [m, NED] out of a state: the first nine."""
+    a, b, c, u, v, w, north, east, down = errors
+    time_ns, quaternion, velocity, position = state
+    back = quaternion_from_rotation_vector((-a, -b, -c))  # exp(-sk(psi)) C, exactly
+    return InertialState(
+        time_ns,
+        normalised(quaternion_product(back, quaternion)),
+        (velocity[0] - u, velocity[1] - v, velocity[2] - w),
+        geodetic_from_ned_difference((-north, -east, -down), position),
+    )

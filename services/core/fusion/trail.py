@@ -51,6 +51,15 @@ class Forgotten(NamedTuple):
     place: int
 
 
+class Resized(NamedTuple):
+    """The unit of some errors u was found to be another one, in which they are as large as before."""
+
+    time_ns: int
+    place: slice
+    ratios: FloatArray  # new unit of each over the old one
+    rows: FloatArray  # of u in P before, shape (u, n)
+
+
 class Knot(NamedTuple):
     """The filter as it was; its covariance holds the errors of `known` only, all others are zero."""
 
@@ -65,7 +74,7 @@ class Seal(NamedTuple):
     time_ns: int = BEFORE_ALL_NS
 
 
-Record = Start | Step | Corrected | Forgotten | Knot | Seal
+Record = Start | Step | Corrected | Forgotten | Resized | Knot | Seal
 
 
 class Store(Protocol):
@@ -117,6 +126,10 @@ class Trail:
     def forgot(self, time_ns: int, place: int) -> None:
         """Note that an error was made one of which nothing is known yet."""
         self._store.push(Forgotten(time_ns, place))
+
+    def resized(self, time_ns: int, place: slice, ratios: FloatArray, rows: FloatArray) -> None:
+        """Note that errors got another unit, before which P had these rows."""
+        self._store.push(Resized(time_ns, place, ratios, rows))
 
     def rewind(self, time_ns: int) -> None:
         """Forget what was written since a time to which the engine has gone back."""

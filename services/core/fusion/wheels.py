@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, tanh
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,6 @@ SLIP = 0.006  # [rad per m/s²] by which a tyre runs askew in a bend; 0.006 in a
 UNKNOWN_ARM_SD = 1.0  # [m] of the rear axle, where nobody has said where it is
 HALF_TRACK_M = 0.8  # by which a speed may be that of one side
 STAMP_SD = 0.02  # [s] of the speed's stamp, for the age of what a control unit tells is not known
-REVERSE_M_S = 0.3  # faster backwards, a speed without a sign is one backwards
 DEAD_ZONE_SD = 0.3  # [m/s] of a speed of zero: sensors are silent at a walking pace
 
 
@@ -46,14 +45,22 @@ class WheelSpeed:
         yield self.observe
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold it against (1 + k) times the forward velocity of the rear axle, k being the error of its scale."""
+        """Hold it against (1 + k) times the forward velocity of the rear axle, k being the error of its scale.
+
+        Most speeds have no sign. The filter's own says which way it was, with a probability: with f the predicted
+        speed and S the innovation's variance, the mean of the two is s tanh(s f / S), their variance
+        s² (1 - tanh²). One below zero has a sign.
+        """
         ahead, H = _axle(navigation, self.settings)
         forward, scale = float(ahead[0]), 1.0 + navigation.parameter(em.ODOMETER_SCALE)
-        backwards = self.speed > 0.0 and forward < -REVERSE_M_S
-        z = (-self.speed if backwards else self.speed) - scale * forward
         H = scale * H[:1]
         H[0, em.ODOMETER_SCALE] = -forward
-        return Observation(AidingKind.ODOMETER, np.array([z]), H, np.array([[self._variance(navigation)]]))
+        predicted, speed, variance = scale * forward, self.speed, self._variance(navigation)
+        if speed > 0.0:
+            direction = tanh(speed * predicted / (float(H[0] @ navigation.P @ H[0]) + variance))
+            variance += speed**2 * (1.0 - direction**2)
+            speed *= direction
+        return Observation(AidingKind.ODOMETER, np.array([speed - predicted]), H, np.array([[variance]]))
 
     def _variance(self, navigation: ErrorStateFilter) -> float:
         noise = hypot(self.settings.odometer_sd_m_s, self.resolution / 12.0**0.5)

@@ -18,13 +18,13 @@ SD = np.array([3.0, 2.0, 5.0])
 ORIGIN = Geodetic(0.74, 0.23, 700.0)
 
 
-def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1) -> Colour:
-    """What errors of a kind teach in n seconds, beside a track whose velocity is wrong by 3 cm/s."""
+def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, size: float = 1.0) -> Colour:
+    """What errors of a kind and size teach in n seconds, beside a track whose velocity is wrong by 3 cm/s."""
     rmse = (float(SD[0]), float(SD[1]), float(SD[2]))
     drawn = position_errors(InjectedError(kind, rmse, correlation_s), n, 1.0, seed=(seed,))
     wandering = np.cumsum(0.03 * np.random.default_rng(seed).standard_normal((n, 3)), axis=0)
     colour = UNKNOWN
-    for i, path in enumerate(drawn.injected + 0.02 * SD * drawn.noise + wandering + 100.0):
+    for i, path in enumerate(size * drawn.injected + 0.02 * SD * drawn.noise + wandering + 100.0):
         colour = colour.after(i * 10**9, path, SD, np.full(3, 0.03**2))
     return colour
 
@@ -40,6 +40,40 @@ def test_the_correlation_time_is_found_within_a_factor_of_two(correlation_s: flo
         colour = learned(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
         assert colour.lasting > 0.9
         assert 0.5 < colour.correlation_s / correlation_s < 2.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "correlation_s", "size"),
+    [
+        (ErrorKind.WHITE, 1.0, 1.0),
+        (ErrorKind.WHITE, 1.0, 3.0),
+        (ErrorKind.GAUSS_MARKOV, 5.0, 0.33),
+        (ErrorKind.GAUSS_MARKOV, 5.0, 1.0),
+        (ErrorKind.GAUSS_MARKOV, 5.0, 3.0),
+    ],
+)
+def test_the_size_of_errors_is_found_where_they_come_and_go(kind: ErrorKind, correlation_s: float, size: float) -> None:
+    """Within a factor of 1.5 in five minutes; white ones below what is stated may have a base beside them."""
+    for seed in (1, 2):
+        found = learned(kind, correlation_s, n=300, seed=seed, size=size).scale / size
+        assert (found > 1.0 / 1.5).all() and (found < 1.5).all(), found
+
+
+def test_an_error_that_hardly_changes_is_not_taken_for_a_small_one() -> None:
+    """In a tenth of its correlation time it shows a tenth of itself, and the size that is stated is believed."""
+    for seed in (1, 2, 3):
+        assert (learned(ErrorKind.GAUSS_MARKOV, 600.0, n=60, seed=seed).scale > 0.5).all()
+
+
+def test_after_a_gap_the_way_is_unknown_and_teaches_nothing() -> None:
+    colour = learned(ErrorKind.GAUSS_MARKOV, 20.0)
+    later = colour.after(240 * 10**9, np.full(3, 500.0), SD, np.full(3, 0.03**2))
+    assert later.scale == pytest.approx(colour.scale, rel=0.05)
+
+
+def test_fixes_that_follow_each_other_fast_teach_once_in_two_seconds() -> None:
+    colour = learned(ErrorKind.WHITE, 1.0, n=11)
+    assert colour.after(10_100_000_000, np.zeros(3), SD, np.full(3, 0.03**2)) is colour
 
 
 def test_a_bank_that_has_learned_learns_anew_where_the_sky_is_another() -> None:

@@ -1,15 +1,19 @@
 """Faults of a receiver: what is refused, what is weighed less, and when it is admitted again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import radians
 
 import numpy as np
 import pytest
 
+from services.core.fusion import error_model as em
 from services.core.fusion.aiding import Outcome
+from services.core.fusion.colour import HYPOTHESES, SCALES, UNKNOWN
+from services.core.fusion.filter import ErrorStateFilter
+from services.core.fusion.gnss import GnssPosition
 from services.core.fusion.heading import Prior
-from services.core.fusion.judging import Standing
+from services.core.fusion.judging import Judge, Standing
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import Drive, simulate
@@ -175,3 +179,42 @@ def test_a_sound_receiver_is_hardly_ever_refused(seed_settings: dict[str, object
     positions = found.positions(0.0, END_S)
     assert np.mean([o.reason is not None for o in positions]) < 0.005
     assert not any(o.reason == "not admitted again yet" for o in positions)
+
+
+@cache
+def filter_that_trusts_lasting_errors() -> ErrorStateFilter:
+    """It knows its place to 0.2 m, and has learned that errors of 3 m last for 200 s."""
+    inside = run(lambda t: (0.0, 0.0, 0.0)).navigator._delayed.engine.filter
+    assert inside is not None
+    evidence = UNKNOWN.evidence.copy()
+    evidence[HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0
+    twin, P = inside.fork(), inside.P.copy()
+    twin.colour = replace(UNKNOWN, evidence=evidence)
+    twin.parameters = tuple(0.0 for _ in twin.parameters)
+    for part, variance in ((em.POSITION, 0.04), (em.GNSS_ERROR, 0.01)):
+        P[part], P[:, part] = 0.0, 0.0
+        P[part, part] = variance * np.eye(3)
+    twin.P = P
+    return twin
+
+
+def fix_beside(navigation: ErrorStateFilter, north_m: float) -> GnssPosition:
+    place, now_ns = geodetic_from_ned_difference((north_m, 0.0, 0.0), navigation.inertial.position), 61 * 10**9
+    return GnssPosition(now_ns, now_ns, "gnss", place, 9.0 * np.eye(3), 3, (0.0, 0.0, 0.0), 0.0, lasts=True)
+
+
+def test_a_jump_within_what_the_receiver_states_is_another_lasting_error() -> None:
+    """Other satellites, other errors: the fix is used, and the solution stays where it was."""
+    twin = filter_that_trusts_lasting_errors().fork()
+    fix = fix_beside(twin, 6.0)
+    outcome = Judge(SETTINGS).judge(twin, fix, fix.observe(twin))
+    assert outcome.used and outcome.weight == 1.0
+    assert twin.gnss_error[0] == pytest.approx(2.0, rel=0.02)
+    assert abs(twin.moved[0] - filter_that_trusts_lasting_errors().moved[0]) < 0.1
+
+
+def test_a_jump_beyond_what_the_receiver_states_is_refused() -> None:
+    twin = filter_that_trusts_lasting_errors().fork()
+    fix = fix_beside(twin, 15.0)
+    assert not Judge(SETTINGS).judge(twin, fix, fix.observe(twin)).used
+    assert twin.gnss_error[0] == 0.0

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.stats import chi2
 
-from services.core.fusion.kalman import chi_square_limit, correct, predict
+from services.core.fusion.kalman import chi_square_limit, correct, predict, resized
 from shared.errors import FilterDiverged
 
 
@@ -63,3 +63,22 @@ def test_a_breakdown_has_a_name() -> None:
         correct(-np.eye(3), np.zeros(3), np.eye(3), np.zeros((3, 3)))
     with pytest.raises(FilterDiverged, match="finite"):
         correct(np.eye(3), np.array([np.nan, 0.0, 0.0]), np.eye(3), np.eye(3))
+
+
+def test_a_unit_found_later_leaves_what_it_would_have_left_from_the_beginning() -> None:
+    """Place r unknown, lasting error u of variance one, two fixes r + h u, and h = 2 found to be 0.5 after them."""
+
+    def after_two_fixes(h: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+        P, H, R = np.diag([1e8, 1.0]), np.array([[1.0, h]]), np.array([[0.01]])
+        for _ in range(2):
+            P = correct(P, np.zeros(1), H, R).P
+        return P
+
+    found = resized(after_two_fixes(2.0), 1, 2, np.array([0.25]))
+    assert found == pytest.approx(after_two_fixes(0.5), rel=1e-4)
+
+
+def test_what_does_not_stem_from_an_error_is_not_resized_with_it() -> None:
+    P = random_covariance(np.random.default_rng(3), 5)
+    P[:3, 3:] = P[3:, :3] = 0.0
+    assert resized(P, 3, 5, np.array([0.1, 7.0])) == pytest.approx(P, rel=1e-12)

@@ -12,6 +12,7 @@ from services.core.fusion import error_model as em
 from services.core.fusion.aiding import Outcome
 from services.core.fusion.filter import ErrorStateFilter
 from services.core.fusion.heading import Prior
+from services.core.fusion.judging import Judge
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.stationary import QUIET_S, SMOOTHING_S, UNSETTLED, at_rest
@@ -142,12 +143,54 @@ def test_another_odometer_has_a_scale_of_its_own() -> None:
     assert max(used["can"]) < 70e9 and min(used["spare"]) > 71.9e9, "a spare waits until the other is silent"
 
 
-def test_a_speed_without_a_sign_may_be_one_backwards() -> None:
-    settings, twin = navigator().settings, filter_of(aided()[0]).fork()
-    north, east, _ = (twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([-3.0, 0.0, 0.0])).tolist()
+def backing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
+    """A filter that goes backwards, and knows how fast with a standard deviation."""
+    twin = filter_of(aided()[0]).fork()
+    north, east, _ = (twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([-speed_m_s, 0.0, 0.0])).tolist()
     twin.inertial = twin.inertial._replace(velocity=(north, east, 0.0))
-    seen = WheelSpeed(0, 0, "", 3.0, 0.0, True, True, settings).observe(twin)
-    assert abs(float(seen.z[0])) < 0.2
+    P = twin.P.copy()
+    P[em.VELOCITY] = P[:, em.VELOCITY] = 0.0
+    P[em.VELOCITY, em.VELOCITY] = velocity_sd**2 * np.eye(3)
+    twin.P = P
+    return twin
+
+
+@pytest.mark.parametrize("speed_m_s", [0.2, 3.0])
+def test_a_speed_without_a_sign_may_be_one_backwards(speed_m_s: float) -> None:
+    twin = backing(speed_m_s, 0.05)
+    seen = WheelSpeed(0, 0, "", speed_m_s, 0.0, True, True, navigator().settings).observe(twin)
+    assert abs(float(seen.z[0])) < 0.02 + 0.06 * speed_m_s  # the scale of the odometer is not one
+
+
+def test_where_nobody_knows_the_sign_a_speed_says_how_fast_at_most() -> None:
+    """Of +1 and -1 m/s the mean is zero and the variance one."""
+    twin = backing(0.0, 0.5)
+    seen = WheelSpeed(0, 0, "", 1.0, 0.0, True, True, navigator().settings).observe(twin)
+    assert abs(float(seen.z[0])) < 0.05
+    assert 1.0 < float(seen.R[0, 0]) < 1.01
+
+
+def test_a_speed_below_zero_has_its_sign() -> None:
+    twin = backing(1.0, 0.05)
+    seen = WheelSpeed(0, 0, "", -1.0, 0.0, True, True, navigator().settings).observe(twin)
+    assert abs(float(seen.z[0])) < 0.05
+    assert float(seen.R[0, 0]) < 0.01
+
+
+def test_wheels_that_contradict_for_long_are_heard_in_the_end() -> None:
+    """The filter is sure of a speed that is wrong by 1 m/s: it doubts after two seconds, not at once."""
+    settings = navigator().settings
+    twin, judge = backing(-5.0, 0.02), Judge(settings)
+    before = twin.P[em.VELOCITY, em.VELOCITY].copy()
+    used = []
+    for k in range(600):
+        seen = WheelSpeed(k * 100_000_000, 0, "", 6.2, 0.0, True, True, settings)
+        used.append(judge.judge(twin, seen, seen.observe(twin)).used)
+        if k == 15:
+            assert (twin.P[em.VELOCITY, em.VELOCITY] == before).all()
+    assert not any(used[:20]) and all(used[-50:])
+    ahead = twin.ned_from_body.T @ np.array(twin.velocity)
+    assert abs(hypot(ahead[0], ahead[1]) - 6.0) < 0.4
 
 
 def rest_after(speed: float, limit: float, force: float = 0.0) -> bool:
