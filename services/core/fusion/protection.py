@@ -10,14 +10,17 @@ that one wrong fix can have done without the gate seeing it. docs/explanation/pr
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from math import cos, erfc, exp, hypot, isfinite, log, pi, sqrt
+from math import erfc, exp, hypot, isfinite, log, pi, sqrt
 from typing import NamedTuple
+
+import numpy as np
 
 from shared.maths.rotation import Vector
 
 from .watch import Watch
 
 NODES = 64  # of the mean over a quarter turn
+COSINES2 = np.cos((np.arange(NODES) + 0.5) * (pi / (2 * NODES))) ** 2
 STEPS = 32  # of the table of factors, from a line to a circle
 FAULT_PROBABILITY = 0.01  # that one fix is wrong by as much as the gate lets pass
 OUTAGE_FACTOR = 3.0  # [-] on the variance that an outage adds, for errors of sensors that no state stands for
@@ -63,8 +66,7 @@ def probability_outside(radius: float, sd_major: float, sd_minor: float) -> floa
     if sd_minor <= 0.0:
         return erfc(radius / (sd_major * sqrt(2.0)))
     a2, b2, half = sd_major**2, sd_minor**2, 0.5 * radius**2
-    cosines2 = (cos((k + 0.5) * pi / (2 * NODES)) ** 2 for k in range(NODES))
-    return sum(exp(-half / (a2 * c2 + b2 * (1.0 - c2))) for c2 in cosines2) / NODES
+    return float(np.exp(-half / (b2 + (a2 - b2) * COSINES2)).mean())
 
 
 @lru_cache(maxsize=64)
