@@ -55,8 +55,8 @@ class Program(NamedTuple):
     Parameters
     ----------
     main : callable
-        Of no arguments; returns the function of pointers and numbers that is called from outside. It is asked only
-        where Numba can be imported.
+        Returns the function of pointers and numbers that is called from outside. It is given what makes an array of a
+        pointer and a shape.
     signature : str
         Of that function, in Numba's words. It returns an int64.
     parts : iterable of callable
@@ -65,7 +65,7 @@ class Program(NamedTuple):
         What else it calls, and what to compile instead.
     """
 
-    main: Callable[[], Callable[..., Any]]
+    main: Callable[[Callable[..., Any]], Callable[..., Any]]
     signature: str
     parts: Iterable[Callable[..., Any]]
     loops: Mapping[Callable[..., Any], Callable[..., Any]]
@@ -109,7 +109,7 @@ def _compiled(program: Program, llvm: Any) -> bytes:
         register_jitable(**OPTIONS)(part)
     for original, instead in program.loops.items():
         overload(original, **LOOP_OPTIONS)(lambda *_, instead=instead: instead)
-    made = numba.cfunc(program.signature, **OPTIONS)(program.main())
+    made = numba.cfunc(program.signature, **OPTIONS)(program.main(vars(numba)["carray"]))
     module = llvm.parse_assembly(made.inspect_llvm())
     module.link_in(llvm.parse_assembly(RELEASE))
     # Numba wraps the function in one that raises exceptions in Python, for which Numba would have to be there.

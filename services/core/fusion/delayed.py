@@ -20,7 +20,7 @@ from .settings import Settings
 from .stretch import Stretch
 from .trail import Trail
 
-KEPT_EVERY = 8  # samples between two copies of the engine; more of ordinary ones, where a copy is dear beside them
+KEPT_EVERY = 16  # samples between two copies of the engine; more of ordinary ones, where a copy is dear beside them
 Newest = tuple[int, Vector, Vector, str | None]  # a `Sample`, or what becomes one
 
 

@@ -1,6 +1,5 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from math import degrees, hypot, radians
 
@@ -17,7 +16,7 @@ from .gaps import DOUBT_PERIOD_S, admit_doubt, admit_gap
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Heading, Prior
 from .matching import Comparison
-from .ordinary import GAP_S, STILL, Departure, Moment, Rows, Run, Stamps
+from .ordinary import GAP_S, STILL, Departure, Moment
 from .samples import Sample, mean
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
@@ -136,24 +135,6 @@ class Engine:
         self._rest, self._rest_turn, self._rest_s, self._rolling_s = self.filter.resume(moment, P, last.time_ns)
         self.last = last
         self.stationary = self._rest[2] >= QUIET_S
-
-    def stride(self, run: Run, times_ns: Stamps, samples: Rows) -> int:
-        """Take samples that follow the last one as long as they are ordinary, and say how many that were.
-
-        `times_ns` begins with the stamp of the last sample, and no measurement is due before the last of them.
-        """
-        departure = self.departure()
-        if departure is None:
-            return 0
-        (moment, P, errors, walks, limits), until_ns = departure
-        times_ns = times_ns[: bisect_right(times_ns, until_ns)]
-        count = len(times_ns) - 1
-        if count < 1:
-            return 0
-        taken, moment, P = run(moment, P, times_ns, samples[:count], errors, walks, limits)
-        if taken:
-            self.resume(moment, P, Sample(int(times_ns[taken]), *moment[3]))
-        return taken
 
     def _advance(self, sample: Sample, time_ns: int) -> None:
         """Carry alignment or filter to an instant within the step that the sample describes."""

@@ -102,22 +102,20 @@ PARTS = (
 )  # fmt: skip
 
 
-def _main() -> Callable[..., Any]:
+def _main(array_at: Callable[..., Any]) -> Callable[..., Any]:
     """Make the function that is called from outside, with addresses."""
-    from numba import carray  # type: ignore[attr-defined]
-
     three, moment_of, numbers_of = machine.three, machine.moment_of, machine.numbers_of
     usual, run = sampling.usual, ordinary.run
 
     def main(block_at: Any, P_at: Any, times_at: Any, samples_at: Any, count: int) -> int:
         if count < 0:  # of one sample, and only if nobody else has to look at it
             count = 1
-            block, row = carray(block_at, (BLOCK,)), carray(samples_at, (6,))
+            block, row = array_at(block_at, (BLOCK,)), array_at(samples_at, (6,))
             last = moment_of(block)[3]
             if not usual((three(row, 0), three(row, 3)), last):
                 return 0
-        block, P = carray(block_at, (BLOCK,)), carray(P_at, (ROOM, SIZE))
-        times, samples = carray(times_at, (count + 1,)), carray(samples_at, (count, 6))
+        block, P = array_at(block_at, (BLOCK,)), array_at(P_at, (ROOM, SIZE))
+        times, samples = array_at(times_at, (count + 1,)), array_at(samples_at, (count, 6))
         e, n = ERRORS, LIMITS
         errors = three(block, e), three(block, e + 3), three(block, e + 6), three(block, e + 9)
         limits = block[n], block[n + 1], block[n + 2], block[n + 3], block[n + 4], block[n + 5]

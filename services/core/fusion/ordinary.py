@@ -5,7 +5,7 @@ covariance. Whatever is not, the loop leaves to the engine as if it had never lo
 one place.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import exp, isfinite, pi
 
 import numpy as np
@@ -127,6 +127,3 @@ def sound(motion: Motion) -> bool:
     quaternion, velocity, position, _ = motion
     total = quaternion[0] + velocity[0] + velocity[1] + velocity[2] + position[1] + position[2]
     return isfinite(total) and length(velocity) < FASTEST_M_S and abs(position[0]) < HIGHEST_LATITUDE
-
-
-Run = Callable[[Moment, FloatArray, Stamps, Rows, Errors, FloatArray, Limits], tuple[int, Moment, FloatArray]]  # `run`

@@ -21,7 +21,7 @@ class Runner:
     """`ordinary.run` with a place of its own to work in: of use to one navigator, in one thread."""
 
     wants_arrays = False  # of stamps and samples; lists are faster in Python
-    kept_every = 8  # ordinary samples after which a copy of the engine is worth its time
+    kept_every = 16  # ordinary samples after which a copy of the engine is worth its time
 
     def __init__(self) -> None:
         self.engine: Engine | None = None  # that this is ahead of

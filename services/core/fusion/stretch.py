@@ -50,7 +50,6 @@ class Stretch:
     def through(self, engine: Engine, here: int, stop: int) -> list[Outcome]:
         """Take the samples from one place up to another, with the measurements that were true on the way."""
         outcomes: list[Outcome] = []
-        times_ns, rows = self._given
         next_ = bisect_right(self._due_ns, self._stamps_ns[here])
         while here < stop:
             free = stop
@@ -59,7 +58,7 @@ class Stretch:
             if self._doubtful:
                 free = min([free, *self._doubtful[(k := bisect_left(self._doubtful, here)) : k + 1]])
             if free > here:
-                taken = engine.stride(self._run, times_ns[here : free + 1], rows[here:free])
+                taken = self._stride(engine, here, free)
                 here += taken
                 if taken and here == free:
                     continue
@@ -69,3 +68,18 @@ class Stretch:
             outcomes += engine.step(Sample(stamp_ns, (fx, fy, fz), (wx, wy, wz), doubt), self._due[next_:used])
             here, next_ = here + 1, used
         return outcomes
+
+    def _stride(self, engine: Engine, here: int, stop: int) -> int:
+        """Take samples as long as they are ordinary, and say how many; none is due a measurement but the last."""
+        departure = engine.departure()
+        if departure is None:
+            return 0
+        (moment, P, errors, walks, limits), until_ns = departure
+        times_ns, rows = self._given
+        stop = min(stop, bisect_right(self._stamps_ns, until_ns, here, stop + 1) - 1)
+        if stop <= here:
+            return 0
+        taken, moment, P = self._run(moment, P, times_ns[here : stop + 1], rows[here:stop], errors, walks, limits)
+        if taken:
+            engine.resume(moment, P, Sample(self._stamps_ns[here + taken], *moment[3]))
+        return taken

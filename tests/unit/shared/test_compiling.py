@@ -22,11 +22,9 @@ def doubled(x: float) -> float:
     raise NotImplementedError
 
 
-def _main() -> Callable[..., Any]:
-    from numba import carray  # type: ignore[attr-defined]
-
+def _main(array_at: Callable[..., Any]) -> Callable[..., Any]:
     def main(at: Any, count: int) -> int:
-        numbers = carray(at, (count,))
+        numbers = array_at(at, (count,))
         numbers[0] = doubled(hypotenuse(numbers[1], numbers[2]))
         return count + 1
 
