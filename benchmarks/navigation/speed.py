@@ -41,17 +41,11 @@ def timed(navigator: Navigator, chunk: list[Message]) -> float:
     """CPU seconds that the navigator takes for some messages."""
     began = time.process_time()
     for message in chunk:
-        match message:
-            case ImuSamples():
-                samples = zip(
-                    message.sampled_ns, message.specific_force_body_m_s2, message.angular_rate_body_rad_s, strict=True
-                )
-                for stamp, force, rate in samples:
-                    navigator.imu(stamp, force, rate, message.received_ns)
-            case GnssFix():
-                translate.give_fix(navigator, message)
-            case VehicleSpeed() | WheelSpeeds():
-                translate.give_speed(navigator, message)
+        if isinstance(message, ImuSamples):
+            for stamp, force, rate in translate.samples_of(message):
+                navigator.imu(stamp, force, rate, message.received_ns)
+        elif isinstance(message, GnssFix | VehicleSpeed | WheelSpeeds):
+            translate.give(navigator, message)
     return time.process_time() - began
 
 

@@ -18,8 +18,13 @@ _SMALL_ANGLE = 1e-4  # [rad] below it, three terms of the series are exact to ro
 
 def skew(vector: npt.ArrayLike) -> FloatArray:
     """Matrix sk(a), shape (3, 3), of the vector product: sk(a) b = a x b."""
-    x, y, z = np.asarray(vector, dtype=np.float64).tolist()
+    x, y, z = vector if isinstance(vector, tuple) else np.asarray(vector, dtype=np.float64).tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product a x b, in plain floats."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def matrix_from_rotation_vector(rotation_vector: npt.ArrayLike) -> FloatArray:

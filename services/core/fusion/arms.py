@@ -18,6 +18,7 @@ import numpy.typing as npt
 from shared.maths.rotation import skew
 
 from .filter import ErrorStateFilter
+from .kalman import inverse_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -43,7 +44,7 @@ class ArmWatch(NamedTuple):
         held = self.held.get(position, direction)
         A = direction - held
         keep = exp(-max(0, time_ns - self.time_ns) * 1e-9 / MEMORY_S) if self.time_ns else 1.0
-        weighted = A.T @ np.linalg.inv(S[:2, :2])
+        weighted = A.T @ inverse_of(S[:2, :2])
         return ArmWatch(
             keep * self.information + weighted @ A,
             keep * self.weighted + weighted @ z[:2],

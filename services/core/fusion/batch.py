@@ -8,9 +8,10 @@ import numpy.typing as npt
 
 from .aiding import Measurement
 from .delayed import order
-from .navigator import FORCE_LIMIT, RATE_LIMIT, Navigator
-from .ordinary import Run
+from .navigator import Navigator
+from .runner import Runner
 from .samples import Sample, doubts
+from .sampling import FORCE_LIMIT, RATE_LIMIT
 from .solution import Solution
 from .stretch import Stretch
 
@@ -25,7 +26,7 @@ def solve(
     measurements: Sequence[Measurement],
     *,
     every_ns: int,
-    compiled: Run | None = None,
+    runner: Runner | None = None,
 ) -> Iterator[Solution]:
     """Navigate through a log; the result is that of samples and measurements one by one, with nothing late.
 
@@ -41,8 +42,8 @@ def solve(
         In any order.
     every_ns : int
         A solution is given at the first sample of each such period.
-    compiled : callable, optional
-        What a compiler has made of `ordinary.run`: see `fast`.
+    runner : Runner, optional
+        What gets through ordinary samples: a compiled one, if `fast` has one.
 
     Yields
     ------
@@ -52,18 +53,23 @@ def solve(
     usable = _usable(stamps_ns, samples)
     navigator.samples_used += int(usable.sum())
     navigator.samples_rejected += int((~usable).sum())
-    stamps: list[int] = stamps_ns[usable].tolist()
-    rows: list[list[float]] = samples[usable].tolist()
+    stamps_ns, samples = stamps_ns[usable], samples[usable]
+    stamps: list[int] = stamps_ns.tolist()
     if not stamps:
         return
-    engine, pending = navigator.engine, sorted(measurements, key=order)
-    (fx, fy, fz, wx, wy, wz), here = rows[0], 0
+    runner = runner or Runner()
+    rows = samples[1:] if runner.wants_arrays else samples[1:].tolist()
+    doubtful = {place - 1: doubt for place, doubt in doubts(stamps_ns, samples).items()}
+    stretch = Stretch(
+        stamps_ns if runner.wants_arrays else stamps, rows, sorted(measurements, key=order), runner, doubtful
+    )
+    engine, here = navigator.engine, 0
+    fx, fy, fz, wx, wy, wz = samples[0].tolist()
     engine.step(Sample(stamps[0], (fx, fy, fz), (wx, wy, wz)), [])
-    stretch = Stretch(stamps, rows[1:], compiled, {place - 1: doubt for place, doubt in doubts(stamps, rows).items()})
     while here + 1 < len(stamps):
         next_period_ns = (stamps[here] // every_ns + 1) * every_ns
         stop = min(bisect_left(stamps, next_period_ns, here + 1), len(stamps) - 1)
-        stretch.through(engine, here, stop, pending)
+        stretch.through(engine, here, stop)
         here = stop
         if stamps[here] >= next_period_ns and (solution := navigator.solution()) is not None:
             yield solution

@@ -9,16 +9,19 @@ from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Sequence
 
+from shared.maths.rotation import Vector
+
 from .aiding import Measurement, Outcome
 from .engine import Engine
 from .heading import Prior
-from .ordinary import Run
+from .runner import Runner
 from .samples import Sample
 from .settings import Settings
 from .stretch import Stretch
 from .trail import Trail
 
-KEPT_EVERY = 16  # samples between two copies of the engine
+KEPT_EVERY = 16  # samples between two copies of the engine; more of ordinary ones, where a copy is dear beside them
+Newest = tuple[int, Vector, Vector, str | None]  # a `Sample`, or what becomes one
 
 
 def order(measurement: Measurement) -> tuple[int, int, str]:
@@ -29,15 +32,46 @@ def order(measurement: Measurement) -> tuple[int, int, str]:
 class DelayedEngine:
     """Engine for samples in order and measurements in any order, up to a time back."""
 
-    def __init__(self, settings: Settings, compiled: Run | None = None) -> None:
+    def __init__(self, settings: Settings, runner: Runner | None = None) -> None:
         self._settings = settings
-        self._compiled = compiled
-        self.engine = Engine(settings)
+        self._runner = runner or Runner()
+        self.settled = Engine(settings)  # the estimator without ordinary samples that the runner is ahead by
         self._horizon_ns = int(settings.history_s * 1e9)
-        self._samples: deque[Sample] = deque()
+        self._samples: deque[Newest] = deque()
         self._copies: deque[tuple[int, Engine]] = deque()  # (stamp, engine after the sample of this stamp)
         self._measurements: list[Measurement] = []  # of the horizon and of the future
         self._fresh = 0  # samples since the newest copy
+
+    @property
+    def engine(self) -> Engine:
+        """The estimator as of the newest sample."""
+        if self._runner.engine is not None:
+            self._runner.end()
+        return self.settled
+
+    @property
+    def newest(self) -> Newest | None:
+        """The newest sample."""
+        return self._samples[-1] if self._samples else self.settled.last
+
+    def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
+        """Advance by one sample if it is ordinary; False, and nothing has happened, if it has to be looked at.
+
+        One that is not `checked` must also be inconspicuous: see `Runner.take`.
+        """
+        runner = self._runner
+        if runner.engine is None and not runner.follow(self.settled):
+            return False
+        waiting = self._measurements
+        if waiting and waiting[-1].time_ns > runner.last_ns and self._between(runner.last_ns, time_ns):
+            return False
+        if not runner.take(time_ns, force, rate, checked=checked):
+            return False
+        self._samples.append((time_ns, force, rate, None))
+        self._fresh += 1
+        if self._fresh >= runner.kept_every:
+            self._keep(time_ns)
+        return True
 
     def remember(self, prior: Prior) -> None:
         """Take a saved position and heading, now and wherever a late measurement may lead back to."""
@@ -50,8 +84,8 @@ class DelayedEngine:
 
     def restarted(self, why: str) -> "DelayedEngine":
         """Begin again from nothing, with the counts kept."""
-        fresh, counts = DelayedEngine(self._settings, self._compiled), self.engine.counts
-        fresh.engine = Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
+        counts, fresh = self.engine.counts, DelayedEngine(self._settings, self._runner)
+        fresh.settled = Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
         if self.engine.trail is not None:
             self.engine.trail.seal()
             fresh.engine.trail = self.engine.trail
@@ -69,10 +103,12 @@ class DelayedEngine:
         return outcomes
 
     def attend(self) -> list[Outcome]:
-        """Do what is left of the last step."""
-        outcomes = self.engine.attend()
+        """Do what is left of the last step; one that was taken as ordinary has left nothing."""
+        if self._runner.engine is not None:
+            return []
+        outcomes = self.settled.attend()
         if self._samples and (self._fresh >= KEPT_EVERY or not self._copies):
-            self._keep(self._samples[-1].time_ns)
+            self._keep(self._samples[-1][0])
         return outcomes
 
     def insert(self, measurement: Measurement) -> list[Outcome]:
@@ -101,21 +137,21 @@ class DelayedEngine:
             self._copies.pop()
         stamp, kept = self._copies[-1]
         insort(self._measurements, measurement, key=order)
-        self.engine = kept.fork()
-        if self.engine.trail is not None:
-            self.engine.trail.rewind(stamp)
+        self.settled = kept.fork()
+        if self.settled.trail is not None:
+            self.settled.trail.rewind(stamp)
         self._fresh = 0
-        again = [sample for sample in self._samples if sample.time_ns > stamp]
-        doubts = {place: sample.doubt for place, sample in enumerate(again) if sample.doubt}
-        stamps, rows = [stamp, *(s.time_ns for s in again)], [[*s.force, *s.rate] for s in again]
-        stretch = Stretch(stamps, rows, self._compiled, doubts)
+        again = [sample for sample in self._samples if sample[0] > stamp]
+        doubts = {place: doubt for place, (_, _, _, doubt) in enumerate(again) if doubt}
+        stamps, rows = [stamp, *(s[0] for s in again)], [[*force, *rate] for _, force, rate, _ in again]
+        stretch = Stretch(stamps, rows, self._measurements, self._runner, doubts)
         outcomes: list[Outcome] = []
         for here in range(0, len(again), KEPT_EVERY):
             stop = min(here + KEPT_EVERY, len(again))
-            outcomes += stretch.through(self.engine, here, stop, self._measurements)
+            outcomes += stretch.through(self.settled, here, stop)
             self._fresh = stop - here
             if self._fresh == KEPT_EVERY:
-                self._copies.append((again[stop - 1].time_ns, self.engine.fork()))
+                self._copies.append((again[stop - 1][0], self.settled.fork()))
                 self._fresh = 0
         return [o for o in outcomes if o.time_ns == measurement.time_ns and o.source == measurement.source]
 
@@ -133,7 +169,7 @@ class DelayedEngine:
         oldest = stamp - self._horizon_ns
         while len(self._copies) > 1 and self._copies[1][0] <= oldest:
             self._copies.popleft()
-        while self._samples and self._samples[0].time_ns <= self._copies[0][0]:
+        while self._samples and self._samples[0][0] <= self._copies[0][0]:
             self._samples.popleft()
         while self._measurements and self._measurements[0].time_ns <= self._copies[0][0]:
             self._measurements.pop(0)

@@ -1,6 +1,5 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from math import degrees, hypot, radians
 
@@ -11,12 +10,13 @@ from .aiding import Counts, Measurement, Outcome
 from .aids import Aids
 from .alignment import Alignment
 from .baseline import BaselineHeading
+from .error_model import FloatArray
 from .filter import ErrorStateFilter
 from .gaps import DOUBT_PERIOD_S, admit_doubt, admit_gap
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Heading, Prior
 from .matching import Comparison
-from .ordinary import GAP_S, STILL, Rows, Run, Stamps
+from .ordinary import GAP_S, STILL, Departure, Moment
 from .samples import Sample, mean
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
@@ -29,6 +29,7 @@ from .wheels import SLOWEST_M_S, NonHolonomic
 LOST_S = 1.0  # a longer one ends the solution, though not the attitude
 FORGOTTEN_S = 5.0  # a still longer one ends that too
 KEPT = Heading(0.0, radians(20.0), "heading kept")
+LAST_NS = 2**63 - 1
 COASTING, NAVIGATING = NavigationPhase.COASTING, NavigationPhase.NAVIGATING  # looked up for every sample
 
 
@@ -118,27 +119,22 @@ class Engine:
         self._settle_phase(last[0])
         return outcomes
 
-    def stride(self, run: Run, times_ns: Stamps, samples: Rows) -> int:
-        """Take samples that follow the last one as long as they are ordinary, and say how many that were.
-
-        `times_ns` begins with the stamp of the last sample, and no measurement is due before the last of them.
-        """
+    def departure(self) -> tuple[Departure, int] | None:
+        """What samples can be taken from together that follow the last one, and up to which stamp [ns]."""
         navigation = self.filter
-        if navigation is None or self.last is None or navigation.trail is not None:
-            return 0  # there is nothing to carry on, or a smoother wants to know of every step
-        if self.phase is not COASTING:
-            times_ns = times_ns[: bisect_right(times_ns, (self.accepted_ns or 0) + self._coasting_ns)]
-        count = len(times_ns) - 1
-        if count < 1:
-            return 0
+        if navigation is None or self.last is None or navigation.trail is not None or self._unattended_s:
+            return None  # there is nothing to carry on, a smoother wants to know of every step, or one is not over
         beside = self._rest, self._rest_turn, self._rest_s, self._rolling_s
-        taken, beside = navigation.stride(run, times_ns, samples[:count], beside, self.aids.dues)
-        if taken:
-            fx, fy, fz, wx, wy, wz = map(float, samples[taken - 1])
-            self.last = Sample(int(times_ns[taken]), (fx, fy, fz), (wx, wy, wz))
-            self._rest, self._rest_turn, self._rest_s, self._rolling_s = beside
-            self.stationary = self._rest[2] >= QUIET_S
-        return taken
+        until_ns = LAST_NS if self.phase is COASTING else int((self.accepted_ns or 0) + self._coasting_ns)
+        departure = navigation.departure(beside, self.aids.dues)
+        return None if departure is None else (departure, until_ns)
+
+    def resume(self, moment: Moment, P: FloatArray, last: Sample) -> None:
+        """Go on from where ordinary samples have led to, the last of which is given."""
+        assert self.filter is not None
+        self._rest, self._rest_turn, self._rest_s, self._rolling_s = self.filter.resume(moment, P, last.time_ns)
+        self.last = last
+        self.stationary = self._rest[2] >= QUIET_S
 
     def _advance(self, sample: Sample, time_ns: int) -> None:
         """Carry alignment or filter to an instant within the step that the sample describes."""

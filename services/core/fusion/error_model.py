@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import EARTH_RATE
-from shared.maths.rotation import Vector, skew
+from shared.maths.rotation import Vector, cross, skew
 
 from .strapdown import POLAR_FACTOR, Motion
 
@@ -37,6 +37,7 @@ SIZE = 30
 MOVING = 9  # the first nine errors grow by
 DRIVING = 21  # the first twenty-one
 PARAMETERS = slice(DRIVING, SIZE)
+MINUS_ONE = -np.eye(3)
 
 
 # Where F is not zero: rows of attitude, velocity, position; columns of the same, biases and scales of the IMU.
@@ -171,7 +172,7 @@ def antenna_position_matrix(arm_n: Vector) -> FloatArray:
     """Matrix H, shape (3, 30), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(arm_n)
-    H[:, POSITION] = -np.eye(3)
+    H[:, POSITION] = MINUS_ONE
     return H
 
 
@@ -203,8 +204,8 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
     P. Groves, 2nd ed., eq. 14.115; J. Zuriarrain Sosa et al., 2024, eq. A12.
     """
     H = np.zeros((3, SIZE))
-    H[:, ATTITUDE] = skew(ned_from_body @ np.cross(rate_b, arm_b))
-    H[:, VELOCITY] = -np.eye(3)
+    H[:, ATTITUDE] = skew(ned_from_body @ cross(rate_b, arm_b))
+    H[:, VELOCITY] = MINUS_ONE
     H[:, GYROSCOPE_BIAS] = ned_from_body @ skew(arm_b)
     return H
 

@@ -16,7 +16,7 @@ from shared.maths.rotation import (
 from . import error_model as em
 from .colour import UNKNOWN, Colour
 from .kalman import Correction, correct, decay, predict, resized, variances
-from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, NEVER, Beside, Moment, Rows, Run, Stamps
+from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, NEVER, Beside, Departure, Moment
 from .sampling import NO_SUMS, Shaking, means, take_sample
 from .settings import Settings
 from .strapdown import InertialState, motion_of, without
@@ -150,26 +150,27 @@ class ErrorStateFilter:
         if self._sums[0] >= self._period_s - EARLY_S:
             self.bring_covariance_up()
 
-    def stride(
-        self, run: Run, times_ns: Stamps, samples: Rows, beside: Beside, dues: tuple[float, float, float]
-    ) -> tuple[int, Beside]:
-        """Take samples as long as they are ordinary; what goes on beside the filter comes and goes with it."""
-        start = samples[0]
-        last = self._last or ((start[0], start[1], start[2]), (start[3], start[4], start[5]))
+    def departure(self, beside: Beside, dues: tuple[float, float, float]) -> Departure | None:
+        """What a loop over ordinary samples goes on from, and what goes on beside the filter; None before the first."""
+        if self._last is None:
+            return None
         errors = self.accelerometer_bias, self.gyroscope_bias, self.accelerometer_scale, self.gyroscope_scale
-        north, east, down = self.gnss_error.tolist()
+        place = em.GNSS_ERROR.start - em.DRIVING
+        lasting = self.parameters[place], self.parameters[place + 1], self.parameters[place + 2]
         moment: Moment = (
-            *(self._motion, self._sums, self._shaking, last, self.rate, self.acceleration),
-            (north, east, down),
+            *(self._motion, self._sums, self._shaking, self._last, self.rate, self.acceleration),
+            lasting,
             beside,
         )
         limits = self._period_s, self._settings.vibration_factor, self._memory_s, *dues
-        taken, moment, self.P = run(moment, self.P, times_ns, samples, errors, self._walks, limits)
-        if taken:
-            self._motion, self._sums, self._shaking, self._last, self.rate, self.acceleration, lasting, beside = moment
-            self._remember_gnss_error(lasting)
-            self._time_ns = int(times_ns[taken])
-        return taken, beside
+        return moment, self.P, errors, self._walks, limits
+
+    def resume(self, moment: Moment, P: FloatArray, time_ns: int) -> Beside:
+        """Go on from where a loop has come to."""
+        self._motion, self._sums, self._shaking, self._last, self.rate, self.acceleration, lasting, beside = moment
+        self._remember_gnss_error(lasting)
+        self._time_ns, self.P = time_ns, P
+        return beside
 
     def rate_noise(self, span_s: float) -> float:
         """Standard deviation [rad/s] that vibration gives to the mean rate of a time."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import sqrt
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference, ned_from_geodetic_difference
-from shared.maths.rotation import Vector
+from shared.maths.rotation import Quaternion, Vector, cross
 from shared.messages import AidingKind
 
 from . import error_model as em
@@ -106,19 +107,25 @@ class GnssVelocity:
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Hold it against the predicted velocity of the antenna."""
-        arm_velocity = antenna_velocity(navigation, self.lever_arm)
-        z = np.array(self.velocity) - navigation.inertial.velocity - arm_velocity
+        (north, east, down), (vn, ve, vd) = self.velocity, navigation.velocity
+        an, ae, ad = antenna_velocity(navigation, self.lever_arm)
+        z = np.array([north - vn - an, east - ve - ae, down - vd - ad])
         H = em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         n = self.axes
         return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], self.cov[:n, :n])
 
 
-def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> FloatArray:
+def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> Vector:
     """Velocity of the antenna against the IMU [m/s, NED]: C (w x l) - w_ie x C l."""
-    C = navigation.ned_from_body
-    earth = earth_rate_n(navigation.inertial.position.latitude)
-    swing: FloatArray = C @ np.cross(navigation.rate, lever_arm) - np.cross(earth, C @ np.array(lever_arm))
-    return swing
+    _, quaternion, _, position = navigation.inertial
+    return _swing(quaternion, position.latitude, navigation.rate, lever_arm)
+
+
+@lru_cache(maxsize=1)  # of one velocity it is asked twice
+def _swing(quaternion: Quaternion, latitude: float, rate: Vector, lever_arm: Vector) -> Vector:
+    north, east, down = rotate(quaternion, cross(rate, lever_arm))
+    n, e, d = cross(earth_rate_n(latitude), rotate(quaternion, lever_arm))
+    return north - n, east - e, down - d
 
 
 def true_time_ns(settings: Settings, sampled_ns: int) -> int:

@@ -86,9 +86,9 @@ class Judge:
     def compare(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> Heading | None:
         """Turn by which the filter's heading is wrong; None if it is not."""
         corrections = self.corrections.at(seen.time_ns)
-        own = antenna_velocity(navigation, seen.lever_arm) + navigation.inertial.velocity
+        (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, seen.lever_arm), navigation.velocity
         self.corrections = corrections._replace(yaw=0.0)
-        pure = complex(own[0], own[1]) + corrections.velocity
+        pure = complex(an + vn, ae + ve) + corrections.velocity
         self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
         if not self.comparison.is_wrong(seen.time_ns):
             return None

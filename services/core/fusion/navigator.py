@@ -24,8 +24,9 @@ from .delayed import DelayedEngine
 from .engine import Engine
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
-from .ordinary import Run
-from .samples import Repeats, Sample, begun
+from .runner import Runner
+from .samples import Repeats, Sample
+from .sampling import FORCE_LIMIT, RATE_LIMIT
 from .settings import Settings
 from .solution import Solution, solution_of
 from .trail import Trail
@@ -33,8 +34,6 @@ from .wheels import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
 
-FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
-RATE_LIMIT = 100.0  # [rad/s]
 FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheels say more often what they say
@@ -48,15 +47,16 @@ class Navigator:
     order; then it is used at the instant at which it was true.
     """
 
-    def __init__(self, settings: Settings | None = None, compiled: Run | None = None) -> None:
+    def __init__(self, settings: Settings | None = None, runner: Runner | None = None) -> None:
         self.settings = settings or Settings()
         self.rejects: Counter[str] = Counter()
         self.samples_used = 0
         self.samples_rejected = 0
         self.measurements_late = 0  # used at their own time, after newer ones of the same device
-        self._delayed = DelayedEngine(self.settings, compiled)
+        self._delayed = DelayedEngine(self.settings, runner)
         self._backwards = 0
         self._repeats: Repeats | None = None
+        self._conspicuous = True  # the last sample was looked at, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
         self._used: dict[str, int] = {}  # period of the newest value that was taken, by device and quantity
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
@@ -91,7 +91,9 @@ class Navigator:
             What became of the measurements that were used now.
         """
         outcomes = self.advance(time_ns, force, rate, saturated=saturated)
-        return outcomes + self.release(time_ns if received_ns is None else received_ns)
+        if self._conspicuous or self._held:  # else the sample left nothing to do
+            outcomes += self.release(time_ns if received_ns is None else received_ns)
+        return outcomes
 
     def advance(
         self, time_ns: int, force: Sequence[float], rate: Sequence[float], *, saturated: bool = False
@@ -99,8 +101,13 @@ class Navigator:
         """Carry the motion on by one inertial sample; `release` must follow, which can take twenty times as long."""
         fx, fy, fz = force
         wx, wy, wz = rate
+        if not saturated and self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=False):
+            self._conspicuous = False
+            self._backwards = 0
+            self.samples_used += 1
+            return []
         credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
-        last = self._delayed.engine.last
+        last = self._delayed.newest
         if not credible or (last is not None and time_ns <= last[0]):
             self.samples_rejected += 1
             self.rejects[self._went_back() if credible else _fault(force, rate)] += 1
@@ -108,10 +115,16 @@ class Navigator:
         self._backwards = 0
         self.samples_used += 1
         readings = (fx, fy, fz, wx, wy, wz)
-        repeats = self._repeats = self._repeats.after(time_ns, readings) if self._repeats else begun(time_ns, readings)
-        doubt = "gyroscope saturated" if saturated else repeats.doubt()
+        repeats = self._repeats = self._repeats or Repeats(time_ns, readings)
+        if last is not None and not self._conspicuous:
+            repeats.changed(last[0], (*last[1], *last[2]))
+            self._conspicuous = True
+        doubt = repeats.doubt(time_ns, readings)
+        doubt = "gyroscope saturated" if saturated else doubt
         if doubt:
             self.rejects[doubt] += 1
+        elif self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=True):
+            return []
         return self._delayed.carry(Sample(time_ns, (fx, fy, fz), (wx, wy, wz), doubt))
 
     def measure(self, measurement: Measurement) -> None:
@@ -211,27 +224,27 @@ class Navigator:
     @property
     def phase(self) -> NavigationPhase:
         """How far the filter has come."""
-        return self._delayed.engine.phase
+        return self._delayed.settled.phase
 
     @property
     def since_ns(self) -> int:
         """When the phase began."""
-        return self._delayed.engine.since_ns
+        return self._delayed.settled.since_ns
 
     @property
     def reason(self) -> str:
         """Why the phase began."""
-        return self._delayed.engine.reason
+        return self._delayed.settled.reason
 
     @property
     def counts(self) -> Counts:
         """What was used, rejected, bridged and reset."""
-        return self._delayed.engine.counts
+        return self._delayed.settled.counts
 
     @property
     def lever_arm_error(self) -> tuple[float, float] | None:
         """True minus assumed lever arm [m, forward and right], if GNSS contradicts the setting in turns."""
-        return self._delayed.engine.aids.judge.arm.wrong()
+        return self._delayed.settled.aids.judge.arm.wrong()
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is none to be believed."""

@@ -5,7 +5,7 @@ covariance. Whatever is not, the loop leaves to the engine as if it had never lo
 one place.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from math import exp, isfinite, pi
 
 import numpy as np
@@ -22,8 +22,8 @@ from .strapdown import Motion
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Sample = tuple[Vector, Vector]
-Stamps = IntArray | list[int]
-Rows = FloatArray | list[list[float]]
+Stamps = IntArray | Sequence[int]
+Rows = FloatArray | Sequence[Sequence[float]]
 # What the engine counts beside the filter: what the detector of standstill knows; turn [rad, body] and time [s] of a
 # standstill, and time [s] since the wheels were held against the filter, each since it was last made use of.
 Beside = tuple[Rest, Vector, float, float]
@@ -33,6 +33,8 @@ Moment = tuple[Motion, Sums, Shaking, Sample, Vector, Vector, Vector, Beside]
 # Period of the covariance [s], factor on the vibration, correlation time [s] of the lasting error; times [s] after
 # a standstill and the wheels are due; speed [m/s] from which the odometer has a say in whether the vehicle stands.
 Limits = tuple[float, float, float, float, float, float]
+# What `run` goes on from, but for the samples: moment, covariance, errors, walks, limits.
+Departure = tuple[Moment, FloatArray, Errors, FloatArray, Limits]
 STILL: Vector = (0.0, 0.0, 0.0)
 
 GAP_S = 0.05  # a longer step is a gap
@@ -40,7 +42,6 @@ FASTEST_M_S = 500.0
 HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
 EARLY_S = 1e-9  # by which a step of the covariance may come too early, for the sums are rounded
 NEVER = 1e99  # [s], [m/s] of limits
-LASTING_FIRST, LASTING_END = GNSS_ERROR.start, GNSS_ERROR.stop
 
 
 def run(
@@ -92,15 +93,14 @@ def run(
         if stilled >= standstill_due:
             break
         if summed[0] >= period - EARLY_S:
-            force_n, rate_b = means(summed)
-            grown = predict(P, system_matrix(moved, force_n, rate_b), with_vibration(walks, shaken, factor), summed[0])
-            if memory < NEVER:
-                remains = exp(-summed[0] / memory)
-                grown = decay(grown, LASTING_FIRST, LASTING_END, remains)
-            if not sound(moved, grown):
+            remains = exp(-summed[0] / memory) if memory < NEVER else 1.0
+            if not sound(moved):
+                break
+            grown, fine = grow(P, moved, summed, walks, shaken, factor, remains)
+            if not fine:
                 break
             P, summed = grown, NO_SUMS
-            if memory < NEVER:
+            if remains < 1.0:
                 lasting = remains * lasting[0], remains * lasting[1], remains * lasting[2]
         motion, sums, shaking, last, rate, acceleration = moved, summed, shaken, sample, turning, gaining
         turn = (
@@ -110,14 +110,20 @@ def run(
     return taken, (motion, sums, shaking, last, rate, acceleration, lasting, (rest, turn, still, rolling)), P
 
 
-def sound(motion: Motion, P: FloatArray) -> bool:
+def grow(
+    P: FloatArray, motion: Motion, sums: Sums, walks: FloatArray, shaking: Shaking, factor: float, remains: float
+) -> tuple[FloatArray, bool]:
+    """Carry the covariance over the time that was summed up, and say whether it is still one."""
+    force_n, rate_b = means(sums)
+    grown = predict(P, system_matrix(motion, force_n, rate_b), with_vibration(walks, shaking, factor), sums[0])
+    if remains < 1.0:
+        grown = decay(grown, GNSS_ERROR.start, GNSS_ERROR.stop, remains)
+    total, least = variances(grown, ACCELEROMETER_SCALE.start)
+    return grown, isfinite(total) and least > 0.0
+
+
+def sound(motion: Motion) -> bool:
     """Whether all is as it should be; where it is not, the filter finds out why."""
     quaternion, velocity, position, _ = motion
-    total, least = variances(P, ACCELEROMETER_SCALE.start)
-    total += quaternion[0] + velocity[0] + velocity[1] + velocity[2] + position[1] + position[2]
-    return isfinite(total) and least > 0.0 and length(velocity) < FASTEST_M_S and abs(position[0]) < HIGHEST_LATITUDE
-
-
-Run = Callable[
-    [Moment, FloatArray, Stamps, Rows, Errors, FloatArray, Limits], tuple[int, Moment, FloatArray]
-]  # `run`, or what a compiler has made of it
+    total = quaternion[0] + velocity[0] + velocity[1] + velocity[2] + position[1] + position[2]
+    return isfinite(total) and length(velocity) < FASTEST_M_S and abs(position[0]) < HIGHEST_LATITUDE

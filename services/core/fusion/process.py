@@ -17,6 +17,7 @@ from shared.messages import (
 )
 
 from . import translate
+from .fast import compiled_runner
 from .navigator import Navigator
 from .settings import Settings
 
@@ -34,7 +35,7 @@ class Process:
     """Feeds the navigator from the bus, and the bus from the navigator."""
 
     def __init__(self, config: Config) -> None:
-        self._navigator = Navigator(config)
+        self._navigator = Navigator(config, compiled_runner() if config.machine_code else None)
         self.leave = self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution = -1  # number of its period
@@ -52,14 +53,11 @@ class Process:
         match message:
             case ImuSamples():
                 yield from self._inertial(message)
-            case GnssFix():
-                if not translate.give_fix(self._navigator, message):
+            case GnssFix() | VehicleSpeed() | WheelSpeeds() | LastPosition():
+                if not translate.give(self._navigator, message):
                     self.rejects["fix without position"] += 1
-                yield from self._silence(message.received_ns)
-            case VehicleSpeed() | WheelSpeeds():
-                translate.give_speed(self._navigator, message)
-            case LastPosition():
-                self._navigator.remember(translate.prior_from_last_position(message))
+                if isinstance(message, GnssFix):
+                    yield from self._silence(message.received_ns)
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
         if batch.source != self._imu and not self._is_silent(batch.received_ns):
@@ -67,8 +65,7 @@ class Process:
             return
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         translate.give_environment(self._navigator, batch)
-        samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
-        for sampled_ns, force, rate in samples:
+        for sampled_ns, force, rate in translate.samples_of(batch):
             outcomes = self._navigator.advance(sampled_ns, force, rate, saturated=batch.saturated)
             yield from self._solution(sampled_ns)  # first: whoever needs it shall not wait for what is late anyway
             yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))

@@ -1,14 +1,25 @@
 """What may be wrong with an inertial sample: a clipped gyroscope, a dead accelerometer."""
 
-from collections.abc import Sequence
 from operator import eq
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from shared.maths.rotation import Vector
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Readings = tuple[float, float, float, float, float, float]
 
 STUCK_S = 0.5  # noise changes the last digit of any sensor that works sooner
 FLAT_TOP_S = 0.03  # the largest value of a sensor, again and again
 FLAT_TOP_RAD_S = 1.5  # below it no gyroscope clips
+GYROSCOPE = (3, 4, 5)
+AXES = (*GYROSCOPE, 0, 1, 2)  # in the order in which they are asked
+LONGEST_NS = (int(STUCK_S * 1e9),) * 3 + (int(FLAT_TOP_S * 1e9),) * 3  # of a repetition
+DOUBTS = ("accelerometer stuck",) * 3 + ("gyroscope saturated",) * 3
+ALL = (True,) * 6
 
 
 class Sample(NamedTuple):
@@ -20,48 +31,42 @@ class Sample(NamedTuple):
     doubt: str | None = None  # what is wrong with it, if it is used nevertheless
 
 
-class Repeats(NamedTuple):
-    """How long each of six readings has been the same to the last bit."""
+class Repeats:
+    """How long each of six readings has been the same to the last bit, and what that says of the sensor.
 
-    time_ns: int
-    readings: tuple[float, ...]
-    since_ns: tuple[int, ...]
-    changed: tuple[bool, ...]  # whether it ever did: a reading that never changes is one that is not made
+    Parameters
+    ----------
+    time_ns : int
+        Stamp of the first sample.
+    readings : tuple of float
+        Its specific force [m/s², body] and angular rate [rad/s, body].
+    """
 
-    def after(self, time_ns: int, readings: tuple[float, ...]) -> "Repeats":
-        """Take in the next sample."""
-        old, since, changed = self.readings, self.since_ns, self.changed
-        same = tuple(map(eq, readings, old))
-        if True not in same:
-            return Repeats(time_ns, readings, (time_ns,) * 6, _ALL)
-        return Repeats(
-            time_ns,
-            readings,
-            tuple(begin if equal else time_ns for begin, equal in zip(since, same, strict=True)),
-            tuple(ever or not equal for ever, equal in zip(changed, same, strict=True)),
-        )
+    def __init__(self, time_ns: int, readings: Readings) -> None:
+        self._readings = readings
+        self._since_ns: tuple[int, ...] = (time_ns,) * 6
+        self._changed: tuple[bool, ...] = (
+            False,
+        ) * 6  # whether it ever did: a reading that never changes is one that is not made
 
-    def doubt(self) -> str | None:
-        """What the repetition of readings says of the sensor."""
-        oldest = min(self.since_ns)
-        if self.time_ns - oldest < FLAT_TOP_S * 1e9:
+    def changed(self, time_ns: int, readings: Readings) -> None:
+        """Take in a sample of which it is known that it differs from the one before in every reading."""
+        self._readings, self._since_ns, self._changed = readings, (time_ns,) * 6, ALL
+
+    def doubt(self, time_ns: int, readings: Readings) -> str | None:
+        """Take in the next sample, and say what is wrong with it."""
+        old, self._readings = self._readings, readings
+        if True not in map(eq, readings, old):  # nearly always
+            self._since_ns, self._changed = (time_ns,) * 6, ALL
             return None
-        for axis in range(3, 6):
-            flat = self.time_ns - self.since_ns[axis] >= FLAT_TOP_S * 1e9
-            if flat and abs(self.readings[axis]) > FLAT_TOP_RAD_S and self.changed[axis]:
-                return "gyroscope saturated"
-        for axis in range(3):
-            if self.changed[axis] and self.time_ns - self.since_ns[axis] >= STUCK_S * 1e9:
-                return "accelerometer stuck"
+        same = tuple(map(eq, readings, old))
+        since = tuple(begin if equal else time_ns for begin, equal in zip(self._since_ns, same, strict=True))
+        changed = tuple(ever or not equal for ever, equal in zip(self._changed, same, strict=True))
+        self._since_ns, self._changed = since, changed
+        for axis in AXES:
+            if changed[axis] and time_ns - since[axis] >= LONGEST_NS[axis] and _tells(axis, readings[axis]):
+                return DOUBTS[axis]
         return None
-
-
-_ALL = (True,) * 6
-
-
-def begun(time_ns: int, readings: tuple[float, ...]) -> Repeats:
-    """Begin with the first sample."""
-    return Repeats(time_ns, readings, (time_ns,) * 6, (False,) * 6)
 
 
 def mean(first: Vector, second: Vector) -> Vector:
@@ -69,13 +74,21 @@ def mean(first: Vector, second: Vector) -> Vector:
     return 0.5 * (first[0] + second[0]), 0.5 * (first[1] + second[1]), 0.5 * (first[2] + second[2])
 
 
-def doubts(stamps_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> dict[int, str]:
+def doubts(stamps_ns: IntArray, samples: FloatArray) -> dict[int, str]:
     """Say of a whole log which samples are doubtful, and why: what `Repeats` says sample by sample."""
     found: dict[int, str] = {}
-    repeats: Repeats | None = None
-    for place, (time_ns, row) in enumerate(zip(stamps_ns, rows, strict=True)):
-        readings = tuple(row)
-        repeats = repeats.after(time_ns, readings) if repeats else begun(time_ns, readings)
-        if doubt := repeats.doubt():
-            found[place] = doubt
+    for axis in AXES:
+        readings = samples[:, axis]
+        begins = np.flatnonzero(readings[1:] != readings[:-1]) + 1  # of runs, but for the first: it had not changed yet
+        lasts = np.append(begins, len(readings))[1:] - 1
+        for begin, last in np.column_stack([begins, lasts])[stamps_ns[lasts] - stamps_ns[begins] >= LONGEST_NS[axis]]:
+            if _tells(axis, float(readings[begin])):
+                late = np.searchsorted(stamps_ns[begin : last + 1], stamps_ns[begin] + LONGEST_NS[axis])
+                for place in range(int(begin + late), int(last) + 1):
+                    found.setdefault(place, DOUBTS[axis])
     return found
+
+
+def _tells(axis: int, reading: float) -> bool:
+    """Whether a repetition of this reading is none by chance: a gyroscope at rest may well repeat itself."""
+    return axis not in GYROSCOPE or abs(reading) > FLAT_TOP_RAD_S

@@ -9,6 +9,8 @@ from shared.maths.rotation import Vector
 from .strapdown import Motion, mechanise
 
 SHAKE_S = 1.0  # time constant of the measured vibration
+FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
+RATE_LIMIT = 100.0  # [rad/s]
 
 Errors = tuple[Vector, Vector, Vector, Vector]  # biases [m/s², rad/s] and scales [-] of accelerometer and gyroscope
 Sums = tuple[float, float, float, float, float, float, float]
@@ -71,6 +73,15 @@ def take_sample(
     force_shake += share * (scale * (fx * fx + fy * fy + fz * fz) - force_shake)
     rate_shake += share * (scale * (wx * wx + wy * wy + wz * wz) - rate_shake)
     return motion, sums, (force_shake, rate_shake), true_rate, acceleration
+
+
+def usual(sample: tuple[Vector, Vector], last: tuple[Vector, Vector]) -> bool:
+    """Whether a sample is credible, and no reading is that of the one before: then there is nothing to doubt."""
+    (fx, fy, fz), (wx, wy, wz) = sample
+    (lfx, lfy, lfz), (lwx, lwy, lwz) = last
+    if fx == lfx or fy == lfy or fz == lfz or wx == lwx or wy == lwy or wz == lwz:
+        return False
+    return fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
 
 
 def means(sums: Sums) -> tuple[Vector, Vector]:

@@ -7,7 +7,8 @@ import numpy as np
 
 from .aiding import Measurement, Outcome
 from .engine import Engine
-from .ordinary import Rows, Run, Stamps, run
+from .ordinary import Rows, Stamps
+from .runner import Runner
 from .samples import Sample
 
 
@@ -16,54 +17,69 @@ class Stretch:
 
     Parameters
     ----------
-    stamps_ns : list of int
+    stamps_ns : list of int, or ndarray
         Ends of the samples, the first being that of the sample before them.
-    rows : list of list of float
+    rows : list of list of float, or ndarray
         [m/s², rad/s, body] Specific force and angular rate that end at the second stamp, the third, and so on.
-    compiled : callable, optional
-        What a compiler has made of `ordinary.run`: see `fast`.
+    due : sequence of Measurement
+        In order; what was true on the way is used.
+    runner : Runner
+        What gets through ordinary ones.
     doubts : mapping
         What is wrong with samples, by their row.
     """
 
     def __init__(
         self,
-        stamps_ns: list[int],
-        rows: list[list[float]],
-        compiled: Run | None,
+        stamps_ns: Stamps,
+        rows: Rows,
+        due: Sequence[Measurement],
+        runner: Runner,
         doubts: Mapping[int, str] | None = None,
     ) -> None:
-        self._stamps_ns = stamps_ns
+        self._stamps_ns: Sequence[int] = stamps_ns.tolist() if isinstance(stamps_ns, np.ndarray) else stamps_ns
+        self._rows = rows
+        self._due, self._due_ns = due, [measurement.time_ns for measurement in due]
         self._doubts = doubts or {}
         self._doubtful = sorted(self._doubts)
-        self._rows = rows
-        self._run = compiled or run
-        # A compiler wants arrays; Python is faster with lists.
-        self._given: tuple[Stamps, Rows] = (np.array(stamps_ns), np.array(rows)) if compiled else (stamps_ns, rows)
+        self._run = runner
+        self._given: tuple[Stamps, Rows] = stamps_ns, rows
+        if runner.wants_arrays:
+            self._given = np.ascontiguousarray(stamps_ns, np.int64), np.ascontiguousarray(rows, np.float64)
 
-    def through(self, engine: Engine, here: int, stop: int, due: Sequence[Measurement]) -> list[Outcome]:
-        """Take the samples from one place up to another, with the measurements, sorted, that were true on the way."""
+    def through(self, engine: Engine, here: int, stop: int) -> list[Outcome]:
+        """Take the samples from one place up to another, with the measurements that were true on the way."""
         outcomes: list[Outcome] = []
-        times_ns, rows = self._given
+        next_ = bisect_right(self._due_ns, self._stamps_ns[here])
         while here < stop:
-            next_ = bisect_right(due, self._stamps_ns[here], key=_time_ns)
-            free = (
-                stop if next_ == len(due) else min(stop, bisect_left(self._stamps_ns, due[next_].time_ns, here + 1) - 1)
-            )
-            free = min([free, *self._doubtful[(k := bisect_left(self._doubtful, here)) : k + 1]])
+            free = stop
+            if next_ < len(self._due_ns):
+                free = min(stop, bisect_left(self._stamps_ns, self._due_ns[next_], here + 1) - 1)
+            if self._doubtful:
+                free = min([free, *self._doubtful[(k := bisect_left(self._doubtful, here)) : k + 1]])
             if free > here:
-                taken = engine.stride(self._run, times_ns[here : free + 1], rows[here:free])
+                taken = self._stride(engine, here, free)
                 here += taken
                 if taken and here == free:
                     continue
-            stamp_ns, (fx, fy, fz, wx, wy, wz) = self._stamps_ns[here + 1], self._rows[here]
-            used = bisect_right(due, stamp_ns, next_, key=_time_ns)
-            outcomes += engine.step(
-                Sample(stamp_ns, (fx, fy, fz), (wx, wy, wz), self._doubts.get(here)), due[next_:used]
-            )
-            here += 1
+            stamp_ns, (fx, fy, fz, wx, wy, wz) = self._stamps_ns[here + 1], map(float, self._rows[here])
+            used = bisect_right(self._due_ns, stamp_ns, next_)
+            doubt = self._doubts.get(here)
+            outcomes += engine.step(Sample(stamp_ns, (fx, fy, fz), (wx, wy, wz), doubt), self._due[next_:used])
+            here, next_ = here + 1, used
         return outcomes
 
-
-def _time_ns(measurement: Measurement) -> int:
-    return measurement.time_ns
+    def _stride(self, engine: Engine, here: int, stop: int) -> int:
+        """Take samples as long as they are ordinary, and say how many; none is due a measurement but the last."""
+        departure = engine.departure()
+        if departure is None:
+            return 0
+        (moment, P, errors, walks, limits), until_ns = departure
+        times_ns, rows = self._given
+        stop = min(stop, bisect_right(self._stamps_ns, until_ns, here, stop + 1) - 1)
+        if stop <= here:
+            return 0
+        taken, moment, P = self._run(moment, P, times_ns[here : stop + 1], rows[here:stop], errors, walks, limits)
+        if taken:
+            engine.resume(moment, P, Sample(self._stamps_ns[here + taken], *moment[3]))
+        return taken

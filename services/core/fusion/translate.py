@@ -1,5 +1,6 @@
 """Between the messages of the bus and the types of the navigator."""
 
+from collections.abc import Iterator
 from math import cos, degrees, radians, sin
 
 import numpy as np
@@ -50,6 +51,27 @@ def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]
     fixed = fix.carrier_solution is CarrierSolution.FIXED
     stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
     return gnss_measurements(settings, stamp, position, reading, _velocity(fix), fixed=fixed)
+
+
+Given = GnssFix | VehicleSpeed | WheelSpeeds | LastPosition
+InertialSample = tuple[int, Vector3, Vector3]
+
+
+def samples_of(batch: ImuSamples) -> Iterator[InertialSample]:
+    """Take a batch apart: stamp, specific force [m/s², body] and angular rate [rad/s, body] of each sample."""
+    return zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
+
+
+def give(navigator: Navigator, message: Given) -> bool:
+    """Hand all but inertial samples to the navigator; False for a fix that holds no position."""
+    match message:
+        case GnssFix():
+            return give_fix(navigator, message)
+        case LastPosition():
+            navigator.remember(prior_from_last_position(message))
+        case _:
+            give_speed(navigator, message)
+    return True
 
 
 def give_fix(navigator: Navigator, fix: GnssFix) -> bool:

@@ -11,7 +11,7 @@ import pytest
 from services.core.fusion.aiding import Outcome
 from services.core.fusion.heading import Prior
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.samples import Repeats, begun
+from services.core.fusion.samples import Repeats
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
@@ -141,8 +141,8 @@ def test_a_flat_top_is_a_saturated_gyroscope_without_being_told() -> None:
     for k in range(60):
         rate = min(2.0, 0.1 * k)
         readings = (0.01 * k, 0.0, -9.8 + 0.003 * (k % 3), 0.001 * k, 0.0, rate)
-        repeats = begun(k * 10**7, readings) if repeats is None else repeats.after(k * 10**7, readings)
-        doubts.append(repeats.doubt())
+        repeats = repeats or Repeats(k * 10**7, readings)
+        doubts.append(repeats.doubt(k * 10**7, readings))
     assert doubts[:22] == [None] * 22 and doubts[25:] == ["gyroscope saturated"] * 35
 
 

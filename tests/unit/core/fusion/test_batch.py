@@ -10,13 +10,15 @@ import pytest
 
 from services.core.fusion.aiding import Measurement
 from services.core.fusion.batch import solve
-from services.core.fusion.fast import compiled_run
+from services.core.fusion.fast import compiled_runner
 from services.core.fusion.heading import Prior
+from services.core.fusion.machine import Machine
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.ordinary import Run
-from services.core.fusion.samples import Sample
+from services.core.fusion.runner import Runner
+from services.core.fusion.samples import Repeats, Sample, doubts
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
+from services.core.fusion.wheels import WheelSpeed
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages import NavigationPhase
@@ -45,9 +47,9 @@ def settings(**changes: object) -> Settings:
     return Settings.model_validate({"lever_arm_body_m": drive().lever_arm_b, "levelling_s": 2.0, **changes})
 
 
-def fresh(**changes: object) -> Navigator:
+def fresh(runner: Runner | None = None, **changes: object) -> Navigator:
     d = drive()
-    navigator = Navigator(settings(**changes))
+    navigator = Navigator(settings(**changes), runner)
     navigator.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     return navigator
 
@@ -83,14 +85,14 @@ def log() -> tuple[npt.NDArray[np.int64], FloatArray]:
     return stamps[keep], samples[keep]
 
 
-def at_once(compiled: Run | None = None, **changes: object) -> tuple[Navigator, list[Solution]]:
-    navigator = fresh(**changes)
-    return navigator, list(solve(navigator, *log(), measurements(), every_ns=TENTH_NS, compiled=compiled))
+def at_once(runner: Runner | None = None, **changes: object) -> tuple[Navigator, list[Solution]]:
+    navigator = fresh(None, **changes)
+    return navigator, list(solve(navigator, *log(), measurements(), every_ns=TENTH_NS, runner=runner))
 
 
 def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
     """Each sample alone, and with it what was true since the last; a solution in the first sample of each tenth."""
-    navigator, solutions, place, tenth = fresh(**changes), [], 0, 0
+    navigator, solutions, place, tenth = fresh(None, **changes), [], 0, 0
     pending = sorted(measurements(), key=lambda m: (m.time_ns, m.received_ns, m.source))
     newest = -1
     for stamp, row in zip(log()[0].tolist(), log()[1].tolist(), strict=True):
@@ -126,13 +128,33 @@ def test_a_log_solved_at_once_is_to_the_last_bit_what_its_samples_are_one_by_one
     assert whole.samples_rejected == single.samples_rejected == 4
 
 
+def machine() -> Machine:
+    if (made := compiled_runner()) is None:
+        pytest.skip("Numba is not installed: pip install .[fast]")
+    return made
+
+
+def as_they_come(
+    runner: Runner | None, given: list[Measurement], late_ns: int = 0, **changes: object
+) -> tuple[Navigator, list[Solution]]:
+    """Each sample alone, and with it the measurements that were true `late_ns` before; a solution each tenth."""
+    navigator, solutions, place, newest = fresh(runner, merge_delay_s=0.0, **changes), [], 0, -1
+    pending = sorted(given, key=lambda m: (m.time_ns, m.received_ns, m.source))
+    for stamp, row in zip(log()[0].tolist(), log()[1].tolist(), strict=True):
+        while place < len(pending) and pending[place].time_ns + late_ns <= stamp:
+            navigator.measure(pending[place])
+            place += 1
+        navigator.imu(stamp, row[:3], row[3:])
+        if newest >= 0 and stamp // TENTH_NS > newest // TENTH_NS and (solution := navigator.solution()):
+            solutions.append(solution)
+        newest = max(newest, stamp)
+    return navigator, solutions
+
+
 @pytest.mark.parametrize("aided", [True, False])
 def test_a_compiler_changes_nothing(aided: bool) -> None:
-    compiled = compiled_run()
-    if compiled is None:
-        pytest.skip("Numba is not installed: pip install .[fast]")
     switches = {"zero_velocity": aided, "non_holonomic": aided}
-    fast, solutions = at_once(compiled, **switches)
+    fast, solutions = at_once(machine(), **switches)
     plain, expected = at_once(None, **switches)
     assert len(solutions) == len(expected) > 1100
     for ours, theirs in zip(solutions, expected, strict=True):
@@ -143,6 +165,55 @@ def test_a_compiler_changes_nothing(aided: bool) -> None:
         assert ours.position_cov == pytest.approx(theirs.position_cov, rel=SAME, abs=SAME)
         assert (ours.time_ns, ours.phase, ours.stationary) == (theirs.time_ns, theirs.phase, theirs.stationary)
     assert fast.counts == plain.counts
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("aided", [True, False])
+def test_samples_as_they_come_are_to_the_last_bit_what_they_are_at_once(aided: bool, compiled: bool) -> None:
+    """Whoever looks every tenth of a second, or never, and whenever a measurement arrives: all is the same."""
+    switches, runner = {"zero_velocity": aided, "non_holonomic": aided}, machine() if compiled else None
+    whole, expected = at_once(runner, **switches)
+    single, solutions = as_they_come(runner, measurements(), **switches)
+    assert len(solutions) == len(expected) > 1100
+    for ours, theirs in zip(solutions, expected, strict=True):
+        for name in ("time_ns", "phase", "position", "velocity", "yaw", "rate", "stationary", "gnss_age_s"):
+            assert getattr(ours, name) == getattr(theirs, name), (name, ours.time_ns)
+        assert np.array_equal(ours.position_cov, theirs.position_cov)
+    assert whole.counts == single.counts
+    assert (single.samples_used, single.samples_rejected) == (whole.samples_used, whole.samples_rejected)
+
+
+def test_what_comes_late_leaves_compiled_samples_the_same_to_the_last_bit() -> None:
+    """Fixes come a second from each other; once one has arrived, it makes no difference how late that was."""
+    late_ns = 310_000_000
+    fixes = [measurement for measurement in measurements() if not isinstance(measurement, WheelSpeed)]
+    in_time, late = (
+        {solution.time_ns: solution for solution in as_they_come(machine(), fixes, ns)[1]} for ns in (0, late_ns)
+    )
+    waiting = np.array([fix.time_ns for fix in fixes])
+    arrived = [
+        stamp for stamp in in_time.keys() & late.keys() if not ((stamp - late_ns < waiting) & (waiting <= stamp)).any()
+    ]
+    assert len(arrived) > 500
+    for stamp in arrived:
+        assert in_time[stamp].position == late[stamp].position
+        assert np.array_equal(in_time[stamp].position_cov, late[stamp].position_cov)
+
+
+def test_a_whole_log_is_doubted_as_its_samples_are() -> None:
+    """Each axis repeats itself for times about the limits, at rest and fast; one never changes."""
+    rng = np.random.default_rng(1)
+    samples = rng.standard_normal((20_000, 6))
+    for begin in range(0, 19_800, 200):
+        axis, count = rng.integers(0, 6), rng.integers(2, 140)
+        samples[begin : begin + count, axis] = samples[begin, axis] * 3.0
+    samples[:, 4] = 2.0
+    stamps = np.cumsum(rng.integers(4_000_000, 6_000_000, 20_000))
+    first = stamps[0], tuple(samples[0])
+    repeats = Repeats(int(first[0]), first[1])
+    told = [repeats.doubt(int(stamp), tuple(row)) for stamp, row in zip(stamps, samples, strict=True)]
+    assert doubts(stamps, samples) == {place: doubt for place, doubt in enumerate(told) if doubt}
+    assert {None, "accelerometer stuck", "gyroscope saturated"} == set(told)
 
 
 def test_an_empty_log_has_no_solution() -> None:

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.stats import chi2
 
-from services.core.fusion.kalman import chi_square_limit, correct, predict, resized
+from services.core.fusion.kalman import chi_square_limit, correct, inverse_of, predict, resized
 from shared.errors import FilterDiverged
 
 
@@ -48,6 +48,28 @@ def test_a_correction_is_that_of_the_information_filter() -> None:
     assert result.distance2 == pytest.approx(z @ np.linalg.inv(S) @ z, rel=1e-10)
     assert result.innovation_sd == pytest.approx(np.sqrt(np.diag(S)))
     assert np.array_equal(result.P, result.P.T)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_the_inverse_of_a_covariance_is_that_of_numpy(size: int) -> None:
+    rng = np.random.default_rng(size)
+    for _ in range(100):
+        scales = 10.0 ** rng.uniform(-4.0, 4.0, size)
+        S = random_covariance(rng, size) * np.outer(scales, scales)
+        assert inverse_of(S) * np.outer(scales, scales) @ (S / np.outer(scales, scales)) == pytest.approx(
+            np.eye(size), abs=1e-10
+        )
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_what_is_no_covariance_has_no_inverse(place: int) -> None:
+    for wrong in (-1.0, 0.0, np.nan, np.inf):
+        S = np.eye(3)
+        S[place, place] = wrong
+        with pytest.raises(FilterDiverged, match="positive definite"):
+            inverse_of(S)
+    with pytest.raises(FilterDiverged, match="positive definite"):
+        inverse_of(np.array([[1.0, 2.0], [2.0, 1.0]]))
 
 
 def test_a_nearly_perfect_measurement_leaves_a_positive_covariance() -> None:

@@ -1,0 +1,101 @@
+"""The loop over ordinary samples where it is machine code, which wants numbers side by side at an address."""
+
+from struct import Struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from shared.maths.rotation import Vector
+
+from .error_model import SIZE
+from .kalman import FloatArray
+from .ordinary import Departure, Limits, Moment, Rows, Stamps
+from .runner import Runner
+from .sampling import Errors
+
+if TYPE_CHECKING:
+    from shared.compiling import Code
+
+# A block: the numbers of a moment, then errors, limits and walks as of `ordinary.run`.
+NUMBERS, ERRORS, LIMITS, WALKS = 52, 52, 64, 70
+BLOCK = WALKS + SIZE
+ROOM = 2 * SIZE + 9  # rows: the covariance, the next one, and what is between them
+MOMENT = Struct(f"{NUMBERS}d")
+ONE = Struct("2q6d")  # stamps of the last sample and of this one, and its readings
+
+
+class Machine(Runner):
+    """Machine code of the loop, with a place of its own to work in.
+
+    Parameters
+    ----------
+    code : Code
+        Takes the addresses of block, covariance, stamps and samples, and how many; returns how many were taken. One
+        sample that must be usual, as of `sampling.usual`, is -1 samples.
+    """
+
+    wants_arrays = True
+    kept_every = 64
+
+    def __init__(self, code: "Code") -> None:
+        super().__init__()
+        self._code = code
+        self._block, self._P, self._one = np.zeros(BLOCK), np.zeros((ROOM, SIZE)), np.zeros(8)
+        self._bytes, self._one_bytes = self._block.data.cast("B"), self._one.data.cast("B")
+        self._places = self._block.ctypes.data, self._P.ctypes.data
+        first = self._one.ctypes.data
+        self._take_checked = code.bound(*self._places, first, first + 16, 1)
+        self._take_usual = code.bound(*self._places, first, first + 16, -1)
+
+    def __call__(
+        self,
+        moment: Moment,
+        P: FloatArray,
+        times_ns: Stamps,
+        samples: Rows,
+        errors: Errors,
+        walks: FloatArray,
+        limits: Limits,
+    ) -> tuple[int, Moment, FloatArray]:
+        """Do what `ordinary.run` does; stamps and samples are arrays."""
+        assert isinstance(times_ns, np.ndarray) and isinstance(samples, np.ndarray)
+        self._load((moment, P, errors, walks, limits))
+        taken = self._code(*self._places, times_ns.ctypes.data, samples.ctypes.data, len(samples))
+        return taken, *self._unload()
+
+    def _load(self, start: Departure) -> None:
+        moment, P, (b, d, p, q), walks, limits = start
+        MOMENT.pack_into(self._bytes, 0, *numbers_of(moment))
+        self._block[ERRORS:WALKS] = (*b, *d, *p, *q, *limits)
+        self._block[WALKS:] = walks
+        self._P[:SIZE] = P
+
+    def _unload(self) -> tuple[Moment, FloatArray]:
+        return moment_of(MOMENT.unpack_from(self._bytes)), self._P[:SIZE].copy()
+
+    def _taken(self, time_ns: int, force: Vector, rate: Vector, checked: bool) -> bool:
+        ONE.pack_into(self._one_bytes, 0, self.last_ns, time_ns, *force, *rate)
+        failed = self._take_checked() if checked else self._take_usual()
+        return not failed and self._code.result.value > 0
+
+
+def three(numbers: Any, place: int) -> Any:
+    """Vector of three numbers from a place on."""
+    return numbers[place], numbers[place + 1], numbers[place + 2]
+
+
+def moment_of(n: Any) -> Any:
+    """Moment of the numbers of a block."""
+    place = n[10], n[11], n[12], n[13], n[14], n[15]
+    motion = (n[0], n[1], n[2], n[3]), three(n, 4), three(n, 7), place
+    sums, shaking = (n[16], n[17], n[18], n[19], n[20], n[21], n[22]), (n[23], n[24])
+    last, rate, acceleration, lasting = (three(n, 25), three(n, 28)), three(n, 31), three(n, 34), three(n, 37)
+    rest = three(n, 40), three(n, 43), n[46]
+    return motion, sums, shaking, last, rate, acceleration, lasting, (rest, three(n, 47), n[50], n[51])
+
+
+def numbers_of(moment: Any) -> Any:
+    """Numbers of a moment, in the order in which they lie in a block."""
+    (q, v, p, place), sums, shaking, (f, w), rate, acceleration, lasting, (rest, turn, still, rolling) = moment
+    head = q + v + p + place + sums + shaking + f + w + rate + acceleration + lasting
+    return head + rest[0] + rest[1] + (rest[2],) + turn + (still, rolling)

@@ -1,0 +1,89 @@
+"""Ordinary samples one after the other as they come: the loop over them runs ahead of the engine.
+
+What it knows stays with it until somebody wants to see it, or a sample comes that is not ordinary: only then the
+engine is brought to where it is.
+"""
+
+from typing import TYPE_CHECKING
+
+from shared.maths.rotation import Vector
+
+from .kalman import FloatArray
+from .ordinary import Departure, Limits, Moment, Rows, Stamps, run
+from .samples import Sample
+from .sampling import Errors, usual
+
+if TYPE_CHECKING:
+    from .engine import Engine
+
+
+class Runner:
+    """`ordinary.run` with a place of its own to work in: of use to one navigator, in one thread."""
+
+    wants_arrays = False  # of stamps and samples; lists are faster in Python
+    kept_every = 16  # ordinary samples after which a copy of the engine is worth its time
+
+    def __init__(self) -> None:
+        self.engine: Engine | None = None  # that this is ahead of
+        self.last_ns = 0  # stamp of the last sample
+        self._until_ns = 0  # stamp after which samples are not ordinary
+        self._comparable = False  # the last sample is as it was measured
+        self._state: Departure
+
+    def __call__(
+        self,
+        moment: Moment,
+        P: FloatArray,
+        times_ns: Stamps,
+        samples: Rows,
+        errors: Errors,
+        walks: FloatArray,
+        limits: Limits,
+    ) -> tuple[int, Moment, FloatArray]:
+        """Do what `ordinary.run` does."""
+        return run(moment, P, times_ns, samples, errors, walks, limits)
+
+    def follow(self, engine: "Engine") -> bool:
+        """Go on from where an engine is; False if nothing can go on from there."""
+        departure = engine.departure()
+        if departure is None or engine.last is None:
+            return False
+        start, self._until_ns = departure
+        self._load(start)
+        self._comparable = start[0][3] == (engine.last.force, engine.last.rate)
+        self.last_ns, self.engine = engine.last.time_ns, engine
+        return True
+
+    def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
+        """Take one more sample; False, and nothing has happened, if it is not ordinary.
+
+        One that is not `checked` must also be credible, and differ from the last in every reading.
+        """
+        if time_ns > self._until_ns or not (checked or self._comparable):
+            return False
+        if not self._taken(time_ns, force, rate, checked):
+            return False
+        self.last_ns, self._comparable = time_ns, True
+        return True
+
+    def end(self) -> None:
+        """Bring the engine to where this is."""
+        engine, self.engine = self.engine, None
+        if engine is not None and engine.last is not None and engine.last.time_ns != self.last_ns:
+            moment, P = self._unload()
+            force, rate = moment[3]
+            engine.resume(moment, P, Sample(self.last_ns, force, rate))
+
+    def _load(self, start: Departure) -> None:
+        self._state = start
+
+    def _unload(self) -> tuple[Moment, FloatArray]:
+        return self._state[0], self._state[1]
+
+    def _taken(self, time_ns: int, force: Vector, rate: Vector, checked: bool) -> bool:
+        moment, P, errors, walks, limits = self._state
+        if not (checked or usual((force, rate), moment[3])):
+            return False
+        taken, moment, P = run(moment, P, (self.last_ns, time_ns), ((*force, *rate),), errors, walks, limits)
+        self._state = moment, P, errors, walks, limits
+        return taken > 0
