@@ -102,6 +102,7 @@ class _Told(Colour):
 
     correlation_s = LASTING_S
     lasting = 1.0 - WHITE_SHARE
+    scale = np.ones(3)
 
     def after(self, *_: object) -> "_Told":
         """Believe nothing else."""
