@@ -65,6 +65,13 @@ def test_a_car_without_gnss_for_ten_seconds_drifts_by_a_few_metres(rtk_car: Path
     assert found["within_3_sigma_fraction"] > 0.98, "the covariance grows as the error does"
 
 
+@pytest.mark.slow
+def test_a_car_without_gnss_for_fifteen_seconds_is_held_by_its_wheels(rtk_car: Path) -> None:
+    found = solved(rtk_car, "15/45")
+    assert found["outage_count"] == 11
+    assert found["outage_largest_error_rms_m"] <= 3.5, "the goal, and 3.3 m the best peer; 2.0 m were measured"
+
+
 @pytest.mark.parametrize("trial", ["02", "08", "10"])
 def test_a_car_with_a_tactical_imu_drifts_by_less_than_a_metre_and_a_half(trial: str, tmp_path: Path) -> None:
     drive = imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path)

@@ -12,10 +12,12 @@ from shared.messages import AidingKind
 from . import error_model as em
 from .aiding import Observation
 from .filter import ErrorStateFilter
+from .heading import REST_RATE_SD
 
 PERIOD_S = 0.1
 VELOCITY_SD = 0.02  # [m/s]
-RATE_SD = 0.0015  # [rad/s]
+RATE_SD = 0.0015  # [rad/s] of one period, independent of the next
+SETTLING_S = 10.0  # for which beside it an error of `REST_RATE_SD` lasts: no rest is perfect
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Standstill:
 
     time_ns: int
     rate: Vector
-    rate_sd: float = RATE_SD
+    rate_sd: float = 0.0  # [rad/s] of the mean, by vibration
     source: str = "core.fusion"
 
     @property
@@ -38,12 +40,16 @@ class Standstill:
         yield self.observe_zero_rate
 
     def observe_zero_rate(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold w - C^T w_ie = b_g against the filter: H = I on the gyroscope's bias."""
+        """Hold w - C^T w_ie = b_g against the filter: H = I on the gyroscope's bias.
+
+        An error of variance l that lasts for T is as bad as an independent one of 2 l T / period in every period.
+        """
         H = np.zeros((3, em.SIZE))
         H[:, em.GYROSCOPE_BIAS] = np.eye(3)
         earth_n = np.array(earth_rate_n(navigation.inertial.position.latitude))
         z = np.array(self.rate) - navigation.ned_from_body.T @ earth_n
-        return Observation(AidingKind.ZERO_ANGULAR_RATE, z, H, max(self.rate_sd, RATE_SD) ** 2 * np.eye(3))
+        variance = max(self.rate_sd, RATE_SD) ** 2 + 2.0 * REST_RATE_SD**2 * SETTLING_S / PERIOD_S
+        return Observation(AidingKind.ZERO_ANGULAR_RATE, z, H, variance * np.eye(3))
 
 
 def observe_zero_velocity(navigation: ErrorStateFilter) -> Observation:

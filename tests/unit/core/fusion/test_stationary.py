@@ -1,6 +1,14 @@
 import numpy as np
+import pytest
 
+from services.core.fusion.error_model import SIZE
+from services.core.fusion.filter import ErrorStateFilter
+from services.core.fusion.heading import REST_RATE_SD
+from services.core.fusion.settings import Settings
+from services.core.fusion.standstill import PERIOD_S, RATE_SD, SETTLING_S, Standstill
 from services.core.fusion.stationary import QUIET_S, UNSETTLED, Rest, at_rest
+from services.core.fusion.strapdown import InertialState
+from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 
 STEP_S = 0.01
@@ -48,3 +56,18 @@ def test_an_idling_engine_does_not_end_it() -> None:
         swing = 2.0**0.5 * np.sin(2.0 * np.pi * 27.0 * k * STEP_S)
         rest = at_rest(rest, (0.017 * swing, 0.0, 0.0), (0.0, 0.0, 0.65 * swing), 0.0, STEP_S)
         assert stationary(rest)
+
+
+def test_a_rest_tells_of_the_gyroscope_what_its_mean_is_worth() -> None:
+    """Over ten minutes, the variance of the mean of errors that last, and of others that do not, is that of R."""
+    navigation = ErrorStateFilter(
+        Settings(), InertialState(0, (1.0, 0.0, 0.0, 0.0), STILL, Geodetic(0.7, 0.2, 100.0)), np.eye(SIZE)
+    )
+    R = Standstill(0, STILL).observe_zero_rate(navigation).R
+    count = 6000
+    lags = np.arange(1, count)
+    together = 1.0 + 2.0 * float(((1.0 - lags / count) * np.exp(-lags * PERIOD_S / SETTLING_S)).sum())
+    mean_variance = (RATE_SD**2 + REST_RATE_SD**2 * together) / count
+    assert R[0, 0] / count == pytest.approx(mean_variance, rel=0.02)
+    shaken = Standstill(0, STILL, rate_sd=0.01).observe_zero_rate(navigation).R
+    assert shaken[2, 2] - R[2, 2] == pytest.approx(0.01**2 - RATE_SD**2)
