@@ -1,7 +1,7 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import degrees, hypot, radians
 
 from shared.errors import FilterDiverged
@@ -163,8 +163,7 @@ class Engine:
             self.last = sample
             self._lose(sample.time_ns, f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
             return sample
-        if self.filter is not None:
-            admit_gap(self.filter, gap_s)
+        self._widen(admit_gap, gap_s)
         return Sample(sample.time_ns, mean(self.last.force, sample.force), mean(self.last.rate, sample.rate))
 
     def _admit(self, span_s: float) -> None:
@@ -173,8 +172,17 @@ class Engine:
         if self.filter is None or self._doubtful_s < DOUBT_PERIOD_S - 1e-3:
             return
         self.aids.judge.comparison = Comparison()  # it would be one with nonsense
-        admit_doubt(self.filter, self._doubtful_s)
+        self._widen(admit_doubt, self._doubtful_s)
         self._doubtful_s = 0.0
+
+    def _widen(self, admit: Callable[[ErrorStateFilter, float], None], span_s: float) -> None:
+        """Admit errors of a time [s] to the filter, if there is one whose numbers have a meaning."""
+        try:
+            if self.filter is not None:
+                admit(self.filter, span_s)
+        except FilterDiverged as error:
+            assert self.last is not None
+            self._reset(self.last.time_ns, str(error), kept=None)
 
     def _aid(self, measurement: Measurement) -> list[Outcome]:
         """Hold a measurement against the filter, or hand it to the alignment."""
