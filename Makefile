@@ -8,7 +8,7 @@ SEED ?= 1
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers bench drives integrity consistency picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers bench drives integrity consistency starts picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -90,6 +90,9 @@ integrity: setup ## hold protection levels against true errors: RUNS simulated d
 
 consistency: setup ## hold errors against the filter's covariance: 50 drives a case (a quarter of an hour)
 	@$(PYTHON) -m benchmarks.consistency
+
+starts: setup ## switch on anywhere in simulated drives: how soon the heading is known (ten minutes)
+	@$(PYTHON) -m benchmarks.starts
 
 picture: $(VENV)/.debian ## take the README's picture anew from a running demo
 	@$(PYTHON) docs/picture.py

@@ -80,7 +80,6 @@ class AidingKind(StrEnum):
     GNSS_VELOCITY = "gnss_velocity"
     ZERO_VELOCITY = "zero_velocity"
     ZERO_ANGULAR_RATE = "zero_angular_rate"
-    COURSE = "course"
     ODOMETER = "odometer"
     NON_HOLONOMIC = "non_holonomic"
     BAROMETRIC_HEIGHT = "barometric_height"

@@ -7,14 +7,15 @@ the starts below: always with receivers that tell velocity; the others are in `d
 from math import degrees, inf, radians
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from benchmarks.starts.report import moments
+from benchmarks.starts.start import Receiver, Start, drive
 from services.core.fusion.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from shared.maths.earth import Geodetic
-from tests.support.starts import Leg, Receiver, Start, drive, manoeuvre
+from tests.support.starts import Leg, manoeuvre
 
 LIMIT = radians(3.0)
 REVERSING_OUT: tuple[Leg, ...] = (
@@ -31,15 +32,6 @@ DRIVING_OFF: tuple[Leg, ...] = ((3, 0, 0), (6, 1.5, 0), (10, 0, 0.02), (6, 0, -0
 WITH_VELOCITY = [Receiver(1), Receiver(5), Receiver(10)]
 
 
-def moments(scenario: str, seed: int, duration_s: float, moving: bool) -> npt.NDArray[np.floating]:
-    """Times in motion, or just before driving off."""
-    d = drive(scenario, seed, duration_s)
-    speed = np.hypot(d.velocity_n[:, 0], d.velocity_n[:, 1])[:-2500]
-    if moving:
-        return np.flatnonzero(speed > 4.0) * 0.01
-    return np.flatnonzero((speed[1:] > 0.0) & (speed[:-1] == 0.0)) * 0.01 - 0.1
-
-
 @pytest.mark.parametrize("moving", [False, True], ids=["from rest without levelling", "at speed"])
 @pytest.mark.parametrize(
     ("scenario", "seed", "duration_s"), [("parking_lot", 1, 240.0), ("urban", 2, 300.0), ("tunnel", 3, 200.0)]
@@ -49,11 +41,23 @@ def test_an_unknown_heading_is_known_five_seconds_after_three_metres_a_second(
 ) -> None:
     """Bends, slopes and straights, at 1, 5 and 10 Hz, with the errors of a receiver without corrections."""
     rng = np.random.default_rng(seed)
-    times = moments(scenario, seed, duration_s, moving)
+    travelled = drive(scenario, seed, duration_s)
+    times = moments(travelled, moving)
     for k, receiver in enumerate(WITH_VELOCITY):
-        start = Start(drive(scenario, seed, duration_s), receiver, float(rng.choice(times)), rng.uniform(0.0, 1.5), k)
+        start = Start(travelled, receiver, float(rng.choice(times)), rng.uniform(0.0, 1.5), k)
         settled_s, _, how = start.known_after_s(LIMIT, 20.0)
         assert settled_s <= 5.0, (start.at_s, receiver, how)
+
+
+@pytest.mark.parametrize("rate_hz", [1, 5])
+@pytest.mark.parametrize(("scenario", "at_s"), [("parking_lot", 75.12), ("parking_lot", 112.03), ("tunnel", 60.64)])
+def test_without_velocity_even_motion_is_not_taken_for_a_rest(rate_hz: int, scenario: str, at_s: float) -> None:
+    """Switched on at 5 and 20 m/s on a straight; a velocity gained "since the rest" once turned the heading by 100."""
+    travelled = drive(scenario, 1, 240.0) if scenario == "parking_lot" else drive(scenario, 3, 200.0)
+    start = Start(travelled, Receiver(rate_hz, velocity=False), at_s, 0.76, 1)
+    _, worst, how = start.known_after_s(LIMIT, 20.0)
+    assert how.startswith("course over ground")
+    assert worst < radians(12.0)
 
 
 def errors_of(start: Start, made: Navigator, duration_s: float) -> dict[float, float]:

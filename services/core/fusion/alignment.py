@@ -28,17 +28,17 @@ from .heading import (
     forwards_or_backwards,
     heading_of_accelerations,
     heading_of_motion,
-    motion_between,
     saved_heading,
 )
-from .levelling import Levelling, rest_gyroscope_bias
+from .levelling import FAST_M_S, Levelling, rest_gyroscope_bias
 from .matching import REST_OFFSET_SD, Comparison
 from .settings import Settings
 from .strapdown import InertialState, rotate
+from .track import Point, moved_m_s, track
 
 FloatArray = npt.NDArray[np.float64]
 
-BASELINE_S = 5.0  # longest time between two positions that give a course
+TRACK_S = 5.0  # longest time of the positions that give a course
 MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
 REST_VELOCITY_SD = 0.05  # [m/s]
 ARM_RATE_SD = 0.05  # [rad/s] by which the swing of the lever arm may be wrong
@@ -76,7 +76,7 @@ class Alignment:
         self._motion: Motion | None = None
         self._course: Heading | None = None
         self._baseline: tuple[int, Heading] | None = None  # stamp, and what two antennas say
-        self._fixes: tuple[tuple[GnssPosition, float], ...] = ()  # newest last, with the yaw in the level frame
+        self._track: tuple[Point, ...] = ()  # newest last
         self._fixes_at_rest: tuple[GnssPosition, ...] = ()
 
     def fork(self) -> "Alignment":
@@ -126,13 +126,11 @@ class Alignment:
     def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
         """Take a position in, and start the filter with it if all that it needs is known."""
         self.seen_fix = True
-        recent = fix.time_ns - int(BASELINE_S * 1e9)
-        self._fixes = (*(pair for pair in self._fixes if pair[0].time_ns >= recent), (fix, self.levelling.yaw))
-        self._see_displacement()
+        self._follow(fix)
         self._compare(fix, self._swing())
         self._fixes_at_rest = (*self._fixes_at_rest[-99:], fix) if self.levelling.at_rest else ()
         if self._motion is None or abs(fix.time_ns - self._motion.time_ns) > MOTION_AGE_S * 1e9:
-            self._move(self._motion_without_velocity(fix))
+            self._move_without_velocity(fix)
         if self._motion is None or not self.levelling.ready:
             return None
         heading = self._heading(fix)
@@ -163,11 +161,19 @@ class Alignment:
         fresh = self._baseline is not None and abs(fix.time_ns - self._baseline[0]) <= BASELINE_AGE_S * 1e9
         return self._baseline[1] if self._baseline and fresh else None
 
-    def _see_displacement(self) -> None:
-        """Tell the levelling of a motion that two successive positions show, for want of a velocity."""
-        if not self._has_velocity and len(self._fixes) > 1:
-            motion = motion_between(self._fixes[0], self._fixes[-1])
-            self.levelling.see_speed(hypot(motion.velocity[0], motion.velocity[1]) if motion else 0.0)
+    def _follow(self, fix: GnssPosition) -> None:
+        """Follow the track, and for want of a velocity tell the levelling of a motion that it shows."""
+        level, now_ns = self.levelling, fix.time_ns
+        x, y, _ = rotate(level.quaternion, self._settings.lever_arm_body_m)
+        recent = (point for point in self._track if now_ns - TRACK_S * 1e9 <= point.fix.time_ns < now_ns)
+        self._track = (*tuple(recent)[-99:], Point(fix, level.ahead, level.way, complex(x, y)))
+        if self._has_velocity:
+            return
+        level.see_speed(moved_m_s(self._track))
+        resting = [point for point in self._track if now_ns - point.fix.time_ns <= level.rest_s * 1e9]
+        if level.at_rest and moved_m_s(resting) > FAST_M_S:
+            level.forget_rest()
+            self.comparison = Comparison()
 
     def _move(self, motion: Motion | None) -> None:
         self._motion = motion
@@ -178,13 +184,12 @@ class Alignment:
         x, y, z = np.cross(self.levelling.rate, self._settings.lever_arm_body_m).tolist()
         return rotate(self.levelling.quaternion, (x, y, z))
 
-    def _motion_without_velocity(self, fix: GnssPosition) -> Motion | None:
-        """Find the velocity of a vehicle whose receiver states none: at rest, or from an earlier position."""
+    def _move_without_velocity(self, fix: GnssPosition) -> None:
+        """Find the velocity of a vehicle whose receiver states none: at rest, or from its track."""
         if self.levelling.at_rest:
-            return Motion(fix.time_ns, (0.0, 0.0, 0.0), (REST_VELOCITY_SD,) * 3, (0.0, 0.0, 0.0))
-        newest = self._fixes[-1]
-        motions = (motion_between(earlier, newest) for earlier in reversed(self._fixes[:-1]))
-        return next((motion for motion in motions if motion), None)
+            self._move(Motion(fix.time_ns, (0.0, 0.0, 0.0), (REST_VELOCITY_SD,) * 3, (0.0, 0.0, 0.0)))
+        else:
+            self._motion, self._course = track(self._track, self.levelling, self._settings) or (None, None)
 
     def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
         """Make the filter at the instant of the fix."""

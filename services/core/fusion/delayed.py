@@ -21,6 +21,7 @@ from .stretch import Stretch
 from .trail import Trail
 
 KEPT_EVERY = 16  # samples between two copies of the engine; more of ordinary ones, where a copy is dear beside them
+COPIES = 1000  # what a device with a clock of its own kind may make of the history; 1 kHz for ten seconds needs 625
 Newest = tuple[int, Vector, Vector, str | None]  # a `Sample`, or what becomes one
 
 
@@ -167,7 +168,7 @@ class DelayedEngine:
         self._copies.append((stamp, self.engine.fork()))
         self._fresh = 0
         oldest = stamp - self._horizon_ns
-        while len(self._copies) > 1 and self._copies[1][0] <= oldest:
+        while len(self._copies) > 1 and (self._copies[1][0] <= oldest or len(self._copies) > COPIES):
             self._copies.popleft()
         while self._samples and self._samples[0][0] <= self._copies[0][0]:
             self._samples.popleft()

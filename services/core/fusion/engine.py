@@ -1,6 +1,7 @@
 """The estimator as a function of inertial samples and measurements in the order in which they were true."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from math import degrees, hypot, radians
 
 from shared.errors import FilterDiverged
@@ -107,11 +108,7 @@ class Engine:
             return []
         self._unattended_s = 0.0
         outcomes: list[Outcome] = []
-        try:
-            if self.filter is not None:
-                self.filter.keep_covariance()
-        except FilterDiverged as error:
-            self._reset(last[0], str(error), kept=None)
+        self._try(ErrorStateFilter.keep_covariance, last[0])
         if last[3] is not None:
             self._admit(gap_s)
         self._watch_for_standstill(last[0], gap_s, outcomes)
@@ -142,13 +139,10 @@ class Engine:
         if time_ns <= self.last[0]:
             return
         force, rate = sample[1], sample[2]
-        try:
-            if self.filter is not None:
-                self.filter.advance(force, rate, time_ns)
-            elif self._alignment is not None:
-                self._alignment.levelling.advance(force, rate, (time_ns - self.last[0]) * 1e-9)
-        except FilterDiverged as error:
-            self._reset(time_ns, str(error), kept=None)
+        if self.filter is not None:
+            self.filter.advance(force, rate, time_ns)
+        elif self._alignment is not None:
+            self._alignment.levelling.advance(force, rate, (time_ns - self.last[0]) * 1e-9)
 
     def _bridge(self, gap_s: float, sample: Sample) -> Sample:
         """Decide what survives a gap, and what is taken to have happened in it: the mean of its two ends."""
@@ -159,18 +153,25 @@ class Engine:
             self.last = sample
             self._lose(sample.time_ns, f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
             return sample
-        if self.filter is not None:
-            admit_gap(self.filter, gap_s)
+        self._try(partial(admit_gap, span_s=gap_s), self.last.time_ns)
         return Sample(sample.time_ns, mean(self.last.force, sample.force), mean(self.last.rate, sample.rate))
 
     def _admit(self, span_s: float) -> None:
         """Take a doubtful sample for no better than a guess; the filter is told ten times a second."""
         self._doubtful_s += span_s
-        if self.filter is None or self._doubtful_s < DOUBT_PERIOD_S - 1e-3:
+        if self.last is None or self.filter is None or self._doubtful_s < DOUBT_PERIOD_S - 1e-3:
             return
         self.aids.judge.comparison = Comparison()  # it would be one with nonsense
-        admit_doubt(self.filter, self._doubtful_s)
+        self._try(partial(admit_doubt, span_s=self._doubtful_s), self.last.time_ns)
         self._doubtful_s = 0.0
+
+    def _try(self, act: Callable[[ErrorStateFilter], None], time_ns: int) -> None:
+        """Have the filter, if there is one, do something, and begin again if its numbers have lost their meaning."""
+        try:
+            if self.filter is not None:
+                act(self.filter)
+        except FilterDiverged as error:
+            self._reset(time_ns, str(error), kept=None)
 
     def _aid(self, measurement: Measurement) -> list[Outcome]:
         """Hold a measurement against the filter, or hand it to the alignment."""

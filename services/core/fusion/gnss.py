@@ -204,7 +204,8 @@ def _trusted(cov: FloatArray | None, default_sd: Vector, floor_sd: float, factor
     """
     if cov is None or not (np.isfinite(cov).all() and cov.diagonal().max() > 0.0):
         return np.diag(np.square(default_sd))
-    stated = np.sqrt(np.clip(cov.diagonal(), floor_sd**2, LARGEST_SD**2))
+    cov = np.clip(cov, -(LARGEST_SD**2), LARGEST_SD**2)
+    stated = np.sqrt(np.maximum(cov.diagonal(), floor_sd**2))
     correlation = np.clip(cov / np.outer(stated, stated), -1.0, 1.0)
     np.fill_diagonal(correlation, 1.0)
     if np.linalg.eigvalsh(correlation)[0] < SMALLEST_EIGENVALUE:

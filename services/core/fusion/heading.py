@@ -16,14 +16,13 @@ MATCH_S = 20.0  # how long the velocity gained since a rest is good enough to be
 MATCH_ACCELERATION_SD = 0.05  # [m/s²] by which it drifts: tilt
 REST_RATE_SD = 2e-4  # [rad/s] of the mean rate over a rest of a few seconds
 SAVED_YAW_SD_FLOOR = radians(0.5)
+SAVED_YAW_SD_LIMIT = radians(30.0)  # beyond it nothing was known
 MOVED_M = 20.0  # a first fix so far from the saved position says that the vehicle was moved
 FASTEST_M_S = 60.0
 ACCELERATIONS_SD = radians(2.0)  # tilt changes while nobody levels
 ACCELERATIONS_LIMIT = radians(10.0)
 SENSE_LIMIT = radians(25.0)  # to tell forwards from backwards
 COURSE = "course over ground"
-BASELINE_M = 2.0  # shortest distance of two positions that give a course
-BASELINE_SDS = 8.0  # and in standard deviations of position
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ def drift_sd(levelling: Levelling) -> float:
 
 def saved_heading(saved: Prior, levelling: Levelling, fix: GnssPosition) -> Heading | None:
     """Use the saved heading, unless the vehicle did not stand at first, or the first fix says that it was moved."""
-    if levelling.yaw_at_start is None:
+    if levelling.yaw_at_start is None or saved.yaw_sd > SAVED_YAW_SD_LIMIT:
         return None
     away = hypot(*ned_from_geodetic_difference(fix.position, saved.position)[:2])
     blur = 3.0 * sqrt(float(fix.cov[0, 0] + fix.cov[1, 1]) + saved.position_sd[0] ** 2 + saved.position_sd[1] ** 2)
@@ -103,21 +102,3 @@ def forwards_or_backwards(course: Heading, comparison: Comparison) -> Heading:
     if course.how != COURSE or sd > SENSE_LIMIT or abs(wrap_angle(turn - course.turn)) < pi - 3.0 * SENSE_LIMIT:
         return course
     return Heading(wrap_angle(course.turn + pi), course.sd, f"{COURSE}, backwards")
-
-
-def motion_between(earlier: tuple[GnssPosition, float], later: tuple[GnssPosition, float]) -> Motion | None:
-    """Velocity at the later of two positions, each with the yaw that the vehicle had there in the level frame.
-
-    The chord of an even turn points where the vehicle pointed half-way; it is turned on by the other half.
-    """
-    (before, yaw_before), (after, yaw_after) = earlier, later
-    north, east, down = ned_from_geodetic_difference(after.position, before.position)
-    span_s = (after.time_ns - before.time_ns) * 1e-9
-    sd = sqrt(float(after.cov[0, 0] + after.cov[1, 1]))
-    if span_s <= 0.0 or hypot(north, east) < max(BASELINE_M, BASELINE_SDS * sd):
-        return None
-    speed = hypot(north, east) / span_s
-    course = atan2(east, north) + 0.5 * wrap_angle(yaw_after - yaw_before)
-    error = sd / span_s + 0.5 * span_s  # of an acceleration of 1 m/s²
-    velocity = (speed * cos(course), speed * sin(course), down / span_s)
-    return Motion(after.time_ns, velocity, (error, error, error), (0.0, 0.0, 0.0))

@@ -113,10 +113,12 @@ class Levelling:
         self.velocity = (0.0, 0.0)  # [m/s, level frame] gained since the last rest
         self.before = (0.0, 0.0)  # [m/s, level frame] gained up to then, and what levelling has kept from it
         self._leant = (0.0, 0.0)  # [m/s²] that levelling has taken for tilt so far
+        self.way = 0j  # [m, level frame, north + i east] by that velocity, since the last rest
+        self.ahead = 0j  # [s, likewise] integral of the direction of the nose
         self.moving_s = 0.0  # since the last rest
         self.yaw_at_start: float | None = None  # in the level frame, of a vehicle that stood when all this began
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] last sample, mean rate of the rest removed
-        self._started = self.ready
+        self._started, self._bias_before = self.ready, bias
         self._longest_s = 0.0  # of all rests
         self._elapsed_s = SLOW_S if self.ready else 0.0
         self._unrest_s = 0.0
@@ -144,6 +146,11 @@ class Levelling:
         return level and dist(rest.rate, self.rate_bias) < BIAS_CHANGE_LIMIT
 
     @property
+    def rest_s(self) -> float:
+        """How long the samples have looked like a rest."""
+        return self._rest.length_s
+
+    @property
     def tilt_sd(self) -> float:
         """Standard deviation of roll and pitch [rad], apart from the accelerometer's bias."""
         return MOTION_TILT_SD if self.quaternion_at_rest is None else REST_TILT_SD + 2e-4 * self.moving_s
@@ -158,6 +165,12 @@ class Levelling:
         """Take note of a speed [m/s] that GNSS measured."""
         self._fast_s = FAST_S if speed > FAST_M_S else 0.0
 
+    def forget_rest(self) -> None:
+        """Take back what a rest has taught that was none: the vehicle drove evenly, as GNSS says."""
+        self._unrest_s += self._rest.length_s
+        self._rest, self._longest_s, self._fast_s = _Rest(), 0.0, FAST_S
+        self.quaternion_at_rest, self.rate_bias, self.yaw_at_start = None, self._bias_before, None
+
     def advance(self, force: Vector, rate: Vector, step_s: float) -> None:
         """Take one sample in [m/s², rad/s; body]."""
         if not self._started:
@@ -171,6 +184,9 @@ class Levelling:
         self._elapsed_s += step_s
         self.moving_s += step_s
         self.velocity = (self.velocity[0] + north * step_s, self.velocity[1] + east * step_s)
+        self.way += step_s * complex(*self.velocity)
+        w, x, y, z = self.quaternion
+        self.ahead += step_s * complex(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z))
         if self.quaternion_at_rest is None:
             self._level_slowly(north, east, step_s)
         self._block = self._block.with_sample(force, rate, step_s)
@@ -212,7 +228,7 @@ class Levelling:
             self.yaw_at_start = self.yaw
         (north, east), (x, y) = self.velocity, self.before
         self.before = (x + north, y + east)
-        self.velocity, self.moving_s = (0.0, 0.0), 0.0
+        self.velocity, self.way, self.moving_s = (0.0, 0.0), 0j, 0.0
 
 
 class _Block(NamedTuple):

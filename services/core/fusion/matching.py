@@ -32,6 +32,7 @@ NEIGHBOURS = 1.7  # differences of positions share one with the next
 LARGEST_JITTER_M = 1.0  # positions differ from each other by less than from the truth
 WRONG_YAW = radians(30.0)
 WRONG_SDS = 5.0
+SURE = radians(12.0)  # at even speed, noise has any turn: one that is less sure than this contradicts nothing
 LARGEST_M_S2 = 8.0  # no tyre accelerates a car so much: GNSS has jumped
 PERSISTENT_S = {True: 1.0, False: 3.0}  # for which velocities, or positions, must contradict a running filter
 GAIN = (0.6, 1.6)  # beyond it the two are not of one motion
@@ -95,9 +96,12 @@ class Match(NamedTuple):
         return self._replace(begun=False)
 
     def turned(self, turn: float) -> "Match":
-        """See the inertial side from a frame in which it appears turned by an angle [rad]."""
+        """See past accelerations from a frame in which they appear turned by an angle [rad].
+
+        The velocity reached so far is left as it is: a new heading turns what is gained from now on.
+        """
         w = rect(1.0, turn)
-        return self._replace(inertial=w * self.inertial, a=w * self.a, ag=w.conjugate() * self.ag)
+        return self._replace(a=w * self.a, ag=w.conjugate() * self.ag)
 
     def result(self, offset_sd: float) -> tuple[float, float]:
         """Turn from the inertial frame to NED and its standard deviation [rad]; infinite while nothing is known.
@@ -187,10 +191,8 @@ class Comparison(NamedTuple):
         return now_ns - max(self.velocities.time_ns, self.chords.time_ns) > LONGEST_S * 1e9
 
     def turned(self, turn: float) -> "Comparison":
-        """See the inertial side from a frame in which it appears turned by an angle [rad]."""
-        chords = self.chords._replace(
-            match=self.chords.match.turned(turn), inertial=rect(1.0, turn) * self.chords.inertial
-        )
+        """See past accelerations from a frame in which they appear turned by an angle [rad]."""
+        chords = self.chords._replace(match=self.chords.match.turned(turn))
         return self._replace(velocities=self.velocities.turned(turn), chords=chords)
 
     def interrupted(self) -> "Comparison":
@@ -205,7 +207,7 @@ class Comparison(NamedTuple):
     def contradicts(self, turn: float) -> bool:
         """Whether a turn from the inertial frame to NED [rad] is so wrong that no small correction mends it."""
         found, sd = self.result()
-        return abs(wrap_angle(found - turn)) > max(WRONG_YAW, WRONG_SDS * sd)
+        return sd < SURE and abs(wrap_angle(found - turn)) > max(WRONG_YAW, WRONG_SDS * sd)
 
 
 class Corrections(NamedTuple):

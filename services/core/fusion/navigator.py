@@ -21,6 +21,7 @@ from shared.messages import NavigationPhase
 from . import barometer, compass
 from .aiding import Counts, Measurement, Outcome
 from .delayed import DelayedEngine
+from .door import DEVICES, impossible
 from .engine import Engine
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
@@ -59,6 +60,7 @@ class Navigator:
         self._conspicuous = True  # the last sample was looked at, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
         self._used: dict[str, int] = {}  # period of the newest value that was taken, by device and quantity
+        self._sources: set[str] = set()
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -132,6 +134,11 @@ class Navigator:
         if measurement.time_ns > measurement.received_ns + FUTURE_LIMIT_NS:
             self.rejects["measurement from the future"] += 1
             return
+        if fault := impossible(measurement):
+            self.rejects[fault] += 1
+            return
+        if not self._is_known(measurement.source):
+            return
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
         entry = (release_ns, measurement.time_ns, measurement.source, measurement)
         insort(self._held, entry, key=lambda held: held[:3])
@@ -202,10 +209,20 @@ class Navigator:
 
     def _is_due(self, key: str, time_ns: int, period_ns: int) -> bool:
         """Whether it is the first value of a device in its period: by the stamp alone, whenever it was switched on."""
+        if not self._is_known(key.rpartition("/")[0]):
+            return False
         period = time_ns // period_ns
         if self._used.get(key) == period:
             return False
         self._used[key] = period
+        return True
+
+    def _is_known(self, source: str) -> bool:
+        """Whether it is one of the devices that were heard first, which are as many as a vehicle can have."""
+        if source not in self._sources and len(self._sources) >= DEVICES:
+            self.rejects["more devices than a vehicle has"] += 1
+            return False
+        self._sources.add(source)
         return True
 
     def leave(self, trail: Trail) -> None:
@@ -253,8 +270,12 @@ class Navigator:
     def release(self, received_ns: int) -> list[Outcome]:
         """Do what the last sample left to do, and use what has waited long enough, now that it is `received_ns`."""
         outcomes = self._delayed.attend()
+        last = self._delayed.engine.last
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
+            if last is not None and measurement.time_ns > last.time_ns + FUTURE_LIMIT_NS:
+                self.rejects["measurement from the future"] += 1  # by the clock of the inertial samples
+                continue
             try:
                 outcomes += self._delayed.insert(measurement)
             except LookupError:

@@ -37,6 +37,7 @@ USABLE = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 COURSE_SPEED_M_S = 0.5  # below it the course of a receiver is noise
 GROUND_SPEED_SD = 0.3  # [m/s] of a speed and course that the receiver has smoothed
 LEAST_BASELINE_SD = 1e-3  # [rad]
+WORST_DOP = 1000.0  # some receivers say 99.99 where they know nothing
 UERE_M = 2.5  # [m] times the dilution of precision it is what a receiver without covariance is good for
 
 
@@ -127,7 +128,8 @@ def give_speed(navigator: Navigator, speed: VehicleSpeed | WheelSpeeds) -> None:
 def _position_cov(fix: GnssFix) -> FloatArray | None:
     cov = _cov(fix.position_cov_ned_m2, fix.position_sd_ned_m)
     if cov is None and fix.hdop is not None:
-        horizontal, vertical = UERE_M * fix.hdop, UERE_M * (fix.vdop or 2.0 * fix.hdop)
+        horizontal = UERE_M * min(abs(fix.hdop), WORST_DOP)
+        vertical = UERE_M * min(abs(fix.vdop or 2.0 * fix.hdop), WORST_DOP)
         return np.diag(np.square([horizontal, horizontal, vertical]))
     return cov
 

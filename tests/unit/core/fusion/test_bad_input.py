@@ -15,7 +15,7 @@ from services.core.fusion.samples import Repeats
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
-from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages import AidingKind, NavigationPhase
 
 SECOND_NS = 1_000_000_000
@@ -104,6 +104,13 @@ def give_fix(made: Navigator, k: int, offset_ns: int, sd: float | None) -> None:
         velocity_sd=d.fix_velocity_sd_n[k].tolist() if sd is None else (sd, sd, sd),
         received_ns=int(d.fix_ns[k]),
     )
+
+
+def test_a_gap_of_a_few_samples_is_integrated_over_and_no_gap() -> None:
+    """Every second four samples are missing, and the fifth holds for 50 ms: nothing is told, and little is lost."""
+    whole, cut = run(), run(imu_offset_s=lambda t: None if t > FAULT_S and 0.205 < t % 1.0 < 0.245 else 0.0)
+    assert cut.navigator.counts.imu_gaps == 0 and not cut.navigator.rejects
+    assert cut.within_sds(FAULT_S, END_S) and cut.worst_m(FAULT_S, END_S) < whole.worst_m(FAULT_S, END_S) + 0.1
 
 
 @pytest.mark.parametrize("gap_s", [0.06, 0.5, 0.9])
@@ -202,13 +209,56 @@ def test_an_inertial_clock_that_goes_back_begins_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("step_s", "reject"), [(3600.0, "measurement from the future"), (-3600.0, "measurement older than the memory")]
+    ("step_s", "reject"),
+    [
+        (3600.0, "measurement from the future"),
+        (-3600.0, "measurement older than the memory"),
+        (-1024 * 7 * 86_400.0, "measurement older than the memory"),
+    ],
+    ids=["ahead", "behind", "week number rolled over"],
 )
 def test_a_receiver_whose_clock_jumps_by_an_hour_is_left_out(step_s: float, reject: str) -> None:
     found = run(gnss_offset_s=lambda t: step_s if t > FAULT_S else 0.0)
     assert found.navigator.rejects[reject] > 200
     assert found.navigator.phase is NavigationPhase.COASTING
     assert found.within_sds(FAULT_S, END_S)
+
+
+@pytest.mark.parametrize("north_m", [15.0, 200.0])
+def test_of_two_receivers_that_disagree_the_one_that_agreed_so_far_is_followed(north_m: float) -> None:
+    """Both five times a second; from 30 s on the second is off, and keeps to it."""
+    d = drive()
+    made = Navigator(Settings(lever_arm_body_m=d.lever_arm_b, levelling_s=2.0))
+    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    found = Run(made)
+    for i, time_ns in enumerate(d.t_ns.tolist()):
+        if i % 20 == 19:
+            give_fix(made, i // 20, 0, None)
+            shift = (north_m if time_ns >= FAULT_S * 1e9 else 0.0, 0.0, 0.0)
+            made.fix(
+                time_ns,
+                position=geodetic_from_ned_difference(shift, Geodetic(*d.fix_position[i // 20].tolist())),
+                position_sd=d.fix_position_sd_n[i // 20].tolist(),
+                source="second",
+            )
+        found.outcomes += made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
+        if solution := made.solution():
+            found.solutions.append((i, solution))
+    late = [o for o in found.outcomes if o.time_ns > FAULT_S * 1e9 and o.kind is AidingKind.GNSS_POSITION]
+    assert not any(o.used for o in late if o.source == "second")
+    assert sum(o.used for o in late if o.source == "gnss") > 0.95 * sum(o.source == "gnss" for o in late)
+    assert made.counts.resets == 0 and found.worst_m(FAULT_S, END_S) < 0.6
+
+
+@pytest.mark.parametrize("broken", [float("nan"), float("inf")])
+def test_a_fix_that_is_not_finite_is_counted_and_left_out(broken: float) -> None:
+    """The bus carries no such numbers; whoever calls the navigator may."""
+    made, place = Navigator(), Geodetic(*drive().position[0].tolist())
+    good = (0.0, 0.0, 0.0)
+    for odd in (place._replace(latitude=broken), place._replace(longitude=broken), place._replace(height=broken)):
+        made.fix(SECOND_NS, position=odd, velocity=(broken, 0.0, 0.0), position_sd=(broken, 1.0, 1.0))
+    made.fix(SECOND_NS, position=place, velocity=good, position_sd=(broken, 1.0, 1.0))
+    assert made.rejects.total() == 6, "three positions and three velocities; the good ones are held for their sample"
 
 
 @pytest.mark.parametrize("step_s", [1.0, -1.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from services.core.fusion.gnss import GnssPosition
-from services.core.fusion.heading import Heading, Motion, Prior, heading_of_motion, motion_between, saved_heading
+from services.core.fusion.heading import Heading, Motion, Prior, heading_of_motion, saved_heading
 from services.core.fusion.levelling import Levelling
 from services.core.fusion.settings import Settings
 from shared.maths.earth import STANDARD_GRAVITY, Geodetic, geodetic_from_ned_difference
@@ -65,22 +65,6 @@ def test_the_swing_of_the_lever_arm_is_no_course() -> None:
 
 def test_walking_pace_gives_no_heading() -> None:
     assert heading_of_motion(Motion(0, (1.9, 0.0, 0.0), SD, STILL), levelled(1.0), Settings()) is None
-
-
-def test_the_chord_of_a_turn_is_turned_on_by_half() -> None:
-    """On a circle of 20 m at 10 m/s, one second turns by half a radian; the velocity is the tangent at the end."""
-    radius, turn = 20.0, 0.5
-    start, end = fix_at(STILL, 0.0), fix_at((radius * np.sin(turn), radius * (1.0 - np.cos(turn)), 0.0), 1.0)
-    motion = motion_between((start, 1.0), (end, 1.0 + turn))
-    assert motion is not None
-    assert motion.velocity[:2] == pytest.approx((10.0 * np.cos(turn), 10.0 * np.sin(turn)), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    "end", [fix_at((1.0, 0.0, 0.0), 1.0), fix_at((20.0, 0.0, 0.0), 1.0, sd=3.0), fix_at(STILL, 0.0)]
-)
-def test_positions_too_near_to_each_other_give_no_velocity(end: GnssPosition) -> None:
-    assert motion_between((fix_at(STILL, 0.0), 0.0), (end, 0.0)) is None
 
 
 def test_a_saved_heading_holds_for_a_vehicle_that_stands_where_it_stood() -> None:

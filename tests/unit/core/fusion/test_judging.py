@@ -218,3 +218,55 @@ def test_a_jump_beyond_what_the_receiver_states_is_refused() -> None:
     fix = fix_beside(twin, 15.0)
     assert not Judge(SETTINGS).judge(twin, fix, fix.observe(twin)).used
     assert twin.gnss_error[0] == 0.0
+
+
+def test_healthy_time_is_not_doubled_for_ever() -> None:
+    standing, time_ns = Standing(excluded=True, faults=20), 0
+    while standing.excluded:
+        standing = standing.after(time_ns, agrees=True, settings=SETTINGS)
+        time_ns += 100_000_000
+    assert time_ns * 1e-9 == pytest.approx(SETTINGS.healthy_max_s + 0.1)
+
+
+def test_positions_at_fault_leave_velocities_in_use() -> None:
+    """Each kind of each device has its own standing: a jump of 500 m in position says nothing of Doppler."""
+    found = run(Fault(4.0, 500.0))
+    during = [o for o in found.outcomes if FAULT_S * 1e9 <= o.time_ns < (FAULT_S + 5.0) * 1e9]
+    velocities = [o for o in during if o.kind is AidingKind.GNSS_VELOCITY]
+    assert len(velocities) > 20 and all(o.used for o in velocities)
+    assert not any(o.used for o in during if o.kind is AidingKind.GNSS_POSITION)
+
+
+def test_a_refused_position_widens_what_the_filter_believes() -> None:
+    """While all is refused, the covariance grows by more than without GNSS, so that a wrong filter comes back."""
+    refused, silent = (sd_at_end(position) for position in (Fault(60.0, 500.0), None))
+    assert refused > 1.05 * silent
+
+
+def sd_at_end(fault: Fault | None) -> float:
+    """Standard deviation of the position [m] after four seconds of positions that are refused, or that do not come."""
+    d = drive()
+    made = Navigator(Settings(lever_arm_body_m=d.lever_arm_b, levelling_s=2.0, reset_after_s=60.0))
+    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    for i, time_ns in enumerate(d.t_ns.tolist()[: round((FAULT_S + 4.0) * 100)]):
+        faulty = time_ns >= FAULT_S * 1e9
+        if i % 20 == 19 and (fault or not faulty):
+            k, shift = i // 20, fault(time_ns * 1e-9) if fault else (0.0, 0.0, 0.0)
+            made.fix(
+                time_ns,
+                position=geodetic_from_ned_difference(shift, Geodetic(*d.fix_position[k].tolist())),
+                position_sd=d.fix_position_sd_n[k].tolist(),
+            )
+        made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
+    solution = made.solution()
+    assert solution is not None
+    return float(np.sqrt(solution.position_cov[0, 0]))
+
+
+def test_a_reset_after_refused_positions_keeps_the_biases_and_doubts_the_heading() -> None:
+    """What the gyroscope's bias was learnt to be is not forgotten because a receiver has jumped."""
+    found = run(Fault(60.0, 500.0))
+    solution, truth = found.navigator.solution(), (drive().rate_b - drive().ideal_rate_b)[:1000].mean(axis=0)
+    assert solution is not None and found.navigator.counts.resets == 1
+    assert solution.gyroscope_bias == pytest.approx(truth, abs=2e-4)
+    assert "heading kept" in found.navigator.reason or "matched" in found.navigator.reason

@@ -95,6 +95,18 @@ def test_a_motion_that_gnss_sees_is_no_rest() -> None:
     assert not levelling.at_rest
 
 
+def test_a_rest_that_was_none_is_taken_back() -> None:
+    """Even motion looks like a rest until positions tell; what it has taught is forgotten, and it counts as motion."""
+    levelling = Levelling(Settings())
+    feed(levelling, 4.0, UP, (0.0, 0.0, 0.01))
+    assert levelling.at_rest and levelling.rate_bias[2] == pytest.approx(0.01)
+    levelling.forget_rest()
+    assert not levelling.at_rest and levelling.quaternion_at_rest is None and levelling.yaw_at_start is None
+    assert levelling.rate_bias == NOTHING
+    feed(levelling, 0.5, UP)
+    assert levelling.ready, "after three seconds of motion levelling goes on while navigating"
+
+
 def test_the_velocity_gained_since_a_rest_is_summed_up() -> None:
     levelling = Levelling(Settings())
     feed(levelling, 5.0, UP)

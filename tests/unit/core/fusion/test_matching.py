@@ -68,6 +68,26 @@ def test_turning_the_view_turns_the_result() -> None:
     assert match.turned(TURN).result(1.0)[1] == pytest.approx(match.result(1.0)[1])
 
 
+def test_turning_the_view_at_speed_is_no_acceleration() -> None:
+    """A filter at an even 30 m/s whose heading is corrected by a degree now and then goes on as it went."""
+    match = Match()
+    for k in range(20):
+        match = match.turned(radians(1.0)).after(k * 10**9, 30.0 + 0j, 30.0 + 0j, SD)
+    assert match.n > 10.0 and match.aa == pytest.approx(0.0, abs=1e-12)
+
+
+def test_at_even_speed_noise_contradicts_nothing() -> None:
+    """A tilt that is being learnt looks like an acceleration of 0.1 m/s², and GNSS noise has any direction."""
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        comparison = Comparison()
+        for k in range(20):
+            noise = 0.05 * complex(*rng.standard_normal(2))
+            velocities = comparison.velocities.after(k * 600_000_000, 0.03j * k * (1.0 + 0.05 * k), 20.0 + noise, 0.05)
+            comparison = comparison._replace(velocities=velocities)
+            assert not comparison.contradicts(0.0)
+
+
 @pytest.mark.parametrize("velocity", [True, False])
 def test_velocities_and_positions_say_the_same(velocity: bool) -> None:
     """A circle of 20 m at 8 m/s; inertial sensors see it turned by 150 degrees."""

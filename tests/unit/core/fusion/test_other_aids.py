@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.commands.papers_navigation import give_fix
 from services.core.fusion import error_model as em
 from services.core.fusion.aiding import Outcome
 from services.core.fusion.barometer import BarometricHeight, pressure_height
@@ -124,14 +125,7 @@ def led(
         if iron is not None and i % 10 == 9:
             made.magnetic_field(time_ns, field_at(i, iron))
         if i % 100 == 99 and not (outage and time_ns >= OUTAGE_S[0] * 1e9):
-            k = i // 100
-            made.fix(
-                time_ns,
-                position=Geodetic(*d.fix_position[k].tolist()),
-                velocity=tuple(d.fix_velocity_n[k].tolist()),
-                position_sd=d.fix_position_sd_n[k].tolist(),
-                velocity_sd=d.fix_velocity_sd_n[k].tolist(),
-            )
+            give_fix(d, i // 100, made)
         outcomes += made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
     return made, outcomes
 

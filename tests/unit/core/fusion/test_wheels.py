@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from services.commands.papers_navigation import give_fix
 from services.core.fusion import error_model as em
 from services.core.fusion.aiding import Outcome
 from services.core.fusion.filter import ErrorStateFilter
@@ -55,15 +56,7 @@ def feed(made: Navigator, speeds: FloatArray | None, outage: bool = True) -> lis
         if speeds is not None and i % 10 == 9:
             made.speed(time_ns, float(speeds[(i + 1) // 10]))
         if i % 100 == 99 and not (outage and time_ns * 1e-9 >= OUTAGE_S[0]):
-            k = i // 100
-            north, east, down = d.fix_velocity_n[k].tolist()
-            made.fix(
-                time_ns,
-                position=Geodetic(*d.fix_position[k].tolist()),
-                velocity=(north, east, down),
-                position_sd=d.fix_position_sd_n[k].tolist(),
-                velocity_sd=d.fix_velocity_sd_n[k].tolist(),
-            )
+            give_fix(d, i // 100, made)
         outcomes += made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
     return outcomes
 

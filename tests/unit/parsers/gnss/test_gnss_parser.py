@@ -206,6 +206,31 @@ def test_the_roll_over_of_the_week_is_no_step_of_the_clock() -> None:
     assert [fix.sampled_ns - START_NS for fix in found] == [k * NS for k in range(4)]
 
 
+def test_a_receiver_that_restarts_in_the_year_2006_keeps_its_place_on_the_time_line() -> None:
+    """Its week number has rolled over (1024 weeks back), and its time of week is that of a clock of its own."""
+    process = Process(Config())
+    before = [one for k in range(10) for one in fixes(feed(process, pvt(k) + eoe(k), k + 0.08))]
+    back = {"year": 2006, "month": 5, "day": 18, "hour": 3}
+    after = []
+    for k in range(20, 40):
+        itow_ms = ITOW_MS + (k - 3) * 1000 + 3 * 3_600_000
+        restarted = pvt(k, **back)[:6] + struct.pack("<I", itow_ms) + pvt(k, **back)[10:-2]
+        checked = restarted + bytes(checksum(restarted[2:])) + ubx("EOE", itow_ms)
+        after += fixes(feed(process, checked, k + 0.08))
+    assert len(before) >= 8 and len(after) >= 15
+    for one in (*before, *after):
+        assert abs(one.sampled_ns - one.received_ns) < 0.2 * NS
+
+
+def checksum(body: bytes) -> tuple[int, int]:
+    """UBX's 8-bit Fletcher sums."""
+    a = b = 0
+    for byte in body:
+        a = (a + byte) & 0xFF
+        b = (b + a) & 0xFF
+    return a, b
+
+
 def test_nmea_makes_fixes_where_a_receiver_sends_nothing_else() -> None:
     process = Process(Config())
     feed(process, rmc() + gga())

@@ -1,0 +1,1 @@
+"""Switch-on anywhere: how soon the heading is known, by kinds of receivers."""

@@ -1,0 +1,7 @@
+"""Run this benchmark: `python -m benchmarks.starts`."""
+
+import sys
+
+from benchmarks.starts.report import main
+
+sys.exit(main(sys.argv[1:]))

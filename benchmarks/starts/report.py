@@ -1,0 +1,136 @@
+"""How soon a unit that is switched on anywhere knows where the vehicle points, by kinds of receivers."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from math import degrees, erf, inf, radians, sqrt
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+
+from services.sensors.simulator.drive import Drive
+
+from .start import FAST_M_S, STEP_S, Receiver, Start, drive
+
+RESULTS = Path(__file__).resolve().parents[1] / "results"
+TITLE = """# Switched on anywhere: how soon the heading is known
+
+By `make starts`; docs/explanation/navigation.md says what is tried.
+
+"""
+LIMIT = radians(3.0)
+WITHIN_S = 5.0
+WATCHED_S = 20.0
+DRIVES = (("parking_lot", 1, 240.0), ("urban", 2, 300.0), ("tunnel", 3, 200.0))
+RECEIVERS = (
+    *(Receiver(rate_hz) for rate_hz in (1, 5)),
+    *(Receiver(rate_hz, velocity=False, course=True) for rate_hz in (1, 5)),
+    *(Receiver(rate_hz, velocity=False) for rate_hz in (1, 5)),
+    *(Receiver(1, velocity=False, white_m=white_m) for white_m in (1.0, 2.0)),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One kind of receiver: how many starts have passed, how long they took, and what positions alone could give."""
+
+    receiver: Receiver
+    passed: int
+    starts: int
+    median_s: float
+    slowest_s: float
+    wrong: int  # starts whose solution was off by more than 15 degrees later than that
+    bound: float | None  # share of the starts that the best use of positions would let pass
+
+    @property
+    def name(self) -> str:
+        """Kind of receiver in words."""
+        receiver = self.receiver
+        velocity = "velocity" if receiver.velocity else "speed and course" if receiver.course else "positions only"
+        return f"{self.receiver.rate_hz} Hz, {velocity}, white noise {self.receiver.white_m:g} m"
+
+
+def moments(travelled: Drive, moving: bool) -> npt.NDArray[np.floating]:
+    """Times [s] in motion, or just before driving off, with time enough left to watch."""
+    speed = np.hypot(travelled.velocity_n[:, 0], travelled.velocity_n[:, 1])[: -round((WATCHED_S + 5.0) / STEP_S)]
+    if moving:
+        return np.flatnonzero(speed > 4.0) * STEP_S
+    return np.flatnonzero((speed[1:] > 0.0) & (speed[:-1] == 0.0)) * STEP_S - 0.1
+
+
+def starts(receiver: Receiver, each: int) -> list[Start]:
+    """Draw starts, the same for all receivers: half of them from rest without levelling, half at speed."""
+    drawn = []
+    for scenario, seed, duration_s in DRIVES:
+        travelled = drive(scenario, seed, duration_s)
+        for moving in (False, True):
+            rng = np.random.default_rng((seed, moving))
+            times = moments(travelled, moving)
+            for k in range(each):
+                at_s, wait_s = float(rng.choice(times)), float(rng.uniform(0.0, 1.5))
+                drawn.append(Start(travelled, receiver, at_s, wait_s, k))
+    return drawn
+
+
+def probability(start: Start) -> float:
+    """Probability that positions alone can give the heading within the limit and the time.
+
+    The standard deviation of the direction of a track whose form is known, at n positions with noise s, is
+    s / sqrt(sum |d - mean(d)|²), d being the way. No sideslip, no tilt, no drift: nothing does better from positions.
+    """
+    d, receiver = start.drive, start.receiver
+    first = round((start.at_s + start.first_fix_s) / STEP_S)
+    fast = first + int(np.argmax(np.hypot(*d.velocity_n[first:, :2].T) > FAST_M_S))
+    every = round(1.0 / (receiver.rate_hz * STEP_S))
+    way = np.cumsum(d.velocity_n[first : fast + round(WITHIN_S / STEP_S), :2], axis=0)[::every] * STEP_S
+    spread = float(((way - way.mean(axis=0)) ** 2).sum())
+    return erf(LIMIT * sqrt(0.5 * spread) / receiver.white_m)
+
+
+def row(receiver: Receiver, each: int) -> Row:
+    """Try all starts of one receiver."""
+    times, wrong, bounds = [], 0, []
+    for start in starts(receiver, each):
+        settled_s, worst, _ = start.known_after_s(LIMIT, WATCHED_S)
+        times.append(settled_s)
+        wrong += worst > radians(15.0)
+        bounds.append(probability(start))
+    bound = None if receiver.velocity or receiver.course else float(np.mean(bounds))
+    passed = sum(time <= WITHIN_S for time in times)
+    return Row(receiver, passed, len(times), float(np.median(times)), max(times), wrong, bound)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Print rows as Markdown."""
+    lines = [
+        f"| receiver | {degrees(LIMIT):.0f}° within {WITHIN_S:.0f} s of 3 m/s | median | slowest | later wrong by 15° "
+        "| best that positions allow |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for one in rows:
+        bound = "" if one.bound is None else f"{100.0 * one.bound:.0f} %"
+        slowest = f"over {WATCHED_S:.0f} s" if one.slowest_s == inf else f"{one.slowest_s:.1f} s"
+        passed = f"{one.passed} of {one.starts}"
+        lines.append(f"| {one.name} | {passed} | {one.median_s:.1f} s | {slowest} | {one.wrong} | {bound} |")
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run all receivers and write `benchmarks/results/starts.md`."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--each", type=int, default=6, help="starts of each drive, from rest and at speed")
+    each = parser.parse_args(arguments).each
+    with ProcessPoolExecutor() as workers:
+        tried = workers.map(partial(row, each=each), RECEIVERS)
+        rows = list(track(tried, description="receivers", total=len(RECEIVERS), transient=True))
+    RESULTS.joinpath("starts.md").write_text(TITLE + table(rows), encoding="utf-8")
+    figures = [{"receiver": one.name, "passed": one.passed, "starts": one.starts, "bound": one.bound} for one in rows]
+    RESULTS.joinpath("starts.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    Console().print(table(rows), markup=False, soft_wrap=True)
+    return 0

@@ -1,0 +1,37 @@
+"""What no measurement of a road vehicle says, whatever its form: it is counted and does not come to the filter."""
+
+from math import hypot, isfinite
+
+from shared.maths.earth import Geodetic
+
+from .aiding import Measurement
+from .compass import MagneticHeading
+from .gnss import GnssPosition, GnssVelocity
+from .ordinary import FASTEST_M_S, HIGHEST_LATITUDE
+from .wheels import WheelSpeed
+
+LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # no road, and no balloon of a test either
+STRONGEST_FIELD = 100.0  # times the Earth's
+DEVICES = 32  # no vehicle has more; what is learnt of each takes memory
+
+
+def impossible(measurement: Measurement) -> str | None:
+    """Say why a measurement cannot be true, or None if it can."""
+    match measurement:
+        case GnssPosition():
+            return _no_place(measurement.position)
+        case GnssVelocity() if not hypot(*measurement.velocity) < FASTEST_M_S:
+            return "velocity of no vehicle"
+        case WheelSpeed() if not max(abs(measurement.speed), abs(measurement.resolution)) < FASTEST_M_S:
+            return "speed of no vehicle"
+        case MagneticHeading() if not hypot(*measurement.field_b) < STRONGEST_FIELD:
+            return "magnetic field of no vehicle"
+    return None
+
+
+def _no_place(position: Geodetic) -> str | None:
+    if not isfinite(position.longitude):
+        return "position not finite"
+    if not abs(position.latitude) < HIGHEST_LATITUDE:
+        return "position too near a pole"
+    return None if LOWEST_M <= position.height <= HIGHEST_M else "height of no road"
