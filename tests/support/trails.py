@@ -22,4 +22,4 @@ class Records:
 
     def newest_first(self) -> Iterator[Record]:
         """Give all back, from the end."""
-        return reversed(self.all)
+        yield from reversed(self.all)

@@ -1,5 +1,6 @@
 """What no measurement of a road vehicle says, whatever its form: it is counted and does not come to the filter."""
 
+from collections import Counter
 from math import hypot, isfinite
 
 from shared.maths.earth import Geodetic
@@ -13,6 +14,33 @@ from .wheels import WheelSpeed
 LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # no road, and no balloon of a test either
 STRONGEST_FIELD = 100.0  # times the Earth's
 DEVICES = 32  # no vehicle has more; what is learnt of each takes memory
+
+
+class Devices:
+    """Who is heard: those who spoke first, as many as a vehicle can have; the others are counted in `rejects`."""
+
+    def __init__(self, rejects: Counter[str]) -> None:
+        self._rejects = rejects
+        self._names: set[str] = set()
+        self._used: dict[tuple[str, str], int] = {}  # period of the newest value that was taken
+
+    def is_known(self, source: str) -> bool:
+        """Whether a device is heard."""
+        if source not in self._names and len(self._names) >= DEVICES:
+            self._rejects["more devices than a vehicle has"] += 1
+            return False
+        self._names.add(source)
+        return True
+
+    def is_due(self, source: str, quantity: str, time_ns: int, period_ns: int) -> bool:
+        """Whether it is the first value of its period: by the stamp alone, whenever the device was switched on."""
+        if not self.is_known(source):
+            return False
+        key, period = (source, quantity), time_ns // period_ns
+        if self._used.get(key) == period:
+            return False
+        self._used[key] = period
+        return True
 
 
 def impossible(measurement: Measurement) -> str | None:

@@ -176,17 +176,14 @@ class ErrorStateFilter:
         """Standard deviation [rad/s] that vibration gives to the mean rate of a time."""
         return sqrt(self._shaking[1] / span_s)
 
-    def _noise(self) -> FloatArray:
-        """Power spectral density of the errors' growth: that of the sensor, or of the vibration if it is more."""
-        return em.with_vibration(self._walks, self._shaking, self._settings.vibration_factor)
-
     def bring_covariance_up(self) -> None:
         """Carry the covariance to the instant of the state."""
         since_s = self._sums[0]
         if since_s == 0.0:
             return
         F = em.system_matrix(self._motion, *means(self._sums))
-        self.P = predict(self.P, F, self._noise(), since_s)
+        noise = em.with_vibration(self._walks, self._shaking, self._settings.vibration_factor)
+        self.P = predict(self.P, F, noise, since_s)
         remains = self._let_gnss_error_decay(since_s)
         self._sums = NO_SUMS
         self._check()

@@ -21,7 +21,7 @@ from shared.messages import NavigationPhase
 from . import barometer, compass
 from .aiding import Counts, Measurement, Outcome
 from .delayed import DelayedEngine
-from .door import DEVICES, impossible
+from .door import Devices, impossible
 from .engine import Engine
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
@@ -59,8 +59,7 @@ class Navigator:
         self._repeats: Repeats | None = None
         self._conspicuous = True  # the last sample was looked at, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
-        self._used: dict[str, int] = {}  # period of the newest value that was taken, by device and quantity
-        self._sources: set[str] = set()
+        self._devices = Devices(self.rejects)
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -98,12 +97,21 @@ class Navigator:
         return outcomes
 
     def advance(
-        self, time_ns: int, force: Sequence[float], rate: Sequence[float], *, saturated: bool = False
+        self,
+        time_ns: int,
+        force: Sequence[float],
+        rate: Sequence[float],
+        *,
+        saturated: bool = False,
+        hurried: bool = False,
     ) -> list[Outcome]:
-        """Carry the motion on by one inertial sample; `release` must follow, which can take twenty times as long."""
+        """Carry the motion on by one inertial sample; `release` must follow, which can take twenty times as long.
+
+        If it is `hurried`, a step of the covariance is left to `release` as well.
+        """
         fx, fy, fz = force
         wx, wy, wz = rate
-        if not saturated and self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=False):
+        if not (saturated or hurried) and self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=False):
             self._conspicuous = False
             self._backwards = 0
             self.samples_used += 1
@@ -125,7 +133,7 @@ class Navigator:
         doubt = "gyroscope saturated" if saturated else doubt
         if doubt:
             self.rejects[doubt] += 1
-        elif self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=True):
+        elif not hurried and self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=True):
             return []
         return self._delayed.carry(Sample(time_ns, (fx, fy, fz), (wx, wy, wz), doubt))
 
@@ -137,7 +145,7 @@ class Navigator:
         if fault := impossible(measurement):
             self.rejects[fault] += 1
             return
-        if not self._is_known(measurement.source):
+        if not self._devices.is_known(measurement.source):
             return
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
         entry = (release_ns, measurement.time_ns, measurement.source, measurement)
@@ -179,7 +187,7 @@ class Navigator:
 
         It is `exact` if it is that of both rear wheels, and its resolution [m/s] is the step in which it comes.
         """
-        if not self.settings.odometer or not self._is_due(f"{source}/speed", time_ns, SPEED_PERIOD_NS):
+        if not self.settings.odometer or not self._devices.is_due(source, "speed", time_ns, SPEED_PERIOD_NS):
             return
         arrival_ns = time_ns if received_ns is None else received_ns
         self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
@@ -188,7 +196,7 @@ class Navigator:
         self, time_ns: int, pressure_pa: float, *, received_ns: int | None = None, source: str = "barometer"
     ) -> None:
         """Take a static pressure [Pa] at a stamp; one a second is used."""
-        if not self.settings.barometer or not self._is_due(f"{source}/pressure", time_ns, barometer.PERIOD_NS):
+        if not self.settings.barometer or not self._devices.is_due(source, "pressure", time_ns, barometer.PERIOD_NS):
             return
         if not barometer.LOWEST_PA <= pressure_pa <= barometer.HIGHEST_PA:
             self.rejects["pressure of no road"] += 1
@@ -201,29 +209,11 @@ class Navigator:
         self, time_ns: int, field_b: Vector, *, received_ns: int | None = None, source: str = "compass"
     ) -> None:
         """Take a magnetic field [body, 1 where it was calibrated] at a stamp; one a second is used."""
-        if not self.settings.compass or not self._is_due(f"{source}/field", time_ns, compass.PERIOD_NS):
+        if not self.settings.compass or not self._devices.is_due(source, "field", time_ns, compass.PERIOD_NS):
             return
         arrival_ns = time_ns if received_ns is None else received_ns
         declination = self.settings.magnetic_declination_rad
         self.measure(compass.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
-
-    def _is_due(self, key: str, time_ns: int, period_ns: int) -> bool:
-        """Whether it is the first value of a device in its period: by the stamp alone, whenever it was switched on."""
-        if not self._is_known(key.rpartition("/")[0]):
-            return False
-        period = time_ns // period_ns
-        if self._used.get(key) == period:
-            return False
-        self._used[key] = period
-        return True
-
-    def _is_known(self, source: str) -> bool:
-        """Whether it is one of the devices that were heard first, which are as many as a vehicle can have."""
-        if source not in self._sources and len(self._sources) >= DEVICES:
-            self.rejects["more devices than a vehicle has"] += 1
-            return False
-        self._sources.add(source)
-        return True
 
     def leave(self, trail: Trail) -> None:
         """Keep a trail for a smoother, from the first sample on."""
@@ -270,10 +260,10 @@ class Navigator:
     def release(self, received_ns: int) -> list[Outcome]:
         """Do what the last sample left to do, and use what has waited long enough, now that it is `received_ns`."""
         outcomes = self._delayed.attend()
-        last = self._delayed.engine.last
+        last = self._delayed.newest
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
-            if last is not None and measurement.time_ns > last.time_ns + FUTURE_LIMIT_NS:
+            if last is not None and measurement.time_ns > last[0] + FUTURE_LIMIT_NS:
                 self.rejects["measurement from the future"] += 1  # by the clock of the inertial samples
                 continue
             try:

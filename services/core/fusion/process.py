@@ -66,8 +66,10 @@ class Process:
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         translate.give_environment(self._navigator, batch)
         for sampled_ns, force, rate in translate.samples_of(batch):
-            outcomes = self._navigator.advance(sampled_ns, force, rate, saturated=batch.saturated)
-            yield from self._solution(sampled_ns)  # first: whoever needs it shall not wait for what is late anyway
+            due = sampled_ns // self._solution_period_ns != self._last_solution
+            outcomes = self._navigator.advance(sampled_ns, force, rate, saturated=batch.saturated, hurried=due)
+            if due:  # first: whoever needs it shall not wait for what is late anyway
+                yield from self._solution(sampled_ns)
             yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))
             yield from self._state(sampled_ns)
 
@@ -89,9 +91,8 @@ class Process:
             yield translate.state_message(self._navigator, sampled_ns)
 
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
-        """Say where the vehicle is, once a period."""
-        period = sampled_ns // self._solution_period_ns
-        solution = self._navigator.solution() if period != self._last_solution else None
+        """Say where the vehicle is."""
+        solution = self._navigator.solution()
         if solution is not None:
-            self._last_solution = period
+            self._last_solution = sampled_ns // self._solution_period_ns
             yield translate.solution_message(solution)

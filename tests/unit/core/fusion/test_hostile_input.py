@@ -248,7 +248,7 @@ def test_devices_that_change_their_names_all_the_time_take_no_memory() -> None:
             sizes.append(size(process))
     assert sizes[2] < sizes[1] + 5_000, "200 names of 64 letters are 12,800 bytes"
     assert process.rejects["more devices than a vehicle has"] > 1100
-    assert len(process._navigator._sources) == DEVICES
+    assert len(process._navigator._devices._names) == DEVICES
     assert last_phase(process) is NavigationPhase.NAVIGATING, "the receiver that was there first is listened to"
 
 

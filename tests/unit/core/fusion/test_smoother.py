@@ -327,11 +327,8 @@ def test_the_smoothed_errors_are_the_same_on_both_sides_of_a_new_unit() -> None:
     behind = resized(P, place.start, place.stop, ratios)
     back = Backwards(n)
     H = rng.standard_normal((2, n))
-    K, S_inverse = (
-        behind @ H.T @ np.linalg.inv(H @ behind @ H.T + np.eye(2)),
-        np.linalg.inv(H @ behind @ H.T + np.eye(2)),
-    )
-    back.correction(np.array([1.0, -2.0]), H, K, S_inverse)
+    S_inverse: FloatArray = np.asarray(np.linalg.inv(H @ behind @ H.T + np.eye(2)), dtype=np.float64)
+    back.correction(np.array([1.0, -2.0]), H, behind @ H.T @ S_inverse, S_inverse)
     errors_behind, cov_behind = back.smoothed(behind)
     back.resize(place, ratios, P[place])
     errors_before, cov_before = back.smoothed(P)
