@@ -8,8 +8,9 @@ import numpy as np
 from benchmarks.given import fixes_of
 from services.commands.papers_navigation import YAW_SD, saved_heading
 from services.core.fusion.delayed import order
-from services.core.fusion.fast import compiled_run
+from services.core.fusion.fast import compiled_runner
 from services.core.fusion.navigator import Navigator
+from services.core.fusion.runner import Runner
 from services.core.fusion.samples import Sample
 from services.core.fusion.settings import Settings
 from services.core.fusion.stretch import Stretch
@@ -46,13 +47,14 @@ def run(unit: Unit, scenario: str, seed: int, duration_s: float) -> Sizes:
     rows, stamps = np.hstack([drive.force_b, drive.rate_b]).tolist(), drive.t_ns.tolist()
     fx, fy, fz, wx, wy, wz = rows[0]
     engine.step(Sample(stamps[0], (fx, fy, fz), (wx, wy, wz)), [])
-    stretch, due = Stretch(stamps, rows[1:], compiled_run()), sorted(fixes_of(drive, settings), key=order)
+    due, runner = sorted(fixes_of(drive, settings), key=order), compiled_runner() or Runner()
+    stretch = Stretch(stamps, rows[1:], due, runner)
     epochs = len(stamps) * STEP_NS // EPOCH_NS
     errors, innovations = np.full((epochs, 6), np.nan), np.full((epochs, 2), np.nan)
     here = started = 0
     for k in range(epochs):
         stop = (k + 1) * EPOCH_NS // STEP_NS - 1
-        outcomes = stretch.through(engine, here, stop, due)
+        outcomes = stretch.through(engine, here, stop)
         here, navigation = stop, engine.filter
         started = started + 1 if navigation else 0
         if navigation is None or started < SETTLED:
