@@ -47,8 +47,8 @@ def run(unit: Unit, scenario: str, seed: int, duration_s: float) -> Sizes:
     rows, stamps = np.hstack([drive.force_b, drive.rate_b]).tolist(), drive.t_ns.tolist()
     fx, fy, fz, wx, wy, wz = rows[0]
     engine.step(Sample(stamps[0], (fx, fy, fz), (wx, wy, wz)), [])
-    due = sorted(fixes_of(drive, settings), key=order)
-    stretch = Stretch(stamps, rows[1:], due, compiled_runner() or Runner())
+    due, runner = sorted(fixes_of(drive, settings), key=order), compiled_runner() or Runner()
+    stretch = Stretch(stamps, rows[1:], due, runner)
     epochs = len(stamps) * STEP_NS // EPOCH_NS
     errors, innovations = np.full((epochs, 6), np.nan), np.full((epochs, 2), np.nan)
     here = started = 0
