@@ -9,12 +9,13 @@ rtkexp_drive      velocity 0.125 s after it       0.135 ±0.006 s
 """
 
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from services.commands.import_drive import import_drive
 from services.commands.solving.inputs import inputs_of
-from services.core.fusion.process import Config, Process
+from services.core.fusion.process import Config, In, Process
 from shared.messages import NavigationState
 from shared.recording import Recording
 from tests.support.data import REPOSITORY, recording
@@ -38,7 +39,7 @@ def last_state(drive: Path, until_s: float, **settings: object) -> NavigationSta
         messages = list(inputs_of(recorded).messages())
     states: list[NavigationState] = []
     for message in messages:
-        states += [out for out in process.handle(message) if isinstance(out, NavigationState)]
+        states += [out for out in process.handle(cast(In, message)) if isinstance(out, NavigationState)]
         if states and (states[-1].sampled_ns - states[0].sampled_ns) * 1e-9 > until_s:
             break
     return states[-1]
