@@ -70,6 +70,13 @@ class NavigationState(Message):
     resets: int
     epochs_repeated: int = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
     measurements_late: int = 0  # used at their own time after newer ones of the same device
+    # by how much measurements are older than their stamps and the settings say, each with its standard deviation
+    gnss_delay_s: float | None = None  # None unless `estimate_delays` is set and the filter runs
+    gnss_delay_sd_s: float | None = None
+    gnss_velocity_delay_s: float | None = None  # of the velocity, beyond that of its position
+    gnss_velocity_delay_sd_s: float | None = None
+    odometer_delay_s: float | None = None
+    odometer_delay_sd_s: float | None = None
     lever_arm_error_body_m: tuple[float, float] | None = None  # forward, right: true minus set, if that is wrong
 
 

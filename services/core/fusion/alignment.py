@@ -42,6 +42,7 @@ TRACK_S = 5.0  # longest time of the positions that give a course
 MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
 REST_VELOCITY_SD = 0.05  # [m/s]
 ARM_RATE_SD = 0.05  # [rad/s] by which the swing of the lever arm may be wrong
+DELAY_SD = (0.1, 0.1, 0.1)  # [s] of GNSS, of the odometer, and of GNSS velocity beyond that of its position
 UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
 BASELINE_AGE_S = 2.0  # up to which the heading of two antennas is one at the fix
 BASELINE_TILT_SD = 0.02  # [rad] by which a tilt that is not yet known turns it
@@ -252,6 +253,7 @@ class Alignment:
         sd[em.ODOMETER_SCALE] = self._settings.odometer_scale_sd
         sd[em.MOUNTING] = self._settings.mounting_sd_rad
         sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer else 0.0
+        sd[em.DELAYS] = DELAY_SD if self._settings.estimate_delays else 0.0
         return np.diag(np.square(sd[em.PARAMETERS]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:

@@ -18,6 +18,7 @@ from .runner import Runner
 from .samples import Sample
 from .settings import Settings
 from .stretch import Stretch
+from .timing import Timing
 from .trail import Trail
 
 KEPT_EVERY = 16  # samples between two copies of the engine; more of ordinary ones, where a copy is dear beside them
@@ -42,6 +43,9 @@ class DelayedEngine:
         self._copies: deque[tuple[int, Engine]] = deque()  # (stamp, engine after the sample of this stamp)
         self._measurements: list[Measurement] = []  # of the horizon and of the future
         self._fresh = 0  # samples since the newest copy
+        self._timing = Timing(settings)
+        # What is decided of delays must not depend on who runs the loop.
+        self._kept_every = KEPT_EVERY if settings.estimate_delays else self._runner.kept_every
 
     @property
     def engine(self) -> Engine:
@@ -69,8 +73,9 @@ class DelayedEngine:
         if not runner.take(time_ns, force, rate, checked=checked):
             return False
         self._samples.append((time_ns, force, rate, None))
+        self._timing.sample(time_ns, force, rate)
         self._fresh += 1
-        if self._fresh >= runner.kept_every:
+        if self._fresh >= self._kept_every:
             self._keep(time_ns)
         return True
 
@@ -100,6 +105,7 @@ class DelayedEngine:
             due = self._between(engine.last.time_ns if engine.last else sample.time_ns, sample.time_ns)
         outcomes = engine.carry(sample, due)
         self._samples.append(sample)
+        self._timing.sample(sample.time_ns, sample.force, sample.rate)
         self._fresh += 1
         return outcomes
 
@@ -125,6 +131,7 @@ class DelayedEngine:
         LookupError
             It is older than the memory.
         """
+        measurement = self._timing.corrected(measurement)
         reached_ns = self.engine.last.time_ns if self.engine.last else None
         if reached_ns is not None and measurement.time_ns <= reached_ns:
             return self._go_back_for(measurement)
@@ -174,3 +181,7 @@ class DelayedEngine:
             self._samples.popleft()
         while self._measurements and self._measurements[0].time_ns <= self._copies[0][0]:
             self._measurements.pop(0)
+        if self._copies[0][0] <= oldest:
+            news = self._timing.learn(stamp, self._copies[0][1].filter)
+            if news is not None:
+                insort(self._measurements, news, key=order)

@@ -30,10 +30,12 @@ ODOMETER_SCALE = 21
 MOUNTING = slice(22, 24)  # pitch, yaw
 VEHICLE = slice(21, 24)
 GNSS_ERROR = slice(24, 27)  # [-] of GNSS positions, the part that lasts over its standard deviation
-GNSS_DELAY = 27  # [s] by which GNSS is older than assumed
+GNSS_DELAY = 27  # [s] by which GNSS is older than its stamp
 ODOMETER_DELAY = 28  # [s]
 BAROMETER_OFFSET = 29  # [m] of barometric height
-SIZE = 30
+GNSS_VELOCITY_DELAY = 30  # [s] by which GNSS velocity is older still
+DELAYS = np.array([GNSS_DELAY, ODOMETER_DELAY, GNSS_VELOCITY_DELAY])
+SIZE = 31
 MOVING = 9  # the first nine errors grow by
 DRIVING = 21  # the first twenty-one
 PARAMETERS = slice(DRIVING, SIZE)
@@ -136,7 +138,7 @@ def error_rates(motion: Motion, force_n: Vector, rate_b: Vector) -> tuple[float,
     # fmt: on
 
 
-def noise_density(*densities: tuple[int | slice, float]) -> FloatArray:
+def noise_density(*densities: tuple[int | slice | npt.NDArray[np.intp], float]) -> FloatArray:
     """Power spectral density of the noise that drives the errors.
 
     Parameters
@@ -147,7 +149,7 @@ def noise_density(*densities: tuple[int | slice, float]) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (30,)
+    ndarray, shape (31,)
         Diagonal of the matrix; times a short step it is the covariance that the step adds.
 
     References
@@ -160,7 +162,7 @@ def noise_density(*densities: tuple[int | slice, float]) -> FloatArray:
     return diagonal
 
 
-def with_vibration(density: FloatArray, shaking: tuple[float, float], factor: float) -> FloatArray:
+def with_vibration(density: FloatArray, shaking: tuple[float, ...], factor: float) -> FloatArray:
     """Raise the density of velocity and attitude to a share of the measured vibration [m²/s³, rad²/s], if less."""
     raised = density.copy()
     raised[ATTITUDE] = max(density[0], factor * shaking[1])
@@ -169,7 +171,7 @@ def with_vibration(density: FloatArray, shaking: tuple[float, float], factor: fl
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:
-    """Matrix H, shape (3, 30), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
+    """Matrix H, shape (3, 31), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(arm_n)
     H[:, POSITION] = MINUS_ONE
@@ -190,7 +192,7 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
 
     Returns
     -------
-    ndarray, shape (3, 30)
+    ndarray, shape (3, 31)
         The small term of the Earth's rate in the prediction is neglected.
 
     Notes
@@ -230,7 +232,7 @@ def axle_velocity_matrix(
 
     Returns
     -------
-    ndarray, shape (3, 30)
+    ndarray, shape (3, 31)
         Rows forward, right, down. The roll of the mounting is taken for zero: driving does not show it.
 
     Notes

@@ -17,7 +17,7 @@ from . import error_model as em
 from .colour import UNKNOWN, Colour
 from .kalman import Correction, correct, decay, predict, resized, variances
 from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, NEVER, Beside, Departure, Moment
-from .sampling import NO_SUMS, Shaking, means, take_sample
+from .sampling import NO_SUMS, STEADY, SWAY_S, Shaking, means, take_sample
 from .settings import Settings
 from .strapdown import InertialState, motion_of, without
 from .trail import Trail
@@ -26,11 +26,12 @@ FloatArray = npt.NDArray[np.float64]
 
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
+DELAY_PSD = 1e-6  # [s] 1 ms in a second, 60 ms in an hour
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
 
 
 class ErrorStateFilter:
-    """Thirty errors around a strapdown mechanisation; every correction is fed back at once.
+    """Thirty-one errors around a strapdown mechanisation; every correction is fed back at once.
 
     What is not estimated has neither variance nor noise, and stays as it was given.
 
@@ -40,7 +41,7 @@ class ErrorStateFilter:
         Noise, periods.
     inertial : InertialState
         Where to start.
-    P : ndarray, shape (30, 30)
+    P : ndarray, shape (31, 31)
         Covariance of the start, in the order of `error_model`.
     accelerometer_bias, gyroscope_bias : tuple of float
         [m/s²], [rad/s] Body axes, as far as known.
@@ -75,7 +76,7 @@ class ErrorStateFilter:
         self._period_s = settings.covariance_period_s
         self._settings = settings
         self._last: tuple[Vector, Vector] | None = None  # sample as measured
-        self._shaking: Shaking = (0.0, 0.0)  # [m²/s³, rad²/s] power spectral densities
+        self._shaking: Shaking = STEADY  # of samples: power spectral densities, and what is left of acceleration
         self._sums = NO_SUMS  # since the covariance was brought up
         self._walks = em.noise_density(
             (em.ATTITUDE, settings.angle_random_walk_rad_sqrt_s**2),
@@ -84,6 +85,7 @@ class ErrorStateFilter:
             (em.GYROSCOPE_BIAS, settings.gyroscope_bias_psd_rad2_s3),
             (em.ODOMETER_SCALE, SCALE_PSD),
             (em.MOUNTING, MOUNTING_PSD),
+            (em.DELAYS, DELAY_PSD if settings.estimate_delays else 0.0),
             (em.BAROMETER_OFFSET, settings.barometer_walk_m_sqrt_s**2 if settings.barometer else 0.0),
         )
 
@@ -172,6 +174,13 @@ class ErrorStateFilter:
         self._time_ns, self.P = time_ns, P
         return beside
 
+    @property
+    def sway(self) -> FloatArray:
+        """Acceleration [m/s², NED] of the last tenth of a second, less by what vibration makes of it; shape (3,)."""
+        a = np.array(self._shaking[2:])
+        size2, noise2 = float(a @ a), 1.5 * self._shaking[0] / SWAY_S
+        return max(0.0, 1.0 - noise2 / size2) * a if size2 > 0.0 else a
+
     def rate_noise(self, span_s: float) -> float:
         """Standard deviation [rad/s] that vibration gives to the mean rate of a time."""
         return sqrt(self._shaking[1] / span_s)
@@ -240,19 +249,20 @@ class ErrorStateFilter:
 
     def forget_odometer(self) -> None:
         """Take the scale of the odometer for unknown: it is another one."""
-        self._forget(em.ODOMETER_SCALE, self._settings.odometer_scale_sd**2)
+        self.set_parameter(em.ODOMETER_SCALE, 0.0, self._settings.odometer_scale_sd)
 
     def forget_gnss_error(self) -> None:
         """Take the lasting error of GNSS for unknown: it is another one."""
         for place in range(em.GNSS_ERROR.start, em.GNSS_ERROR.stop):
-            self._forget(place, 1.0)
+            self.set_parameter(place, 0.0, 1.0)
 
-    def _forget(self, place: int, variance: float) -> None:
+    def set_parameter(self, place: int, value: float, sd: float) -> None:
+        """Take a parameter for something else, of which nothing was known before."""
         own = place - em.DRIVING
-        self.parameters = (*self.parameters[:own], 0.0, *self.parameters[own + 1 :])
+        self.parameters = (*self.parameters[:own], value, *self.parameters[own + 1 :])
         self.P = self.P.copy()
         self.P[place] = self.P[:, place] = 0.0
-        self.P[place, place] = variance
+        self.P[place, place] = sd**2
         if self.trail is not None:
             self.trail.forgot(self.inertial.time_ns, place)
 
@@ -268,7 +278,7 @@ class ErrorStateFilter:
             self.trail.corrected(self.inertial.time_ns, correction)
 
     def take_out(self, errors: FloatArray, P: FloatArray) -> None:
-        """Move the state by errors, shape (30,), that leave the covariance P."""
+        """Move the state by errors, shape (31,), that leave the covariance P."""
         x = errors.tolist()
         self.P = P
         self.inertial = without(self.inertial, x[: em.MOVING])

@@ -55,6 +55,7 @@ class GnssPosition:
     lever_arm: Vector
     time_sd_s: float
     lasts: bool = False  # its error, in part
+    removed_s: float = 0.0  # of its age, in `time_ns`
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Position alone."""
@@ -64,6 +65,11 @@ class GnssPosition:
         """Hold it against the predicted position of the antenna and the part of its error that lasts, in metres."""
         arm_n = rotate(navigation.inertial.quaternion, self.lever_arm)
         z, H = self._beside(navigation, arm_n), em.antenna_position_matrix(arm_n)
+        v = np.array(navigation.inertial.velocity) + antenna_velocity(navigation, self.lever_arm)
+        left_s = navigation.parameter(em.GNSS_DELAY) - self.removed_s
+        H[:, em.GNSS_DELAY] = v - left_s * navigation.sway
+        if left_s:
+            H -= left_s * em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         along = np.array(navigation.inertial.velocity) * self.time_sd_s  # what an error of the stamp does
         lasting = max(navigation.colour.lasting, 1e-6) if self.lasts else 0.0
         cov = navigation.colour.scaled(self.cov) if self.lasts else self.cov
@@ -84,9 +90,15 @@ class GnssPosition:
             navigation.learn(navigation.colour.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances))
 
     def _beside(self, navigation: ErrorStateFilter, arm_n: Vector) -> FloatArray:
-        """Find where it is beside the predicted antenna [m, NED]."""
+        """Find where it is beside the predicted antenna [m, NED] of when it was true."""
         antenna = geodetic_from_ned_difference(arm_n, navigation.inertial.position)
-        return np.array(ned_from_geodetic_difference(self.position, antenna))
+        beside = np.array(ned_from_geodetic_difference(self.position, antenna))
+        left_s = navigation.parameter(em.GNSS_DELAY) - self.removed_s
+        if not left_s:
+            return beside
+        v = np.array(navigation.inertial.velocity) + antenna_velocity(navigation, self.lever_arm)
+        moved: FloatArray = beside + left_s * (v - 0.5 * left_s * navigation.sway)
+        return moved
 
 
 @dataclass(frozen=True)
@@ -100,6 +112,7 @@ class GnssVelocity:
     cov: FloatArray
     axes: int
     lever_arm: Vector
+    removed_s: float = 0.0  # of its age, in `time_ns`
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Velocity alone."""
@@ -111,6 +124,9 @@ class GnssVelocity:
         an, ae, ad = antenna_velocity(navigation, self.lever_arm)
         z = np.array([north - vn - an, east - ve - ae, down - vd - ad])
         H = em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
+        age_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
+        z += (age_s - self.removed_s) * navigation.sway
+        H[:, em.GNSS_DELAY] = H[:, em.GNSS_VELOCITY_DELAY] = navigation.sway
         n = self.axes
         return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], self.cov[:n, :n])
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from shared.compiling import Code
 
 # A block: the numbers of a moment, then errors, limits and walks as of `ordinary.run`.
-NUMBERS, ERRORS, LIMITS, WALKS = 52, 52, 64, 70
+NUMBERS, ERRORS, LIMITS, WALKS = 55, 55, 67, 73
 BLOCK = WALKS + SIZE
 ROOM = 2 * SIZE + 9  # rows: the covariance, the next one, and what is between them
 MOMENT = Struct(f"{NUMBERS}d")
@@ -88,10 +88,10 @@ def moment_of(n: Any) -> Any:
     """Moment of the numbers of a block."""
     place = n[10], n[11], n[12], n[13], n[14], n[15]
     motion = (n[0], n[1], n[2], n[3]), three(n, 4), three(n, 7), place
-    sums, shaking = (n[16], n[17], n[18], n[19], n[20], n[21], n[22]), (n[23], n[24])
-    last, rate, acceleration, lasting = (three(n, 25), three(n, 28)), three(n, 31), three(n, 34), three(n, 37)
-    rest = three(n, 40), three(n, 43), n[46]
-    return motion, sums, shaking, last, rate, acceleration, lasting, (rest, three(n, 47), n[50], n[51])
+    sums, shaking = (n[16], n[17], n[18], n[19], n[20], n[21], n[22]), (n[23], n[24], n[25], n[26], n[27])
+    last, rate, acceleration, lasting = (three(n, 28), three(n, 31)), three(n, 34), three(n, 37), three(n, 40)
+    rest = three(n, 43), three(n, 46), n[49]
+    return motion, sums, shaking, last, rate, acceleration, lasting, (rest, three(n, 50), n[53], n[54])
 
 
 def numbers_of(moment: Any) -> Any:

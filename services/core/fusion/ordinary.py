@@ -53,7 +53,7 @@ def run(
     ----------
     moment : tuple
         The filter between two samples.
-    P : ndarray, shape (30, 30)
+    P : ndarray, shape (31, 31)
         Its covariance.
     times_ns : ndarray of int64, shape (n + 1,), or list
         Stamps; the first is that of the moment. A compiler wants arrays, Python is faster with lists.
@@ -61,7 +61,7 @@ def run(
         [m/s², rad/s, body] Specific force and angular rate of the times that end at the stamps.
     errors : tuple
         What is known of the IMU's errors, as of `sampling.take_sample`.
-    walks : ndarray, shape (30,)
+    walks : ndarray, shape (31,)
         [unit²/s] Noise that drives the errors, without vibration.
     limits : tuple of float
         See `Limits`.
@@ -72,7 +72,7 @@ def run(
         How many were taken.
     tuple
         The moment after them.
-    ndarray, shape (30, 30)
+    ndarray, shape (31, 31)
         The covariance of then.
     """
     period, factor, memory, standstill_due, wheels_due, doubtful = limits

@@ -9,12 +9,14 @@ from shared.maths.rotation import Vector
 from .strapdown import Motion, mechanise
 
 SHAKE_S = 1.0  # time constant of the measured vibration
+SWAY_S = 0.1  # of the acceleration that is smoothed
 FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
 RATE_LIMIT = 100.0  # [rad/s]
 
 Errors = tuple[Vector, Vector, Vector, Vector]  # biases [m/s², rad/s] and scales [-] of accelerometer and gyroscope
 Sums = tuple[float, float, float, float, float, float, float]
-Shaking = tuple[float, float]
+Shaking = tuple[float, float, float, float, float]
+STEADY: Shaking = (0.0, 0.0, 0.0, 0.0, 0.0)
 NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -38,6 +40,7 @@ def take_sample(
         turn [rad, body].
     shaking : tuple of float
         [m²/s³], [rad²/s] Power spectral density of what samples differ by from each other: force, rate.
+        [m/s², NED] Acceleration without the fastest of it.
     errors : tuple
         What is known of the IMU's errors, in the order of the error model.
     sample, last : tuple
@@ -65,14 +68,17 @@ def take_sample(
     since, ix, iy, iz, tx, ty, tz = sums
     sums = since + step, ix + north * step, iy + east * step, iz + down * step, tx + ax, ty + ay, tz + az
 
-    force_shake, rate_shake = shaking
+    force_shake, rate_shake, an, ae, ad = shaking
     share, scale = step / SHAKE_S, step / 6.0
     share = min(share, 1.0)
     fx, fy, fz = fx - lfx, fy - lfy, fz - lfz
     wx, wy, wz = wx - lwx, wy - lwy, wz - lwz
     force_shake += share * (scale * (fx * fx + fy * fy + fz * fz) - force_shake)
     rate_shake += share * (scale * (wx * wx + wy * wy + wz * wz) - rate_shake)
-    return motion, sums, (force_shake, rate_shake), true_rate, acceleration
+    share = step / (SWAY_S + step)
+    gn, ge, gd = acceleration
+    an, ae, ad = an + share * (gn - an), ae + share * (ge - ae), ad + share * (gd - ad)
+    return motion, sums, (force_shake, rate_shake, an, ae, ad), true_rate, acceleration
 
 
 def usual(sample: tuple[Vector, Vector], last: tuple[Vector, Vector]) -> bool:

@@ -20,8 +20,8 @@ class Settings(Section):
     )
     gnss_delay_s: float = Field(
         default=0.0,
-        ge=-1.0,
-        le=1.0,
+        ge=-2.0,
+        le=2.0,
         description="how much older a fix is, on the clock of the IMU, than its stamp says",
     )
     gnss_velocity_delay_s: float = Field(
@@ -29,6 +29,10 @@ class Settings(Section):
     )
     gnss_time_sd_s: float = Field(
         default=0.002, ge=0.0, le=1.0, description="error of the stamps, which at speed is an error of position"
+    )
+    estimate_delays: bool = Field(
+        default=False,
+        description="estimate how much older GNSS, its velocity and the odometer are than the settings say",
     )
     merge_delay_s: float = Field(
         default=0.2, ge=0.0, le=1.0, description="how long a measurement waits for what the bus may have delayed"

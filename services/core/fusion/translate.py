@@ -202,6 +202,7 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
     """Put what the navigator is doing on the bus, or that it does nothing since the inertial samples stopped."""
     counts = navigator.counts
     silent = silent_since_ns is not None
+    gnss, odometer, velocity = navigator.delays or ((None, None),) * 3
     return NavigationState(
         sampled_ns=sampled_ns,
         phase=NavigationPhase.WAITING_FOR_IMU if silent else navigator.phase,
@@ -215,6 +216,12 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         resets=counts.resets,
         epochs_repeated=counts.epochs_repeated,
         measurements_late=navigator.measurements_late,
+        gnss_delay_s=gnss[0],
+        gnss_delay_sd_s=gnss[1],
+        gnss_velocity_delay_s=velocity[0],
+        gnss_velocity_delay_sd_s=velocity[1],
+        odometer_delay_s=odometer[0],
+        odometer_delay_sd_s=odometer[1],
         lever_arm_error_body_m=navigator.lever_arm_error,
     )
 

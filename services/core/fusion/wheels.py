@@ -39,6 +39,7 @@ class WheelSpeed:
     of_wheels: bool
     exact: bool
     settings: Settings
+    removed_s: float = 0.0  # of its age, in `time_ns`
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Speed alone."""
@@ -52,9 +53,13 @@ class WheelSpeed:
         s² (1 - tanh²). One below zero has a sign.
         """
         ahead, H = _axle(navigation, self.settings)
-        forward, scale = float(ahead[0]), 1.0 + navigation.parameter(em.ODOMETER_SCALE)
+        scale, left_s = 1.0 + navigation.parameter(em.ODOMETER_SCALE), navigation.parameter(em.ODOMETER_DELAY)
+        left_s -= self.removed_s
+        gain = float((navigation.vehicle_from_body @ navigation.ned_from_body.T)[0] @ navigation.sway)
+        forward = float(ahead[0]) - left_s * gain
         H = scale * H[:1]
         H[0, em.ODOMETER_SCALE] = -forward
+        H[0, em.ODOMETER_DELAY] = scale * gain
         predicted, speed, variance = scale * forward, self.speed, self._variance(navigation)
         if speed > 0.0:
             direction = tanh(speed * predicted / (float(H[0] @ navigation.P @ H[0]) + variance))

@@ -166,10 +166,12 @@ def navigation(error: FloatArray) -> ErrorStateFilter:
     """Filter that is wrong by an error; the biases of the error are what is left after correction."""
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
     wrong.rate = vector(np.array(RATE) + error[em.GYROSCOPE_BIAS])
+    wrong._shaking = (0.0, 0.0, *SWAY)  # what the last samples have left
     wrong.parameters = (*(np.array(VEHICLE) + error[em.VEHICLE]).tolist(), *error[em.VEHICLE.stop :].tolist())
     return wrong
 
 
+SWAY: Vector = (1.2, -0.7, 0.3)  # [m/s²]
 VEHICLE: Vector = (0.03, 0.1, -0.07)  # scale error of the odometer, pitch and yaw of the mounting
 ARM: Vector = (0.3, -0.5, -1.2)
 ANTENNA = geodetic_from_ned_difference(vector(ATTITUDE @ np.array(ARM)), STATE.position)
@@ -231,3 +233,45 @@ def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:
     defaults = Settings()
     assert defaults.angle_random_walk_rad_sqrt_s**2 == pytest.approx(1.493e-8, rel=1e-3)
     assert defaults.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)
+
+
+LEFT_S = 0.03  # of a delay, that no stamp was moved by
+
+
+@pytest.mark.parametrize(
+    "measurement",
+    [
+        GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=-LEFT_S),
+        GnssVelocity(0, 0, "", VELOCITY, np.eye(3), 3, ARM, removed_s=-LEFT_S),
+        WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(rear_axle_body_m=ARM), removed_s=-LEFT_S),
+    ],
+    ids=["position", "velocity", "odometer"],
+)
+def test_the_matrices_of_delays_agree_with_finite_differences(
+    measurement: GnssPosition | GnssVelocity | WheelSpeed,
+) -> None:
+    """All columns; those of the acceleration times what is left of a delay, some mm/s a degree, are left out of H."""
+    seen = measurement.observe(PERFECT)
+    neglected = LEFT_S * hypot(*SWAY) * 1.1
+    for j in range(em.SIZE):
+        step = np.zeros(em.SIZE)
+        step[j] = 1e-4
+        ahead, behind = measurement.observe(navigation(step)).z, measurement.observe(navigation(-step)).z
+        delay = j in em.DELAYS
+        assert (ahead - behind) / 2e-4 == pytest.approx(seen.H[:, j], abs=1e-4 if delay else neglected), j
+    assert seen.H[:, em.DELAYS].any(axis=0).sum() == (2 if isinstance(measurement, GnssVelocity) else 1)
+
+
+def test_a_delay_is_that_by_which_what_is_measured_is_older() -> None:
+    """Position and velocity of the antenna a moment ago agree with a filter that knows of the delay."""
+    then_s, v, a = 0.05, np.array(VELOCITY) + antenna_velocity(PERFECT, ARM), np.array(SWAY)
+    old = geodetic_from_ned_difference(vector(-then_s * v + 0.5 * then_s**2 * a), ANTENNA)
+    knowing = np.zeros(em.SIZE)
+    knowing[em.GNSS_DELAY], knowing[em.GNSS_VELOCITY_DELAY] = 0.02, 0.03
+    velocity = GnssVelocity(0, 0, "", vector(v - then_s * a), np.eye(3), 3, ARM)
+    assert velocity.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=1e-9)
+    knowing[em.GNSS_DELAY] = 0.05
+    position = GnssPosition(0, 0, "", old, np.eye(3), 3, ARM, 0.0)
+    assert position.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=2e-4), "the Earth is round"
+    moved = GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=0.05)
+    assert moved.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=1e-8)
