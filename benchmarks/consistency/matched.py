@@ -110,7 +110,7 @@ class _Told(Colour):
 
 
 def _colour(model: Model) -> Colour:
-    return _Told(**vars(UNKNOWN)) if model.told else UNKNOWN
+    return _Told(UNKNOWN.evidence, UNKNOWN.way, UNKNOWN.error, UNKNOWN.cov) if model.told else UNKNOWN
 
 
 def _walk(settings: Settings, n: int, rng: np.random.Generator) -> FloatArray:

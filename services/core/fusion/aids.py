@@ -12,9 +12,11 @@ from .epochs import Epochs
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity
 from .judging import Judge
+from .matching import Comparison
 from .ordinary import NEVER
 from .settings import Settings
 from .stationary import SPEED_LIMIT
+from .timing import FoundDelay
 from .watch import NO_BLOCK, Watch, block
 from .wheels import WheelSpeed
 
@@ -32,6 +34,7 @@ class Aids:
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
         self._compass = CompassCheck()
         self._epochs = Epochs()
+        self._delay: FoundDelay | None = None  # told while there was no filter
 
     def fork(self) -> "Aids":
         """Copy that goes its own way."""
@@ -56,6 +59,21 @@ class Aids:
             wheels.PERIOD_S - 1e-3 if self._settings.non_holonomic else NEVER,
             SPEED_LIMIT if self.wheels_stand else NEVER,
         )
+
+    def hear(self, news: FoundDelay, navigation: ErrorStateFilter | None) -> None:
+        """Tell the filter, or the next one to start."""
+        if navigation is None:
+            self._delay = news
+        else:
+            news.tell(navigation)
+
+    def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
+        """Go on with a filter that has just started, and with what is known of its heading."""
+        if self._delay is not None:
+            self._delay.tell(started)
+            self._delay = None
+        self.judge.acquit(comparison)
+        self.watch = self.watch.begun(time_ns, started)
 
     def is_told_again(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a receiver has said this before."""

@@ -54,7 +54,6 @@ class Engine:
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings)
         self.aids = Aids(settings)
-        self._delay: FoundDelay | None = None  # told while there was no filter
         self._rest = UNSETTLED
         self._rest_turn, self._rest_s = STILL, 0.0  # [rad, body; s] of the rest since its last update
         self._unattended_s = 0.0  # since the last sample that was attended to
@@ -178,7 +177,7 @@ class Engine:
     def _aid(self, measurement: Measurement) -> list[Outcome]:
         """Hold a measurement against the filter, or hand it to the alignment."""
         if isinstance(measurement, FoundDelay):
-            self._hear(measurement)
+            self.aids.hear(measurement, self.filter)
             return []
         if self.aids.is_told_again(measurement, self.filter):
             self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
@@ -201,13 +200,6 @@ class Engine:
             self._reset(measurement.time_ns, f"{self._rejections} positions in a row rejected", KEPT)
             self._align(measurement)
         return outcomes
-
-    def _hear(self, news: FoundDelay) -> None:
-        """Tell the filter, or the next one to start."""
-        if self.filter is None:
-            self._delay = news
-        else:
-            news.tell(self.filter)
 
     def _is_turned(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> bool:
         """Watch the heading, and begin again if it is wrong by more than a filter can mend."""
@@ -238,12 +230,8 @@ class Engine:
         if started is None:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
-        if self._delay is not None:
-            self._delay.tell(started)
-            self._delay = None
-        self.aids.judge.acquit(self._alignment.comparison)
+        self.aids.begin(measurement.time_ns, started, self._alignment.comparison)
         self.filter, self._alignment, self._why = started, None, ""
-        self.aids.watch = self.aids.watch.begun(measurement.time_ns, started)
         if self.trail is not None:
             self.trail.follow(started)
         self._rest, self._rest_s = UNSETTLED, 0.0

@@ -7,16 +7,12 @@ import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic
-from shared.maths.rotation import (
-    Vector,
-    matrix_from_quaternion,
-    ned_from_body,
-)
+from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body
 
 from . import error_model as em
 from .colour import UNKNOWN, Colour
 from .kalman import Correction, correct, decay, predict, resized, variances
-from .ordinary import EARLY_S, FASTEST_M_S, HIGHEST_LATITUDE, NEVER, Beside, Departure, Moment
+from .ordinary import EARLY_S, NEVER, Beside, Departure, Moment, sound, unsoundness
 from .sampling import NO_SUMS, STEADY, SWAY_S, Shaking, means, take_sample
 from .settings import Settings
 from .strapdown import InertialState, motion_of, without
@@ -299,10 +295,5 @@ class ErrorStateFilter:
         total, least = variances(self.P, em.ACCELEROMETER_SCALE.start)
         if not (isfinite(total) and least > 0.0):
             raise FilterDiverged("the covariance is no longer positive")
-        quaternion, (north, east, down), (latitude, longitude, height), _ = self._motion
-        if not isfinite(sum(quaternion) + north + east + down + latitude + longitude + height):
-            raise FilterDiverged("the state is no longer finite")
-        if max(abs(north), abs(east), abs(down)) > FASTEST_M_S:
-            raise FilterDiverged("the velocity is beyond any vehicle's")
-        if abs(latitude) > HIGHEST_LATITUDE:
-            raise FilterDiverged("the position is too near a pole")
+        if not sound(self._motion):
+            raise FilterDiverged(unsoundness(self._motion))

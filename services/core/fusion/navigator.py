@@ -19,7 +19,6 @@ from shared.maths.rotation import Vector
 from shared.messages import NavigationPhase
 
 from . import barometer, compass
-from . import error_model as em
 from .aiding import Counts, Measurement, Outcome
 from .delayed import DelayedEngine
 from .door import Devices, impossible
@@ -253,15 +252,6 @@ class Navigator:
     def lever_arm_error(self) -> tuple[float, float] | None:
         """True minus assumed lever arm [m, forward and right], if GNSS contradicts the setting in turns."""
         return self._delayed.settled.aids.judge.arm.wrong()
-
-    @property
-    def delays(self) -> tuple[tuple[float, float], ...] | None:
-        """Delay and its standard deviation [s] of GNSS, odometer and GNSS velocity, if they are estimated."""
-        running = self._delayed.engine.filter
-        if running is None or not self.settings.estimate_delays:
-            return None
-        sd = np.sqrt(running.P.diagonal()[em.DELAYS]).tolist()
-        return tuple((running.parameter(place), sd[i]) for i, place in enumerate(em.DELAYS.tolist()))
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is none to be believed."""

@@ -123,7 +123,17 @@ def grow(
 
 
 def sound(motion: Motion) -> bool:
-    """Whether all is as it should be; where it is not, the filter finds out why."""
+    """Whether the numbers of a motion have a meaning; `unsoundness` says why not."""
     quaternion, velocity, position, _ = motion
     total = quaternion[0] + velocity[0] + velocity[1] + velocity[2] + position[1] + position[2]
     return isfinite(total) and length(velocity) < FASTEST_M_S and abs(position[0]) < HIGHEST_LATITUDE
+
+
+def unsoundness(motion: Motion) -> str:
+    """Say what is wrong with a motion that is not `sound`."""
+    quaternion, velocity, position, _ = motion
+    if not isfinite(sum(quaternion) + sum(velocity) + sum(position)):
+        return "the state is no longer finite"
+    return (
+        "the velocity is beyond any vehicle's" if length(velocity) >= FASTEST_M_S else "the position is too near a pole"
+    )

@@ -8,7 +8,7 @@ stamps that are not yet in use. So the result still depends on stamps alone.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from math import hypot
+from math import hypot, sqrt
 from typing import TYPE_CHECKING
 
 from shared.maths.rotation import Vector
@@ -136,3 +136,11 @@ class Timing:
 
     def _at(self, kind: type, stamp_ns: int) -> float:
         return next((s for from_ns, s in reversed(self._removed.get(kind, ())) if from_ns <= stamp_ns), 0.0)
+
+
+def known_delays(navigation: "ErrorStateFilter | None", settings: Settings) -> tuple[tuple[float, float], ...] | None:
+    """Delay and its standard deviation [s] of GNSS, odometer and GNSS velocity, if they are estimated."""
+    if navigation is None or not settings.estimate_delays:
+        return None
+    variances = navigation.P.diagonal()
+    return tuple((navigation.parameter(place), sqrt(variances[place])) for place in em.DELAYS.tolist())

@@ -30,6 +30,7 @@ from .heading import Prior
 from .navigator import Navigator
 from .settings import Settings
 from .solution import Solution
+from .timing import known_delays
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -202,7 +203,7 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
     """Put what the navigator is doing on the bus, or that it does nothing since the inertial samples stopped."""
     counts = navigator.counts
     silent = silent_since_ns is not None
-    gnss, odometer, velocity = navigator.delays or ((None, None),) * 3
+    gnss, odometer, velocity = known_delays(navigator.engine.filter, navigator.settings) or ((None, None),) * 3
     return NavigationState(
         sampled_ns=sampled_ns,
         phase=NavigationPhase.WAITING_FOR_IMU if silent else navigator.phase,

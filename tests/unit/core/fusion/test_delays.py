@@ -13,6 +13,7 @@ from services.core.fusion.delays import DelaySearch
 from services.core.fusion.gnss import GnssVelocity
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
+from services.core.fusion.timing import known_delays
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 
@@ -102,8 +103,9 @@ def test_delays_of_gnss_and_odometer_are_estimated_and_taken_out() -> None:
     made = follow(d, 0.2)
     delay_s, sd_s = age(made)
     assert abs(delay_s - 0.2) < min(0.02, 3.5 * sd_s), "velocity against acceleration"
-    assert made.delays is not None
-    gnss, odometer, _ = made.delays
+    delays = known_delays(made.engine.filter, made.settings)
+    assert delays is not None
+    gnss, odometer, _ = delays
     assert abs(gnss[0] - 0.2) < 3.0 * gnss[1] < 0.2, "a position is a poorer witness: its errors last"
     assert abs(odometer[0] - ODOMETER_S) < 0.025
     removed = made._delayed._timing
@@ -126,7 +128,7 @@ def test_fixes_that_come_late_change_nothing_to_the_last_bit() -> None:
 def test_nothing_is_estimated_unless_the_setting_says_so() -> None:
     made = follow(town(duration_s=40.0), 0.1, estimate_delays=False)
     running = made.engine.filter
-    assert running is not None and made.delays is None
+    assert running is not None and known_delays(running, made.settings) is None
     assert not running.P[em.DELAYS].any()
     assert [running.parameter(place) for place in em.DELAYS.tolist()] == [0.0, 0.0, 0.0]
 
@@ -149,7 +151,8 @@ def test_the_delay_is_as_well_known_as_the_filter_says() -> None:
         delay_s = 0.02 * (seed - 4)
         made = follow(town(seed + 10, 90.0), delay_s)
         estimated, sd_s = age(made)
-        assert made.delays is not None
-        odometer = made.delays[1]
+        delays = known_delays(made.engine.filter, made.settings)
+        assert delays is not None
+        odometer = delays[1]
         nees += ((estimated - delay_s) / sd_s) ** 2, ((odometer[0] - ODOMETER_S) / odometer[1]) ** 2
     assert (chi2.ppf(0.005, runs) < nees).all() and (nees < chi2.isf(0.005, runs)).all(), nees
