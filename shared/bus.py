@@ -73,7 +73,7 @@ class Bus:
         self._signature = origin + user_property("seq", "")[:-2]
         self._sequence = 0
         self._next_heartbeat = self._next_attempt = 0.0
-        self._attempts = 0
+        self._attempts = self._refusals = 0
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
         self._observer, self._guarded = observer, False
         filters = [Subscription(self._prefix + topic.name, topic.qos) for topic in subscriptions]
@@ -210,8 +210,9 @@ class Bus:
             self.connected, self.last_error = True, None
             self._attempts, self._next_heartbeat = 0, 0.0
             log.info("connected to %s:%d", self.address.host, self.address.port)
-        if self._client.refusals > self.rejects["refused"]:
-            self.rejects["refused"], self.last_error = self._client.refusals, self._client.complaint
+        if self._client.refusals > self._refusals:
+            self._refusals = self._client.refusals
+            self.rejects["refused"], self.last_error = self._refusals, self._client.complaint
 
     def _lose(self, error: Lost) -> None:
         if isinstance(error, Refused):

@@ -29,7 +29,7 @@ from .runner import Runner
 from .samples import Repeats, Sample
 from .sampling import FORCE_LIMIT, RATE_LIMIT
 from .settings import Settings
-from .solution import Solution, solution_of
+from .solution import Bounds, Solution, solution_of
 from .trail import Trail
 from .wheels import WheelSpeed
 
@@ -55,6 +55,7 @@ class Navigator:
         self.samples_rejected = 0
         self.measurements_late = 0  # used at their own time, after newer ones of the same device
         self._delayed = DelayedEngine(self.settings, runner)
+        self._bounds = Bounds(self.settings)
         self._backwards = 0
         self._repeats: Repeats | None = None
         self._conspicuous = True  # the last sample was looked at, and is known to `_repeats`
@@ -255,7 +256,13 @@ class Navigator:
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is none to be believed."""
-        return solution_of(self._delayed.engine, self.settings)
+        return solution_of(self._delayed.engine, self._bounds)
+
+    def foresee(self) -> None:
+        """Do now what the next solution needs and can be done before its sample."""
+        engine = self._delayed.engine
+        if engine.filter is not None:
+            self._bounds.of(engine.filter, engine.aids.watch)
 
     def release(self, received_ns: int) -> list[Outcome]:
         """Do what the last sample left to do, and use what has waited long enough, now that it is `received_ns`."""

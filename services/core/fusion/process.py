@@ -39,6 +39,7 @@ class Process:
         self.leave = self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution = -1  # number of its period
+        self._sampled_ns = 0  # stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, int] | None = None
         self._imu: str | None = None  # the one that is listened to
         self._imu_received_ns: int | None = None
@@ -64,14 +65,21 @@ class Process:
             self.rejects["samples of a second imu"] += 1
             return
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
-        translate.give_environment(self._navigator, batch)
         for sampled_ns, force, rate in translate.samples_of(batch):
-            due = sampled_ns // self._solution_period_ns != self._last_solution
+            due = self._is_due(sampled_ns)
             outcomes = self._navigator.advance(sampled_ns, force, rate, saturated=batch.saturated, hurried=due)
             if due:  # first: whoever needs it shall not wait for what is late anyway
                 yield from self._solution(sampled_ns)
             yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))
             yield from self._state(sampled_ns)
+            if self._is_due(2 * sampled_ns - self._sampled_ns):  # with the next sample
+                self._navigator.foresee()
+            self._sampled_ns = sampled_ns
+        translate.give_environment(self._navigator, batch)
+
+    def _is_due(self, sampled_ns: int) -> bool:
+        """Whether a sample of that time is the first of a period."""
+        return sampled_ns // self._solution_period_ns != self._last_solution
 
     def _is_silent(self, now_ns: int) -> bool:
         return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS

@@ -11,8 +11,10 @@ from shared.messages import NavigationPhase
 
 from . import error_model as em
 from .engine import Engine
-from .protection import protection_levels
+from .filter import ErrorStateFilter
+from .protection import Levels, protection_levels
 from .settings import Settings
+from .watch import Watch
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -40,22 +42,38 @@ class Solution(NamedTuple):
     integrity_risk: float
 
 
-def solution_of(engine: Engine, settings: Settings) -> Solution | None:
+class Bounds:
+    """Protection levels: worked out anew when the covariance is another, or what is known beside it."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._made_of: tuple[FloatArray, Watch] | None = None
+        self._levels: Levels
+
+    def of(self, navigation: ErrorStateFilter, watch: Watch) -> Levels:
+        """Give the levels of a filter; both it and the watch replace what they know, and never change it in place."""
+        if self._made_of is None or self._made_of[0] is not navigation.P or self._made_of[1] is not watch:
+            time_ns, _, velocity, _ = navigation.inertial
+            self._levels = protection_levels(
+                navigation.P[em.POSITION, em.POSITION].tolist(),
+                velocity,
+                time_ns,
+                watch,
+                risk=self._settings.integrity_risk,
+                time_sd_s=self._settings.gnss_time_sd_s,
+            )
+            self._made_of = navigation.P, watch
+        return self._levels
+
+
+def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
     """State at the newest inertial sample, or None while there is none to be believed."""
     navigation = engine.filter
     if navigation is None:
         return None
     time_ns, quaternion, velocity, position = navigation.inertial
     roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion)
-    position_cov = navigation.P[em.POSITION, em.POSITION]
-    levels = protection_levels(
-        position_cov.tolist(),
-        velocity,
-        time_ns,
-        engine.aids.watch,
-        risk=settings.integrity_risk,
-        time_sd_s=settings.gnss_time_sd_s,
-    )
+    levels = bounds.of(navigation, engine.aids.watch)
     return Solution(
         time_ns=time_ns,
         phase=engine.phase,
@@ -64,7 +82,7 @@ def solution_of(engine: Engine, settings: Settings) -> Solution | None:
         roll=roll,
         pitch=pitch,
         yaw=yaw,
-        position_cov=position_cov,
+        position_cov=navigation.P[em.POSITION, em.POSITION],
         velocity_cov=navigation.P[em.VELOCITY, em.VELOCITY],
         attitude_cov=navigation.P[em.ATTITUDE, em.ATTITUDE],
         rate=navigation.rate,
