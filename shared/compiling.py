@@ -14,6 +14,7 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+MATHS = Path(__file__).with_name("maths")
 OPTIONS: dict[str, Any] = {"error_model": "numpy"}  # a division by zero is infinite, and no exception
 LOOP_OPTIONS: dict[str, Any] = {"jit_options": OPTIONS, "strict": False}
 RELEASE = "define void @NRT_MemInfo_call_dtor(ptr %memory) {\n ret void\n}\n"  # nothing is allocated, so never called
@@ -149,8 +150,9 @@ def _digest(program: Program, machine: Iterable[str]) -> str:
     """Name for what the sources, the compiler and the processor make together."""
     digest = hashlib.sha256("\n".join((program.signature, *machine)).encode())
     functions = (program.main, machine_code, *program.parts, *program.loops, *program.loops.values())
-    for path in sorted({function.__code__.co_filename for function in functions}):
-        digest.update(Path(path).read_bytes())
+    files = {Path(function.__code__.co_filename) for function in functions}
+    for path in sorted(files.union(MATHS.glob("*.py"))):  # whose constants are frozen as well
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 

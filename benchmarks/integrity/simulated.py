@@ -141,6 +141,6 @@ def judge_or_recall(kept: Path, job: tuple[Case, int]) -> Judged:
 def _code() -> str:
     """Digest of everything that a result depends on."""
     root = Path(__file__).resolve().parents[2]
-    folders = ("services/core/fusion", "services/sensors/simulator", "shared/maths", "benchmarks/integrity")
+    folders = ("services/core/fusion", "services/sensors/simulator", "services/commands", "shared", "benchmarks")
     paths = sorted(path for folder in folders for path in (root / folder).rglob("*.py"))
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:12]

@@ -61,6 +61,7 @@ class Outcome:
     used: bool
     reason: str | None = None
     weight: float = 1.0  # on the inverse of R
+    measurement: type = object  # class of what was observed
 
 
 class Counts(NamedTuple):

@@ -34,7 +34,7 @@ class Aids:
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
         self._compass = CompassCheck()
         self._epochs = Epochs()
-        self._delay: FoundDelay | None = None  # told while there was no filter
+        self.delay: FoundDelay | None = None  # the newest; a filter that begins with nothing has to be told
 
     def fork(self) -> "Aids":
         """Copy that goes its own way."""
@@ -60,18 +60,10 @@ class Aids:
             SPEED_LIMIT if self.wheels_stand else NEVER,
         )
 
-    def hear(self, news: FoundDelay, navigation: ErrorStateFilter | None) -> None:
-        """Tell the filter, or the next one to start."""
-        if navigation is None:
-            self._delay = news
-        else:
-            news.tell(navigation)
-
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
         """Go on with a filter that has just started, and with what is known of its heading."""
-        if self._delay is not None:
-            self._delay.tell(started)
-            self._delay = None
+        if self.delay is not None and not started.parameter(em.GNSS_DELAY):
+            self.delay.tell(started)
         self.judge.acquit(comparison)
         self.watch = self.watch.begun(time_ns, started)
 

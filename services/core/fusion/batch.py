@@ -45,11 +45,18 @@ def solve(
     runner : Runner, optional
         What gets through ordinary samples: a compiled one, if `fast` has one.
 
+    Raises
+    ------
+    ValueError
+        Delays shall be estimated: measurements are used at their stamps, and all of them are believed to be possible.
+
     Yields
     ------
     Solution
         As soon as there are any, until the last sample.
     """
+    if navigator.settings.estimate_delays:
+        raise ValueError("delays are estimated by a navigator that is given samples and measurements one by one")
     usable = _usable(stamps_ns, samples)
     navigator.samples_used += int(usable.sum())
     navigator.samples_rejected += int((~usable).sum())

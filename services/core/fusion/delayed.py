@@ -161,7 +161,8 @@ class DelayedEngine:
             if self._fresh == KEPT_EVERY:
                 self._copies.append((again[stop - 1][0], self.settled.fork()))
                 self._fresh = 0
-        return [o for o in outcomes if o.time_ns == measurement.time_ns and o.source == measurement.source]
+        news = measurement.time_ns, measurement.source, type(measurement)
+        return [o for o in outcomes if (o.time_ns, o.source, o.measurement) == news]
 
     def _between(self, after_ns: int, until_ns: int) -> list[Measurement]:
         if not self._measurements or self._measurements[-1].time_ns <= after_ns:

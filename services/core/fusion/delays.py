@@ -22,12 +22,14 @@ from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Vector
 
 from .gnss import GnssVelocity
+from .ordinary import GAP_S
 
 FloatArray = npt.NDArray[np.float64]
 
 LARGEST_S = 1.6
 STEP_S = 0.05
 LAGS_S = np.arange(-round(LARGEST_S / STEP_S), round(LARGEST_S / STEP_S) + 1) * STEP_S
+MOST_WAITING = 1000  # velocities
 NODE_S = 0.04  # between two points of the inertial account
 SHORTEST_S, LONGEST_S = 0.45, 1.2  # of an interval
 COURSE_M_S = 3.0  # below it a course is noise
@@ -93,7 +95,7 @@ class DelaySearch:
 
     def sample(self, time_ns: int, force: Vector, rate: Vector) -> None:
         """Take the next sample in, and whatever has waited for it."""
-        if self._start_ns is None or time_ns - self._last_ns > NODE_S * 1e9:
+        if self._start_ns is None or time_ns - self._last_ns > GAP_S * 1e9:
             self._begin(time_ns)
             return
         step, sums = (time_ns - self._last_ns) * 1e-9, self._sums
@@ -108,6 +110,8 @@ class DelaySearch:
     def see(self, seen: GnssVelocity) -> None:
         """Take in a velocity under its own stamp."""
         insort(self._waiting, seen, key=lambda m: (m.time_ns, m.source))
+        if len(self._waiting) > MOST_WAITING:
+            self._waiting.pop(0)
 
     def result(self, assumed_s: float = 0.0) -> Found:
         """Say what is known so far, and is known to be better than a delay that is assumed [s]."""

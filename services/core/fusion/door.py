@@ -13,6 +13,7 @@ from .wheels import WheelSpeed
 
 LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # no road, and no balloon of a test either
 STRONGEST_FIELD = 100.0  # times the Earth's
+LATE_PERIODS = 100  # by which a value may come after a newer one; more, and the clock of its device was set back
 DEVICES = 32  # no vehicle has more; what is learnt of each takes memory
 
 
@@ -33,11 +34,12 @@ class Devices:
         return True
 
     def is_due(self, source: str, quantity: str, time_ns: int, period_ns: int) -> bool:
-        """Whether it is the first value of its period: by the stamp alone, whenever the device was switched on."""
+        """Whether it is the first value of its period to come: by the stamps, whenever the device was switched on."""
         if not self.is_known(source):
             return False
         key, period = (source, quantity), time_ns // period_ns
-        if self._used.get(key) == period:
+        used = self._used.get(key)
+        if used is not None and 0 <= used - period < LATE_PERIODS:
             return False
         self._used[key] = period
         return True
@@ -50,7 +52,7 @@ def impossible(measurement: Measurement) -> str | None:
             return _no_place(measurement.position)
         case GnssVelocity() if not hypot(*measurement.velocity) < FASTEST_M_S:
             return "velocity of no vehicle"
-        case WheelSpeed() if not max(abs(measurement.speed), abs(measurement.resolution)) < FASTEST_M_S:
+        case WheelSpeed() if not (abs(measurement.speed) < FASTEST_M_S and abs(measurement.resolution) < FASTEST_M_S):
             return "speed of no vehicle"
         case MagneticHeading() if not hypot(*measurement.field_b) < STRONGEST_FIELD:
             return "magnetic field of no vehicle"

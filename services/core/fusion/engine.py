@@ -177,7 +177,8 @@ class Engine:
     def _aid(self, measurement: Measurement) -> list[Outcome]:
         """Hold a measurement against the filter, or hand it to the alignment."""
         if isinstance(measurement, FoundDelay):
-            self.aids.hear(measurement, self.filter)
+            self.aids.delay = measurement
+            self._try(measurement.tell, measurement.time_ns)
             return []
         if self.aids.is_told_again(measurement, self.filter):
             self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
@@ -234,7 +235,7 @@ class Engine:
         self.filter, self._alignment, self._why = started, None, ""
         if self.trail is not None:
             self.trail.follow(started)
-        self._rest, self._rest_s = UNSETTLED, 0.0
+        self._rest, self._rest_turn, self._rest_s = UNSETTLED, STILL, 0.0
         self.counts = self.counts.with_position(used=True)
         self.accepted_ns, self._rejections = measurement.time_ns, 0
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)

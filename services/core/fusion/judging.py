@@ -185,6 +185,7 @@ class Judge:
             refused is None,
             refused or remark,
             weight,
+            type(measurement),
         )
 
     def _watch_arm(

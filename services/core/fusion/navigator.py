@@ -293,6 +293,7 @@ class Navigator:
         if self._backwards > BACKWARDS_LIMIT:
             self._backwards = 0
             self._delayed = self._delayed.restarted("the inertial clock went back")
+            self._repeats, self._conspicuous, self._newest = None, True, {}
         return "sample doubled or out of order"
 
 

@@ -1,6 +1,5 @@
 """core.fusion: says where the vehicle is and how well that is known."""
 
-from collections import Counter
 from collections.abc import Iterator
 
 from shared.messages import (
@@ -36,18 +35,13 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self._navigator = Navigator(config, compiled_runner() if config.machine_code else None)
+        self.rejects = self._navigator.rejects
         self.leave = self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
-        self._last_solution = -1  # number of its period
-        self._sampled_ns = 0  # stamp of the newest sample
+        self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, int] | None = None
         self._imu: str | None = None  # the one that is listened to
         self._imu_received_ns: int | None = None
-
-    @property
-    def rejects(self) -> Counter[str]:
-        """What was refused, by kind."""
-        return self._navigator.rejects
 
     def handle(self, message: In) -> Iterator[Out]:
         """Answer one message; time is that of the inertial samples."""
@@ -101,6 +95,6 @@ class Process:
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
         """Say where the vehicle is."""
         solution = self._navigator.solution()
-        if solution is not None:
+        if solution is not None and solution.time_ns == sampled_ns:  # not of a sample that was refused
             self._last_solution = sampled_ns // self._solution_period_ns
             yield translate.solution_message(solution)

@@ -138,9 +138,9 @@ class Timing:
         return next((s for from_ns, s in reversed(self._removed.get(kind, ())) if from_ns <= stamp_ns), 0.0)
 
 
-def known_delays(navigation: "ErrorStateFilter | None", settings: Settings) -> tuple[tuple[float, float], ...] | None:
-    """Delay and its standard deviation [s] of GNSS, odometer and GNSS velocity, if they are estimated."""
-    if navigation is None or not settings.estimate_delays:
+def known_delays(navigation: "ErrorStateFilter | None") -> tuple[tuple[float, float], ...] | None:
+    """Delay and its standard deviation [s] of GNSS, odometer and GNSS velocity, from a filter that estimates them."""
+    if navigation is None:
         return None
     variances = navigation.P.diagonal()
     return tuple((navigation.parameter(place), sqrt(variances[place])) for place in em.DELAYS.tolist())

@@ -203,7 +203,8 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
     """Put what the navigator is doing on the bus, or that it does nothing since the inertial samples stopped."""
     counts = navigator.counts
     silent = silent_since_ns is not None
-    gnss, odometer, velocity = known_delays(navigator.engine.filter, navigator.settings) or ((None, None),) * 3
+    estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None
+    gnss, odometer, velocity = estimated or ((None, None),) * 3
     return NavigationState(
         sampled_ns=sampled_ns,
         phase=NavigationPhase.WAITING_FOR_IMU if silent else navigator.phase,

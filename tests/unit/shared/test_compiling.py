@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared import compiling
+from shared import codec, compiling
 from shared.compiling import Program, machine_code
-from shared.maths import earth, rotation
+from shared.maths import earth
 
 ROOT = Path(__file__).parents[3]
 
@@ -64,7 +64,7 @@ def test_what_was_made_once_is_loaded_by_processes_that_never_import_numba(own_c
 
 def test_what_is_kept_is_named_by_the_sources_and_the_machine() -> None:
     one = PROGRAM._replace(parts=[earth.wrap_angle])
-    other = PROGRAM._replace(parts=[rotation.skew])
+    other = PROGRAM._replace(parts=[codec.encode])
     same = PROGRAM._replace(parts=[earth.gravity])
     digest = compiling._digest
     assert digest(one, ["cpu"]) != digest(other, ["cpu"])

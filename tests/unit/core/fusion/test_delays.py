@@ -103,7 +103,7 @@ def test_delays_of_gnss_and_odometer_are_estimated_and_taken_out() -> None:
     made = follow(d, 0.2)
     delay_s, sd_s = age(made)
     assert abs(delay_s - 0.2) < min(0.02, 3.5 * sd_s), "velocity against acceleration"
-    delays = known_delays(made.engine.filter, made.settings)
+    delays = known_delays(made.engine.filter)
     assert delays is not None
     gnss, odometer, _ = delays
     assert abs(gnss[0] - 0.2) < 3.0 * gnss[1] < 0.2, "a position is a poorer witness: its errors last"
@@ -128,7 +128,7 @@ def test_fixes_that_come_late_change_nothing_to_the_last_bit() -> None:
 def test_nothing_is_estimated_unless_the_setting_says_so() -> None:
     made = follow(town(duration_s=40.0), 0.1, estimate_delays=False)
     running = made.engine.filter
-    assert running is not None and known_delays(running, made.settings) is None
+    assert running is not None and not made.settings.estimate_delays
     assert not running.P[em.DELAYS].any()
     assert [running.parameter(place) for place in em.DELAYS.tolist()] == [0.0, 0.0, 0.0]
 
@@ -151,7 +151,7 @@ def test_the_delay_is_as_well_known_as_the_filter_says() -> None:
         delay_s = 0.02 * (seed - 4)
         made = follow(town(seed + 10, 90.0), delay_s)
         estimated, sd_s = age(made)
-        delays = known_delays(made.engine.filter, made.settings)
+        delays = known_delays(made.engine.filter)
         assert delays is not None
         odometer = delays[1]
         nees += ((estimated - delay_s) / sd_s) ** 2, ((odometer[0] - ODOMETER_S) / odometer[1]) ** 2

@@ -246,6 +246,25 @@ def test_aiding_updates_say_what_was_used() -> None:
     assert {len(m.innovation) for m in updates if m.kind is not AidingKind.NON_HOLONOMIC} == {3}
 
 
+def test_every_measurement_of_a_late_fix_is_told_once() -> None:
+    updates = [m for m in run([*samples(), *fixes()]) if isinstance(m, AidingUpdate) and m.source == "gnss"]
+    told = [(m.sampled_ns, m.kind) for m in updates]
+    assert {kind for _, kind in told} == {AidingKind.GNSS_POSITION, AidingKind.GNSS_VELOCITY}
+    assert len(told) == len(set(told)) > 50
+
+
+def test_samples_that_come_swapped_bring_no_solution_twice() -> None:
+    swapped = samples()
+    for i in (2000, 2010, 2019, 2029):
+        early, late = swapped[i], swapped[i + 1]
+        swapped[i] = late.model_copy(update={"received_ns": early.received_ns})
+        swapped[i + 1] = early.model_copy(update={"received_ns": late.received_ns})
+    process = Process(Config(lever_arm_body_m=drive().lever_arm_b))
+    stamps = [m.sampled_ns for m in run([*swapped, *fixes()], process) if isinstance(m, NavigationSolution)]
+    assert process.rejects["sample doubled or out of order"] == 4
+    assert stamps == sorted(set(stamps)) and len(stamps) > 100
+
+
 def test_fixes_without_a_position_are_counted() -> None:
     process = Process(Config())
     nothing = fix(0, fix_type=FixType.NONE, latitude_deg=None, longitude_deg=None)
