@@ -25,7 +25,8 @@ def configuration_pages() -> str:
         config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
         schema = cast(Json, config.model_json_schema())
         fields = cast("dict[str, Json]", schema.get("properties", {}))
-        meanings = _comments(config)
+        comments = _comments(config)
+        meanings = {name: field.description or comments.get(name, "") for name, field in config.model_fields.items()}
         rows = [
             (f"`{name}`", _kind(field), f"`{json.dumps(field.get('default'))}`", meanings.get(name, ""))
             for name, field in fields.items()
