@@ -9,9 +9,8 @@ from shared.maths.rotation import Vector
 
 from .error_model import SIZE
 from .kalman import FloatArray
-from .ordinary import Departure, Limits, Moment, Rows, Stamps
+from .ordinary import Departure, Moment, Rows, Stamps
 from .runner import Runner
-from .sampling import Errors
 
 if TYPE_CHECKING:
     from shared.compiling import Code
@@ -47,19 +46,10 @@ class Machine(Runner):
         self._take_checked = code.bound(*self._places, first, first + 16, 1)
         self._take_usual = code.bound(*self._places, first, first + 16, -1)
 
-    def __call__(
-        self,
-        moment: Moment,
-        P: FloatArray,
-        times_ns: Stamps,
-        samples: Rows,
-        errors: Errors,
-        walks: FloatArray,
-        limits: Limits,
-    ) -> tuple[int, Moment, FloatArray]:
+    def __call__(self, start: Departure, times_ns: Stamps, samples: Rows) -> tuple[int, Moment, FloatArray]:
         """Do what `ordinary.run` does; stamps and samples are arrays."""
         assert isinstance(times_ns, np.ndarray) and isinstance(samples, np.ndarray)
-        self._load((moment, P, errors, walks, limits))
+        self._load(start)
         taken = self._code(*self._places, times_ns.ctypes.data, samples.ctypes.data, len(samples))
         return taken, *self._unload()
 

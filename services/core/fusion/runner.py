@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from shared.maths.rotation import Vector
 
 from .kalman import FloatArray
-from .ordinary import Departure, Limits, Moment, Rows, Stamps, run
+from .ordinary import Departure, Moment, Rows, Stamps, run
 from .samples import Sample
-from .sampling import Errors, usual
+from .sampling import usual
 
 if TYPE_CHECKING:
     from .engine import Engine
@@ -30,17 +30,9 @@ class Runner:
         self._comparable = False  # the last sample is as it was measured
         self._state: Departure
 
-    def __call__(
-        self,
-        moment: Moment,
-        P: FloatArray,
-        times_ns: Stamps,
-        samples: Rows,
-        errors: Errors,
-        walks: FloatArray,
-        limits: Limits,
-    ) -> tuple[int, Moment, FloatArray]:
+    def __call__(self, start: Departure, times_ns: Stamps, samples: Rows) -> tuple[int, Moment, FloatArray]:
         """Do what `ordinary.run` does."""
+        moment, P, errors, walks, limits = start
         return run(moment, P, times_ns, samples, errors, walks, limits)
 
     def follow(self, engine: "Engine") -> bool:

@@ -74,12 +74,12 @@ class Stretch:
         departure = engine.departure()
         if departure is None:
             return 0
-        (moment, P, errors, walks, limits), until_ns = departure
+        start, until_ns = departure
         times_ns, rows = self._given
         stop = min(stop, bisect_right(self._stamps_ns, until_ns, here, stop + 1) - 1)
         if stop <= here:
             return 0
-        taken, moment, P = self._run(moment, P, times_ns[here : stop + 1], rows[here:stop], errors, walks, limits)
+        taken, moment, P = self._run(start, times_ns[here : stop + 1], rows[here:stop])
         if taken:
             engine.resume(moment, P, Sample(self._stamps_ns[here + taken], *moment[3]))
         return taken

@@ -19,7 +19,7 @@ from .gnss import GnssPosition
 from .heading import COURSE, MATCH_ACCELERATION_SD, MATCH_S, Heading, Motion
 from .levelling import Levelling
 from .matching import GAIN, LARGEST_JITTER_M
-from .ordinary import FASTEST_M_S
+from .ordinary import FASTEST_M_S, STILL
 from .settings import Settings
 
 SHORTEST_M = 2.0  # a track that gives a heading, and
@@ -27,7 +27,6 @@ LARGEST_TURN_SD = 0.1  # [rad] how well
 SETTLED_S = 1.0  # before it drives off, a vehicle stands: a rest takes longer to be one
 MOVED_SDS = 3.0  # of a difference of positions, beyond which the vehicle has moved
 MANY = 4  # positions that say themselves how noisy they are
-STILL = (0.0, 0.0, 0.0)
 
 
 class Point(NamedTuple):
