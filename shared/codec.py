@@ -21,8 +21,9 @@ def topic_name(message: Message, topic: Topic | None = None) -> str:
 
 def encode(message: Message) -> tuple[bytes, dict[str, str]]:
     """Encode a message as payload and user properties."""
-    if isinstance(message, RawBytes):
-        return message.data, {"received_ns": str(message.received_ns), "source": message.source}
+    if BY_MESSAGE[type(message)].is_raw:  # asking pydantic whose child it is takes far longer
+        raw: RawBytes = message  # type: ignore[assignment]
+        return raw.data, {"received_ns": str(raw.received_ns), "source": raw.source}
     # What `model_dump_json` does behind its long signature, and the bytes themselves.
     return message.__pydantic_serializer__.to_json(message, exclude_none=True), {}
 
@@ -35,9 +36,9 @@ def decode(name: str, payload: bytes, properties: Mapping[str, str]) -> Message:
     if len(payload) > MAXIMUM_PAYLOAD:
         raise BadPayload(f"{len(payload)} bytes on {name}")
     try:
-        if issubclass(topic.message, RawBytes):
+        if topic.is_raw:
             stamp, source = int(properties["received_ns"]), properties["source"]
-            return topic.message(received_ns=stamp, source=source, data=payload)
+            return topic.message(received_ns=stamp, source=source, data=payload)  # type: ignore[call-arg]
         message: Message = topic.message.__pydantic_validator__.validate_json(payload)
     except KeyError as error:
         raise BadPayload(f"{name} without the user property {error}") from error

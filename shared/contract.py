@@ -4,7 +4,6 @@ import json
 from collections.abc import Sequence
 from typing import cast
 
-from .messages import RawBytes
 from .processes import LAYERS, PROCESSES
 from .topics import TOPICS, Topic, publications, subscriptions
 
@@ -108,7 +107,7 @@ def _operations() -> Json:
 def _message(topic: Topic) -> Json:
     message = topic.message
     described: Json = {"name": message.__name__, "summary": (message.__doc__ or "").strip().splitlines()[0]}
-    if issubclass(message, RawBytes):
+    if topic.is_raw:
         described["contentType"] = "application/octet-stream"
         described["description"] = (
             "The payload is what the device sent; `received_ns` and `source` are user properties."

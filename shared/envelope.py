@@ -1,8 +1,7 @@
 """A message as it travels: what stands on the outside, and the way to its content."""
 
-import struct
+import re
 from collections.abc import Callable
-from itertools import pairwise
 from typing import NamedTuple
 
 from . import codec
@@ -50,10 +49,9 @@ def make_envelope(
 class Form(NamedTuple):
     """What the last message of a topic looked like: bytes that stay, and numbers between them."""
 
-    layout: struct.Struct
-    constants: tuple[bytes, ...]
-    sample: Envelope
-    numbers: tuple[str, ...]  # names of the numbers after the first, which is the running number
+    match: Callable[[bytes], re.Match[bytes] | None]
+    sample: Envelope  # its properties are those that stay
+    number: str | None  # the property that is a number, beside the running number
 
 
 class Opener:
@@ -69,18 +67,13 @@ class Opener:
     def __call__(self, first: int, body: bytes) -> Envelope | None:
         """Open a packet; None if it is not ours. Raises ProtocolError."""
         form = self._forms.get(body[: body[1] + 2]) if first < QOS_1 and len(body) > 1 and not body[0] else None
-        if form is not None and len(body) >= form.layout.size:
-            fields = form.layout.unpack_from(body)
-            numbers = fields[1::2]
-            if fields[::2] == form.constants and b"".join(numbers).isdigit():
-                last, properties = form.sample, {}
-                if form.numbers:
-                    values = (number.decode() for number in numbers[1:])
-                    properties = {**last.properties, **dict(zip(form.numbers, values, strict=True))}
-                return Envelope(
-                    last.topic, body[form.layout.size :], properties, self._now_ns(),
-                    last.producer, last.incarnation, int(numbers[0]), first == 0x31,
-                )  # fmt: skip
+        if form is not None and (found := form.match(body)) is not None:
+            _, last, number = form
+            properties = {**last.properties, number: found[2].decode()} if number else {}
+            return Envelope(
+                last.topic, body[found.end() :], properties, self._now_ns(),
+                last.producer, last.incarnation, int(found[1]), first == 0x31,
+            )  # fmt: skip
         delivery = decode_delivery(first, body)
         envelope = make_envelope(
             delivery.topic.removeprefix(self._prefix), delivery.payload, delivery.user,
@@ -95,17 +88,18 @@ class Opener:
         pairs = [user_property(key, value) for key, value in delivery.user.items()]
         topic, properties = text(delivery.topic), b"".join(pairs)
         head = topic + varint(len(properties)) + properties
-        cuts, names, position = [0], [], len(head) - len(properties)
-        for (key, value), pair in zip(delivery.user.items(), pairs, strict=True):
-            position += len(pair)
-            if key in NUMBERS and value.isascii() and value.isdigit():
-                cuts += position - len(value), position
-                names.append(key)
+        numbers = [
+            key for key, value in delivery.user.items() if key in NUMBERS and value.isascii() and value.isdigit()
+        ]
         unlike = not body.startswith(head) or len(head) + len(envelope.payload) != len(body)
-        if unlike or names[:1] != ["seq"] or envelope.properties.keys() - names - {"source"} or topic[0]:
+        if unlike or numbers[:1] != ["seq"] or envelope.properties.keys() - numbers - {"source"} or topic[0]:
             return
         if len(self._forms) >= FORMS:
             self._forms.clear()
-        layout = struct.Struct("".join(f"{stop - start}s" for start, stop in pairwise([*cuts, len(head)])))
-        constants = layout.unpack_from(body)[::2]
-        self._forms[topic] = Form(layout, constants, envelope._replace(payload=b""), tuple(names[1:]))
+        pattern = re.escape(head[: len(head) - len(properties)])
+        for (key, value), pair in zip(delivery.user.items(), pairs, strict=True):
+            constant, size = (pair[: -len(value)], len(value)) if key in numbers else (pair, 0)
+            pattern += re.escape(constant) + (b"([0-9]{%d})" % size if size else b"")
+        kept = {key: value for key, value in envelope.properties.items() if key not in numbers}
+        sample = envelope._replace(payload=b"", properties=kept)
+        self._forms[topic] = Form(re.compile(pattern).match, sample, numbers[1] if len(numbers) > 1 else None)

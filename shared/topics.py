@@ -1,6 +1,7 @@
 """The topics of the bus: one row an edge. Everything else about who may say what to whom is derived."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from . import messages as m
 from .processes import BY_NAME as PROCESS_ROWS
@@ -28,10 +29,15 @@ class Topic:
     expiry_s: int | None = None
     persist: bool = False
 
-    @property
+    @cached_property
     def per_process(self) -> bool:
         """Whether the producer's name is the last level of the topic."""
         return self.name.endswith("/+")
+
+    @cached_property
+    def is_raw(self) -> bool:
+        """Whether the payload is what a device sent, and the rest of the message user properties."""
+        return issubclass(self.message, m.RawBytes)
 
 
 EVERYONE = tuple(row.name for row in PROCESSES)

@@ -57,7 +57,7 @@ class Driver(Bus):
     def publish(self, message: Message, *, at_once: bool = True) -> None:
         """Stamp what a device sent, and send it."""
         if isinstance(message, RawBytes):
-            message = message.model_copy(update={"received_ns": self.now_ns()})
+            message = type(message)(received_ns=self.now_ns(), source=message.source, data=message.data)
         super().publish(message, at_once=at_once)
 
 

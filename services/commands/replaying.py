@@ -5,7 +5,6 @@ from collections.abc import Collection
 
 from shared import codec
 from shared.bus import Envelope
-from shared.messages import RawBytes
 from shared.topics import Topic, measurements, publications, topic_of
 
 CANDUMP_TIME = re.compile(rb"\((\d{1,10})\.(\d{1,9})\)")
@@ -15,7 +14,7 @@ STAMPS = ("received_ns", "sampled_ns")
 def inputs_among(recorded: Collection[str]) -> frozenset[str]:
     """Choose the topics to play: bytes of the devices, and measurements only where their bytes are missing."""
     present = [topic for topic in measurements() if topic.name in recorded]
-    raw = {topic.name for topic in present if issubclass(topic.message, RawBytes)}
+    raw = {topic.name for topic in present if topic.is_raw}
     derived = {made.name for name in raw for consumer in _row(name).consumers for made in publications(consumer)}
     return frozenset(topic.name for topic in present if topic.name not in derived)
 

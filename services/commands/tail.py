@@ -7,7 +7,6 @@ import time
 from shared.bus import Bus, Envelope
 from shared.config import VehicleFile, broker_address, state_dir
 from shared.errors import UserError
-from shared.messages import RawBytes
 from shared.topics import TOPICS, topic_of
 
 PATIENCE_S = 5.0
@@ -44,7 +43,7 @@ def follow(name: str, vehicle: VehicleFile, count: int | None) -> int:
 
 def _line(envelope: Envelope) -> str:
     topic = topic_of(envelope.topic)
-    if topic is not None and issubclass(topic.message, RawBytes):
+    if topic is not None and topic.is_raw:
         body = envelope.payload.hex()
     else:
         try:

@@ -24,7 +24,6 @@ from mcap.records import Channel
 from pydantic import BaseModel
 
 from ..envelope import Envelope
-from ..messages import RawBytes
 from ..topics import topic_of
 
 IRREGULAR = "irregular"
@@ -68,14 +67,14 @@ def metadata_of(key: Key) -> dict[str, str]:
 def encoding_of(topic: str) -> str:
     """Name the encoding of a topic's payloads."""
     row = topic_of(topic)
-    return "application/octet-stream" if row is None or issubclass(row.message, RawBytes) else "json"
+    return "application/octet-stream" if row is None or row.is_raw else "json"
 
 
 @cache
 def schema_of(topic: str) -> tuple[str, bytes] | None:
     """Describe the payloads of a topic: name and JSON schema; None for raw bytes."""
     row = topic_of(topic)
-    if row is None or issubclass(row.message, RawBytes):
+    if row is None or row.is_raw:
         return None
     return row.message.__name__, json.dumps(row.message.model_json_schema()).encode()
 

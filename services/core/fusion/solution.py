@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector, roll_pitch_yaw_of_quaternion
-from shared.messages import NavigationPhase
+from shared.messages import NavigationPhase, Symmetric3
 
 from . import error_model as em
 from .engine import Engine
@@ -40,30 +40,43 @@ class Solution(NamedTuple):
     protection_level_horizontal: float  # [m] beyond which the error is with probability `integrity_risk`
     protection_level_vertical: float  # [m] the same of the height
     integrity_risk: float
+    triangles: tuple[Symmetric3, Symmetric3, Symmetric3]  # upper halves of the three covariances
+
+
+class Spread(NamedTuple):
+    """What of a solution changes with the covariance only."""
+
+    levels: Levels
+    covariances: tuple[FloatArray, FloatArray, FloatArray]  # of position, velocity, attitude
+    triangles: tuple[Symmetric3, Symmetric3, Symmetric3]
 
 
 class Bounds:
-    """Protection levels: worked out anew when the covariance is another, or what is known beside it."""
+    """Protection levels and covariances: worked out anew when the covariance is another, or what is known beside it."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._made_of: tuple[FloatArray, Watch] | None = None
-        self._levels: Levels
+        self._spread: Spread
 
-    def of(self, navigation: ErrorStateFilter, watch: Watch) -> Levels:
-        """Give the levels of a filter; both it and the watch replace what they know, and never change it in place."""
+    def of(self, navigation: ErrorStateFilter, watch: Watch) -> Spread:
+        """Give those of a filter; both it and the watch replace what they know, and never change it in place."""
         if self._made_of is None or self._made_of[0] is not navigation.P or self._made_of[1] is not watch:
             time_ns, _, velocity, _ = navigation.inertial
-            self._levels = protection_levels(
-                navigation.P[em.POSITION, em.POSITION].tolist(),
+            P = navigation.P
+            covariances = P[em.POSITION, em.POSITION], P[em.VELOCITY, em.VELOCITY], P[em.ATTITUDE, em.ATTITUDE]
+            rows = [covariance.tolist() for covariance in covariances]
+            levels = protection_levels(
+                rows[0],
                 velocity,
                 time_ns,
                 watch,
                 risk=self._settings.integrity_risk,
                 time_sd_s=self._settings.gnss_time_sd_s,
             )
-            self._made_of = navigation.P, watch
-        return self._levels
+            self._spread = Spread(levels, covariances, (_upper(rows[0]), _upper(rows[1]), _upper(rows[2])))
+            self._made_of = P, watch
+        return self._spread
 
 
 def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
@@ -73,7 +86,7 @@ def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
         return None
     time_ns, quaternion, velocity, position = navigation.inertial
     roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion)
-    levels = bounds.of(navigation, engine.aids.watch)
+    levels, covariances, triangles = bounds.of(navigation, engine.aids.watch)
     return Solution(
         time_ns=time_ns,
         phase=engine.phase,
@@ -82,9 +95,9 @@ def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
         roll=roll,
         pitch=pitch,
         yaw=yaw,
-        position_cov=navigation.P[em.POSITION, em.POSITION],
-        velocity_cov=navigation.P[em.VELOCITY, em.VELOCITY],
-        attitude_cov=navigation.P[em.ATTITUDE, em.ATTITUDE],
+        position_cov=covariances[0],
+        velocity_cov=covariances[1],
+        attitude_cov=covariances[2],
         rate=navigation.rate,
         accelerometer_bias=navigation.accelerometer_bias,
         gyroscope_bias=navigation.gyroscope_bias,
@@ -93,4 +106,10 @@ def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
         protection_level_horizontal=levels.horizontal,
         protection_level_vertical=levels.vertical,
         integrity_risk=levels.risk,
+        triangles=triangles,
     )
+
+
+def _upper(rows: list[list[float]]) -> Symmetric3:
+    (nn, ne, nd), (_, ee, ed), (_, _, dd) = rows
+    return nn, ne, nd, ee, ed, dd

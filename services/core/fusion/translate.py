@@ -160,6 +160,7 @@ def prior_from_last_position(last: LastPosition) -> Prior:
 
 def solution_message(solution: Solution) -> NavigationSolution:
     """Put a solution on the bus."""
+    position_cov, velocity_cov, attitude_cov = solution.triangles
     return NavigationSolution(
         sampled_ns=solution.time_ns,
         phase=solution.phase,
@@ -170,9 +171,9 @@ def solution_message(solution: Solution) -> NavigationSolution:
         roll_rad=solution.roll,
         pitch_rad=solution.pitch,
         yaw_rad=solution.yaw,
-        position_cov_ned_m2=_upper(solution.position_cov),
-        velocity_cov_ned_m2_s2=_upper(solution.velocity_cov),
-        attitude_cov_ned_rad2=_upper(solution.attitude_cov),
+        position_cov_ned_m2=position_cov,
+        velocity_cov_ned_m2_s2=velocity_cov,
+        attitude_cov_ned_rad2=attitude_cov,
         angular_rate_body_rad_s=solution.rate,
         accelerometer_bias_m_s2=solution.accelerometer_bias,
         gyroscope_bias_rad_s=solution.gyroscope_bias,
@@ -226,8 +227,3 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         odometer_delay_sd_s=odometer[1],
         lever_arm_error_body_m=navigator.lever_arm_error,
     )
-
-
-def _upper(matrix: FloatArray) -> Symmetric3:
-    (nn, ne, nd), (_, ee, ed), (_, _, dd) = matrix.tolist()
-    return nn, ne, nd, ee, ed, dd

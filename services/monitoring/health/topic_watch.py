@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Mapping
 
 from shared.freshness import freshness_of, limits_of, percentile
-from shared.messages import Freshness, Message, RawBytes
+from shared.messages import Freshness, Message
 from shared.topics import Topic
 
 RATE_WINDOW_NS = 10_000_000_000
@@ -33,7 +33,7 @@ class TopicWatch:
         self.producer: str | None = None
         self.kept = False  # all that came was kept by the broker, and may be of a former life of the unit
         self._limits = limits_of(topic)
-        self._raw = issubclass(topic.message, RawBytes)
+        self._raw = topic.is_raw
         self._pattern = None if self._raw else stamp_pattern(topic.message)
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
         self._marks: deque[tuple[int, int]] = deque()

@@ -6,7 +6,7 @@ from itertools import pairwise
 from shared.bus import Envelope
 from shared.errors import BadPayload
 from shared.freshness import freshness_of, limits_of, percentile
-from shared.messages import Consumed, Freshness, Message, ProcessHealth, ProcessState, RawBytes
+from shared.messages import Consumed, Freshness, Message, ProcessHealth, ProcessState
 from shared.topics import Topic
 
 RATE_WINDOW_S = 10
@@ -43,7 +43,7 @@ class TopicFlow:
         self._arrivals_ns: deque[int] = deque(maxlen=64)
         self._seconds: deque[int] = deque(maxlen=RATE_WINDOW_S)
         self._counted = 0
-        fast = (topic.rate_hz or 0.0) > EAGER_UP_TO_HZ and not issubclass(topic.message, RawBytes)
+        fast = (topic.rate_hz or 0.0) > EAGER_UP_TO_HZ and not topic.is_raw
         self._decode_every = 0 if topic.message is Consumed else SPARSE if fast else 1
 
     def note(self, envelope: Envelope) -> Message | None:
