@@ -8,7 +8,6 @@ Source: Xsens, "MT Low Level Communication Protocol Documentation", chapters 2 a
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from operator import itemgetter
 from typing import NamedTuple
@@ -58,8 +57,7 @@ _REALS = {
 _SIZES = (4, 4, 6, 8)  # bytes of a number in each format
 
 
-@dataclass(frozen=True, slots=True)
-class XbusMessage:
+class XbusMessage(NamedTuple):
     """One message with a good checksum."""
 
     mid: int

@@ -50,7 +50,9 @@ class Process:
     def handle(self, message: Message) -> Iterator[ImuSamples]:
         """Take bytes; nothing else concerns this process."""
         if isinstance(message, ImuRaw) and (tracker := self._tracker(message.source)):
-            yield from tracker.take(message)
+            samples = tracker.take(message)
+            if samples is not None:
+                yield samples
 
     def _tracker(self, source: str) -> Tracker | None:
         if source not in self._trackers:

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from shared import xbus
@@ -54,8 +54,8 @@ class Tracker:
         self._ticks: int | None = None  # unwrapped
         self._newest: dict[int, tuple[float, ...]] = {}  # since the last message; slow quantities come when they come
 
-    def take(self, raw: ImuRaw) -> Iterator[ImuSamples]:
-        """Take the next bytes; yield one message with every sample that they complete."""
+    def take(self, raw: ImuRaw) -> ImuSamples | None:
+        """Take the next bytes; give one message with every sample that they complete."""
         batch = _Batch()
         for message in self._reader.feed(raw.data):
             if message.mid == xbus.MTDATA2:
@@ -63,8 +63,7 @@ class Tracker:
                     self._add(batch, xbus.decode_mtdata2(message.payload, self._rejects))
                 except SampleError as fault:
                     self._rejects[str(fault)] += 1
-        if batch.device_ns:
-            yield self._message(batch, raw.received_ns)
+        return self._message(batch, raw.received_ns) if batch.device_ns else None
 
     def _add(self, batch: _Batch, values: dict[int, tuple[float, ...]]) -> None:
         self._count_gap(values)
