@@ -17,6 +17,7 @@ from .geometry import vertical_sd
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 ALERT_LIMIT_M = 10.0  # of the horizontal protection level
+FITS = {AidingKind.NON_HOLONOMIC: "non-holonomic constraint"}
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
 
@@ -249,7 +250,7 @@ def _gate_checks(e: Evidence) -> list[Check]:
     for kind, update, _ in _recent(e):
         good = update.used and update.test_ratio <= GATE_LIMIT
         text = f"{update.test_ratio:.2f} of the limit" + ("" if update.used else ", refused")
-        label = f"Fit of {kind.replace('_', ' ').replace('gnss', 'GNSS')}"
+        label = f"Fit of {FITS.get(kind) or kind.replace('_', ' ').replace('gnss', 'GNSS')}"
         state = Trust.SAFE if good else Trust.CAUTION
         checks.append(
             Check(f"gate {kind}", label, state, text, min(update.test_ratio, 9.99), "topic=navigation/aiding")
