@@ -51,6 +51,7 @@ class Row:
     runs: int
     epochs: int
     above: tuple[float, float]  # share of the epochs whose error is above the level
+    proven: tuple[float, float]  # the same, by more than the truth's own doubt
     ratio: tuple[float, float]  # level over error, median
     worst: tuple[float, float]  # error over level, largest
     level_m: tuple[float, float]  # median
@@ -99,7 +100,7 @@ def row_of(name: str, runs: Sequence[Judged]) -> Row:
     share = error / level
     above, worst = (share > 1.0).mean(axis=0).tolist(), share.max(axis=0).tolist()
     ratio, median = (1.0 / np.median(share, axis=0)).tolist(), np.median(level, axis=0).tolist()
-    return Row(name, len(runs), len(error), _pair(above), _pair(ratio), _pair(worst), _pair(median))
+    return Row(name, len(runs), len(error), _pair(above), _pair(above), _pair(ratio), _pair(worst), _pair(median))
 
 
 def _pair(values: Sequence[float]) -> tuple[float, float]:
@@ -124,8 +125,9 @@ def recordings_in(folder: Path) -> list[Row]:
             return m[f"protection_horizontal_{metric}"], m[f"protection_vertical_{metric}"]
 
         words = " ".join((name, *(option.removeprefix("--") for option in options)))
-        above, ratio, worst = both("misleading_fraction"), both("ratio_median"), both("error_share_max")
-        rows.append(Row(words, 1, int(m["truth_count"]), above, ratio, worst, both("median_m")))
+        above, proven = both("misleading_fraction"), both("misleading_proven_fraction")
+        ratio, worst = both("ratio_median"), both("error_share_max")
+        rows.append(Row(words, 1, int(m["truth_count"]), above, proven, ratio, worst, both("median_m")))
         print(line(rows[-1]), file=sys.stderr)
     return rows
 
@@ -150,8 +152,9 @@ def store(simulated: Sequence[Row], recorded: Sequence[Row]) -> None:
 def page(simulated: Sequence[Row], recorded: Sequence[Row], made: str) -> list[str]:
     """Draw up the page, line by line."""
     heading = [
-        "| | runs | epochs | error above level, % | level / error, median | error / level, largest | level, median m |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| | runs | epochs | error above level, % "
+        "| by more than the truth's doubt, % | level / error, median | error / level, largest | level, median m |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     lines = [
         "# Protection levels against true errors",
@@ -181,5 +184,6 @@ def line(row: Row) -> str:
         return " / ".join(format(value, form) for value in values)
 
     above = both((100.0 * row.above[0], 100.0 * row.above[1]), ".3g")
-    numbers = (above, both(row.ratio, ".1f"), both(row.worst, ".2f"), both(row.level_m, ".2f"))
+    proven = both((100.0 * row.proven[0], 100.0 * row.proven[1]), ".3g")
+    numbers = (above, proven, both(row.ratio, ".1f"), both(row.worst, ".2f"), both(row.level_m, ".2f"))
     return f"| {row.name} | {row.runs} | {row.epochs} | {' | '.join(numbers)} |"

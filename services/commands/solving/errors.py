@@ -29,6 +29,7 @@ class Errors:
     angles: FloatArray | None = None  # [rad] roll, pitch, yaw of the solution, shape (n, 3)
     distance_m: FloatArray | None = None  # along the reference since its first instant, horizontally, shape (n,)
     protection_m: FloatArray | None = None  # horizontal and vertical protection level, shape (n, 2)
+    reference_sd_n: FloatArray | None = None  # [m, NED] of the reference's own positions, shape (n, 3)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -50,6 +51,7 @@ class Errors:
             rest(self.angles),
             rest(self.distance_m),
             rest(self.protection_m),
+            rest(self.reference_sd_n),
         )
 
 
@@ -82,8 +84,9 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
     state, earlier = _Between(track, reference.stamps_ns[rows]), _Between(track, then[rows])
     arm = np.array(lever_arm_b if reference.at_antenna else (0.0, 0.0, 0.0))
     sd = state.linear("position_sd_north_m")
-    if reference.position_sd_n is not None:
-        sd = np.hypot(sd, reference.position_sd_n[rows])
+    stated = None if reference.position_sd_n is None else reference.position_sd_n[rows]
+    if stated is not None:
+        sd = np.hypot(sd, stated)
     position = velocity = attitude = distance = None
     if reference.geodetic is not None and len(rows):
         distance = _distance(reference.geodetic)[rows]
@@ -104,6 +107,7 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
         angles,
         distance,
         state.linear("protection_level_horizontal_m", 2),
+        stated,
     )
 
 

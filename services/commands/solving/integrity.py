@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
 
 from .errors import Errors
 
 AXES = ("horizontal", "vertical")
+DOUBT_SDS = 3.72, 3.29  # by which a reference is off once in a thousand: of a normal pair, and of a number
 # Names and meanings, for both axes.
 _MEANINGS = {
     "median_m": "{axis} protection level, median",
@@ -21,6 +23,8 @@ _MEANINGS = {
     "(`core.fusion.alert_limit_{axis}_m`)",
     "misleading_count": "instants with a {axis} error above its protection level: misleading information",
     "misleading_fraction": "the same as a share, which the integrity risk should not be below",
+    "misleading_proven_fraction": "share of the instants with a {axis} error above its protection level by more than "
+    "the reference itself may be off, by its own standard deviation, once in a thousand times",
     "hazardous_fraction": "share of the instants with an error above the alert limit while the protection level is "
     "within it: hazardously misleading information",
     "ratio_median": "{axis} protection level over error, median: near 3 (horizontal) or 5 (vertical) if all errors are "
@@ -50,6 +54,17 @@ class Protected:
     error_m: FloatArray  # never negative, shape (n,)
     level_m: FloatArray  # shape (n,)
     alert_limit_m: float
+    doubt_m: FloatArray | float = 0.0  # what of the error may be the reference's
+
+    @property
+    def proven(self) -> npt.NDArray[np.bool_]:
+        """Where the solution misled whatever the reference's own error was.
+
+        The true error is not less than the difference to a reference less the error of that, used by the filter or
+        not: ``|x - truth| >= |x - reference| - |reference - truth|``.
+        """
+        found: npt.NDArray[np.bool_] = self.error_m > self.level_m + self.doubt_m
+        return found
 
     def regions(self) -> dict[Region, int]:
         """Count the instants of each region.
@@ -85,8 +100,10 @@ def protected(errors: Errors, alert_limits_m: Sequence[float]) -> list[Protected
     if not len(error):
         return []
     sizes = (np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]))
+    sd = np.zeros_like(error) if errors.reference_sd_n is None else errors.reference_sd_n[known]
+    doubts = (DOUBT_SDS[0] * sd[:, :2].max(axis=1), DOUBT_SDS[1] * sd[:, 2])
     return [
-        Protected(axis, size, level[:, k], alert_limits_m[k])
+        Protected(axis, size, level[:, k], alert_limits_m[k], doubts[k])
         for k, (axis, size) in enumerate(zip(AXES, sizes, strict=True))
     ]
 
@@ -103,6 +120,7 @@ def integrity_metrics(errors: Errors, alert_limits_m: Sequence[float]) -> dict[s
             "available_fraction": float(np.mean(one.level_m <= one.alert_limit_m)),
             "misleading_count": misled,
             "misleading_fraction": misled / count,
+            "misleading_proven_fraction": float(one.proven.mean()),
             "hazardous_fraction": regions[Region.HAZARDOUS] / count,
             "ratio_median": float(1.0 / max(np.median(share), 1e-9)),
             "error_share_max": float(share.max()),

@@ -1,5 +1,7 @@
 """What a Stanford diagram counts, on errors and levels that are made by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,18 @@ def test_misleading_information_is_counted_and_not_hidden() -> None:
     assert found["protection_horizontal_ratio_median"] == pytest.approx(2.0, rel=0.01)
     assert found["protection_horizontal_error_share_max"] == pytest.approx(6.0, rel=0.01)
     assert set(INTEGRITY) < set(METRICS)
+
+
+def test_a_solution_is_proven_to_mislead_only_beyond_what_the_reference_may_be_off() -> None:
+    """Levels of 2 m, errors of 3 m and of 12 m beside a reference of 1 m."""
+    rows = [promised(0.1 * k, 12.0 if k < 100 else 3.0, 2.0) for k in range(1001)]
+    instants = np.arange(0.05, 99.9, 0.1)
+    stated = replace(reference(instants), position_sd_n=np.ones((len(instants), 3)))
+    for given, proven in ((reference(instants), 1.0), (stated, 0.1)):
+        found = integrity_metrics(errors_against(given, track(rows), lever_arm_b=NOWHERE), LIMITS)
+        for axis in ("horizontal", "vertical"):
+            assert found[f"protection_{axis}_misleading_fraction"] == 1.0, "what is above is never left out"
+            assert found[f"protection_{axis}_misleading_proven_fraction"] == pytest.approx(proven, abs=0.002)
 
 
 def test_solutions_without_levels_are_not_judged() -> None:
