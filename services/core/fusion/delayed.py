@@ -8,6 +8,7 @@ measurement that came in time.
 from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Sequence
+from itertools import takewhile
 
 from shared.maths.rotation import Vector
 
@@ -73,7 +74,8 @@ class DelayedEngine:
         if not runner.take(time_ns, force, rate, checked=checked):
             return False
         self._samples.append((time_ns, force, rate, None))
-        self._timing.sample(time_ns, force, rate)
+        if self._settings.estimate_delays:
+            self._timing.sample(time_ns, force, rate)
         self._fresh += 1
         if self._fresh >= self._kept_every:
             self._keep(time_ns)
@@ -149,16 +151,16 @@ class DelayedEngine:
         if self.settled.trail is not None:
             self.settled.trail.rewind(stamp)
         self._fresh = 0
-        again = [sample for sample in self._samples if sample[0] > stamp]
+        again = list(takewhile(lambda sample: sample[0] > stamp, reversed(self._samples)))[::-1]
         doubts = {place: doubt for place, (_, _, _, doubt) in enumerate(again) if doubt}
         stamps, rows = [stamp, *(s[0] for s in again)], [[*force, *rate] for _, force, rate, _ in again]
         stretch = Stretch(stamps, rows, self._measurements, self._runner, doubts)
         outcomes: list[Outcome] = []
-        for here in range(0, len(again), KEPT_EVERY):
-            stop = min(here + KEPT_EVERY, len(again))
+        for here in range(0, len(again), self._kept_every):
+            stop = min(here + self._kept_every, len(again))
             outcomes += stretch.through(self.settled, here, stop)
             self._fresh = stop - here
-            if self._fresh == KEPT_EVERY:
+            if self._fresh == self._kept_every:
                 self._copies.append((again[stop - 1][0], self.settled.fork()))
                 self._fresh = 0
         news = measurement.time_ns, measurement.source, type(measurement)

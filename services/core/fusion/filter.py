@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic
-from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body
+from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
 from . import error_model as em
 from .colour import UNKNOWN, Colour
@@ -102,9 +102,19 @@ class ErrorStateFilter:
         self._time_ns, self._motion = state.time_ns, motion_of(state)
 
     @property
+    def quaternion(self) -> Quaternion:
+        """Attitude, without the rest."""
+        return self._motion[0]
+
+    @property
     def velocity(self) -> Vector:
         """[m/s, NED], without the rest."""
         return self._motion[1]
+
+    @property
+    def position(self) -> Geodetic:
+        """Position, without the rest."""
+        return Geodetic(*self._motion[2])
 
     @property
     def ned_from_body(self) -> FloatArray:
@@ -216,6 +226,8 @@ class ErrorStateFilter:
 
     def learn(self, colour: Colour) -> None:
         """Take over what was learned of GNSS errors: what is estimated of them [m] stays, and its variance follows."""
+        if colour is self.colour:
+            return
         ratios, place = colour.unit / self.colour.unit, em.GNSS_ERROR
         self.colour = colour
         if self.P[place.start, place.start] == 0.0 or (ratios == 1.0).all():

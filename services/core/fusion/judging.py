@@ -191,7 +191,7 @@ class Judge:
     def _watch_arm(
         self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation, S: FloatArray
     ) -> None:
-        gain = 1.0 - float(seen.R[0, 0] + seen.R[1, 1]) / float(S[0, 0] + S[1, 1])
+        gain = 1.0 - (seen.R.item(0, 0) + seen.R.item(1, 1)) / (S.item(0, 0) + S.item(1, 1))
         position = seen.kind is AidingKind.GNSS_POSITION
         self.arm = self.arm.after(measurement.time_ns, navigation, seen.z, S, gain=gain, position=position)
 

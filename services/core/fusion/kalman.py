@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
-from math import erfc, exp, isfinite, pi, sqrt
+from math import erfc, exp, inf, isfinite, pi, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -215,6 +215,8 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     Joseph's form keeps P symmetric and positive::
 
         S = H P H^T + R,  K = P H^T S^-1,  x = K z,  P+ = (I - K H) P (I - K H)^T + K R K^T
+
+    Its products are taken as A = P - K (H P) and A - (A H^T) K^T, which are three columns wide.
     """
     PHt = P.dot(H.T)
     S = H.dot(PHt)
@@ -225,9 +227,8 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     distance2 = float(z.dot(inverse).dot(z))
     if not isfinite(distance2):
         raise FilterDiverged("an innovation is not finite")
-    A = (-K).dot(H)
-    A.reshape(-1)[:: len(P) + 1] += 1.0
-    P_after = A.dot(P).dot(A.T)
+    half = P - K.dot(PHt.T)
+    P_after = half - half.dot(H.T).dot(K.T)
     P_after += K.dot(R).dot(K.T)
     P_after = P_after + P_after.T
     P_after *= 0.5
@@ -264,4 +265,26 @@ def inverse_of(S: FloatArray) -> FloatArray:
     v31, v32 = w31 / d3, -l32 / d3
     v21, v22 = -l21 / d2 + w31 * v32, 1.0 / d2 - l32 * v32
     full = (1.0 / d1 + l21 * l21 / d2 + w31 * v31, v21, v31), (v21, v22, v32), (v31, v32, 1.0 / d3)
-    return np.array([row[:size] for row in full[:size]])
+    return np.array(full if size == 3 else [row[:size] for row in full[:size]])
+
+
+def root_of(cov: FloatArray) -> FloatArray:
+    """Cholesky's root L, L L^T = cov, of a covariance of shape (3, 3), in plain floats as well.
+
+    Raises
+    ------
+    FilterDiverged
+        It is not positive definite, or not finite.
+    """
+    (v11, _, _), (v21, v22, _), (v31, v32, v33) = cov.tolist()
+    if v11 > 0.0:
+        l11 = sqrt(v11)
+        l21, l31 = v21 / l11, v31 / l11
+        d2 = v22 - l21 * l21
+        if d2 > 0.0:
+            l22 = sqrt(d2)
+            l32 = (v32 - l31 * l21) / l22
+            d3 = v33 - l31 * l31 - l32 * l32
+            if 0.0 < d3 < inf:
+                return np.array([[l11, 0.0, 0.0], [l21, l22, 0.0], [l31, l32, sqrt(d3)]])
+    raise FilterDiverged("the covariance of a measurement is not positive definite")

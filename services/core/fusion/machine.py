@@ -20,7 +20,7 @@ NUMBERS, ERRORS, LIMITS, WALKS = 55, 55, 67, 73
 BLOCK = WALKS + SIZE
 ROOM = 2 * SIZE + 9  # rows: the covariance, the next one, and what is between them
 MOMENT = Struct(f"{NUMBERS}d")
-ONE = Struct("2q6d")  # stamps of the last sample and of this one, and its readings
+pack_one = Struct("2q6d").pack_into  # stamps of the last sample and of this one, and its readings
 
 
 class Machine(Runner):
@@ -64,9 +64,8 @@ class Machine(Runner):
         return moment_of(MOMENT.unpack_from(self._bytes)), self._P[:SIZE].copy()
 
     def _taken(self, time_ns: int, force: Vector, rate: Vector, checked: bool) -> bool:
-        ONE.pack_into(self._one_bytes, 0, self.last_ns, time_ns, *force, *rate)
-        failed = self._take_checked() if checked else self._take_usual()
-        return not failed and self._code.result.value > 0
+        pack_one(self._one_bytes, 0, self.last_ns, time_ns, *force, *rate)
+        return (self._take_checked() if checked else self._take_usual()) > 0
 
 
 def three(numbers: Any, place: int) -> Any:
