@@ -7,7 +7,7 @@ under it.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 from math import exp, log, sqrt
 
@@ -103,6 +103,10 @@ class Colour:
         """Keep what was learned, of a track that begins anew."""
         return Colour(self.evidence, *_unknown())
 
+    def is_due(self, time_ns: int) -> bool:
+        """Whether a fix of this stamp teaches."""
+        return self.time_ns is None or (time_ns - self.time_ns) * 1e-9 >= PERIOD_S - 1e-3
+
     def after(self, time_ns: int, path: FloatArray, sd: FloatArray, velocity_variance: FloatArray) -> "Colour":
         """Learn from one more fix.
 
@@ -132,15 +136,15 @@ class Colour:
             way_variance = np.broadcast_to(_of_axes((START_SDS * sd) ** 2), SHAPE)
             start = (way_variance, np.zeros(SHAPE), np.ones(SHAPE))
             return self._updated(time_ns, path, sd, self.error, start, self.evidence)
-        step_s = (time_ns - self.time_ns) * 1e-9
-        if step_s < PERIOD_S - 1e-3:
+        if not self.is_due(time_ns):
             return self
-        phi = np.repeat(np.exp(-step_s / CORRELATION_S), len(SCALES)).reshape(SHAPE[1:])
+        step_s = (time_ns - self.time_ns) * 1e-9
+        phi, phi2, grown = _fading(step_s)
         ways, both, errors = self.cov
         drift = velocity_variance * step_s * max(step_s, VELOCITY_CORRELATION_S)
         if step_s > BREAK_S:  # the velocity may have been far worse than it is now
             drift = drift + (START_SDS * sd) ** 2
-        predicted = (ways + _of_axes(drift), phi * both, phi**2 * errors + (1.0 - phi**2))
+        predicted = (ways + _of_axes(drift), phi * both, phi2 * errors + grown)
         return self._updated(time_ns, path, sd, phi * self.error, predicted, exp(-step_s / MEMORY_S) * self.evidence)
 
     def _updated(
@@ -173,6 +177,13 @@ class Colour:
 def _of_axes(values: FloatArray) -> FloatArray:
     """Give each axis of the bank its own of three values."""
     return values[:, np.newaxis, np.newaxis]
+
+
+@lru_cache(maxsize=8)  # fixes come evenly
+def _fading(step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What remains of each hypothesis' error, shape (h, s), of its variance, and what is added to that."""
+    phi = np.repeat(np.exp(-step_s / CORRELATION_S), len(SCALES)).reshape(SHAPE[1:])
+    return phi, phi**2, 1.0 - phi**2
 
 
 def _unknown() -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:

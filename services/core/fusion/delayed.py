@@ -56,6 +56,12 @@ class DelayedEngine:
         return self.settled
 
     @property
+    def seen(self) -> Engine:
+        """The same, to be looked at only."""
+        self._runner.show()
+        return self.settled
+
+    @property
     def newest(self) -> Newest | None:
         """The newest sample."""
         return self._samples[-1] if self._samples else self.settled.last
@@ -175,16 +181,17 @@ class DelayedEngine:
 
     def _keep(self, stamp: int) -> None:
         """Keep a copy, and forget what is beyond the horizon."""
-        self._copies.append((stamp, self.engine.fork()))
+        self._copies.append((stamp, self.seen.fork()))
         self._fresh = 0
         oldest = stamp - self._horizon_ns
         while len(self._copies) > 1 and (self._copies[1][0] <= oldest or len(self._copies) > COPIES):
             self._copies.popleft()
-        while self._samples and self._samples[0][0] <= self._copies[0][0]:
-            self._samples.popleft()
-        while self._measurements and self._measurements[0].time_ns <= self._copies[0][0]:
+        begin, samples = self._copies[0][0], self._samples
+        while samples and samples[0][0] <= begin:
+            samples.popleft()
+        while self._measurements and self._measurements[0].time_ns <= begin:
             self._measurements.pop(0)
-        if self._copies[0][0] <= oldest:
+        if begin <= oldest:
             news = self._timing.learn(stamp, self._copies[0][1].filter)
             if news is not None:
                 insort(self._measurements, news, key=order)

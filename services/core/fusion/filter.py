@@ -1,6 +1,7 @@
 """The error-state filter: a mechanisation, the covariance of its errors, and the corrections between them."""
 
 from math import exp, isfinite, sqrt
+from operator import sub
 
 import numpy as np
 import numpy.typing as npt
@@ -212,14 +213,16 @@ class ErrorStateFilter:
         return NEVER if self.P[place, place] == 0.0 else self.colour.correlation_s
 
     def _let_gnss_error_decay(self, span_s: float) -> FloatArray | None:
-        """Bring what lasts of the error of GNSS towards zero; return what remains of each error, if not all."""
+        """Bring what lasts of the error of GNSS towards zero; tell a trail what remains of each error, if not all."""
         memory_s, place = self._memory_s, em.GNSS_ERROR
         if memory_s == NEVER:
             return None
         remains = exp(-span_s / memory_s)
         self.P = decay(self.P, place.start, place.stop, remains)
-        north, east, down = self.gnss_error.tolist()
+        north, east, down = self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING]
         self._remember_gnss_error((remains * north, remains * east, remains * down))
+        if self.trail is None:
+            return None
         share = np.ones(em.SIZE)
         share[place] = remains
         return share
@@ -299,7 +302,7 @@ class ErrorStateFilter:
             (a, b, c), (p, q, r) = self.accelerometer_scale, self.gyroscope_scale
             self.accelerometer_scale = (a + x[15], b + x[16], c + x[17])
             self.gyroscope_scale = (p + x[18], q + x[19], r + x[20])
-        self.parameters = tuple(old - error for old, error in zip(self.parameters, x[em.DRIVING :], strict=True))
+        self.parameters = tuple(map(sub, self.parameters, x[em.DRIVING :]))
         self._check()
 
     def _check(self) -> None:

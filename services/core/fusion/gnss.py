@@ -84,7 +84,7 @@ class GnssPosition:
 
     def teach(self, navigation: ErrorStateFilter) -> None:
         """Let a filter that has used it learn how GNSS errors run over time."""
-        if self.lasts and self.axes == 3:
+        if self.lasts and self.axes == 3 and navigation.colour.is_due(self.time_ns):
             arm_n = rotate(navigation.quaternion, self.lever_arm)
             path = self._beside(navigation, arm_n) + navigation.moved
             variances = navigation.P.diagonal()[em.VELOCITY]

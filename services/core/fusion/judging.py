@@ -87,7 +87,7 @@ class Judge:
         """Turn by which the filter's heading is wrong; None if it is not."""
         corrections = self.corrections.at(seen.time_ns)
         (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, seen.lever_arm), navigation.velocity
-        self.corrections = corrections._replace(yaw=0.0)
+        self.corrections = Corrections(corrections.time_ns, corrections.velocity, corrections.lean)
         pure = complex(an + vn, ae + ve) + corrections.velocity
         self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
         if not self.comparison.is_wrong(seen.time_ns):

@@ -1,8 +1,8 @@
 """The Kalman filter's two steps, and the gate between them."""
 
-from dataclasses import dataclass
 from functools import cache
 from math import erfc, exp, inf, isfinite, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -126,11 +126,12 @@ def decay(P: FloatArray, first: int, end: int, remains: float) -> FloatArray:
     ----------
     Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6.
     """
-    after = P.copy()
-    after[first:end] *= remains
-    after[:, first:end] *= remains
-    step = len(P) + 1
-    after.reshape(-1)[first * step : end * step : step] += 1.0 - remains * remains
+    after, step = P.copy(), len(P) + 1
+    rows, columns = after[first:end], after[:, first:end]
+    diagonal = after.reshape(-1)[first * step : end * step : step]
+    rows *= remains
+    columns *= remains
+    diagonal += 1.0 - remains * remains
     return after
 
 
@@ -156,18 +157,18 @@ def resized(P: FloatArray, first: int, end: int, ratios: FloatArray) -> FloatArr
     -----
     With P_xu, P_uu the blocks of P and D = diag(ratios)::
 
-        A = P_xu P_uu^-1,  x = A u + rest  ->  A D u + rest
+        A = P_xu P_uu^-1,  x = A u + rest  ->  A D u + rest,  P+ = (I + W) P (I + W)^T  with  W = A (D - I)
     """
-    stems = np.linalg.solve(P[first:end, first:end], P[first:end]).T
+    stems = P[:, first:end].dot(inverse_of(P[first:end, first:end]))
     stems[first:end] = 0.0
-    T = np.eye(len(P))
-    T[:, first:end] += stems * (ratios - 1.0)
-    after = product(product(T, P), T.T)
-    return 0.5 * (after + after.T)
+    W = stems * (ratios - 1.0)
+    half = P + product(W, P[first:end])
+    after: FloatArray = half + product(half[:, first:end], W.T)
+    after = 0.5 * (after + after.T)
+    return after
 
 
-@dataclass(frozen=True)
-class Correction:
+class Correction(NamedTuple):
     """What a measurement says about the errors: the estimate, its covariance, and how surprising it was."""
 
     x: FloatArray
