@@ -45,9 +45,10 @@ class ArmWatch(NamedTuple):
         a, b, c, d = a - ha, b - hb, c - hc, d - hd
         keep = exp(-max(0, time_ns - self.time_ns) * 1e-9 / MEMORY_S) if self.time_ns else 1.0
         (nn, ne), (_, ee) = S[:2, :2].tolist()
-        scale, (north, east) = 1.0 / (nn * ee - ne * ne), z[:2].tolist()
-        p, q = (ee * a - ne * c) * scale, (nn * c - ne * a) * scale  # columns of S^-1 A
-        r, s = (ee * b - ne * d) * scale, (nn * d - ne * b) * scale
+        share, (north, east) = ne / nn, z[:2].tolist()
+        left = ee - share * ne  # of the variance, positive as in `inverse_of`
+        q, s = (c - share * a) / left, (d - share * b) / left  # rows of S^-1 A: the lower one first
+        p, r = a / nn - share * q, b / nn - share * s
         (ff, fr, rr), (forward, right) = self.information, self.weighted
         return ArmWatch(
             (keep * ff + a * p + c * q, keep * fr + a * r + c * s, keep * rr + b * r + d * s),

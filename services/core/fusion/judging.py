@@ -180,7 +180,7 @@ class Judge:
             measurement.source,
             seen.kind,
             tuple(seen.z.tolist()),
-            tuple(correction.innovation_sd.tolist()),
+            correction.innovation_sd,
             ratio,
             refused is None,
             refused or remark,

@@ -163,9 +163,10 @@ def resized(P: FloatArray, first: int, end: int, ratios: FloatArray) -> FloatArr
     stems[first:end] = 0.0
     W = stems * (ratios - 1.0)
     half = P + product(W, P[first:end])
-    after: FloatArray = half + product(half[:, first:end], W.T)
-    after = 0.5 * (after + after.T)
-    return after
+    after = half + product(half[:, first:end], W.T)
+    symmetric: FloatArray = after + after.T
+    symmetric *= 0.5
+    return symmetric
 
 
 class Correction(NamedTuple):
@@ -181,10 +182,9 @@ class Correction(NamedTuple):
     S_inverse: FloatArray
 
     @property
-    def innovation_sd(self) -> FloatArray:
+    def innovation_sd(self) -> tuple[float, ...]:
         """Standard deviations of z."""
-        sd: FloatArray = np.sqrt(self.S.diagonal())
-        return sd
+        return tuple(map(sqrt, self.S.diagonal().tolist()))
 
 
 def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
@@ -217,7 +217,7 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
 
         S = H P H^T + R,  K = P H^T S^-1,  x = K z,  P+ = (I - K H) P (I - K H)^T + K R K^T
 
-    Its products are taken as A = P - K (H P) and A - (A H^T) K^T, which are three columns wide.
+    Its products are taken as A = P - K (H P) and A - (A H^T - K R) K^T, which are three columns wide.
     """
     PHt = P.dot(H.T)
     S = H.dot(PHt)
@@ -229,8 +229,7 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     if not isfinite(distance2):
         raise FilterDiverged("an innovation is not finite")
     half = P - K.dot(PHt.T)
-    P_after = half - half.dot(H.T).dot(K.T)
-    P_after += K.dot(R).dot(K.T)
+    P_after = half - (half.dot(H.T) - K.dot(R)).dot(K.T)
     P_after = P_after + P_after.T
     P_after *= 0.5
     return Correction(x, P_after, distance2, z, H, K, S, inverse)
