@@ -166,7 +166,7 @@ class DelayedEngine:
             stop = min(here + self._kept_every, len(again))
             outcomes += stretch.through(self.settled, here, stop)
             self._fresh = stop - here
-            if self._fresh == self._kept_every:
+            if self._fresh >= KEPT_EVERY:
                 self._copies.append((again[stop - 1][0], self.settled.fork()))
                 self._fresh = 0
         news = measurement.time_ns, measurement.source, type(measurement)
