@@ -19,9 +19,24 @@ OPTIONS: dict[str, Any] = {"error_model": "numpy"}  # a division by zero is infi
 LOOP_OPTIONS: dict[str, Any] = {"jit_options": OPTIONS, "strict": False}
 RELEASE = "define void @NRT_MemInfo_call_dtor(ptr %memory) {\n ret void\n}\n"  # nothing is allocated, so never called
 
+# What is called takes the address of a table, since each further argument would cost a call a tenth of a microsecond:
+# places of the result and of an exception, then the arguments.
+TABLE = """
+declare i32 @main({types})
+define i64 @called(ptr %table) {{
+ %failure = getelementptr i64, ptr %table, i64 1
+ {loads}
+ %failed = call i32 @main({arguments})
+ %fine = icmp eq i32 %failed, 0
+ %result = load i64, ptr %table
+ %told = select i1 %fine, i64 %result, i64 0
+ ret i64 %told
+}}
+"""
+
 
 class Code:
-    """A function of addresses and numbers that returns an integer.
+    """A function of addresses and numbers that returns an integer, 0 for a failure.
 
     Parameters
     ----------
@@ -33,18 +48,16 @@ class Code:
 
     def __init__(self, owner: object, address: int) -> None:
         self._owner = owner
-        self.result, failure = ctypes.c_int64(), ctypes.c_void_p()
-        # The interpreter's lock is held, for it is not long. Places of the result and of an exception come first.
-        function = ctypes.PYFUNCTYPE(ctypes.c_int32)(address)
-        self._function = partial(function, ctypes.byref(self.result), ctypes.byref(failure))
+        self._function = ctypes.PYFUNCTYPE(ctypes.c_int64)(address)  # the interpreter's lock is held: it is not long
 
     def bound(self, *arguments: int) -> Callable[[], int]:
-        """Make a call of it with these arguments, to be repeated: 0, and then `result` is the result, or a failure."""
-        return partial(self._function, *map(ctypes.c_ssize_t, arguments))
+        """Make a call of it with these arguments, to be repeated."""
+        table = (ctypes.c_int64 * (2 + len(arguments)))(0, 0, *arguments)
+        return partial(self._function, ctypes.pointer(table))
 
     def __call__(self, *arguments: int) -> int:
-        """Call it; 0 for a failure."""
-        return 0 if self.bound(*arguments)() else self.result.value
+        """Call it."""
+        return self.bound(*arguments)()
 
 
 _loaded: dict[Path, Code] = {}
@@ -116,8 +129,9 @@ def _compiled(program: Program, llvm: Any) -> bytes:
     # Numba wraps the function in one that raises exceptions in Python, for which Numba would have to be there.
     inner = module.get_function(made.native_name.removeprefix("cfunc."))
     inner.name = "main"
+    module.link_in(llvm.parse_assembly(_table([str(argument.type) for argument in inner.arguments])))
     for function in module.functions:
-        if not function.is_declaration and function.name != "main":
+        if not function.is_declaration and function.name != "called":
             function.linkage = "internal"
     target = _target(llvm)
     passes = llvm.create_new_module_pass_manager()
@@ -131,12 +145,22 @@ def _compiled(program: Program, llvm: Any) -> bytes:
     return content
 
 
+def _table(types: list[str]) -> str:
+    """Make the function that is called from outside, of one that takes places of result and exception, then others."""
+    loads = (
+        f"%at{n} = getelementptr i64, ptr %table, i64 {n}\n %a{n} = load {kind}, ptr %at{n}\n"
+        for n, kind in enumerate(types[2:], 2)
+    )
+    arguments = ("ptr %table", "ptr %failure", *(f"{kind} %a{n}" for n, kind in enumerate(types[2:], 2)))
+    return TABLE.format(types=", ".join(types), loads=" ".join(loads), arguments=", ".join(arguments))
+
+
 def _linked(content: bytes, llvm: Any) -> Code:
     """Load an object file."""
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target(llvm))
     engine.add_object_file(llvm.ObjectFileRef.from_data(content))
     engine.finalize_object()
-    return Code(engine, engine.get_function_address("main"))
+    return Code(engine, engine.get_function_address("called"))
 
 
 def _target(llvm: Any) -> Any:

@@ -1,7 +1,6 @@
 """What aids the filter. A new kind of measurement is one file with one class that has these three members."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -14,8 +13,7 @@ from .filter import ErrorStateFilter
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Observation:
+class Observation(NamedTuple):
     """A measurement held against the filter: z = measured - predicted = H x + noise of covariance R."""
 
     kind: AidingKind
@@ -48,8 +46,7 @@ class Measurement(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """What became of one observation."""
 
     time_ns: int

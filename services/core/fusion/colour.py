@@ -7,7 +7,7 @@ under it.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 from math import exp, log, sqrt
 
@@ -22,11 +22,12 @@ WHITE_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 0.7)
 # what is left of it is so constant that no fix can show it, and not to be forgotten for that.
 HYPOTHESES = ((600.0, 0.95), *product(TIMES_S, WHITE_SHARES))
 CORRELATION_S = np.array([time for time, _ in HYPOTHESES])
+LOG_CORRELATION = np.log(CORRELATION_S)
 LASTING = np.array([1.0 - share for _, share in HYPOTHESES])
 WHITE_PRIOR = 0.3  # probability of the first; the other hypotheses are equally likely
 SCALES = 2.0 ** np.arange(-3.0, 2.5, 0.5)  # [-] each with each of them: how large errors are, over what is stated
 SCALE_PRIOR_SDS = 0.35, 0.7  # [-] of its logarithm, below 1 and above: a filter that was too sure stays it for long
-SHAPE = (len(HYPOTHESES), len(SCALES), 3)  # of the bank, for each axis
+SHAPE = (3, len(HYPOTHESES), len(SCALES))  # of the bank, for each axis
 MEMORY_S = 600.0  # after which what was learned counts for 1/e, for places differ
 START_SDS = 100.0  # of the unknown place against the error of a fix
 SURPRISE = 9.0  # d² of one axis beyond which it moves nothing any further
@@ -44,20 +45,21 @@ class Colour:
     over its standard deviation. Their covariance is that of way, both, and error.
     """
 
-    evidence: FloatArray  # shape (h, s, 2), logarithmic, of horizontal and vertical errors, whose scales may differ
-    way: FloatArray  # shape (h, s, 3)
+    evidence: FloatArray  # shape (2, h, s), logarithmic, of horizontal and vertical errors, whose scales may differ
+    way: FloatArray  # shape (3, h, s)
     error: FloatArray
     cov: tuple[FloatArray, FloatArray, FloatArray]
     time_ns: int | None = None
 
     @cached_property
     def _weights(self) -> tuple[FloatArray, FloatArray]:
-        """Probability of each hypothesis, shape (h,), and of each scale under it, shape (h, s, 2)."""
+        """Probability of each hypothesis, shape (h,), and of each scale under it, shape (2, h, s)."""
         exponent = PRIOR + self.evidence
-        most = exponent.max(axis=1, keepdims=True)
+        most = exponent.max(axis=2, keepdims=True)
         weight = np.exp(exponent - most)
-        total = weight.sum(axis=1, keepdims=True)
-        joint = (most + np.log(total)).sum(axis=(1, 2))
+        total = weight.sum(axis=2, keepdims=True)
+        level, upright = most + np.log(total)
+        joint = (level + upright)[:, 0]
         weights = np.exp(joint - joint.max())
         return weights / weights.sum(), weight / total
 
@@ -75,27 +77,35 @@ class Colour:
     def correlation_s(self) -> float:
         """Correlation time [s] of what lasts, the geometric mean over all hypotheses."""
         weight = self.weight * LASTING + 1e-12
-        return exp(float(weight @ np.log(CORRELATION_S)) / float(weight.sum()))
+        return exp(float(weight @ LOG_CORRELATION) / float(weight.sum()))
 
     @cached_property
     def scale(self) -> FloatArray:
         """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
         weight, of_scales = self._weights
-        level, upright = np.sqrt(np.einsum("h,hsg,s->g", weight, of_scales, SCALES**2)).tolist()
+        level, upright = np.sqrt(weight @ of_scales @ SCALES**2).tolist()
         return np.array([level, level, upright])
 
-    @property
+    @cached_property
     def unit(self) -> FloatArray:
         """Of the lasting error, in what the receiver states: north, east and down, shape (3,)."""
         return self.scale * sqrt(max(self.lasting, 1e-6))
 
     def scaled(self, cov: FloatArray) -> FloatArray:
         """Covariance, shape (3, 3), with errors as large as they have shown themselves."""
-        return cov * np.outer(self.scale, self.scale)
+        return cov * self._scales
+
+    @cached_property
+    def _scales(self) -> FloatArray:
+        return np.outer(self.scale, self.scale)
 
     def at_start(self) -> "Colour":
         """Keep what was learned, of a track that begins anew."""
         return Colour(self.evidence, *_unknown())
+
+    def is_due(self, time_ns: int) -> bool:
+        """Whether a fix of this stamp teaches."""
+        return self.time_ns is None or (time_ns - self.time_ns) * 1e-9 >= PERIOD_S - 1e-3
 
     def after(self, time_ns: int, path: FloatArray, sd: FloatArray, velocity_variance: FloatArray) -> "Colour":
         """Learn from one more fix.
@@ -123,18 +133,18 @@ class Colour:
             path = c + k s sqrt(1-w) u + k s sqrt(w) n,  c' = velocity error,  u' = -u/T + sqrt(2/T) noise
         """
         if self.time_ns is None:
-            way_variance = np.broadcast_to((START_SDS * sd) ** 2, SHAPE)
+            way_variance = np.broadcast_to(_of_axes((START_SDS * sd) ** 2), SHAPE)
             start = (way_variance, np.zeros(SHAPE), np.ones(SHAPE))
             return self._updated(time_ns, path, sd, self.error, start, self.evidence)
-        step_s = (time_ns - self.time_ns) * 1e-9
-        if step_s < PERIOD_S - 1e-3:
+        if not self.is_due(time_ns):
             return self
-        phi = np.exp(-step_s / CORRELATION_S)[:, np.newaxis, np.newaxis]
+        step_s = (time_ns - self.time_ns) * 1e-9
+        phi, phi2, grown = _fading(step_s)
         ways, both, errors = self.cov
         drift = velocity_variance * step_s * max(step_s, VELOCITY_CORRELATION_S)
         if step_s > BREAK_S:  # the velocity may have been far worse than it is now
             drift = drift + (START_SDS * sd) ** 2
-        predicted = (ways + drift, phi * both, phi**2 * errors + 1.0 - phi**2)
+        predicted = (ways + _of_axes(drift), phi * both, phi2 * errors + grown)
         return self._updated(time_ns, path, sd, phi * self.error, predicted, exp(-step_s / MEMORY_S) * self.evidence)
 
     def _updated(
@@ -147,18 +157,33 @@ class Colour:
         evidence: FloatArray,
     ) -> "Colour":
         ways, both, errors = cov
-        h = ROOTS * sd
+        sd = _of_axes(sd)
+        h, stated = ROOTS * sd, sd**2
         to_way, to_error = ways + h * both, both + h * errors
-        S = to_way + h * to_error + WHITES * sd**2
-        z = path - self.way - h * error
-        surprise = z * z / S
-        used = np.where(surprise < SURPRISE, z, np.copysign(np.sqrt(SURPRISE * S), z)) / S
-        likelihood = np.maximum(-0.5 * (surprise + np.log(S / sd**2)), FLOOR)
-        after = (ways - to_way**2 / S, both - to_way * to_error / S, errors - to_error**2 / S)
+        S = to_way + h * to_error + WHITES * stated
+        z = _of_axes(path) - self.way - h * error
+        most = np.sqrt(SURPRISE * S)
+        used = np.maximum(np.minimum(z, most), -most) / S
+        gain_way, gain_error = to_way / S, to_error / S
+        after = (ways - gain_way * to_way, both - gain_way * to_error, errors - gain_error * to_error)
         way, error = self.way + to_way * used, error + to_error * used
         if self.time_ns is not None:  # the first fix of a track has nothing to be held against
-            evidence = evidence + np.stack([likelihood[:, :, 0] + likelihood[:, :, 1], likelihood[:, :, 2]], axis=2)
+            likelihood = np.maximum(-0.5 * (z * z / S + np.log(S / stated)), FLOOR)
+            evidence = evidence + likelihood[1:]
+            evidence[0] += likelihood[0]
         return Colour(evidence, way, error, after, time_ns)
+
+
+def _of_axes(values: FloatArray) -> FloatArray:
+    """Give each axis of the bank its own of three values."""
+    return values[:, np.newaxis, np.newaxis]
+
+
+@lru_cache(maxsize=8)  # fixes come evenly
+def _fading(step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What remains of each hypothesis' error, shape (h, s), of its variance, and what is added to that."""
+    phi = np.repeat(np.exp(-step_s / CORRELATION_S), len(SCALES)).reshape(SHAPE[1:])
+    return phi, phi**2, 1.0 - phi**2
 
 
 def _unknown() -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
@@ -167,18 +192,18 @@ def _unknown() -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray, Fl
 
 
 def _prior() -> FloatArray:
-    """Logarithmic, of each hypothesis and scale, shape (h, s, 1); half the first in each of the two groups of axes."""
+    """Logarithmic, of each hypothesis and scale, shape (h, s); half the first in each of the two groups of axes."""
     others = len(HYPOTHESES) - 1
     of_hypotheses = 0.5 * np.log([WHITE_PRIOR] + [(1.0 - WHITE_PRIOR) / others] * others)
     of_scales = -0.5 * (np.log(SCALES) / np.where(SCALES < 1.0, *SCALE_PRIOR_SDS)) ** 2
-    prior: FloatArray = (of_hypotheses[:, np.newaxis] + of_scales)[:, :, np.newaxis]
+    prior: FloatArray = of_hypotheses[:, np.newaxis] + of_scales
     return prior
 
 
-ROOTS = (SCALES * np.sqrt(LASTING)[:, np.newaxis])[:, :, np.newaxis]  # [-] lasting part over what is stated
-WHITES = (SCALES**2 * (1.0 - LASTING)[:, np.newaxis])[:, :, np.newaxis]  # [-] variance of the white part over it
+ROOTS = SCALES * np.sqrt(LASTING)[:, np.newaxis]  # [-] lasting part over what is stated
+WHITES = SCALES**2 * (1.0 - LASTING)[:, np.newaxis]  # [-] variance of the white part over it
 PRIOR = _prior()
-UNKNOWN = Colour(np.zeros((*SHAPE[:2], 2)), *_unknown())
+UNKNOWN = Colour(np.zeros((2, *SHAPE[1:])), *_unknown())
 
 
 def mean_at_rest(times_s: FloatArray, lasting: float, correlation_s: float) -> tuple[FloatArray, FloatArray]:

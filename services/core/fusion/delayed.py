@@ -8,6 +8,7 @@ measurement that came in time.
 from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Sequence
+from itertools import takewhile
 
 from shared.maths.rotation import Vector
 
@@ -55,6 +56,12 @@ class DelayedEngine:
         return self.settled
 
     @property
+    def seen(self) -> Engine:
+        """The same, to be looked at only."""
+        self._runner.show()
+        return self.settled
+
+    @property
     def newest(self) -> Newest | None:
         """The newest sample."""
         return self._samples[-1] if self._samples else self.settled.last
@@ -73,7 +80,8 @@ class DelayedEngine:
         if not runner.take(time_ns, force, rate, checked=checked):
             return False
         self._samples.append((time_ns, force, rate, None))
-        self._timing.sample(time_ns, force, rate)
+        if self._settings.estimate_delays:
+            self._timing.sample(time_ns, force, rate)
         self._fresh += 1
         if self._fresh >= self._kept_every:
             self._keep(time_ns)
@@ -149,16 +157,16 @@ class DelayedEngine:
         if self.settled.trail is not None:
             self.settled.trail.rewind(stamp)
         self._fresh = 0
-        again = [sample for sample in self._samples if sample[0] > stamp]
+        again = list(takewhile(lambda sample: sample[0] > stamp, reversed(self._samples)))[::-1]
         doubts = {place: doubt for place, (_, _, _, doubt) in enumerate(again) if doubt}
         stamps, rows = [stamp, *(s[0] for s in again)], [[*force, *rate] for _, force, rate, _ in again]
         stretch = Stretch(stamps, rows, self._measurements, self._runner, doubts)
         outcomes: list[Outcome] = []
-        for here in range(0, len(again), KEPT_EVERY):
-            stop = min(here + KEPT_EVERY, len(again))
+        for here in range(0, len(again), self._kept_every):
+            stop = min(here + self._kept_every, len(again))
             outcomes += stretch.through(self.settled, here, stop)
             self._fresh = stop - here
-            if self._fresh == KEPT_EVERY:
+            if self._fresh >= KEPT_EVERY:
                 self._copies.append((again[stop - 1][0], self.settled.fork()))
                 self._fresh = 0
         news = measurement.time_ns, measurement.source, type(measurement)
@@ -173,16 +181,17 @@ class DelayedEngine:
 
     def _keep(self, stamp: int) -> None:
         """Keep a copy, and forget what is beyond the horizon."""
-        self._copies.append((stamp, self.engine.fork()))
+        self._copies.append((stamp, self.seen.fork()))
         self._fresh = 0
         oldest = stamp - self._horizon_ns
         while len(self._copies) > 1 and (self._copies[1][0] <= oldest or len(self._copies) > COPIES):
             self._copies.popleft()
-        while self._samples and self._samples[0][0] <= self._copies[0][0]:
-            self._samples.popleft()
-        while self._measurements and self._measurements[0].time_ns <= self._copies[0][0]:
+        begin, samples = self._copies[0][0], self._samples
+        while samples and samples[0][0] <= begin:
+            samples.popleft()
+        while self._measurements and self._measurements[0].time_ns <= begin:
             self._measurements.pop(0)
-        if self._copies[0][0] <= oldest:
+        if begin <= oldest:
             news = self._timing.learn(stamp, self._copies[0][1].filter)
             if news is not None:
                 insort(self._measurements, news, key=order)

@@ -1,13 +1,14 @@
 """The error-state filter: a mechanisation, the covariance of its errors, and the corrections between them."""
 
 from math import exp, isfinite, sqrt
+from operator import sub
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic
-from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body
+from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
 from . import error_model as em
 from .colour import UNKNOWN, Colour
@@ -102,9 +103,19 @@ class ErrorStateFilter:
         self._time_ns, self._motion = state.time_ns, motion_of(state)
 
     @property
+    def quaternion(self) -> Quaternion:
+        """Attitude, without the rest."""
+        return self._motion[0]
+
+    @property
     def velocity(self) -> Vector:
         """[m/s, NED], without the rest."""
         return self._motion[1]
+
+    @property
+    def position(self) -> Geodetic:
+        """Position, without the rest."""
+        return Geodetic(*self._motion[2])
 
     @property
     def ned_from_body(self) -> FloatArray:
@@ -202,20 +213,24 @@ class ErrorStateFilter:
         return NEVER if self.P[place, place] == 0.0 else self.colour.correlation_s
 
     def _let_gnss_error_decay(self, span_s: float) -> FloatArray | None:
-        """Bring what lasts of the error of GNSS towards zero; return what remains of each error, if not all."""
+        """Bring what lasts of the error of GNSS towards zero; tell a trail what remains of each error, if not all."""
         memory_s, place = self._memory_s, em.GNSS_ERROR
         if memory_s == NEVER:
             return None
         remains = exp(-span_s / memory_s)
         self.P = decay(self.P, place.start, place.stop, remains)
-        north, east, down = self.gnss_error.tolist()
+        north, east, down = self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING]
         self._remember_gnss_error((remains * north, remains * east, remains * down))
+        if self.trail is None:
+            return None
         share = np.ones(em.SIZE)
         share[place] = remains
         return share
 
     def learn(self, colour: Colour) -> None:
         """Take over what was learned of GNSS errors: what is estimated of them [m] stays, and its variance follows."""
+        if colour is self.colour:
+            return
         ratios, place = colour.unit / self.colour.unit, em.GNSS_ERROR
         self.colour = colour
         if self.P[place.start, place.start] == 0.0 or (ratios == 1.0).all():
@@ -287,7 +302,7 @@ class ErrorStateFilter:
             (a, b, c), (p, q, r) = self.accelerometer_scale, self.gyroscope_scale
             self.accelerometer_scale = (a + x[15], b + x[16], c + x[17])
             self.gyroscope_scale = (p + x[18], q + x[19], r + x[20])
-        self.parameters = tuple(old - error for old, error in zip(self.parameters, x[em.DRIVING :], strict=True))
+        self.parameters = tuple(map(sub, self.parameters, x[em.DRIVING :]))
         self._check()
 
     def _check(self) -> None:

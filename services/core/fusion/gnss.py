@@ -16,6 +16,7 @@ from shared.messages import AidingKind
 from . import error_model as em
 from .aiding import Measurement, Observation
 from .filter import ErrorStateFilter
+from .kalman import root_of
 from .settings import Settings
 from .strapdown import rotate
 
@@ -63,19 +64,19 @@ class GnssPosition:
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Hold it against the predicted position of the antenna and the part of its error that lasts, in metres."""
-        arm_n = rotate(navigation.inertial.quaternion, self.lever_arm)
+        arm_n, velocity = rotate(navigation.quaternion, self.lever_arm), navigation.velocity
         z, H = self._beside(navigation, arm_n), em.antenna_position_matrix(arm_n)
-        v = np.array(navigation.inertial.velocity) + antenna_velocity(navigation, self.lever_arm)
+        H[:, em.GNSS_DELAY] = np.add(velocity, antenna_velocity(navigation, self.lever_arm))
         left_s = navigation.parameter(em.GNSS_DELAY) - self.removed_s
-        H[:, em.GNSS_DELAY] = v - left_s * navigation.sway
         if left_s:
+            H[:, em.GNSS_DELAY] -= left_s * navigation.sway
             H -= left_s * em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
-        along = np.array(navigation.inertial.velocity) * self.time_sd_s  # what an error of the stamp does
+        along = np.multiply(velocity, self.time_sd_s)  # what an error of the stamp does
         lasting = max(navigation.colour.lasting, 1e-6) if self.lasts else 0.0
         cov = navigation.colour.scaled(self.cov) if self.lasts else self.cov
-        R = (1.0 - lasting) * cov + np.outer(along, along)
+        R = (1.0 - lasting) * cov + along * along[:, np.newaxis]
         if lasting > 0.0:
-            root = sqrt(lasting) * np.linalg.cholesky(cov)
+            root = sqrt(lasting) * root_of(cov)
             z -= root @ navigation.gnss_error
             H[:, em.GNSS_ERROR] = -root
         n = self.axes
@@ -83,20 +84,20 @@ class GnssPosition:
 
     def teach(self, navigation: ErrorStateFilter) -> None:
         """Let a filter that has used it learn how GNSS errors run over time."""
-        if self.lasts and self.axes == 3:
-            arm_n = rotate(navigation.inertial.quaternion, self.lever_arm)
+        if self.lasts and self.axes == 3 and navigation.colour.is_due(self.time_ns):
+            arm_n = rotate(navigation.quaternion, self.lever_arm)
             path = self._beside(navigation, arm_n) + navigation.moved
             variances = navigation.P.diagonal()[em.VELOCITY]
             navigation.learn(navigation.colour.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances))
 
     def _beside(self, navigation: ErrorStateFilter, arm_n: Vector) -> FloatArray:
         """Find where it is beside the predicted antenna [m, NED] of when it was true."""
-        antenna = geodetic_from_ned_difference(arm_n, navigation.inertial.position)
+        antenna = geodetic_from_ned_difference(arm_n, navigation.position)
         beside = np.array(ned_from_geodetic_difference(self.position, antenna))
         left_s = navigation.parameter(em.GNSS_DELAY) - self.removed_s
         if not left_s:
             return beside
-        v = np.array(navigation.inertial.velocity) + antenna_velocity(navigation, self.lever_arm)
+        v = np.add(navigation.velocity, antenna_velocity(navigation, self.lever_arm))
         moved: FloatArray = beside + left_s * (v - 0.5 * left_s * navigation.sway)
         return moved
 
@@ -133,8 +134,7 @@ class GnssVelocity:
 
 def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> Vector:
     """Velocity of the antenna against the IMU [m/s, NED]: C (w x l) - w_ie x C l."""
-    _, quaternion, _, position = navigation.inertial
-    return _swing(quaternion, position.latitude, navigation.rate, lever_arm)
+    return _swing(navigation.quaternion, navigation.position.latitude, navigation.rate, lever_arm)
 
 
 @lru_cache(maxsize=1)  # of one velocity it is asked twice

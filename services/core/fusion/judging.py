@@ -87,7 +87,7 @@ class Judge:
         """Turn by which the filter's heading is wrong; None if it is not."""
         corrections = self.corrections.at(seen.time_ns)
         (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, seen.lever_arm), navigation.velocity
-        self.corrections = corrections._replace(yaw=0.0)
+        self.corrections = Corrections(corrections.time_ns, corrections.velocity, corrections.lean)
         pure = complex(an + vn, ae + ve) + corrections.velocity
         self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
         if not self.comparison.is_wrong(seen.time_ns):
@@ -180,7 +180,7 @@ class Judge:
             measurement.source,
             seen.kind,
             tuple(seen.z.tolist()),
-            tuple(correction.innovation_sd.tolist()),
+            correction.innovation_sd,
             ratio,
             refused is None,
             refused or remark,
@@ -191,7 +191,7 @@ class Judge:
     def _watch_arm(
         self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation, S: FloatArray
     ) -> None:
-        gain = 1.0 - float(seen.R[0, 0] + seen.R[1, 1]) / float(S[0, 0] + S[1, 1])
+        gain = 1.0 - (seen.R.item(0, 0) + seen.R.item(1, 1)) / (S.item(0, 0) + S.item(1, 1))
         position = seen.kind is AidingKind.GNSS_POSITION
         self.arm = self.arm.after(measurement.time_ns, navigation, seen.z, S, gain=gain, position=position)
 

@@ -1,8 +1,8 @@
 """The Kalman filter's two steps, and the gate between them."""
 
-from dataclasses import dataclass
 from functools import cache
-from math import erfc, exp, isfinite, pi, sqrt
+from math import erfc, exp, inf, isfinite, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -126,11 +126,12 @@ def decay(P: FloatArray, first: int, end: int, remains: float) -> FloatArray:
     ----------
     Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6.
     """
-    after = P.copy()
-    after[first:end] *= remains
-    after[:, first:end] *= remains
-    step = len(P) + 1
-    after.reshape(-1)[first * step : end * step : step] += 1.0 - remains * remains
+    after, step = P.copy(), len(P) + 1
+    rows, columns = after[first:end], after[:, first:end]
+    diagonal = after.reshape(-1)[first * step : end * step : step]
+    rows *= remains
+    columns *= remains
+    diagonal += 1.0 - remains * remains
     return after
 
 
@@ -156,18 +157,19 @@ def resized(P: FloatArray, first: int, end: int, ratios: FloatArray) -> FloatArr
     -----
     With P_xu, P_uu the blocks of P and D = diag(ratios)::
 
-        A = P_xu P_uu^-1,  x = A u + rest  ->  A D u + rest
+        A = P_xu P_uu^-1,  x = A u + rest  ->  A D u + rest,  P+ = (I + W) P (I + W)^T  with  W = A (D - I)
     """
-    stems = np.linalg.solve(P[first:end, first:end], P[first:end]).T
+    stems = P[:, first:end].dot(inverse_of(P[first:end, first:end]))
     stems[first:end] = 0.0
-    T = np.eye(len(P))
-    T[:, first:end] += stems * (ratios - 1.0)
-    after = product(product(T, P), T.T)
-    return 0.5 * (after + after.T)
+    W = stems * (ratios - 1.0)
+    half = P + product(W, P[first:end])
+    after = half + product(half[:, first:end], W.T)
+    symmetric: FloatArray = after + after.T
+    symmetric *= 0.5
+    return symmetric
 
 
-@dataclass(frozen=True)
-class Correction:
+class Correction(NamedTuple):
     """What a measurement says about the errors: the estimate, its covariance, and how surprising it was."""
 
     x: FloatArray
@@ -180,10 +182,9 @@ class Correction:
     S_inverse: FloatArray
 
     @property
-    def innovation_sd(self) -> FloatArray:
+    def innovation_sd(self) -> tuple[float, ...]:
         """Standard deviations of z."""
-        sd: FloatArray = np.sqrt(self.S.diagonal())
-        return sd
+        return tuple(map(sqrt, self.S.diagonal().tolist()))
 
 
 def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
@@ -215,6 +216,8 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     Joseph's form keeps P symmetric and positive::
 
         S = H P H^T + R,  K = P H^T S^-1,  x = K z,  P+ = (I - K H) P (I - K H)^T + K R K^T
+
+    Its products are taken as A = P - K (H P) and A - (A H^T - K R) K^T, which are three columns wide.
     """
     PHt = P.dot(H.T)
     S = H.dot(PHt)
@@ -225,10 +228,8 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     distance2 = float(z.dot(inverse).dot(z))
     if not isfinite(distance2):
         raise FilterDiverged("an innovation is not finite")
-    A = (-K).dot(H)
-    A.reshape(-1)[:: len(P) + 1] += 1.0
-    P_after = A.dot(P).dot(A.T)
-    P_after += K.dot(R).dot(K.T)
+    half = P - K.dot(PHt.T)
+    P_after = half - (half.dot(H.T) - K.dot(R)).dot(K.T)
     P_after = P_after + P_after.T
     P_after *= 0.5
     return Correction(x, P_after, distance2, z, H, K, S, inverse)
@@ -264,4 +265,26 @@ def inverse_of(S: FloatArray) -> FloatArray:
     v31, v32 = w31 / d3, -l32 / d3
     v21, v22 = -l21 / d2 + w31 * v32, 1.0 / d2 - l32 * v32
     full = (1.0 / d1 + l21 * l21 / d2 + w31 * v31, v21, v31), (v21, v22, v32), (v31, v32, 1.0 / d3)
-    return np.array([row[:size] for row in full[:size]])
+    return np.array(full if size == 3 else [row[:size] for row in full[:size]])
+
+
+def root_of(cov: FloatArray) -> FloatArray:
+    """Cholesky's root L, L L^T = cov, of a covariance of shape (3, 3), in plain floats as well.
+
+    Raises
+    ------
+    FilterDiverged
+        It is not positive definite, or not finite.
+    """
+    (v11, _, _), (v21, v22, _), (v31, v32, v33) = cov.tolist()
+    if v11 > 0.0:
+        l11 = sqrt(v11)
+        l21, l31 = v21 / l11, v31 / l11
+        d2 = v22 - l21 * l21
+        if d2 > 0.0:
+            l22 = sqrt(d2)
+            l32 = (v32 - l31 * l21) / l22
+            d3 = v33 - l31 * l31 - l32 * l32
+            if 0.0 < d3 < inf:
+                return np.array([[l11, 0.0, 0.0], [l21, l22, 0.0], [l31, l32, sqrt(d3)]])
+    raise FilterDiverged("the covariance of a measurement is not positive definite")

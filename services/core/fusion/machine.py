@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 NUMBERS, ERRORS, LIMITS, WALKS = 55, 55, 67, 73
 BLOCK = WALKS + SIZE
 ROOM = 2 * SIZE + 9  # rows: the covariance, the next one, and what is between them
-MOMENT = Struct(f"{NUMBERS}d")
-ONE = Struct("2q6d")  # stamps of the last sample and of this one, and its readings
+MOMENT, HEAD = Struct(f"{NUMBERS}d"), Struct(f"{WALKS}d")
+pack_one = Struct("2q6d").pack_into  # stamps of the last sample and of this one, and its readings
 
 
 class Machine(Runner):
@@ -55,18 +55,22 @@ class Machine(Runner):
 
     def _load(self, start: Departure) -> None:
         moment, P, (b, d, p, q), walks, limits = start
-        MOMENT.pack_into(self._bytes, 0, *numbers_of(moment))
-        self._block[ERRORS:WALKS] = (*b, *d, *p, *q, *limits)
+        HEAD.pack_into(self._bytes, 0, *numbers_of(moment), *b, *d, *p, *q, *limits)
         self._block[WALKS:] = walks
         self._P[:SIZE] = P
 
     def _unload(self) -> tuple[Moment, FloatArray]:
         return moment_of(MOMENT.unpack_from(self._bytes)), self._P[:SIZE].copy()
 
-    def _taken(self, time_ns: int, force: Vector, rate: Vector, checked: bool) -> bool:
-        ONE.pack_into(self._one_bytes, 0, self.last_ns, time_ns, *force, *rate)
-        failed = self._take_checked() if checked else self._take_usual()
-        return not failed and self._code.result.value > 0
+    def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
+        """Take one more sample, as `Runner.take` does."""
+        if time_ns > self._until_ns or not (checked or self._comparable):
+            return False
+        pack_one(self._one_bytes, 0, self.last_ns, time_ns, *force, *rate)
+        if not (self._take_checked() if checked else self._take_usual()):
+            return False
+        self.last_ns, self._comparable = time_ns, True
+        return True
 
 
 def three(numbers: Any, place: int) -> Any:

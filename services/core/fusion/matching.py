@@ -101,7 +101,7 @@ class Match(NamedTuple):
         The velocity reached so far is left as it is: a new heading turns what is gained from now on.
         """
         w = rect(1.0, turn)
-        return self._replace(a=w * self.a, ag=w.conjugate() * self.ag)
+        return self._replace(a=w * self.a, ag=w.conjugate() * self.ag) if self.n else self
 
     def result(self, offset_sd: float) -> tuple[float, float]:
         """Turn from the inertial frame to NED and its standard deviation [rad]; infinite while nothing is known.
@@ -192,8 +192,9 @@ class Comparison(NamedTuple):
 
     def turned(self, turn: float) -> "Comparison":
         """See past accelerations from a frame in which they appear turned by an angle [rad]."""
-        chords = self.chords._replace(match=self.chords.match.turned(turn))
-        return self._replace(velocities=self.velocities.turned(turn), chords=chords)
+        match, time_ns, position, inertial = self.chords
+        chords = Chords(match.turned(turn), time_ns, position, inertial)
+        return Comparison(self.velocities.turned(turn), chords, self.source, self.offset_sd, self.wrong_ns)
 
     def interrupted(self) -> "Comparison":
         """Go on with another account of the inertial velocity, which differs from the last by a constant."""
@@ -224,7 +225,7 @@ class Corrections(NamedTuple):
     def at(self, time_ns: int) -> "Corrections":
         """Carry on to an instant, with a tilt that is undone all the time."""
         span_s = (time_ns - self.time_ns) * 1e-9 if self.time_ns else 0.0
-        return self._replace(time_ns=time_ns, velocity=self.velocity + span_s * self.lean)
+        return Corrections(time_ns, self.velocity + span_s * self.lean, self.lean, self.yaw)
 
     def after(self, time_ns: int, x: Sequence[float]) -> "Corrections":
         """Take in what was estimated of the errors of attitude [rad, NED] and velocity [m/s, NED], in this order."""

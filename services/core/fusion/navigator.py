@@ -256,11 +256,11 @@ class Navigator:
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is none to be believed."""
-        return solution_of(self._delayed.engine, self._bounds)
+        return solution_of(self._delayed.seen, self._bounds)
 
     def foresee(self) -> None:
         """Do now what the next solution needs and can be done before its sample."""
-        engine = self._delayed.engine
+        engine = self._delayed.seen
         if engine.filter is not None:
             self._bounds.of(engine.filter, engine.aids.watch)
 

@@ -92,9 +92,12 @@ def circle_factor(ratio: float, risk: float) -> float:
         [-] From `line_factor` for a line to sqrt(-2 ln risk) for a circle; interpolated, which is
         never too little, and too much by 0.003 at most.
     """
+    return _interpolated(_factors(risk), ratio)
+
+
+def _interpolated(table: tuple[float, ...], ratio: float) -> float:
     place = ratio * STEPS
     k = min(int(place), STEPS - 1)
-    table = _factors(risk)
     return table[k] + (place - k) * (table[k + 1] - table[k])
 
 
@@ -120,16 +123,28 @@ def _where(tail: Callable[[float], float], probability: float, low: float, high:
 
 def horizontal_level(nn: float, ne: float, ee: float, risk: float) -> float:
     """Radius [m] of the circle that holds a horizontal error of a covariance [m²] but for a probability."""
+    major, ratio = _ellipse(nn, ne, ee)
+    return major * circle_factor(ratio, risk)
+
+
+def _ellipse(nn: float, ne: float, ee: float) -> tuple[float, float]:
+    """Larger standard deviation [m] of a covariance, and the ratio of the smaller to it."""
     middle, spread = 0.5 * (nn + ee), hypot(0.5 * (nn - ee), ne)
     major2 = middle + spread
-    if major2 <= 0.0:
-        return 0.0
-    return sqrt(major2) * circle_factor(sqrt(max(middle - spread, 0.0) / major2), risk)
+    return (sqrt(major2), sqrt(max(middle - spread, 0.0) / major2)) if major2 > 0.0 else (0.0, 0.0)
 
 
 def vertical_level(variance: float, risk: float) -> float:
     """Half height [m] that holds a vertical error of a variance [m²] but for a probability."""
     return sqrt(max(variance, 0.0)) * line_factor(risk)
+
+
+@lru_cache(maxsize=64)
+def _split(risk: float) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+    """Tables of factors without and with a fault, for every share of the risk."""
+    return tuple(
+        (_factors(share * risk), _factors(min(1.0, (1.0 - share) * risk / FAULT_PROBABILITY))) for share in SPLITS
+    )
 
 
 def horizontal_level_with_fault(cov: tuple[float, float, float], fault: float, risk: float) -> float:
@@ -143,12 +158,12 @@ def horizontal_level_with_fault(cov: tuple[float, float, float], fault: float, r
 
     is enough, and so is the least of some.
     """
+    major, ratio = _ellipse(*cov)
     return min(
-        max(
-            horizontal_level(*cov, share * risk),
-            fault + horizontal_level(*cov, min(1.0, (1.0 - share) * risk / FAULT_PROBABILITY)),
-        )
-        for share in SPLITS
+        [
+            max(major * _interpolated(without, ratio), fault + major * _interpolated(with_one, ratio))
+            for without, with_one in _split(risk)
+        ]
     )
 
 

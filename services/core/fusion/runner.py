@@ -53,14 +53,24 @@ class Runner:
         """
         if time_ns > self._until_ns or not (checked or self._comparable):
             return False
-        if not self._taken(time_ns, force, rate, checked):
+        moment, P, errors, walks, limits = self._state
+        if not (checked or usual((force, rate), moment[3])):
             return False
+        taken, moment, P = run(moment, P, (self.last_ns, time_ns), ((*force, *rate),), errors, walks, limits)
+        if not taken:
+            return False
+        self._state = moment, P, errors, walks, limits
         self.last_ns, self._comparable = time_ns, True
         return True
 
     def end(self) -> None:
-        """Bring the engine to where this is."""
-        engine, self.engine = self.engine, None
+        """Bring the engine to where this is, and leave it to others."""
+        self.show()
+        self.engine = None
+
+    def show(self) -> None:
+        """Bring the engine to where this is; it must stay there until more samples are taken."""
+        engine = self.engine
         if engine is not None and engine.last is not None and engine.last.time_ns != self.last_ns:
             moment, P = self._unload()
             force, rate = moment[3]
@@ -71,11 +81,3 @@ class Runner:
 
     def _unload(self) -> tuple[Moment, FloatArray]:
         return self._state[0], self._state[1]
-
-    def _taken(self, time_ns: int, force: Vector, rate: Vector, checked: bool) -> bool:
-        moment, P, errors, walks, limits = self._state
-        if not (checked or usual((force, rate), moment[3])):
-            return False
-        taken, moment, P = run(moment, P, (self.last_ns, time_ns), ((*force, *rate),), errors, walks, limits)
-        self._state = moment, P, errors, walks, limits
-        return taken > 0

@@ -187,7 +187,7 @@ def filter_that_trusts_lasting_errors() -> ErrorStateFilter:
     inside = run(Fault(0.0)).navigator._delayed.engine.filter
     assert inside is not None
     evidence = UNKNOWN.evidence.copy()
-    evidence[HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0
+    evidence[:, HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0
     twin, P = inside.fork(), inside.P.copy()
     twin.colour = replace(UNKNOWN, evidence=evidence)
     twin.parameters = tuple(0.0 for _ in twin.parameters)
