@@ -95,7 +95,8 @@ def test_a_mounting_is_estimated_and_makes_long_outages_far_better(tmp_path: Pat
     drive = imported("navmatlab_car", recording("navmatlab_car"), tmp_path)
     free, nhc = (solved(drive, aiding, "60/180@240") for aiding in (Aiding.FREE, Aiding.NHC))
     assert nhc["outage_count"] == free["outage_count"] == 4
-    assert nhc["outage_largest_error_rms_m"] < 0.4 * free["outage_largest_error_rms_m"]
+    assert nhc["outage_largest_error_rms_m"] < 0.5 * free["outage_largest_error_rms_m"]
+    assert nhc["outage_largest_error_rms_m"] <= 28.0, "the goal; the best peer has 28.5 m, with the mounting given"
     with (drive.parent / "solution-nhc-60-180@240" / "outages.csv").open(newline="") as file:
         assert [float(row["start_s"]) for row in csv.DictReader(file)] == [240.0, 420.0, 600.0, 780.0]
     report = (drive.parent / "solution-nhc-60-180@240" / "report.html").read_text()

@@ -82,7 +82,10 @@ class Settings(Section):
     )
     odometer_sd_m_s: float = Field(default=0.05, gt=0.0, description="of a speed, apart from its resolution")
     odometer_scale_sd: float = Field(default=0.02, gt=0.0, description="of the scale at switch-on, which is estimated")
-    non_holonomic_sd_m_s: float = Field(default=0.1, gt=0.0, description="of sideways and vertical speed")
+    non_holonomic_sd_m_s: float = Field(default=0.05, gt=0.0, description="of sideways speed, apart from slip in bends")
+    non_holonomic_vertical_sd_m_s: float = Field(
+        default=0.1, gt=0.0, description="of vertical speed: on its springs a body pitches and heaves"
+    )
     mounting_sd_rad: float = Field(
         default=radians(3.0), gt=0.0, description="of the IMU against the vehicle: pitch and yaw, which are estimated"
     )

@@ -97,16 +97,17 @@ class NonHolonomic:
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Hold two zeros against the velocity of the rear axle, right and down.
 
-        In bends tyres slip by an angle that is proportional to the acceleration, and an unknown arm swings. These
-        errors, as those of springs and camber, last; ten of them in their correlation time count as one.
+        In bends tyres slip by an angle that is proportional to the acceleration, and an unknown arm swings; straight on
+        they give way less than springs, on which a body pitches and heaves. These errors, as those of camber, last; ten
+        of them in their correlation time count as one.
         """
         ahead, H = _axle(navigation, self.settings)
         turn = abs(navigation.rate[2])
-        sd = self.settings.non_holonomic_sd_m_s
+        sd, vertical_sd = self.settings.non_holonomic_sd_m_s, self.settings.non_holonomic_vertical_sd_m_s
         repeated = CORRELATION_S / PERIOD_S
         arm_sd = UNKNOWN_ARM_SD if self.settings.rear_axle_body_m is None else 0.0
         sideways = sd**2 + (SLIP * float(ahead[0]) ** 2 * turn) ** 2 + (arm_sd * turn) ** 2
-        return Observation(AidingKind.NON_HOLONOMIC, -ahead[1:], H[1:], repeated * np.diag([sideways, sd**2]))
+        return Observation(AidingKind.NON_HOLONOMIC, -ahead[1:], H[1:], repeated * np.diag([sideways, vertical_sd**2]))
 
 
 def _axle(navigation: ErrorStateFilter, settings: Settings) -> tuple[FloatArray, FloatArray]:

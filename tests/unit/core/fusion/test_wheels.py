@@ -17,7 +17,7 @@ from services.core.fusion.judging import Judge
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.stationary import QUIET_S, SMOOTHING_S, UNSETTLED, at_rest
-from services.core.fusion.wheels import WheelSpeed
+from services.core.fusion.wheels import NonHolonomic, WheelSpeed
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
@@ -114,6 +114,19 @@ def test_neither_aid_is_used_if_the_settings_say_so() -> None:
     assert filter_of(made).parameters[:3] == (0.0, 0.0, 0.0)
     cross = filter_of(made).P[em.VEHICLE, :15]
     assert not cross.any(), "what is not measured does not touch the other fifteen states"
+
+
+def test_springs_give_way_more_than_tyres_do_but_in_bends() -> None:
+    """Straight on, the two standard deviations count; a bend at 10 m/s adds slip sideways, and nothing vertically."""
+    settings = Settings.model_validate({"rear_axle_body_m": ARM_B})
+    twin = backing(-10.0, 0.1)
+    twin.rate = (0.0, 0.0, 0.0)
+    straight = NonHolonomic(0, settings).observe(twin).R
+    assert np.diagonal(straight).tolist() == pytest.approx([10.0 * 0.05**2, 10.0 * 0.1**2])
+    twin.rate = (0.0, 0.0, 0.2)
+    bend = NonHolonomic(0, settings).observe(twin).R
+    assert bend[0, 0] == pytest.approx(10.0 * (0.05**2 + (0.006 * 10.0**2 * 0.2) ** 2), rel=0.01)
+    assert bend[1, 1] == straight[1, 1]
 
 
 def test_spinning_wheels_are_not_believed() -> None:
