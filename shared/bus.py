@@ -93,8 +93,7 @@ class Bus:
         """Send a message on the topic of its type, at once or with the next `flush` or `receive`."""
         topic = BY_MESSAGE[type(message)]
         payload, properties = codec.encode(message)
-        name = codec.topic_name(message, topic) if topic.per_process else topic.name
-        self._gather(name, payload, properties, topic)
+        self._gather(codec.topic_name(message, topic), payload, properties, topic)
         if at_once or self._client.gathered_bytes > GATHERED_BYTES:
             self.flush()
 

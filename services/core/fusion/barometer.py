@@ -63,11 +63,11 @@ class BarometricHeight:
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
         """Hold it against the height of the filter plus the offset."""
-        z = self.height - navigation.inertial.position.height - navigation.parameter(em.BAROMETER_OFFSET)
+        z = self.height - navigation.position.height - navigation.parameter(em.BAROMETER_OFFSET)
         H = np.zeros((1, em.SIZE))
         H[0, em.POSITION.stop - 1] = 1.0  # down is positive in the error, up in the height
         H[0, em.BAROMETER_OFFSET] = -1.0
-        north, east, _ = navigation.inertial.velocity
+        north, east, _ = navigation.velocity
         wind = WIND * (north * north + east * east) * CORRELATION_S**0.5
         return Observation(
             AidingKind.BAROMETRIC_HEIGHT, np.array([z]), H, np.array([[hypot(self.settings.barometer_sd_m, wind) ** 2]])

@@ -45,7 +45,7 @@ class BaselineHeading:
 
             (d_N^2 + d_E^2) dh = (psi_D (d_N^2 + d_E^2) - d_D (psi_N d_N + psi_E d_E))
         """
-        north, east, down = self._direction(navigation.inertial.quaternion)
+        north, east, down = self._direction(navigation.quaternion)
         z = wrap_angle(self.heading - atan2(east, north))
         level2 = north * north + east * east
         H = np.zeros((1, em.SIZE))

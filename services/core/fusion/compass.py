@@ -76,7 +76,7 @@ class MagneticHeading:
 
     def error(self, navigation: ErrorStateFilter) -> float:
         """Magnetic heading minus that of the filter [rad]: the field, turned by the attitude, points off north."""
-        north, east, _ = rotate(navigation.inertial.quaternion, self.field_b)
+        north, east, _ = rotate(navigation.quaternion, self.field_b)
         return wrap_angle(self.declination - atan2(east, north))
 
     @property

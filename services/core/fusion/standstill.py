@@ -46,7 +46,7 @@ class Standstill:
         """
         H = np.zeros((3, em.SIZE))
         H[:, em.GYROSCOPE_BIAS] = np.eye(3)
-        earth_n = np.array(earth_rate_n(navigation.inertial.position.latitude))
+        earth_n = np.array(earth_rate_n(navigation.position.latitude))
         z = np.array(self.rate) - navigation.ned_from_body.T @ earth_n
         variance = max(self.rate_sd, RATE_SD) ** 2 + 2.0 * REST_RATE_SD**2 * SETTLING_S / PERIOD_S
         return Observation(AidingKind.ZERO_ANGULAR_RATE, z, H, variance * np.eye(3))
@@ -56,5 +56,5 @@ def observe_zero_velocity(navigation: ErrorStateFilter) -> Observation:
     """Hold v = 0 against the filter: z = -v, H = -I on the velocity."""
     H = np.zeros((3, em.SIZE))
     H[:, em.VELOCITY] = -np.eye(3)
-    z = -np.array(navigation.inertial.velocity)
+    z = -np.array(navigation.velocity)
     return Observation(AidingKind.ZERO_VELOCITY, z, H, VELOCITY_SD**2 * np.eye(3))

@@ -114,6 +114,6 @@ def _axle(navigation: ErrorStateFilter, settings: Settings) -> tuple[FloatArray,
     """Velocity of the rear axle [m/s, vehicle], and the matrix of its errors; the Earth's rate times l is left out."""
     arm: Vector = settings.rear_axle_body_m or (0.0, 0.0, 0.0)
     C, M = navigation.ned_from_body, navigation.vehicle_from_body
-    velocity, (x, y, z), (a, b, c) = navigation.inertial.velocity, navigation.rate, arm
+    velocity, (x, y, z), (a, b, c) = navigation.velocity, navigation.rate, arm
     axle_b = C.T @ np.array(velocity) + np.array([y * c - z * b, z * a - x * c, x * b - y * a])
     return M @ axle_b, em.axle_velocity_matrix(arm, velocity, axle_b, C, M)
