@@ -6,6 +6,7 @@ from pydantic import ValidationError
 
 from .errors import BadPayload
 from .messages import Message, RawBytes
+from .messages.base import DEVICE_NAME_LENGTH, LARGEST_NS
 from .topics import BY_MESSAGE, Topic, topic_of
 
 MAXIMUM_PAYLOAD = 1 << 20  # a hostile sender shall not fill the memory
@@ -38,7 +39,9 @@ def decode(name: str, payload: bytes, properties: Mapping[str, str]) -> Message:
     try:
         if topic.is_raw:
             stamp, source = int(properties["received_ns"]), properties["source"]
-            return topic.message(received_ns=stamp, source=source, data=payload)  # type: ignore[call-arg]
+            if not -LARGEST_NS <= stamp < LARGEST_NS or len(source) > DEVICE_NAME_LENGTH:
+                raise ValueError(f"received at {stamp:.3g} from a device of {len(source)} letters")
+            return topic.message.unchecked(received_ns=stamp, source=source, data=payload)
         message: Message = topic.message.__pydantic_validator__.validate_json(payload)
     except KeyError as error:
         raise BadPayload(f"{name} without the user property {error}") from error

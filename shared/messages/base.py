@@ -1,6 +1,6 @@
 """What every message on the bus has in common."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,10 +15,12 @@ Speed = Annotated[float, Field(ge=-1e7, le=1e7)]
 Deviation = Annotated[float, Field(ge=0.0, le=1e9)]
 Velocity3 = tuple[Speed, Speed, Speed]
 Deviation3 = tuple[Deviation, Deviation, Deviation]
-Nanoseconds = Annotated[int, Field(ge=-(2**63), lt=2**63)]
+LARGEST_NS = 2**63
+Nanoseconds = Annotated[int, Field(ge=-LARGEST_NS, lt=LARGEST_NS)]
 Name = Annotated[str, Field(max_length=64)]
 # Parsers append what they read it from, such as "/nmea", and the result is a `Name`.
-DeviceName = Annotated[str, Field(max_length=48)]
+DEVICE_NAME_LENGTH = 48
+DeviceName = Annotated[str, Field(max_length=DEVICE_NAME_LENGTH)]
 Reason = Annotated[str, Field(max_length=400)]
 
 
@@ -26,6 +28,21 @@ class Message(BaseModel):
     """A frozen, strictly typed record; unknown fields of a newer producer are ignored."""
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False, extra="ignore")
+
+    @classmethod
+    def unchecked(cls, **fields: object) -> Self:
+        """Make a message of all its fields, for a maker that has checked them; whoever receives it validates it anyway.
+
+        Validation is cheap in a loop, but takes 20 to 50 us where it comes once in 10 ms and finds cold caches.
+        """
+        message = cls.__new__(cls)
+        message.__setstate__({
+            "__dict__": fields,
+            "__pydantic_fields_set__": set(fields),
+            "__pydantic_extra__": None,
+            "__pydantic_private__": None,
+        })  # fmt: skip
+        return message
 
 
 class Stamped(Message):

@@ -3,12 +3,14 @@
 import contextlib
 import select
 import socket
+import struct
 import time
 from collections.abc import Iterable, Iterator
 
 from .framing import Framer
 
 READ_BYTES = 65_536
+PATIENCE_S = 0.1  # of one read that waits by itself
 MOST_READS = 64  # in one go: a broker that sends without end shall not keep us from everything else
 UNSENT_BYTES = 4_194_304  # beyond them a broker that goes on talking and does not read is let go
 FAREWELL_S = 0.2
@@ -25,7 +27,11 @@ class Connection:
         self._socket = socket.create_connection((host, port), patience_s)
         # Without it bursts of small messages wait for the peer's delayed acknowledgement: 20 to 40 ms.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.setblocking(False)
+        self._socket.setblocking(True)  # reads by themselves give up after a while, writes are told not to wait
+        seconds, rest = divmod(PATIENCE_S, 1)
+        self._socket.setsockopt(
+            socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", int(seconds), int(rest * 1e6))
+        )
         self._framer = Framer(packet_bytes)
         self._unsent = bytearray()
         self.blocked = False  # the broker reads slower than we write
@@ -47,7 +53,7 @@ class Connection:
         if not self._unsent:
             return
         try:
-            sent = self._socket.send(self._unsent)
+            sent = self._socket.send(self._unsent, socket.MSG_DONTWAIT)
         except BlockingIOError:
             sent = 0
         except OSError as error:
@@ -58,7 +64,12 @@ class Connection:
         self.blocked = bool(self._unsent)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the broker's word, and write on when it reads again; say whether there is something to read."""
+        """Wait for the broker's word, and write on when it reads again; say whether to read now.
+
+        Where there is time, reading is the wait: that saves a call between the broker's word and its reader.
+        """
+        if timeout_s >= PATIENCE_S and not self.blocked:
+            return True
         writers = [self._socket] if self.blocked else []
         readable, writable, _ = select.select([self._socket], writers, [], timeout_s)
         if writable:
@@ -75,12 +86,12 @@ class Connection:
             yield from self._framer.feed(data)
             if len(data) < READ_BYTES:
                 return
-            data = self._recv()
+            data = self._recv(socket.MSG_DONTWAIT)
 
-    def _recv(self) -> bytes:
+    def _recv(self, flags: int = 0) -> bytes:
         """Read once; nothing if nothing is there."""
         try:
-            data = self._socket.recv(READ_BYTES)
+            data = self._socket.recv(READ_BYTES, flags)
         except BlockingIOError:
             return b""
         except OSError as error:

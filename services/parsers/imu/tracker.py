@@ -17,6 +17,7 @@ COUNTER_WRAP = 1 << 16
 LOST_AT_MOST = 1000  # a larger gap is a tracker that restarted
 STRONGEST_M_S2 = 1000.0  # the widest ranges for sale are 16 to 50 g
 FASTEST_RAD_S = 100.0  # ... and 2000 to 4000 deg/s
+STRONGEST_FIELD = 1000.0  # times that of the Earth
 CELSIUS_K = 273.15
 INERTIAL = frozenset((xbus.ACCELERATION, xbus.RATE_OF_TURN, xbus.DELTA_V, xbus.DELTA_Q))
 
@@ -106,10 +107,13 @@ class Tracker:
         newest, self._newest = self._newest, {}
         temperature, pressure = newest.get(xbus.TEMPERATURE), newest.get(xbus.BARO_PRESSURE)
         field_sensor = newest.get(xbus.MAGNETIC_FIELD)
-        if field_sensor is not None and not all(map(math.isfinite, field_sensor)):
-            self._rejects["not_finite"] += 1
-            field_sensor = None
-        return ImuSamples(
+        if field_sensor is not None:
+            try:
+                check(field_sensor, STRONGEST_FIELD)
+            except SampleError as fault:
+                self._rejects[str(fault)] += 1
+                field_sensor = None
+        return ImuSamples.unchecked(
             received_ns=received_ns,
             source=self._source,
             sampled_ns=self._clock.stamp_all(batch.device_ns, received_ns),

@@ -1,10 +1,26 @@
 """The offline runtime: every consumer is fed, in order, with ticks between."""
 
+import itertools
+
 import pytest
 
+from services.sensors.simulator.scenarios import BY_NAME
+from services.sensors.simulator.world import Equipment, World
 from shared import offline
 from shared.config import parse_vehicle
-from shared.messages import FixType, GnssFix, Message, NavigationState, Tick
+from shared.messages import (
+    CanRaw,
+    FixType,
+    GnssFix,
+    GnssRaw,
+    ImuRaw,
+    ImuSamples,
+    Message,
+    NavigationSolution,
+    NavigationState,
+    Tick,
+    TruthState,
+)
 from shared.messages.navigation import NavigationPhase
 from shared.offline import OfflineUnit
 
@@ -55,6 +71,17 @@ def test_time_passes_once_a_second_before_what_comes_later(echoes: dict[str, Ech
     list(OfflineUnit(parse_vehicle(""), ["core.fusion"]).run([fix(10**9 - 1), fix(10**9 + 5), fix(5 * 10**9)]))
     kinds = [m.now_ns if isinstance(m, Tick) else type(m) for m in echoes["core.fusion"].given]
     assert kinds == [GnssFix, 10**9, GnssFix, 5 * 10**9, GnssFix]
+
+
+def test_what_is_said_unchecked_passes_every_check() -> None:
+    """Makers on the way of an inertial sample validate nothing: their messages must be as if they did."""
+    world = World(BY_NAME["urban"], 1, 10**18, Equipment())
+    driven = (message for _, message in itertools.islice(world, 4000) if not isinstance(message, TruthState))
+    kinds = set()
+    for message in OfflineUnit(parse_vehicle("")).run(driven):
+        assert type(message).model_validate(message.model_dump()) == message
+        kinds.add(type(message))
+    assert {ImuRaw, GnssRaw, CanRaw, ImuSamples, NavigationSolution} <= kinds
 
 
 def test_only_layers_two_to_four_are_made(echoes: dict[str, Echo]) -> None:

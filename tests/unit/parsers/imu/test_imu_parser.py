@@ -157,6 +157,16 @@ def test_a_bad_sample_is_counted_and_its_neighbours_are_kept(fields: dict[int, t
     assert process.rejects == {kind: 1}
 
 
+@pytest.mark.parametrize(("field", "kind"), [((math.nan, 0, 0), "not_finite"), ((1e308, 1e308, 0), "absurd")])
+def test_a_bad_magnetic_field_is_counted_and_the_sample_is_kept(field: tuple[float, ...], kind: str) -> None:
+    process = Process(Config())
+    double = 3  # the number format, for what is beyond single precision
+    fields = {key | double * (key == xbus.MAGNETIC_FIELD): v for key, v in {**FLAT, xbus.MAGNETIC_FIELD: field}.items()}
+    (message,) = feed(process, frame(1, fields))
+    assert message.magnetic_field_body is None
+    assert process.rejects == {kind: 1}
+
+
 def test_a_sample_without_a_time_and_one_that_is_repeated_are_counted() -> None:
     process = Process(Config())
     untimed = xbus.encode_mtdata2({kind: xbus.encode_field(kind, *values) for kind, values in FLAT.items()})
