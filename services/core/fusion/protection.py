@@ -9,15 +9,18 @@ one wrong fix can have done without the gate seeing it. docs/explanation/protect
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from math import erfc, exp, hypot, isfinite, log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from shared.maths.rotation import Vector
 
 from .watch import Watch
+
+FloatArray = npt.NDArray[np.float64]
 
 NODES = 64  # of the mean over a quarter turn
 COSINES2 = np.cos((np.arange(NODES) + 0.5) * (pi / (2 * NODES))) ** 2
@@ -27,6 +30,7 @@ FAULT_PROBABILITY = 0.01  # that one fix is wrong by as much as the gate lets pa
 OUTAGE_FACTOR = 3.0  # [-] on the variance that an outage adds, for errors of sensors that no state stands for
 OUTAGE_S = 10.0  # time in which these have come to bear
 LARGEST_M = 1e9
+NEAR = 1e-9  # standard deviations, by which a factor may be too large
 
 
 class Levels(NamedTuple):
@@ -37,26 +41,26 @@ class Levels(NamedTuple):
     risk: float
 
 
-def probability_outside(radius: float, sd_major: float, sd_minor: float) -> float:
+def probability_outside(radius: FloatArray, sd_minor: FloatArray) -> FloatArray:
     """Find the probability that a normal pair lies outside a circle about its mean.
 
     Parameters
     ----------
-    radius : float
-        [m] Of the circle.
-    sd_major, sd_minor : float
-        [m] Standard deviations along the axes of the pair's ellipse; the first is not zero.
+    radius : ndarray, shape (n,)
+        [-] Of circles, over the larger standard deviation along the axes of the pair's ellipse.
+    sd_minor : ndarray, shape (n,)
+        [-] The smaller one over it; not zero.
 
     Returns
     -------
-    float
-        [-] To a millionth of itself for an ellipse that is not narrower than 1 to `STEPS`, or is a line.
+    ndarray, shape (n,)
+        [-] To a millionth of itself for an ellipse that is not narrower than 1 to `STEPS`.
 
     Notes
     -----
-    With x = a ρ cos φ and y = b ρ sin φ, ρ is Rayleigh's and φ even, so that the tail in each direction is closed::
+    With x = ρ cos φ and y = b ρ sin φ, ρ is Rayleigh's and φ even, so that the tail in each direction is closed::
 
-        P = 2/π ∫₀^{π/2} exp( -R² / (2 (a² cos² φ + b² sin² φ)) ) dφ
+        P = 2/π ∫₀^{π/2} exp( -R² / (2 (cos² φ + b² sin² φ)) ) dφ
 
     Midpoints give the integral of a smooth periodic function fast.
 
@@ -64,10 +68,9 @@ def probability_outside(radius: float, sd_major: float, sd_minor: float) -> floa
     ----------
     R. S. Hoyt, "Probability functions for the modulus of the angular vector", Bell System Technical Journal 26, 1947.
     """
-    if sd_minor <= 0.0:
-        return erfc(radius / (sd_major * sqrt(2.0)))
-    a2, b2, half = sd_major**2, sd_minor**2, 0.5 * radius**2
-    return float(np.exp(-half / (b2 + (a2 - b2) * COSINES2)).mean())
+    b2, half = (sd_minor**2)[:, np.newaxis], (0.5 * radius**2)[:, np.newaxis]
+    mean: FloatArray = np.exp(-half / (b2 + (1.0 - b2) * COSINES2)).mean(axis=1)
+    return mean
 
 
 @lru_cache(maxsize=64)
@@ -105,15 +108,16 @@ def _interpolated(table: tuple[float, ...], ratio: float) -> float:
 def _factors(risk: float) -> tuple[float, ...]:
     if risk >= 1.0:
         return (0.0,) * (STEPS + 1)
-    low, high = line_factor(risk), sqrt(-2.0 * log(risk))
-    found = [low]
-    for k in range(1, STEPS):
-        tail = partial(probability_outside, sd_major=1.0, sd_minor=k / STEPS)
-        found.append(_where(tail, risk, found[-1], high))
-    return (*found, high)
+    line, circle, sd_minor = line_factor(risk), sqrt(-2.0 * log(risk)), np.arange(1, STEPS) / STEPS
+    low, high = np.full(STEPS - 1, line), np.full(STEPS - 1, circle)
+    while high[0] - low[0] > NEAR:  # as `_where` does it, but of all at once: a process waits for its first levels
+        middle = 0.5 * (low + high)
+        farther = probability_outside(middle, sd_minor) > risk
+        low, high = np.where(farther, middle, low), np.where(farther, high, middle)
+    return (line, *high.tolist(), circle)
 
 
-def _where(tail: Callable[[float], float], probability: float, low: float, high: float, near: float = 1e-9) -> float:
+def _where(tail: Callable[[float], float], probability: float, low: float, high: float, near: float = NEAR) -> float:
     """Find where a tail has fallen to a probability, on the safe side by as much as is `near`."""
     while high - low > near:
         middle = 0.5 * (low + high)

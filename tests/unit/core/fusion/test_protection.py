@@ -47,9 +47,8 @@ def outside_by_integration(radius: float, sd_major: float, sd_minor: float) -> f
 @pytest.mark.parametrize("sd_minor", [1.0, 0.7, 0.3, 0.1, 1.0 / 32.0])
 @pytest.mark.parametrize("radius", [0.5, 2.0, 3.7, 5.5])
 def test_the_probability_outside_a_circle_is_that_of_the_integral(radius: float, sd_minor: float) -> None:
-    assert probability_outside(radius, 1.0, sd_minor) == pytest.approx(
-        outside_by_integration(radius, 1.0, sd_minor), rel=1e-6
-    )
+    found = probability_outside(np.array([radius]), np.array([sd_minor]))
+    assert found == pytest.approx(outside_by_integration(radius, 1.0, sd_minor), rel=1e-6)
 
 
 def test_the_limits_are_rayleigh_and_normal() -> None:
