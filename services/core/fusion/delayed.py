@@ -15,7 +15,7 @@ from shared.maths.rotation import Vector
 from .aiding import Measurement, Outcome
 from .engine import Engine
 from .heading import Prior
-from .runner import Runner
+from .runner import Kept, Runner
 from .samples import Sample
 from .settings import Settings
 from .stretch import Stretch
@@ -41,7 +41,7 @@ class DelayedEngine:
         self.settled = Engine(settings)  # the estimator without ordinary samples that the runner is ahead by
         self._horizon_ns = int(settings.history_s * 1e9)
         self._samples: deque[Newest] = deque()
-        self._copies: deque[tuple[int, Engine]] = deque()  # (stamp, engine after the sample of this stamp)
+        self._copies: deque[Kept] = deque()  # engines after a sample
         self._measurements: list[Measurement] = []  # of the horizon and of the future
         self._fresh = 0  # samples since the newest copy
         self._timing = Timing(settings)
@@ -89,7 +89,7 @@ class DelayedEngine:
 
     def remember(self, prior: Prior) -> None:
         """Take a saved position and heading, now and wherever a late measurement may lead back to."""
-        for engine in (self.engine, *(copy for _, copy in self._copies)):
+        for engine in (self.engine, *(copy.engine for copy in self._copies)):
             engine.remember(prior)
 
     def leave(self, trail: Trail) -> None:
@@ -147,13 +147,13 @@ class DelayedEngine:
         return []
 
     def _go_back_for(self, measurement: Measurement) -> list[Outcome]:
-        if self._copies[0][0] >= measurement.time_ns:
+        if self._copies[0].time_ns >= measurement.time_ns:
             raise LookupError("older than the memory")
-        while self._copies[-1][0] >= measurement.time_ns:
+        while self._copies[-1].time_ns >= measurement.time_ns:
             self._copies.pop()
-        stamp, kept = self._copies[-1]
+        stamp = self._copies[-1].time_ns
         insort(self._measurements, measurement, key=order)
-        self.settled = kept.fork()
+        self.settled = self._copies[-1].restored()
         if self.settled.trail is not None:
             self.settled.trail.rewind(stamp)
         self._fresh = 0
@@ -167,7 +167,7 @@ class DelayedEngine:
             outcomes += stretch.through(self.settled, here, stop)
             self._fresh = stop - here
             if self._fresh >= KEPT_EVERY:
-                self._copies.append((again[stop - 1][0], self.settled.fork()))
+                self._copies.append(Kept(again[stop - 1][0], self.settled.fork()))
                 self._fresh = 0
         news = measurement.time_ns, measurement.source, type(measurement)
         return [o for o in outcomes if (o.time_ns, o.source, o.measurement) == news]
@@ -181,17 +181,18 @@ class DelayedEngine:
 
     def _keep(self, stamp: int) -> None:
         """Keep a copy, and forget what is beyond the horizon."""
-        self._copies.append((stamp, self.seen.fork()))
+        ahead = self._runner.engine is not None
+        self._copies.append(self._runner.keep() if ahead else Kept(stamp, self.settled.fork()))
         self._fresh = 0
         oldest = stamp - self._horizon_ns
-        while len(self._copies) > 1 and (self._copies[1][0] <= oldest or len(self._copies) > COPIES):
+        while len(self._copies) > 1 and (self._copies[1].time_ns <= oldest or len(self._copies) > COPIES):
             self._copies.popleft()
-        begin, samples = self._copies[0][0], self._samples
+        begin, samples = self._copies[0].time_ns, self._samples
         while samples and samples[0][0] <= begin:
             samples.popleft()
         while self._measurements and self._measurements[0].time_ns <= begin:
             self._measurements.pop(0)
-        if begin <= oldest:
-            news = self._timing.learn(stamp, self._copies[0][1].filter)
+        if begin <= oldest and self._settings.estimate_delays:
+            news = self._timing.learn(stamp, self._copies[0].restored().filter)
             if news is not None:
                 insort(self._measurements, news, key=order)

@@ -1,5 +1,6 @@
 """The loop over ordinary samples where it is machine code, which wants numbers side by side at an address."""
 
+from collections.abc import Callable
 from struct import Struct
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +61,11 @@ class Machine(Runner):
         self._P[:SIZE] = P
 
     def _unload(self) -> tuple[Moment, FloatArray]:
-        return moment_of(MOMENT.unpack_from(self._bytes)), self._P[:SIZE].copy()
+        return self._later()()
+
+    def _later(self) -> Callable[[], tuple[Moment, FloatArray]]:
+        numbers, P = self._bytes[: MOMENT.size].tobytes(), self._P[:SIZE].copy()
+        return lambda: (moment_of(MOMENT.unpack(numbers)), P)
 
     def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
         """Take one more sample, as `Runner.take` does."""

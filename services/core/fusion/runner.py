@@ -4,7 +4,8 @@ What it knows stays with it until somebody wants to see it, or a sample comes th
 engine is brought to where it is.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 from shared.maths.rotation import Vector
 
@@ -15,6 +16,22 @@ from .sampling import usual
 
 if TYPE_CHECKING:
     from .engine import Engine
+
+
+class Kept(NamedTuple):
+    """A copy of an engine; or one of an earlier time, and what ordinary samples have led to since."""
+
+    time_ns: int
+    engine: "Engine"
+    since: Callable[[], tuple[Moment, FloatArray]] | None = None
+
+    def restored(self) -> "Engine":
+        """Engine as it was, that goes its own way."""
+        twin = self.engine.fork()
+        if self.since is not None:
+            moment, P = self.since()
+            twin.resume(moment, P, Sample(self.time_ns, *moment[3]))
+        return twin
 
 
 class Runner:
@@ -28,6 +45,7 @@ class Runner:
         self.last_ns = 0  # stamp of the last sample
         self._until_ns = 0  # stamp after which samples are not ordinary
         self._comparable = False  # the last sample is as it was measured
+        self._copy: Engine | None = None  # of the engine, for all that is kept of one run
         self._state: Departure
 
     def __call__(self, start: Departure, times_ns: Stamps, samples: Rows) -> tuple[int, Moment, FloatArray]:
@@ -43,7 +61,7 @@ class Runner:
         start, self._until_ns = departure
         self._load(start)
         self._comparable = start[0][3] == (engine.last.force, engine.last.rate)
-        self.last_ns, self.engine = engine.last.time_ns, engine
+        self.last_ns, self.engine, self._copy = engine.last.time_ns, engine, None
         return True
 
     def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
@@ -76,8 +94,19 @@ class Runner:
             force, rate = moment[3]
             engine.resume(moment, P, Sample(self.last_ns, force, rate))
 
+    def keep(self) -> Kept:
+        """Copy the engine as of the last sample, at the cost of what has changed since the last copy."""
+        assert self.engine is not None
+        copy = self._copy = self._copy or self.engine.fork()
+        return Kept(self.last_ns, copy, self._later())
+
     def _load(self, start: Departure) -> None:
         self._state = start
 
     def _unload(self) -> tuple[Moment, FloatArray]:
         return self._state[0], self._state[1]
+
+    def _later(self) -> Callable[[], tuple[Moment, FloatArray]]:
+        """What `_unload` would give now, to be called at any time."""
+        state = self._state
+        return lambda: (state[0], state[1])
