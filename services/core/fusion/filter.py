@@ -12,8 +12,8 @@ from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ne
 
 from . import error_model as em
 from .colour import UNKNOWN, Colour
-from .kalman import Correction, correct, decay, predict, resized, variances
-from .ordinary import EARLY_S, NEVER, Beside, Departure, Moment, sound, unsoundness
+from .kalman import Correction, resized, variances
+from .ordinary import EARLY_S, NEVER, PLAIN, Arithmetic, Beside, Departure, Moment, sound, unsoundness
 from .sampling import NO_SUMS, STEADY, SWAY_S, Shaking, means, take_sample
 from .settings import Settings
 from .strapdown import InertialState, motion_of, without
@@ -24,6 +24,7 @@ FloatArray = npt.NDArray[np.float64]
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
 DELAY_PSD = 1e-6  # [s] 1 ms in a second, 60 ms in an hour
+LASTING_FIRST, LASTING_END = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING  # of parameters
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
 
 
@@ -69,6 +70,7 @@ class ErrorStateFilter:
         self.moved: Vector = (0.0, 0.0, 0.0)  # [m, NED] by all corrections together
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] of the last sample, bias removed
         self.acceleration: Vector = (0.0, 0.0, 0.0)  # [m/s², NED] of the last sample
+        self.arithmetic: Arithmetic = PLAIN
         self.trail: Trail | None = None  # is told what happens to the errors, for a smoother
         self._period_s = settings.covariance_period_s
         self._settings = settings
@@ -129,7 +131,7 @@ class ErrorStateFilter:
     @property
     def gnss_error(self) -> FloatArray:
         """Lasting error of GNSS positions over its standard deviation, shape (3,)."""
-        return np.array(self.parameters[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING])
+        return np.array(self.parameters[LASTING_FIRST:LASTING_END])
 
     @property
     def vehicle_from_body(self) -> FloatArray:
@@ -164,11 +166,10 @@ class ErrorStateFilter:
         if self._last is None:
             return None
         errors = self.accelerometer_bias, self.gyroscope_bias, self.accelerometer_scale, self.gyroscope_scale
-        place = em.GNSS_ERROR.start - em.DRIVING
-        lasting = self.parameters[place], self.parameters[place + 1], self.parameters[place + 2]
+        first, second, third = self.parameters[LASTING_FIRST:LASTING_END]
         moment: Moment = (
             *(self._motion, self._sums, self._shaking, self._last, self.rate, self.acceleration),
-            lasting,
+            (first, second, third),
             beside,
         )
         limits = self._period_s, self._settings.vibration_factor, self._memory_s, *dues
@@ -197,35 +198,23 @@ class ErrorStateFilter:
         since_s = self._sums[0]
         if since_s == 0.0:
             return
-        F = em.system_matrix(self._motion, *means(self._sums))
-        noise = em.with_vibration(self._walks, self._shaking, self._settings.vibration_factor)
-        self.P = predict(self.P, F, noise, since_s)
-        remains = self._let_gnss_error_decay(since_s)
+        memory_s, sums, factor = self._memory_s, self._sums, self._settings.vibration_factor
+        remains = exp(-since_s / memory_s) if memory_s < NEVER else 1.0
+        self.P, fine = self.arithmetic.grow(self.P, self._motion, sums, self._walks, self._shaking, factor, remains)
         self._sums = NO_SUMS
-        self._check()
+        if remains < 1.0:
+            north, east, down = self.parameters[LASTING_FIRST:LASTING_END]
+            self._remember_gnss_error((remains * north, remains * east, remains * down))
+        self._require(fine)
         if self.trail is not None:
-            self.trail.stepped(self, F, since_s, remains)
+            F = em.system_matrix(self._motion, *means(sums))
+            self.trail.stepped(self, F, since_s, _shares(remains))
 
     @property
     def _memory_s(self) -> float:
         """Correlation time of what lasts of the error of GNSS, if it is estimated."""
         place = em.GNSS_ERROR.start
         return NEVER if self.P[place, place] == 0.0 else self.colour.correlation_s
-
-    def _let_gnss_error_decay(self, span_s: float) -> FloatArray | None:
-        """Bring what lasts of the error of GNSS towards zero; tell a trail what remains of each error, if not all."""
-        memory_s, place = self._memory_s, em.GNSS_ERROR
-        if memory_s == NEVER:
-            return None
-        remains = exp(-span_s / memory_s)
-        self.P = decay(self.P, place.start, place.stop, remains)
-        north, east, down = self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING]
-        self._remember_gnss_error((remains * north, remains * east, remains * down))
-        if self.trail is None:
-            return None
-        share = np.ones(em.SIZE)
-        share[place] = remains
-        return share
 
     def learn(self, colour: Colour) -> None:
         """Take over what was learned of GNSS errors: what is estimated of them [m] stays, and its variance follows."""
@@ -242,8 +231,8 @@ class ErrorStateFilter:
         self._remember_gnss_error((north, east, down))
 
     def _remember_gnss_error(self, lasting: Vector) -> None:
-        first, last, old = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING, self.parameters
-        self.parameters = (*old[:first], *lasting, *old[last:])
+        old = self.parameters
+        self.parameters = (*old[:LASTING_FIRST], *lasting, *old[LASTING_END:])
 
     def widen(
         self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0, height_sd: float = 0.0
@@ -280,7 +269,7 @@ class ErrorStateFilter:
     def weigh(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
         """Work out what a measurement says, without believing it yet."""
         self.bring_covariance_up()
-        return correct(self.P, z, H, R)
+        return self.arithmetic.correct(self.P, z, H, R)
 
     def accept(self, correction: Correction) -> None:
         """Take the estimated errors out of the state, where they are zero from then on."""
@@ -308,7 +297,19 @@ class ErrorStateFilter:
     def _check(self) -> None:
         """Raise `FilterDiverged` where numbers have lost their meaning, rather than hand them on."""
         total, least = variances(self.P, em.ACCELEROMETER_SCALE.start)
-        if not (isfinite(total) and least > 0.0):
+        self._require(isfinite(total) and least > 0.0)
+
+    def _require(self, fine: bool) -> None:
+        if not fine:
             raise FilterDiverged("the covariance is no longer positive")
         if not sound(self._motion):
             raise FilterDiverged(unsoundness(self._motion))
+
+
+def _shares(remains: float) -> FloatArray | None:
+    """What remains of each error over a step, if not all."""
+    if remains == 1.0:
+        return None
+    shares = np.ones(em.SIZE)
+    shares[em.GNSS_ERROR] = remains
+    return shares

@@ -254,18 +254,28 @@ def inverse_of(S: FloatArray) -> FloatArray:
         s21, s22 = rows[1][:2]
     if size > 2:
         s31, s32, s33 = rows[2]
+    fine, i11, i21, i22, i31, i32, i33 = inverse_elements(s11, s21, s22, s31, s32, s33)
+    if not fine:
+        raise FilterDiverged("the covariance of an innovation is not positive definite")
+    full = (i11, i21, i31), (i21, i22, i32), (i31, i32, i33)
+    return np.array(full if size == 3 else [row[:size] for row in full[:size]])
+
+
+def inverse_elements(
+    s11: float, s21: float, s22: float, s31: float, s32: float, s33: float
+) -> tuple[bool, float, float, float, float, float, float]:
+    """Whether a symmetric matrix is positive definite and finite, and its inverse, by their lower halves."""
     d1 = s11
     l21, l31 = (s21 / d1, s31 / d1) if d1 > 0.0 else (0.0, 0.0)
     d2 = s22 - l21 * s21
     l32 = (s32 - l31 * s21) / d2 if d2 > 0.0 else 0.0
     d3 = s33 - l31 * s31 - l32 * l32 * d2
     if not (d1 > 0.0 and d2 > 0.0 and d3 > 0.0 and isfinite(d1 + d2 + d3)):
-        raise FilterDiverged("the covariance of an innovation is not positive definite")
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     w31 = l21 * l32 - l31
     v31, v32 = w31 / d3, -l32 / d3
     v21, v22 = -l21 / d2 + w31 * v32, 1.0 / d2 - l32 * v32
-    full = (1.0 / d1 + l21 * l21 / d2 + w31 * v31, v21, v31), (v21, v22, v32), (v31, v32, 1.0 / d3)
-    return np.array(full if size == 3 else [row[:size] for row in full[:size]])
+    return True, 1.0 / d1 + l21 * l21 / d2 + w31 * v31, v21, v22, v31, v32, 1.0 / d3
 
 
 def root_of(cov: FloatArray) -> FloatArray:

@@ -9,9 +9,11 @@ import numpy as np
 from shared.maths.rotation import Vector
 
 from .error_model import SIZE
-from .kalman import FloatArray
+from .kalman import Correction, FloatArray, correct
 from .ordinary import Departure, Moment, Rows, Stamps
 from .runner import Runner
+from .sampling import Shaking, Sums
+from .strapdown import Motion
 
 if TYPE_CHECKING:
     from shared.compiling import Code
@@ -21,6 +23,14 @@ NUMBERS, ERRORS, LIMITS, WALKS = 55, 55, 67, 73
 BLOCK = WALKS + SIZE
 ROOM = 2 * SIZE + 9  # rows: the covariance, the next one, and what is between them
 MOMENT, HEAD = Struct(f"{NUMBERS}d"), Struct(f"{WALKS}d")
+STEP, FACTORS = Struct("28d"), Struct("2d")  # motion, sums, shaking; factor on vibration and what remains
+# In place of a number of samples: one that must be usual, a step of the covariance, a correction of 1 to 3 components.
+USUAL, GROW, CORRECT = -1, -2, (0, -3, -4, -5)
+# The table of a correction. Its rows: three each of H and of K^T; x; three of what has the size of z, side by side.
+GAINS, ESTIMATE, SMALL = 3, 6, 7
+NOISE, EXPECTED, INVERSE, MISFIT, DISTANCE2 = 0, 3, 6, 9, 10  # columns of R, S, its inverse, z, d²
+TABLE_ROWS = 10
+FAILED = 0
 pack_one = Struct("2q6d").pack_into  # stamps of the last sample and of this one, and its readings
 
 
@@ -30,8 +40,8 @@ class Machine(Runner):
     Parameters
     ----------
     code : Code
-        Takes the addresses of block, covariance, stamps and samples, and how many; returns how many were taken. One
-        sample that must be usual, as of `sampling.usual`, is -1 samples.
+        Takes the addresses of block, covariance, stamps and samples, and how many; returns how many were taken. It
+        does other things for numbers below zero: see `USUAL`, as of `sampling.usual`, and the others.
     """
 
     wants_arrays = True
@@ -45,7 +55,13 @@ class Machine(Runner):
         self._places = self._block.ctypes.data, self._P.ctypes.data
         first = self._one.ctypes.data
         self._take_checked = code.bound(*self._places, first, first + 16, 1)
-        self._take_usual = code.bound(*self._places, first, first + 16, -1)
+        self._take_usual = code.bound(*self._places, first, first + 16, USUAL)
+        # Steps and corrections have places of their own, for the loop may be ahead of them.
+        self._step, self._before, self._table = np.zeros(BLOCK), np.zeros((ROOM, SIZE)), np.zeros((TABLE_ROWS, SIZE))
+        self._step_bytes, table = self._step.data.cast("B"), self._table.ctypes.data
+        places = self._step.ctypes.data, self._before.ctypes.data, table, table
+        self._grow = code.bound(*places, GROW)
+        self._correct = [code.bound(*places, what) for what in CORRECT]
 
     def __call__(self, start: Departure, times_ns: Stamps, samples: Rows) -> tuple[int, Moment, FloatArray]:
         """Do what `ordinary.run` does; stamps and samples are arrays."""
@@ -66,6 +82,37 @@ class Machine(Runner):
     def _later(self) -> Callable[[], tuple[Moment, FloatArray]]:
         numbers, P = self._bytes[: MOMENT.size].tobytes(), self._P[:SIZE].copy()
         return lambda: (moment_of(MOMENT.unpack(numbers)), P)
+
+    def grow(
+        self,
+        P: FloatArray,
+        motion: Motion,
+        sums: Sums,
+        walks: FloatArray,
+        shaking: Shaking,
+        factor: float,
+        remains: float,
+    ) -> tuple[FloatArray, bool]:
+        """Do what `ordinary.grow` does."""
+        (q, v, p, place), block = motion, self._step
+        STEP.pack_into(self._step_bytes, 0, *q, *v, *p, *place, *sums, *shaking)
+        FACTORS.pack_into(self._step_bytes, 8 * LIMITS, factor, remains)
+        block[WALKS:], self._before[:SIZE] = walks, P
+        fine = self._grow() != FAILED
+        return self._before[:SIZE].copy(), fine
+
+    def correct(self, P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
+        """Do what `kalman.correct` does."""
+        size, table = len(z), self._table
+        end = SMALL + size
+        table[:size], table[SMALL:end, NOISE : NOISE + size], table[SMALL:end, MISFIT] = H, R, z
+        self._before[:SIZE] = P
+        if self._correct[size]() == FAILED:
+            return correct(P, z, H, R)  # which says why
+        table, P_after = table.copy(), self._before[SIZE : 2 * SIZE].copy()
+        S, inverse = table[SMALL:end, EXPECTED : EXPECTED + size], table[SMALL:end, INVERSE : INVERSE + size]
+        distance2, K = table.item(SMALL, DISTANCE2), table[GAINS : GAINS + size].T
+        return Correction(table[ESTIMATE], P_after, distance2, z, H, K, S, inverse)
 
     def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
         """Take one more sample, as `Runner.take` does."""

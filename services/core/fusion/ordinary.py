@@ -14,7 +14,7 @@ import numpy.typing as npt
 from shared.maths.rotation import Vector
 
 from .error_model import ACCELEROMETER_SCALE, GNSS_ERROR, system_matrix, with_vibration
-from .kalman import decay, predict, variances
+from .kalman import correct, decay, predict, variances
 from .sampling import NO_SUMS, Errors, Shaking, Sums, means, take_sample
 from .stationary import QUIET_S, SPEED_LIMIT, Rest, at_rest, length
 from .strapdown import Motion
@@ -120,6 +120,16 @@ def grow(
         grown = decay(grown, GNSS_ERROR.start, GNSS_ERROR.stop, remains)
     total, least = variances(grown, ACCELEROMETER_SCALE.start)
     return grown, isfinite(total) and least > 0.0
+
+
+class Arithmetic:
+    """What is done to a covariance, as NumPy does it."""
+
+    grow = staticmethod(grow)
+    correct = staticmethod(correct)
+
+
+PLAIN = Arithmetic()
 
 
 def sound(motion: Motion) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from shared.maths.rotation import Vector
 
 from .kalman import FloatArray
-from .ordinary import Departure, Moment, Rows, Stamps, run
+from .ordinary import Arithmetic, Departure, Moment, Rows, Stamps, run
 from .samples import Sample
 from .sampling import usual
 
@@ -34,7 +34,7 @@ class Kept(NamedTuple):
         return twin
 
 
-class Runner:
+class Runner(Arithmetic):
     """`ordinary.run` with a place of its own to work in: of use to one navigator, in one thread."""
 
     wants_arrays = False  # of stamps and samples; lists are faster in Python
