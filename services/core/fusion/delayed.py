@@ -111,8 +111,7 @@ class DelayedEngine:
         due: Sequence[Measurement] = ()
         if self._measurements:
             due = self._between(engine.last.time_ns if engine.last else sample.time_ns, sample.time_ns)
-        if engine.filter is not None:
-            engine.filter.arithmetic = self._runner
+        self._runner.serve(engine)
         outcomes = engine.carry(sample, due)
         self._samples.append(sample)
         self._timing.sample(sample.time_ns, sample.force, sample.rate)

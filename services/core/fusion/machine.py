@@ -1,6 +1,7 @@
 """The loop over ordinary samples where it is machine code, which wants numbers side by side at an address."""
 
 from collections.abc import Callable
+from functools import partial
 from struct import Struct
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ from shared.maths.rotation import Vector
 
 from .error_model import SIZE
 from .kalman import Correction, FloatArray, correct
-from .ordinary import Departure, Moment, Rows, Stamps
+from .ordinary import Arithmetic, Departure, Moment, Rows, Stamps
 from .runner import Runner
 from .sampling import Shaking, Sums
 from .strapdown import Motion
@@ -34,7 +35,7 @@ FAILED = 0
 pack_one = Struct("2q6d").pack_into  # stamps of the last sample and of this one, and its readings
 
 
-class Machine(Runner):
+class Machine(Runner, Arithmetic):
     """Machine code of the loop, with a place of its own to work in.
 
     Parameters
@@ -49,7 +50,7 @@ class Machine(Runner):
 
     def __init__(self, code: "Code") -> None:
         super().__init__()
-        self._code = code
+        self._code, self.arithmetic = code, self
         self._block, self._P, self._one = np.zeros(BLOCK), np.zeros((ROOM, SIZE)), np.zeros(8)
         self._bytes, self._one_bytes = self._block.data.cast("B"), self._one.data.cast("B")
         self._places = self._block.ctypes.data, self._P.ctypes.data
@@ -80,8 +81,7 @@ class Machine(Runner):
         return self._later()()
 
     def _later(self) -> Callable[[], tuple[Moment, FloatArray]]:
-        numbers, P = self._bytes[: MOMENT.size].tobytes(), self._P[:SIZE].copy()
-        return lambda: (moment_of(MOMENT.unpack(numbers)), P)
+        return partial(_unpacked, self._bytes[: MOMENT.size].tobytes(), self._P[:SIZE].copy())
 
     def grow(
         self,
@@ -123,6 +123,10 @@ class Machine(Runner):
             return False
         self.last_ns, self._comparable = time_ns, True
         return True
+
+
+def _unpacked(numbers: bytes, P: FloatArray) -> tuple[Moment, FloatArray]:
+    return moment_of(MOMENT.unpack(numbers)), P
 
 
 def three(numbers: Any, place: int) -> Any:

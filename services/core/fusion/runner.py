@@ -5,12 +5,13 @@ engine is brought to where it is.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from shared.maths.rotation import Vector
 
 from .kalman import FloatArray
-from .ordinary import Arithmetic, Departure, Moment, Rows, Stamps, run
+from .ordinary import PLAIN, Arithmetic, Departure, Moment, Rows, Stamps, run
 from .samples import Sample
 from .sampling import usual
 
@@ -34,10 +35,11 @@ class Kept(NamedTuple):
         return twin
 
 
-class Runner(Arithmetic):
+class Runner:
     """`ordinary.run` with a place of its own to work in: of use to one navigator, in one thread."""
 
     wants_arrays = False  # of stamps and samples; lists are faster in Python
+    arithmetic: Arithmetic = PLAIN
     kept_every = 16  # ordinary samples after which a copy of the engine is worth its time
 
     def __init__(self) -> None:
@@ -52,6 +54,11 @@ class Runner(Arithmetic):
         """Do what `ordinary.run` does."""
         moment, P, errors, walks, limits = start
         return run(moment, P, times_ns, samples, errors, walks, limits)
+
+    def serve(self, engine: "Engine") -> None:
+        """Have an engine calculate as this does between ordinary samples, but not what a smoother keeps in files."""
+        if engine.filter is not None and engine.filter.trail is None:
+            engine.filter.arithmetic = self.arithmetic
 
     def follow(self, engine: "Engine") -> bool:
         """Go on from where an engine is; False if nothing can go on from there."""
@@ -108,5 +115,9 @@ class Runner(Arithmetic):
 
     def _later(self) -> Callable[[], tuple[Moment, FloatArray]]:
         """What `_unload` would give now, to be called at any time."""
-        state = self._state
-        return lambda: (state[0], state[1])
+        moment, P, *_ = self._state
+        return partial(_pair, moment, P)
+
+
+def _pair(moment: Moment, P: FloatArray) -> tuple[Moment, FloatArray]:
+    return moment, P

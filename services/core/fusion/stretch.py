@@ -65,8 +65,7 @@ class Stretch:
             stamp_ns, (fx, fy, fz, wx, wy, wz) = self._stamps_ns[here + 1], map(float, self._rows[here])
             used = bisect_right(self._due_ns, stamp_ns, next_)
             doubt = self._doubts.get(here)
-            if engine.filter is not None:
-                engine.filter.arithmetic = self._run
+            self._run.serve(engine)
             outcomes += engine.step(Sample(stamp_ns, (fx, fy, fz), (wx, wy, wz), doubt), self._due[next_:used])
             here, next_ = here + 1, used
         return outcomes
