@@ -141,5 +141,5 @@ class Settings(Section):
     machine_code: bool = Field(
         default=False,
         description="compile what runs for every sample, where Numba is installed: a third of the time without wheels, "
-        "four fifths with them, 50 MB more memory, and results that agree to 1e-9 but not to the byte",
+        "two thirds with them, 50 MB more memory, and results that agree to 1e-9 but not to the byte",
     )

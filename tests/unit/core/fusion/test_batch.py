@@ -10,8 +10,10 @@ import pytest
 
 from services.core.fusion.aiding import Measurement
 from services.core.fusion.batch import solve
+from services.core.fusion.error_model import SIZE
 from services.core.fusion.fast import compiled_runner
 from services.core.fusion.heading import Prior
+from services.core.fusion.kalman import correct
 from services.core.fusion.machine import Machine
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.runner import Runner
@@ -20,6 +22,7 @@ from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
 from services.core.fusion.wheels import WheelSpeed
 from services.sensors.simulator.drive import Drive, simulate
+from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages import NavigationPhase
 
@@ -132,6 +135,19 @@ def machine() -> Machine:
     if (made := compiled_runner()) is None:
         pytest.skip("Numba is not installed: pip install .[fast]")
     return made
+
+
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_a_compiled_correction_is_that_of_numpy(size: int) -> None:
+    compiled, rng = machine(), np.random.default_rng(size)
+    root = rng.standard_normal((SIZE, SIZE))
+    P, z, R = root @ root.T, rng.standard_normal(size), np.diag(rng.random(size) + 0.1)
+    H = rng.standard_normal((size, SIZE)) * (rng.random((size, SIZE)) < 0.3)
+    for ours, theirs in zip(compiled.correct(P, z, H, R), correct(P, z, H, R), strict=True):
+        assert np.asarray(ours) == pytest.approx(np.asarray(theirs), rel=1e-10, abs=1e-12)
+    for covariance, innovation in ((-P, z), (P, np.full(size, np.nan)), (np.full_like(P, np.inf), z)):
+        with np.errstate(invalid="ignore"), pytest.raises(FilterDiverged, match="innovation"):
+            compiled.correct(covariance, innovation, H, R)
 
 
 def as_they_come(
