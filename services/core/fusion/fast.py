@@ -96,7 +96,7 @@ def _decay(P: FloatArray, remains: float) -> None:
 PARTS = (
     strapdown.parallel, strapdown.turn_terms, strapdown.turned, strapdown.mechanise,
     sampling.take_sample, sampling.means, sampling.usual,
-    stationary.blend, stationary.length, stationary.at_rest,
+    stationary.blend, stationary.length, stationary.at_rest, stationary.doubt_of,
     error_model.error_rates, ordinary.sound, ordinary.run,
     machine.three, machine.moment_of, machine.numbers_of, _predict, _square, _decay,
 )  # fmt: skip
