@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import sqrt
 
 from . import error_model as em
 from . import standstill, wheels
@@ -15,13 +14,12 @@ from .judging import Judge
 from .matching import Comparison
 from .ordinary import NEVER
 from .settings import Settings
-from .stationary import SPEED_LIMIT
+from .stationary import SPEED_LIMIT, SURE, Doubt, doubt_of, length
 from .timing import FoundDelay
 from .watch import NO_BLOCK, Watch, block
 from .wheels import WheelSpeed
 
 ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
-ZERO_SDS = 3.0  # of the velocity, within which a speed of zero is believed
 
 
 class Aids:
@@ -92,12 +90,13 @@ class Aids:
             if isinstance(measurement, GnssPosition) and outcome.used:
                 measurement.teach(navigation)
 
-    def speed_at_rest(self, time_ns: int, navigation: ErrorStateFilter) -> float:
-        """Find the speed [m/s] up to which the vehicle may be at rest: more, if wheels that stand make it likely."""
+    def doubt(self, time_ns: int, navigation: ErrorStateFilter) -> Doubt:
+        """Find how far the filter can go by its own speed where it asks for a rest; wheels that stand vouch for it."""
         seen = self._odometer
-        if seen is None or seen.speed != 0.0 or time_ns - seen.time_ns > ODOMETER_SILENT_NS:
-            return SPEED_LIMIT
-        return max(SPEED_LIMIT, ZERO_SDS * sqrt(float(navigation.P.diagonal()[em.VELOCITY].sum())))
+        if seen is None or seen.speed != 0.0:
+            return doubt_of(navigation.P)
+        fresh = time_ns - seen.time_ns <= ODOMETER_SILENT_NS
+        return (doubt_of(navigation.P)[0], 1.0) if fresh and length(navigation.velocity) >= SPEED_LIMIT else SURE
 
     def _is_spare(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
         """Whether another odometer is in use; one that takes its place has a scale of its own."""

@@ -17,11 +17,11 @@ from .gaps import DOUBT_PERIOD_S, admit_doubt, admit_gap
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Heading, Prior
 from .matching import Comparison
-from .ordinary import GAP_S, STILL, Departure, Moment
+from .ordinary import GAP_S, Departure, Moment
 from .samples import Sample, mean
 from .settings import Settings
 from .standstill import PERIOD_S, Standstill
-from .stationary import QUIET_S, SPEED_LIMIT, UNSETTLED, at_rest, length
+from .stationary import QUIET_S, STILL, SURE, UNSETTLED, Doubt, at_rest, length
 from .timing import FoundDelay
 from .trail import Trail
 from .wheels import PERIOD_S as WHEELS_PERIOD_S
@@ -109,10 +109,11 @@ class Engine:
             return []
         self._unattended_s = 0.0
         outcomes: list[Outcome] = []
+        doubt = self.aids.doubt(last[0], self.filter) if self.filter else SURE  # of before the covariance's step
         self._try(ErrorStateFilter.keep_covariance, last[0])
         if last[3] is not None:
             self._admit(gap_s)
-        self._watch_for_standstill(last[0], gap_s, outcomes)
+        self._watch_for_standstill(last[0], gap_s, doubt, outcomes)
         self._watch_the_wheels(last[0], gap_s, outcomes)
         self._settle_phase(last[0])
         return outcomes
@@ -240,16 +241,14 @@ class Engine:
         self.accepted_ns, self._rejections = measurement.time_ns, 0
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
 
-    def _watch_for_standstill(self, time_ns: int, step_s: float, outcomes: list[Outcome]) -> None:
+    def _watch_for_standstill(self, time_ns: int, step_s: float, doubt: Doubt, outcomes: list[Outcome]) -> None:
         """Tell the filter at 10 Hz that the vehicle stands, for as long as it does."""
         navigation = self.filter
         if navigation is None:
             self.stationary = self._alignment is not None and self._alignment.levelling.at_rest
             return
-        rate, speed, limit = navigation.rate, length(navigation.velocity), SPEED_LIMIT
-        if speed >= limit and self.aids.wheels_stand:
-            limit = self.aids.speed_at_rest(time_ns, navigation)
-        rest = self._rest = at_rest(self._rest, rate, navigation.acceleration, speed, step_s, limit)
+        rate, speed = navigation.rate, length(navigation.velocity)
+        rest = self._rest = at_rest(self._rest, rate, navigation.acceleration, speed, step_s, doubt)
         self.stationary = rest[2] >= QUIET_S
         if not (self.stationary and self._settings.zero_velocity):
             if self._rest_s:

@@ -18,7 +18,7 @@ SIGNATURE = "int64(CPointer(float64), CPointer(float64), CPointer(int64), CPoint
 PARTS = (
     strapdown.parallel, strapdown.turn_terms, strapdown.turned, strapdown.mechanise,
     sampling.take_sample, sampling.means, sampling.usual,
-    stationary.blend, stationary.length, stationary.at_rest,
+    stationary.blend, stationary.length, stationary.at_rest, stationary.doubt_of,
     error_model.error_rates, ordinary.sound, ordinary.run,
     machine.three, machine.moment_of, machine.numbers_of, *loops.PARTS,
 )  # fmt: skip

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from shared.compiling import Code
 
 # A block: the numbers of a moment, then errors, limits and walks as of `ordinary.run`.
-NUMBERS, ERRORS, LIMITS, WALKS = 55, 55, 67, 73
+NUMBERS, ERRORS, LIMITS, WALKS = 58, 58, 70, 76
 BLOCK = WALKS + SIZE
 ROOM = 2 * SIZE + 9  # rows: the covariance, the next one, and what is between them
 MOMENT, HEAD = Struct(f"{NUMBERS}d"), Struct(f"{WALKS}d")
@@ -140,12 +140,12 @@ def moment_of(n: Any) -> Any:
     motion = (n[0], n[1], n[2], n[3]), three(n, 4), three(n, 7), place
     sums, shaking = (n[16], n[17], n[18], n[19], n[20], n[21], n[22]), (n[23], n[24], n[25], n[26], n[27])
     last, rate, acceleration, lasting = (three(n, 28), three(n, 31)), three(n, 34), three(n, 37), three(n, 40)
-    rest = three(n, 43), three(n, 46), n[49]
-    return motion, sums, shaking, last, rate, acceleration, lasting, (rest, three(n, 50), n[53], n[54])
+    rest = three(n, 43), three(n, 46), n[49], three(n, 50)
+    return motion, sums, shaking, last, rate, acceleration, lasting, (rest, three(n, 53), n[56], n[57])
 
 
 def numbers_of(moment: Any) -> Any:
     """Numbers of a moment, in the order in which they lie in a block."""
     (q, v, p, place), sums, shaking, (f, w), rate, acceleration, lasting, (rest, turn, still, rolling) = moment
     head = q + v + p + place + sums + shaking + f + w + rate + acceleration + lasting
-    return head + rest[0] + rest[1] + (rest[2],) + turn + (still, rolling)
+    return head + rest[0] + rest[1] + (rest[2],) + rest[3] + turn + (still, rolling)

@@ -16,7 +16,7 @@ from shared.maths.rotation import Vector
 from .error_model import ACCELEROMETER_SCALE, GNSS_ERROR, system_matrix, with_vibration
 from .kalman import correct, decay, predict, variances
 from .sampling import NO_SUMS, Errors, Shaking, Sums, means, take_sample
-from .stationary import QUIET_S, SPEED_LIMIT, Rest, at_rest, length
+from .stationary import QUIET_S, STILL, SURE, Rest, at_rest, doubt_of, length
 from .strapdown import Motion
 
 FloatArray = npt.NDArray[np.float64]
@@ -35,7 +35,6 @@ Moment = tuple[Motion, Sums, Shaking, Sample, Vector, Vector, Vector, Beside]
 Limits = tuple[float, float, float, float, float, float]
 # What `run` goes on from, but for the samples: moment, covariance, errors, walks, limits.
 Departure = tuple[Moment, FloatArray, Errors, FloatArray, Limits]
-STILL: Vector = (0.0, 0.0, 0.0)
 
 GAP_S = 0.05  # a longer step is a gap
 FASTEST_M_S = 500.0
@@ -78,6 +77,8 @@ def run(
     period, factor, memory, standstill_due, wheels_due, doubtful = limits
     motion, sums, shaking, last, rate, acceleration, lasting, (rest, turn, still, rolling) = moment
     taken = 0
+    wheels_stand = doubtful < NEVER
+    doubt = SURE if wheels_stand else doubt_of(P)
     for k in range(len(samples)):
         step = (times_ns[k + 1] - times_ns[k]) * 1e-9
         if not 0.0 < step <= GAP_S or rolling + step >= wheels_due:
@@ -86,7 +87,7 @@ def run(
         sample = (s[0], s[1], s[2]), (s[3], s[4], s[5])
         moved, summed, shaken, turning, gaining = take_sample(motion, sums, shaking, errors, sample, last, step)
         speed = length(moved[1])
-        resting = at_rest(rest, turning, gaining, speed, step, SPEED_LIMIT)
+        resting = at_rest(rest, turning, gaining, speed, step, doubt)
         if speed >= doubtful:
             break
         stilled = still + step if resting[2] >= QUIET_S and standstill_due < NEVER else 0.0
@@ -100,6 +101,7 @@ def run(
             if not fine:
                 break
             P, summed = grown, NO_SUMS
+            doubt = SURE if wheels_stand else doubt_of(P)
             if remains < 1.0:
                 lasting = remains * lasting[0], remains * lasting[1], remains * lasting[2]
         motion, sums, shaking, last, rate, acceleration = moved, summed, shaken, sample, turning, gaining

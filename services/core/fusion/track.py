@@ -19,8 +19,9 @@ from .gnss import GnssPosition
 from .heading import COURSE, MATCH_ACCELERATION_SD, MATCH_S, Heading, Motion
 from .levelling import Levelling
 from .matching import GAIN, LARGEST_JITTER_M
-from .ordinary import FASTEST_M_S, STILL
+from .ordinary import FASTEST_M_S
 from .settings import Settings
+from .stationary import STILL
 
 SHORTEST_M = 2.0  # a track that gives a heading, and
 LARGEST_TURN_SD = 0.1  # [rad] how well

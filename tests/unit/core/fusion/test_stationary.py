@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from services.core.fusion.error_model import SIZE
+from services.core.fusion.error_model import SIZE, VELOCITY
 from services.core.fusion.filter import ErrorStateFilter
 from services.core.fusion.heading import REST_RATE_SD
 from services.core.fusion.settings import Settings
 from services.core.fusion.standstill import PERIOD_S, RATE_SD, SETTLING_S, Standstill
-from services.core.fusion.stationary import QUIET_S, UNSETTLED, Rest, at_rest
+from services.core.fusion.stationary import DOUBT_S, QUIET_S, SURE, UNSETTLED, Doubt, Rest, at_rest, doubt_of
 from services.core.fusion.strapdown import InertialState
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
@@ -19,10 +19,23 @@ def stationary(rest: Rest) -> bool:
     return rest[2] >= QUIET_S
 
 
-def after(rest: Rest, seconds: float, rate: Vector = STILL, acceleration: Vector = STILL, speed: float = 0.0) -> Rest:
+def after(
+    rest: Rest,
+    seconds: float,
+    rate: Vector = STILL,
+    acceleration: Vector = STILL,
+    speed: float = 0.0,
+    doubt: Doubt = SURE,
+) -> Rest:
     for _ in range(round(seconds / STEP_S)):
-        rest = at_rest(rest, rate, acceleration, speed, STEP_S)
+        rest = at_rest(rest, rate, acceleration, speed, STEP_S, doubt)
     return rest
+
+
+def unsure(velocity_sd: float) -> Doubt:
+    P = np.eye(SIZE) * 1e-6
+    P[VELOCITY, VELOCITY] = velocity_sd**2 * np.eye(3)
+    return doubt_of(P)
 
 
 def test_half_a_second_of_quiet_is_a_standstill() -> None:
@@ -33,7 +46,7 @@ def test_half_a_second_of_quiet_is_a_standstill() -> None:
 
 def test_each_condition_alone_prevents_it() -> None:
     assert not stationary(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
-    assert not stationary(after(UNSETTLED, 5.0, acceleration=(0.05, 0.05, 0.0)))
+    assert not stationary(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
     assert not stationary(after(UNSETTLED, 5.0, speed=0.31))
     assert stationary(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
 
@@ -56,6 +69,36 @@ def test_an_idling_engine_does_not_end_it() -> None:
         swing = 2.0**0.5 * np.sin(2.0 * np.pi * 27.0 * k * STEP_S)
         rest = at_rest(rest, (0.017 * swing, 0.0, 0.0), (0.0, 0.0, 0.65 * swing), 0.0, STEP_S)
         assert stationary(rest)
+
+
+def test_a_filter_that_does_not_know_its_speed_waits_for_two_seconds_of_quiet() -> None:
+    """After a minute without GNSS it sees 1.5 m/s at rest, and 0.1 m/s where the vehicle rolls."""
+    doubt, settled = unsure(0.6), after(UNSETTLED, 0.25)
+    for speed in (0.1, 1.5):
+        assert not stationary(after(settled, DOUBT_S - 0.1, speed=speed, doubt=doubt))
+        assert stationary(after(settled, DOUBT_S + 0.1, speed=speed, doubt=doubt))
+    assert not stationary(after(settled, 10.0, speed=4.0, doubt=doubt)), "it is surer than that"
+    assert unsure(0.05) == SURE
+
+
+def test_a_wrong_tilt_hides_no_rest() -> None:
+    """Half a degree makes 0.09 m/s² of gravity; two degrees are beyond what a filter has."""
+    for doubt in (SURE, unsure(0.6)):
+        leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), doubt=doubt)  # it brakes
+        leaning = after(leaning, 1.0, acceleration=(0.06, 0.06, 0.0), doubt=doubt)
+        assert not stationary(leaning)
+        leaning = after(leaning, DOUBT_S + 0.5, acceleration=(0.06, 0.06, 0.0), doubt=doubt)
+        assert stationary(leaning)
+        assert not stationary(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), doubt=doubt)), "it drives off"
+        assert not stationary(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), doubt=doubt))
+
+
+def test_a_road_is_no_rest_however_slow_the_filter_believes_to_be() -> None:
+    """It rolls evenly at 1.5 m/s: 0.1 m/s² up and down in 2 s, as on the smoothest of the recorded streets."""
+    rest, doubt = UNSETTLED, unsure(0.6)
+    for k in range(2000):
+        rest = at_rest(rest, STILL, (0.1 * float(np.sin(np.pi * k * STEP_S)), 0.0, 0.0), 0.1, STEP_S, doubt)
+        assert not stationary(rest)
 
 
 def test_a_rest_tells_of_the_gyroscope_what_its_mean_is_worth() -> None:

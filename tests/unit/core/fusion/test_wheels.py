@@ -16,7 +16,7 @@ from services.core.fusion.heading import Prior
 from services.core.fusion.judging import Judge
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from services.core.fusion.stationary import QUIET_S, SMOOTHING_S, UNSETTLED, at_rest
+from services.core.fusion.stationary import QUIET_S, SMOOTHING_S, SURE, UNSETTLED, at_rest
 from services.core.fusion.wheels import NonHolonomic, WheelSpeed
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
@@ -202,7 +202,7 @@ def test_wheels_that_contradict_for_long_are_heard_in_the_end() -> None:
 def rest_after(speed: float, limit: float, force: float = 0.0) -> bool:
     rest = UNSETTLED
     for _ in range(round((SMOOTHING_S + QUIET_S) * 100) + 2):
-        rest = at_rest(rest, (0.0, 0.0, 0.0), (force, 0.0, 0.0), speed, 0.01, limit)
+        rest = at_rest(rest, (0.0, 0.0, 0.0), (force, 0.0, 0.0), speed, 0.01, (limit, 1.0))
     return rest[2] >= QUIET_S
 
 
@@ -215,11 +215,14 @@ def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> Non
 
 
 @pytest.mark.parametrize(("speed", "supports"), [(0.0, True), (0.4, False)])
-def test_only_wheels_that_stand_now_widen_the_limit_of_the_detector(speed: float, supports: bool) -> None:
+def test_only_wheels_that_stand_now_vouch_for_a_rest(speed: float, supports: bool) -> None:
     made = navigator()
     feed(made, np.where(np.arange(1101) > 1050, speed, drive().odometer))
     aids = made.engine.aids
     inside = filter_of(made)
     inside.widen(velocity_sd=1.0)
-    assert (aids.speed_at_rest(inside.inertial.time_ns, inside) > 3.0) is supports
-    assert aids.speed_at_rest(inside.inertial.time_ns + 3 * 10**9, inside) == 0.3, "it was too long ago"
+    limit, pace = aids.doubt(inside.inertial.time_ns, inside)
+    assert limit > 3.0
+    assert (pace == 1.0) is supports, "without them quiet has to last"
+    if supports:
+        assert aids.doubt(inside.inertial.time_ns + 3 * 10**9, inside) == SURE, "it was too long ago"
