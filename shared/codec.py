@@ -40,7 +40,7 @@ def decode(name: str, payload: bytes, properties: Mapping[str, str]) -> Message:
         if topic.is_raw:
             stamp, source = int(properties["received_ns"]), properties["source"]
             if not -LARGEST_NS <= stamp < LARGEST_NS or len(source) > DEVICE_NAME_LENGTH:
-                raise ValueError(f"received at {stamp:.3g} from a device of {len(source)} letters")
+                raise ValueError("a stamp beyond 64 bits, or a device with a name of more letters than any has")
             return topic.message.unchecked(received_ns=stamp, source=source, data=payload)
         message: Message = topic.message.__pydantic_validator__.validate_json(payload)
     except KeyError as error:

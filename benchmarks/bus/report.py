@@ -108,14 +108,14 @@ def store(hops: Hops, result: unit.UnitResult, load_before: float, *, realtime: 
     """Print the table, and keep it with all the numbers behind it."""
     document = {
         "measured_at": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": machine(),
+        "machine": (here := machine()),
         "load_before": round(load_before, 2),
         "realtime_priority": realtime,
         "hops": asdict(hops),
         "unit": asdict(result),
     }
     priority = "hot path under SCHED_RR, as in the vehicle" if realtime else "no real-time priority to be had"
-    circumstances = f"{document['measured_at']} on {machine()}; {priority}; load {load_before:.1f} before"
+    circumstances = f"{document['measured_at']} on {here}; {priority}; load {load_before:.1f} before"
     text = table(hops, result, circumstances)
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "bus.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from .framing import Framer
 
 READ_BYTES = 65_536
-PATIENCE_S = 0.1  # of one read that waits by itself
+PATIENCE_US = 100_000  # of one read that waits by itself
 MOST_READS = 64  # in one go: a broker that sends without end shall not keep us from everything else
 UNSENT_BYTES = 4_194_304  # beyond them a broker that goes on talking and does not read is let go
 FAREWELL_S = 0.2
@@ -21,17 +21,17 @@ class Lost(Exception):
 
 
 class Connection:
-    """A socket that never blocks; raises OSError if nobody listens, and `Lost` from then on."""
+    """A socket on which no call waits for longer than it says; raises OSError if nobody listens, then only `Lost`."""
 
     def __init__(self, host: str, port: int, *, patience_s: float, packet_bytes: int) -> None:
         self._socket = socket.create_connection((host, port), patience_s)
         # Without it bursts of small messages wait for the peer's delayed acknowledgement: 20 to 40 ms.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(True)  # reads by themselves give up after a while, writes are told not to wait
-        seconds, rest = divmod(PATIENCE_S, 1)
-        self._socket.setsockopt(
-            socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", int(seconds), int(rest * 1e6))
-        )
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", 0, PATIENCE_US))
+        except OSError:  # a 32-bit system that counts time in 64 bits
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@qq", 0, PATIENCE_US))
         self._framer = Framer(packet_bytes)
         self._unsent = bytearray()
         self.blocked = False  # the broker reads slower than we write
@@ -68,7 +68,7 @@ class Connection:
 
         Where there is time, reading is the wait: that saves a call between the broker's word and its reader.
         """
-        if timeout_s >= PATIENCE_S and not self.blocked:
+        if timeout_s * 1e6 >= PATIENCE_US and not self.blocked:
             return True
         writers = [self._socket] if self.blocked else []
         readable, writable, _ = select.select([self._socket], writers, [], timeout_s)

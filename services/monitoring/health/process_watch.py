@@ -35,6 +35,7 @@ class ProcessWatch:
         self.incarnation = 0
         self.restarts = 0
         self.heartbeat_ns: int | None = None
+        self.back_ns: int | None = None  # when it was last heard again after it was down
         self.seen_ns: int | None = None  # its last word, or the broker's word that it was lost
         self.kept = False  # what is known of it was kept by the broker, and may be of a former life of the unit
 
@@ -44,6 +45,9 @@ class ProcessWatch:
             return
         if health.incarnation > self.incarnation and self.incarnation:
             self.restarts += 1
+            self.back_ns = received_ns
+        elif (self.age_s(received_ns) or 0.0) >= SILENT_AFTER_S:
+            self.back_ns = received_ns
         self.kept = retained
         self.incarnation, self.state = health.incarnation, health.state
         self.seen_ns = min(health.sent_ns, received_ns) if retained else received_ns

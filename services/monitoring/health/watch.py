@@ -22,6 +22,7 @@ from .topic_watch import TopicWatch
 GRACE_NS = round(STARTUP_GRACE_S * 1e9)
 START_NS = 10_000_000_000  # what the broker kept from a former life of the unit counts only after this
 RETURN_NS = 2_000_000_000  # what everybody gets to come back after the broker did
+RECOVERY_NS = 8_000_000_000  # what a process that was down gets to say something again
 MUTE_NS = 1_200_000_000  # a broker from which not even our own heartbeat returns is not working
 STALL_NS = 1_000_000_000  # an observer that slept longer cannot tell who else was silent
 BROKER = "broker"
@@ -153,7 +154,7 @@ class Watch:
     def _silent_topics(self) -> dict[str, str | None]:
         upstream = Upstream(
             self._present(),
-            condition=self._condition,
+            condition=self._condition_to_blame,
             stopped_ns=self._stopped_ns,
             last_ns=self._late_since_ns,
             producer=lambda topic: self._topics[topic.name].producer,
@@ -171,6 +172,13 @@ class Watch:
         if watch.kept and uptime_ns < START_NS:
             return Condition.WAITED_FOR
         return watch.condition(self._now_ns, self._judged_from_ns, grace_over=uptime_ns >= GRACE_NS)
+
+    def _condition_to_blame(self, name: str) -> Condition:
+        """Judge a process; one that is just back is not to blame for what it did not say while it was down."""
+        condition = self._condition(name)
+        back_ns = self._processes[name].back_ns if name in self._processes else None
+        recovering = back_ns is not None and self._now_ns - back_ns < RECOVERY_NS
+        return Condition.WAITED_FOR if recovering and condition is Condition.RUNNING else condition
 
     def _stopped_ns(self, topic: Topic) -> int | None:
         """Say when a topic fell silent, 0 if it never spoke and should; None while it is well."""

@@ -103,9 +103,10 @@ def test_raw_bytes_without_their_stamp_are_refused() -> None:
         codec.decode("can/raw", b"", {"source": "can"})
     with pytest.raises(BadPayload):
         codec.decode("can/raw", b"", {"source": "can", "received_ns": "soon"})
-    with pytest.raises(BadPayload, match="received at"):
-        codec.decode("can/raw", b"", {"source": "can", "received_ns": str(2**63)})
-    with pytest.raises(BadPayload, match="49 letters"):
+    for digits in (str(2**63), 310 * "9", "-" + 4000 * "9", 5000 * "9"):
+        with pytest.raises(BadPayload):
+            codec.decode("can/raw", b"", {"source": "can", "received_ns": digits})
+    with pytest.raises(BadPayload, match="letters"):
         codec.decode("can/raw", b"", {"source": 49 * "c", "received_ns": "1"})
     assert isinstance(codec.decode("can/raw", b"", {"source": "can", "received_ns": "1"}), CanRaw)
 

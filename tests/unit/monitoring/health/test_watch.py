@@ -155,6 +155,33 @@ def test_a_hanging_process_is_silent_and_its_topics_wait_for_that_verdict(unit: 
     assert told == dict.fromkeys(("imu/sample", "navigation/solution"), "parsers.imu is silent")
 
 
+@pytest.mark.parametrize("how", ["hangs", "is killed"])
+def test_a_process_that_is_back_is_not_blamed_before_it_had_time_to_speak(unit: Unit, how: str) -> None:
+    if how == "hangs":
+        unit.hanging.add("parsers.imu")
+    else:
+        unit.kill("parsers.imu")
+    unit.run(10)
+    unit.mute.add("imu/sample")
+    unit.hanging.discard("parsers.imu")
+    unit.revive("parsers.imu")
+    waiting = [event for _, event in unit.run(4) if event.what in ("imu/sample", "navigation/solution")]
+    unit.mute.discard("imu/sample")
+    ended = [event for _, event in unit.run(2) if event.what in ("imu/sample", "navigation/solution")]
+
+    assert waiting == []
+    assert len(ended) == 2
+    assert all(event.until_ns and "runs" not in event.cause for event in ended)
+
+
+def test_a_process_that_is_back_and_says_nothing_is_blamed_in_the_end(unit: Unit) -> None:
+    unit.kill("parsers.imu")
+    unit.run(10)
+    unit.mute.add("imu/sample")
+    unit.revive("parsers.imu")
+    assert causes(unit.run(15))["imu/sample"] == "parsers.imu runs, but says nothing on imu/sample"
+
+
 def test_a_device_that_sends_nothing_is_the_cause_while_all_processes_run(unit: Unit) -> None:
     unit.mute.add("gnss/raw")
     told = causes(unit.run(10))

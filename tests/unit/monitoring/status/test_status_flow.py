@@ -78,6 +78,19 @@ def test_a_message_that_the_broker_kept_is_as_old_as_it_says() -> None:
     assert not flow(world, "mode/state").latencies_s
 
 
+def test_what_a_broker_that_was_away_has_kept_does_not_replace_what_is_newer() -> None:
+    """Mosquitto saves what it keeps every 30 s; after a crash it sends anew what was true at the last time."""
+    world = World()
+    states = [
+        ModeState(sampled_ns=world.now_ns - age * SECOND_NS, mode=Mode.MEASURING, since_ns=0, reason="ok")
+        for age in (1, 28)
+    ]
+    world.hear(states[0], "controller.mode")
+    world.hear(states[1], "controller.mode", retained=True)
+    assert flow(world, "mode/state").message == states[0]
+    assert flow(world, "mode/state").freshness(world.now_ns) == "fresh"
+
+
 def test_jitter_is_the_deviation_of_the_gaps() -> None:
     world = World()
     for gap_s in (0.1, 0.1, 0.2, 0.1, 0.2):
