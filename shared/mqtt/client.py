@@ -116,7 +116,7 @@ class Client(Generic[T]):
                 self._wait(message)
             else:
                 self.dropped += 1
-        elif self._waiting or connection.blocked or (message.qos and not self._has_window()):
+        elif self._waiting or not self._ready(connection, message):
             self._wait(message)
         else:
             self._transmit(connection, message)
@@ -219,9 +219,8 @@ class Client(Generic[T]):
         self._pump(connection)
         connection.flush()
 
-    def _has_window(self) -> bool:
-        """Whether the broker takes one more message of QoS 1 before it has acknowledged the others."""
-        return len(self._in_flight) < self._window
+    def _ready(self, connection: Connection, message: Outgoing) -> bool:
+        return not connection.blocked and (not message.qos or len(self._in_flight) < self._window)
 
     def _wait(self, message: Outgoing) -> None:
         self._waiting.append(message)
@@ -231,7 +230,7 @@ class Client(Generic[T]):
 
     def _pump(self, connection: Connection) -> None:
         """Send what waited, in its order, as far as the broker takes it."""
-        while self._waiting and not connection.blocked and (not self._waiting[0].qos or self._has_window()):
+        while self._waiting and self._ready(connection, self._waiting[0]):
             self._transmit(connection, self._waiting.popleft())
             if connection.unsent_bytes > GATHERED_BYTES:
                 connection.flush()

@@ -51,11 +51,11 @@ class TopicFlow:
         due = envelope.retained or (self._decode_every and self.count % self._decode_every == 0)
         message = envelope.decode() if due else None
         self.count += 1
-        kept_ns = stamp_ns(message) if envelope.retained and message and not self.topic.per_process else None
-        if kept_ns is not None and self.updated_ns is not None and kept_ns <= self.updated_ns:
+        said_ns = stamp_ns(message) if message else None
+        known_ns = self.updated_ns if envelope.retained and not self.topic.per_process else None
+        if said_ns is not None and known_ns is not None and said_ns <= known_ns:
             return None  # the broker was away, and has kept less than is known here
         self.newest, self.message, self.updated_ns = envelope, message, envelope.received_ns
-        said_ns = stamp_ns(message) if message else None
         if not envelope.retained:
             self._arrivals_ns.append(envelope.received_ns)
             self._note_latency(said_ns, envelope.received_ns)
