@@ -7,6 +7,7 @@ twenty-one, and every other one goes its own way, constant or with a walk or a d
 """
 
 from math import sqrt
+from struct import Struct
 
 import numpy as np
 import numpy.typing as npt
@@ -55,18 +56,43 @@ PATTERN = """
     . . .  . . x  . . .   . . .  . . .   . . .  . . .
 """
 PLACES = np.array([place for place, mark in enumerate(PATTERN.split()) if mark == "x"])
+# The same in Phi, with what is there of the unit matrix, and the diagonal of the lasting errors.
+UNCHANGED = np.eye(SIZE)
+PLACES_OF_PHI = PLACES // DRIVING * SIZE + PLACES % DRIVING
+ONES = UNCHANGED.reshape(-1)[PLACES_OF_PHI]
+LASTING = slice(GNSS_ERROR.start * (SIZE + 1), GNSS_ERROR.stop * (SIZE + 1), SIZE + 1)
+RATES = Struct(f"{len(PLACES)}d")  # NumPy takes numbers from bytes at a fifth of what a tuple costs
 
 
 def system_matrix(motion: Motion, force_n: Vector, rate_b: Vector) -> FloatArray:
     """Matrix F of the error model, shape (9, 21) [1/s and mixed], as far as it is not zero: see `error_rates`."""
-    return scattered(error_rates(motion, force_n, rate_b))
-
-
-def scattered(values: tuple[float, ...]) -> FloatArray:
-    """Put the elements of F in their places."""
     F = np.zeros(MOVING * DRIVING)
-    F[PLACES] = values
+    F[PLACES] = error_rates(motion, force_n, rate_b)
     return F.reshape(MOVING, DRIVING)
+
+
+def transition_matrix(rates: tuple[float, ...], step_s: float, remains: float) -> FloatArray:
+    """Matrix Phi of a short step.
+
+    Parameters
+    ----------
+    rates : tuple of float
+        [1/s and mixed] Elements of F, as of `error_rates`.
+    step_s : float
+        [s] Its length.
+    remains : float
+        [-] exp(-step / correlation time): what remains of the lasting errors of GNSS.
+
+    Returns
+    -------
+    ndarray, shape (31, 31)
+        I + F t, with `remains` on the diagonal of `GNSS_ERROR`: exact at any step for these, as nothing drives them.
+    """
+    Phi = UNCHANGED.copy()
+    elements = Phi.reshape(-1)
+    elements[PLACES_OF_PHI] = ONES + np.frombuffer(RATES.pack(*rates)) * step_s
+    elements[LASTING] = remains
+    return Phi
 
 
 def error_rates(motion: Motion, force_n: Vector, rate_b: Vector) -> tuple[float, ...]:
@@ -162,12 +188,38 @@ def noise_density(*densities: tuple[int | slice | npt.NDArray[np.intp], float]) 
     return diagonal
 
 
-def with_vibration(density: FloatArray, shaking: tuple[float, ...], factor: float) -> FloatArray:
-    """Raise the density of velocity and attitude to a share of the measured vibration [m²/s³, rad²/s], if less."""
-    raised = density.copy()
-    raised[ATTITUDE] = max(density[0], factor * shaking[1])
-    raised[VELOCITY] = max(density[3], factor * shaking[0])
-    return raised
+def added_variances(
+    density: FloatArray, shaking: tuple[float, ...], factor: float, step_s: float, remains: float
+) -> FloatArray:
+    """Variances that a step adds to the errors.
+
+    Parameters
+    ----------
+    density : ndarray, shape (31,)
+        [unit²/s] As of `noise_density`.
+    shaking : tuple of float
+        [m²/s³], [rad²/s] Density of the measured vibration: force, rate.
+    factor : float
+        [-] Share of it that velocity and attitude are given, if they have less.
+    step_s : float
+        [s] Length of the step.
+    remains : float
+        [-] As of `transition_matrix`; the lasting errors of GNSS keep the variance one.
+
+    Returns
+    -------
+    ndarray, shape (31,)
+        [unit²]
+
+    References
+    ----------
+    Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6, of first-order Gauss-Markov states.
+    """
+    added: FloatArray = density * step_s
+    added[ATTITUDE] = step_s * max(density.item(0), factor * shaking[1])
+    added[VELOCITY] = step_s * max(density.item(3), factor * shaking[0])
+    added[GNSS_ERROR] = 1.0 - remains * remains
+    return added
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:

@@ -51,88 +51,35 @@ def _survival(dimension: int, s: float) -> float:
     raise ValueError(f"a chi-square of dimension {dimension}")
 
 
-def predict(P: FloatArray, F: FloatArray, noise: FloatArray, step_s: float) -> FloatArray:
-    """Covariance after a short step: Phi P Phi^T + Q with Phi = I + F t and Q = diag(noise) t.
+def predict(P: FloatArray, Phi: FloatArray, added: FloatArray) -> FloatArray:
+    """Covariance after a step: Phi P Phi^T + diag(added).
 
     Parameters
     ----------
     P : ndarray, shape (n, n)
         Covariance before.
-    F : ndarray, shape (m, k), m <= k <= n
-        [1/s] System matrix; beyond these rows and columns it is zero.
-    noise : ndarray, shape (n,)
-        [unit²/s] Diagonal of the power spectral density.
-    step_s : float
-        [s] Length of the step.
+    Phi : ndarray, shape (n, n)
+        Transition matrix. Most of it is zero, but calls of NumPy on its blocks would take longer than the whole.
+    added : ndarray, shape (n,)
+        [unit²] Variances that the step adds.
 
     Returns
     -------
     ndarray, shape (n, n)
         Exactly symmetric.
-
-    Notes
-    -----
-    Only the first m rows and columns change, and the rest of the diagonal::
-
-        A = P[:m] + F t P[:k],  P+[:m, :m] = A[:, :m] + A[:, :k] (F t)^T,  P+[:m, m:] = A[:, m:]
     """
-    m, k = F.shape
-    Ft = F * step_s
-    upper = product(Ft, P[:k])
-    upper += P[:m]
-    square = product(upper[:, :k], Ft.T)
-    square += upper[:, :m]
-    after = P.copy()
-    after[:m] = upper
-    after[:, :m] = upper.T
-    corner = after[:m, :m]
-    np.add(square, square.T, corner)
-    corner *= 0.5
+    half = Phi.dot(P).dot(Phi.T)
+    after: FloatArray = half + half.T
+    after *= 0.5
     diagonal = after.reshape(-1)[:: len(P) + 1]
-    diagonal += noise * step_s
+    diagonal += added
     return after
-
-
-def product(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Matrix product, under a name of its own, since a compiler would ask for SciPy's."""
-    result: FloatArray = left.dot(right)
-    return result
 
 
 def variances(P: FloatArray, count: int) -> tuple[float, float]:
     """Sum of all variances, and the least of the first ones: how a covariance is seen to be sound."""
     diagonal = P.diagonal().tolist()
     return sum(diagonal), min(diagonal[:count])
-
-
-def decay(P: FloatArray, first: int, end: int, remains: float) -> FloatArray:
-    """Covariance after a step of first-order Gauss-Markov states of variance one, which nothing else depends on.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n, n)
-        Covariance before.
-    first, end : int
-        Place of the states, the end not included.
-    remains : float
-        [-] phi = exp(-step / correlation time).
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        Phi P Phi^T + Q, with phi on the diagonal of Phi and 1 - phi² on that of Q, and exact at any step.
-
-    References
-    ----------
-    Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6.
-    """
-    after, step = P.copy(), len(P) + 1
-    rows, columns = after[first:end], after[:, first:end]
-    diagonal = after.reshape(-1)[first * step : end * step : step]
-    rows *= remains
-    columns *= remains
-    diagonal += 1.0 - remains * remains
-    return after
 
 
 def resized(P: FloatArray, first: int, end: int, ratios: FloatArray) -> FloatArray:
@@ -162,8 +109,8 @@ def resized(P: FloatArray, first: int, end: int, ratios: FloatArray) -> FloatArr
     stems = P[:, first:end].dot(inverse_of(P[first:end, first:end]))
     stems[first:end] = 0.0
     W = stems * (ratios - 1.0)
-    half = P + product(W, P[first:end])
-    after = half + product(half[:, first:end], W.T)
+    half = P + W.dot(P[first:end])
+    after = half + half[:, first:end].dot(W.T)
     symmetric: FloatArray = after + after.T
     symmetric *= 0.5
     return symmetric

@@ -41,7 +41,7 @@ def grow(
 
 
 def _predict(P: FloatArray, rates: tuple[float, ...], step: float) -> None:
-    """`kalman.predict` without noise, into the next rows of P; the rows behind them hold F t."""
+    """Phi P Phi^T without decay, into the next rows of P; the rows behind them hold F t."""
     new, Ft = SIZE, 2 * SIZE
     for i in range(ROWS):
         for j in range(COLUMNS):
@@ -75,7 +75,7 @@ def _square(P: FloatArray) -> None:
 
 
 def _decay(P: FloatArray, remains: float) -> None:
-    """`kalman.decay` of the next covariance."""
+    """Have the lasting errors of GNSS decay in the next covariance, and keep their variance one."""
     for i in range(LASTING_FIRST, LASTING_END):
         for k in range(SIZE):
             P[SIZE + i, k] *= remains

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from shared.maths.rotation import Vector
 
-from .error_model import ACCELEROMETER_SCALE, GNSS_ERROR, system_matrix, with_vibration
-from .kalman import correct, decay, predict, variances
+from .error_model import ACCELEROMETER_SCALE, added_variances, error_rates, transition_matrix
+from .kalman import correct, predict, variances
 from .sampling import NO_SUMS, Errors, Shaking, Sums, means, take_sample
 from .stationary import QUIET_S, STILL, SURE, Rest, at_rest, doubt_of, length
 from .strapdown import Motion
@@ -117,9 +117,8 @@ def grow(
 ) -> tuple[FloatArray, bool]:
     """Carry the covariance over the time that was summed up, and say whether it is still one."""
     force_n, rate_b = means(sums)
-    grown = predict(P, system_matrix(motion, force_n, rate_b), with_vibration(walks, shaking, factor), sums[0])
-    if remains < 1.0:
-        grown = decay(grown, GNSS_ERROR.start, GNSS_ERROR.stop, remains)
+    Phi = transition_matrix(error_rates(motion, force_n, rate_b), sums[0], remains)
+    grown = predict(P, Phi, added_variances(walks, shaking, factor, sums[0], remains))
     total, least = variances(grown, ACCELEROMETER_SCALE.start)
     return grown, isfinite(total) and least > 0.0
 

@@ -4,11 +4,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.core.fusion import error_model as em
 from services.core.fusion.colour import UNKNOWN, Colour, mean_at_rest
 from services.core.fusion.first_place import first_place
 from services.core.fusion.gnss import GnssPosition
-from services.core.fusion.kalman import decay
 from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError, position_errors
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 
@@ -142,15 +140,3 @@ def test_fixes_with_corrections_start_without_a_lasting_error() -> None:
     assert first.error == (0.0, 0.0, 0.0)
     assert not first.both.any()
     assert first.cov == pytest.approx(np.diag(SD**2) / 4.0)  # 15 s of errors of 5 s
-
-
-def test_decay_is_exact_at_any_step() -> None:
-    """Two halves are a whole, what is apart from it is left alone, and it ends at variance one."""
-    root = np.random.default_rng(4).standard_normal((em.SIZE, em.SIZE))
-    P = root @ root.T
-    place = em.GNSS_ERROR.start, em.GNSS_ERROR.stop
-    whole = decay(P, *place, np.exp(-1.0))
-    halves = decay(decay(P, *place, np.exp(-0.5)), *place, np.exp(-0.5))
-    assert halves == pytest.approx(whole, abs=1e-12)
-    assert (whole[: em.DRIVING, : em.DRIVING] == P[: em.DRIVING, : em.DRIVING]).all()
-    assert decay(P, *place, 0.0)[em.GNSS_ERROR, em.GNSS_ERROR] == pytest.approx(np.eye(3))

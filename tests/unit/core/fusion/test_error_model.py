@@ -6,11 +6,13 @@ from math import cos, hypot, sin, tan
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.linalg import expm
 
 from services.core.fusion import error_model as em
 from services.core.fusion import strapdown
 from services.core.fusion.filter import ErrorStateFilter
 from services.core.fusion.gnss import GnssPosition, GnssVelocity, antenna_velocity
+from services.core.fusion.kalman import predict
 from services.core.fusion.settings import Settings
 from services.core.fusion.strapdown import InertialState
 from services.core.fusion.wheels import NonHolonomic, WheelSpeed
@@ -121,6 +123,39 @@ def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differe
         size = np.linalg.norm(F[row, column])
         limit = one_percent * size if size else NEGLECTED[row.start]
         assert np.linalg.norm(differences[row, column] - F[row, column]) <= limit, (row, column)
+
+
+def test_the_transition_is_that_of_the_matrix_exponential_to_first_order() -> None:
+    step_s = 1e-4
+    F = np.zeros((em.SIZE, em.SIZE))
+    F[: em.MOVING, : em.DRIVING] = em.system_matrix(MOTION, FORCE_N, RATE)
+    Phi = em.transition_matrix(em.error_rates(MOTION, FORCE_N, RATE), step_s, 1.0)
+    assert Phi == pytest.approx(expm(F * step_s), abs=1e-6)
+    assert Phi == pytest.approx(np.eye(em.SIZE) + F * step_s, abs=1e-15)
+
+
+def test_lasting_errors_decay_exactly_at_any_step() -> None:
+    """Two halves are a whole, what is apart from them is left alone, and they end at variance one."""
+    root = np.random.default_rng(4).standard_normal((em.SIZE, em.SIZE))
+    at_rest, steady, calm = (0.0,) * len(em.PLACES), (0.0,) * 5, np.zeros(em.SIZE)
+
+    def decayed(P: FloatArray, remains: float) -> FloatArray:
+        Phi = em.transition_matrix(at_rest, 1.0, remains)
+        return predict(P, Phi, em.added_variances(calm, steady, 1.0, 1.0, remains))
+
+    P = root @ root.T
+    whole = decayed(P, np.exp(-1.0))
+    assert decayed(decayed(P, np.exp(-0.5)), np.exp(-0.5)) == pytest.approx(whole, abs=1e-12)
+    assert (whole[: em.DRIVING, : em.DRIVING] == P[: em.DRIVING, : em.DRIVING]).all()
+    assert decayed(P, 0.0)[em.GNSS_ERROR, em.GNSS_ERROR] == pytest.approx(np.eye(3))
+
+
+def test_vibration_adds_what_the_settings_lack() -> None:
+    density, shaking = em.noise_density((em.ATTITUDE, 2.0), (em.VELOCITY, 3.0)), (10.0, 1.0, 0.0, 0.0, 0.0)
+    added = em.added_variances(density, shaking, 0.5, 0.1, 1.0)
+    assert added[em.ATTITUDE] == pytest.approx(np.full(3, 0.2))
+    assert added[em.VELOCITY] == pytest.approx(np.full(3, 0.5))
+    assert not added[em.POSITION.start :].any()
 
 
 def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:

@@ -45,8 +45,9 @@ def filtered(measured: FloatArray, P0: FloatArray, F: FloatArray, noise: FloatAr
     P, state = P0, np.zeros(len(P0))
     for k, value in enumerate(measured):
         m, n = F.shape
-        P = predict(P, F, noise, 0.1)
-        state = state + np.r_[0.1 * F @ state[:n], np.zeros(len(P0) - m)]
+        Phi = np.eye(len(P0))
+        Phi[:m, :n] += 0.1 * F
+        P, state = predict(P, Phi, 0.1 * noise), Phi @ state
         H = np.zeros((1, len(P0)))
         H[0, 1 if k % 3 == 2 else 0] = 1.0
         way.predicted.append(P)
