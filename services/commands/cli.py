@@ -56,7 +56,7 @@ def demo(
     scenario: Annotated[
         str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
     ] = "urban",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 1,
     duration: Annotated[
         float | None,
         typer.Option(min=1.0, help="Seconds to drive, counted from the first message; without it until Ctrl-C."),
