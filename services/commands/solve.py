@@ -185,9 +185,11 @@ def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
 
 
 def _check(path: Path, inputs: Inputs) -> None:
+    if not inputs.topics:
+        raise UserError(f"{path} holds no message of a unit; was anything running when it was recorded?")
     for sensor, topics in (("IMU", ("imu/raw", "imu/sample")), ("GNSS", ("gnss/raw", "gnss/fix"))):
         if not any(inputs.topics[topic] for topic in topics):
-            held = ", ".join(sorted(inputs.topics)) or "nothing at all"
+            held = ", ".join(sorted(inputs.topics))
             raise UserError(
                 f"{path} holds neither {topics[0]} nor {topics[1]}, but {held}; record the {sensor} as well"
             )
