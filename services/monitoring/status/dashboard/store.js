@@ -52,9 +52,10 @@ export function ageS(stampNs) {
 // The limits come from the server, which has the one rule; here they are only compared.
 export function freshness(topic, stampNs) {
   const age = ageS(stampNs);
-  if (age === null) return "never";
   const row = contract.value?.topics[topic] ?? contract.value?.topics[topic.replace(/\/[^/]*$/, "/+")];
-  if (!row || row.stale_after_s === null) return "quiet";
+  if (row?.stale_after_s === null) return "quiet"; // events: their silence says nothing, not even at the start
+  if (age === null) return "never";
+  if (!row) return "quiet";
   if (age >= row.stale_after_s) return "stale";
   return age >= row.late_after_s ? "late" : "fresh";
 }
