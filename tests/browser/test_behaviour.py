@@ -247,6 +247,11 @@ def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Cal
         page = open_page(server.address)
         expect(page.locator(".banner .sentence")).to_contain_text("the message broker does not answer", timeout=6000)
         expect(page.locator(".chain .worst")).to_have_text("Broker does not answer")
+        services = page.get_by_role("region", name="Services")
+        expect(services).to_contain_text("not known")
+        expect(services.get_by_text(re.compile("silent|running"))).to_have_count(0)
+        page.keyboard.type("gs")
+        expect(page.locator("[id='node-core.fusion']")).to_contain_text("not known")
 
 
 def test_a_browser_that_is_one_too_many_is_told(tmp_path: Path, open_page: Callable[..., Page]) -> None:

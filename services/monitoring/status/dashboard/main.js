@@ -1,7 +1,7 @@
 // The shell around the pages: who speaks, whether it is connected, one sentence on trust, and the way about.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { clock, contract, freshness, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
+import { brokerAnswers, clock, contract, freshness, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
 import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
@@ -125,6 +125,7 @@ function WhyDrawer({ onClose }) {
     <p class="lead-text">${v.sentence}</p>
     <h3>${words.banner.action}</h3><p>${banner.action}</p>
     <h3>${words.banner.checks}</h3>
+    ${checksNow(banner).some((c) => c.ratio !== null) && html`<p class="note block">${words.banner.meter}</p>`}
     <ul class="checks long">${checksNow(banner).map((c) => html`<li>
       <${StateIcon} state=${c.state} word=${words.check[c.state]} />
       <span>${c.link ? html`<a href=${`#/system?${c.link}`} onClick=${onClose} title=${words.banner.look(c.label)}>${c.label}</a>` : c.label}</span>
@@ -166,7 +167,7 @@ function Footer() {
   const { bus, recording, problems } = state.value;
   const first = problems[0];
   const target = first && (first.what.includes("/") ? `topic=${first.what}` : `node=${first.what}`);
-  const live = link.value.open;
+  const live = brokerAnswers();
   const heard = recording && !["stale", "never"].includes(freshness("recording/state", recording.updated_ns));
   return html`<footer class="foot" aria-label=${t.label}>
     ${live && html`<span>${t.rate(rate(bus.messages_hz))}</span>

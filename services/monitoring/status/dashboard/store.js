@@ -42,6 +42,7 @@ function read(key, fallback) {
 // Milliseconds on the unit's time line; it goes on between frames.
 export const nowMs = () => (offsetMs === null ? null : performance.now() + offsetMs);
 export const frameAgeS = () => (lastFrameAt ? (performance.now() - lastFrameAt) / 1000 : null);
+export const brokerAnswers = () => link.value.open && state.value.chain.broker.ok; // else no process is known
 export const isLive = () => link.value.open && frameAgeS() !== null && frameAgeS() < FRAME_OVERDUE_S;
 
 export function ageS(stampNs) {

@@ -1,6 +1,6 @@
 // The five layers, live: processes as lists, topics as lines between them, outages, and why the unit does what it does.
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
-import { clock, contract, freshness, link, nowMs, state } from "./store.js";
+import { brokerAnswers, clock, contract, freshness, link, nowMs, state } from "./store.js";
 import {
   Age, Card, Drawer, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
 } from "./parts.js";
@@ -9,7 +9,7 @@ import { words } from "./words.js";
 
 const w = words.system;
 const short = (name) => name.split(".")[1];
-const statusOf = (name) => (link.value.open ? state.value.processes[name].status : "unknown");
+const statusOf = (name) => (brokerAnswers() ? state.value.processes[name].status : "unknown");
 
 function Node({ name, onHover }) {
   const p = state.value.processes[name];
@@ -144,7 +144,7 @@ function NodeDrawer({ name, onClose }) {
   const topics = Object.entries(contract.value.topics);
   const says = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
   const hears = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
-  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${kind} ${n}`).join(", ");
+  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${n} × ${kind}`).join(", ");
   const list = (names) => (names.length ? html`<ul class="tags">${names.map((t) => html`<li><a href=${`#/system?topic=${t}`}>${t}</a></li>`)}</ul>` : words.system.nothing);
   return html`<${Drawer} title=${w.drawer(name)} onClose=${onClose}>
     <p class="lead-text">${row.purpose}.</p>
@@ -160,7 +160,7 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.cpu} value=${percent(p.cpu_share)} extra=${w.cpuNote} />
       <${Row} label=${w.memory} value=${bytes(p.rss_bytes)} />
       <${Row} label=${w.rejects} value=${rejects || w.none} />
-      <${Row} label=${w.dropped} value=${p.dropped ?? 0} />
+      <${Row} label=${w.dropped} value=${p.dropped ?? 0} extra=${w.droppedNote} />
       <${Row} label=${w.reconnections} value=${p.reconnections ?? 0} />
     </dl>
     <h3>${w.says}</h3>${list([...says, `health/${name}`])}
