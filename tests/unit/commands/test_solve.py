@@ -143,6 +143,10 @@ def test_what_cannot_be_solved_is_one_sentence(recording: Path, tmp_path: Path) 
     RecordingWriter(tmp_path / "empty.mcap").close()
     with pytest.raises(UserError, match=r"empty\.mcap holds no message of a unit"):
         solve(tmp_path / "empty.mcap", out=tmp_path)
+    with pytest.raises(UserError, match=r"--score-from begins at 1e\+06 s, but .* lasts \d+ s"):
+        solve(recording, score_from=1e6, out=tmp_path)
+    with pytest.raises(UserError, match=r"--outage begins at 9000 s, but .* name an earlier time"):
+        solve(recording, outage="60/180@9000", out=tmp_path)
     with pytest.raises(UserError, match="no fix of the recording has RTK quality"):
         solve(recording, truth="fixes", out=tmp_path)
     with pytest.raises(UserError, match="--truth is fixes, recorded, none or a CSV file"):
