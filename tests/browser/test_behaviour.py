@@ -323,3 +323,14 @@ def test_a_silent_topic_and_one_of_events_look_different(
     silent = topics.locator("tr", has_text="imu/raw")
     expect(silent).to_contain_text("0 /s", timeout=20_000)  # the rate is that of the last ten seconds
     expect(silent.locator(".state.stale")).to_be_visible()
+
+
+def test_a_unit_that_has_just_started_is_not_called_well(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["empty"].address)
+    services = page.locator(".chain li", has_text="Services")
+    expect(services).to_contain_text("0/9")
+    expect(services).to_have_class("unknown")
+    expect(page.locator(".foot")).to_contain_text("9 processes have not started yet")
+    expect(page.locator(".foot")).not_to_contain_text("CPU")

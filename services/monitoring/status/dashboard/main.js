@@ -32,6 +32,9 @@ function Origin() {
   return html`<p class="origin ${kind}" title=${meaning}><strong>${word}</strong>${origin && html`<span>${name(origin)}</span>`}</p>`;
 }
 
+// While some have not been heard of since the start, that nothing is down says little.
+const servicesOk = ({ ok, up, of }) => (ok && up < of ? null : ok);
+
 function links() {
   const c = state.value?.chain;
   const up = link.value.open && isLive();
@@ -40,7 +43,7 @@ function links() {
     ["browser", true, ""],
     ["api", up, ""],
     ["broker", known ? c.broker.ok : null, ""],
-    ["services", known && c.broker.ok ? c.services.ok : null, known ? `${c.services.up}/${c.services.of}` : ""],
+    ["services", known && c.broker.ok ? servicesOk(c.services) : null, known ? `${c.services.up}/${c.services.of}` : ""],
     ["sensors", known && c.broker.ok ? c.sensors.ok : null, known ? `${c.sensors.up}/${c.sensors.of}` : ""],
   ];
 }
@@ -64,7 +67,7 @@ function Chain() {
     <ol>${chain.map(([name, ok, count]) => html`<li class=${ok === null ? "unknown" : ok ? "ok" : "bad"}>
       <span class="dot" aria-hidden="true"></span>${t[name]}${count && html`<span class="count">${count}</span>`}<span class="sr"> ${ok === null ? t.unknown : ok ? t.ok : t.bad}</span>
     </li>`)}</ol>
-    <p class=${worst ? "worst" : "dim"}>${worst ?? t.allUp}</p>
+    <p class=${worst ? "worst" : "dim"}>${worst ?? (chain.some(([, ok]) => ok === null) ? t.starting : t.allUp)}</p>
   </div>`;
 }
 
@@ -164,7 +167,8 @@ function Navigation({ page }) {
 function Footer() {
   if (!state.value) return null;
   const t = words.footer;
-  const { bus, recording, problems } = state.value;
+  const { bus, chain, recording, problems } = state.value;
+  const toCome = chain.services.of - chain.services.up;
   const first = problems[0];
   const target = first && (first.what.includes("/") ? `topic=${first.what}` : `node=${first.what}`);
   const live = brokerAnswers();
@@ -172,11 +176,11 @@ function Footer() {
   return html`<footer class="foot" aria-label=${t.label}>
     ${live && html`<span>${t.rate(rate(bus.messages_hz))}</span>
     ${bus.delay_p95_s != null && html`<span>${t.delay(seconds(bus.delay_p95_s))}</span>`}
-    <span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>
+    ${bus.rss_bytes > 0 && html`<span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>`}
     ${heard && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
     <span class=${heard && recording.recording ? "rec" : ""}>${!heard ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
     ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text)}</a>`
-      : html`<span class="push dim">${live ? t.noProblems : words.status.unknown}</span>`}
+      : html`<span class="push dim">${!live ? words.status.unknown : toCome > 0 ? t.toCome(toCome) : t.noProblems}</span>`}
   </footer>`;
 }
 

@@ -116,7 +116,7 @@ function ServicesCard() {
       <a href=${`#/system?node=${name}`}><${StateIcon} state=${STATUS_STATE[p.status]} word=${words.status[p.status]} /><span>${name}</span>
       <span class="dim">${p.status === "ready" ? percent(p.cpu_share) : words.status[p.status]}</span></a>
     </li>`)}</ul>
-    ${live && bus.delay_p95_s != null && html`<p class="note block">${words.services.delay(seconds(bus.delay_p95_s))}</p>`}
+    ${live && bus.delay_p95_s != null && html`<p class="note block">${words.services.note(seconds(bus.delay_p95_s))}</p>`}
   </${Card}>`;
 }
 
