@@ -89,8 +89,15 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     finally:
         bus.close()
         supervisor.stop()
+        _tell_recordings(folder, console)
     _print(summary, options, console)
     return 0 if summary.healthy else 1
+
+
+def _tell_recordings(folder: Path, console: Console) -> None:
+    """Say where the drive is kept, because the next demo begins with an empty folder."""
+    for path in sorted((folder / "recordings").glob("*.mcap")):
+        console.print(f"recorded: {path}   (copy it: the next demo removes it)", soft_wrap=True, highlight=False)
 
 
 def _restarts(supervisor: Supervisor) -> int:

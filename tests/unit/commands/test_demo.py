@@ -48,3 +48,19 @@ def test_a_port_in_use_is_told_with_the_one_that_is_used_instead(
     assert used != taken
     assert f"port {taken} is taken: the dashboard takes {used}; to choose one: `obu demo --port NUMBER`" in err
     assert isinstance(json.loads(out), dict), "standard output is the balance alone"
+
+
+def test_the_end_says_where_the_drive_is_kept_until_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        (tmp_path / "demo" / "recordings").mkdir()
+        (tmp_path / "demo" / "recordings" / "drive.mcap").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("OBU_STATE", str(tmp_path))
+    monkeypatch.setattr(demo, "_watch", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        demo.run(options())
+    said = " ".join(capfd.readouterr().err.split())
+    assert f"recorded: {tmp_path}/demo/recordings/drive.mcap (copy it: the next demo removes it)" in said
