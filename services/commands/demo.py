@@ -175,7 +175,19 @@ def _insist(supervisor: Supervisor) -> None:
             )
 
 
+def _why_unhealthy(summary: Summary) -> str:
+    if summary.processes_alive < summary.processes_expected:
+        return (
+            f"{summary.processes_alive} of {summary.processes_expected} processes were alive at the end: see the logs"
+        )
+    if not summary.solutions:
+        return "there was no position yet: a drive needs about 20 s before its first, --duration 60 shows more"
+    return "not every process was heard to be ready: see the logs"
+
+
 def _print(summary: Summary, options: DemoOptions, console: Console) -> None:
+    if not summary.healthy:
+        console.print(f"not healthy: {_why_unhealthy(summary)}", soft_wrap=True, highlight=False)
     if options.json_output:
         print(json.dumps(asdict(summary)))
         return

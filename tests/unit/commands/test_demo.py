@@ -47,7 +47,8 @@ def test_a_port_in_use_is_told_with_the_one_that_is_used_instead(
     used = int(vehicle.partition("port = ")[2].split()[0])
     assert used != taken
     assert f"port {taken} is taken: the dashboard takes {used}; to choose one: `obu demo --port NUMBER`" in err
-    assert isinstance(json.loads(out), dict), "standard output is the balance alone"
+    assert json.loads(out)["healthy"] is False, "standard output is the balance alone"
+    assert "not healthy: 0 of 10 processes were alive at the end: see the logs" in err
 
 
 def test_the_end_says_where_the_drive_is_kept_until_the_next(

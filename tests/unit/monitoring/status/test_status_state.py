@@ -112,6 +112,13 @@ def test_a_sensor_that_falls_silent_is_named_while_its_driver_runs(driving: Worl
     assert driving.state.problems[0].text.endswith("sensors.simulator runs, but its device sends nothing")
 
 
+def test_a_device_that_has_yet_to_speak_is_not_blamed_for_silence() -> None:
+    starting = World()
+    starting.beat(*ALL)
+    starting.pass_time(0.3)
+    assert starting.state.verdict.sentence.endswith("sensors.simulator runs, but its device has sent nothing yet.")
+
+
 def test_an_outage_is_noted_from_the_last_message_to_the_return(driving: World) -> None:
     lost_ns = driving.now_ns
     drive(driving, 6.0, without=("core.fusion",))
