@@ -5,6 +5,7 @@ PYTHON := $(VENV)/bin/python
 SUDO := $(shell [ "$$(id -u)" = 0 ] || command -v sudo)
 APT := $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 SEED ?= 1
+PORT ?= 8080
 SCENARIO ?= urban
 RUNS ?= 1000
 
@@ -44,8 +45,8 @@ $(VENV)/.debian: | $(VENV)/.testing
 	@deploy/install_test_programs.sh "$(SUDO)"
 	@touch $@
 
-demo: setup ## drive a simulated car here and print the dashboard's address
-	@$(PYTHON) -m services demo --scenario $(SCENARIO) --seed $(SEED)
+demo: setup ## drive a simulated car here and print the dashboard's address (SCENARIO=urban SEED=1 PORT=8080)
+	@$(PYTHON) -m services demo --scenario $(SCENARIO) --seed $(SEED) --port $(PORT)
 
 test: $(VENV)/.debian ## run every check that CI runs: all but `make slow` and `make containers`
 	@$(MAKE) --no-print-directory check

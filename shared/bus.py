@@ -33,6 +33,7 @@ HEARTBEAT_S = 0.5
 HUNG_S = 20.0  # without a heartbeat: longer than a slow disk takes, and whoever restarts it should get to know
 KEEP_ALIVE_S = 5
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
+STEADY_S = 3.0  # a connection that lasts less is no success: two of one name would take it from each other for ever
 QUEUE_LENGTH = 2000
 GATHERED_BYTES = 65_536  # that one write may hold
 PACKET_BYTES = codec.MAXIMUM_PAYLOAD + 65_536  # the largest payload, and the rest of its packet
@@ -73,7 +74,8 @@ class Bus:
         self._signature = origin + user_property("seq", "")[:-2]
         self._sequence = 0
         self._next_heartbeat = self._next_attempt = 0.0
-        self._attempts = self._refusals = 0
+        self._attempts = self._refusals = self._brief = 0
+        self._connected_s = 0.0
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
         self._observer, self._guarded = observer, False
         filters = [Subscription(self._prefix + topic.name, topic.qos) for topic in subscriptions]
@@ -208,7 +210,7 @@ class Bus:
             self._lose(error)
         if self._client.up and not self.connected:
             self.connected, self.last_error = True, None
-            self._attempts, self._next_heartbeat = 0, 0.0
+            self._connected_s, self._next_heartbeat = time.monotonic(), 0.0
             log.info("connected to %s:%d", self.address.host, self.address.port)
         if self._client.refusals > self._refusals:
             self._refusals = self._client.refusals
@@ -222,11 +224,19 @@ class Bus:
             self.last_error = complaint
         else:
             if self.connected and not self.stopping:
-                self.reconnections += 1
-                log.warning("connection to the broker lost: %s", error)
+                self._note_loss(error)
             self.last_error = f"connection to the broker lost: {error}"
             self._next_attempt = time.monotonic() + RECONNECT_S[min(self._attempts, len(RECONNECT_S) - 1)]
         self.connected = False
+
+    def _note_loss(self, error: Lost) -> None:
+        self.reconnections += 1
+        if time.monotonic() - self._connected_s < STEADY_S:
+            self._brief += 1
+        else:
+            self._attempts = self._brief = 0
+        hint = f"; does another {self.process} run on this broker?" if self._brief > 1 and not self._observer else ""
+        log.warning("connection to the broker lost: %s%s", error, hint)
 
     def guard(self) -> None:
         """From now on end the program, with a traceback on standard error, when `receive` is not called any more."""

@@ -25,13 +25,14 @@ from .verify import verify
 
 app = typer.Typer(
     help="A vehicle on-board unit that says where the vehicle is, and whether to believe it.",
+    epilog="Begin with [bold]obu demo[/]. The help of each command has examples, such as [bold]obu solve --help[/].",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
 
 papers = typer.Typer(
-    help="Reproduce what the published papers report. Example: [bold]obu papers navigation --runs 2[/]",
+    help="Reproduce what the published papers report.\n\nExample: [bold]obu papers navigation --runs 2[/]",
     no_args_is_help=True,
 )
 app.add_typer(papers, name="papers")
@@ -56,7 +57,7 @@ def demo(
     scenario: Annotated[
         str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
     ] = "urban",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 1,
     duration: Annotated[
         float | None,
         typer.Option(min=1.0, help="Seconds to drive, counted from the first message; without it until Ctrl-C."),
@@ -67,7 +68,10 @@ def demo(
 ) -> None:
     """Run the whole unit here with simulated sensors: no Docker, no hardware, no account.
 
-    Examples: [bold]obu demo[/]  |  [bold]obu demo --scenario parking_lot --duration 60 --json[/]
+    Examples:
+    [bold]obu demo[/]
+    [bold]obu demo --scenario tunnel --port 8090[/]
+    [bold]obu demo --scenario parking_lot --duration 60 --json[/]
     """
     from .demo import DemoOptions, run
 
@@ -100,7 +104,9 @@ def up(vehicle: VehicleOption = None) -> None:
 
 @app.command()
 def run(
-    process: Annotated[str, typer.Argument(help="Name of the process, such as core.fusion.")],
+    process: Annotated[
+        str, typer.Argument(help="Name of the process, such as core.fusion; `obu topics --processes` lists them.")
+    ],
     vehicle: VehicleOption = None,
 ) -> None:
     """Run one process.
@@ -125,7 +131,10 @@ def topics(
 ) -> None:
     """Print the contract of the bus: topics, or processes, or the AsyncAPI document.
 
-    Example: [bold]obu topics --asyncapi > asyncapi.json[/]
+    Examples:
+    [bold]obu topics[/]
+    [bold]obu topics --processes[/]
+    [bold]obu topics --asyncapi > asyncapi.json[/]
     """
     from shared import contract
 
@@ -143,7 +152,11 @@ def tail(
 ) -> None:
     """Print messages of a running unit as they come, one a line.
 
-    Example: [bold]obu tail navigation/solution --count 3[/]
+    The broker is that of OBU_BROKER; a demo prints the line to copy.
+
+    Examples:
+    [bold]obu tail navigation/solution --count 3[/]
+    [bold]obu tail '#'[/]
     """
     from .tail import follow
 
@@ -155,7 +168,9 @@ def tail(
 def doctor(vehicle: VehicleOption = None) -> None:
     """Say what is wrong with this machine, its configuration and a running unit, and how to mend it.
 
-    Example: [bold]obu doctor --vehicle deploy/vehicles/pi.toml[/]
+    Examples:
+    [bold]obu doctor[/]
+    [bold]obu doctor --vehicle deploy/vehicles/pi.toml[/]
     """
     from .doctor import examine
 
@@ -216,7 +231,10 @@ def _record(
 ) -> None:
     """Record everything that a running unit says, beside its own recorder.
 
-    Examples: [bold]obu record -o drive.mcap[/]  |  [bold]obu record --duration 60[/]
+    Examples:
+    [bold]obu record -o drive.mcap[/]
+    [bold]obu record --duration 60[/]
+    [bold]obu record repair cut.mcap -o whole.mcap[/]
     """
     if context.invoked_subcommand is None:
         _end_on_sigterm()

@@ -12,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
+from services.sensors.simulator.scenarios import scenario_of
 from shared.bus import Bus
 from shared.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
 from shared.errors import BadPayload, UserError
@@ -41,14 +42,23 @@ class DemoOptions:
 
 def run(options: DemoOptions) -> int:
     """Start everything, watch it, and print the balance at the end."""
+    _insist_on_scenario(options)
     logging.getLogger("shared").setLevel(logging.ERROR)  # the broker's absence at the start is expected
     base = state_dir().resolve()
     with only_one(base / "demo.lock"):
         return _drive(options, fresh_folder(base / "demo"))
 
 
+def _insist_on_scenario(options: DemoOptions) -> None:
+    """Refuse what the simulator would refuse, before anything is started."""
+    try:
+        scenario_of(options.scenario, options.seed)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+
+
 def _drive(options: DemoOptions, folder: Path) -> int:
-    port, http_port = free_port(), port_or_free(options.http_port)
+    port, (http_port, taken) = free_port(), port_or_free(options.http_port)
     vehicle_path = folder / "vehicle.toml"
     vehicle = _vehicle(options, http_port)
     vehicle_path.write_text(vehicle.text, encoding="utf-8")
@@ -63,6 +73,12 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     supervisor = unit(vehicle, environment, folder / "logs", broker)
     console = Console(stderr=True)
     console.print(f"[bold]OBU demo[/]: scenario {options.scenario}, seed {options.seed}; logs in {folder / 'logs'}")
+    if taken:
+        console.print(
+            f"port {options.http_port} {taken}: the dashboard takes {http_port}; "
+            "to choose one: `obu demo --port NUMBER`, or `make demo PORT=NUMBER`",
+            soft_wrap=True,
+        )
     address = f"http://127.0.0.1:{http_port}"
     bus = Bus("observer", vehicle.name, BrokerAddress.parse(environment["OBU_BROKER"]),
               [t for t in TOPICS if t.name in OBSERVED], folder, observer=True)  # fmt: skip
@@ -73,8 +89,15 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     finally:
         bus.close()
         supervisor.stop()
+        _tell_recordings(folder, console)
     _print(summary, options, console)
     return 0 if summary.healthy else 1
+
+
+def _tell_recordings(folder: Path, console: Console) -> None:
+    """Say where the drive is kept, because the next demo begins with an empty folder."""
+    for path in sorted((folder / "recordings").glob("*.mcap")):
+        console.print(f"recorded: {path}   (copy it: the next demo removes it)", soft_wrap=True, highlight=False)
 
 
 def _restarts(supervisor: Supervisor) -> int:
@@ -152,7 +175,19 @@ def _insist(supervisor: Supervisor) -> None:
             )
 
 
+def _why_unhealthy(summary: Summary) -> str:
+    if summary.processes_alive < summary.processes_expected:
+        return (
+            f"{summary.processes_alive} of {summary.processes_expected} processes were alive at the end: see the logs"
+        )
+    if not summary.solutions:
+        return "there was no position yet: a drive needs about 20 s before its first, --duration 60 shows more"
+    return "not every process was heard to be ready: see the logs"
+
+
 def _print(summary: Summary, options: DemoOptions, console: Console) -> None:
+    if not summary.healthy:
+        console.print(f"not healthy: {_why_unhealthy(summary)}", soft_wrap=True, highlight=False)
     if options.json_output:
         print(json.dumps(asdict(summary)))
         return

@@ -11,13 +11,14 @@ from pathlib import Path
 
 from shared.bus import Bus
 from shared.config import VehicleFile, broker_address, load_vehicle, state_dir
-from shared.errors import UserError
+from shared.errors import BadPayload, UserError
 from shared.live import load_process
 from shared.messages import ProcessHealth, ProcessState
 from shared.topics import TOPICS
 
 ENOUGH_BYTES = 1_000_000_000
 LISTEN_S = 2.0
+OTHER_BROKER = "set OBU_BROKER=mqtt://host:port (a demo prints the line to copy)"
 SILENT_NS = 3_000_000_000
 LIBRARIES = Path(__file__).parents[1] / "monitoring" / "status" / "dashboard" / "node_modules"
 
@@ -93,7 +94,10 @@ def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
     until = time.monotonic() + LISTEN_S
     while time.monotonic() < until:
         for envelope in bus.receive(0.1):
-            message = envelope.decode()
+            try:
+                message = envelope.decode()
+            except BadPayload:
+                continue  # who speaks so is not heard, and is told as such
             if isinstance(message, ProcessHealth):
                 newest[message.process] = message
     now_ns = bus.now_ns()
@@ -106,7 +110,8 @@ def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
         if health is None:
             yield Finding(False, f"{name} runs", "it was never heard; its log says why")
         elif health.state is not ProcessState.READY or now_ns - health.sent_ns > SILENT_NS:
-            yield Finding(False, f"{name} runs", f"it is {health.state}, or silent; its log says why")
+            how = "silent" if health.state is ProcessState.READY else health.state
+            yield Finding(False, f"{name} runs", f"it is {how}; its log says why")
         else:
             yield Finding(not health.last_error, f"{name} runs", f"its last error: {health.last_error}")
 
@@ -117,5 +122,5 @@ def _broker() -> Finding:
     try:
         socket.create_connection((address.host, address.port), timeout=2.0).close()
     except OSError as error:
-        return Finding(False, f"{what}: {error.strerror or error}", "start it, or set OBU_BROKER=mqtt://host:port")
+        return Finding(False, f"{what}: {error.strerror or error}", f"start it, or {OTHER_BROKER}")
     return Finding(True, what)

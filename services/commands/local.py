@@ -1,6 +1,7 @@
 """A broker and a state folder on this machine, for the demo."""
 
 import contextlib
+import errno
 import fcntl
 import os
 import shutil
@@ -23,15 +24,15 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def port_or_free(wanted: int) -> int:
-    """Take the wanted loopback port if nobody listens on it, otherwise any free one."""
+def port_or_free(wanted: int) -> tuple[int, str | None]:
+    """Take the wanted loopback port, or any free one and the reason why not the wanted one."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", wanted))
-        except OSError:
-            return free_port()
-        return int(probe.getsockname()[1])
+        except OSError as error:
+            return free_port(), "is taken" if error.errno == errno.EADDRINUSE else f"is refused ({error.strerror})"
+        return int(probe.getsockname()[1]), None
 
 
 @contextlib.contextmanager

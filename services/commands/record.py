@@ -68,7 +68,7 @@ def repair(
         _copy(recording, writer, console)
         if not writer.messages:
             output.unlink()
-            raise UserError(f"{file} holds no message that can be read; it may be another kind of file")
+            raise UserError(f"{file} holds no message that can be read; there is nothing to repair")
         tell_problems(recording, console)
     print(f"wrote {writer.messages} messages, {writer.bytes_written / 1e6:.1f} MB, to {output}")
     return 0

@@ -20,9 +20,16 @@ def open_recording(path: Path) -> Recording:
     if path.is_file() and path.stat().st_size == 0:
         raise UserError(f"{path} is empty; give a file written by `obu record`, `obu import` or the unit's recorder")
     try:
-        return Recording(path)
+        recording = Recording(path)
     except BadRecording as error:
         raise UserError(f"{error}; give a file written by `obu record`, `obu import` or the unit's recorder") from error
+    if not recording.recognised:
+        recording.close()
+        raise UserError(
+            f"{path} is no recording, not even a damaged one; give a file written by `obu record` or the unit's "
+            "recorder, or make one of other data with `obu import`"
+        )
+    return recording
 
 
 def vehicle_of(recording: Recording, path: Path | None) -> VehicleFile:

@@ -33,10 +33,12 @@ def replay(
 ) -> int:
     """Play what the devices said onto the bus of a unit that runs without sensors; stamps are moved to now.
 
-    At a speed other than 1 the stamps keep the recorded intervals and part from the unit's clock:
-    good for watching, not for measuring latency.
+    At a speed other than 1 the stamps keep the recorded intervals and part
+    from the unit's clock: good for watching, not for measuring latency.
 
-    Examples: [bold]obu replay drive.mcap[/]  |  [bold]obu replay drive.mcap --speed 5 --broker mqtt://127.0.0.1:1884[/]
+    Examples:
+    [bold]obu replay drive.mcap[/]
+    [bold]obu replay drive.mcap --speed 5 --broker mqtt://127.0.0.1:1884[/]
     """
     console = Console(stderr=True)
     address = BrokerAddress.parse(broker) if broker else broker_address()

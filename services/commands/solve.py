@@ -75,7 +75,7 @@ def solve(  # noqa: PLR0913  # one argument an option
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="A setting in place of the vehicle's, such as core.fusion.odometer=false."),
+        typer.Option("--set", help="A setting in place of the vehicle's, as in the last example; may be repeated."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results; without it the recording's name and -solution.")
@@ -87,17 +87,21 @@ def solve(  # noqa: PLR0913  # one argument an option
 ) -> int:
     """Run the whole unit over a recording, and write solution.csv, solution.kml, metrics.json and report.html.
 
-    Examples: [bold]obu solve drive.mcap[/]  |  [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]  |
-    [bold]obu solve drive.mcap --smooth[/]  |
-    [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]  |
+    Examples:
+    [bold]obu solve drive.mcap[/]
+    [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]
+    [bold]obu solve drive.mcap --smooth[/]
+    [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]
     [bold]obu solve drive.mcap --set core.fusion.gnss_delay_s=0.1[/]
     """
     outages = Outages.parse(outage) if outage is not None else None
     console = Console(stderr=True)
     changes = (*(SWITCHES[aiding] if aiding else ()), *(settings or ()))
     drive = _changed(_read(recording, vehicle, console), changes)
+    _insist_on_time(drive, "--score-from", score_from)
     if outages is not None:
         outages.recording_ns = drive.first_ns
+        _insist_on_time(drive, "--outage", (outages.start_ns or 0) * 1e-9)
     given, by_fixes = _given_truth(drive, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with ExitStack() as stack:
@@ -131,8 +135,10 @@ def solve(  # noqa: PLR0913  # one argument an option
         for sentence in summary(heading, metrics):
             print(sentence)
         print(f"Solved in {solved.seconds:.1f} s, {timings['realtime_factor']} times as fast as driven.")
-        beside = "solution.csv, solution.kml" + (", the same as solution_smoothed" if smooth else "")
-        print(f"Wrote {folder / 'report.html'} and beside it {beside} and metrics.json.")
+        smoothed_too = ", both also as solution_smoothed" if smooth else ""
+        print(
+            f"Wrote {folder / 'report.html'} and beside it metrics.json, solution.csv and solution.kml{smoothed_too}."
+        )
     return 0
 
 
@@ -185,12 +191,23 @@ def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
 
 
 def _check(path: Path, inputs: Inputs) -> None:
+    if not inputs.topics:
+        raise UserError(f"{path} holds no message of a unit; was anything running when it was recorded?")
     for sensor, topics in (("IMU", ("imu/raw", "imu/sample")), ("GNSS", ("gnss/raw", "gnss/fix"))):
         if not any(inputs.topics[topic] for topic in topics):
-            held = ", ".join(sorted(inputs.topics)) or "nothing at all"
+            held = ", ".join(sorted(inputs.topics))
             raise UserError(
                 f"{path} holds neither {topics[0]} nor {topics[1]}, but {held}; record the {sensor} as well"
             )
+
+
+def _insist_on_time(drive: Drive, option: str, begins_s: float) -> None:
+    """Refuse what would begin when the recording is over, and so would do nothing."""
+    lasts_s = (drive.last_ns - drive.first_ns) * 1e-9
+    if begins_s > lasts_s:
+        raise UserError(
+            f"{option} begins at {begins_s:g} s, but {drive.file} lasts {lasts_s:.0f} s; name an earlier time"
+        )
 
 
 def _run(drive: Drive, outages: Outages | None, progress: Progress, spool: Spool | None = None) -> Solved:

@@ -26,6 +26,10 @@ from .verifying import Key, Repetition, Verdict
 
 KEPT_NS = 60_000_000_000  # how long after its arrival a message can still be named in a journal
 STEP = 2000  # messages between two looks at the progress
+INCOMPLETE = (
+    "incomplete: the recording lacks what a process heard, as one does that began while the unit ran; "
+    "the unit's own recorder starts first and keeps all of it"
+)
 
 
 def verify(
@@ -39,7 +43,8 @@ def verify(
 ) -> int:
     """Repeat what each process consumed, in the order in which it did, and compare what it says byte for byte.
 
-    Examples: [bold]obu verify .obu/recordings/20260921T141320Z_car.mcap[/]  |
+    Examples:
+    [bold]obu verify .obu/recordings/20260921T141320Z_car.mcap[/]
     [bold]obu verify drive.mcap --process core.fusion[/]
     """
     wanted = {row.name for row in BY_NAME.values() if 2 <= row.layer <= 4}
@@ -152,3 +157,5 @@ def _print(lives: Sequence[Repetition], console: Console) -> None:
     for life in lives:
         if life.reason:
             console.print(f"{life.name}: {life.reason}", markup=False, highlight=False)
+    if any(life.verdict is Verdict.INCOMPLETE for life in lives):
+        console.print(INCOMPLETE)

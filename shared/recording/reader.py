@@ -81,6 +81,12 @@ class Recording:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def recognised(self) -> bool:
+        """Whether it begins like a recording, or at least holds a part of one."""
+        begins = self._buffer[: len(MAGIC)] == MAGIC
+        return begins or any(self._find_chunk(0, cut=cut) is not None for cut in (False, True))
+
     def close(self) -> None:
         """Let go of the file."""
         if isinstance(self._buffer, mmap.mmap):

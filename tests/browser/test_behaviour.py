@@ -247,6 +247,11 @@ def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Cal
         page = open_page(server.address)
         expect(page.locator(".banner .sentence")).to_contain_text("the message broker does not answer", timeout=6000)
         expect(page.locator(".chain .worst")).to_have_text("Broker does not answer")
+        services = page.get_by_role("region", name="Services")
+        expect(services).to_contain_text("not known")
+        expect(services.get_by_text(re.compile("silent|running"))).to_have_count(0)
+        page.keyboard.type("gs")
+        expect(page.locator("[id='node-core.fusion']")).to_contain_text("not known")
 
 
 def test_a_browser_that_is_one_too_many_is_told(tmp_path: Path, open_page: Callable[..., Page]) -> None:
@@ -287,3 +292,45 @@ def test_an_old_protection_level_is_not_shown_as_one_of_now(tmp_path: Path, open
         page.locator("svg.closeup circle.level.old").wait_for(state="attached", timeout=8000)
         expect(page.get_by_role("region", name="Position", exact=True)).to_contain_text("it says nothing about now")
         expect(page.locator(".glance")).not_to_contain_text("Protection level")
+
+
+def test_figures_lines_and_states_of_the_system_page_are_explained(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["normal"].address, path="system")
+    layers = page.get_by_role("region", name="Processes by layer")
+    expect(layers.locator(".key-card")).to_contain_text("37/s messages said a second")
+    expect(layers.locator(".key-card .lines li")).to_have_text(
+        ["flows; thicker is faster", "late", "silent", "speaks on events only"]
+    )
+    topics = page.get_by_role("region", name="Topics").first
+    expect(topics.locator(".legend")).to_contain_text("speaks on events only: silence is no fault")
+    event = topics.locator("tr", has_text="outage/event")
+    expect(event).to_contain_text("no event yet")
+    expect(event.locator(".state.info")).to_be_visible()
+    page.set_viewport_size({"width": 390, "height": 844})
+    expect(layers.locator(".lines")).to_be_hidden()  # as the lines are
+    expect(layers.locator(".key-figures")).to_be_visible()
+    expect(topics.locator(".legend")).to_be_visible()
+    expect(event.get_by_text("events", exact=True)).to_be_visible()
+
+
+def test_a_silent_topic_and_one_of_events_look_different(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["alarm"].address, path="system")
+    topics = page.get_by_role("region", name="Topics").first
+    silent = topics.locator("tr", has_text="imu/raw")
+    expect(silent).to_contain_text("0 /s", timeout=20_000)  # the rate is that of the last ten seconds
+    expect(silent.locator(".state.stale")).to_be_visible()
+
+
+def test_a_unit_that_has_just_started_is_not_called_well(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["empty"].address)
+    services = page.locator(".chain li", has_text="Services")
+    expect(services).to_contain_text("0/9")
+    expect(services).to_have_class("unknown")
+    expect(page.locator(".foot")).to_contain_text("9 processes have not started yet")
+    expect(page.locator(".foot")).not_to_contain_text("CPU")

@@ -121,6 +121,18 @@ def test_a_farewell_is_not_a_loss(make_bus: Callable[[str], Bus]) -> None:
     assert states[-1].state == ProcessState.DISCONNECTED
 
 
+def test_two_processes_of_one_name_do_not_fight_at_full_speed_and_say_why(
+    make_bus: Callable[[str], Bus], caplog: pytest.LogCaptureFixture
+) -> None:
+    first, second = make_bus("core.fusion"), make_bus("core.fusion")
+    pump(4.0, first, second)
+    # With a pause of 0.05 s alone it would be forty times and more.
+    assert 2 <= first.reconnections + second.reconnections <= 16
+    assert "does another core.fusion run on this broker?" in caplog.text
+    second.close()
+    wait_for(lambda: first.connected, first, limit_s=2.0)
+
+
 def test_the_bus_comes_back_after_the_broker_and_says_what_it_lost(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
 ) -> None:

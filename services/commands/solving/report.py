@@ -92,6 +92,8 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"position is off by {_metres(metrics['outage_end_error_median_m'])} (median; worst "
             f"{_metres(metrics['outage_end_error_max_m'])})."
         )
+    elif heading.outage:
+        found.append(f"No whole outage of --outage {heading.outage} lies within the drive.")
     if metrics.get("smoothed_horizontal_rmse_m") is not None:
         found.append(f"Smoothed, the position is off by {_metres(metrics['smoothed_horizontal_rmse_m'])}.")
     if metrics.get("smoothed_outage_inside_max_m") is not None:
@@ -101,7 +103,8 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"{_metres(metrics['outage_inside_median_m'])} (worst {_metres(metrics['outage_inside_max_m'])})."
         )
     if metrics["innovation_horizontal_rms_m"] is not None:
-        found.append(f"One fix ahead, positions are predicted to {_metres(metrics['innovation_horizontal_rms_m'])}.")
+        predicted = _metres(metrics["innovation_horizontal_rms_m"])
+        found.append(f"Just before a fix is used, the solution is {predicted} away from it (root mean square).")
     found.append(f"The truth is: {heading.truth}.")
     if heading.made:
         found.append(heading.made)

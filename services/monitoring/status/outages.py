@@ -41,8 +41,9 @@ class OutageBook:
 
     def open(self) -> list[Outage]:
         """List what is lost now, oldest first."""
-        # Only what we see ourselves: a reporter that died cannot leave an outage open for ever.
-        return sorted((self._reported.get(what, own) for what, own in self._own.items()), key=lambda o: o.since_ns)
+        # Only what we see ourselves: a reporter that died cannot leave an outage open for ever, nor begin this one.
+        reported = ((own, self._reported.get(what, own)) for what, own in self._own.items())
+        return sorted((r if _same(own, r) else own for own, r in reported), key=lambda o: o.since_ns)
 
     def closed(self) -> list[Outage]:
         """List what was lost and is back, newest first."""

@@ -80,9 +80,16 @@ def root_cause(
                 continue
             if freshness(upstream.name) is freshness(topic.name):
                 return root_cause(upstream, statuses, freshness, (*seen, topic.name))
-    if PROCESS_ROWS[producers[0]].layer == 1:
-        return f"{producers[0]} runs, but its device sends nothing"
-    return f"{producers[0]} runs, but says nothing on {topic.name}"
+    return _without_cause(producers[0], topic, freshness(topic.name))
+
+
+def _without_cause(producer: str, topic: Topic, freshness: Freshness) -> str:
+    never = freshness is Freshness.NEVER
+    if PROCESS_ROWS[producer].layer == 1:
+        return f"{producer} runs, but its device {'has sent nothing yet' if never else 'sends nothing'}"
+    return (
+        f"{producer} runs, but {f'has said nothing on {topic.name} yet' if never else f'says nothing on {topic.name}'}"
+    )
 
 
 def find_problems(

@@ -142,11 +142,14 @@ def chain(state: State, now_ns: int) -> Json:
 
 
 def processes(state: State, now_ns: int) -> Json:
-    """Show each process with its state, its load, and the latency of the topic that it says most often."""
+    """Show each process with its state, its load, and the latency of what it says most often.
+
+    Of what it says regularly, if there is any: a topic of events may tell of data that waited on purpose.
+    """
     rows: Json = {}
     for name, flow in state.processes.items():
         said = [t for t in state.topics.values() if t.newest and t.newest.producer == name and not t.topic.per_process]
-        main = max(said, key=lambda t: t.rate_hz, default=None)
+        main = max(said, key=lambda t: (t.limits is not None, t.rate_hz), default=None)
         health = flow.health
         rows[name] = {
             "status": state.statuses[name],
@@ -155,6 +158,7 @@ def processes(state: State, now_ns: int) -> Json:
             "restarts": state.restarts(name, now_ns),
             "in_hz": rounded(flow.in_hz, 1),
             "out_hz": rounded(flow.out_hz, 1),
+            "latency_of": main.name if main else None,
             "latency_p50_s": rounded(main.latency_p50_s, 4) if main else None,
             "latency_p99_s": rounded(main.latency_p99_s, 4) if main else None,
             "cpu_share": rounded(flow.cpu_share, 3),

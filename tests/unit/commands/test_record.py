@@ -1,9 +1,11 @@
+import random
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
 from services.commands.record import repair
+from services.commands.recordings import open_recording
 from shared.bus import Envelope
 from shared.errors import UserError
 from shared.recording import Recording, RecordingWriter
@@ -49,9 +51,9 @@ def test_a_repair_never_overwrites(tmp_path: Path) -> None:
 
 
 def test_a_file_without_messages_is_refused_and_leaves_nothing_behind(tmp_path: Path) -> None:
-    (tmp_path / "photo.jpg").write_bytes(b"\xff\xd8" * 500)
+    RecordingWriter(tmp_path / "silent.mcap").close()
     with pytest.raises(UserError, match="holds no message that can be read"):
-        repair(tmp_path / "photo.jpg", tmp_path / "whole.mcap")
+        repair(tmp_path / "silent.mcap", tmp_path / "whole.mcap")
     assert not (tmp_path / "whole.mcap").exists()
 
 
@@ -59,3 +61,16 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     cut_recording(tmp_path / "cut.mcap")
     with pytest.raises(UserError, match=r"cannot create .*: No such file or directory"):
         repair(tmp_path / "cut.mcap", tmp_path / "no" / "such" / "folder.mcap")
+
+
+def test_a_file_of_something_else_is_called_that(tmp_path: Path) -> None:
+    (tmp_path / "noise.mcap").write_bytes(random.Random(1).randbytes(100_000))
+    with pytest.raises(UserError, match=r"noise\.mcap is no recording, not even a damaged one; .*`obu import`"):
+        open_recording(tmp_path / "noise.mcap")
+
+
+def test_a_recording_that_lost_its_beginning_is_still_one(tmp_path: Path) -> None:
+    messages = cut_recording(tmp_path / "cut.mcap")
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "cut.mcap").read_bytes()[20:])
+    with open_recording(tmp_path / "cut.mcap") as recording:
+        assert list(recording)[:60] == messages[:60]

@@ -141,8 +141,12 @@ def test_what_cannot_be_solved_is_one_sentence(recording: Path, tmp_path: Path) 
     with pytest.raises(UserError, match="obu record"):
         solve(tmp_path / "absent.mcap", out=tmp_path)
     RecordingWriter(tmp_path / "empty.mcap").close()
-    with pytest.raises(UserError, match="holds neither imu/raw nor imu/sample, but nothing at all"):
+    with pytest.raises(UserError, match=r"empty\.mcap holds no message of a unit"):
         solve(tmp_path / "empty.mcap", out=tmp_path)
+    with pytest.raises(UserError, match=r"--score-from begins at 1e\+06 s, but .* lasts \d+ s"):
+        solve(recording, score_from=1e6, out=tmp_path)
+    with pytest.raises(UserError, match=r"--outage begins at 9000 s, but .* name an earlier time"):
+        solve(recording, outage="60/180@9000", out=tmp_path)
     with pytest.raises(UserError, match="no fix of the recording has RTK quality"):
         solve(recording, truth="fixes", out=tmp_path)
     with pytest.raises(UserError, match="--truth is fixes, recorded, none or a CSV file"):

@@ -93,7 +93,7 @@ export function TopicDrawer({ name, onClose }) {
     ${data && html`<dl class="rows two">
       <${Row} label=${t.type} value=${data.type} />
       <${Row} label=${t.from} value=${data.producer ?? "-"} />
-      <${Row} label=${t.rate} value=${rate(data.rate_hz)} unit="/s" unitName="messages a second" />
+      <${Row} label=${t.rate} value=${rate(data.rate_hz)} unit="/s" unitName="messages a second" extra=${row?.stale_after_s === null && t.events} />
       <${Row} label=${t.jitter} value=${seconds(data.jitter_s)} />
       <${Row} label=${t.size} value=${data.bytes ?? "-"} unit=${data.bytes == null ? "" : t.bytes} />
       <${Row} label=${t.age} value=${html`<span key=${data.sequence} class="flash"><${Age} topic=${name} stamp=${data.updated_ns} /></span>`} />

@@ -1,7 +1,7 @@
 // The shell around the pages: who speaks, whether it is connected, one sentence on trust, and the way about.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { clock, contract, freshness, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
+import { brokerAnswers, clock, contract, freshness, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
 import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
@@ -32,6 +32,9 @@ function Origin() {
   return html`<p class="origin ${kind}" title=${meaning}><strong>${word}</strong>${origin && html`<span>${name(origin)}</span>`}</p>`;
 }
 
+// While some have not been heard of since the start, that nothing is down says little.
+const servicesOk = ({ ok, up, of }) => (ok && up < of ? null : ok);
+
 function links() {
   const c = state.value?.chain;
   const up = link.value.open && isLive();
@@ -40,7 +43,7 @@ function links() {
     ["browser", true, ""],
     ["api", up, ""],
     ["broker", known ? c.broker.ok : null, ""],
-    ["services", known && c.broker.ok ? c.services.ok : null, known ? `${c.services.up}/${c.services.of}` : ""],
+    ["services", known && c.broker.ok ? servicesOk(c.services) : null, known ? `${c.services.up}/${c.services.of}` : ""],
     ["sensors", known && c.broker.ok ? c.sensors.ok : null, known ? `${c.sensors.up}/${c.sensors.of}` : ""],
   ];
 }
@@ -64,7 +67,7 @@ function Chain() {
     <ol>${chain.map(([name, ok, count]) => html`<li class=${ok === null ? "unknown" : ok ? "ok" : "bad"}>
       <span class="dot" aria-hidden="true"></span>${t[name]}${count && html`<span class="count">${count}</span>`}<span class="sr"> ${ok === null ? t.unknown : ok ? t.ok : t.bad}</span>
     </li>`)}</ol>
-    <p class=${worst ? "worst" : "dim"}>${worst ?? t.allUp}</p>
+    <p class=${worst ? "worst" : "dim"}>${worst ?? (chain.some(([, ok]) => ok === null) ? t.starting : t.allUp)}</p>
   </div>`;
 }
 
@@ -125,6 +128,7 @@ function WhyDrawer({ onClose }) {
     <p class="lead-text">${v.sentence}</p>
     <h3>${words.banner.action}</h3><p>${banner.action}</p>
     <h3>${words.banner.checks}</h3>
+    ${checksNow(banner).some((c) => c.ratio !== null) && html`<p class="note block">${words.banner.meter}</p>`}
     <ul class="checks long">${checksNow(banner).map((c) => html`<li>
       <${StateIcon} state=${c.state} word=${words.check[c.state]} />
       <span>${c.link ? html`<a href=${`#/system?${c.link}`} onClick=${onClose} title=${words.banner.look(c.label)}>${c.label}</a>` : c.label}</span>
@@ -163,19 +167,20 @@ function Navigation({ page }) {
 function Footer() {
   if (!state.value) return null;
   const t = words.footer;
-  const { bus, recording, problems } = state.value;
+  const { bus, chain, recording, problems } = state.value;
+  const toCome = chain.services.of - chain.services.up;
   const first = problems[0];
   const target = first && (first.what.includes("/") ? `topic=${first.what}` : `node=${first.what}`);
-  const live = link.value.open;
+  const live = brokerAnswers();
   const heard = recording && !["stale", "never"].includes(freshness("recording/state", recording.updated_ns));
   return html`<footer class="foot" aria-label=${t.label}>
     ${live && html`<span>${t.rate(rate(bus.messages_hz))}</span>
     ${bus.delay_p95_s != null && html`<span>${t.delay(seconds(bus.delay_p95_s))}</span>`}
-    <span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>
+    ${bus.rss_bytes > 0 && html`<span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>`}
     ${heard && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
     <span class=${heard && recording.recording ? "rec" : ""}>${!heard ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
     ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text)}</a>`
-      : html`<span class="push dim">${live ? t.noProblems : words.status.unknown}</span>`}
+      : html`<span class="push dim">${!live ? words.status.unknown : toCome > 0 ? t.toCome(toCome) : t.noProblems}</span>`}
   </footer>`;
 }
 

@@ -1,6 +1,6 @@
 // The page that most people open: where the vehicle is, how well that is known, and what the sources say.
 import { useEffect, useRef, useState } from "preact/hooks";
-import { clock, freshness, history, isLive, link, nowMs, settings, state } from "./store.js";
+import { brokerAnswers, clock, freshness, history, isLive, link, nowMs, settings, state } from "./store.js";
 import {
   Age, Card, Empty, Row, STATUS_STATE, StateIcon, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, timeOfDay,
 } from "./parts.js";
@@ -105,7 +105,7 @@ function TrustCard({ onWhy }) {
 function ServicesCard() {
   const { processes, chain, bus } = state.value;
   clock.value;
-  const live = isLive();
+  const live = isLive() && brokerAnswers();
   const shown = Object.entries(processes).filter(([, p]) => p.status !== "absent")
     .map(([name, p]) => [name, live ? p : { ...p, status: "unknown" }]);
   const order = ["lost", "missing", "silent", "ended", "alert", "waiting", "starting", "ready"];
@@ -116,7 +116,7 @@ function ServicesCard() {
       <a href=${`#/system?node=${name}`}><${StateIcon} state=${STATUS_STATE[p.status]} word=${words.status[p.status]} /><span>${name}</span>
       <span class="dim">${p.status === "ready" ? percent(p.cpu_share) : words.status[p.status]}</span></a>
     </li>`)}</ul>
-    ${bus.delay_p95_s != null && html`<p class="note block">${words.services.delay(seconds(bus.delay_p95_s))}</p>`}
+    ${live && bus.delay_p95_s != null && html`<p class="note block">${words.services.note(seconds(bus.delay_p95_s))}</p>`}
   </${Card}>`;
 }
 

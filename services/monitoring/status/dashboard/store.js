@@ -42,6 +42,7 @@ function read(key, fallback) {
 // Milliseconds on the unit's time line; it goes on between frames.
 export const nowMs = () => (offsetMs === null ? null : performance.now() + offsetMs);
 export const frameAgeS = () => (lastFrameAt ? (performance.now() - lastFrameAt) / 1000 : null);
+export const brokerAnswers = () => link.value.open && state.value.chain.broker.ok; // else no process is known
 export const isLive = () => link.value.open && frameAgeS() !== null && frameAgeS() < FRAME_OVERDUE_S;
 
 export function ageS(stampNs) {
@@ -52,9 +53,10 @@ export function ageS(stampNs) {
 // The limits come from the server, which has the one rule; here they are only compared.
 export function freshness(topic, stampNs) {
   const age = ageS(stampNs);
-  if (age === null) return "never";
   const row = contract.value?.topics[topic] ?? contract.value?.topics[topic.replace(/\/[^/]*$/, "/+")];
-  if (!row || row.stale_after_s === null) return "quiet";
+  if (row?.stale_after_s === null) return "quiet"; // events: their silence says nothing, not even at the start
+  if (age === null) return "never";
+  if (!row) return "quiet";
   if (age >= row.stale_after_s) return "stale";
   return age >= row.late_after_s ? "late" : "fresh";
 }

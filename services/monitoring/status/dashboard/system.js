@@ -1,6 +1,6 @@
 // The five layers, live: processes as lists, topics as lines between them, outages, and why the unit does what it does.
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
-import { clock, contract, freshness, link, nowMs, state } from "./store.js";
+import { brokerAnswers, clock, contract, freshness, link, nowMs, state } from "./store.js";
 import {
   Age, Card, Drawer, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
 } from "./parts.js";
@@ -9,7 +9,7 @@ import { words } from "./words.js";
 
 const w = words.system;
 const short = (name) => name.split(".")[1];
-const statusOf = (name) => (link.value.open ? state.value.processes[name].status : "unknown");
+const statusOf = (name) => (brokerAnswers() ? state.value.processes[name].status : "unknown");
 
 function Node({ name, onHover }) {
   const p = state.value.processes[name];
@@ -19,7 +19,7 @@ function Node({ name, onHover }) {
     <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word=${words.status[status]} /><span class="sr">${name}</span><span aria-hidden="true">${short(name)}</span>${p.restarts > 0 && html`<span class="restarts">${w.restarted(p.restarts)}</span>`}</span>
     <span class="figures">${status === "waiting" || status === "missing" ? words.status[status]
       : status !== "ready" ? html`<strong>${words.status[status]}</strong>`
-      : html`${p.out_hz == null ? "" : `${rate(p.out_hz)}/s`}${p.latency_p99_s == null ? "" : ` · ${seconds(p.latency_p99_s)}`}`}</span>
+      : html`<span aria-hidden="true">${[p.out_hz == null ? null : `${rate(p.out_hz)}/s`, p.latency_p99_s == null ? null : seconds(p.latency_p99_s)].filter(Boolean).join(" · ")}</span><span class="sr">${w.told(rate(p.out_hz), seconds(p.latency_p99_s))}</span>`}</span>
   </a></li>`;
 }
 
@@ -107,6 +107,16 @@ function Layer({ names, onHover }) {
     ${absent.length > 0 && html`<li class="absent">${w.notFitted} ${absent.map((name) => html`<a href=${`#/system?node=${name}`}>${short(name)}</a> `)}</li>`}</ul>`;
 }
 
+// What figures and lines mean; the lines are those of the drawing itself.
+function Legend() {
+  const t = w.legend;
+  return html`<div class="key-card">
+    <p class="key-figures"><span class="figures">${t.example[0]}</span> ${t.rate} <span class="figures">${t.example[1]}</span> ${t.latency}</p>
+    <ul class="legend lines">${["fresh", "late", "stale", "quiet"].map((kind) => html`<li>
+      <svg class="edge ${kind}" width="40" height="10" aria-hidden="true"><path d="M2 5H38" style=${{ strokeWidth: kind === "fresh" ? 3 : 2 }} /></svg>${t.lines[kind]}</li>`)}</ul>
+  </div>`;
+}
+
 function LayersCard() {
   const box = useRef(null);
   const [hovered, setHovered] = useState(null);
@@ -122,6 +132,7 @@ function LayersCard() {
           ${layer === 5 && html`<p class="rail"><span>${w.everything}${link.value.open ? ` · ${words.footer.rate(rate(bus.messages_hz))}` : ""}</span></p>`}
         </section>`)}
     </div>
+    <${Legend} />
   </${Card}>`;
 }
 
@@ -133,7 +144,7 @@ function NodeDrawer({ name, onClose }) {
   const topics = Object.entries(contract.value.topics);
   const says = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
   const hears = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
-  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${kind} ${n}`).join(", ");
+  const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${n} × ${kind}`).join(", ");
   const list = (names) => (names.length ? html`<ul class="tags">${names.map((t) => html`<li><a href=${`#/system?topic=${t}`}>${t}</a></li>`)}</ul>` : words.system.nothing);
   return html`<${Drawer} title=${w.drawer(name)} onClose=${onClose}>
     <p class="lead-text">${row.purpose}.</p>
@@ -145,11 +156,11 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.lastError} value=${p.last_error ?? w.noError} />
       <${Row} label=${w.rate} value=${rate(p.out_hz)} unit="/s" unitName="messages a second" />
       <${Row} label=${w.heard} value=${rate(p.in_hz)} unit="/s" unitName="messages a second" />
-      <${Row} label=${w.latency} value=${`${seconds(p.latency_p50_s)} / ${seconds(p.latency_p99_s)}`} />
+      <${Row} label=${w.latency} value=${`${seconds(p.latency_p50_s)} / ${seconds(p.latency_p99_s)}`} extra=${p.latency_of && w.latencyOf(p.latency_of)} />
       <${Row} label=${w.cpu} value=${percent(p.cpu_share)} extra=${w.cpuNote} />
       <${Row} label=${w.memory} value=${bytes(p.rss_bytes)} />
       <${Row} label=${w.rejects} value=${rejects || w.none} />
-      <${Row} label=${w.dropped} value=${p.dropped ?? 0} />
+      <${Row} label=${w.dropped} value=${p.dropped ?? 0} extra=${w.droppedNote} />
       <${Row} label=${w.reconnections} value=${p.reconnections ?? 0} />
     </dl>
     <h3>${w.says}</h3>${list([...says, `health/${name}`])}
@@ -170,12 +181,15 @@ function TopicsCard() {
       <thead><tr><th scope="col">${t.columns.topic}</th><th scope="col" class="wide-only">${t.columns.state}</th><th scope="col" class="number">${t.columns.rate}</th><th scope="col" class="number wide-only">${t.columns.latency}</th><th scope="col" class="number">${t.columns.age}</th></tr></thead>
       <tbody>${shown.map(([name, flow]) => {
         const fresh = freshness(name, flow.updated_ns);
-        return html`<tr key=${name}><th scope="row"><span class="with-icon"><${StateIcon} state=${FRESH_STATE[fresh]} word=${t[fresh]} /><a href=${`#/system?topic=${name}`} aria-label=${t.open(name)}>${name}</a></span></th>
-          <td class="wide-only">${t[fresh]}</td>
-          <td class="number">${flow.rate_hz ? `${rate(flow.rate_hz)} ${t.perSecond}` : "-"}</td>
+        const never = flow.updated_ns == null;
+        const word = fresh === "quiet" && never ? t.noEvent : t[fresh];
+        return html`<tr key=${name}><th scope="row"><span class="with-icon"><${StateIcon} state=${FRESH_STATE[fresh]} word=${word} /><a href=${`#/system?topic=${name}`} aria-label=${t.open(name)}>${name.split(/(?<=[/_])/).map((part) => html`${part}<wbr />`)}</a></span></th>
+          <td class="wide-only">${word}</td>
+          <td class="number">${flow.rate_hz ? `${rate(flow.rate_hz)} ${t.perSecond}` : fresh === "quiet" ? html`<span class="dim">${t.events}</span>` : never ? "-" : `0 ${t.perSecond}`}</td>
           <td class="number wide-only">${seconds(flow.latency_p99_s)}</td>
-          <td class="number">${flow.updated_ns == null ? "-" : html`<${Age} topic=${name} stamp=${flow.updated_ns} />`}</td></tr>`;
-      })}</tbody></table></div>`}
+          <td class="number">${never ? "-" : html`<${Age} topic=${name} stamp=${flow.updated_ns} />`}</td></tr>`;
+      })}</tbody></table></div>
+    <ul class="legend">${["fresh", "late", "stale", "never", "quiet"].map((kind) => html`<li><${StateIcon} state=${FRESH_STATE[kind]} word="" />${t.legend[kind]}</li>`)}</ul>`}
   </${Card}>`;
 }
 

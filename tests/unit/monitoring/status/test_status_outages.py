@@ -49,6 +49,8 @@ def test_a_dead_reporter_cannot_leave_an_outage_open() -> None:
     book.report(Outage(what="core.fusion", since_ns=S, until_ns=None, cause="theirs"))
     observe(book, 2 * S, {})
     assert book.open() == []
+    observe(book, 400 * S, {"core.fusion": (399 * S, "ours")})
+    assert [outage.since_ns for outage in book.open()] == [399 * S], "nor make a later one longer"
 
 
 def test_the_book_forgets_the_oldest() -> None:

@@ -8,6 +8,7 @@ from services.monitoring.status.problems import Status
 from shared.codec import encode
 from shared.errors import BadPayload
 from shared.messages import (
+    AidingKind,
     DeadlineReport,
     Freshness,
     GnssRaw,
@@ -25,7 +26,7 @@ from shared.messages import (
     VehicleSpeed,
     WheelSpeeds,
 )
-from tests.support.status_world import ALL, SECOND_NS, START_NS, World, fix, navigation, solution
+from tests.support.status_world import ALL, SECOND_NS, START_NS, World, aiding, fix, navigation, solution
 
 
 def drive(world: World, seconds: float, *, without: tuple[str, ...] = ()) -> None:
@@ -109,6 +110,13 @@ def test_a_sensor_that_falls_silent_is_named_while_its_driver_runs(driving: Worl
     drive(driving, 3.0, without=("ImuRaw",))
     assert [problem.what for problem in driving.state.problems] == ["imu/raw"]
     assert driving.state.problems[0].text.endswith("sensors.simulator runs, but its device sends nothing")
+
+
+def test_a_device_that_has_yet_to_speak_is_not_blamed_for_silence() -> None:
+    starting = World()
+    starting.beat(*ALL)
+    starting.pass_time(0.3)
+    assert starting.state.verdict.sentence.endswith("sensors.simulator runs, but its device has sent nothing yet.")
 
 
 def test_an_outage_is_noted_from_the_last_message_to_the_return(driving: World) -> None:
@@ -304,6 +312,19 @@ def test_a_snapshot_shows_every_topic_with_its_newest_message(driving: World) ->
         "jitter_s": None, "bytes": None, "sequence": None, "retained": False, "qos": 0, "unreadable": None,
         "message": None,
     }  # fmt: skip
+
+
+def test_the_latency_of_a_process_is_that_of_what_it_says_regularly(driving: World) -> None:
+    for _ in range(3):
+        driving.hear(solution(driving.now_ns), "core.fusion", delay_s=0.002)
+        for _ in range(40):
+            late = aiding(AidingKind.ODOMETER, 0.5).model_copy(update={"sampled_ns": driving.now_ns - SECOND_NS})
+            driving.hear(late, "core.fusion")
+        driving.pass_time(1.0)
+    shown = view.processes(driving.state, driving.now_ns)["core.fusion"]
+    assert isinstance(shown, dict)
+    assert shown["latency_of"] == "navigation/solution"
+    assert shown["latency_p99_s"] < 0.5, "and not that of measurements that waited"
 
 
 def test_the_dashboard_has_the_same_keys_with_and_without_data(driving: World) -> None:
