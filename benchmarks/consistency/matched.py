@@ -14,7 +14,7 @@ import numpy as np
 from services.core.fusion import error_model as em
 from services.core.fusion.aiding import Measurement
 from services.core.fusion.aids import Aids
-from services.core.fusion.colour import UNKNOWN, Colour
+from services.core.fusion.colour import UNKNOWN, Told
 from services.core.fusion.filter import ErrorStateFilter
 from services.core.fusion.gnss import Reading, Stamp, gnss_measurements
 from services.core.fusion.settings import Settings
@@ -93,24 +93,9 @@ def _started(
         (north + x[3], east + x[4], down + x[5]),
         geodetic_from_ned_difference((x[6], x[7], x[8]), Geodetic(*drive.position[first].tolist())),
     )
-    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), colour=_colour(model))
+    colour = Told(LASTING_S, 1.0 - WHITE_SHARE) if model.told else UNKNOWN
+    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), colour=colour)
     return navigation, np.array(x[9:])  # the error of a bias is what is left of it, and the filter starts without any
-
-
-class _Told(Colour):
-    """Bank that has nothing to learn."""
-
-    correlation_s = LASTING_S
-    lasting = 1.0 - WHITE_SHARE
-    scale = np.ones(3)
-
-    def after(self, *_: object) -> "_Told":
-        """Believe nothing else."""
-        return self
-
-
-def _colour(model: Model) -> Colour:
-    return _Told(UNKNOWN.evidence, UNKNOWN.way, UNKNOWN.error, UNKNOWN.cov) if model.told else UNKNOWN
 
 
 def _walk(settings: Settings, n: int, rng: np.random.Generator) -> FloatArray:

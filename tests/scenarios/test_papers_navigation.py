@@ -56,6 +56,8 @@ def test_wheels_help_against_errors_of_each_kind(with_wheels: dict[str, drives.R
     assert with_wheels["white, wheels"].mean < 0.5
     assert with_wheels["5 s, wheels"].mean < 1.1
     assert with_wheels[drives.WALK].mean < 1.7, "half of what GNSS has is 1.1 m"
+    assert with_wheels[drives.TOLD[drives.WALK]].mean < 0.75
+    assert with_wheels[drives.WALK].gnss == with_wheels[drives.TOLD[drives.WALK]].gnss, "the same drives"
     assert all(result.ahead == 1.0 for result in with_wheels.values())
 
 
@@ -79,8 +81,8 @@ def test_the_tables_say_what_falls_short(capsys: pytest.CaptureFixture[str], mon
     document = json.loads(capsys.readouterr().out)
     assert document["runs"] == 3
     assert document["outages"][2]["median_m"] == pytest.approx([0.3, 0.5, 9.0])
-    # the ratio and the mean of the five drives, nine times an axis, the white errors, and outages of 30 and 60 s
-    assert len(document["shortcomings"]) == 2 + 9 + 1 + 2
+    # ratio and mean of the five drives, eleven times an axis, white errors, two that are told, outages of 30 and 60 s
+    assert len(document["shortcomings"]) == 2 + 11 + 1 + 2 + 2
 
 
 def test_no_runs_are_an_error_that_says_what_to_try() -> None:

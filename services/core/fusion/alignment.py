@@ -15,7 +15,7 @@ from shared.messages import NavigationPhase
 
 from . import error_model as em
 from .baseline import BaselineHeading
-from .colour import UNKNOWN
+from .colour import UNKNOWN, Colour, Told
 from .filter import NO_PARAMETERS, ErrorStateFilter
 from .first_place import FirstPlace, first_place
 from .gnss import GnssPosition, GnssVelocity
@@ -60,9 +60,18 @@ class Alignment:
     kept : Heading, optional
         How well its attitude is still known; if not given, not at all. If it was found to be wrong by a turn, tilt,
         biases and parameters that it has learnt are doubtful.
+    first : bool
+        Whether there was none before; if there was, errors of GNSS are no longer those of the first fix.
     """
 
-    def __init__(self, settings: Settings, lost: ErrorStateFilter | None = None, kept: Heading | None = None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        lost: ErrorStateFilter | None = None,
+        kept: Heading | None = None,
+        *,
+        first: bool = True,
+    ) -> None:
         self.how = ""  # the heading was found
         self.seen_fix = False
         self._settings = settings
@@ -73,6 +82,8 @@ class Alignment:
             Levelling(settings, lost.inertial.quaternion, lost.gyroscope_bias) if lost and kept else Levelling(settings)
         )
         self.comparison = Comparison()
+        self._from_zero = first and settings.gnss_error_from_zero
+        self._zero_ns: int | None = None  # stamp of a fix without lasting error
         self._has_velocity = False
         self._motion: Motion | None = None
         self._course: Heading | None = None
@@ -126,6 +137,8 @@ class Alignment:
 
     def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
         """Take a position in, and start the filter with it if all that it needs is known."""
+        if self._from_zero and not self.seen_fix:
+            self._zero_ns = fix.time_ns
         self.seen_fix = True
         self._follow(fix)
         self._compare(fix, self._swing())
@@ -238,7 +251,8 @@ class Alignment:
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weigh the fixes of a rest, or take the one fix of a vehicle that drives."""
         rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
-        return first_place(rest or [fix], self._lost.colour.at_start() if self._lost else UNKNOWN)
+        colour = self._lost.colour.at_start() if self._lost else _told(self._settings)
+        return first_place(rest or [fix], colour, self._zero_ns)
 
     def _scales_cov(self) -> FloatArray:
         if self._lost is not None:
@@ -270,6 +284,12 @@ class Alignment:
         if self._lost is not None:
             return self._lost.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
         return self.levelling.rate_bias, np.eye(3) * self._settings.gyroscope_bias_sd_rad_s**2
+
+
+def _told(settings: Settings) -> Colour | Told:
+    """Run of GNSS errors before any fix: as the settings say, or still unknown."""
+    correlation_s = settings.gnss_error_correlation_s
+    return Told(correlation_s, 1.0 - settings.gnss_error_white_share) if correlation_s else UNKNOWN
 
 
 def _tilt_by_bias(ned_from_body: FloatArray) -> FloatArray:

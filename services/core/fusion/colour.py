@@ -206,7 +206,43 @@ PRIOR = _prior()
 UNKNOWN = Colour(np.zeros((2, *SHAPE[1:])), *_unknown())
 
 
-def mean_at_rest(times_s: FloatArray, lasting: float, correlation_s: float) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True)
+class Told:
+    """How GNSS errors run where that is known: a `Colour` that is certain, and learns nothing."""
+
+    correlation_s: float
+    lasting: float  # share of the variance
+
+    @property
+    def scale(self) -> FloatArray:
+        """Errors are as large as stated, shape (3,)."""
+        return np.ones(3)
+
+    @property
+    def unit(self) -> FloatArray:
+        """Of the lasting error, in what the receiver states: north, east and down, shape (3,)."""
+        return np.full(3, sqrt(self.lasting))
+
+    def scaled(self, cov: FloatArray) -> FloatArray:
+        """Covariance as stated."""
+        return cov
+
+    def at_start(self) -> "Told":
+        """Keep what is known, of a track that begins anew."""
+        return self
+
+    def is_due(self, _time_ns: int) -> bool:
+        """No fix teaches."""
+        return False
+
+    def after(self, _time_ns: int, _path: FloatArray, _sd: FloatArray, _velocity_variance: FloatArray) -> "Told":
+        """Learn nothing from one more fix."""
+        return self
+
+
+def mean_at_rest(
+    times_s: FloatArray, lasting: float, correlation_s: float, zero_s: float | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Weigh fixes of a place that does not move, as far as their errors last.
 
     Parameters
@@ -217,6 +253,8 @@ def mean_at_rest(times_s: FloatArray, lasting: float, correlation_s: float) -> t
         [-] Share of their variance that lasts.
     correlation_s : float
         [s] How long it does.
+    zero_s : float, optional
+        [s] When it was zero, if it ever was.
 
     Returns
     -------
@@ -229,6 +267,7 @@ def mean_at_rest(times_s: FloatArray, lasting: float, correlation_s: float) -> t
     The best linear unbiased estimate: with A the fixes' covariance, b that of fixes and last error, 1 a vector of
     ones::
 
+        A_ij = lasting (exp(-|t_i - t_j|/T) - exp(-(t_i + t_j - 2 zero)/T)) + (1 - lasting) [i = j]
         p = A^-1 1 / (1^T A^-1 1),  e = A^-1 (b - 1 p^T b)
 
     References
@@ -236,8 +275,12 @@ def mean_at_rest(times_s: FloatArray, lasting: float, correlation_s: float) -> t
     Gelb (ed.), Applied Optimal Estimation, 1974, ch. 4, as kriging with an unknown mean.
     """
     apart = np.abs(times_s[:, np.newaxis] - times_s)
-    A = lasting * np.exp(-apart / correlation_s) + (1.0 - lasting) * np.eye(len(times_s))
-    b = lasting * np.exp(-apart[-1] / correlation_s)
+    alike = np.exp(-apart / correlation_s)
+    if zero_s is not None:
+        remains = np.exp((zero_s - times_s) / correlation_s)
+        alike = alike - np.outer(remains, remains)
+    A = lasting * alike + (1.0 - lasting) * np.eye(len(times_s))
+    b = lasting * alike[-1]
     ones = np.ones(len(times_s))
     solved = np.linalg.solve(A, np.column_stack([ones, b]))
     place = solved[:, 0] / solved[:, 0].sum()
@@ -245,5 +288,5 @@ def mean_at_rest(times_s: FloatArray, lasting: float, correlation_s: float) -> t
     weights = np.array([place, error])
     # errors of the two: place' fixes - place = place' e, and error' e - e_last
     place_error, both = place @ A @ place, place @ (A @ error - b)
-    last_error = error @ A @ error - 2.0 * float(error @ b) + lasting
+    last_error = error @ A @ error - 2.0 * float(error @ b) + b[-1]
     return weights, np.array([[place_error, both], [both, last_error]])

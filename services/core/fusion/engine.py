@@ -52,7 +52,7 @@ class Engine:
         self.trail: Trail | None = None  # of whatever filter runs, for a smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
-        self._alignment: Alignment | None = Alignment(settings)
+        self._alignment: Alignment | None = Alignment(settings, first=not why)
         self.aids = Aids(settings)
         self._rest = UNSETTLED
         self._rest_turn, self._rest_s = STILL, 0.0  # [rad, body; s] of the rest since its last update
@@ -293,7 +293,7 @@ class Engine:
         self._lose(time_ns, why, kept, self.filter if kept else None)
 
     def _lose(self, time_ns: int, why: str, kept: Heading | None, lost: ErrorStateFilter | None = None) -> None:
-        self._alignment = Alignment(self._settings, lost, kept)
+        self._alignment = Alignment(self._settings, lost, kept, first=False)
         if lost is not None:
             self._alignment.comparison = self.aids.judge.comparison.interrupted()
         self.filter, self._why, self._rejections = None, why, 0

@@ -11,7 +11,7 @@ from shared.maths.earth import Geodetic
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
 from . import error_model as em
-from .colour import UNKNOWN, Colour
+from .colour import UNKNOWN, Colour, Told
 from .kalman import Correction, resized, variances
 from .ordinary import EARLY_S, NEVER, PLAIN, Arithmetic, Beside, Departure, Moment, sound, unsoundness
 from .sampling import NO_SUMS, STEADY, SWAY_S, Shaking, means, take_sample
@@ -57,7 +57,7 @@ class ErrorStateFilter:
         accelerometer_bias: Vector = (0.0, 0.0, 0.0),
         gyroscope_bias: Vector = (0.0, 0.0, 0.0),
         parameters: tuple[float, ...] = NO_PARAMETERS,
-        colour: Colour = UNKNOWN,
+        colour: Colour | Told = UNKNOWN,
     ) -> None:
         self.inertial = inertial
         self.P = P
@@ -216,7 +216,7 @@ class ErrorStateFilter:
         place = em.GNSS_ERROR.start
         return NEVER if self.P[place, place] == 0.0 else self.colour.correlation_s
 
-    def learn(self, colour: Colour) -> None:
+    def learn(self, colour: Colour | Told) -> None:
         """Take over what was learned of GNSS errors: what is estimated of them [m] stays, and its variance follows."""
         if colour is self.colour:
             return

@@ -9,13 +9,14 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 
-from .colour import Colour, mean_at_rest
+from .colour import Colour, Told, mean_at_rest
 from .gnss import GnssPosition
 
 FloatArray = npt.NDArray[np.float64]
 
 UNKNOWN_HEIGHT_SD = 100.0  # [m]
 REST_CORRELATION_S = 5.0  # errors of a carrier phase that are closer than this are taken for one
+LEAST = 1e-6  # [-] variance of the lasting error: with none it would not be estimated
 NOWHERE = np.zeros(3)
 
 
@@ -27,10 +28,10 @@ class FirstPlace(NamedTuple):
     error: tuple[float, ...]
     error_cov: FloatArray  # shape (3, 3)
     both: FloatArray  # shape (3, 3) [m] covariance of position and error
-    colour: Colour
+    colour: Colour | Told
 
 
-def first_place(rest: Sequence[GnssPosition], colour: Colour) -> FirstPlace:
+def first_place(rest: Sequence[GnssPosition], colour: Colour | Told, zero_ns: int | None = None) -> FirstPlace:
     """Weigh the fixes of a rest, newest last, by what they show of the run of their errors.
 
     An error that lasts is in all of them: the mean of many is hardly better than one, and the filter must know that
@@ -47,7 +48,8 @@ def first_place(rest: Sequence[GnssPosition], colour: Colour) -> FirstPlace:
     for fix, offset in zip(rest, offsets, strict=True):
         colour = colour.after(fix.time_ns, offset, np.sqrt(fix.cov.diagonal()), NOWHERE)
     lasting, scaled = max(colour.lasting, 1e-6), colour.scaled(newest.cov)
-    weights, joint = mean_at_rest(times_s, lasting, colour.correlation_s)
+    zero_s = None if zero_ns is None else (zero_ns - newest.time_ns) * 1e-9
+    weights, joint = mean_at_rest(times_s, lasting, colour.correlation_s, zero_s)
     root = np.linalg.cholesky(scaled)
     place, error = weights @ offsets
     in_sds = np.linalg.solve(root, error) / sqrt(lasting)
@@ -55,7 +57,7 @@ def first_place(rest: Sequence[GnssPosition], colour: Colour) -> FirstPlace:
         _moved(newest.position, place),
         joint[0, 0] * scaled + cov - newest.cov,
         tuple(in_sds.tolist()),
-        joint[1, 1] / lasting * np.eye(3),
+        max(joint[1, 1] / lasting, LEAST) * np.eye(3),
         joint[0, 1] / sqrt(lasting) * root,
         colour.at_start(),
     )

@@ -112,6 +112,19 @@ class Settings(Section):
         default=True,
         description="estimate the part of GNSS position errors that lasts, where corrections leave more than 0.1 m",
     )
+    gnss_error_correlation_s: float | None = Field(
+        default=None,
+        ge=0.1,
+        le=1e6,
+        description="correlation time of that part, if it is known, as from an Allan plot; learned if not given",
+    )
+    gnss_error_white_share: float = Field(
+        default=0.01, ge=1e-6, lt=1.0, description="of the variance, where that time is given; the rest lasts"
+    )
+    gnss_error_from_zero: bool = Field(
+        default=False,
+        description="at the first fix nothing lasts yet: it is a known point, or positions count from there",
+    )
     gate_false_alarm: float = Field(
         default=0.001, gt=0.0, lt=0.5, description="probability with which a good measurement is refused"
     )
