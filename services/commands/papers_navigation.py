@@ -287,7 +287,7 @@ def print_table(results: Sequence[Result], runs: int, console: Console) -> None:
     means = {result.case.name: result.mean for result in results}
     for name, known in TOLD.items():
         console.print(f"{name}: {means[name]:.2f} m as delivered, {means[known]:.2f} m told, mean of the axes.")
-    console.print(f"Who is told how GNSS, odometer and mounting err need not learn it; goal then: {TOLD_LIMIT_M} m.")
+    console.print(f"Told: of GNSS, odometer and mounting, what is learned otherwise; goal: {TOLD_LIMIT_M} m.")
 
 
 def _metres(values: Sequence[float] | FloatArray) -> str:
