@@ -291,10 +291,10 @@ class Engine:
         """Begin again, because the filter cannot be right."""
         self.counts = self.counts._replace(resets=self.counts.resets + 1)
         self._lose(time_ns, why, kept, self.filter if kept else None)
+        if kept and self._alignment is not None:  # in the same frame; in a gap it may have turned
+            self._alignment.comparison = self.aids.judge.comparison.interrupted()
 
     def _lose(self, time_ns: int, why: str, kept: Heading | None, lost: ErrorStateFilter | None = None) -> None:
         self._alignment = Alignment(self._settings, lost, kept, first=False)
-        if lost is not None:
-            self._alignment.comparison = self.aids.judge.comparison.interrupted()
         self.filter, self._why, self._rejections = None, why, 0
         self._enter(self._alignment.phase, time_ns, f"{self._alignment.reason}, after {why}")
