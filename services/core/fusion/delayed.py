@@ -43,6 +43,7 @@ class DelayedEngine:
         self._samples: deque[Newest] = deque()
         self._copies: deque[Kept] = deque()  # engines after a sample
         self._measurements: list[Measurement] = []  # of the horizon and of the future
+        self._late: list[Measurement] = []  # of them, not used yet
         self._fresh = 0  # samples since the newest copy
         self._timing = Timing(settings)
         # What is decided of delays must not depend on who runs the loop.
@@ -127,13 +128,8 @@ class DelayedEngine:
             self._keep(self._samples[-1][0])
         return outcomes
 
-    def insert(self, measurement: Measurement) -> list[Outcome]:
-        """Use a measurement at its stamp: in the past by going back, in the future once it comes.
-
-        Returns
-        -------
-        list of Outcome
-            Of this measurement only; what the way back to now brings again has been told before.
+    def insert(self, measurement: Measurement) -> None:
+        """Have a measurement used at its stamp: in the future once it comes, in the past by `catch_up`, which is due.
 
         Raises
         ------
@@ -143,17 +139,26 @@ class DelayedEngine:
         measurement = self._timing.corrected(measurement)
         reached_ns = self.engine.last.time_ns if self.engine.last else None
         if reached_ns is not None and measurement.time_ns <= reached_ns:
-            return self._go_back_for(measurement)
+            if self._copies[0].time_ns >= measurement.time_ns:
+                raise LookupError("older than the memory")
+            self._late.append(measurement)
         insort(self._measurements, measurement, key=order)
-        return []
 
-    def _go_back_for(self, measurement: Measurement) -> list[Outcome]:
-        if self._copies[0].time_ns >= measurement.time_ns:
-            raise LookupError("older than the memory")
-        while self._copies[-1].time_ns >= measurement.time_ns:
+    def catch_up(self) -> list[Outcome]:
+        """Go back, once, to before all late measurements, and come again with them.
+
+        Returns
+        -------
+        list of Outcome
+            Of these measurements only; what else the way back to now brings again has been told before.
+        """
+        late, self._late = self._late, []
+        if not late:
+            return []
+        first_ns = min(measurement.time_ns for measurement in late)
+        while self._copies[-1].time_ns >= first_ns:
             self._copies.pop()
         stamp = self._copies[-1].time_ns
-        insort(self._measurements, measurement, key=order)
         self.settled = self._copies[-1].restored()
         if self.settled.trail is not None:
             self.settled.trail.rewind(stamp)
@@ -170,8 +175,8 @@ class DelayedEngine:
             if self._fresh >= KEPT_EVERY:
                 self._copies.append(Kept(again[stop - 1][0], self.settled.fork()))
                 self._fresh = 0
-        news = measurement.time_ns, measurement.source, type(measurement)
-        return [o for o in outcomes if (o.time_ns, o.source, o.measurement) == news]
+        news = {(measurement.time_ns, measurement.source, type(measurement)) for measurement in late}
+        return [o for o in outcomes if (o.time_ns, o.source, o.measurement) in news]
 
     def _between(self, after_ns: int, until_ns: int) -> list[Measurement]:
         if not self._measurements or self._measurements[-1].time_ns <= after_ns:

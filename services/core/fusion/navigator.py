@@ -274,12 +274,12 @@ class Navigator:
                 self.rejects["measurement from the future"] += 1  # by the clock of the inertial samples
                 continue
             try:
-                outcomes += self._delayed.insert(measurement)
+                self._delayed.insert(measurement)
             except LookupError:
                 self.rejects["measurement older than the memory"] += 1
             else:
                 self._count_if_late(measurement)
-        return outcomes
+        return outcomes + self._delayed.catch_up()
 
     def _count_if_late(self, measurement: Measurement) -> None:
         key = measurement.source, type(measurement)
