@@ -25,6 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 RMSE = (3.07, 1.99, 1.56)
 SD = np.array(RMSE)
 DURATION_S, RUNS = 60.0, 6
+PERIOD_S = scenario_of("parking_lot").duration_s  # over which a simulated walk has the mean square that is stated
 TIME_S, SHARE = 5.0, 0.01  # as one of the hypotheses
 GIVEN: dict[str, float | bool] = {"gnss_error_correlation_s": TIME_S, "gnss_error_white_share": SHARE}
 ORIGIN = Geodetic(0.74, 0.23, 700.0)
@@ -134,7 +135,7 @@ def test_only_the_first_alignment_starts_from_zero() -> None:
     ("kind", "given"),
     [
         (ErrorKind.GAUSS_MARKOV, GIVEN),
-        (ErrorKind.WIENER, {"gnss_error_correlation_s": DURATION_S, "gnss_error_from_zero": True}),
+        (ErrorKind.WIENER, {"gnss_error_correlation_s": PERIOD_S, "gnss_error_from_zero": True}),
     ],
     ids=["5 s", "walk"],
 )
