@@ -92,7 +92,7 @@ def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) 
 
 def heading_of_accelerations(comparison: Comparison) -> Heading | None:
     """Match the accelerations of the last half minute; it needs neither rest nor straight mount, but manoeuvres."""
-    turn, sd = comparison.velocities.result(comparison.offset_sd)
+    turn, sd = comparison.precise()
     return Heading(turn, max(sd, ACCELERATIONS_SD), "matched accelerations") if sd < ACCELERATIONS_LIMIT else None
 
 

@@ -27,7 +27,8 @@ FEWEST = 2.5  # intervals that tell something
 MANY = 4.5  # that say themselves how noisy they are
 FEW_FACTOR = 4.0  # on the stated variance if they are fewer
 REST_OFFSET_SD = 0.05  # [m/s²] of a vehicle that was levelled at rest: tilt and bias
-MOTION_OFFSET_SD = 1.5  # of one that was levelled on the move
+MOTION_OFFSET_SD = 1.5  # of one that was levelled on the move, and
+SHIFT_SD = 0.3  # [m/s²] what that changes by meanwhile, for such levelling goes on
 NEIGHBOURS = 1.7  # differences of positions share one with the next
 LARGEST_JITTER_M = 1.0  # positions differ from each other by less than from the truth
 WRONG_YAW = radians(30.0)
@@ -103,13 +104,15 @@ class Match(NamedTuple):
         w = rect(1.0, turn)
         return self._replace(a=w * self.a, ag=w.conjugate() * self.ag) if self.n else self
 
-    def result(self, offset_sd: float) -> tuple[float, float]:
+    def result(self, offset_sd: float, shift_sd: float = 0.0) -> tuple[float, float]:
         """Turn from the inertial frame to NED and its standard deviation [rad]; infinite while nothing is known.
 
         Parameters
         ----------
         offset_sd : float
             [m/s²] What c may be: with r the variance of the noise, it counts as r / offset_sd² observations of zero.
+        shift_sd : float
+            [m/s²] By how much c may differ between rests and manoeuvres, which no number of intervals averages.
 
         Returns
         -------
@@ -127,7 +130,7 @@ class Match(NamedTuple):
         if aa <= 0.0 or not GAIN[0] * aa < abs(ag) < GAIN[1] * aa:
             return 0.0, inf
         residual = max(0.0, gg - abs(ag) ** 2 / aa) / (2.0 * (self.n - 1.5))
-        return phase(ag), sqrt(max(residual, stated) / aa)
+        return phase(ag), sqrt((max(residual, stated) + shift_sd**2) / aa)
 
 
 class Chords(NamedTuple):
@@ -204,6 +207,10 @@ class Comparison(NamedTuple):
         """Turn from the inertial frame to NED and its standard deviation [rad]; infinite while nothing is known."""
         both = self.velocities.result(self.offset_sd), self.chords.match.result(self.offset_sd)
         return min(both, key=lambda found: found[1])
+
+    def precise(self) -> tuple[float, float]:
+        """Find the turn to start a filter with: by velocities, and with all that its error may be."""
+        return self.velocities.result(self.offset_sd, SHIFT_SD if self.offset_sd == MOTION_OFFSET_SD else 0.0)
 
     def contradicts(self, turn: float) -> bool:
         """Whether a turn from the inertial frame to NED [rad] is so wrong that no small correction mends it."""

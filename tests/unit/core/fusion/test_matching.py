@@ -1,13 +1,13 @@
 """Heading from accelerations seen twice: any turn is found, tilt does not matter, and nonsense says nothing."""
 
 from cmath import rect
-from math import degrees, inf, pi, radians
+from math import degrees, inf, pi, radians, sqrt
 
 import numpy as np
 import pytest
 
 from services.core.fusion.gnss import GnssPosition, GnssVelocity
-from services.core.fusion.matching import REST_OFFSET_SD, Comparison, Corrections, Match
+from services.core.fusion.matching import MOTION_OFFSET_SD, REST_OFFSET_SD, SHIFT_SD, Comparison, Corrections, Match
 from shared.maths.earth import STANDARD_GRAVITY, Geodetic, geodetic_from_ned_difference
 
 TURN, SD, STEP_S = 2.5, 0.05, 1.0
@@ -44,6 +44,20 @@ def test_the_standard_deviation_is_honest() -> None:
         found, sd = compared(seed=seed).result(1.0)
         sizes.append((found - TURN) / sd)
     assert 0.5 < np.std(sizes) < 1.1
+
+
+def test_many_quiet_intervals_do_not_make_one_manoeuvre_precise() -> None:
+    """Idling for 50 s, then 2 s at 1 m/s², in which levelling has leant the frame by another 1.5 degrees."""
+    match, inertial, seen = Match(), 0j, 0j
+    for k in range(52):
+        a, lean = (1.0 + 0j, 0.26j) if k >= 50 else (0j, 0j)
+        inertial, seen = inertial + a + lean + 0.2, seen + a
+        match = match.after(k * 10**9, inertial, seen, SD)
+    found, plain_sd = match.result(MOTION_OFFSET_SD)
+    precise, sd = Comparison(match).precise()
+    assert precise == found and plain_sd < abs(found) / 3.0
+    assert sd == pytest.approx(SHIFT_SD / sqrt(2.0), rel=0.2) and abs(found) < 1.5 * sd
+    assert Comparison(match, offset_sd=REST_OFFSET_SD).precise() == match.result(REST_OFFSET_SD)
 
 
 def test_nothing_is_known_without_accelerations_or_with_a_receiver_that_does_not_move() -> None:
