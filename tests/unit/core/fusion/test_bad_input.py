@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aiding import Outcome
+from services.core.fusion.gnss import Reading, Stamp, gnss_measurements
 from services.core.fusion.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.samples import Repeats
@@ -182,6 +183,23 @@ def test_a_receiver_that_says_zero_does_not_know() -> None:
     first = next(o for o in found.outcomes if o.kind is AidingKind.GNSS_POSITION)
     assert first.innovation_sd[0] > 1.0, "the default of a receiver that states none, and not the floor of 1 cm"
     assert found.within_sds(20.0, END_S)
+
+
+@pytest.mark.parametrize("odd", [0.0, -1.0, 1e-300, 5e-324])
+@pytest.mark.parametrize("axis", range(3))
+def test_an_axis_of_which_a_receiver_states_nothing_has_the_default(axis: int, odd: float) -> None:
+    settings, stated = Settings(gnss_sd_factor=2.0), np.full((3, 3), 0.1) + 0.9 * np.eye(3)
+    stated[axis, axis] = odd
+    place, stamp = Geodetic(*drive().position[0].tolist()), Stamp(0, 0, "gnss")
+    reading = Reading((0.0, 0.0, 0.0), stated)
+    velocity, position = (m.cov for m in gnss_measurements(settings, stamp, place, reading, reading))  # type: ignore[attr-defined]
+    for cov, default, factor in (
+        (position, settings.gnss_position_sd_m, 2.0),
+        (velocity, settings.gnss_velocity_sd_m_s, 1.0),
+    ):
+        others = [place for place in range(3) if place != axis]
+        assert cov[axis, axis] == pytest.approx(default[axis] ** 2) and not cov[axis, others].any()
+        assert cov[np.ix_(others, others)] == pytest.approx(factor**2 * np.array([[1.0, 0.1], [0.1, 1.0]]))
 
 
 def test_a_receiver_that_knows_nothing_moves_nothing() -> None:
