@@ -36,6 +36,7 @@ from .wheels import WheelSpeed
 FloatArray = npt.NDArray[np.float64]
 
 FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
+NEWEST_LIMIT = 256  # kinds of measurements of devices
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheels say more often what they say
 BACKWARDS_LIMIT = 100  # successive samples from the past, after which it is the clock that was set back
@@ -60,7 +61,7 @@ class Navigator:
         self._repeats: Repeats | None = None
         self._conspicuous = True  # the last sample was looked at, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
-        self._devices = Devices(self.rejects)
+        self._devices = Devices(self.rejects, self._now_ns)
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -281,8 +282,14 @@ class Navigator:
                 self._count_if_late(measurement)
         return outcomes
 
+    def _now_ns(self) -> int:
+        newest = self._delayed.newest
+        return newest[0] if newest else 0
+
     def _count_if_late(self, measurement: Measurement) -> None:
         key = measurement.source, type(measurement)
+        if len(self._newest) > NEWEST_LIMIT and key not in self._newest:
+            self._newest.clear()  # devices come and go, and this counts only
         newest_ns = self._newest.setdefault(key, measurement.time_ns)
         self.measurements_late += measurement.time_ns < newest_ns
         self._newest[key] = max(newest_ns, measurement.time_ns)
