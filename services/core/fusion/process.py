@@ -61,7 +61,9 @@ class Process:
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in translate.samples_of(batch):
             due = self._is_due(sampled_ns)
-            outcomes = self._navigator.advance(sampled_ns, force, rate, saturated=batch.saturated, hurried=due)
+            outcomes = self._navigator.advance(
+                sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated, hurried=due
+            )
             if due:  # first: whoever needs it shall not wait for what is late anyway
                 yield from self._solution(sampled_ns)
             yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))
