@@ -20,8 +20,7 @@ from .fast import compiled_runner
 from .navigator import Navigator
 from .settings import Settings
 
-STATE_PERIOD_NS = 1_000_000_000
-SILENT_NS = 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
+STATE_PERIOD_NS, SILENT_NS = 1_000_000_000, 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
 In = ImuSamples | GnssFix | LastPosition | VehicleSpeed | WheelSpeeds | Tick
 Out = NavigationSolution | NavigationState | AidingUpdate
 
@@ -35,8 +34,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self._navigator = Navigator(config, compiled_runner() if config.machine_code else None)
-        self.rejects = self._navigator.rejects
-        self.leave = self._navigator.leave  # a trail, for a smoother
+        self.rejects, self.leave = self._navigator.rejects, self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, int] | None = None
