@@ -46,6 +46,14 @@ class Measurement(Protocol):
         ...
 
 
+class Height(NamedTuple):
+    """Innovation [m] of a height without which a position was used, and whether the filter gives way to it."""
+
+    innovation: float
+    innovation_sd: float
+    taken_over: bool
+
+
 class Outcome(NamedTuple):
     """What became of one observation."""
 
@@ -59,6 +67,7 @@ class Outcome(NamedTuple):
     reason: str | None = None
     weight: float = 1.0  # on the inverse of R
     measurement: type = object  # class of what was observed
+    height: Height | None = None  # left out
 
 
 class Counts(NamedTuple):

@@ -9,6 +9,7 @@ from .aiding import Measurement, Outcome
 from .compass import CompassCheck, MagneticHeading
 from .epochs import Epochs
 from .filter import ErrorStateFilter
+from .gaps import LostTime
 from .gnss import GnssPosition, GnssVelocity
 from .judging import Judge
 from .matching import Comparison
@@ -74,6 +75,8 @@ class Aids:
 
     def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
         """Hold a measurement against the filter, unless a better device says the same."""
+        if isinstance(measurement, LostTime):
+            measurement.tell(navigation)
         if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, navigation):
             return
         if isinstance(measurement, MagneticHeading):

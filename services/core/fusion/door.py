@@ -1,6 +1,7 @@
 """What no measurement of a road vehicle says, whatever its form: it is counted and does not come to the filter."""
 
 from collections import Counter
+from collections.abc import Callable
 from math import hypot, isfinite
 
 from shared.maths.earth import Geodetic
@@ -14,24 +15,35 @@ from .wheels import WheelSpeed
 LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # no road, and no balloon of a test either
 STRONGEST_FIELD = 100.0  # times the Earth's
 LATE_PERIODS = 100  # by which a value may come after a newer one; more, and the clock of its device was set back
+SILENT_NS = 3_600_000_000_000  # after which a device is not there any more, or has another name
 DEVICES = 32  # no vehicle has more; what is learnt of each takes memory
 
 
 class Devices:
-    """Who is heard: those who spoke first, as many as a vehicle can have; the others are counted in `rejects`."""
+    """Who is heard: those who spoke first, as many as a vehicle can have; the others are counted in `rejects`.
 
-    def __init__(self, rejects: Counter[str]) -> None:
-        self._rejects = rejects
-        self._names: set[str] = set()
+    One that was silent for an hour makes room, by the clock of the inertial samples: stamps of devices may be anything.
+    """
+
+    def __init__(self, rejects: Counter[str], clock: Callable[[], int]) -> None:
+        self._rejects, self._clock = rejects, clock
+        self._heard: dict[str, int] = {}  # when each was heard last
         self._used: dict[tuple[str, str], int] = {}  # period of the newest value that was taken
 
     def is_known(self, source: str) -> bool:
         """Whether a device is heard."""
-        if source not in self._names and len(self._names) >= DEVICES:
-            self._rejects["more devices than a vehicle has"] += 1
-            return False
-        self._names.add(source)
+        now_ns = self._clock()
+        if source not in self._heard and len(self._heard) >= DEVICES:
+            self._forget_the_silent(now_ns)
+            if len(self._heard) >= DEVICES:
+                self._rejects["more devices than a vehicle has"] += 1
+                return False
+        self._heard[source] = now_ns
         return True
+
+    def _forget_the_silent(self, now_ns: int) -> None:
+        self._heard = {name: at for name, at in self._heard.items() if abs(now_ns - at) <= SILENT_NS}
+        self._used = {key: period for key, period in self._used.items() if key[0] in self._heard}
 
     def is_due(self, source: str, quantity: str, time_ns: int, period_ns: int) -> bool:
         """Whether it is the first value of its period to come: by the stamps, whenever the device was switched on."""
@@ -60,7 +72,7 @@ def impossible(measurement: Measurement) -> str | None:
 
 
 def _no_place(position: Geodetic) -> str | None:
-    if not isfinite(position.longitude):
+    if not isfinite(sum(position)):
         return "position not finite"
     if not abs(position.latitude) < HIGHEST_LATITUDE:
         return "position too near a pole"

@@ -11,6 +11,7 @@ from .gnss import GnssPosition, GnssVelocity
 
 WAY_M = 0.5  # on which every receiver's position changes
 GAIN_M_S = 0.5  # over which every receiver's velocity changes
+ROOM = 64  # sources and kinds that are remembered: devices come and go
 HELD_S = 10.0  # receivers hold a value for so long; one that is the same for longer has to be judged by what it says
 
 
@@ -73,4 +74,8 @@ class Epochs(NamedTuple):
         return hypot(own[0], own[1]) if own else 0.0
 
     def _with(self, key: tuple[str, type], seen: Seen) -> "Epochs":
-        return Epochs({**self.seen, key: seen})
+        known = self.seen
+        if key not in known and len(known) >= ROOM:
+            oldest = min(known, key=lambda one: known[one].time_ns)
+            known = {one: told for one, told in known.items() if one != oldest}
+        return Epochs({**known, key: seen})

@@ -23,6 +23,7 @@ from .strapdown import rotate
 FloatArray = npt.NDArray[np.float64]
 
 LARGEST_SD = 1e4  # [m, m/s] a receiver that knows nothing may say anything
+SMALLEST_SD = 1e-6  # [m, m/s] one that says less does not know
 LASTING_ABOVE_M = 0.1  # of the larger horizontal axis; errors below it are of a carrier phase
 SMALLEST_EIGENVALUE = 1e-3  # [-] of a correlation matrix that is a matrix of correlations
 
@@ -216,16 +217,17 @@ def gnss_measurements(
 def _trusted(cov: FloatArray | None, default_sd: Vector, floor_sd: float, factor: float) -> FloatArray:
     """Covariance that is finite, positive definite and not too small; impossible correlations are dropped.
 
-    A receiver that says zero does not know.
+    A receiver that says zero, or less, of an axis does not know: the default stands for it.
     """
-    if cov is None or not (np.isfinite(cov).all() and cov.diagonal().max() > 0.0):
+    if cov is None or not np.isfinite(cov).all():
         return np.diag(np.square(default_sd))
     cov = np.clip(cov, -(LARGEST_SD**2), LARGEST_SD**2)
+    known = cov.diagonal() > SMALLEST_SD**2
     stated = np.sqrt(np.maximum(cov.diagonal(), floor_sd**2))
-    correlation = np.clip(cov / np.outer(stated, stated), -1.0, 1.0)
+    correlation = np.where(np.outer(known, known), np.clip(cov / np.outer(stated, stated), -1.0, 1.0), 0.0)
     np.fill_diagonal(correlation, 1.0)
     if np.linalg.eigvalsh(correlation)[0] < SMALLEST_EIGENVALUE:
         correlation = np.eye(3)
-    sd = np.clip(stated * factor, floor_sd, LARGEST_SD)
+    sd = np.where(known, np.clip(stated * factor, floor_sd, LARGEST_SD), default_sd)
     trusted: FloatArray = correlation * np.outer(sd, sd)
     return trusted

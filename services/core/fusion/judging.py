@@ -9,7 +9,7 @@ from shared.messages import AidingKind
 
 from . import arms
 from . import error_model as em
-from .aiding import Measurement, Observation, Outcome
+from .aiding import Height, Measurement, Observation, Outcome
 from .filter import ErrorStateFilter
 from .gnss import GnssPosition, GnssVelocity, antenna_velocity
 from .heading import Heading
@@ -117,8 +117,9 @@ class Judge:
             flat, flat_ratio = self._weigh(navigation, level)
             if flat_ratio <= 1.0:
                 told = self._judge(navigation, measurement, level, flat, flat_ratio, self._height(seen))
-                self._follow_height(navigation, seen, measurement.time_ns)
-                return told
+                taken_over = self._follow_height(navigation, seen, measurement.time_ns)
+                height = Height(float(seen.z[2]), correction.innovation_sd[2], taken_over)
+                return told._replace(height=height)
         return self._judge(navigation, measurement, seen, correction, ratio, None)
 
     def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:
@@ -128,12 +129,14 @@ class Judge:
     def _height(self, seen: Observation) -> str:
         return f"height beyond the gate by {-float(seen.z[2]):.0f} m: used without it"
 
-    def _follow_height(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int) -> None:
-        """Take a height over that has been refused for as long as a reset needs."""
+    def _follow_height(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int) -> bool:
+        """Take a height over that has been refused for as long as a reset needs, and say whether."""
         self._height_ns = time_ns if self._height_ns is None else self._height_ns
-        if time_ns - self._height_ns >= self._settings.reset_after_s * 1e9:
-            self._height_ns = None
-            navigation.widen(height_sd=abs(float(seen.z[2])))
+        if time_ns - self._height_ns < self._settings.reset_after_s * 1e9:
+            return False
+        self._height_ns = None
+        navigation.widen(height_sd=abs(float(seen.z[2])))
+        return True
 
     def _follow_speed(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int, refused: bool) -> None:
         """Doubt a velocity that the wheels have contradicted for long: once a second, and along the wheels alone."""

@@ -20,9 +20,11 @@ from shared.messages import NavigationPhase
 
 from . import barometer, compass
 from .aiding import Counts, Measurement, Outcome
+from .clock import FUTURE_LIMIT_NS, Clock
 from .delayed import DelayedEngine
 from .door import Devices, impossible
 from .engine import Engine
+from .gaps import LostTime
 from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .runner import Runner
@@ -35,10 +37,9 @@ from .wheels import WheelSpeed
 
 FloatArray = npt.NDArray[np.float64]
 
-FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
+NEWEST_LIMIT = 256  # kinds of measurements of devices
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheels say more often what they say
-BACKWARDS_LIMIT = 100  # successive samples from the past, after which it is the clock that was set back
 
 
 class Navigator:
@@ -56,11 +57,11 @@ class Navigator:
         self.measurements_late = 0  # used at their own time, after newer ones of the same device
         self._delayed = DelayedEngine(self.settings, runner)
         self._bounds = Bounds(self.settings)
-        self._backwards = 0
+        self._clock: Clock | None = None  # while samples are refused for their stamps
         self._repeats: Repeats | None = None
         self._conspicuous = True  # the last sample was looked at, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
-        self._devices = Devices(self.rejects)
+        self._devices = Devices(self.rejects, self._now_ns)
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -92,7 +93,7 @@ class Navigator:
         list of Outcome
             What became of the measurements that were used now.
         """
-        outcomes = self.advance(time_ns, force, rate, saturated=saturated)
+        outcomes = self.advance(time_ns, force, rate, received_ns, saturated=saturated)
         if self._conspicuous or self._held:  # else the sample left nothing to do
             outcomes += self.release(time_ns if received_ns is None else received_ns)
         return outcomes
@@ -102,6 +103,7 @@ class Navigator:
         time_ns: int,
         force: Sequence[float],
         rate: Sequence[float],
+        received_ns: int | None = None,
         *,
         saturated: bool = False,
         hurried: bool = False,
@@ -112,18 +114,22 @@ class Navigator:
         """
         fx, fy, fz = force
         wx, wy, wz = rate
-        if not (saturated or hurried) and self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=False):
+        odd = saturated or hurried or self._clock
+        if not odd and self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=False):
             self._conspicuous = False
-            self._backwards = 0
             self.samples_used += 1
             return []
         credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
         last = self._delayed.newest
-        if not credible or (last is not None and time_ns <= last[0]):
+        fault = None if credible else _fault(force, rate)
+        if credible and last is not None and not 0 < time_ns - last[0] <= FUTURE_LIMIT_NS:
+            fault = self._misfit(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)), last[0], received_ns)
+        if fault:
             self.samples_rejected += 1
-            self.rejects[self._went_back() if credible else _fault(force, rate)] += 1
+            self.rejects[fault] += 1
             return []
-        self._backwards = 0
+        if self._clock:
+            self._settle_clock(time_ns, self._clock.lost_s)
         self.samples_used += 1
         readings = (fx, fy, fz, wx, wy, wz)
         repeats = self._repeats = self._repeats or Repeats(time_ns, readings)
@@ -281,20 +287,40 @@ class Navigator:
                 self._count_if_late(measurement)
         return outcomes + self._delayed.catch_up()
 
+    def _now_ns(self) -> int:
+        newest = self._delayed.newest
+        return newest[0] if newest else 0
+
     def _count_if_late(self, measurement: Measurement) -> None:
         key = measurement.source, type(measurement)
+        if len(self._newest) > NEWEST_LIMIT and key not in self._newest:
+            self._newest.clear()  # devices come and go, and this counts only
         newest_ns = self._newest.setdefault(key, measurement.time_ns)
         self.measurements_late += measurement.time_ns < newest_ns
         self._newest[key] = max(newest_ns, measurement.time_ns)
 
-    def _went_back(self) -> str:
-        """Say what is wrong with a sample that is no newer than the last; after many of them begin again."""
-        self._backwards += 1
-        if self._backwards > BACKWARDS_LIMIT:
-            self._backwards = 0
+    def _misfit(self, sample: Sample, newest_ns: int, received_ns: int | None) -> str | None:
+        """Say why a sample does not follow the last one, if so; after many that go back begin again."""
+        clock = self._clock or Clock()
+        if sample.time_ns > newest_ns:
+            if not clock.is_ahead(sample.time_ns, newest_ns, received_ns):
+                return None
+            self._clock = clock
+            return "sample from the future"
+        self._clock = clock
+        used = self._delayed._samples
+        known = len(used) > 1 and used[-2][0] < sample.time_ns  # its time was bridged
+        if clock.goes_back(sample.time_ns, known=known or any(one[:3] == sample[:3] for one in reversed(used))):
             self._delayed = self._delayed.restarted("the inertial clock went back")
-            self._repeats, self._conspicuous, self._newest = None, True, {}
+            self._clock, self._repeats, self._conspicuous, self._newest = None, None, True, {}
         return "sample doubled or out of order"
+
+    def _settle_clock(self, time_ns: int, lost_s: float) -> None:
+        """Go on after samples that were refused for their stamps, and admit the time that was lost with them."""
+        self._clock = None
+        if lost_s:
+            self.rejects["time lost as the inertial clock went back"] += 1
+            self._delayed.insert(LostTime(time_ns, lost_s))
 
 
 def _fault(force: Sequence[float], rate: Sequence[float]) -> str:

@@ -20,8 +20,7 @@ from .fast import compiled_runner
 from .navigator import Navigator
 from .settings import Settings
 
-STATE_PERIOD_NS = 1_000_000_000
-SILENT_NS = 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
+STATE_PERIOD_NS, SILENT_NS = 1_000_000_000, 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
 In = ImuSamples | GnssFix | LastPosition | VehicleSpeed | WheelSpeeds | Tick
 Out = NavigationSolution | NavigationState | AidingUpdate
 
@@ -35,8 +34,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self._navigator = Navigator(config, compiled_runner() if config.machine_code else None)
-        self.rejects = self._navigator.rejects
-        self.leave = self._navigator.leave  # a trail, for a smoother
+        self.rejects, self.leave = self._navigator.rejects, self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, int] | None = None
@@ -61,7 +59,9 @@ class Process:
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in translate.samples_of(batch):
             due = self._is_due(sampled_ns)
-            outcomes = self._navigator.advance(sampled_ns, force, rate, saturated=batch.saturated, hurried=due)
+            outcomes = self._navigator.advance(
+                sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated, hurried=due
+            )
             if due:  # first: whoever needs it shall not wait for what is late anyway
                 yield from self._solution(sampled_ns)
             yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))

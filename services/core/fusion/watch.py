@@ -27,7 +27,7 @@ class Watch:
     used_ns: int = 0  # stamp of the last position that was used
     anchored: Block = NO_BLOCK  # covariance after it
     pulled: tuple[float, float] = (0.0, 0.0)  # [m] most that it can have moved the solution unseen, on ground and up
-    contested: tuple[float, float] = (0.0, 0.0)  # [m] by which a position was refused, until one is used again
+    contested: tuple[float, float] = (0.0, 0.0)  # [m] by which a position or a height was refused, until one is used
     yielded: tuple[float, float] = (0.0, 0.0)  # [m] the same when the filter gave way to them; it fades
 
     def begun(self, time_ns: int, started: ErrorStateFilter) -> "Watch":
@@ -79,21 +79,29 @@ class Watch:
             return replace(self, velocity=seen)
         if outcome.kind is not AidingKind.GNSS_POSITION:
             return self
-        z = outcome.innovation
+        z, height = outcome.innovation, outcome.height
         known = self.position
         if not known.time_ns or (self.estimated and not estimated):  # a new kind of error has to show itself anew
             known = ESTIMATED if estimated else UNKNOWN
-        seen = known.after(outcome.time_ns, z, outcome.innovation_sd)
+        sd = outcome.innovation_sd
+        if height is not None:
+            z, sd = (*z, height.innovation), (*sd, height.innovation_sd)
+        seen = known.after(outcome.time_ns, z, sd)
+        upright = self.contested[1] if len(z) < 3 else abs(z[2])  # of a height that is not used
+        given_way = 0.0
+        if height is not None and height.taken_over:
+            given_way, upright = upright, 0.0
         if not outcome.used:
-            contested = (hypot(z[0], z[1]), abs(z[2]) if len(z) > 2 else self.contested[1])
-            return replace(self, position=seen, contested=contested, estimated=estimated)
-        now, limit = block(navigation), chi_square_limit(len(z), false_alarm)
+            contested, yielded = (hypot(z[0], z[1]), upright), (self.yielded[0], self.yielded[1] + given_way)
+            return replace(self, position=seen, contested=contested, yielded=yielded, estimated=estimated)
+        now, limit = block(navigation), chi_square_limit(len(outcome.innovation), false_alarm)
         nn, ne, ee, dd = (old - new for old, new in zip(before, now, strict=True))
         taken = max(0.0, 0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne))
         pulled = (sqrt(limit * taken), sqrt(limit * max(0.0, dd)))
         fading = exp(-max(0, outcome.time_ns - self.used_ns) * 1e-9 / MEMORY_S)
-        yielded = fading * self.yielded[0], fading * self.yielded[1]
-        return Watch(seen, self.velocity, estimated, outcome.time_ns, now, pulled, yielded=yielded)
+        yielded = fading * self.yielded[0], fading * self.yielded[1] + given_way
+        contested = 0.0, 0.0 if len(outcome.innovation) == 3 else upright
+        return Watch(seen, self.velocity, estimated, outcome.time_ns, now, pulled, contested, yielded)
 
     @cached_property
     def disputed(self) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from services.core.fusion.aiding import Outcome
+from services.core.fusion.gnss import Reading, Stamp, gnss_measurements
 from services.core.fusion.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.samples import Repeats
@@ -66,10 +67,15 @@ def run(
     *,
     imu_offset_s: Callable[[float], float | None] = lambda t: 0.0,
     gnss_offset_s: Callable[[float], float] = lambda t: 0.0,
+    arrival_offset_s: Callable[[float], float] = lambda t: 0.0,
+    again: Callable[[float], int] = lambda t: 0,
     saturated: Callable[[float], bool] = lambda t: False,
     sd: float | None = None,
 ) -> Run:
-    """Lead a navigator through the drive; an offset of None drops a sample."""
+    """Lead a navigator through the drive; an offset of None drops a sample, and some come `again` with the last ones.
+
+    Arrivals are offset for samples and fixes.
+    """
     d = drive()
     made = Navigator(Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0}))
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
@@ -77,7 +83,7 @@ def run(
     for i, time_ns in enumerate(d.t_ns.tolist()):
         time_s = time_ns * 1e-9
         if k < len(d.fix_ns) and d.fix_ns[k] <= time_ns:
-            give_fix(made, k, int(gnss_offset_s(time_s) * 1e9), sd)
+            give_fix(made, k, int(gnss_offset_s(time_s) * 1e9), sd, int(arrival_offset_s(time_s) * 1e9))
             k += 1
         offset_s = imu_offset_s(time_s)
         if offset_s is None:
@@ -86,14 +92,17 @@ def run(
         a, b, c = d.rate_b[i].tolist()
         force, rate = change(time_s, (x, y, z), (a, b, c))
         stamp_ns = time_ns + int(offset_s * 1e9)
-        found.outcomes += made.imu(stamp_ns, force, rate, time_ns + 2_000_000, saturated=saturated(time_s))
+        arrival_ns = time_ns + int(arrival_offset_s(time_s) * 1e9) + 2_000_000
+        found.outcomes += made.imu(stamp_ns, force, rate, arrival_ns, saturated=saturated(time_s))
+        for j in range(i + 1 - again(time_s), i + 1):
+            made.imu(int(d.t_ns[j]), d.force_b[j].tolist(), d.rate_b[j].tolist(), arrival_ns)
         solution = made.solution()
         if solution and solution.time_ns == stamp_ns:
             found.solutions.append((i, solution))
     return found
 
 
-def give_fix(made: Navigator, k: int, offset_ns: int, sd: float | None) -> None:
+def give_fix(made: Navigator, k: int, offset_ns: int, sd: float | None, arrival_offset_ns: int = 0) -> None:
     d = drive()
     north, east, down = d.fix_velocity_n[k].tolist()
     made.fix(
@@ -102,7 +111,7 @@ def give_fix(made: Navigator, k: int, offset_ns: int, sd: float | None) -> None:
         velocity=(north, east, down),
         position_sd=d.fix_position_sd_n[k].tolist() if sd is None else (sd, sd, sd),
         velocity_sd=d.fix_velocity_sd_n[k].tolist() if sd is None else (sd, sd, sd),
-        received_ns=int(d.fix_ns[k]),
+        received_ns=int(d.fix_ns[k]) + arrival_offset_ns,
     )
 
 
@@ -184,6 +193,23 @@ def test_a_receiver_that_says_zero_does_not_know() -> None:
     assert found.within_sds(20.0, END_S)
 
 
+@pytest.mark.parametrize("odd", [0.0, -1.0, 1e-300, 5e-324])
+@pytest.mark.parametrize("axis", range(3))
+def test_an_axis_of_which_a_receiver_states_nothing_has_the_default(axis: int, odd: float) -> None:
+    settings, stated = Settings(gnss_sd_factor=2.0), np.full((3, 3), 0.1) + 0.9 * np.eye(3)
+    stated[axis, axis] = odd
+    place, stamp = Geodetic(*drive().position[0].tolist()), Stamp(0, 0, "gnss")
+    reading = Reading((0.0, 0.0, 0.0), stated)
+    velocity, position = (m.cov for m in gnss_measurements(settings, stamp, place, reading, reading))  # type: ignore[attr-defined]
+    for cov, default, factor in (
+        (position, settings.gnss_position_sd_m, 2.0),
+        (velocity, settings.gnss_velocity_sd_m_s, 1.0),
+    ):
+        others = [place for place in range(3) if place != axis]
+        assert cov[axis, axis] == pytest.approx(default[axis] ** 2) and not cov[axis, others].any()
+        assert cov[np.ix_(others, others)] == pytest.approx(factor**2 * np.array([[1.0, 0.1], [0.1, 1.0]]))
+
+
 def test_a_receiver_that_knows_nothing_moves_nothing() -> None:
     """A variance of 1e12 m²: what it says is as good as unused."""
     found = run(sd=1e6)
@@ -191,12 +217,17 @@ def test_a_receiver_that_knows_nothing_moves_nothing() -> None:
     assert found.navigator.counts.resets == 0
 
 
+def all_clocks_step(step_s: float) -> Run:
+    def step(t: float) -> float:
+        return step_s if t > FAULT_S else 0.0
+
+    return run(imu_offset_s=step, gnss_offset_s=step, arrival_offset_s=step)
+
+
 @pytest.mark.parametrize("step_s", [3600.0, 1.5])
 def test_an_inertial_clock_that_jumps_ahead_is_a_gap(step_s: float) -> None:
     """With the clock of the fixes, as one host's clock does: levelling or the next fix begin again."""
-    found = run(
-        imu_offset_s=lambda t: step_s if t > FAULT_S else 0.0, gnss_offset_s=lambda t: step_s if t > FAULT_S else 0.0
-    )
+    found = all_clocks_step(step_s)
     assert found.navigator.counts.imu_gaps == 1
     assert f"no inertial sample for {step_s:.1f} s" in found.navigator.reason
 
@@ -206,6 +237,55 @@ def test_an_inertial_clock_that_goes_back_begins_again() -> None:
     assert found.navigator.counts.resets == 1
     assert "the inertial clock went back" in found.navigator.reason
     assert found.navigator.rejects["sample doubled or out of order"] == 101
+
+
+@pytest.mark.parametrize("step_s", [-0.3, -0.9])
+def test_the_time_that_is_lost_when_all_clocks_are_set_back_is_admitted_as_a_gap(step_s: float) -> None:
+    """Samples below the newest stamp are refused; the vehicle went on meanwhile."""
+    found = all_clocks_step(step_s)
+    told = found.navigator.rejects
+    assert told["time lost as the inertial clock went back"] == 1 and found.navigator.counts.resets == 0
+    assert told["sample doubled or out of order"] == pytest.approx(-100.0 * step_s, abs=1.0)
+    followed_s = FAULT_S - step_s + 0.02  # by the first sample that is newer again
+    assert found.within_sds(followed_s, END_S) and found.worst_m(FAULT_S + 8.0, END_S) < 0.6
+
+
+@pytest.mark.parametrize("count", [1, 20])
+def test_samples_that_come_twice_lose_no_time(count: int) -> None:
+    """Also a message of many: nothing is changed by it."""
+    whole, found = run(), run(again=lambda t: count if t > FAULT_S and round(t * 100) % 50 == 0 else 0)
+    assert found.navigator.rejects["sample doubled or out of order"] > 40 * count - 1
+    assert len(found.navigator.rejects) == 1
+    assert found.solutions[-1][1].position == whole.solutions[-1][1].position
+    assert (found.solutions[-1][1].position_cov == whole.solutions[-1][1].position_cov).all()
+
+
+def test_samples_from_before_that_are_no_succession_lose_no_time() -> None:
+    """Two neighbours that have changed places, and one from an hour ago."""
+    found = run(
+        imu_offset_s=lambda t: -3600.0 if round(t * 100) % 100 == 50 else -0.05 if round(t * 100) % 100 == 51 else 0
+    )
+    assert set(found.navigator.rejects) == {"sample doubled or out of order"}
+
+
+def test_samples_whose_time_was_bridged_lose_none() -> None:
+    """One sample is stamped half a second ahead: a gap, and the samples within it come too late."""
+    found = run(imu_offset_s=lambda t: 0.5 if round(t * 100) == 3100 else 0.0)
+    assert found.navigator.rejects["sample doubled or out of order"] >= 48
+    assert not found.navigator.rejects["time lost as the inertial clock went back"]
+
+
+def test_a_sample_from_the_future_is_left_out() -> None:
+    found = run(imu_offset_s=lambda t: 10.0 if round(t * 100) in (3100, 3101, 3500) else 0.0)
+    assert found.navigator.rejects == {"sample from the future": 3}
+    assert found.navigator.counts.resets == 0 and found.navigator.phase is NavigationPhase.NAVIGATING
+    assert found.within_sds(FAULT_S, END_S) and found.worst_m(FAULT_S, END_S) < 0.6
+
+
+def test_a_clock_that_is_ahead_for_good_is_taken_after_a_hundred_samples() -> None:
+    found = run(imu_offset_s=lambda t: 10.0 if t > FAULT_S else 0.0)
+    assert found.navigator.rejects["sample from the future"] == 100
+    assert found.navigator.reason.endswith("no inertial sample for 11.0 s")
 
 
 @pytest.mark.parametrize(
@@ -258,7 +338,8 @@ def test_a_fix_that_is_not_finite_is_counted_and_left_out(broken: float) -> None
     for odd in (place._replace(latitude=broken), place._replace(longitude=broken), place._replace(height=broken)):
         made.fix(SECOND_NS, position=odd, velocity=(broken, 0.0, 0.0), position_sd=(broken, 1.0, 1.0))
     made.fix(SECOND_NS, position=place, velocity=good, position_sd=(broken, 1.0, 1.0))
-    assert made.rejects.total() == 6, "three positions and three velocities; the good ones are held for their sample"
+    told = {"position not finite": 3, "velocity of no vehicle": 3}
+    assert made.rejects == told, "the good ones are held for their sample"
 
 
 @pytest.mark.parametrize("step_s", [1.0, -1.0])

@@ -1,6 +1,7 @@
 """Messages that the schema allows and no device sends: core.fusion never raises, and its memory has a limit."""
 
 import pickle
+from collections import Counter
 from copy import deepcopy
 from functools import cache
 
@@ -9,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.core.fusion.delayed import COPIES
-from services.core.fusion.door import DEVICES
+from services.core.fusion.door import DEVICES, SILENT_NS, Devices
 from services.core.fusion.process import Config, In, Process
 from shared.messages import (
     CarrierSolution,
@@ -248,8 +249,26 @@ def test_devices_that_change_their_names_all_the_time_take_no_memory() -> None:
             sizes.append(size(process))
     assert sizes[2] < sizes[1] + 5_000, "200 names of 64 letters are 12,800 bytes"
     assert process.rejects["more devices than a vehicle has"] > 1100
-    assert len(process._navigator._devices._names) == DEVICES
+    assert len(process._navigator._devices._heard) == DEVICES
     assert last_phase(process) is NavigationPhase.NAVIGATING, "the receiver that was there first is listened to"
+
+
+def test_a_receiver_that_is_renamed_again_and_again_is_heard_again_once_its_old_names_are_forgotten() -> None:
+    """An hour without a word, by the samples; two hundred names of a drive of weeks take no more room than 32."""
+    rejects: Counter[str] = Counter()
+    now = [0]
+    devices = Devices(rejects, lambda: now[0])
+    for k in range(200):
+        now[0] = k * SILENT_NS // 30
+        assert devices.is_due("imu", "pressure", now[0], 1000)
+        assert devices.is_known(f"gnss {k}") and devices.is_due(f"gnss {k}", "speed", now[0], 1000)
+        assert len(devices._heard) <= DEVICES and len(devices._used) <= DEVICES + 1
+    assert not rejects
+    for k in range(DEVICES):
+        devices.is_known(f"other {k}")
+    assert rejects["more devices than a vehicle has"] > 0 and not devices.is_known("one too many")
+    now[0] += SILENT_NS + 1
+    assert devices.is_known("one too many")
 
 
 def test_samples_a_nanosecond_apart_take_no_more_memory_than_the_history() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from services.core.fusion import error_model as em
-from services.core.fusion.aiding import Outcome
+from services.core.fusion.aiding import Height, Outcome
 from services.core.fusion.colour import HYPOTHESES, SCALES, UNKNOWN
 from services.core.fusion.filter import ErrorStateFilter
 from services.core.fusion.gnss import GnssPosition
@@ -16,12 +16,14 @@ from services.core.fusion.heading import Prior
 from services.core.fusion.judging import Judge, Standing
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
+from services.core.fusion.watch import Watch, block
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages import AidingKind
 
 Shift = tuple[float, float, float]
 FAULT_S, END_S = 36.0, 60.0
+SECOND_NS = 1_000_000_000
 SETTINGS = Settings()
 
 
@@ -35,6 +37,7 @@ class Run:
     navigator: Navigator
     outcomes: list[Outcome]
     errors: dict[float, np.ndarray]
+    levels: dict[float, tuple[float, float]]
 
     def worst_m(self, begin_s: float, end_s: float) -> float:
         return max(float(np.hypot(*e[:2])) for t, e in self.errors.items() if begin_s <= t < end_s)
@@ -50,7 +53,7 @@ def run(shift: "Fault", **changes: object) -> Run:
     d = drive()
     made = Navigator(Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0, **changes}))
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
-    result, k = Run(made, [], {}), 0
+    result, k = Run(made, [], {}, {}), 0
     for i, time_ns in enumerate(d.t_ns.tolist()):
         if k < len(d.fix_ns) and d.fix_ns[k] <= time_ns:
             north, east, down = d.fix_velocity_n[k].tolist()
@@ -67,6 +70,8 @@ def run(shift: "Fault", **changes: object) -> Run:
         if solution and i % 10 == 0:
             truth = Geodetic(*d.position[i].tolist())
             result.errors[time_ns * 1e-9] = np.array(ned_from_geodetic_difference(solution.position, truth))
+            levels = solution.protection_level_horizontal, solution.protection_level_vertical
+            result.levels[time_ns * 1e-9] = levels
     return result
 
 
@@ -171,6 +176,47 @@ def test_a_height_that_stays_is_taken_over() -> None:
     assert found.errors[max(found.errors)][2] == pytest.approx(-47.0, abs=2.0)
     assert found.worst_m(FAULT_S, END_S) < 0.5 and found.navigator.counts.resets == 0
     assert any("height beyond the gate" in (o.reason or "") for o in found.outcomes)
+
+
+@cache
+def lifted() -> Run:
+    """All heights are 47 m too great from 36 s on."""
+    return run(Fault(60.0, down_m=-47.0))
+
+
+def test_a_height_in_dispute_is_in_the_vertical_level_and_in_no_other() -> None:
+    found = lifted()
+    (first, *_, last) = [o.time_ns * 1e-9 for o in found.outcomes if o.height]
+    during = {t: levels for t, levels in found.levels.items() if first + 0.2 < t < last}  # a fix waits for late ones
+    assert len(during) > 40 and min(vertical for _, vertical in during.values()) > 46.0
+    assert max(horizontal for horizontal, _ in during.values()) < 3.0
+
+
+def test_a_filter_that_gave_way_to_a_height_is_unsure_of_it_as_of_a_place() -> None:
+    """The level holds the 47 m after the takeover for as long as that of a jump on the ground, and fades like it."""
+    found, level = lifted(), run(Fault(60.0, north_m=47.0))
+    taken_over = next(o.time_ns * 1e-9 for o in found.outcomes if o.height and o.height.taken_over)
+    after = [t for t in found.levels if t > taken_over + 0.4]
+    assert all(found.levels[t][1] > abs(found.errors[t][2]) > 45.0 for t in after if t < taken_over + 1.5)
+    assert all(abs(found.levels[t][1] - level.levels[t][0]) < 1.0 for t in after[10:])
+    assert found.levels[after[-1]][1] < 40.0
+
+
+def test_only_a_height_that_is_used_ends_the_dispute_about_heights() -> None:
+    """A position without a height is no answer to a height that was refused."""
+    twin = filter_that_trusts_lasting_errors().fork()
+    twin.bring_covariance_up()
+    made = Outcome(SECOND_NS, "gnss", AidingKind.GNSS_POSITION, (0.1, 0.1), (1.0, 1.0), 0.1, used=True)
+    refused = made._replace(height=Height(-47.0, 1.0, taken_over=False))
+    seen = Watch().after(refused, block(twin), twin, 1e-3, estimated=False)
+    assert seen.disputed == (0.0, 47.0)
+    seen = seen.after(made._replace(time_ns=2 * SECOND_NS), block(twin), twin, 1e-3, estimated=False)
+    assert seen.disputed == (0.0, 47.0)
+    whole = made._replace(time_ns=3 * SECOND_NS, innovation=(0.1, 0.1, 0.1), innovation_sd=(1.0, 1.0, 1.0))
+    assert seen.after(whole, block(twin), twin, 1e-3, estimated=False).disputed == (0.0, 0.0)
+    unfit = refused._replace(used=False, height=Height(-47.0, 1.0, taken_over=True))
+    given_way = seen.after(unfit, block(twin), twin, 1e-3, estimated=False)
+    assert given_way.yielded == (0.0, 47.0) and given_way.contested[1] == 0.0
 
 
 @pytest.mark.parametrize("seed_settings", [{}, {"position_only": True}], ids=["velocity", "positions only"])
