@@ -11,7 +11,7 @@ from . import papers_navigation, papers_outages
 
 
 def navigation(runs: int, json: bool) -> int:
-    """Print drives, then outages; 1 if a number is not reproduced, 0 also if a goal is missed by the filter as delivered."""
+    """Print drives, then outages; 1 if a number is not reproduced. A goal missed as delivered is named only."""
     if runs < 1:
         raise UserError(f"{runs} runs measure nothing: try `obu papers navigation --runs 10`")
     workers, progress = papers_navigation.WORKERS, sys.stderr.isatty()

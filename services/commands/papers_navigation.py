@@ -275,7 +275,12 @@ def print_table(results: Sequence[Result], runs: int, console: Console) -> None:
     title = f"Position RMSE in metres north, east, down; {runs} simulated run{'s' if runs > 1 else ''} each"
     table = Table(title=title, box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     for heading in ("", "GNSS", "fused", "paper", "ratio", "paper"):
-        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+        table.add_column(
+            heading,
+            justify="right" if heading else "left",
+            no_wrap=True,
+            min_width=14 if heading in ("GNSS", "fused") else None,
+        )
     for result in results:
         paper = result.case.paper_fused
         paper_ratio = float(np.sqrt(np.square(paper).sum() / sum(result.gnss))) if paper else None
