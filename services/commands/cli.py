@@ -213,6 +213,9 @@ def navigation(
 ) -> None:
     """Repeat the degraded scenarios of the EMERGE paper beside its table 2, and outages.
 
+    Ends with 1 if a number is not reproduced. A goal that only the filter as delivered misses is named, and is no
+    failure.
+
     Example: [bold]obu papers navigation --runs 2[/]
     """
     from .papers import navigation as repeat

@@ -100,7 +100,8 @@ def document(rows: Sequence[Outages]) -> list[dict[str, object]]:
 
 def print_table(rows: Sequence[Outages], runs: int, console: Console) -> None:
     """Print median and 95 % of the errors after each length."""
-    title = f"Horizontal error in metres at the end of an outage, median and 95 %; {runs} simulated runs each"
+    each = f"{runs} simulated run{'s' if runs > 1 else ''} each"
+    title = f"Horizontal error in metres at the end of an outage, median and 95 %; {each}"
     table = Table(title=title, box=SIMPLE_HEAD)
     table.add_column("")
     for length in LENGTHS_S:

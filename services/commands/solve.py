@@ -18,7 +18,7 @@ from services.core.fusion.process import Config, Process
 from services.core.fusion.smoother import smoothed_filters
 from services.core.fusion.trail import Trail
 from shared.config import VehicleFile
-from shared.errors import UserError
+from shared.errors import ConfigError, UserError
 from shared.messages import (
     AidingUpdate,
     CarrierSolution,
@@ -64,7 +64,7 @@ def solve(  # noqa: PLR0913  # one argument an option
         ),
     ] = None,
     score_from: Annotated[
-        float, typer.Option(min=0.0, help="Seconds after the first input whose errors are in no root mean square.")
+        float, typer.Option(min=0.0, help="Seconds after the first input whose errors are not judged, but in outages.")
     ] = 0.0,
     aiding: Annotated[
         Aiding | None,
@@ -123,7 +123,8 @@ def solve(  # noqa: PLR0913  # one argument an option
         again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).lever_arm_body_m)
         metrics |= smoothed_metrics(run, again)
     truth_is = reference.description if reference else "none was given"
-    heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), drive.provenance.get("made", ""))
+    risk, made = _fusion(drive.vehicle).integrity_risk, drive.provenance.get("made", "")
+    heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), risk, made)
     write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
@@ -185,8 +186,15 @@ def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
 
 def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
     """Put settings of the command line in the place of the vehicle's, and fail at once if they are wrong."""
+    OfflineUnit(drive.vehicle)  # so that what is wrong from here on is of the command line
     changed = replace(drive, vehicle=with_settings(drive.vehicle, changes))
-    OfflineUnit(changed.vehicle)
+    try:
+        OfflineUnit(changed.vehicle)
+    except ConfigError as error:
+        _, _, reason = str(error).partition(": ")
+        named = [change for change in changes if change.partition("=")[0].rpartition(".")[2].strip() in reason]
+        reason = reason.replace("; known keys: ", "; docs/reference/configuration.md lists them\0").partition("\0")[0]
+        raise UserError(f"--set {' --set '.join(named or changes)}: {reason}") from error
     return changed
 
 

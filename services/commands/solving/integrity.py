@@ -1,6 +1,6 @@
 """Whether errors stay below their protection levels: counts of what a Stanford diagram shows.
 
-Every instant at which the truth is known counts, those in outages and those before `--score-from` as well.
+Every instant from `--score-from` on at which the truth is known counts, those in outages as well.
 """
 
 from collections.abc import Sequence
@@ -21,6 +21,7 @@ _MEANINGS = {
     "median_m": "{axis} protection level, median",
     "available_fraction": "share of the instants whose {axis} protection level is within the alert limit "
     "(`core.fusion.alert_limit_{axis}_m`)",
+    "judged_count": "instants at which the {axis} error is held against its protection level",
     "misleading_count": "instants with a {axis} error above its protection level: misleading information",
     "misleading_fraction": "the same as a share, which the integrity risk should not be below",
     "misleading_proven_fraction": "share of the instants with a {axis} error above its protection level by more than "
@@ -118,6 +119,7 @@ def integrity_metrics(errors: Errors, alert_limits_m: Sequence[float]) -> dict[s
         numbers: dict[str, float | int] = {
             "median_m": float(np.median(one.level_m)),
             "available_fraction": float(np.mean(one.level_m <= one.alert_limit_m)),
+            "judged_count": count,
             "misleading_count": misled,
             "misleading_fraction": misled / count,
             "misleading_proven_fraction": float(one.proven.mean()),

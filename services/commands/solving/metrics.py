@@ -84,8 +84,12 @@ class Run:
     last_ns: int
     fixes_recorded: int
     fixes_removed: int
-    scored_from_ns: int = 0  # errors before this instant are in no root mean square
+    scored_from_ns: int = 0  # errors before this instant are in no mean and no count, but in outages
     alert_limits_m: tuple[float, float] = (10.0, 20.0)  # horizontal, vertical
+
+    def scored(self) -> Errors | None:
+        """Errors that are judged."""
+        return None if self.errors is None else self.errors.since(self.scored_from_ns)
 
     def drifts(self) -> list[Drift]:
         """Judge the outages that were made."""
@@ -105,6 +109,7 @@ def metrics_of(run: Run) -> dict[str, Value]:
     dict
         The names of `METRICS`, in their order; None for what cannot be known.
     """
+    scored = run.scored()
     found: dict[str, Value] = {
         "duration_s": (run.last_ns - run.first_ns) * 1e-9,
         "alignment_s": None if run.tally.aligned_ns is None else (run.tally.aligned_ns - run.first_ns) * 1e-9,
@@ -114,8 +119,8 @@ def metrics_of(run: Run) -> dict[str, Value]:
         "fixes_removed": run.fixes_removed,
         "filter_resets": None if run.tally.state is None else run.tally.state.resets,
         **_innovations(run.tally),
-        **({} if run.errors is None else _against_truth(run.errors.since(run.scored_from_ns))),
-        **({} if run.errors is None else integrity_metrics(run.errors, run.alert_limits_m)),
+        **({} if scored is None else _against_truth(scored)),
+        **({} if scored is None else integrity_metrics(scored, run.alert_limits_m)),
         **(_outages(run.drifts()) if run.gaps and run.errors and run.errors.position_n is not None else {}),
     }
     return {name: _rounded(found.get(name)) for name in METRICS}

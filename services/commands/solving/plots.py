@@ -80,8 +80,9 @@ def _figures(run: Run, reference: Reference | None) -> Iterator[Figure]:
 def _integrity(run: Run) -> Iterator[Figure]:
     from .stanford import stanford  # it draws with what is here
 
-    if run.errors is not None:
-        yield from map(stanford, protected(run.errors, run.alert_limits_m))
+    scored = run.scored()
+    if scored is not None:
+        yield from map(stanford, protected(scored, run.alert_limits_m))
 
 
 @dataclass(frozen=True)

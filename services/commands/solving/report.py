@@ -30,6 +30,7 @@ class Heading:
     truth: str
     outage: str | None
     facts: Sequence[tuple[str, str]]  # of the recording: what, and how it is
+    integrity_risk: float | None = None  # for which protection levels are made
     made: str = ""  # what of the recording no sensor has measured
 
 
@@ -102,6 +103,7 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"{_metres(metrics['smoothed_outage_inside_max_m'])}), where the filter is off by "
             f"{_metres(metrics['outage_inside_median_m'])} (worst {_metres(metrics['outage_inside_max_m'])})."
         )
+    found += _protection(heading.integrity_risk, metrics)
     if metrics["innovation_horizontal_rms_m"] is not None:
         predicted = _metres(metrics["innovation_horizontal_rms_m"])
         found.append(f"Just before a fix is used, the solution is {predicted} away from it (root mean square).")
@@ -109,6 +111,21 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
     if heading.made:
         found.append(heading.made)
     return found
+
+
+def _protection(risk: float | None, metrics: dict[str, Value]) -> list[str]:
+    """Say how many errors were above their protection levels; nothing where there is no truth or no level."""
+    shares = []
+    for axis in ("horizontal", "vertical"):
+        above, share, judged = (
+            metrics.get(f"protection_{axis}_{name}")
+            for name in ("misleading_count", "misleading_fraction", "judged_count")
+        )
+        if above is None or share is None:
+            return []
+        shares.append(f"{above} of {judged} {axis} errors ({100.0 * share:.3g} %)")
+    promised = "" if risk is None else f", which may happen to {100.0 * risk:.3g} % (integrity risk {risk:g})"
+    return [f"Above their protection levels were {' and '.join(shares)}{promised}."]
 
 
 def _metres(value: Value) -> str:

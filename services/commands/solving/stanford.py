@@ -1,6 +1,5 @@
 """The Stanford diagram: every error against the protection level that should have been above it."""
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,14 @@ if TYPE_CHECKING:
 CELLS = 56  # on each side
 DECADES = 4.0  # that the diagram shows below its largest number
 SMALLEST_M = 1e-3
+# Face, hatch and colour of the hatch of each region; hatched is where the error is above the level.
+LOOKS = {
+    Region.NOMINAL: ("#f4faf4", None, "#b9c7b9"),
+    Region.UNAVAILABLE: ("#eceef1", None, "#b6bbc3"),
+    Region.MISLEADING: ("#f3f0ea", "///", "#b9b3a6"),
+    Region.UNAVAILABLE_MISLEADING: ("#ece4d3", "\\\\\\", "#b0a283"),
+    Region.HAZARDOUS: ("#e2d6cf", "xxx", "#7a6f66"),
+}
 CAPTION = (
     "Each instant with a truth, by its error and its protection level; darker cells hold more of them (logarithmic); "
     "what is smaller than the axis begins stands at its edge. "
@@ -24,20 +31,25 @@ CAPTION = (
 
 
 def stanford(one: Protected) -> Figure:
-    """Draw the diagram of one axis, with the counts of its regions."""
+    """Draw the diagram of one axis, with the counts of its regions beside it."""
     drawn: list[str] = []
     title = f"Stanford diagram, {one.axis}"
     with stacked_axes(1, 5.6, drawn.append) as (axes,):
-        low, high = _range(one)
-        edges = np.geomspace(low, high, CELLS + 1)
-        _regions(axes, one.alert_limit_m, low, high)
-        _cells(axes, one, edges)
-        for text, x, y, horizontal, vertical in _notes(one, low, high):
-            axes.text(x, y, text, ha=horizontal, va=vertical, fontsize=8, linespacing=1.3,
-                      bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5})  # fmt: skip
-        axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal",
-                 xlabel=f"{one.axis} error [m]", ylabel=f"{one.axis} protection level [m]")  # fmt: skip
+        draw(axes, one)
     return Figure(title, CAPTION.format(limit=one.alert_limit_m), inline_svg(drawn[0], title))
+
+
+def draw(axes: "Axes", one: Protected) -> None:
+    """Draw cells, regions and counts. The counts stand outside: within, a region may be too small for its own."""
+    low, high = _range(one)
+    _regions(axes, one, low, high)
+    _cells(axes, one, np.geomspace(low, high, CELLS + 1))
+    axes.axhline(one.alert_limit_m, color=GREY, linestyle="--", linewidth=1.0)
+    axes.axvline(one.alert_limit_m, color=GREY, linestyle="--", linewidth=1.0)
+    axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal",
+             xlabel=f"{one.axis} error [m]", ylabel=f"{one.axis} protection level [m]")  # fmt: skip
+    axes.legend(loc="upper left", bbox_to_anchor=(1.03, 1.0), borderaxespad=0.0, frameon=False, fontsize=9,
+                labelspacing=1.2, handlelength=2.2, handleheight=2.0)  # fmt: skip
 
 
 def _range(one: Protected) -> tuple[float, float]:
@@ -46,15 +58,21 @@ def _range(one: Protected) -> tuple[float, float]:
     return max(SMALLEST_M, min(0.5 * least, high), high * 10.0**-DECADES), high
 
 
-def _regions(axes: "Axes", limit: float, low: float, high: float) -> None:
-    """Hatch where errors are above levels, and lay the alert limit across."""
-    axes.fill_between([low, high], [low, low], [low, high], facecolor="#f3f0ea", edgecolor="#b9b3a6", hatch="///",
-                      linewidth=0, zorder=0)  # fmt: skip
-    axes.fill_between([limit, high], [low, low], [limit, limit], facecolor="#e2d6cf", edgecolor="#7a6f66",
-                      hatch="xxx", linewidth=0, zorder=0.1)  # fmt: skip
+def _regions(axes: "Axes", one: Protected, low: float, high: float) -> None:
+    """Fill each region in its own way, and hatch it where errors are above levels."""
+    limit, total = one.alert_limit_m, len(one.error_m)
+    areas = {
+        Region.NOMINAL: ([low, limit], [low, limit], [limit, limit]),
+        Region.UNAVAILABLE: ([low, limit, high], [limit, limit, high], [high, high, high]),
+        Region.MISLEADING: ([low, limit], [low, low], [low, limit]),
+        Region.UNAVAILABLE_MISLEADING: ([limit, high], [limit, limit], [limit, high]),
+        Region.HAZARDOUS: ([limit, high], [low, low], [limit, limit]),
+    }
+    for region, count in one.regions().items():
+        face, hatch, edge = LOOKS[region]
+        axes.fill_between(*areas[region], facecolor=face, hatch=hatch, edgecolor=edge, linewidth=0, zorder=0,
+                          label=f"{region.value}\n{count} ({100.0 * count / total:.3g} %)")  # fmt: skip
     axes.plot([low, high], [low, high], color="#1d2129", linewidth=1.2)
-    axes.axhline(limit, color=GREY, linestyle="--", linewidth=1.0)
-    axes.axvline(limit, color=GREY, linestyle="--", linewidth=1.0)
 
 
 def _cells(axes: "Axes", one: Protected, edges: FloatArray) -> None:
@@ -70,19 +88,3 @@ def _cells(axes: "Axes", one: Protected, edges: FloatArray) -> None:
     corners = np.stack([left, lower, right, lower, right, upper, left, upper], axis=1).reshape(-1, 4, 2)
     colours = colormaps["Blues"](0.35 + 0.65 * density / density.max())
     axes.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="none", zorder=2))
-
-
-def _notes(one: Protected, low: float, high: float) -> Iterator[tuple[str, float, float, str, str]]:
-    """Name each region that has room or instants, with its count, at one of its corners."""
-    limit, total = one.alert_limit_m, len(one.error_m)
-    margin = (high / low) ** 0.015
-    corners = {
-        Region.NOMINAL: (low * margin, limit / margin, "left", "top"),
-        Region.UNAVAILABLE: (low * margin, high / margin, "left", "top"),
-        Region.MISLEADING: (limit / margin, low * margin, "right", "bottom"),
-        Region.UNAVAILABLE_MISLEADING: (high / margin, limit * margin, "right", "bottom"),
-        Region.HAZARDOUS: (high / margin, low * margin, "right", "bottom"),
-    }
-    for region, count in one.regions().items():
-        x, y, horizontal, vertical = corners[region]
-        yield f"{region.value}\n{count} ({100.0 * count / total:.3g} %)", x, y, horizontal, vertical

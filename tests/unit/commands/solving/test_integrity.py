@@ -1,14 +1,16 @@
 """What a Stanford diagram counts, on errors and levels that are made by hand."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from services.commands.solving.errors import errors_against
 from services.commands.solving.integrity import INTEGRITY, Protected, Region, integrity_metrics, protected
 from services.commands.solving.metrics import METRICS
-from services.commands.solving.stanford import stanford
+from services.commands.solving.stanford import draw, stanford
 from shared.messages import NavigationSolution
 from tests.support.tracks import reference, solution, track
 
@@ -83,3 +85,17 @@ def test_the_figure_names_its_regions_and_their_counts() -> None:
     assert "horizontal error [m]" in words and "horizontal protection level [m]" in words
     assert 'aria-label="Stanford diagram, horizontal"' in figure.svg
     assert stanford(MADE).svg == figure.svg, "the same to the byte"
+
+
+@pytest.mark.parametrize("limit", [0.01, 1.0, 10.0, 39.9, 1000.0])
+def test_no_count_of_a_region_lies_over_another_or_over_the_diagram(limit: float) -> None:
+    canvas = Figure(figsize=(8.6, 5.6), layout="constrained")
+    axes = canvas.subplots()
+    draw(axes, replace(MADE, alert_limit_m=limit))
+    canvas.draw_without_rendering()
+    legend = axes.get_legend()
+    assert legend is not None
+    boxes = [text.get_window_extent() for text in legend.get_texts()]
+    assert len(boxes) == len(Region)
+    assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes)), "one below the other"
+    assert all(box.x0 > axes.get_window_extent().x1 and box.x1 < canvas.bbox.x1 for box in boxes)

@@ -139,6 +139,15 @@ def test_what_came_before_the_score_is_in_no_mean() -> None:
     assert metrics_of(made)["truth_count"] == 40
 
 
+def test_what_came_before_the_score_is_in_no_count_of_misleading_information() -> None:
+    errors = replace(errors_of([(5.0, 0.0, 0.0)] * 20 + [(0.3, 0.4, 0.0)] * 20, period_s=0.25),
+                     protection_m=np.ones((40, 2)))  # fmt: skip
+    made = run(track([solution(0.0)]), errors)
+    found = metrics_of(replace(made, scored_from_ns=START_NS + 5 * S))
+    assert (found["protection_horizontal_judged_count"], found["protection_horizontal_misleading_count"]) == (20, 0)
+    assert metrics_of(made)["protection_horizontal_misleading_count"] == 20
+
+
 def test_attitude_is_judged_without_the_mounting_as_well() -> None:
     times = [0.1 * k for k in range(300)]
     turned = track(solution(t).model_copy(update={"yaw_rad": circle(t)[2] + 0.07}) for t in times)

@@ -50,7 +50,7 @@ def report() -> str:
     errors = errors_against(truth, made, lever_arm_b=(0.0, 0.0, 0.0))
     run = Run(made, tally, errors, [(START_NS + 20 * S, START_NS + 30 * S)], START_NS, START_NS + 60 * S, 200, 40)
     metrics = metrics_of(run)
-    heading = Heading("drive <1>", "a circle", "10/30", [("file & co", "SHA-256 0")])
+    heading = Heading("drive <1>", "a circle", "10/30", [("file & co", "SHA-256 0")], 0.001)
     return page(heading, metrics, figures_of(run, truth))
 
 
@@ -79,6 +79,8 @@ def test_the_page_shows_all_figures_and_the_numbers_in_words() -> None:
     assert text.count("<svg") == 9 and text.count('role="img"') == 9
     assert "drive &lt;1&gt;" in text and "file &amp; co" in text
     assert "GNSS was taken away once" in text
+    assert re.search(r"Above their protection levels were \d+ of \d+ horizontal errors", text)
+    assert "which may happen to 0.1 % (integrity risk 0.001)." in text
     assert "The truth is: a circle." in text
 
 
