@@ -191,10 +191,8 @@ def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
     try:
         OfflineUnit(changed.vehicle)
     except ConfigError as error:
-        _, _, reason = str(error).partition(": ")
-        named = [change for change in changes if change.partition("=")[0].rpartition(".")[2].strip() in reason]
-        reason = reason.replace("; known keys: ", "; docs/reference/configuration.md lists them\0").partition("\0")[0]
-        raise UserError(f"--set {' --set '.join(named or changes)}: {reason}") from error
+        reason, said = str(error).partition(": ")[2].partition("; known keys: ")[0], " --set ".join(changes)
+        raise UserError(f"--set {said}: {reason}; docs/reference/configuration.md lists all keys") from error
     return changed
 
 

@@ -67,6 +67,12 @@ class DelayedEngine:
         """The newest sample."""
         return self._samples[-1] if self._samples else self.settled.last
 
+    def knows(self, sample: Sample) -> bool:
+        """Whether a sample of the past came before, to the last bit, or its time was bridged."""
+        samples = self._samples
+        bridged = len(samples) > 1 and samples[-2][0] < sample.time_ns
+        return bridged or any(one[:3] == sample[:3] for one in reversed(samples))
+
     def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
         """Advance by one sample if it is ordinary; False, and nothing has happened, if it has to be looked at.
 

@@ -308,9 +308,7 @@ class Navigator:
             self._clock = clock
             return "sample from the future"
         self._clock = clock
-        used = self._delayed._samples
-        known = len(used) > 1 and used[-2][0] < sample.time_ns  # its time was bridged
-        if clock.goes_back(sample.time_ns, known=known or any(one[:3] == sample[:3] for one in reversed(used))):
+        if clock.goes_back(sample.time_ns, known=self._delayed.knows(sample)):
             self._delayed = self._delayed.restarted("the inertial clock went back")
             self._clock, self._repeats, self._conspicuous, self._newest = None, None, True, {}
         return "sample doubled or out of order"
