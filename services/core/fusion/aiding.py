@@ -1,6 +1,7 @@
 """What aids the filter. A new kind of measurement is one file with one class that has these three members."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -44,6 +45,27 @@ class Measurement(Protocol):
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Ways to hold it against the filter, each to be called after the one before has been used."""
         ...
+
+
+@dataclass(frozen=True)
+class News:
+    """What the filter is told at an instant, in order with measurements, although nothing was measured."""
+
+    time_ns: int
+
+    @property
+    def received_ns(self) -> int:
+        """When it became known: of no account."""
+        return self.time_ns
+
+    @property
+    def source(self) -> str:
+        """Who found it."""
+        return "core.fusion"
+
+    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
+        """Nothing is measured."""
+        yield from ()
 
 
 class Height(NamedTuple):

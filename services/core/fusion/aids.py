@@ -5,11 +5,10 @@ from dataclasses import replace
 
 from . import error_model as em
 from . import standstill, wheels
-from .aiding import Measurement, Outcome
+from .aiding import Measurement, News, Outcome
 from .compass import CompassCheck, MagneticHeading
 from .epochs import Epochs
 from .filter import ErrorStateFilter
-from .gaps import LostTime
 from .gnss import GnssPosition, GnssVelocity
 from .judging import Judge
 from .matching import Comparison
@@ -33,7 +32,7 @@ class Aids:
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
         self._compass = CompassCheck()
         self._epochs = Epochs()
-        self.delay: FoundDelay | None = None  # the newest; a filter that begins with nothing has to be told
+        self._delay: FoundDelay | None = None  # the newest; a filter that begins with nothing has to be told
 
     def fork(self) -> "Aids":
         """Copy that goes its own way."""
@@ -61,10 +60,15 @@ class Aids:
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
         """Go on with a filter that has just started, and with what is known of its heading."""
-        if self.delay is not None and not started.parameter(em.GNSS_DELAY):
-            self.delay.tell(started)
+        if self._delay is not None and not started.parameter(em.GNSS_DELAY):
+            self._delay.tell(started)
         self.judge.acquit(comparison)
         self.watch = self.watch.begun(time_ns, started)
+
+    def hear(self, news: News) -> None:
+        """Keep what a filter that begins later has to be told as well."""
+        if isinstance(news, FoundDelay):
+            self._delay = news
 
     def is_told_again(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a receiver has said this before."""
@@ -75,8 +79,6 @@ class Aids:
 
     def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
         """Hold a measurement against the filter, unless a better device says the same."""
-        if isinstance(measurement, LostTime):
-            measurement.tell(navigation)
         if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, navigation):
             return
         if isinstance(measurement, MagneticHeading):

@@ -13,7 +13,7 @@ from .alignment import Alignment
 from .baseline import BaselineHeading
 from .error_model import FloatArray
 from .filter import ErrorStateFilter
-from .gaps import DOUBT_PERIOD_S, admit_doubt, admit_gap
+from .gaps import DOUBT_PERIOD_S, LostTime, admit_doubt, admit_gap
 from .gnss import GnssPosition, GnssVelocity
 from .heading import Heading, Prior
 from .matching import Comparison
@@ -177,8 +177,8 @@ class Engine:
 
     def _aid(self, measurement: Measurement) -> list[Outcome]:
         """Hold a measurement against the filter, or hand it to the alignment."""
-        if isinstance(measurement, FoundDelay):
-            self.aids.delay = measurement
+        if isinstance(measurement, FoundDelay | LostTime):
+            self.aids.hear(measurement)
             self._try(measurement.tell, measurement.time_ns)
             return []
         if self.aids.is_told_again(measurement, self.filter):

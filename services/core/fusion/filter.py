@@ -247,6 +247,11 @@ class ErrorStateFilter:
         diagonal[em.POSITION.stop - 1] += height_sd**2
         self.P = widened
 
+    def widen_along(self, block: slice, error: FloatArray) -> None:
+        """Admit an error of a direction, shape (3,), in one block of the state, in its unit."""
+        self.P = self.P.copy()
+        self.P[block, block] += np.outer(error, error)
+
     def forget_odometer(self) -> None:
         """Take the scale of the odometer for unknown: it is another one."""
         self.set_parameter(em.ODOMETER_SCALE, 0.0, self._settings.odometer_scale_sd)

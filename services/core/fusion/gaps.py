@@ -1,13 +1,12 @@
 """What is admitted of a time of which inertial samples tell nothing, or nothing that can be believed."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
 from . import error_model as em
-from .aiding import Observation
+from .aiding import News
 from .filter import ErrorStateFilter
 
 FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
@@ -23,28 +22,15 @@ def admit_gap(navigation: ErrorStateFilter, span_s: float) -> None:
 
 
 @dataclass(frozen=True)
-class LostTime:
-    """Before this instant samples were refused that told of so much time: news for the filter, and no measurement."""
+class LostTime(News):
+    """Before this instant samples were refused that told of so much time."""
 
-    time_ns: int
     span_s: float
-    source: str = "core.fusion"
-
-    @property
-    def received_ns(self) -> int:
-        """When it became known: of no account."""
-        return self.time_ns
-
-    def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
-        """Nothing is measured."""
-        yield from ()
 
     def tell(self, navigation: ErrorStateFilter) -> None:
         """Admit it as a gap, and besides the way, on which nobody has carried the filter."""
         admit_gap(navigation, self.span_s)
-        way, widened = np.multiply(navigation.velocity, self.span_s), navigation.P.copy()
-        widened[em.POSITION, em.POSITION] += np.outer(way, way)
-        navigation.P = widened
+        navigation.widen_along(em.POSITION, np.multiply(navigation.velocity, self.span_s))
 
 
 def admit_doubt(navigation: ErrorStateFilter, span_s: float) -> None:

@@ -3,8 +3,6 @@
 from math import radians
 from typing import NamedTuple
 
-import numpy as np
-
 from shared.messages import AidingKind
 
 from . import arms
@@ -147,9 +145,7 @@ class Judge:
             self._doubt_ns = time_ns + DOUBT_AFTER_NS
         if time_ns >= self._doubt_ns:
             self._doubt_ns = time_ns + DOUBT_STEP_NS
-            along, widened = DOUBT_M_S_SQRT_S * seen.H[0, em.VELOCITY], navigation.P.copy()
-            widened[em.VELOCITY, em.VELOCITY] += np.outer(along, along)
-            navigation.P = widened
+            navigation.widen_along(em.VELOCITY, DOUBT_M_S_SQRT_S * seen.H[0, em.VELOCITY])
 
     def _judge(
         self,

@@ -6,7 +6,6 @@ Decided is by what no late measurement can change any more, the filter at the en
 stamps that are not yet in use. So the result still depends on stamps alone.
 """
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING
 from shared.maths.rotation import Vector
 
 from . import error_model as em
-from .aiding import Measurement, Observation
+from .aiding import Measurement, News
 from .baseline import BaselineHeading
 from .delays import DelaySearch
 from .gnss import GnssPosition, GnssVelocity
@@ -33,23 +32,12 @@ VELOCITY_SD_S = 0.1  # by which position and velocity may differ in age
 
 
 @dataclass(frozen=True)
-class FoundDelay:
-    """From this instant on GNSS is known to be older than was thought: news for the filter, and no measurement."""
+class FoundDelay(News):
+    """From this instant on GNSS is known to be older than was thought."""
 
-    time_ns: int
     delay_s: float
     sd_s: float
     change_s: float
-    source: str = "core.fusion"
-
-    @property
-    def received_ns(self) -> int:
-        """When it became known: of no account."""
-        return self.time_ns
-
-    def observers(self) -> Iterator[Callable[["ErrorStateFilter"], Observation]]:
-        """Nothing is measured."""
-        yield from ()
 
     def tell(self, navigation: "ErrorStateFilter") -> None:
         """Take the delay of velocities for the one found, and what was learned with the wrong one for doubtful."""
