@@ -6,6 +6,8 @@ import os
 import sys
 import time
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -43,10 +45,21 @@ class DemoOptions:
 def run(options: DemoOptions) -> int:
     """Start everything, watch it, and print the balance at the end."""
     _insist_on_scenario(options)
-    logging.getLogger("shared").setLevel(logging.ERROR)  # the broker's absence at the start is expected
     base = state_dir().resolve()
-    with only_one(base / "demo.lock"):
+    with only_one(base / "demo.lock"), _errors_only("shared"):  # the broker's absence at the start is expected
         return _drive(options, fresh_folder(base / "demo"))
+
+
+@contextmanager
+def _errors_only(name: str) -> Iterator[None]:
+    """Keep a logger's warnings back until the end of the block."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def _insist_on_scenario(options: DemoOptions) -> None:

@@ -1,6 +1,7 @@
 """What the demo says before it starts anything."""
 
 import json
+import logging
 import socket
 from pathlib import Path
 
@@ -65,3 +66,4 @@ def test_the_end_says_where_the_drive_is_kept_until_the_next(
         demo.run(options())
     said = " ".join(capfd.readouterr().err.split())
     assert f"recorded: {tmp_path}/demo/recordings/drive.mcap (copy it: the next demo removes it)" in said
+    assert logging.getLogger("shared").isEnabledFor(logging.WARNING), "its silence ends with it"
