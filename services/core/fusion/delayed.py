@@ -1,28 +1,30 @@
 """The engine with a memory: a measurement that comes late is used at the time at which it was true.
 
-The engine is kept as it was every few samples. A late measurement takes it back to before the measurement's stamp;
-from there all samples and measurements are taken again, in the order of their stamps. The result is that of a
-measurement that came in time.
+Samples wait until somebody wants to see the estimator, or until some have come, for it gets through many in little
+more time than through one. It is kept as it was every few samples: a late measurement takes it back to before the
+measurement's stamp, and from there all samples and measurements are taken again, in the order of their stamps. The
+result is that of a measurement that came in time.
 """
 
 from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Sequence
-from itertools import takewhile
+from itertools import islice
 
 from shared.maths.rotation import Vector
 
 from .aiding import Measurement, Outcome
 from .engine import Engine
 from .heading import Prior
-from .runner import Kept, Runner
+from .runner import Runner
 from .samples import Sample
 from .settings import Settings
 from .stretch import Stretch
 from .timing import Timing
 from .trail import Trail
 
-KEPT_EVERY = 16  # samples between two copies of the engine; more of ordinary ones, where a copy is dear beside them
+WAITING = 64  # samples at most
+TOGETHER = 16  # between two copies where delays are estimated: what is decided must not depend on who runs the loop
 COPIES = 1000  # what a device with a clock of its own kind may make of the history; 1 kHz for ten seconds needs 625
 Newest = tuple[int, Vector, Vector, str | None]  # a `Sample`, or what becomes one
 
@@ -38,34 +40,34 @@ class DelayedEngine:
     def __init__(self, settings: Settings, runner: Runner | None = None) -> None:
         self._settings = settings
         self._runner = runner or Runner()
-        self.settled = Engine(settings)  # the estimator without ordinary samples that the runner is ahead by
+        self._engine = Engine(settings)  # as of the newest sample that does not wait
         self._horizon_ns = int(settings.history_s * 1e9)
         self._samples: deque[Newest] = deque()
-        self._copies: deque[Kept] = deque()  # engines after a sample
+        self.newest: Newest | None = None  # sample
+        self._waiting = 0  # samples, the newest
+        self._copies: deque[tuple[int, Engine]] = deque()  # after a sample, with its stamp
+        self._fresh = 0  # samples since the newest copy, without those that wait
+        self._together = TOGETHER if settings.estimate_delays else self._runner.together
+        self._learns = settings.estimate_delays
+        self._hurried = False  # something of the newest sample is left to do
         self._measurements: list[Measurement] = []  # of the horizon and of the future
-        self._late: list[Measurement] = []  # of them, not used yet
-        self._fresh = 0  # samples since the newest copy
+        self._late: list[Measurement] = []  # of them, of the past of the estimator, and not used yet
+        self._due = False  # whether one is of a sample that waits
+        self._outcomes: list[Outcome] = []  # not told yet
         self._timing = Timing(settings)
-        # What is decided of delays must not depend on who runs the loop.
-        self._kept_every = KEPT_EVERY if settings.estimate_delays else self._runner.kept_every
+        self._decided_ns = 0  # stamp of the newest copy that was the newest sample's
 
     @property
     def engine(self) -> Engine:
         """The estimator as of the newest sample."""
-        if self._runner.engine is not None:
-            self._runner.end()
-        return self.settled
+        if self._waiting:
+            self._go_on()
+        return self._engine
 
     @property
-    def seen(self) -> Engine:
-        """The same, to be looked at only."""
-        self._runner.show()
-        return self.settled
-
-    @property
-    def newest(self) -> Newest | None:
-        """The newest sample."""
-        return self._samples[-1] if self._samples else self.settled.last
+    def has_news(self) -> bool:
+        """Whether `attend` or `catch_up` have something to do or to tell."""
+        return self._hurried or bool(self._outcomes)
 
     def knows(self, sample: Sample) -> bool:
         """Whether a sample of the past came before, to the last bit, or its time was bridged."""
@@ -73,30 +75,20 @@ class DelayedEngine:
         bridged = len(samples) > 1 and samples[-2][0] < sample.time_ns
         return bridged or any(one[:3] == sample[:3] for one in reversed(samples))
 
-    def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
-        """Advance by one sample if it is ordinary; False, and nothing has happened, if it has to be looked at.
-
-        One that is not `checked` must also be inconspicuous: see `Runner.take`.
-        """
-        runner = self._runner
-        if runner.engine is None and not runner.follow(self.settled):
-            return False
-        waiting = self._measurements
-        if waiting and waiting[-1].time_ns > runner.last_ns and self._between(runner.last_ns, time_ns):
-            return False
-        if not runner.take(time_ns, force, rate, checked=checked):
-            return False
-        self._samples.append((time_ns, force, rate, None))
-        if self._settings.estimate_delays:
-            self._timing.sample(time_ns, force, rate)
-        self._fresh += 1
-        if self._fresh >= self._kept_every:
-            self._keep(time_ns)
-        return True
+    def add(self, time_ns: int, force: Vector, rate: Vector, doubt: str | None = None) -> None:
+        """Take a sample, newer than all before."""
+        if self._engine.filter is None:
+            self.carry(Sample(time_ns, force, rate, doubt))
+            self.attend()
+            return
+        self._note((time_ns, force, rate, doubt))
+        self._waiting += 1
+        if self._waiting >= (self._together - self._fresh if self._learns else WAITING):
+            self._go_on()
 
     def remember(self, prior: Prior) -> None:
         """Take a saved position and heading, now and wherever a late measurement may lead back to."""
-        for engine in (self.engine, *(copy.engine for copy in self._copies)):
+        for engine in (self.engine, *(copy for _, copy in self._copies)):
             engine.remember(prior)
 
     def leave(self, trail: Trail) -> None:
@@ -106,33 +98,33 @@ class DelayedEngine:
     def restarted(self, why: str) -> "DelayedEngine":
         """Begin again from nothing, with the counts kept."""
         counts, fresh = self.engine.counts, DelayedEngine(self._settings, self._runner)
-        fresh.settled = Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
-        if self.engine.trail is not None:
-            self.engine.trail.seal()
-            fresh.engine.trail = self.engine.trail
+        fresh._engine = Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
+        fresh._outcomes = self._outcomes
+        if self._engine.trail is not None:
+            self._engine.trail.seal()
+            fresh._engine.trail = self._engine.trail
         return fresh
 
-    def carry(self, sample: Sample) -> list[Outcome]:
+    def carry(self, sample: Sample) -> None:
         """Advance by one sample, newer than all before, as far as a solution needs it; `attend` does the rest."""
         engine = self.engine
         due: Sequence[Measurement] = ()
         if self._measurements:
             due = self._between(engine.last.time_ns if engine.last else sample.time_ns, sample.time_ns)
         self._runner.serve(engine)
-        outcomes = engine.carry(sample, due)
-        self._samples.append(sample)
-        self._timing.sample(sample.time_ns, sample.force, sample.rate)
+        self._outcomes += engine.carry(sample, due)
+        self._note(sample)
         self._fresh += 1
-        return outcomes
+        self._hurried = True
 
-    def attend(self) -> list[Outcome]:
-        """Do what is left of the last step; one that was taken as ordinary has left nothing."""
-        if self._runner.engine is not None:
-            return []
-        outcomes = self.settled.attend()
-        if self._samples and (self._fresh >= KEPT_EVERY or not self._copies):
-            self._keep(self._samples[-1][0])
-        return outcomes
+    def attend(self) -> None:
+        """Do what `carry` has left."""
+        if not self._hurried:
+            return
+        self._hurried = False
+        self._outcomes += self._engine.attend()
+        if self._fresh >= self._together or not self._copies:
+            self._keep()
 
     def insert(self, measurement: Measurement) -> None:
         """Have a measurement used at its stamp: in the future once it comes, in the past by `catch_up`, which is due.
@@ -143,46 +135,73 @@ class DelayedEngine:
             It is older than the memory.
         """
         measurement = self._timing.corrected(measurement)
-        reached_ns = self.engine.last.time_ns if self.engine.last else None
-        if reached_ns is not None and measurement.time_ns <= reached_ns:
-            if self._copies[0].time_ns >= measurement.time_ns:
+        if self._engine.last is not None and measurement.time_ns <= self._reached_ns:
+            if self._copies[0][0] >= measurement.time_ns:
                 raise LookupError("older than the memory")
             self._late.append(measurement)
+        elif self._waiting and self.newest and measurement.time_ns <= self.newest[0]:
+            self._due = True
         insort(self._measurements, measurement, key=order)
 
     def catch_up(self) -> list[Outcome]:
-        """Go back, once, to before all late measurements, and come again with them.
+        """Use the measurements that have come, and tell what became of all that were used since this was asked last.
 
-        Returns
-        -------
-        list of Outcome
-            Of these measurements only; what else the way back to now brings again has been told before.
+        Late ones take the estimator back, once, to before all of them; what else the way back to now brings again has
+        been told before.
         """
+        if self._late:
+            self._go_back()
+        elif self._due:
+            self._go_on()
+        told, self._outcomes = self._outcomes, []
+        return told
+
+    @property
+    def _reached_ns(self) -> int:
+        return self._engine.last.time_ns if self._engine.last else 0
+
+    def _go_on(self) -> None:
+        """Give the estimator the samples that wait for it."""
+        self.attend()
+        count, self._waiting, self._due = self._waiting, 0, False
+        if not count:
+            return
+        samples = list(islice(reversed(self._samples), count))[::-1]
+        doubts = {place: doubt for place, (_, _, _, doubt) in enumerate(samples) if doubt}
+        stamps, rows = [self._reached_ns, *(s[0] for s in samples)], [[*force, *rate] for _, force, rate, _ in samples]
+        due = self._between(stamps[0], stamps[-1])
+        stretch = Stretch(stamps, rows, due, self._runner, doubts)
+        here = 0
+        while here < count:
+            stop = min(here + self._together - self._fresh, count)
+            self._outcomes += stretch.through(self._engine, here, stop)
+            self._fresh, here = self._fresh + stop - here, stop
+            if self._fresh >= self._together:
+                self._keep()
+
+    def _go_back(self) -> None:
+        """Go back to before all late measurements, and come again with them."""
+        self.attend()
         late, self._late = self._late, []
-        if not late:
-            return []
         first_ns = min(measurement.time_ns for measurement in late)
-        while self._copies[-1].time_ns >= first_ns:
+        while self._copies[-1][0] >= first_ns:
             self._copies.pop()
-        stamp = self._copies[-1].time_ns
-        self.settled = self._copies[-1].restored()
-        if self.settled.trail is not None:
-            self.settled.trail.rewind(stamp)
-        self._fresh = 0
-        again = list(takewhile(lambda sample: sample[0] > stamp, reversed(self._samples)))[::-1]
-        doubts = {place: doubt for place, (_, _, _, doubt) in enumerate(again) if doubt}
-        stamps, rows = [stamp, *(s[0] for s in again)], [[*force, *rate] for _, force, rate, _ in again]
-        stretch = Stretch(stamps, rows, self._measurements, self._runner, doubts)
-        outcomes: list[Outcome] = []
-        for here in range(0, len(again), self._kept_every):
-            stop = min(here + self._kept_every, len(again))
-            outcomes += stretch.through(self.settled, here, stop)
-            self._fresh = stop - here
-            if self._fresh >= KEPT_EVERY:
-                self._copies.append(Kept(again[stop - 1][0], self.settled.fork()))
-                self._fresh = 0
+        told, told_ns = self._outcomes, self._reached_ns
+        stamp, copy = self._copies[-1]
+        self._engine, self._outcomes, self._fresh = copy.fork(), [], 0
+        if self._engine.trail is not None:
+            self._engine.trail.rewind(stamp)
+        self._waiting = len(self._samples) - bisect_right(self._samples, stamp, key=lambda sample: sample[0])
+        self._go_on()
         news = {(measurement.time_ns, measurement.source, type(measurement)) for measurement in late}
-        return [o for o in outcomes if (o.time_ns, o.source, o.measurement) in news]
+        fresh = [o for o in self._outcomes if o.time_ns > told_ns or (o.time_ns, o.source, o.measurement) in news]
+        self._outcomes = told + fresh
+
+    def _note(self, sample: Newest) -> None:
+        self.newest = sample
+        self._samples.append(sample)
+        if self._learns:
+            self._timing.sample(*sample[:3])
 
     def _between(self, after_ns: int, until_ns: int) -> list[Measurement]:
         if not self._measurements or self._measurements[-1].time_ns <= after_ns:
@@ -191,20 +210,23 @@ class DelayedEngine:
         last = bisect_right(self._measurements, until_ns, key=lambda m: m.time_ns)
         return self._measurements[first:last]
 
-    def _keep(self, stamp: int) -> None:
-        """Keep a copy, and forget what is beyond the horizon."""
-        ahead = self._runner.engine is not None
-        self._copies.append(self._runner.keep() if ahead else Kept(stamp, self.settled.fork()))
+    def _keep(self) -> None:
+        """Keep a copy; if it is newer than any before, forget what is beyond the horizon."""
+        stamp = self._reached_ns
+        self._copies.append((stamp, self._engine.fork()))
         self._fresh = 0
+        if stamp <= self._decided_ns:
+            return  # on the way back to now
+        self._decided_ns = stamp
         oldest = stamp - self._horizon_ns
-        while len(self._copies) > 1 and (self._copies[1].time_ns <= oldest or len(self._copies) > COPIES):
+        while len(self._copies) > 1 and (self._copies[1][0] <= oldest or len(self._copies) > COPIES):
             self._copies.popleft()
-        begin, samples = self._copies[0].time_ns, self._samples
+        begin, samples = self._copies[0][0], self._samples
         while samples and samples[0][0] <= begin:
             samples.popleft()
         while self._measurements and self._measurements[0].time_ns <= begin:
             self._measurements.pop(0)
-        if begin <= oldest and self._settings.estimate_delays:
-            news = self._timing.learn(stamp, self._copies[0].restored().filter)
+        if begin <= oldest and self._learns:
+            news = self._timing.learn(stamp, self._copies[0][1].filter)
             if news is not None:
                 insort(self._measurements, news, key=order)

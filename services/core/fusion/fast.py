@@ -11,13 +11,13 @@ from shared.compiling import Program, machine_code
 
 from . import error_model, loops, machine, ordinary, sampling, stationary, strapdown
 from .error_model import SIZE
-from .machine import BLOCK, ERRORS, FAILED, GROW, LIMITS, ROOM, TABLE_ROWS, USUAL, WALKS, Machine
+from .machine import BLOCK, ERRORS, FAILED, GROW, LIMITS, ROOM, TABLE_ROWS, WALKS, Machine
 
 SIGNATURE = "int64(CPointer(float64), CPointer(float64), CPointer(int64), CPointer(float64), int64)"
 
 PARTS = (
     strapdown.parallel, strapdown.turn_terms, strapdown.turned, strapdown.mechanise,
-    sampling.take_sample, sampling.means, sampling.usual,
+    sampling.take_sample, sampling.means,
     stationary.blend, stationary.length, stationary.at_rest, stationary.doubt_of,
     error_model.error_rates, ordinary.sound, ordinary.run,
     machine.three, machine.moment_of, machine.numbers_of, *loops.PARTS,
@@ -27,7 +27,7 @@ PARTS = (
 def _main(array_at: Callable[..., Any]) -> Callable[..., Any]:
     """Make the function that is called from outside, with addresses."""
     three, moment_of, numbers_of = machine.three, machine.moment_of, machine.numbers_of
-    usual, run, grow = sampling.usual, ordinary.run, ordinary.grow
+    run, grow = ordinary.run, ordinary.grow
     correct = loops.correct
 
     def main(block_at: Any, P_at: Any, times_at: Any, samples_at: Any, count: int) -> int:
@@ -39,12 +39,6 @@ def _main(array_at: Callable[..., Any]) -> Callable[..., Any]:
         if count < GROW:
             table = array_at(samples_at, (TABLE_ROWS, SIZE))
             return 1 if correct(array_at(P_at, (ROOM, SIZE)), table, GROW - count) else FAILED
-        if count == USUAL:  # of one sample, and only if nobody else has to look at it
-            count = 1
-            block, row = array_at(block_at, (BLOCK,)), array_at(samples_at, (6,))
-            last = moment_of(block)[3]
-            if not usual((three(row, 0), three(row, 3)), last):
-                return 0
         block, P = array_at(block_at, (BLOCK,)), array_at(P_at, (ROOM, SIZE))
         times, samples = array_at(times_at, (count + 1,)), array_at(samples_at, (count, 6))
         e, n = ERRORS, LIMITS

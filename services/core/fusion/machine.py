@@ -1,13 +1,9 @@
 """The loop over ordinary samples where it is machine code, which wants numbers side by side at an address."""
 
-from collections.abc import Callable
-from functools import partial
 from struct import Struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-from shared.maths.rotation import Vector
 
 from .error_model import SIZE
 from .kalman import Correction, FloatArray, correct
@@ -25,14 +21,13 @@ BLOCK = WALKS + SIZE
 ROOM = 2 * SIZE + 9  # rows: the covariance, the next one, and what is between them
 MOMENT, HEAD = Struct(f"{NUMBERS}d"), Struct(f"{WALKS}d")
 STEP, FACTORS = Struct("28d"), Struct("2d")  # motion, sums, shaking; factor on vibration and what remains
-# In place of a number of samples: one that must be usual, a step of the covariance, a correction of 1 to 3 components.
-USUAL, GROW, CORRECT = -1, -2, (0, -3, -4, -5)
+# In place of a number of samples: a step of the covariance, a correction of 1 to 3 components.
+GROW, CORRECT = -1, (0, -2, -3, -4)
 # The table of a correction. Its rows: three each of H and of K^T; x; three of what has the size of z, side by side.
 GAINS, ESTIMATE, SMALL = 3, 6, 7
 NOISE, EXPECTED, INVERSE, MISFIT, DISTANCE2 = 0, 3, 6, 9, 10  # columns of R, S, its inverse, z, d²
 TABLE_ROWS = 10
 FAILED = 0
-pack_one = Struct("2q6d").pack_into  # stamps of the last sample and of this one, and its readings
 
 
 class Machine(Runner, Arithmetic):
@@ -42,21 +37,17 @@ class Machine(Runner, Arithmetic):
     ----------
     code : Code
         Takes the addresses of block, covariance, stamps and samples, and how many; returns how many were taken. It
-        does other things for numbers below zero: see `USUAL`, as of `sampling.usual`, and the others.
+        does other things for numbers below zero: see `GROW` and `CORRECT`.
     """
 
     wants_arrays = True
-    kept_every = 64
+    together = 64
 
     def __init__(self, code: "Code") -> None:
-        super().__init__()
         self._code, self.arithmetic = code, self
-        self._block, self._P, self._one = np.zeros(BLOCK), np.zeros((ROOM, SIZE)), np.zeros(8)
-        self._bytes, self._one_bytes = self._block.data.cast("B"), self._one.data.cast("B")
+        self._block, self._P = np.zeros(BLOCK), np.zeros((ROOM, SIZE))
+        self._bytes = self._block.data.cast("B")
         self._places = self._block.ctypes.data, self._P.ctypes.data
-        first = self._one.ctypes.data
-        self._take_checked = code.bound(*self._places, first, first + 16, 1)
-        self._take_usual = code.bound(*self._places, first, first + 16, USUAL)
         # Steps and corrections have places of their own, for the loop may be ahead of them.
         self._step, self._before, self._table = np.zeros(BLOCK), np.zeros((ROOM, SIZE)), np.zeros((TABLE_ROWS, SIZE))
         self._step_bytes, table = self._step.data.cast("B"), self._table.ctypes.data
@@ -67,21 +58,12 @@ class Machine(Runner, Arithmetic):
     def __call__(self, start: Departure, times_ns: Stamps, samples: Rows) -> tuple[int, Moment, FloatArray]:
         """Do what `ordinary.run` does; stamps and samples are arrays."""
         assert isinstance(times_ns, np.ndarray) and isinstance(samples, np.ndarray)
-        self._load(start)
-        taken = self._code(*self._places, times_ns.ctypes.data, samples.ctypes.data, len(samples))
-        return taken, *self._unload()
-
-    def _load(self, start: Departure) -> None:
         moment, P, (b, d, p, q), walks, limits = start
         HEAD.pack_into(self._bytes, 0, *numbers_of(moment), *b, *d, *p, *q, *limits)
         self._block[WALKS:] = walks
         self._P[:SIZE] = P
-
-    def _unload(self) -> tuple[Moment, FloatArray]:
-        return self._later()()
-
-    def _later(self) -> Callable[[], tuple[Moment, FloatArray]]:
-        return partial(_unpacked, self._bytes[: MOMENT.size].tobytes(), self._P[:SIZE].copy())
+        taken = self._code(*self._places, times_ns.ctypes.data, samples.ctypes.data, len(samples))
+        return taken, moment_of(MOMENT.unpack_from(self._bytes)), self._P[:SIZE].copy()
 
     def grow(
         self,
@@ -113,20 +95,6 @@ class Machine(Runner, Arithmetic):
         S, inverse = table[SMALL:end, EXPECTED : EXPECTED + size], table[SMALL:end, INVERSE : INVERSE + size]
         distance2, K = table.item(SMALL, DISTANCE2), table[GAINS : GAINS + size].T
         return Correction(table[ESTIMATE], P_after, distance2, z, H, K, S, inverse)
-
-    def take(self, time_ns: int, force: Vector, rate: Vector, *, checked: bool) -> bool:
-        """Take one more sample, as `Runner.take` does."""
-        if time_ns > self._until_ns or not (checked or self._comparable):
-            return False
-        pack_one(self._one_bytes, 0, self.last_ns, time_ns, *force, *rate)
-        if not (self._take_checked() if checked else self._take_usual()):
-            return False
-        self.last_ns, self._comparable = time_ns, True
-        return True
-
-
-def _unpacked(numbers: bytes, P: FloatArray) -> tuple[Moment, FloatArray]:
-    return moment_of(MOMENT.unpack(numbers)), P
 
 
 def three(numbers: Any, place: int) -> Any:

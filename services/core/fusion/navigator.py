@@ -29,7 +29,7 @@ from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .runner import Runner
 from .samples import Repeats, Sample
-from .sampling import FORCE_LIMIT, RATE_LIMIT
+from .sampling import FORCE_LIMIT, RATE_LIMIT, usual
 from .settings import Settings
 from .solution import Bounds, Solution, solution_of
 from .trail import Trail
@@ -93,10 +93,8 @@ class Navigator:
         list of Outcome
             What became of the measurements that were used now.
         """
-        outcomes = self.advance(time_ns, force, rate, received_ns, saturated=saturated)
-        if self._conspicuous or self._held:  # else the sample left nothing to do
-            outcomes += self.release(time_ns if received_ns is None else received_ns)
-        return outcomes
+        self.advance(time_ns, force, rate, received_ns, saturated=saturated)
+        return self.release(time_ns if received_ns is None else received_ns)
 
     def advance(
         self,
@@ -107,42 +105,30 @@ class Navigator:
         *,
         saturated: bool = False,
         hurried: bool = False,
-    ) -> list[Outcome]:
-        """Carry the motion on by one inertial sample; `release` must follow, which can take twenty times as long.
+    ) -> None:
+        """Take one inertial sample; `release` must follow.
 
-        If it is `hurried`, a step of the covariance is left to `release` as well.
+        It is looked at now, and used when somebody wants to see the result, or when some have come. If it is
+        `hurried`, for a solution that is wanted now, a step of the covariance is left to `release`.
         """
         fx, fy, fz = force
         wx, wy, wz = rate
-        odd = saturated or hurried or self._clock
-        if not odd and self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=False):
+        f, w, last, doubt = (fx, fy, fz), (wx, wy, wz), self._delayed.newest, None
+        follows = last is not None and 0 < time_ns - last[0] <= FUTURE_LIMIT_NS and not (saturated or self._clock)
+        if follows and last is not None and usual(f, w, last[1], last[2]):
             self._conspicuous = False
-            self.samples_used += 1
-            return []
-        credible = fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
-        last = self._delayed.newest
-        fault = None if credible else _fault(force, rate)
-        if credible and last is not None and not 0 < time_ns - last[0] <= FUTURE_LIMIT_NS:
-            fault = self._misfit(Sample(time_ns, (fx, fy, fz), (wx, wy, wz)), last[0], received_ns)
-        if fault:
-            self.samples_rejected += 1
-            self.rejects[fault] += 1
-            return []
-        if self._clock:
-            self._settle_clock(time_ns, self._clock.lost_s)
+        else:
+            if fault := self._fault(Sample(time_ns, f, w), received_ns):
+                self.samples_rejected += 1
+                self.rejects[fault] += 1
+                return
+            if doubt := self._doubt(Sample(time_ns, f, w), saturated=saturated):
+                self.rejects[doubt] += 1
         self.samples_used += 1
-        readings = (fx, fy, fz, wx, wy, wz)
-        repeats = self._repeats = self._repeats or Repeats(time_ns, readings)
-        if last is not None and not self._conspicuous:
-            repeats.changed(last[0], (*last[1], *last[2]))
-            self._conspicuous = True
-        doubt = repeats.doubt(time_ns, readings)
-        doubt = "gyroscope saturated" if saturated else doubt
-        if doubt:
-            self.rejects[doubt] += 1
-        elif not hurried and self._delayed.take(time_ns, (fx, fy, fz), (wx, wy, wz), checked=True):
-            return []
-        return self._delayed.carry(Sample(time_ns, (fx, fy, fz), (wx, wy, wz), doubt))
+        if hurried:
+            self._delayed.carry(Sample(time_ns, f, w, doubt))
+        else:
+            self._delayed.add(time_ns, f, w, doubt)
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -238,41 +224,43 @@ class Navigator:
     @property
     def phase(self) -> NavigationPhase:
         """How far the filter has come."""
-        return self._delayed.settled.phase
+        return self._delayed.engine.phase
 
     @property
     def since_ns(self) -> int:
         """When the phase began."""
-        return self._delayed.settled.since_ns
+        return self._delayed.engine.since_ns
 
     @property
     def reason(self) -> str:
         """Why the phase began."""
-        return self._delayed.settled.reason
+        return self._delayed.engine.reason
 
     @property
     def counts(self) -> Counts:
         """What was used, rejected, bridged and reset."""
-        return self._delayed.settled.counts
+        return self._delayed.engine.counts
 
     @property
     def lever_arm_error(self) -> tuple[float, float] | None:
         """True minus assumed lever arm [m, forward and right], if GNSS contradicts the setting in turns."""
-        return self._delayed.settled.aids.judge.arm.wrong()
+        return self._delayed.engine.aids.judge.arm.wrong()
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is none to be believed."""
-        return solution_of(self._delayed.seen, self._bounds)
+        return solution_of(self._delayed.engine, self._bounds)
 
     def foresee(self) -> None:
         """Do now what the next solution needs and can be done before its sample."""
-        engine = self._delayed.seen
+        engine = self._delayed.engine
         if engine.filter is not None:
             self._bounds.of(engine.filter, engine.aids.watch)
 
     def release(self, received_ns: int) -> list[Outcome]:
         """Do what the last sample left to do, and use what has waited long enough, now that it is `received_ns`."""
-        outcomes = self._delayed.attend()
+        if not (self._held or self._delayed.has_news):
+            return []
+        self._delayed.attend()
         last = self._delayed.newest
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
@@ -285,7 +273,7 @@ class Navigator:
                 self.rejects["measurement older than the memory"] += 1
             else:
                 self._count_if_late(measurement)
-        return outcomes + self._delayed.catch_up()
+        return self._delayed.catch_up()
 
     def _now_ns(self) -> int:
         newest = self._delayed.newest
@@ -298,6 +286,30 @@ class Navigator:
         newest_ns = self._newest.setdefault(key, measurement.time_ns)
         self.measurements_late += measurement.time_ns < newest_ns
         self._newest[key] = max(newest_ns, measurement.time_ns)
+
+    def _fault(self, sample: Sample, received_ns: int | None) -> str | None:
+        """Say why a sample cannot be used, if so."""
+        time_ns, force, rate, _ = sample
+        if not (sum(f * f for f in force) < FORCE_LIMIT**2 and sum(w * w for w in rate) < RATE_LIMIT**2):
+            return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
+        last = self._delayed.newest
+        if last is not None and not 0 < time_ns - last[0] <= FUTURE_LIMIT_NS:
+            fault = self._misfit(sample, last[0], received_ns)
+            if fault is not None:
+                return fault
+        if self._clock:
+            self._settle_clock(time_ns, self._clock.lost_s)
+        return None
+
+    def _doubt(self, sample: Sample, *, saturated: bool) -> str | None:
+        """Say what is wrong with a sample that can be used, if anything is."""
+        time_ns, readings, last = sample.time_ns, (*sample.force, *sample.rate), self._delayed.newest
+        repeats = self._repeats = self._repeats or Repeats(time_ns, readings)
+        if last is not None and not self._conspicuous:
+            repeats.changed(last[0], (*last[1], *last[2]))
+            self._conspicuous = True
+        doubt = repeats.doubt(time_ns, readings)
+        return "gyroscope saturated" if saturated else doubt
 
     def _misfit(self, sample: Sample, newest_ns: int, received_ns: int | None) -> str | None:
         """Say why a sample does not follow the last one, if so; after many that go back begin again."""
@@ -319,10 +331,6 @@ class Navigator:
         if lost_s:
             self.rejects["time lost as the inertial clock went back"] += 1
             self._delayed.insert(LostTime(time_ns, lost_s))
-
-
-def _fault(force: Sequence[float], rate: Sequence[float]) -> str:
-    return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
 
 
 def _diagonal(sd: Vector | None) -> FloatArray | None:

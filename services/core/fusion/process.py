@@ -59,13 +59,12 @@ class Process:
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in translate.samples_of(batch):
             due = self._is_due(sampled_ns)
-            outcomes = self._navigator.advance(
-                sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated, hurried=due
-            )
+            self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated, hurried=due)
             if due:  # first: whoever needs it shall not wait for what is late anyway
                 yield from self._solution(sampled_ns)
-            yield from map(translate.aiding_message, outcomes + self._navigator.release(batch.received_ns))
-            yield from self._state(sampled_ns)
+            yield from map(translate.aiding_message, self._navigator.release(batch.received_ns))
+            if due or sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
+                yield from self._state(sampled_ns)
             if self._is_due(2 * sampled_ns - self._sampled_ns):  # with the next sample
                 self._navigator.foresee()
             self._sampled_ns = sampled_ns

@@ -81,10 +81,12 @@ def take_sample(
     return motion, sums, (force_shake, rate_shake, an, ae, ad), true_rate, acceleration
 
 
-def usual(sample: tuple[Vector, Vector], last: tuple[Vector, Vector]) -> bool:
-    """Whether a sample is credible, and no reading is that of the one before: then there is nothing to doubt."""
-    (fx, fy, fz), (wx, wy, wz) = sample
-    (lfx, lfy, lfz), (lwx, lwy, lwz) = last
+def usual(force: Vector, rate: Vector, last_force: Vector, last_rate: Vector) -> bool:
+    """Whether a sample is credible, and no reading is that of the last one: then there is nothing to doubt."""
+    fx, fy, fz = force
+    wx, wy, wz = rate
+    lfx, lfy, lfz = last_force
+    lwx, lwy, lwz = last_rate
     if fx == lfx or fy == lfy or fz == lfz or wx == lwx or wy == lwy or wz == lwz:
         return False
     return fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
