@@ -6,7 +6,7 @@ measurement's stamp, and from there all samples and measurements are taken again
 result is that of a measurement that came in time.
 """
 
-from bisect import bisect_right, insort
+from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from collections.abc import Sequence
 from itertools import islice
@@ -23,9 +23,14 @@ from .stretch import Stretch
 from .timing import Timing
 from .trail import Trail
 
-WAITING = 64  # samples at most
-TOGETHER = 16  # between two copies where delays are estimated: what is decided must not depend on who runs the loop
-COPIES = 1000  # what a device with a clock of its own kind may make of the history; 1 kHz for ten seconds needs 625
+TOGETHER = 64  # samples
+APART_NS = 50_000_000  # at least, of copies that are kept for what may come
+# Between two copies where delays are estimated: decided is at each of them, and so none may depend on who looks when.
+EVENLY = 16
+EXPECTED = (
+    100  # measurements at most; those beyond are nearly always of a device that stamps what it says with nonsense
+)
+COPIES = 1000  # what a device with a clock of its own kind may make of the history; ten seconds at 1 kHz need some 400
 Newest = tuple[int, Vector, Vector, str | None]  # a `Sample`, or what becomes one
 
 
@@ -47,8 +52,9 @@ class DelayedEngine:
         self._waiting = 0  # samples, the newest
         self._copies: deque[tuple[int, Engine]] = deque()  # after a sample, with its stamp
         self._fresh = 0  # samples since the newest copy, without those that wait
-        self._together = TOGETHER if settings.estimate_delays else self._runner.together
+        self._together = EVENLY if settings.estimate_delays else TOGETHER
         self._learns = settings.estimate_delays
+        self._expected: list[int] = []  # stamps of measurements that will be inserted, ascending
         self._hurried = False  # something of the newest sample is left to do
         self._measurements: list[Measurement] = []  # of the horizon and of the future
         self._late: list[Measurement] = []  # of them, of the past of the estimator, and not used yet
@@ -77,13 +83,13 @@ class DelayedEngine:
 
     def add(self, time_ns: int, force: Vector, rate: Vector, doubt: str | None = None) -> None:
         """Take a sample, newer than all before."""
-        if self._engine.filter is None:
+        if self._engine.filter is None or self._engine.trail is not None:  # whose reader does not look here
             self.carry(Sample(time_ns, force, rate, doubt))
             self.attend()
             return
         self._note((time_ns, force, rate, doubt))
         self._waiting += 1
-        if self._waiting >= (self._together - self._fresh if self._learns else WAITING):
+        if self._waiting >= self._together - self._fresh:
             self._go_on()
 
     def remember(self, prior: Prior) -> None:
@@ -108,6 +114,8 @@ class DelayedEngine:
     def carry(self, sample: Sample) -> None:
         """Advance by one sample, newer than all before, as far as a solution needs it; `attend` does the rest."""
         engine = self.engine
+        if self._copies and self._reached_ns - self._copies[-1][0] >= APART_NS and not self._learns:
+            self._keep()  # who takes the sample in a hurry may be told next what was measured at its time
         due: Sequence[Measurement] = ()
         if self._measurements:
             due = self._between(engine.last.time_ns if engine.last else sample.time_ns, sample.time_ns)
@@ -126,6 +134,12 @@ class DelayedEngine:
         if self._fresh >= self._together or not self._copies:
             self._keep()
 
+    def expect(self, time_ns: int) -> None:
+        """Be told of a measurement that will be inserted: the way back to its stamp shall be short."""
+        if not self._learns:
+            insort(self._expected, time_ns)
+            del self._expected[EXPECTED:]
+
     def insert(self, measurement: Measurement) -> None:
         """Have a measurement used at its stamp: in the future once it comes, in the past by `catch_up`, which is due.
 
@@ -134,6 +148,8 @@ class DelayedEngine:
         LookupError
             It is older than the memory.
         """
+        if measurement.time_ns in self._expected:
+            self._expected.remove(measurement.time_ns)
         measurement = self._timing.corrected(measurement)
         if self._engine.last is not None and measurement.time_ns <= self._reached_ns:
             if self._copies[0][0] >= measurement.time_ns:
@@ -160,8 +176,8 @@ class DelayedEngine:
     def _reached_ns(self) -> int:
         return self._engine.last.time_ns if self._engine.last else 0
 
-    def _go_on(self) -> None:
-        """Give the estimator the samples that wait for it."""
+    def _go_on(self, kept: Sequence[int] = ()) -> None:
+        """Give the estimator the samples that wait for it, and keep it again where it was kept before."""
         self.attend()
         count, self._waiting, self._due = self._waiting, 0, False
         if not count:
@@ -171,12 +187,14 @@ class DelayedEngine:
         stamps, rows = [self._reached_ns, *(s[0] for s in samples)], [[*force, *rate] for _, force, rate, _ in samples]
         due = self._between(stamps[0], stamps[-1])
         stretch = Stretch(stamps, rows, due, self._runner, doubts)
+        keep = {bisect_left(stamps, stamp) - 1 for stamp in self._expected} | {bisect_left(stamps, s) for s in kept}
         here = 0
         while here < count:
-            stop = min(here + self._together - self._fresh, count)
+            most = min(here + self._together - self._fresh, count)
+            stop = min((place for place in keep if here < place < most), default=most)
             self._outcomes += stretch.through(self._engine, here, stop)
             self._fresh, here = self._fresh + stop - here, stop
-            if self._fresh >= self._together:
+            if self._fresh >= self._together or here in keep:
                 self._keep()
 
     def _go_back(self) -> None:
@@ -184,15 +202,16 @@ class DelayedEngine:
         self.attend()
         late, self._late = self._late, []
         first_ns = min(measurement.time_ns for measurement in late)
+        kept: list[int] = []
         while self._copies[-1][0] >= first_ns:
-            self._copies.pop()
+            kept.append(self._copies.pop()[0])
         told, told_ns = self._outcomes, self._reached_ns
         stamp, copy = self._copies[-1]
         self._engine, self._outcomes, self._fresh = copy.fork(), [], 0
         if self._engine.trail is not None:
             self._engine.trail.rewind(stamp)
         self._waiting = len(self._samples) - bisect_right(self._samples, stamp, key=lambda sample: sample[0])
-        self._go_on()
+        self._go_on(kept)
         news = {(measurement.time_ns, measurement.source, type(measurement)) for measurement in late}
         fresh = [o for o in self._outcomes if o.time_ns > told_ns or (o.time_ns, o.source, o.measurement) in news]
         self._outcomes = told + fresh
@@ -226,6 +245,8 @@ class DelayedEngine:
             samples.popleft()
         while self._measurements and self._measurements[0].time_ns <= begin:
             self._measurements.pop(0)
+        while self._expected and self._expected[0] <= begin:
+            self._expected.pop(0)
         if begin <= oldest and self._learns:
             news = self._timing.learn(stamp, self._copies[0][1].filter)
             if news is not None:

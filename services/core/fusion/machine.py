@@ -41,7 +41,6 @@ class Machine(Runner, Arithmetic):
     """
 
     wants_arrays = True
-    together = 64
 
     def __init__(self, code: "Code") -> None:
         self._code, self.arithmetic = code, self

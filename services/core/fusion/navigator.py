@@ -143,6 +143,7 @@ class Navigator:
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
         entry = (release_ns, measurement.time_ns, measurement.source, measurement)
         insort(self._held, entry, key=lambda held: held[:3])
+        self._delayed.expect(measurement.time_ns)
         if len(self._held) > HELD_LIMIT:
             self._held.pop(0)
             self.rejects["held without inertial samples"] += 1

@@ -14,7 +14,6 @@ class Runner:
 
     wants_arrays = False  # of stamps and samples; lists are faster in Python
     arithmetic: Arithmetic = PLAIN
-    together = 16  # samples that are worth a copy of the engine
 
     def __call__(self, start: Departure, times_ns: Stamps, samples: Rows) -> tuple[int, Moment, FloatArray]:
         """Do what `ordinary.run` does."""

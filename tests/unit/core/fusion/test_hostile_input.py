@@ -9,9 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.core.fusion.delayed import COPIES
+from services.core.fusion.delayed import COPIES, EXPECTED
 from services.core.fusion.door import DEVICES, SILENT_NS, Devices
+from services.core.fusion.navigator import HELD_LIMIT
 from services.core.fusion.process import Config, In, Process
+from shared.maths.earth import Geodetic
 from shared.messages import (
     CarrierSolution,
     FixType,
@@ -273,9 +275,9 @@ def test_a_receiver_that_is_renamed_again_and_again_is_heard_again_once_its_old_
 
 def test_samples_a_nanosecond_apart_take_no_more_memory_than_the_history() -> None:
     process = deepcopy(started())
-    for k in range(1, 19):
+    for k in range(1, 67):
         send(process, sample(NOW_NS + k * 1000, count=1000, step_ns=1))
-    assert len(process._navigator._delayed._copies) == COPIES, "of every sixteenth of 18,000 samples"
+    assert len(process._navigator._delayed._copies) == COPIES, "of one in 64 of 66,000 samples"
 
 
 def test_fixes_far_ahead_of_the_samples_are_not_collected() -> None:
@@ -285,3 +287,10 @@ def test_fixes_far_ahead_of_the_samples_are_not_collected() -> None:
     later = sample(NOW_NS + STEP_NS).model_copy(update={"received_ns": 2**62 + 10**9})
     send(process, later)
     assert process.rejects["measurement from the future"] == 2 * 49, "position and velocity"
+
+
+def test_measurements_of_times_that_never_come_are_not_collected() -> None:
+    navigator = deepcopy(started())._navigator
+    for k in range(5000):
+        navigator.fix(NOW_NS + k, position=Geodetic(0.8, 0.2, 300.0), received_ns=NOW_NS)
+    assert len(navigator._delayed._expected) == EXPECTED and len(navigator._held) == HELD_LIMIT

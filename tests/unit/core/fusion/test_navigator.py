@@ -173,6 +173,21 @@ def test_fixes_that_were_held_up_together_take_one_way_back(monkeypatch: pytest.
     assert len(ways) == one_each - sum(e.arrival_ns == held for e in late) + 1 > 10
 
 
+def test_a_fix_that_is_waited_for_leads_back_to_the_sample_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where another one has led back behind its stamp meanwhile."""
+    before_ms, go_back = [], DelayedEngine._go_back
+
+    def measured(engine: DelayedEngine) -> None:
+        first_ns = min(measurement.time_ns for measurement in engine._late)
+        before_ms.append((first_ns - max(stamp for stamp, _ in engine._copies if stamp < first_ns)) * 1e-6)
+        go_back(engine)
+
+    monkeypatch.setattr(DelayedEngine, "_go_back", measured)
+    run = navigator(merge_delay_s=0.9)
+    feed(run, samples(40.0) + fixes(39.0))
+    assert len(before_ms) > 20 and max(before_ms[1:]) <= 10.0
+
+
 def test_a_fix_stamped_ahead_of_the_samples_waits_for_them() -> None:
     """A receiver whose clock is ahead by 0.1 s, and the setting that says so."""
     ahead = feed(navigator(gnss_delay_s=0.1), samples() + fixes(delay_ns=0), stamp_offset_ns=100_000_000)
