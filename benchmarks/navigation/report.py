@@ -152,8 +152,8 @@ def page(document: Document) -> str:
         + NOTES
         + "## Cost of an inertial sample\n\n"
         + _markdown(("program", "set", "CPU, us a sample", "peak memory, MB"), list(_costs(document)))
-        + "\nOurs is the navigator alone, without reading the file, with fixes and wheels as late as they came:\n"
-        "each leads back by 0.2 s or more, which is most of this. The goals are of samples with nothing late:\n"
+        + "\nOurs is the navigator alone, without reading the file, with fixes and wheels as late as they came. The\n"
+        "goals are of positions alone, with nothing late:\n"
         "`python -m benchmarks.navigation.ways`, docs/decisions/0008. Peers are whole programs, files included.\n\n"
         "## Peers in this run\n\n" + "".join(f"- {sentence}\n" for sentence in _peers(document["peers"]))
     )

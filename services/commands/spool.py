@@ -42,15 +42,13 @@ class Spool:
         if len(self._recent) >= 2 * CHUNK:
             self._spill()
 
-    def forget_after(self, time_ns: int) -> None:
-        """Take records off the end for as long as they are of a later time."""
-        while len(self):
+    def cut(self, count: int) -> None:
+        """Take records off the end until so many are left."""
+        while len(self) > count:
             if not self._recent:
                 self._recent = self._load(self._chunks[-1])
                 self._end = self._chunks.pop()
-            if self._recent[-1].time_ns <= time_ns:
-                return
-            self._recent.pop()
+            del self._recent[-min(len(self) - count, len(self._recent)) :]
 
     def newest_first(self) -> Iterator[Record]:
         """Give all back, from the end."""

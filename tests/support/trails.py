@@ -15,10 +15,12 @@ class Records:
         """Add one behind all others."""
         self.all.append(record)
 
-    def forget_after(self, time_ns: int) -> None:
-        """Take records off the end for as long as they are of a later time."""
-        while self.all and self.all[-1].time_ns > time_ns:
-            self.all.pop()
+    def __len__(self) -> int:
+        return len(self.all)
+
+    def cut(self, count: int) -> None:
+        """Take records off the end until so many are left."""
+        del self.all[count:]
 
     def newest_first(self) -> Iterator[Record]:
         """Give all back, from the end."""

@@ -10,6 +10,7 @@ from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from collections.abc import Sequence
 from itertools import islice
+from typing import NamedTuple
 
 from shared.maths.rotation import Vector
 
@@ -27,11 +28,25 @@ TOGETHER = 64  # samples
 APART_NS = 50_000_000  # at least, of copies that are kept for what may come
 # Between two copies where delays are estimated: decided is at each of them, and so none may depend on who looks when.
 EVENLY = 16
-EXPECTED = (
-    100  # measurements at most; those beyond are nearly always of a device that stamps what it says with nonsense
-)
+# Measurements at most that are expected; what is beyond is of a device that stamps what it says with nonsense.
+EXPECTED = 100
 COPIES = 1000  # what a device with a clock of its own kind may make of the history; ten seconds at 1 kHz need some 400
+BEFORE_ALL_NS = -(2**64)
 Newest = tuple[int, Vector, Vector, str | None]  # a `Sample`, or what becomes one
+Key = tuple[int, str, type]
+
+
+class Kept(NamedTuple):
+    """A copy of the estimator after a sample, and how much of a trail was written."""
+
+    time_ns: int
+    engine: Engine
+    written: int
+
+
+def key_of(measurement: Measurement) -> Key:
+    """What a measurement has in common with another that tells the same."""
+    return measurement.time_ns, measurement.source, type(measurement)
 
 
 def order(measurement: Measurement) -> tuple[int, int, str]:
@@ -46,11 +61,11 @@ class DelayedEngine:
         self._settings = settings
         self._runner = runner or Runner()
         self._engine = Engine(settings)  # as of the newest sample that does not wait
-        self._horizon_ns = int(settings.history_s * 1e9)
+        self._horizon_ns = int((settings.history_s + settings.merge_delay_s) * 1e9)
         self._samples: deque[Newest] = deque()
         self.newest: Newest | None = None  # sample
         self._waiting = 0  # samples, the newest
-        self._copies: deque[tuple[int, Engine]] = deque()  # after a sample, with its stamp
+        self._copies: deque[Kept] = deque()
         self._fresh = 0  # samples since the newest copy, without those that wait
         self._together = EVENLY if settings.estimate_delays else TOGETHER
         self._learns = settings.estimate_delays
@@ -58,10 +73,11 @@ class DelayedEngine:
         self._hurried = False  # something of the newest sample is left to do
         self._measurements: list[Measurement] = []  # of the horizon and of the future
         self._late: list[Measurement] = []  # of them, of the past of the estimator, and not used yet
+        self._repeated: set[Key] = set()  # of these, what was told before
         self._due = False  # whether one is of a sample that waits
         self._outcomes: list[Outcome] = []  # not told yet
         self._timing = Timing(settings)
-        self._decided_ns = 0  # stamp of the newest copy that was the newest sample's
+        self._decided_ns = BEFORE_ALL_NS  # stamp of the newest copy that was the newest sample's
 
     @property
     def engine(self) -> Engine:
@@ -79,22 +95,22 @@ class DelayedEngine:
         """Whether a sample of the past came before, to the last bit, or its time was bridged."""
         samples = self._samples
         bridged = len(samples) > 1 and samples[-2][0] < sample.time_ns
-        return bridged or any(one[:3] == sample[:3] for one in reversed(samples))
+        return bridged or (sample.time_ns > self._oldest_ns and any(one[:3] == sample[:3] for one in reversed(samples)))
 
     def add(self, time_ns: int, force: Vector, rate: Vector, doubt: str | None = None) -> None:
         """Take a sample, newer than all before."""
         if self._engine.filter is None or self._engine.trail is not None:  # whose reader does not look here
-            self.carry(Sample(time_ns, force, rate, doubt))
+            self._carry(Sample(time_ns, force, rate, doubt))
             self.attend()
             return
         self._note((time_ns, force, rate, doubt))
         self._waiting += 1
-        if self._waiting >= self._together - self._fresh:
+        if self._waiting >= self._together - self._fresh or self._between(self._reached_ns, time_ns):
             self._go_on()
 
     def remember(self, prior: Prior) -> None:
         """Take a saved position and heading, now and wherever a late measurement may lead back to."""
-        for engine in (self.engine, *(copy for _, copy in self._copies)):
+        for engine in (self.engine, *(copy.engine for copy in self._copies)):
             engine.remember(prior)
 
     def leave(self, trail: Trail) -> None:
@@ -106,16 +122,19 @@ class DelayedEngine:
         counts, fresh = self.engine.counts, DelayedEngine(self._settings, self._runner)
         fresh._engine = Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
         fresh._outcomes = self._outcomes
-        if self._engine.trail is not None:
-            self._engine.trail.seal()
-            fresh._engine.trail = self._engine.trail
+        fresh._engine.trail = self._engine.trail
         return fresh
 
     def carry(self, sample: Sample) -> None:
         """Advance by one sample, newer than all before, as far as a solution needs it; `attend` does the rest."""
-        engine = self.engine
-        if self._copies and self._reached_ns - self._copies[-1][0] >= APART_NS and not self._learns:
-            self._keep()  # who takes the sample in a hurry may be told next what was measured at its time
+        if self._waiting:
+            self._go_on()
+        if self._copies and self._reached_ns - self._copies[-1].time_ns >= APART_NS and not self._learns:
+            self._keep()  # what was measured at the time of this sample may come next
+        self._carry(sample)
+
+    def _carry(self, sample: Sample) -> None:
+        engine = self._engine
         due: Sequence[Measurement] = ()
         if self._measurements:
             due = self._between(engine.last.time_ns if engine.last else sample.time_ns, sample.time_ns)
@@ -151,10 +170,12 @@ class DelayedEngine:
         if measurement.time_ns in self._expected:
             self._expected.remove(measurement.time_ns)
         measurement = self._timing.corrected(measurement)
-        if self._engine.last is not None and measurement.time_ns <= self._reached_ns:
-            if self._copies[0][0] >= measurement.time_ns:
-                raise LookupError("older than the memory")
+        if self.newest is not None and measurement.time_ns <= max(self._oldest_ns, self._copies[0].time_ns):
+            raise LookupError("older than the memory")
+        if measurement.time_ns <= self._reached_ns:
             self._late.append(measurement)
+            if key_of(measurement) in map(key_of, self._between(measurement.time_ns - 1, measurement.time_ns)):
+                self._repeated.add(key_of(measurement))
         elif self._waiting and self.newest and measurement.time_ns <= self.newest[0]:
             self._due = True
         insort(self._measurements, measurement, key=order)
@@ -173,8 +194,13 @@ class DelayedEngine:
         return told
 
     @property
+    def _oldest_ns(self) -> int:
+        """What is no newer than this is forgotten: by the stamps, since copies lie where somebody has looked."""
+        return self.newest[0] - self._horizon_ns if self.newest else BEFORE_ALL_NS
+
+    @property
     def _reached_ns(self) -> int:
-        return self._engine.last.time_ns if self._engine.last else 0
+        return self._engine.last.time_ns if self._engine.last else BEFORE_ALL_NS
 
     def _go_on(self, kept: Sequence[int] = ()) -> None:
         """Give the estimator the samples that wait for it, and keep it again where it was kept before."""
@@ -187,7 +213,8 @@ class DelayedEngine:
         stamps, rows = [self._reached_ns, *(s[0] for s in samples)], [[*force, *rate] for _, force, rate, _ in samples]
         due = self._between(stamps[0], stamps[-1])
         stretch = Stretch(stamps, rows, due, self._runner, doubts)
-        keep = {bisect_left(stamps, stamp) - 1 for stamp in self._expected} | {bisect_left(stamps, s) for s in kept}
+        keep = {bisect_left(stamps, stamp) - 1 for stamp in self._expected if stamp <= stamps[-1]}
+        keep |= {bisect_left(stamps, stamp) for stamp in kept}
         here = 0
         while here < count:
             most = min(here + self._together - self._fresh, count)
@@ -203,16 +230,17 @@ class DelayedEngine:
         late, self._late = self._late, []
         first_ns = min(measurement.time_ns for measurement in late)
         kept: list[int] = []
-        while self._copies[-1][0] >= first_ns:
-            kept.append(self._copies.pop()[0])
+        while self._copies[-1].time_ns >= first_ns:
+            kept.append(self._copies.pop().time_ns)
         told, told_ns = self._outcomes, self._reached_ns
-        stamp, copy = self._copies[-1]
-        self._engine, self._outcomes, self._fresh = copy.fork(), [], 0
+        copy = self._copies[-1]
+        self._engine, self._outcomes, self._fresh = copy.engine.fork(), [], 0
         if self._engine.trail is not None:
-            self._engine.trail.rewind(stamp)
-        self._waiting = len(self._samples) - bisect_right(self._samples, stamp, key=lambda sample: sample[0])
+            self._engine.trail.rewind(copy.written)
+        self._waiting = len(self._samples) - bisect_right(self._samples, copy.time_ns, key=lambda sample: sample[0])
         self._go_on(kept)
-        news = {(measurement.time_ns, measurement.source, type(measurement)) for measurement in late}
+        news = {key_of(measurement) for measurement in late} - self._repeated
+        self._repeated = set()
         fresh = [o for o in self._outcomes if o.time_ns > told_ns or (o.time_ns, o.source, o.measurement) in news]
         self._outcomes = told + fresh
 
@@ -231,16 +259,16 @@ class DelayedEngine:
 
     def _keep(self) -> None:
         """Keep a copy; if it is newer than any before, forget what is beyond the horizon."""
-        stamp = self._reached_ns
-        self._copies.append((stamp, self._engine.fork()))
+        stamp, trail = self._reached_ns, self._engine.trail
+        self._copies.append(Kept(stamp, self._engine.fork(), trail.written if trail is not None else 0))
         self._fresh = 0
         if stamp <= self._decided_ns:
             return  # on the way back to now
         self._decided_ns = stamp
         oldest = stamp - self._horizon_ns
-        while len(self._copies) > 1 and (self._copies[1][0] <= oldest or len(self._copies) > COPIES):
+        while len(self._copies) > 1 and (self._copies[1].time_ns <= oldest or len(self._copies) > COPIES):
             self._copies.popleft()
-        begin, samples = self._copies[0][0], self._samples
+        begin, samples = self._copies[0].time_ns, self._samples
         while samples and samples[0][0] <= begin:
             samples.popleft()
         while self._measurements and self._measurements[0].time_ns <= begin:
@@ -248,6 +276,6 @@ class DelayedEngine:
         while self._expected and self._expected[0] <= begin:
             self._expected.pop(0)
         if begin <= oldest and self._learns:
-            news = self._timing.learn(stamp, self._copies[0][1].filter)
+            news = self._timing.learn(stamp, self._copies[0].engine.filter)
             if news is not None:
                 insort(self._measurements, news, key=order)

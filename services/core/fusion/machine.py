@@ -47,12 +47,10 @@ class Machine(Runner, Arithmetic):
         self._block, self._P = np.zeros(BLOCK), np.zeros((ROOM, SIZE))
         self._bytes = self._block.data.cast("B")
         self._places = self._block.ctypes.data, self._P.ctypes.data
-        # Steps and corrections have places of their own, for the loop may be ahead of them.
-        self._step, self._before, self._table = np.zeros(BLOCK), np.zeros((ROOM, SIZE)), np.zeros((TABLE_ROWS, SIZE))
-        self._step_bytes, table = self._step.data.cast("B"), self._table.ctypes.data
-        places = self._step.ctypes.data, self._before.ctypes.data, table, table
-        self._grow = code.bound(*places, GROW)
-        self._correct = [code.bound(*places, what) for what in CORRECT]
+        self._table = np.zeros((TABLE_ROWS, SIZE))
+        table = self._table.ctypes.data
+        self._grow = code.bound(*self._places, table, table, GROW)
+        self._correct = [code.bound(*self._places, table, table, what) for what in CORRECT]
 
     def __call__(self, start: Departure, times_ns: Stamps, samples: Rows) -> tuple[int, Moment, FloatArray]:
         """Do what `ordinary.run` does; stamps and samples are arrays."""
@@ -75,22 +73,22 @@ class Machine(Runner, Arithmetic):
         remains: float,
     ) -> tuple[FloatArray, bool]:
         """Do what `ordinary.grow` does."""
-        (q, v, p, place), block = motion, self._step
-        STEP.pack_into(self._step_bytes, 0, *q, *v, *p, *place, *sums, *shaking)
-        FACTORS.pack_into(self._step_bytes, 8 * LIMITS, factor, remains)
-        block[WALKS:], self._before[:SIZE] = walks, P
+        q, v, p, place = motion
+        STEP.pack_into(self._bytes, 0, *q, *v, *p, *place, *sums, *shaking)
+        FACTORS.pack_into(self._bytes, 8 * LIMITS, factor, remains)
+        self._block[WALKS:], self._P[:SIZE] = walks, P
         fine = self._grow() != FAILED
-        return self._before[:SIZE].copy(), fine
+        return self._P[:SIZE].copy(), fine
 
     def correct(self, P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
         """Do what `kalman.correct` does."""
         size, table = len(z), self._table
         end = SMALL + size
         table[:size], table[SMALL:end, NOISE : NOISE + size], table[SMALL:end, MISFIT] = H, R, z
-        self._before[:SIZE] = P
+        self._P[:SIZE] = P
         if self._correct[size]() == FAILED:
             return correct(P, z, H, R)  # which says why
-        table, P_after = table.copy(), self._before[SIZE : 2 * SIZE].copy()
+        table, P_after = table.copy(), self._P[SIZE : 2 * SIZE].copy()
         S, inverse = table[SMALL:end, EXPECTED : EXPECTED + size], table[SMALL:end, INVERSE : INVERSE + size]
         distance2, K = table.item(SMALL, DISTANCE2), table[GAINS : GAINS + size].T
         return Correction(table[ESTIMATE], P_after, distance2, z, H, K, S, inverse)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from .filter import ErrorStateFilter
 
 FloatArray = npt.NDArray[np.float64]
-BEFORE_ALL_NS = -(2**63)
 
 
 class Start(NamedTuple):
@@ -68,13 +67,7 @@ class Knot(NamedTuple):
     known: npt.NDArray[np.intp]
 
 
-class Seal(NamedTuple):
-    """No way back leads behind this."""
-
-    time_ns: int = BEFORE_ALL_NS
-
-
-Record = Start | Step | Corrected | Forgotten | Resized | Knot | Seal
+Record = Start | Step | Corrected | Forgotten | Resized | Knot
 
 
 class Store(Protocol):
@@ -83,8 +76,12 @@ class Store(Protocol):
     def push(self, record: Record) -> None:
         """Add one behind all others."""
 
-    def forget_after(self, time_ns: int) -> None:
-        """Take records off the end for as long as they are of a later time."""
+    def __len__(self) -> int:
+        """How many there are."""
+        ...
+
+    def cut(self, count: int) -> None:
+        """Take records off the end until so many are left."""
 
     def newest_first(self) -> Iterator[Record]:
         """Give all back, from the end."""
@@ -131,13 +128,14 @@ class Trail:
         """Note that errors got another unit, before which P had these rows."""
         self._store.push(Resized(time_ns, place, ratios, rows))
 
-    def rewind(self, time_ns: int) -> None:
-        """Forget what was written since a time to which the engine has gone back."""
-        self._store.forget_after(time_ns)
+    @property
+    def written(self) -> int:
+        """How much has been written, for a way back to now."""
+        return len(self._store)
 
-    def seal(self) -> None:
-        """Begin again with other stamps."""
-        self._store.push(Seal())
+    def rewind(self, written: int) -> None:
+        """Forget what was written since then: the engine has gone back."""
+        self._store.cut(written)
 
     def _tie(self, filter_: "ErrorStateFilter") -> None:
         twin = filter_.fork()

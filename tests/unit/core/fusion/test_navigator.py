@@ -179,7 +179,7 @@ def test_a_fix_that_is_waited_for_leads_back_to_the_sample_before_it(monkeypatch
 
     def measured(engine: DelayedEngine) -> None:
         first_ns = min(measurement.time_ns for measurement in engine._late)
-        before_ms.append((first_ns - max(stamp for stamp, _ in engine._copies if stamp < first_ns)) * 1e-6)
+        before_ms.append((first_ns - max(copy.time_ns for copy in engine._copies if copy.time_ns < first_ns)) * 1e-6)
         go_back(engine)
 
     monkeypatch.setattr(DelayedEngine, "_go_back", measured)
@@ -193,6 +193,37 @@ def test_a_fix_stamped_ahead_of_the_samples_waits_for_them() -> None:
     ahead = feed(navigator(gnss_delay_s=0.1), samples() + fixes(delay_ns=0), stamp_offset_ns=100_000_000)
     level = feed(navigator(), samples() + fixes(delay_ns=0))
     assert ahead.error_m() == pytest.approx(level.error_m(), abs=1e-3)
+
+
+def test_a_fix_stamped_ahead_is_told_with_the_sample_that_passes_it() -> None:
+    d, run = drive(), feed(navigator(merge_delay_s=0.0), samples(20.0) + fixes(19.5)).navigator
+    give_fix(run, round(20.2 / 0.2), 20 * SECOND_NS)
+    for i in range(2000, 2050):
+        told = run.imu(int(d.t_ns[i]), d.force_b[i].tolist(), d.rate_b[i].tolist())
+        if any(outcome.source == "gnss" for outcome in told):
+            break
+    assert 0 <= d.t_ns[i] - told[0].time_ns < 10_000_000 and len(told) == 2, "position and velocity"
+
+
+def test_a_fix_that_comes_twice_and_late_is_told_once() -> None:
+    once = feed(navigator(merge_delay_s=0.0), samples(20.0) + fixes(19.0))
+    again = fixes(19.0) + fixes(19.0, delay_ns=600_000_000)
+    twice = feed(navigator(merge_delay_s=0.0), samples(20.0) + again)
+    told = [sum(outcome.source == "gnss" for outcome in run.outcomes) for run in (once, twice)]
+    assert told[0] == told[1] and twice.navigator.counts.epochs_repeated > 50
+    assert same(once.last, twice.last)
+
+
+def test_stamps_below_zero_take_no_more_memory() -> None:
+    begin_ns = -(2**60)
+    d, run = drive(), navigator()
+    for i, time_ns in enumerate(d.t_ns.tolist()):
+        if i % 100 == 0:
+            run.fix(begin_ns + time_ns, position=Geodetic(*d.position[i].tolist()), position_sd=(1.0, 1.0, 1.0))
+        run.imu(begin_ns + time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
+    delayed = run._delayed
+    assert run.counts.fixes_used > 30
+    assert max(len(delayed._samples), 10 * len(delayed._copies), 10 * len(delayed._measurements)) < 400
 
 
 def test_a_fix_older_than_the_memory_is_counted_and_dropped() -> None:

@@ -123,7 +123,10 @@ def test_who_looks_changes_nothing(seed: int) -> None:
     assert len(every[-1]) > 400, "the drive is navigated for all that"
 
 
+@pytest.mark.parametrize("changes", [{"estimate_delays": True}, {"history_s": 0.2}, {"history_s": 1.0}])
 @pytest.mark.parametrize("seed", range(2))
-def test_who_looks_changes_nothing_where_delays_are_estimated(seed: int) -> None:
-    found = [list(followed(seed, look, NEVER, estimate_delays=True)) for look in (ALWAYS, NEVER)]
-    assert found[0] == found[1]
+def test_nor_where_delays_are_estimated_or_the_memory_is_short(seed: int, changes: dict[str, object]) -> None:
+    every = list(followed(seed, ALWAYS, NEVER, **changes))
+    assert list(followed(seed, NEVER, NEVER, **changes)) == every
+    assert list(followed(seed, NEVER, lambda k: k % 10 == 0, **changes)) == every
+    assert len(every[-1]) > 100
