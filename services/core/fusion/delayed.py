@@ -31,7 +31,7 @@ EVENLY = 16
 # Measurements at most that are expected; what is beyond is of a device that stamps what it says with nonsense.
 EXPECTED = 100
 COPIES = 1000  # what a device with a clock of its own kind may make of the history; ten seconds at 1 kHz need some 400
-BEFORE_ALL_NS = -(2**64)
+BEFORE_ALL_NS, AFTER_ALL_NS = -(2**64), 2**64
 Newest = tuple[int, Vector, Vector, str | None]  # a `Sample`, or what becomes one
 Key = tuple[int, str, type]
 
@@ -75,6 +75,7 @@ class DelayedEngine:
         self._late: list[Measurement] = []  # of them, of the past of the estimator, and not used yet
         self._repeated: set[Key] = set()  # of these, what was told before
         self._due = False  # whether one is of a sample that waits
+        self._ahead_ns = AFTER_ALL_NS  # stamp of the first that is of a sample to come
         self._outcomes: list[Outcome] = []  # not told yet
         self._timing = Timing(settings)
         self._decided_ns = BEFORE_ALL_NS  # stamp of the newest copy that was the newest sample's
@@ -105,7 +106,7 @@ class DelayedEngine:
             return
         self._note((time_ns, force, rate, doubt))
         self._waiting += 1
-        if self._waiting >= self._together - self._fresh or self._between(self._reached_ns, time_ns):
+        if self._waiting >= self._together - self._fresh or time_ns >= self._ahead_ns:
             self._go_on()
 
     def remember(self, prior: Prior) -> None:
@@ -178,6 +179,8 @@ class DelayedEngine:
                 self._repeated.add(key_of(measurement))
         elif self._waiting and self.newest and measurement.time_ns <= self.newest[0]:
             self._due = True
+        else:
+            self._ahead_ns = min(self._ahead_ns, measurement.time_ns)
         insort(self._measurements, measurement, key=order)
 
     def catch_up(self) -> list[Outcome]:
@@ -213,6 +216,9 @@ class DelayedEngine:
         stamps, rows = [self._reached_ns, *(s[0] for s in samples)], [[*force, *rate] for _, force, rate, _ in samples]
         due = self._between(stamps[0], stamps[-1])
         stretch = Stretch(stamps, rows, due, self._runner, doubts)
+        if self._ahead_ns <= stamps[-1]:
+            to_come = self._between(stamps[-1], AFTER_ALL_NS)
+            self._ahead_ns = to_come[0].time_ns if to_come else AFTER_ALL_NS
         keep = {bisect_left(stamps, stamp) - 1 for stamp in self._expected if stamp <= stamps[-1]}
         keep |= {bisect_left(stamps, stamp) for stamp in kept}
         here = 0
