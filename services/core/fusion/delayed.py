@@ -174,9 +174,10 @@ class DelayedEngine:
         if self.newest is not None and measurement.time_ns <= max(self._oldest_ns, self._copies[0].time_ns):
             raise LookupError("older than the memory")
         if measurement.time_ns <= self._reached_ns:
+            key, there = key_of(measurement), self._between(measurement.time_ns - 1, measurement.time_ns)
+            if key in map(key_of, there) and key not in map(key_of, self._late):
+                self._repeated.add(key)
             self._late.append(measurement)
-            if key_of(measurement) in map(key_of, self._between(measurement.time_ns - 1, measurement.time_ns)):
-                self._repeated.add(key_of(measurement))
         elif self._waiting and self.newest and measurement.time_ns <= self.newest[0]:
             self._due = True
         else:

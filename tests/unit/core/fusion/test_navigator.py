@@ -205,9 +205,11 @@ def test_a_fix_stamped_ahead_is_told_with_the_sample_that_passes_it() -> None:
     assert 0 <= d.t_ns[i] - told[0].time_ns < 10_000_000 and len(told) == 2, "position and velocity"
 
 
-def test_a_fix_that_comes_twice_and_late_is_told_once() -> None:
+@pytest.mark.parametrize("delay_ns", [80_000_000, 600_000_000])
+def test_a_fix_that_comes_twice_and_late_is_told_once(delay_ns: int) -> None:
+    """Also where both come at once."""
     once = feed(navigator(merge_delay_s=0.0), samples(20.0) + fixes(19.0))
-    again = fixes(19.0) + fixes(19.0, delay_ns=600_000_000)
+    again = fixes(19.0) + fixes(19.0, delay_ns=delay_ns)
     twice = feed(navigator(merge_delay_s=0.0), samples(20.0) + again)
     told = [sum(outcome.source == "gnss" for outcome in run.outcomes) for run in (once, twice)]
     assert told[0] == told[1] and twice.navigator.counts.epochs_repeated > 50
