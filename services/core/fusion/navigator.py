@@ -29,7 +29,7 @@ from .gnss import Reading, Stamp, gnss_measurements
 from .heading import Prior
 from .runner import Runner
 from .samples import Repeats, Sample
-from .sampling import FORCE_LIMIT, RATE_LIMIT, usual
+from .sampling import credible, usual
 from .settings import Settings
 from .solution import Bounds, Solution, solution_of
 from .trail import Trail
@@ -91,7 +91,7 @@ class Navigator:
         Returns
         -------
         list of Outcome
-            What became of the measurements that were used now.
+            What became of the measurements that were used since this was asked last.
         """
         self.advance(time_ns, force, rate, received_ns, saturated=saturated)
         return self.release(time_ns if received_ns is None else received_ns)
@@ -122,6 +122,8 @@ class Navigator:
                 self.samples_rejected += 1
                 self.rejects[fault] += 1
                 return
+            if self._clock:
+                self._settle_clock(time_ns, self._clock.lost_s)
             if doubt := self._doubt(Sample(time_ns, f, w), saturated=saturated):
                 self.rejects[doubt] += 1
         self.samples_used += 1
@@ -291,15 +293,11 @@ class Navigator:
     def _fault(self, sample: Sample, received_ns: int | None) -> str | None:
         """Say why a sample cannot be used, if so."""
         time_ns, force, rate, _ = sample
-        if not (sum(f * f for f in force) < FORCE_LIMIT**2 and sum(w * w for w in rate) < RATE_LIMIT**2):
+        if not credible(force, rate):
             return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
         last = self._delayed.newest
         if last is not None and not 0 < time_ns - last[0] <= FUTURE_LIMIT_NS:
-            fault = self._misfit(sample, last[0], received_ns)
-            if fault is not None:
-                return fault
-        if self._clock:
-            self._settle_clock(time_ns, self._clock.lost_s)
+            return self._misfit(sample, last[0], received_ns)
         return None
 
     def _doubt(self, sample: Sample, *, saturated: bool) -> str | None:

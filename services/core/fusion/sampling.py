@@ -81,6 +81,13 @@ def take_sample(
     return motion, sums, (force_shake, rate_shake, an, ae, ad), true_rate, acceleration
 
 
+def credible(force: Vector, rate: Vector) -> bool:
+    """Whether a sensor can have measured this; not if a reading is not a number."""
+    fx, fy, fz = force
+    wx, wy, wz = rate
+    return fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
+
+
 def usual(force: Vector, rate: Vector, last_force: Vector, last_rate: Vector) -> bool:
     """Whether a sample is credible, and no reading is that of the last one: then there is nothing to doubt."""
     fx, fy, fz = force
@@ -89,7 +96,7 @@ def usual(force: Vector, rate: Vector, last_force: Vector, last_rate: Vector) ->
     lwx, lwy, lwz = last_rate
     if fx == lfx or fy == lfy or fz == lfz or wx == lwx or wy == lwy or wz == lwz:
         return False
-    return fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
+    return credible(force, rate)
 
 
 def means(sums: Sums) -> tuple[Vector, Vector]:
