@@ -53,11 +53,6 @@ class OdometerTrack:
         """Newest speed [m/s] if it is not older than the gap."""
         return self._speeds[-1] if self._times and time_ns - self._times[-1] <= self._gap_ns else None
 
-    def first_at_or_after(self, time_ns: int) -> float | None:
-        """First speed [m/s] that is stamped at a time or within the gap after it; None if there is none (yet)."""
-        k = bisect_left(self._times, time_ns)
-        return self._speeds[k] if k < len(self._times) and self._times[k] - time_ns <= self._gap_ns else None
-
     def at(self, time_ns: int) -> float | None:
         """Interpolated speed [m/s]; None outside the samples and in gaps."""
         k = bisect_left(self._times, time_ns)

@@ -1,4 +1,9 @@
-"""The motion monitor: takes stamped speeds of GNSS and odometer, and gives ten separate verdicts."""
+"""The motion monitor: takes stamped speeds of GNSS and odometer, and gives ten separate verdicts.
+
+A sample of the tachograph's tests is the first GNSS speed at or after a multiple of 10 s with the odometer's speed
+interpolated to its stamp. The paper takes the first odometer speed at or after that time, which adds the
+synchronisation error ΔT · dS/dt.
+"""
 
 from collections import Counter, deque
 from dataclasses import fields, replace
@@ -163,11 +168,12 @@ class MotionMonitor:
         self._statistic = None
 
     def _pair(self) -> None:
-        if self._candidate is not None:
-            odometer = self._odometer.first_at_or_after(self._candidate[0])
-            if odometer is not None:
-                self.raw.add(self._candidate[0], self._candidate[1], odometer)
-                self._candidate, self._sampled = None, True
+        """Complete the sample of this sample time, and every aligned pair that the odometer's samples reach."""
+        newest_ns = self._odometer.newest_ns
+        if self._candidate is not None and newest_ns is not None and newest_ns >= self._candidate[0]:
+            time_ns, speed = self._candidate
+            self.raw.add(time_ns, speed, self._odometer.at(time_ns))
+            self._candidate, self._sampled = None, True
         delay_s = self.calibration.calibration.delay_s
         while self._pending and self._odometer.reaches(self._pending[0][0], delay_s):
             time_ns, speed, sd = self._pending.popleft()
