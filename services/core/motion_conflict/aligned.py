@@ -4,6 +4,11 @@ from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
 SECOND_NS = 1_000_000_000
 SLOPE_NS = SECOND_NS  # half the span over which the odometer's acceleration is taken
 
@@ -64,6 +69,16 @@ class OdometerTrack:
         share = (time_ns - before_ns) / (after_ns - before_ns)
         return self._speeds[k - 1] + share * (self._speeds[k] - self._speeds[k - 1])
 
+    def series(self, time_ns: int, delays_s: FloatArray) -> FloatArray | None:
+        """Interpolated speeds [m/s] at a time plus each of ascending delays; None outside the samples and in gaps."""
+        times_s = (np.array(self._times) - time_ns) / SECOND_NS
+        first = int(np.searchsorted(times_s, delays_s[0], side="right")) - 1
+        last = int(np.searchsorted(times_s, delays_s[-1]))
+        if first < 0 or last >= len(times_s) or np.diff(times_s[first : last + 1]).max() > self._gap_ns / SECOND_NS:
+            return None
+        speeds: FloatArray = np.interp(delays_s, times_s, np.array(self._speeds))
+        return speeds
+
     def pair(self, time_ns: int, delay_s: float, gnss: tuple[float, float]) -> AlignedPair | None:
         """Align a GNSS speed and its standard deviation [m/s]; None where the odometer does not cover it."""
         instant_ns = time_ns + round(delay_s * SECOND_NS)
@@ -73,6 +88,6 @@ class OdometerTrack:
         slope = (after - before) * SECOND_NS / (2.0 * SLOPE_NS)
         return AlignedPair(time_ns, *gnss, speed, slope, self.resolution)
 
-    def reaches(self, time_ns: int, delay_s: float) -> bool:
-        """Whether the odometer's samples go far enough to align a GNSS speed."""
-        return bool(self._times) and self._times[-1] >= time_ns + round(delay_s * SECOND_NS) + SLOPE_NS
+    def reaches(self, time_ns: int, ahead_s: float) -> bool:
+        """Whether the odometer's samples go beyond a time by so much."""
+        return bool(self._times) and self._times[-1] >= time_ns + round(ahead_s * SECOND_NS)

@@ -4,12 +4,16 @@ The model, with s the scale (true over indicated speed) and τ the delay of the 
 
     v_gnss(t) = s · v_odo(t + τ) + noise
 
-linearised about the present estimate: H = [ v_odo, s · dv_odo/dt ].
+For a given τ this is linear in s, so three weighted sums for each τ of a grid hold all that has been measured::
+
+    ŝ(τ) = Σ v_gnss v_odo / Σ v_odo²,   J(τ) = Σ v_gnss² - (Σ v_gnss v_odo)² / Σ v_odo²,   p(τ) ∝ exp(-J(τ)/2)
+
+Linearising about one delay instead converges to a wrong one when the first guess is seconds off.
 """
 
 from collections import deque
 from dataclasses import dataclass
-from math import sqrt
+from math import exp, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -20,13 +24,13 @@ FloatArray = npt.NDArray[np.float64]
 
 SCALE_LIMIT = 0.08  # [-] what tyres explain: wear, pressure, another size
 SCALE_SD = 0.04  # [-] before anything is learned
-DELAY_SD_S = 1.0
+DELAY_STEP_S = 0.05  # of the grid
 LEARNING_SPEED_M_S = 5.0  # odometer speed below which nothing is learned
 CORRELATED = 5.0  # [-] successive errors (rounding, Doppler filter) that count as one: factor of the variance
 GATE = 4.0  # [-] standard deviations of an innovation beyond which a sample is not learned from
-SCALE_WALK = 1e-4  # [1/√s] random walks that keep the estimator open for slow changes
-DELAY_WALK_S = 2e-3  # [s/√s]
+MEMORY_S = 900.0  # of learning after which a sample counts 1/e
 LEARNED_SCALE_SD = 0.005  # [-] known well enough for the calibrated verdict
+LEARNED_DELAY_SD_S = 0.2  # known well enough for the fast test: driving off makes 0.4 m/s of it
 STEP_LIMIT = 0.02  # [-]
 STEP_WINDOW_S = 120.0
 STEP_REFERENCE_S = 300.0  # of learning before a step can be judged
@@ -36,10 +40,10 @@ STEP_REFERENCE_S = 300.0  # of learning before a step can be judged
 class Calibration:
     """Learned scale (true over indicated speed) and delay of the odometer, with standard deviations."""
 
-    scale: float = 1.0
-    delay_s: float = 0.0
-    scale_sd: float = SCALE_SD
-    delay_sd_s: float = DELAY_SD_S
+    scale: float
+    delay_s: float
+    scale_sd: float
+    delay_sd_s: float
 
     @property
     def learned(self) -> bool:
@@ -64,68 +68,83 @@ class CalibrationEstimator:
     ----------
     delay_limits_s : tuple of float
         [s] Smallest and largest delay that is learned.
-    start : Calibration
-        The starting point; what an earlier drive has learned, with its standard deviations.
+    start : Calibration, optional
+        What an earlier drive has learned; by default scale one, and every delay within the limits alike.
     """
 
     def __init__(self, *, delay_limits_s: tuple[float, float], start: Calibration | None = None) -> None:
-        start = start or Calibration()
-        self.delay_limits_s = delay_limits_s
-        self.theta: FloatArray = np.array([start.scale, start.delay_s])
-        self.P: FloatArray = np.diag([start.scale_sd**2, start.delay_sd_s**2])
+        low, high = delay_limits_s
+        self.delays_s: FloatArray = np.linspace(low, high, round((high - low) / DELAY_STEP_S) + 1)
+        scale, scale_sd = (start.scale, start.scale_sd) if start else (1.0, SCALE_SD)
+        prior = np.array([[1.0], [scale], [scale**2]]) / scale_sd**2  # as one measurement of the scale
+        self._prior = np.broadcast_to(prior, (3, len(self.delays_s)))
+        self._prior_cost = ((self.delays_s - start.delay_s) / start.delay_sd_s) ** 2 if start else 0.0 * self.delays_s
+        self._sums = np.zeros((3, len(self.delays_s)))  # of v_odo², v_gnss v_odo and v_gnss², over their variance
         self.frozen = False  # set from outside while GNSS is not trusted
-        self.learning_s = STEP_REFERENCE_S if start.learned else 0.0
+        self.learning_s = STEP_REFERENCE_S if start is not None and start.learned else 0.0
         self._last_ns: int | None = None
-        self._recent: deque[tuple[AlignedPair, float]] = deque(maxlen=4096)  # pair, scale known at its time
+        self._recent: deque[tuple[AlignedPair, float, FloatArray]] = deque(maxlen=4096)  # with scale and sums before
+        self._solve()
+
+    def _solve(self) -> None:
+        """Find mean and covariance of scale and delay."""
+        xx, xy, yy = self._sums + self._prior
+        scales, cost = xy / xx, yy - xy**2 / xx + self._prior_cost
+        weight = np.exp(-0.5 * (cost - cost.min()))
+        weight /= weight.sum()
+        values = np.array([scales, self.delays_s])
+        self.mean: FloatArray = values @ weight
+        off = values - self.mean[:, None]
+        self.P: FloatArray = (weight * off) @ off.T + np.diag([float(weight @ (1.0 / xx)), DELAY_STEP_S**2 / 12.0])
+        self.mean[0] = min(max(self.mean[0], 1.0 - SCALE_LIMIT), 1.0 + SCALE_LIMIT)
 
     @property
     def calibration(self) -> Calibration:
         """The present estimate."""
-        return Calibration(float(self.theta[0]), float(self.theta[1]), sqrt(self.P[0, 0]), sqrt(self.P[1, 1]))
+        return Calibration(float(self.mean[0]), float(self.mean[1]), sqrt(self.P[0, 0]), sqrt(self.P[1, 1]))
 
     def speed_variance(self, odometer: float, slope: float) -> float:
         """Variance [m²/s²] of s · v_odo(t + τ) that the errors of scale and delay cause."""
-        H = np.array([odometer, self.theta[0] * slope])
+        H = np.array([odometer, self.mean[0] * slope])
         return float(H @ self.P @ H)
 
-    def update(self, pair: AlignedPair) -> None:
-        """Learn from one pair, unless the vehicle is slow, the estimator frozen or the scale in doubt."""
+    def update(self, pair: AlignedPair, odometer: FloatArray) -> None:
+        """Learn from one sample, unless the vehicle is slow, the estimator frozen or the scale in doubt.
+
+        Parameters
+        ----------
+        pair : AlignedPair
+            The sample, aligned with the present delay.
+        odometer : ndarray, shape of `delays_s`
+            [m/s] Odometer speed at the sample's time plus each delay.
+        """
         if pair.odometer < LEARNING_SPEED_M_S:
             return
         self._remember(pair)
         elapsed_s = 0.0 if self._last_ns is None else min(10.0, (pair.time_ns - self._last_ns) / SECOND_NS)
         self._last_ns = pair.time_ns
-        if self.frozen or self._undo_step():
-            return
-        self._learn(pair, elapsed_s)
-
-    def _learn(self, pair: AlignedPair, elapsed_s: float) -> None:
-        walk = np.diag([SCALE_WALK**2, DELAY_WALK_S**2]) * elapsed_s
-        P = self.P + walk
-        H = np.array([pair.odometer, self.theta[0] * pair.slope])
         R = CORRELATED * (pair.gnss_sd**2 + pair.resolution**2 / 12.0)
-        innovation, S = pair.gnss - self.theta[0] * pair.odometer, float(H @ P @ H) + R
-        if innovation**2 > GATE**2 * S:
+        innovation = pair.gnss - self.mean[0] * pair.odometer
+        outlier = innovation**2 > GATE**2 * (self.speed_variance(pair.odometer, pair.slope) + R)
+        if self.frozen or outlier or self._undo_step():
             return
-        K = P @ H / S
-        theta = self.theta + K * innovation
-        self.theta = np.clip(theta, [1.0 - SCALE_LIMIT, self.delay_limits_s[0]],
-                             [1.0 + SCALE_LIMIT, self.delay_limits_s[1]])  # fmt: skip
-        A = np.eye(2) - np.outer(K, H)
-        self.P = A @ P @ A.T + R * np.outer(K, K)
+        new = np.array([odometer**2, pair.gnss * odometer, np.full(len(odometer), pair.gnss**2)]) / R
+        self._sums = exp(-elapsed_s / MEMORY_S) * self._sums + new
         self.learning_s += elapsed_s
+        self._solve()
 
     def _remember(self, pair: AlignedPair) -> None:
-        self._recent.append((pair, float(self.theta[0])))
+        self._recent.append((pair, float(self.mean[0]), self._sums))
         while pair.time_ns - self._recent[0][0].time_ns > STEP_WINDOW_S * SECOND_NS:
             self._recent.popleft()
 
     def _undo_step(self) -> bool:
-        """Return to the scale that was learned before a step, so that the step is not learned."""
+        """Return to what was learned before a step, so that the step is not learned."""
         recent = self.recent()
         if recent is None or abs(recent.scale / recent.reference - 1.0) <= STEP_LIMIT:
             return False
-        self.theta[0] = recent.reference
+        self._sums = self._recent[0][2]
+        self._solve()
         return True
 
     def recent(self) -> RecentScale | None:
@@ -137,7 +156,7 @@ class CalibrationEstimator:
         """
         if self.learning_s < STEP_REFERENCE_S or len(self._recent) < 10:
             return None
-        pairs = [pair for pair, _ in self._recent]
+        pairs = [pair for pair, _, _ in self._recent]
         if pairs[-1].time_ns - pairs[0].time_ns < 0.5 * STEP_WINDOW_S * SECOND_NS:
             return None
         odometer, gnss = np.array([pair.odometer for pair in pairs]), np.array([pair.gnss for pair in pairs])

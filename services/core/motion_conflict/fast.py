@@ -99,15 +99,19 @@ def fast_statistic(
 
         T = χ²⁻¹( P(|g + u| > |d|), 1 ),   σ_g² = var(mean v_gnss) + var(s · v_odo),   |u| <= s · resolution / 2
 
-    Without rounding this is T = d²/σ_g².
+    Without rounding this is T = d²/σ_g². At steady speed the rounding error u is the same for all samples; in a window
+    in which the odometer passes several steps the errors are independent, and s² · resolution² / 12n is added to σ_g².
     """
     time_s = np.array([(pair.time_ns - pairs[0].time_ns) / SECOND_NS for pair in pairs])
     difference = float(np.mean([pair.gnss - scale * pair.odometer for pair in pairs]))
     noise = mean_variance(time_s, np.array([pair.gnss_sd for pair in pairs]), correlation_s)
-    half_width = 0.5 * scale * max(pair.resolution for pair in pairs)
-    if min(pair.odometer for pair in pairs) <= 0.0:
+    speeds, step = [pair.odometer for pair in pairs], max(pair.resolution for pair in pairs)
+    variance, half_width = noise + calibration_variance, 0.5 * scale * step
+    if min(speeds) <= 0.0:
         half_width = max(half_width, dead_zone_m_s)
-    probability = tail_probability(difference, sd=sqrt(noise + calibration_variance), half_width=half_width)
+    elif max(speeds) - min(speeds) > 2.0 * step:
+        variance, half_width = variance + half_width**2 / (3.0 * len(pairs)), 0.0
+    probability = tail_probability(difference, sd=sqrt(variance), half_width=half_width)
     return float(chdtri(1, max(probability, LEAST_PROBABILITY)))
 
 

@@ -12,8 +12,8 @@ from math import isfinite, radians
 from scipy.special import ndtri
 
 from . import fast
-from .aligned import SECOND_NS, AlignedPair, OdometerTrack
-from .calibration import SCALE_LIMIT, STEP_LIMIT, Calibration, CalibrationEstimator, RecentScale
+from .aligned import SECOND_NS, SLOPE_NS, OdometerTrack
+from .calibration import LEARNED_DELAY_SD_S, SCALE_LIMIT, STEP_LIMIT, Calibration, CalibrationEstimator, RecentScale
 from .held import USUAL_HOLD_S, HeldSpeed
 from .settings import Settings
 from .tachograph import (
@@ -33,6 +33,8 @@ from .verdicts import EITHER, Accused, MotionVerdicts, State, Verdict
 
 PERIOD_NS = int(PERIOD_S * SECOND_NS)
 WINDOW_S = PERIOD_S * SAMPLES
+SLOPE_S = SLOPE_NS / SECOND_NS
+Epoch = tuple[int, float, float]  # stamp, speed and standard deviation of GNSS
 INCONSPICUOUS = 1.0  # expected value of the fast statistic: a window below it shows no sign of a fault
 
 
@@ -67,8 +69,9 @@ class MotionMonitor:
         self.distance = DistanceRule(gap_s=s.pairing_s)
         self.motion_sensor = MotionSensorRule(moving_m_s=s.motion_sensor_moving_m_s, gap_s=s.pairing_s)
         self._odometer = OdometerTrack(gap_s=s.pairing_s)
-        self._pending: deque[tuple[int, float, float]] = deque(maxlen=256)  # GNSS stamp, speed, deviation
-        self._window: deque[AlignedPair] = deque(maxlen=256)
+        self._pending: deque[Epoch] = deque(maxlen=256)  # not reached by the odometer yet
+        self._window: deque[Epoch] = deque(maxlen=256)  # of the fast test
+        self._learnable: deque[Epoch] = deque(maxlen=256)  # not reached with the largest delay yet
         self._gnss_ns: int | None = None  # newest epoch
         self._speed_ns: int | None = None  # newest epoch with a speed that is measured
         self._slot: int | None = None
@@ -161,8 +164,9 @@ class MotionMonitor:
 
     def _forget_held(self, since_ns: int) -> None:
         """Drop what has been queued of a speed before it was recognised as held."""
-        self._pending = deque([entry for entry in self._pending if entry[0] < since_ns], maxlen=256)
-        self._window = deque([pair for pair in self._window if pair.time_ns < since_ns], maxlen=256)
+        for queue in (self._pending, self._window, self._learnable):
+            while queue and queue[-1][0] >= since_ns:
+                queue.pop()
         if self._candidate is not None and self._candidate[0] >= since_ns:
             self._candidate = None
         self._statistic = None
@@ -174,41 +178,53 @@ class MotionMonitor:
             time_ns, speed = self._candidate
             self.raw.add(time_ns, speed, self._odometer.at(time_ns))
             self._candidate, self._sampled = None, True
-        delay_s = self.calibration.calibration.delay_s
-        while self._pending and self._odometer.reaches(self._pending[0][0], delay_s):
-            time_ns, speed, sd = self._pending.popleft()
-            pair = self._odometer.pair(time_ns, delay_s, (speed, sd))
-            if pair is not None:
-                self._use(pair)
+        known = self.calibration.calibration
+        while self._pending and self._odometer.reaches(self._pending[0][0], known.delay_s + SLOPE_S):
+            epoch = self._pending.popleft()
+            self._window.append(epoch)
+            self._learnable.append(epoch)
+            self._test(epoch, known)
+        longest_s = max(float(self.calibration.delays_s[-1]), known.delay_s + SLOPE_S)
+        while self._learnable and self._odometer.reaches(self._learnable[0][0], longest_s):
+            self._learn(self._learnable.popleft())
 
-    def _use(self, pair: AlignedPair) -> None:
-        """Evaluate the fast test, then learn, so that a speed is not compared with what it has taught."""
-        calibration = self.calibration.calibration
-        self._window.append(pair)
-        while pair.time_ns - self._window[0].time_ns > fast.WINDOW_S * SECOND_NS:
-            self._window.popleft()
-        if len(self._window) >= fast.LEAST_SAMPLES:
-            self._test_fast(calibration)
-        slot = pair.time_ns // PERIOD_NS
-        if slot != self._compensated_slot:
-            self._compensated_slot = slot
-            self.compensated.add(pair.time_ns, pair.gnss, calibration.scale * pair.odometer)
-        self.calibration.update(pair)
+    def _test(self, epoch: Epoch, known: Calibration) -> None:
+        time_ns, speed, sd = epoch
+        pair = self._odometer.pair(time_ns, known.delay_s, (speed, sd))
+        if pair is None:
+            return
+        self._test_fast(known)
+        if time_ns // PERIOD_NS != self._compensated_slot:
+            self._compensated_slot = time_ns // PERIOD_NS
+            self.compensated.add(time_ns, speed, known.scale * pair.odometer)
+
+    def _learn(self, epoch: Epoch) -> None:
+        time_ns, speed, sd = epoch
+        series = self._odometer.series(time_ns, self.calibration.delays_s)
+        pair = self._odometer.pair(time_ns, self.calibration.calibration.delay_s, (speed, sd))
+        if series is not None and pair is not None:
+            self.calibration.update(pair, series)
 
     def _test_fast(self, calibration: Calibration) -> None:
-        count = len(self._window)
-        odometer = sum(pair.odometer for pair in self._window) / count
-        slope = sum(pair.slope for pair in self._window) / count
+        newest_ns = self._window[-1][0]
+        while newest_ns - self._window[0][0] > fast.WINDOW_S * SECOND_NS:
+            self._window.popleft()
+        aligned = [self._odometer.pair(t, calibration.delay_s, (speed, sd)) for t, speed, sd in self._window]
+        pairs = [pair for pair in aligned if pair is not None]
+        if len(pairs) < fast.LEAST_SAMPLES:
+            return
+        odometer = sum(pair.odometer for pair in pairs) / len(pairs)
+        slope = sum(pair.slope for pair in pairs) / len(pairs)
         statistic = fast.fast_statistic(
-            self._window,
+            pairs,
             scale=calibration.scale,
             calibration_variance=self.calibration.speed_variance(odometer, slope),
             correlation_s=self.settings.gnss_correlation_s,
             dead_zone_m_s=self.settings.dead_zone_m_s,
         )
         if statistic <= INCONSPICUOUS or self._inconspicuous_ns is None:
-            self._inconspicuous_ns = self._window[0].time_ns
-        self._statistic = (self._window[-1].time_ns, statistic)
+            self._inconspicuous_ns = pairs[0].time_ns
+        self._statistic = (newest_ns, statistic)
 
     def verdicts(self, time_ns: int) -> MotionVerdicts:
         """Give all verdicts at a time that is not before any stamp used."""
@@ -332,6 +348,9 @@ class MotionMonitor:
         missing = self._missing(time_ns, self.settings.fast_stale_after_s)
         if missing is not None:
             return not_evaluated(missing, base)
+        delay_sd_s = self.calibration.calibration.delay_sd_s
+        if delay_sd_s > LEARNED_DELAY_SD_S:
+            return not_evaluated(f"delay of the odometer is known to {delay_sd_s:.2f} s only", base)
         if self._statistic is None or time_ns - self._statistic[0] > self.settings.fast_stale_after_s * SECOND_NS:
             return not_evaluated("fewer than 4 pairs of speeds in 5 s", base)
         statistic = self._statistic[1]
