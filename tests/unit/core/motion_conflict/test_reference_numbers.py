@@ -16,9 +16,7 @@ Triples = Iterable[tuple[float, float, float]]  # s, GNSS and odometer in km/h
     ("large", "expected_mean", "expected_median"),
     [(6, 0.5, 0.5), (7, 5.0625, 0.5), (8, 9.625, 0.5), (9, 14.1875, 0.5), (15, None, 55.25), (16, None, 110.0)],
 )
-def test_window_of_small_and_large_differences(
-    large: int, expected_mean: float | None, expected_median: float
-) -> None:
+def test_window_of_small_and_large_differences(large: int, expected_mean: float | None, expected_median: float) -> None:
     window = [110.0] * large + [0.5] * (30 - large)
     assert median(window) == expected_median
     if expected_mean is not None:
