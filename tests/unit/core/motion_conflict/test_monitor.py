@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from math import inf, nan, sin
 
+import numpy as np
 import pytest
 from scipy.stats import binom
 
@@ -98,11 +99,16 @@ def test_each_test_raised_alone_changes_exactly_its_own_verdict() -> None:
     cases: dict[str, World] = {
         "fast": known(steady(90.0), gnss=lambda t, v: v + (15.0 * KM_H if 400.0 <= t < 410.0 else 0.0)),
         "held_speed": known(steady(60.0), gnss_sd=0.3, gnss=frozen_receiver),
-        "scale_step": known(steady(60.0), gnss_sd=0.4, odometer=lambda t, v: v * (1.04 if t > 400.0 else 1.0)),
-        "motion_sensor": known(
-            lambda t: 6.0 * KM_H if 400.0 < t < 480.0 else steady(60.0)(t),
-            gnss_sd=0.4,
-            odometer=lambda t, v: 0.0 if 401.0 < t < 480.0 else v,
+        "scale_step": World(
+            steady(90.0),
+            monitor=MotionMonitor(Settings(fast_false_alarm_rate=1e-20), start=KNOWN),
+            gnss_sd=0.3,
+            odometer=lambda t, v: v * (1.04 if t > 400.0 else 1.0),
+        ),
+        "motion_sensor": World(
+            lambda t: float(np.interp(t, (385.0, 400.0, 480.0, 495.0), (60.0, 6.0, 6.0, 60.0))) * KM_H,
+            monitor=MotionMonitor(Settings(dead_zone_m_s=2.0, motion_sensor_moving_m_s=0.8), start=KNOWN),
+            odometer=lambda t, v: 0.0 if 400.0 < t < 480.0 else v,
         ),
     }
     for name, world in cases.items():
