@@ -61,8 +61,13 @@ def drive(*, invalid_too: bool = False, gnss: Change | None = None, odometer: Ch
     return result
 
 
-def test_nothing_is_accused_and_the_trimmed_mean_stays_below_0_85_km_h() -> None:
-    result = drive()
+@pytest.fixture(scope="module")
+def nominal() -> Result:
+    return drive()
+
+
+def test_nothing_is_accused_and_the_trimmed_mean_stays_below_0_85_km_h(nominal: Result) -> None:
+    result = nominal
     assert result.first_s == {}
     assert result.monitor.rejected == {}
     assert 0.3 * KM_H < result.largest["trimmed_mean"] <= 0.85 * KM_H
@@ -70,16 +75,15 @@ def test_nothing_is_accused_and_the_trimmed_mean_stays_below_0_85_km_h() -> None
     assert {"event", "distance", "scale_step", "scale_range", "fast"} <= set(result.largest)
 
 
-def test_the_receivers_lag_and_the_odometers_scale_are_learned() -> None:
-    learned = drive().monitor.calibration.calibration
+def test_the_receivers_lag_and_the_odometers_scale_are_learned(nominal: Result) -> None:
+    learned = nominal.monitor.calibration.calibration
     assert learned.delay_s == pytest.approx(-0.375, abs=0.06)  # GNSS lags the odometer by 0.35 to 0.40 s
     assert learned.scale == pytest.approx(0.990, abs=0.005)  # 0.988 over the whole drive
 
 
-def test_a_speed_of_zero_that_is_marked_invalid_is_a_conflict_only_if_the_mark_is_ignored() -> None:
-    assert drive().first_s == {}
+def test_speed_0_marked_invalid_raises_the_trimmed_mean_only_if_the_mark_is_ignored(nominal: Result) -> None:
     ignored = drive(invalid_too=True)
-    assert ignored.largest["trimmed_mean"] > 2.0 * drive().largest["trimmed_mean"]
+    assert ignored.largest["trimmed_mean"] > 2.0 * nominal.largest["trimmed_mean"]
 
 
 def test_injected_attacks_are_detected() -> None:
