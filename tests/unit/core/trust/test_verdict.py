@@ -168,7 +168,8 @@ def test_a_monitor_that_dies_makes_the_verdict_caution_within_its_deadline(monit
 def test_a_dead_monitor_neither_accuses_nor_passes(monitor: Monitor) -> None:
     old = replace(accuses(monitor, "gnss"), stated_ns=NOW_NS - 60 * SECOND_NS)
     facts = with_(SAFE, old)
-    assert facts.outcome(monitor) is Outcome.NOT_EVALUATED
+    silent = facts.statement(monitor)
+    assert (silent.outcome, silent.accused, silent.statistic) == (Outcome.NOT_EVALUATED, (), None)
     assert verdict(facts).findings == ()
     assert verdict(facts).state is TrustState.CAUTION
 
