@@ -9,9 +9,9 @@ import jsonschema
 import pytest
 from pydantic import BaseModel
 
-from services.commands import reference
+from cli import reference
 from shared import messages
-from shared.contract import asyncapi
+from shared.bus.contract import asyncapi
 from shared.messages import Message, RawBytes, Tick
 from shared.messages.base import Stamped
 from shared.processes import BY_NAME, PROCESSES

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from services.sensors.simulator.receiver import SOURCE
+from services.sensors.simulator.gnss.simulated_receiver import SOURCE
 from services.sensors.simulator.scenarios import BY_NAME
 from services.sensors.simulator.world import Equipment, World
 from shared.messages import GnssRaw, TruthState

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from shared.bus import Bus, Envelope
+from shared.bus.bus import Bus, Envelope
 from shared.messages import Message
 
 

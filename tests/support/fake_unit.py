@@ -11,9 +11,9 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from shared import codec
 from shared import messages as m
-from shared.bus import Envelope
+from shared.bus import codec
+from shared.bus.bus import Envelope
 
 RADIUS_M, SPEED_M_S = 60.0, 9.0
 LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
@@ -34,7 +34,7 @@ VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
 
 
 class FakeBus:
-    """Has the face of `shared.bus.Bus`; what is fed is what is received."""
+    """Has the face of `shared.bus.bus.Bus`; what is fed is what is received."""
 
     def __init__(self, state_dir: Path, vehicle: str = "truck-07") -> None:
         self.state_dir, self.vehicle, self.vehicle_toml = state_dir, vehicle, VEHICLE_TOML

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 
 from services.monitoring.status.state import State
-from shared import codec
 from shared import messages as m
-from shared.bus import Envelope
-from shared.config import parse_vehicle
+from shared.bus import codec
+from shared.bus.bus import Envelope
+from shared.runtime.config import parse_vehicle
 
 START_NS = 1_795_000_000 * 10**9
 SECOND_NS = 10**9

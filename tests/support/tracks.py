@@ -5,8 +5,8 @@ from math import cos, degrees, pi, sin
 
 import numpy as np
 
-from services.commands.solving.reference import Reference
-from services.commands.solving.track import Track, TrackBuilder
+from cli.solve.reference_track import Reference
+from cli.solve.track import Track, TrackBuilder
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages import NavigationPhase, NavigationSolution, Vector3
 

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
-from shared.config import Section
 from shared.messages import (
     GnssConfiguration,
     GnssConfigure,
@@ -17,6 +16,7 @@ from shared.messages import (
     NavigationSolution,
     Tick,
 )
+from shared.runtime.config import Section
 
 from .dialogue import Dialogue
 from .last_position import PositionKeeper

@@ -4,8 +4,8 @@ import re
 from collections import deque
 from collections.abc import Mapping
 
-from shared.freshness import freshness_of, limits_of, percentile
 from shared.messages import Freshness, Message
+from shared.runtime.freshness import freshness_of, limits_of, percentile
 from shared.topics import Topic
 
 RATE_WINDOW_NS = 10_000_000_000

@@ -6,9 +6,8 @@ from math import hypot
 from statistics import fmean
 from typing import TypeVar
 
-from shared.bus import Envelope
+from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.freshness import percentile
 from shared.messages import (
     AidingKind,
     AidingUpdate,
@@ -26,14 +25,15 @@ from shared.messages import (
     WheelSpeeds,
 )
 from shared.processes import BY_NAME as PROCESS_ROWS
+from shared.runtime.freshness import percentile
 from shared.topics import BY_NAME, TOPICS, topic_of
 
-from .banner import Evidence, Trust, Verdict, judge
 from .flow import ProcessFlow, TopicFlow
-from .geometry import ellipse_95, offset_m
 from .history import History
 from .outages import OutageBook
 from .problems import DOWN, Problem, Status, find_problems, root_cause, status_of
+from .views.banner import Evidence, Trust, Verdict, judge
+from .views.geometry import ellipse_95, offset_m
 
 M = TypeVar("M", bound=Message)
 SAMPLE_NS = 200_000_000

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
-from shared.config import Section
 from shared.messages import GnssConfigure, GnssRaw, GnssWrite, Message, Tick
+from shared.runtime.config import Section
 
 from .receiver import Output, Receiver
 

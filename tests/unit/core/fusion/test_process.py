@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from services.core.fusion.messages import measurements_from_fix
 from services.core.fusion.process import Config, Process
-from services.core.fusion.translate import measurements_from_fix
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages import (

@@ -4,7 +4,7 @@ import pytest
 
 from services.monitoring.health.causes import expected_topics
 from services.monitoring.health.watch import Watch
-from shared import codec
+from shared.bus import codec
 from shared.messages import Freshness, ImuSamples, Outage, ProcessHealth, ProcessState, TopicAge
 from shared.processes import PROCESSES
 

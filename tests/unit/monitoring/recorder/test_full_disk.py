@@ -10,7 +10,7 @@ ON_A_SMALL_DISK = """
 import os, random, sys
 from pathlib import Path
 from services.monitoring.recorder.process import Config, Process
-from shared.bus import Envelope
+from shared.bus.bus import (Envelope)
 from shared.messages import RecordingState
 from shared.recording import Recording
 from tests.support.fake_bus import FakeBus

@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from services.monitoring.recorder.process import Config, Process
-from shared.bus import Envelope
+from shared.bus.bus import Envelope
 from shared.messages import RecordingState
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK

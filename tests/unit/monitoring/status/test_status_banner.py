@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.monitoring.status.banner import NOT_MONITORED, Evidence, Trust, judge
+from services.monitoring.status.views.banner import NOT_MONITORED, Evidence, Trust, judge
 from shared.messages import AidingKind, FixType, NavigationPhase
 from tests.support.status_world import START_NS, aiding, fix, solution
 

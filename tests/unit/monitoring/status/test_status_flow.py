@@ -1,7 +1,7 @@
 import pytest
 
-from services.monitoring.status import reports
 from services.monitoring.status.flow import TopicFlow
+from services.monitoring.status.views import reports
 from shared.errors import BadPayload
 from shared.messages import AidingKind, GnssRaw, ImuSamples, ModeState, Origin, OriginKind
 from shared.messages.operation import Mode

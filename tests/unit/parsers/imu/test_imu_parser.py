@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from services.parsers.imu.process import Config, Process
-from services.parsers.imu.tracker import inertial_data
-from shared import xbus
+from services.parsers.imu.xsens import inertial_data
+from shared.devices import xbus
 from shared.messages import GnssRaw, ImuRaw, ImuSamples
 from tests.support.data import recording
 

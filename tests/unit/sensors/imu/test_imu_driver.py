@@ -4,7 +4,7 @@ import time
 import tty
 
 from services.sensors.imu.process import Config, Process
-from shared import xbus
+from shared.devices import xbus
 from shared.messages import ImuRaw
 from tests.support.live_bus import eventually, running
 

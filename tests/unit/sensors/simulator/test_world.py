@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.sensors.simulator.receiver import SOURCE
+from services.sensors.simulator.gnss.simulated_receiver import SOURCE
 from services.sensors.simulator.scenarios import BY_NAME, NAMES
 from services.sensors.simulator.world import DEFAULT_START_NS, Equipment, World, messages
-from shared import xbus
-from shared.codec import encode
+from shared.bus.codec import encode
+from shared.devices import xbus
 from shared.messages import CanRaw, GnssRaw, ImuRaw, Message, Origin, OriginKind, TruthState
 from shared.topics import BY_MESSAGE, publications
 from tests.support.ublox import parse_ubx, valget, valset
