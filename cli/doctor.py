@@ -11,7 +11,7 @@ from pathlib import Path
 
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, UserError
-from shared.messages import ProcessHealth, ProcessState
+from shared.messages.operation import ProcessHealth, ProcessState
 from shared.runtime.config import VehicleFile, broker_address, load_vehicle, state_dir
 from shared.runtime.live import load_process
 from shared.topics import TOPICS

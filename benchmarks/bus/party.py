@@ -11,7 +11,8 @@ from types import FrameType
 from typing import cast
 
 from shared.bus.bus import Bus
-from shared.messages import ImuRaw, Message, RawBytes
+from shared.messages.base import Message, RawBytes
+from shared.messages.imu import ImuRaw
 from shared.runtime.config import broker_address, load_vehicle, state_dir
 from shared.runtime.live import Runner, load_process
 from shared.topics import subscriptions

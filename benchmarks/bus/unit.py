@@ -15,7 +15,8 @@ import psutil
 from cli.demo.local import broker_command, free_port, unit
 from cli.demo.supervisor import Supervisor
 from shared.bus.bus import Bus
-from shared.messages import ImuSamples, NavigationPhase, NavigationSolution
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import NavigationPhase, NavigationSolution
 from shared.runtime.config import BrokerAddress, parse_vehicle
 from shared.topics import BY_NAME
 

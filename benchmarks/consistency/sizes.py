@@ -12,7 +12,7 @@ from services.core.fusion.measurements.base import Outcome
 from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body, rotation_vector_from_matrix
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,7 +10,10 @@ from pathlib import Path
 from services.core.fusion import messages
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from shared.messages import GnssFix, ImuSamples, Message, VehicleSpeed, WheelSpeeds
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.recording import Recording
 from shared.runtime.config import parse_vehicle
 

@@ -15,7 +15,7 @@ from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.imu.ideal_imu import attitude_matrices
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, wrap_angle
-from shared.messages import FixType, GnssFix
+from shared.messages.gnss import FixType, GnssFix
 
 FloatArray = npt.NDArray[np.float64]
 

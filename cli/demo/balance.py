@@ -9,16 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths import earth, rotation
-from shared.messages import (
-    DeadlineReport,
-    GnssFix,
-    Message,
-    NavigationSolution,
-    ProcessHealth,
-    ProcessState,
-    TopicAge,
-    TruthState,
-)
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.navigation import NavigationSolution, TruthState
+from shared.messages.operation import DeadlineReport, ProcessHealth, ProcessState, TopicAge
 from shared.runtime.config import VehicleFile
 from shared.topics import topic_of
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from shared.errors import UserError
 from shared.maths.earth import FloatArray, Geodetic, ned_track
-from shared.messages import GnssFix, VehicleSpeed
+from shared.messages.gnss import GnssFix
+from shared.messages.vehicle import VehicleSpeed
 
 COARSE_S, FINE_S = 0.2, 0.005
 LONGEST_STEP_S = 2.0  # between fixes whose distance says something of the speed

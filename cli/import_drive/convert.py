@@ -9,7 +9,10 @@ import numpy as np
 
 from shared.errors import UserError
 from shared.maths.earth import FloatArray
-from shared.messages import GnssFix, ImuSamples, TruthState, VehicleSpeed, WheelSpeeds
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import TruthState
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import units
 from .fixes import fixes, usable_fixes

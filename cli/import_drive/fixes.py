@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from shared.messages import CarrierSolution, FixType, GnssFix
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 
 from . import units
 from .quantities import Rows, as_ned, degrees_of, heights, triples

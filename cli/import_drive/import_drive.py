@@ -23,7 +23,11 @@ from rich.table import Table as Printed
 from shared.bus.bus import Envelope
 from shared.bus.codec import encode, topic_name
 from shared.errors import UserError
-from shared.messages import GnssFix, ImuSamples, Message, TruthState, VehicleSpeed
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import TruthState
+from shared.messages.vehicle import VehicleSpeed
 from shared.recording import RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.topics import BY_MESSAGE

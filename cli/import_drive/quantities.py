@@ -3,7 +3,7 @@
 import numpy as np
 
 from shared.maths.earth import FloatArray
-from shared.messages import Vector3
+from shared.messages.base import Vector3
 
 from . import units
 from .schema import Coordinate, Height

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from shared.maths.earth import FloatArray
 from shared.maths.rotation import ned_from_body
-from shared.messages import Vector3
+from shared.messages.base import Vector3
 from shared.runtime.config import Section
 
 from . import units

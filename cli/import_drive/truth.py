@@ -7,7 +7,7 @@ import numpy as np
 
 from shared.maths.earth import FloatArray, geodetic_from_ecef
 from shared.maths.rotation import ned_from_body
-from shared.messages import TruthState
+from shared.messages.navigation import TruthState
 
 from . import units
 from .quantities import Rows, as_ned, degrees_of, heights, triples

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from shared.bus.bus import Bus, Envelope
 from shared.errors import BadPayload, UserError
-from shared.messages import Origin, OriginKind
+from shared.messages.operation import Origin, OriginKind
 from shared.recording import Recording
 from shared.runtime.config import BrokerAddress, broker_address, load_vehicle, state_dir
 from shared.topics import BY_NAME

@@ -14,7 +14,8 @@ from rich.table import Table
 
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload, UserError
-from shared.messages import Consumed, Message, ProcessHealth, ProcessState
+from shared.messages.base import Message
+from shared.messages.operation import Consumed, ProcessHealth, ProcessState
 from shared.processes import BY_NAME
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile

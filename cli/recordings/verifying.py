@@ -10,7 +10,8 @@ from functools import partial
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.messages import Consumed, Message, Tick
+from shared.messages.base import Message, Tick
+from shared.messages.operation import Consumed
 from shared.runtime.live import Reactor
 from shared.topics import topic_of
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.messages import GnssFix, Message, TruthState
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.navigation import TruthState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from shared.errors import UserError
 from shared.maths.earth import FloatArray
-from shared.messages import CarrierSolution, GnssFix, TruthState
+from shared.messages.gnss import CarrierSolution, GnssFix
+from shared.messages.navigation import TruthState
 
 POSITION = ("latitude_deg", "longitude_deg", "height_ellipsoid_m")
 VELOCITY = ("velocity_north_m_s", "velocity_east_m_s", "velocity_down_m_s")

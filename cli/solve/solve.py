@@ -18,15 +18,9 @@ from services.core.fusion.process import Config, Process
 from services.core.fusion.smoothing.history import Trail
 from services.core.fusion.smoothing.rts import smoothed_filters
 from shared.errors import ConfigError, UserError
-from shared.messages import (
-    AidingUpdate,
-    CarrierSolution,
-    GnssFix,
-    GnssRaw,
-    Message,
-    NavigationSolution,
-    NavigationState,
-)
+from shared.messages.base import Message
+from shared.messages.gnss import CarrierSolution, GnssFix, GnssRaw
+from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 

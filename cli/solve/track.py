@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
-from shared.messages import NavigationPhase, NavigationSolution
+from shared.messages.navigation import NavigationPhase, NavigationSolution
 
 NED, FRD = ("north", "east", "down"), ("forward", "right", "down")
 # The columns of `solution.csv` behind stamp, time and phase: name and meaning.

@@ -12,7 +12,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..messages import Message, ProcessHealth, ProcessState
+from ..messages.base import Message
+from ..messages.operation import ProcessHealth, ProcessState
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
 from ..runtime.usage import resident_bytes

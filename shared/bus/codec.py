@@ -5,8 +5,7 @@ from collections.abc import Mapping
 from pydantic import ValidationError
 
 from ..errors import BadPayload
-from ..messages import Message, RawBytes
-from ..messages.base import DEVICE_NAME_LENGTH, LARGEST_NS
+from ..messages.base import DEVICE_NAME_LENGTH, LARGEST_NS, Message, RawBytes
 from ..topics import BY_MESSAGE, Topic, topic_of
 
 MAXIMUM_PAYLOAD = 1 << 20  # a hostile sender shall not fill the memory

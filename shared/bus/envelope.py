@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ..messages import Message
+from ..messages.base import Message
 from ..topics import topic_of
 from . import codec
 from .mqtt.client_packets import Delivery, decode_delivery, user_property

@@ -7,7 +7,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from ..bus.bus import Bus, Envelope
-from ..messages import Message, Origin, OriginKind
+from ..messages.base import Message
+from ..messages.operation import Origin, OriginKind
 from .device import Device, DeviceBusy, DeviceLost
 
 log = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from math import ceil
 
-from ..messages import Freshness
+from ..messages.operation import Freshness
 from ..topics import Topic
 
 STARTUP_GRACE_S = 120.0  # what has not yet been seen is no alert before

@@ -16,7 +16,8 @@ from typing import Protocol, cast
 from ..bus import codec
 from ..bus.bus import Bus, Envelope
 from ..errors import BadPayload
-from ..messages import Consumed, Message, Tick
+from ..messages.base import Message, Tick
+from ..messages.operation import Consumed
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE, publications, subscriptions
 from .config import Section, VehicleFile, broker_address, state_dir

@@ -4,7 +4,8 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import cast
 
-from ..messages import ImuSamples, Message, RawBytes, Stamped, Tick
+from ..messages.base import Message, RawBytes, Stamped, Tick
+from ..messages.imu import ImuSamples
 from ..processes import BY_NAME
 from ..topics import BY_MESSAGE
 from .config import VehicleFile

@@ -14,18 +14,10 @@ from pathlib import Path
 import pytest
 
 from shared.bus.bus import Bus, Envelope
-from shared.messages import (
-    Consumed,
-    GnssConfigure,
-    GnssRaw,
-    LastPosition,
-    Message,
-    ModeState,
-    ProcessHealth,
-    ProcessState,
-    Tick,
-)
-from shared.messages.operation import Mode
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import GnssConfigure, GnssRaw
+from shared.messages.navigation import LastPosition
+from shared.messages.operation import Consumed, Mode, ModeState, ProcessHealth, ProcessState
 from shared.runtime.config import BrokerAddress
 from shared.runtime.live import LiveReactor
 from shared.topics import TOPICS, subscriptions

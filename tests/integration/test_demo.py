@@ -16,7 +16,8 @@ import psutil
 import pytest
 
 from shared.bus.bus import Bus
-from shared.messages import Message, NavigationSolution, RawBytes
+from shared.messages.base import Message, RawBytes
+from shared.messages.navigation import NavigationSolution
 from shared.recording import Recording
 from shared.runtime.config import BrokerAddress, load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns

@@ -16,7 +16,9 @@ from cli.recordings.replay import replay
 from shared.bus.bus import Bus, Envelope
 from shared.devices import xbus
 from shared.errors import UserError
-from shared.messages import ImuRaw, Message, Origin, OriginKind, Outage
+from shared.messages.base import Message
+from shared.messages.imu import ImuRaw
+from shared.messages.operation import Origin, OriginKind, Outage
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import BrokerAddress
 from shared.topics import TOPICS, subscriptions

@@ -16,7 +16,7 @@ import pytest
 from cli.import_drive.import_drive import import_drive
 from cli.solve.inputs import inputs_of
 from services.core.fusion.process import Config, In, Process
-from shared.messages import NavigationState
+from shared.messages.navigation import NavigationState
 from shared.recording import Recording
 from tests.support.data import REPOSITORY, recording
 

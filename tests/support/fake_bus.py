@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import cast
 
 from shared.bus.bus import Bus, Envelope
-from shared.messages import Message
+from shared.messages.base import Message
 
 
 class FakeBus:

@@ -9,7 +9,7 @@ from typing import TypeVar, cast
 
 from shared.bus import codec
 from shared.bus.bus import Bus, Envelope
-from shared.messages import Message
+from shared.messages.base import Message
 
 M = TypeVar("M", bound=Message)
 

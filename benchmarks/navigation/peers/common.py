@@ -22,7 +22,7 @@ from cli.solve.outages import Gap, Outages
 from cli.solve.reference_track import Reference
 from cli.solve.track import NAMES, Track
 from shared.maths.earth import FloatArray
-from shared.messages import NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
 BEGIN_S, START_S, SETTLED_S = 456250.0, 456300.0, 456600.0  # of the files, of the protocol, of the judgement
 LEVER_M = (0.136, -0.301, -0.184)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
-from shared.messages import AidingKind, AidingUpdate, NavigationPhase, NavigationState
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationState
 
 
 @dataclass(frozen=True)

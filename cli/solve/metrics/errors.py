@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import FloatArray, Geodetic, ned_track
 from shared.maths.rotation import ned_from_body, skew
-from shared.messages import Vector3
+from shared.messages.base import Vector3
 
 from ..reference_track import Reference
 from ..track import Track

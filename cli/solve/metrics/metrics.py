@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray, Geodetic, ned_track
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..outages import Gap
 from ..track import Track

@@ -7,21 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
-from shared.messages import (
-    AidingUpdate,
-    CarrierSolution,
-    FixType,
-    GnssFix,
-    ImuSamples,
-    LastPosition,
-    NavigationPhase,
-    NavigationSolution,
-    NavigationState,
-    Symmetric3,
-    Vector3,
-    VehicleSpeed,
-    WheelSpeeds,
-)
+from shared.messages.base import Symmetric3, Vector3
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import AidingUpdate, LastPosition, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from .alignment.heading import Prior
 from .measurements.base import Measurement, Outcome

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
-from shared.messages import NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
 from .alignment.heading import Prior
 from .filter.imu_step import credible, usual

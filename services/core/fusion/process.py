@@ -2,18 +2,11 @@
 
 from collections.abc import Iterator
 
-from shared.messages import (
-    AidingUpdate,
-    GnssFix,
-    ImuSamples,
-    LastPosition,
-    NavigationPhase,
-    NavigationSolution,
-    NavigationState,
-    Tick,
-    VehicleSpeed,
-    WheelSpeeds,
-)
+from shared.messages.base import Tick
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import AidingUpdate, LastPosition, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import messages
 from .filter.fast import compiled_runner

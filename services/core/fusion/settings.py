@@ -4,7 +4,7 @@ from math import pi, radians
 
 from pydantic import Field
 
-from shared.messages import Vector3
+from shared.messages.base import Vector3
 from shared.runtime.config import Section
 
 _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet

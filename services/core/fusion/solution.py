@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector, roll_pitch_yaw_of_quaternion
-from shared.messages import NavigationPhase, Symmetric3
+from shared.messages.base import Symmetric3
+from shared.messages.navigation import NavigationPhase
 
 from .filter import error_model as em
 from .filter.eskf import ErrorStateFilter

@@ -2,7 +2,7 @@
 
 from shared.bus.bus import Bus, Envelope
 from shared.errors import BadPayload
-from shared.messages import ProcessHealth
+from shared.messages.operation import ProcessHealth
 from shared.runtime.config import Section, parse_vehicle
 
 from .watch import Watch

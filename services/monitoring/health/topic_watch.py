@@ -4,7 +4,8 @@ import re
 from collections import deque
 from collections.abc import Mapping
 
-from shared.messages import Freshness, Message
+from shared.messages.base import Message
+from shared.messages.operation import Freshness
 from shared.runtime.freshness import freshness_of, limits_of, percentile
 from shared.topics import Topic
 

@@ -2,7 +2,15 @@
 
 from collections.abc import Collection, Mapping
 
-from shared.messages import DeadlineReport, Freshness, Outage, ProcessAge, ProcessHealth, ProcessState, TopicAge
+from shared.messages.operation import (
+    DeadlineReport,
+    Freshness,
+    Outage,
+    ProcessAge,
+    ProcessHealth,
+    ProcessState,
+    TopicAge,
+)
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S
 from shared.topics import TOPICS, Topic, topic_of

@@ -5,7 +5,7 @@ import logging
 from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope
-from shared.messages import RecordingState
+from shared.messages.operation import RecordingState
 from shared.recording.folder import RecordingFolder
 from shared.recording.writer import Opener, open_new
 from shared.runtime.config import Section

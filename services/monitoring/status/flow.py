@@ -5,7 +5,8 @@ from itertools import pairwise
 
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.messages import Consumed, Freshness, Message, ProcessHealth, ProcessState
+from shared.messages.base import Message
+from shared.messages.operation import Consumed, Freshness, ProcessHealth, ProcessState
 from shared.runtime.freshness import freshness_of, limits_of, percentile
 from shared.topics import Topic
 

@@ -8,22 +8,11 @@ from typing import TypeVar
 
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.messages import (
-    AidingKind,
-    AidingUpdate,
-    DeadlineReport,
-    Freshness,
-    GnssFix,
-    Message,
-    NavigationSolution,
-    NavigationState,
-    Origin,
-    Outage,
-    ProcessHealth,
-    TruthState,
-    VehicleSpeed,
-    WheelSpeeds,
-)
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState, TruthState
+from shared.messages.operation import DeadlineReport, Freshness, Origin, Outage, ProcessHealth
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import percentile
 from shared.topics import BY_NAME, TOPICS, topic_of

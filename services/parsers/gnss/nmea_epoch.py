@@ -13,7 +13,8 @@ from typing import Any
 
 from pynmea2.nmea import NMEASentence, ParseError
 
-from shared.messages import CarrierSolution, FixType, GnssFix, Vector3
+from shared.messages.base import Vector3
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 
 from .gnss_time import DAY_NS, NS
 

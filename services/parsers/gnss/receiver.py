@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from shared.maths.clock_mapping import ClockMapping
-from shared.messages import GnssConfiguration, GnssFix, GnssRaw, GnssSatellites
+from shared.messages.gnss import GnssConfiguration, GnssFix, GnssRaw, GnssSatellites
 
 from . import ubx_messages
 from .configuration import Configurator

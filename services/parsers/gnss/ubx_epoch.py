@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from shared.messages import FixType, GnssFix, Symmetric3, Vector3
+from shared.messages.base import Symmetric3, Vector3
+from shared.messages.gnss import FixType, GnssFix
 
 from . import ubx_messages
 from .gnss_time import gps_time_ns, utc_ns

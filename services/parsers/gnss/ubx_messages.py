@@ -10,7 +10,8 @@ from typing import Any
 
 from pyubx2.ubxmessage import UBXMessage
 
-from shared.messages import CarrierSolution, Constellation, FixType, Satellite, Symmetric3
+from shared.messages.base import Symmetric3
+from shared.messages.gnss import CarrierSolution, Constellation, FixType, Satellite
 
 NAV = 0x01
 KINDS = {0x04: "DOP", 0x07: "PVT", 0x14: "HPPOSLLH", 0x35: "SAT", 0x36: "COV", 0x3C: "RELPOSNED", 0x61: "EOE"}

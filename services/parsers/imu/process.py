@@ -5,7 +5,8 @@ from collections.abc import Iterator
 
 from pydantic import Field, field_validator
 
-from shared.messages import ImuRaw, ImuSamples, Message
+from shared.messages.base import Message
+from shared.messages.imu import ImuRaw, ImuSamples
 from shared.runtime.config import Section
 
 from .xsens import Matrix3, Tracker

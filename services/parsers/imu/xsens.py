@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from shared.devices import xbus
 from shared.maths.clock_mapping import ClockMapping
-from shared.messages import ImuRaw, ImuSamples, Vector3
+from shared.messages.base import Vector3
+from shared.messages.imu import ImuRaw, ImuSamples
 
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 

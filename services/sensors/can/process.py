@@ -8,7 +8,8 @@ from pydantic import Field
 from shared.bus.bus import Bus, Envelope
 from shared.devices.can_device import check_can_url, open_can
 from shared.devices.driver import Link, run_driver
-from shared.messages import CanRaw, DeviceName
+from shared.messages.base import DeviceName
+from shared.messages.vehicle import CanRaw
 from shared.runtime.config import Section
 
 SPEED_REQUEST = bytes.fromhex("02010D0000000000")  # SAE J1979 mode 01, PID 0D

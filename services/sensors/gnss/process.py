@@ -6,7 +6,8 @@ from shared.bus.bus import Bus, Envelope
 from shared.devices.device import open_device, split_url
 from shared.devices.driver import Link, run_driver
 from shared.errors import BadPayload
-from shared.messages import DeviceName, GnssRaw, GnssWrite
+from shared.messages.base import DeviceName
+from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.runtime.config import Section
 
 

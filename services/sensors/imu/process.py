@@ -3,7 +3,8 @@
 from shared.bus.bus import Bus
 from shared.devices.device import open_device, split_url
 from shared.devices.driver import Link, run_driver
-from shared.messages import DeviceName, ImuRaw
+from shared.messages.base import DeviceName
+from shared.messages.imu import ImuRaw
 from shared.runtime.config import Section
 
 

@@ -7,7 +7,8 @@ from pydantic import Field, field_validator
 
 from shared.bus.bus import Bus
 from shared.errors import BadPayload
-from shared.messages import GnssWrite, Vector3
+from shared.messages.base import Vector3
+from shared.messages.gnss import GnssWrite
 from shared.runtime.config import Section
 
 from .gnss.simulated_receiver import SOURCE

@@ -7,7 +7,9 @@ from itertools import count, takewhile
 
 import numpy as np
 
-from shared.messages import Message, Origin, OriginKind, TruthState
+from shared.messages.base import Message
+from shared.messages.navigation import TruthState
+from shared.messages.operation import Origin, OriginKind
 
 from .can.can_bus import CanBus
 from .gnss.simulated_receiver import Receiver

@@ -7,7 +7,7 @@ import pytest
 from cli.tail import follow
 from shared.bus.bus import Bus
 from shared.errors import UserError
-from shared.messages import ProcessHealth, ProcessState
+from shared.messages.operation import ProcessHealth, ProcessState
 from shared.runtime.config import BrokerAddress, parse_vehicle
 from shared.topics import BY_NAME
 from tests.support import brokers

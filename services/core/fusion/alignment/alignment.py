@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n, geodetic_from_ned_difference
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
-from shared.messages import NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
 from ..filter import error_model as em
 from ..filter.eskf import NO_PARAMETERS, ErrorStateFilter

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import exp, hypot, sqrt
 
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter

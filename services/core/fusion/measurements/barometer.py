@@ -6,7 +6,7 @@ from math import exp, hypot, log
 
 import numpy as np
 
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..filter.eskf import ErrorStateFilter
 

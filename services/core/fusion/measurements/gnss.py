@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.maths.rotation import Quaternion, Vector, cross
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter

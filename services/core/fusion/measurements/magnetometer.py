@@ -8,7 +8,7 @@ import numpy as np
 
 from shared.maths.earth import wrap_angle
 from shared.maths.rotation import Vector
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter

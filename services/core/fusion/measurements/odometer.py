@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.rotation import Vector
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter

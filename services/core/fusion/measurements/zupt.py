@@ -7,7 +7,7 @@ import numpy as np
 
 from shared.maths.earth import earth_rate_n
 from shared.maths.rotation import Vector
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..alignment.heading import REST_RATE_SD
 from ..filter import error_model as em

@@ -5,7 +5,7 @@ from functools import partial
 from math import degrees, hypot, radians
 
 from shared.errors import FilterDiverged
-from shared.messages import AidingKind, NavigationPhase
+from shared.messages.navigation import AidingKind, NavigationPhase
 
 from ..alignment.alignment import Alignment
 from ..alignment.heading import Heading, Prior

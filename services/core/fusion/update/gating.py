@@ -3,7 +3,7 @@
 from math import radians
 from typing import NamedTuple
 
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 from ..alignment.heading import Heading
 from ..alignment.velocity_matching import Comparison, Corrections

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import degrees
 
-from shared.messages import AidingKind, AidingUpdate, FixType, GnssFix, NavigationPhase, NavigationSolution
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from math import atan2, cos, hypot, radians, sin, sqrt
 
-from shared.messages import GnssFix, NavigationSolution, Symmetric3, TruthState
+from shared.messages.base import Symmetric3
+from shared.messages.gnss import GnssFix
+from shared.messages.navigation import NavigationSolution, TruthState
 
 CHI_SQUARE_95_TWO = 5.991464547107979  # 95 % quantile with two degrees of freedom: -2 ln 0.05
 WGS84_A = 6378137.0  # [m] semi-major axis, by definition

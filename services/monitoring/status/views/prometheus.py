@@ -8,7 +8,9 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoM
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from shared.messages import FixType, GnssFix, NavigationSolution, RecordingState
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.navigation import NavigationSolution
+from shared.messages.operation import RecordingState
 
 from ..state import State
 from .banner import Trust

@@ -1,7 +1,7 @@
 """The state as JSON for programs: health against the deadlines, everything at once, one topic, the outages."""
 
 from shared.errors import BadPayload
-from shared.messages import Message, RawBytes
+from shared.messages.base import Message, RawBytes
 
 from ..flow import TopicFlow
 from ..problems import DOWN, Status

@@ -2,19 +2,10 @@
 
 from math import hypot
 
-from shared.messages import (
-    Freshness,
-    GnssFix,
-    GnssSatellites,
-    Message,
-    ModeState,
-    NavigationSolution,
-    NavigationState,
-    Origin,
-    OriginKind,
-    RecordingState,
-    TruthState,
-)
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix, GnssSatellites
+from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
+from shared.messages.operation import Freshness, ModeState, Origin, OriginKind, RecordingState
 from shared.processes import LAYERS, PROCESSES
 from shared.runtime.freshness import freshness_of, limits_of
 from shared.topics import TOPICS

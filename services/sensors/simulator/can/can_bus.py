@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from shared.messages import CanRaw, Message
+from shared.messages.base import Message
+from shared.messages.vehicle import CanRaw
 
 from ..devices import DeviceClock
 from ..motion.trajectory import Motion

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from shared.messages import GnssRaw, Message
+from shared.messages.base import Message
+from shared.messages.gnss import GnssRaw
 
 from ..devices import Delay, DeviceClock
 from ..scenarios import Scenario

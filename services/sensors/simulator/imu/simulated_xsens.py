@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from shared.devices import xbus
 from shared.maths.rotation import ned_from_body
-from shared.messages import ImuRaw, Message
+from shared.messages.base import Message
+from shared.messages.imu import ImuRaw
 
 from ..devices import Delay, DeviceClock
 from ..motion.trajectory import Motion

@@ -3,7 +3,7 @@
 import pytest
 
 from cli.demo.balance import Balance
-from shared.messages import NavigationSolution, TruthState
+from shared.messages.navigation import NavigationSolution, TruthState
 from shared.runtime.config import parse_vehicle
 from tests.support.tracks import START_NS, solution
 

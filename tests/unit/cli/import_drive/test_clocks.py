@@ -5,7 +5,8 @@ from cli.import_drive.clocks import offset_of, shifted
 from cli.import_drive.mapping import parse_mapping
 from shared.errors import UserError
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
-from shared.messages import FixType, GnssFix, VehicleSpeed
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.vehicle import VehicleSpeed
 
 PLACE = Geodetic(0.56, 0.6, 200.0)
 S = 1_000_000_000

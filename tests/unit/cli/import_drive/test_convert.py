@@ -7,7 +7,10 @@ from cli.import_drive.convert import Converted, convert, wanted_columns
 from cli.import_drive.mapping import parse_mapping
 from cli.import_drive.table import read_table
 from shared.errors import UserError
-from shared.messages import CarrierSolution, GnssFix, ImuSamples, TruthState, VehicleSpeed, WheelSpeeds
+from shared.messages.gnss import CarrierSolution, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import TruthState
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 STANDARD_GRAVITY = 9.80665
 

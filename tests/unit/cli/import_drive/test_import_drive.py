@@ -7,7 +7,10 @@ import pytest
 
 from cli.import_drive.import_drive import import_drive
 from shared.errors import UserError
-from shared.messages import GnssFix, ImuSamples, TruthState, VehicleSpeed
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import TruthState
+from shared.messages.vehicle import VehicleSpeed
 from shared.recording import Recording
 
 MAPPING = """

@@ -4,8 +4,10 @@ from cli.recordings.replaying import inputs_among, shifted
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.messages import CanRaw, GnssFix, ImuRaw, ImuSamples, Message
-from shared.messages.gnss import FixType
+from shared.messages.base import Message
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuRaw, ImuSamples
+from shared.messages.vehicle import CanRaw
 
 SECOND = 1_000_000_000
 THEN_NS = 1_600_000_000 * SECOND

@@ -8,8 +8,9 @@ from cli.recordings.verifying import Repetition, Verdict
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.errors import UserError
-from shared.messages import CanRaw, Message, ModeState, ProcessHealth, ProcessState, Tick, VehicleSpeed
-from shared.messages.operation import Mode
+from shared.messages.base import Message, Tick
+from shared.messages.operation import Mode, ModeState, ProcessHealth, ProcessState
+from shared.messages.vehicle import CanRaw, VehicleSpeed
 from shared.recording import RecordingWriter
 from shared.runtime.config import parse_vehicle
 from shared.runtime.live import Journal, Reactor, load_process

@@ -1,7 +1,10 @@
 from cli.solve.inputs import inputs_of
 from shared.bus.bus import Envelope
 from shared.bus.codec import encode, topic_name
-from shared.messages import FixType, GnssFix, GnssRaw, ImuRaw, ImuSamples, Message, TruthState
+from shared.messages.base import Message
+from shared.messages.gnss import FixType, GnssFix, GnssRaw
+from shared.messages.imu import ImuRaw, ImuSamples
+from shared.messages.navigation import TruthState
 from tests.support.tracks import solution
 
 

@@ -11,7 +11,7 @@ from cli.solve.metrics.errors import errors_against
 from cli.solve.metrics.integrity import INTEGRITY, Protected, Region, integrity_metrics, protected
 from cli.solve.metrics.metrics import METRICS
 from cli.solve.report.stanford import draw, stanford
-from shared.messages import NavigationSolution
+from shared.messages.navigation import NavigationSolution
 from tests.support.tracks import reference, solution, track
 
 LIMITS = (10.0, 20.0)

@@ -11,7 +11,8 @@ from cli.solve.metrics.errors import Errors, errors_against
 from cli.solve.metrics.metrics import METRICS, TIMINGS, Run, metrics_of
 from cli.solve.outages import Outages
 from cli.solve.track import Track
-from shared.messages import AidingKind, AidingUpdate, NavigationPhase, NavigationState, Vector3
+from shared.messages.base import Vector3
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationState
 from tests.support.data import REPOSITORY
 from tests.support.tracks import START_NS, circle, reference, solution, track
 

@@ -3,7 +3,7 @@ import pytest
 
 from cli.solve.reference_track import from_columns, from_fixes, from_states
 from shared.errors import UserError
-from shared.messages import CarrierSolution, FixType, GnssFix
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 
 
 def fix(second: int, carrier: CarrierSolution, height_m: float | None = 300.0) -> GnssFix:

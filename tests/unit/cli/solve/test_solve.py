@@ -17,7 +17,8 @@ from services.sensors.simulator.world import messages
 from shared.bus.bus import Envelope
 from shared.bus.codec import encode, topic_name
 from shared.errors import UserError
-from shared.messages import ImuSamples, RawBytes
+from shared.messages.base import RawBytes
+from shared.messages.imu import ImuSamples
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.offline import arrival_ns
 from tests.support.csv_drive import write_drive

@@ -24,7 +24,7 @@ from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.messages import NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]
 TENTH_NS = 100_000_000

@@ -17,7 +17,7 @@ from services.core.fusion.solution import Solution
 from services.core.fusion.timing.out_of_sequence import DelayedEngine
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
-from shared.messages import AidingKind, NavigationPhase
+from shared.messages.navigation import AidingKind, NavigationPhase
 
 SECOND_NS = 1_000_000_000
 DURATION_S = 40.0

@@ -11,7 +11,7 @@ import os, random, sys
 from pathlib import Path
 from services.monitoring.recorder.process import Config, Process
 from shared.bus.bus import (Envelope)
-from shared.messages import RecordingState
+from shared.messages.operation import RecordingState
 from shared.recording import Recording
 from tests.support.fake_bus import FakeBus
 

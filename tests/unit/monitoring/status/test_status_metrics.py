@@ -4,7 +4,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from services.monitoring.status.views import prometheus
-from shared.messages import AidingKind, RecordingState
+from shared.messages.navigation import AidingKind
+from shared.messages.operation import RecordingState
 from tests.support.status_world import START_NS, World, aiding, fix, solution
 
 

@@ -7,13 +7,12 @@ from services.monitoring.status.views import reports, snapshot
 from services.monitoring.status.views.banner import Trust
 from shared.bus.codec import encode
 from shared.errors import BadPayload
-from shared.messages import (
-    AidingKind,
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuRaw
+from shared.messages.navigation import AidingKind, NavigationPhase, TruthState
+from shared.messages.operation import (
     DeadlineReport,
     Freshness,
-    GnssRaw,
-    ImuRaw,
-    NavigationPhase,
     Origin,
     OriginKind,
     Outage,
@@ -22,10 +21,8 @@ from shared.messages import (
     ProcessState,
     RecordingState,
     TopicAge,
-    TruthState,
-    VehicleSpeed,
-    WheelSpeeds,
 )
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from tests.support.status_world import ALL, SECOND_NS, START_NS, World, aiding, fix, navigation, solution
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from services.parsers.gnss.framer import Framer, Protocol
 from services.parsers.gnss.nmea_epoch import KNOT_M_S, NmeaAssembler, NmeaError, fix_from_sentences, time_of_day_ns
 from services.parsers.gnss.process import Config, Process
-from shared.messages import CarrierSolution, FixType, GnssFix, GnssRaw
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw
 from tests.support.data import recording
 
 NS = 1_000_000_000

@@ -14,7 +14,7 @@ from pyubx2.ubxreader import UBXReader
 
 from services.parsers.gnss import ubx_messages
 from services.parsers.gnss.framer import Framer, Protocol
-from shared.messages import CarrierSolution, Constellation, FixType
+from shared.messages.gnss import CarrierSolution, Constellation, FixType
 from tests.support.data import recording
 
 RECORDINGS = (

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from services.parsers.imu.process import Config, Process
 from services.parsers.imu.xsens import inertial_data
 from shared.devices import xbus
-from shared.messages import GnssRaw, ImuRaw, ImuSamples
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuRaw, ImuSamples
 from tests.support.data import recording
 
 NS = 1_000_000_000

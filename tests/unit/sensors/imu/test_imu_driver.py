@@ -5,7 +5,7 @@ import tty
 
 from services.sensors.imu.process import Config, Process
 from shared.devices import xbus
-from shared.messages import ImuRaw
+from shared.messages.imu import ImuRaw
 from tests.support.live_bus import eventually, running
 
 

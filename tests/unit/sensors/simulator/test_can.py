@@ -11,7 +11,7 @@ from services.sensors.simulator.can.can_frames import line, speed_request, speed
 from services.sensors.simulator.motion.trajectory import Motion
 from services.sensors.simulator.scenarios import BY_NAME
 from services.sensors.simulator.vehicle import Vehicle
-from shared.messages import CanRaw
+from shared.messages.vehicle import CanRaw
 
 ROOT = Path(__file__).parents[4]
 START_NS = 1_790_000_000_000_000_000

@@ -10,7 +10,9 @@ from services.sensors.simulator.imu.simulated_xsens import Tracker
 from services.sensors.simulator.process import Config, Process
 from services.sensors.simulator.world import messages
 from shared.bus.bus import Envelope
-from shared.messages import GnssRaw, ImuRaw, Message, RawBytes
+from shared.messages.base import Message, RawBytes
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuRaw
 from shared.runtime.config import load_vehicle
 from tests.support.fake_bus import FakeBus
 from tests.support.ublox import valset

@@ -15,7 +15,12 @@ from services.sensors.simulator.scenarios import BY_NAME, NAMES
 from services.sensors.simulator.world import DEFAULT_START_NS, Equipment, World, messages
 from shared.bus.codec import encode
 from shared.devices import xbus
-from shared.messages import CanRaw, GnssRaw, ImuRaw, Message, Origin, OriginKind, TruthState
+from shared.messages.base import Message
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuRaw
+from shared.messages.navigation import TruthState
+from shared.messages.operation import Origin, OriginKind
+from shared.messages.vehicle import CanRaw
 from shared.topics import BY_MESSAGE, publications
 from tests.support.ublox import parse_ubx, valget, valset
 

@@ -10,17 +10,12 @@ from hypothesis import strategies as st
 from shared.bus import codec
 from shared.bus.envelope import make_envelope
 from shared.errors import BadPayload
-from shared.messages import (
-    CanRaw,
-    FixType,
-    GnssFix,
-    GnssRaw,
-    ImuSamples,
-    NavigationSolution,
-    ProcessHealth,
-    ProcessState,
-    Vector3,
-)
+from shared.messages.base import Vector3
+from shared.messages.gnss import FixType, GnssFix, GnssRaw
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import NavigationSolution
+from shared.messages.operation import ProcessHealth, ProcessState
+from shared.messages.vehicle import CanRaw
 from shared.topics import TOPICS
 from tests.support.status_world import solution
 

@@ -11,7 +11,8 @@ import pytest
 from shared.bus.bus import Bus
 from shared.devices.device import open_device
 from shared.devices.driver import Link, run_driver
-from shared.messages import ImuRaw, Origin, OriginKind
+from shared.messages.imu import ImuRaw
+from shared.messages.operation import Origin, OriginKind
 from tests.support.live_bus import LiveBus, eventually, running
 
 

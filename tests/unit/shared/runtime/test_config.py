@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from shared.errors import UserError
-from shared.messages import Vector3
+from shared.messages.base import Vector3
 from shared.runtime.config import BrokerAddress, Section, load_vehicle, parse_vehicle
 
 

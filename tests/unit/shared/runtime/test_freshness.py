@@ -1,6 +1,6 @@
 import pytest
 
-from shared.messages import Freshness
+from shared.messages.operation import Freshness
 from shared.runtime.freshness import Limits, freshness_of, limits_of, percentile
 from shared.topics import BY_NAME, TOPICS
 

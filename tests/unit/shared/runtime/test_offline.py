@@ -6,20 +6,11 @@ import pytest
 
 from services.sensors.simulator.scenarios import BY_NAME
 from services.sensors.simulator.world import Equipment, World
-from shared.messages import (
-    CanRaw,
-    FixType,
-    GnssFix,
-    GnssRaw,
-    ImuRaw,
-    ImuSamples,
-    Message,
-    NavigationSolution,
-    NavigationState,
-    Tick,
-    TruthState,
-)
-from shared.messages.navigation import NavigationPhase
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import FixType, GnssFix, GnssRaw
+from shared.messages.imu import ImuRaw, ImuSamples
+from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState, TruthState
+from shared.messages.vehicle import CanRaw
 from shared.runtime import offline
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit

@@ -21,7 +21,7 @@ from services.core.fusion.update.standstill_detector import QUIET_S, SMOOTHING_S
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import Vector, matrix_from_rotation_vector, ned_from_body, quaternion_from_matrix
-from shared.messages import AidingKind, NavigationPhase
+from shared.messages.navigation import AidingKind, NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
-from shared.messages import AidingKind, NavigationPhase
+from shared.messages.navigation import AidingKind, NavigationPhase
 
 SECOND_NS = 1_000_000_000
 FAULT_S, END_S = 30.0, 52.0

@@ -14,18 +14,11 @@ from services.core.fusion.plausibility.measurements import DEVICES, SILENT_NS, D
 from services.core.fusion.process import Config, In, Process
 from services.core.fusion.timing.out_of_sequence import COPIES, EXPECTED
 from shared.maths.earth import Geodetic
-from shared.messages import (
-    CarrierSolution,
-    FixType,
-    GnssFix,
-    ImuSamples,
-    LastPosition,
-    NavigationPhase,
-    NavigationSolution,
-    Tick,
-    VehicleSpeed,
-    WheelSpeeds,
-)
+from shared.messages.base import Tick
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 NOW_NS = 1_790_000_000_000_000_000
 STEP_NS = 10_000_000

@@ -19,7 +19,7 @@ from services.core.fusion.settings import Settings
 from services.core.fusion.update.gating import Judge, Standing
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 Shift = tuple[float, float, float]
 FAULT_S, END_S = 36.0, 60.0
