@@ -46,7 +46,7 @@ $(VENV)/.debian: | $(VENV)/.testing
 	@touch $@
 
 demo: setup ## drive a simulated car here and print the dashboard's address (SCENARIO=urban SEED=1 PORT=8080)
-	@$(PYTHON) -m services demo --scenario $(SCENARIO) --seed $(SEED) --port $(PORT)
+	@$(PYTHON) -m cli demo --scenario $(SCENARIO) --seed $(SEED) --port $(PORT)
 
 test: $(VENV)/.debian ## run every check that CI runs: all but `make slow` and `make containers`
 	@$(MAKE) --no-print-directory check
@@ -71,14 +71,14 @@ containers: | $(VENV)/.testing ## test the containers for real, where there is a
 	@$(PYTHON) -m pytest -m container $(PYTEST_ARGS)
 
 docs: setup ## print docs/reference and broker/acl.conf from the code
-	@$(PYTHON) -m services reference docs/reference
+	@$(PYTHON) -m cli reference docs/reference
 	@$(PYTHON) -m broker.acl > broker/acl.conf
 
 lock: | $(VENV)/.testing ## write the lock files anew from what is installed
 	@$(PYTHON) deploy/lock.py
 
 papers: setup ## reproduce the papers' numbers (minutes)
-	@$(PYTHON) -m services papers navigation
+	@$(PYTHON) -m cli papers navigation
 
 bench: $(VENV)/.debian ## measure beside C and print the ratios (minutes)
 	@$(PYTHON) -m benchmarks

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from services.core.fusion.aiding import Measurement
-from services.core.fusion.gnss import Reading, Stamp, gnss_measurements
+from services.core.fusion.measurements.base import Measurement
+from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
+from services.core.fusion.measurements.odometer import WheelSpeed
 from services.core.fusion.settings import Settings
-from services.core.fusion.wheels import WheelSpeed
 from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic
 

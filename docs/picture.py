@@ -23,7 +23,7 @@ def main() -> None:
         raise SystemExit("Chromium is not installed: `make picture` needs it")
     with tempfile.TemporaryDirectory() as folder:
         demo = subprocess.Popen(
-            [sys.executable, "-m", "services", "demo", "--port", "0"], env=os.environ | {"OBU_STATE": folder}
+            [sys.executable, "-m", "cli", "demo", "--port", "0"], env=os.environ | {"OBU_STATE": folder}
         )
         try:
             photograph(chromium, address(demo, Path(folder) / "demo" / "status.address"))

@@ -3,7 +3,12 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from . import messages as m
+from .messages.base import Message, RawBytes
+from .messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssRaw, GnssSatellites, GnssWrite
+from .messages.imu import ImuRaw, ImuSamples
+from .messages.navigation import AidingUpdate, LastPosition, NavigationSolution, NavigationState, TruthState
+from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import PROCESSES
 
@@ -18,7 +23,7 @@ class Topic:
     """
 
     name: str
-    message: type[m.Message]
+    message: type[Message]
     purpose: str
     producers: tuple[str, ...]
     consumers: tuple[str, ...] = ()
@@ -37,58 +42,58 @@ class Topic:
     @cached_property
     def is_raw(self) -> bool:
         """Whether the payload is what a device sent, and the rest of the message user properties."""
-        return issubclass(self.message, m.RawBytes)
+        return issubclass(self.message, RawBytes)
 
 
 EVERYONE = tuple(row.name for row in PROCESSES)
 
 TOPICS = (
-    Topic("gnss/raw", m.GnssRaw, "bytes from the GNSS receiver",
+    Topic("gnss/raw", GnssRaw, "bytes from the GNSS receiver",
           ("sensors.gnss", "sensors.simulator"), ("parsers.gnss",), rate_hz=1.0, silent_after_s=5.0),
-    Topic("imu/raw", m.ImuRaw, "bytes from the inertial measurement unit",
+    Topic("imu/raw", ImuRaw, "bytes from the inertial measurement unit",
           ("sensors.imu", "sensors.simulator"), ("parsers.imu",), rate_hz=100.0, silent_after_s=1.0),
-    Topic("can/raw", m.CanRaw, "frames from the vehicle's CAN bus",
+    Topic("can/raw", CanRaw, "frames from the vehicle's CAN bus",
           ("sensors.can", "sensors.simulator"), ("parsers.can",), rate_hz=10.0, silent_after_s=5.0),
-    Topic("gnss/write", m.GnssWrite, "bytes to the GNSS receiver",
+    Topic("gnss/write", GnssWrite, "bytes to the GNSS receiver",
           ("parsers.gnss",), ("sensors.gnss", "sensors.simulator"), qos=1),
-    Topic("gnss/fix", m.GnssFix, "position and velocity of the antenna, one message an epoch",
+    Topic("gnss/fix", GnssFix, "position and velocity of the antenna, one message an epoch",
           ("parsers.gnss",), ("controller.mode", "core.fusion"), rate_hz=1.0, silent_after_s=5.0),
-    Topic("gnss/satellites", m.GnssSatellites, "satellites in view",
+    Topic("gnss/satellites", GnssSatellites, "satellites in view",
           ("parsers.gnss",), (), rate_hz=1.0, silent_after_s=10.0),
-    Topic("gnss/configuration", m.GnssConfiguration, "what the receiver was found to be set to",
+    Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to",
           ("parsers.gnss",), ("controller.mode",), qos=1, retain=True),
-    Topic("imu/sample", m.ImuSamples, "specific force and angular rate in body axes",
+    Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes",
           ("parsers.imu",), ("controller.mode", "core.fusion"), rate_hz=100.0, silent_after_s=1.0),
-    Topic("vehicle/speed", m.VehicleSpeed, "speed of the vehicle by OBD-II",
+    Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II",
           ("parsers.can",), ("controller.mode", "core.fusion"), rate_hz=1.0, silent_after_s=5.0),
-    Topic("vehicle/wheel_speed", m.WheelSpeeds, "speed of each wheel",
+    Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel",
           ("parsers.can",), ("core.fusion",), rate_hz=10.0, silent_after_s=5.0),
-    Topic("gnss/configure", m.GnssConfigure, "what the receiver shall be set to",
+    Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to",
           ("controller.mode",), ("parsers.gnss",), qos=1),
-    Topic("mode/state", m.ModeState, "what the unit is doing",
+    Topic("mode/state", ModeState, "what the unit is doing",
           ("controller.mode",), (), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
-    Topic("navigation/last_position", m.LastPosition, "where the vehicle was last known to be",
+    Topic("navigation/last_position", LastPosition, "where the vehicle was last known to be",
           ("controller.mode",), ("core.fusion",), qos=1, retain=True, persist=True),
-    Topic("navigation/solution", m.NavigationSolution, "where the vehicle is, with covariance",
+    Topic("navigation/solution", NavigationSolution, "where the vehicle is, with covariance",
           ("core.fusion",), ("controller.mode",), rate_hz=10.0, silent_after_s=2.0),
-    Topic("navigation/state", m.NavigationState, "what the navigation filter is doing and why",
+    Topic("navigation/state", NavigationState, "what the navigation filter is doing and why",
           ("core.fusion",), ("controller.mode",), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
-    Topic("navigation/aiding", m.AidingUpdate, "each measurement as the filter saw it",
+    Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it",
           ("core.fusion",), ()),
-    Topic("deadline/report", m.DeadlineReport, "age and rate of every topic and process",
+    Topic("deadline/report", DeadlineReport, "age and rate of every topic and process",
           ("monitoring.health",), (), rate_hz=2.0, silent_after_s=5.0),
-    Topic("outage/event", m.Outage, "what was lost, and for how long",
+    Topic("outage/event", Outage, "what was lost, and for how long",
           ("monitoring.health",), (), qos=1),
-    Topic("recording/state", m.RecordingState, "what is being recorded",
+    Topic("recording/state", RecordingState, "what is being recorded",
           ("monitoring.recorder",), (), rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True, expiry_s=30),
-    Topic("origin/state", m.Origin, "whether the data are live, simulated or replayed",
+    Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
           ("sensors.gnss", "sensors.imu", "sensors.can", "sensors.simulator"), (),
           rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True, expiry_s=10),
-    Topic("truth/state", m.TruthState, "where the simulated vehicle really is",
+    Topic("truth/state", TruthState, "where the simulated vehicle really is",
           ("sensors.simulator",), (), rate_hz=10.0, silent_after_s=5.0),
-    Topic("health/+", m.ProcessHealth, "birth, heartbeat, farewell and last will of a process",
+    Topic("health/+", ProcessHealth, "birth, heartbeat, farewell and last will of a process",
           EVERYONE, (), rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
-    Topic("consumed/+", m.Consumed, "the order in which a process consumed its messages",
+    Topic("consumed/+", Consumed, "the order in which a process consumed its messages",
           EVERYONE, (), rate_hz=1.0, silent_after_s=10.0),
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}

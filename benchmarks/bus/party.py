@@ -10,10 +10,11 @@ import time
 from types import FrameType
 from typing import cast
 
-from shared.bus import Bus
-from shared.config import broker_address, load_vehicle, state_dir
-from shared.live import Runner, load_process
-from shared.messages import ImuRaw, Message, RawBytes
+from shared.bus.bus import Bus
+from shared.messages.base import Message, RawBytes
+from shared.messages.imu import ImuRaw
+from shared.runtime.config import broker_address, load_vehicle, state_dir
+from shared.runtime.live import Runner, load_process
 from shared.topics import subscriptions
 
 VEHICLE = "bench"

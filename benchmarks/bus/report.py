@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from broker import local_config
-from services.commands.local import broker_command, free_port
+from cli.demo.local import broker_command, free_port
 
 from . import unit
 from .hops import HERE, PAYLOAD_BYTES, RATE_HZ, Ages, one_hop_c, one_hop_ours, three_hops_c

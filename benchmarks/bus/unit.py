@@ -12,11 +12,12 @@ from pathlib import Path
 
 import psutil
 
-from services.commands.local import broker_command, free_port, unit
-from services.commands.supervisor import Supervisor
-from shared.bus import Bus
-from shared.config import BrokerAddress, parse_vehicle
-from shared.messages import ImuSamples, NavigationPhase, NavigationSolution
+from cli.demo.local import broker_command, free_port, unit
+from cli.demo.supervisor import Supervisor
+from shared.bus.bus import Bus
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import NavigationPhase, NavigationSolution
+from shared.runtime.config import BrokerAddress, parse_vehicle
 from shared.topics import BY_NAME
 
 from .hops import Ages, three_hops_c

@@ -11,17 +11,17 @@ from math import sqrt
 
 import numpy as np
 
-from services.core.fusion import error_model as em
-from services.core.fusion.aiding import Measurement
-from services.core.fusion.aids import Aids
-from services.core.fusion.colour import UNKNOWN, Told
-from services.core.fusion.filter import ErrorStateFilter
-from services.core.fusion.gnss import Reading, Stamp, gnss_measurements
+from services.core.fusion.filter import error_model as em
+from services.core.fusion.filter.eskf import ErrorStateFilter
+from services.core.fusion.filter.strapdown import InertialState
+from services.core.fusion.measurements.base import Measurement
+from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
+from services.core.fusion.measurements.gnss_error_model import UNKNOWN, Told
 from services.core.fusion.settings import Settings
-from services.core.fusion.strapdown import InertialState
+from services.core.fusion.update.aiding import Aids
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
-from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError, position_errors
-from services.sensors.simulator.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE
+from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
+from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE
 from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix, quaternion_from_rotation_vector
 from shared.maths.rotation import quaternion_product as product

@@ -15,8 +15,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from services.core.fusion.kalman import chi_square_limit
-from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError
+from services.core.fusion.filter.kalman import chi_square_limit
+from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 
 from . import matched, whole
 from .matched import LASTING_S, POSITION_SD, Model

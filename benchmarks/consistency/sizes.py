@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from services.core.fusion import error_model as em
-from services.core.fusion.aiding import Outcome
-from services.core.fusion.filter import ErrorStateFilter
+from services.core.fusion.filter import error_model as em
+from services.core.fusion.filter.eskf import ErrorStateFilter
+from services.core.fusion.measurements.base import Outcome
 from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body, rotation_vector_from_matrix
-from shared.messages import AidingKind
+from shared.messages.navigation import AidingKind
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -6,21 +6,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.given import fixes_of
-from services.commands.papers_navigation import YAW_SD, saved_heading
-from services.core.fusion.delayed import order
-from services.core.fusion.fast import compiled_runner
+from cli.papers.navigation import YAW_SD, saved_heading
+from services.core.fusion.filter.fast import compiled_runner
+from services.core.fusion.filter.runner import Runner
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.runner import Runner
-from services.core.fusion.samples import Sample
+from services.core.fusion.plausibility.imu_faults import Sample
 from services.core.fusion.settings import Settings
-from services.core.fusion.stretch import Stretch
+from services.core.fusion.timing.imu_batch import Stretch
+from services.core.fusion.timing.out_of_sequence import order
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
-from services.sensors.simulator.gnss_errors import InjectedError
-from services.sensors.simulator.imu_errors import (
-    MTI_630_ACCELEROMETER,
-    MTI_630_GYROSCOPE,
-    SensorErrors,
-)
+from services.sensors.simulator.gnss.gnss_errors import InjectedError
+from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE, SensorErrors
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from services.sensors.simulator.vehicle import Stream
 

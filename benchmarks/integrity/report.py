@@ -117,7 +117,7 @@ def recordings_in(folder: Path) -> list[Row]:
             print(f"{name}: {path} is not there, left out", file=sys.stderr)
             continue
         with tempfile.TemporaryDirectory(prefix="obu-integrity-") as out:
-            command = [sys.executable, "-m", "services", "solve", str(path), *options, "--out", out, "--json"]
+            command = [sys.executable, "-m", "cli", "solve", str(path), *options, "--out", out, "--json"]
             done = subprocess.run(command, check=True, capture_output=True, text=True)
         m = json.loads(done.stdout)
 

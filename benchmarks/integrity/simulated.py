@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.given import fixes_of, speeds_of
-from services.commands.papers_navigation import YAW_SD, saved_heading
+from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.batch import solve
-from services.core.fusion.fast import compiled_runner
+from services.core.fusion.filter.fast import compiled_runner
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import Drive, simulate
-from services.sensors.simulator.gnss_errors import ErrorKind, InjectedError
+from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error
 from shared.maths.earth import FloatArray, Geodetic, geodetic_from_ned_difference, ned_track
 
@@ -141,6 +141,6 @@ def judge_or_recall(kept: Path, job: tuple[Case, int]) -> Judged:
 def _code() -> str:
     """Digest of everything that a result depends on."""
     root = Path(__file__).resolve().parents[2]
-    folders = ("services/core/fusion", "services/sensors/simulator", "services/commands", "shared", "benchmarks")
+    folders = ("services/core/fusion", "services/sensors/simulator", "cli", "shared", "benchmarks")
     paths = sorted(path for folder in folders for path in (root / folder).rglob("*.py"))
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:12]

@@ -15,7 +15,7 @@ import numpy as np
 from .cases import DRIVES, Case
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-MAPPINGS = REPOSITORY / "deploy" / "mappings"
+MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 Metrics = dict[str, float | None]
 Advance = Callable[[str], None]
 TIMEOUT_S = 1800.0

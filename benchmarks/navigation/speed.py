@@ -7,12 +7,15 @@ import time
 from itertools import islice
 from pathlib import Path
 
-from services.core.fusion import translate
+from services.core.fusion import messages
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
-from shared.config import parse_vehicle
-from shared.messages import GnssFix, ImuSamples, Message, VehicleSpeed, WheelSpeeds
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.recording import Recording
+from shared.runtime.config import parse_vehicle
 
 TOPICS = ("imu/sample", "gnss/fix", "vehicle/speed", "vehicle/wheel_speed")
 CHUNK = 2000  # messages that are decoded before the clock runs, so that only the navigator is timed
@@ -42,10 +45,10 @@ def timed(navigator: Navigator, chunk: list[Message]) -> float:
     began = time.process_time()
     for message in chunk:
         if isinstance(message, ImuSamples):
-            for stamp, force, rate in translate.samples_of(message):
+            for stamp, force, rate in messages.samples_of(message):
                 navigator.imu(stamp, force, rate, message.received_ns)
         elif isinstance(message, GnssFix | VehicleSpeed | WheelSpeeds):
-            translate.give(navigator, message)
+            messages.give(navigator, message)
     return time.process_time() - began
 
 

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from services.core.fusion.aiding import Measurement
+    from services.core.fusion.filter.runner import Runner
+    from services.core.fusion.measurements.base import Measurement
     from services.core.fusion.navigator import Navigator
-    from services.core.fusion.runner import Runner
 
 ROOT = Path(__file__).resolve().parents[2]
 DRIVE_S = 300.0
@@ -158,11 +158,11 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
 
     import numpy as np
 
-    from services.core.fusion.gnss import Reading, Stamp, gnss_measurements
-    from services.core.fusion.heading import Prior
+    from services.core.fusion.alignment.heading import Prior
+    from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
+    from services.core.fusion.measurements.odometer import WheelSpeed
     from services.core.fusion.navigator import Navigator
     from services.core.fusion.settings import Settings
-    from services.core.fusion.wheels import WheelSpeed
     from shared.maths.earth import Geodetic
 
     log, every = np.load(path), aiding == "all"
@@ -232,7 +232,7 @@ def _yard_ns() -> float:
 
 def measure(path: Path, way: str, rate_hz: int, aiding: str) -> Cost:
     """Navigate through the drive in one way."""
-    from services.core.fusion.fast import compiled_runner
+    from services.core.fusion.filter.fast import compiled_runner
 
     runner, start = None, (0.0, 0.0, 0.0)
     if "Numba" in way and (runner := compiled_runner()) is None:

@@ -8,14 +8,14 @@ from math import atan2, degrees, hypot, inf
 import numpy as np
 import numpy.typing as npt
 
+from services.core.fusion.messages import give_fix
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
-from services.core.fusion.translate import give_fix
 from services.sensors.simulator.drive import Drive, simulate
-from services.sensors.simulator.inertial import attitude_matrices
+from services.sensors.simulator.imu.ideal_imu import attitude_matrices
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, wrap_angle
-from shared.messages import FixType, GnssFix
+from shared.messages.gnss import FixType, GnssFix
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from shared.mqtt.packets import Connect, Publish, Subscribe, Subscription, Unsubscribe, encode_publish
-from shared.mqtt.properties import Property
-from shared.mqtt.wire import ProtocolError, Reason
+from shared.bus.mqtt.packets import Connect, Publish, Subscribe, Subscription, Unsubscribe, encode_publish
+from shared.bus.mqtt.properties import Property
+from shared.bus.mqtt.wire import ProtocolError, Reason
 
 from .acl import Acl
 from .retained import Kept, Retained

@@ -5,8 +5,8 @@ import logging
 import socket
 from typing import cast
 
-from shared.mqtt.framing import Framer
-from shared.mqtt.packets import (
+from shared.bus.mqtt.framing import Framer
+from shared.bus.mqtt.packets import (
     PINGRESP,
     Acknowledge,
     Connect,
@@ -25,8 +25,8 @@ from shared.mqtt.packets import (
     encode_refusal,
     encode_suback,
 )
-from shared.mqtt.properties import Properties, Property
-from shared.mqtt.wire import ProtocolError, Reason
+from shared.bus.mqtt.properties import Properties, Property
+from shared.bus.mqtt.wire import ProtocolError, Reason
 
 from .broker import Broker
 from .session import Delivery, Session

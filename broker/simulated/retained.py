@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from shared.mqtt.packets import Publish
+from shared.bus.mqtt.packets import Publish
 
 from .topics import matches
 

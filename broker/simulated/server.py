@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 
-from shared.mqtt.wire import Reason
+from shared.bus.mqtt.wire import Reason
 
 from .broker import Broker
 from .connection import Connection

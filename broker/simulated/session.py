@@ -4,8 +4,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from shared.mqtt.packets import Publish, Subscription, encode_publish
-from shared.mqtt.wire import Reason
+from shared.bus.mqtt.packets import Publish, Subscription, encode_publish
+from shared.bus.mqtt.wire import Reason
 
 from .tally import Tally
 

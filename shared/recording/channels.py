@@ -23,7 +23,7 @@ from functools import cache
 from mcap.records import Channel
 from pydantic import BaseModel
 
-from ..envelope import Envelope
+from ..bus.envelope import Envelope
 from ..topics import topic_of
 
 IRREGULAR = "irregular"

@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..envelope import Envelope
+from ..bus.envelope import Envelope
 from .writer import Opener, RecordingWriter, open_new
 
 log = logging.getLogger(__name__)

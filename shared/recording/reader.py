@@ -16,7 +16,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata
 
-from ..envelope import Envelope
+from ..bus.envelope import Envelope
 from ..errors import BadRecording
 from .channels import Fields, envelope_of
 from .writer import MAGIC

@@ -24,7 +24,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from ..envelope import Envelope
+from ..bus.envelope import Envelope
 from .channels import IRREGULAR, MAXIMUM_CHANNELS, Key, encoding_of, fields_of, key_of, metadata_of, schema_of
 from .chunk import ChunkInProgress, packed
 

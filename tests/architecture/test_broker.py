@@ -8,7 +8,7 @@ from pathlib import Path
 from broker import local_config
 from broker.acl import access_list
 from broker.simulated import Limits
-from shared.codec import MAXIMUM_PAYLOAD
+from shared.bus.codec import MAXIMUM_PAYLOAD
 
 ROOT = Path(__file__).parents[2]
 

@@ -1,6 +1,8 @@
 """The two lists hold together, and what is printed from them is what the code says."""
 
+import importlib
 import json
+import pkgutil
 import re
 import typing
 from pathlib import Path
@@ -9,11 +11,12 @@ import jsonschema
 import pytest
 from pydantic import BaseModel
 
-from services.commands import reference
+from cli import reference
 from shared import messages
-from shared.contract import asyncapi
-from shared.messages import Message, RawBytes, Tick
-from shared.messages.base import Stamped
+from shared.bus.contract import asyncapi
+from shared.messages.base import Message, RawBytes, Stamped, Tick
+from shared.messages.gnss import Satellite
+from shared.messages.operation import ProcessAge, TopicAge
 from shared.processes import BY_NAME, PROCESSES
 from shared.topics import TOPICS, subscriptions
 
@@ -31,7 +34,18 @@ UNITLESS = {
 
 
 def all_messages() -> list[type[Message]]:
-    return [kind for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, Message)]
+    modules = [
+        importlib.import_module(f"shared.messages.{found.name}") for found in pkgutil.iter_modules(messages.__path__)
+    ]
+    return sorted(
+        {
+            kind
+            for module in modules
+            for kind in vars(module).values()
+            if isinstance(kind, type) and issubclass(kind, Message)
+        },
+        key=lambda kind: kind.__name__,
+    )
 
 
 def test_every_producer_and_consumer_is_a_process() -> None:
@@ -45,7 +59,7 @@ def test_a_topic_has_one_message_and_a_message_one_topic() -> None:
 
 def test_every_message_travels_on_a_topic_or_inside_one_that_does() -> None:
     on_topics = {topic.message for topic in TOPICS}
-    inside = {messages.Satellite, messages.TopicAge, messages.ProcessAge}
+    inside = {Satellite, TopicAge, ProcessAge}
     assert set(all_messages()) - on_topics - inside - {Message, RawBytes, Stamped, Tick} == set()
 
 

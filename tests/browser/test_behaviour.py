@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Page, expect
 
-from shared import messages as m
+from shared.messages.operation import Origin, OriginKind
 from tests.support.status_server import Running, status_server
 
 DEADLINE_S = 2.0  # of navigation/solution
@@ -68,18 +68,18 @@ def test_a_position_is_not_shown_as_live_after_its_deadline(tmp_path: Path, open
 @pytest.mark.parametrize(
     ("kind", "shown"),
     [
-        (m.OriginKind.LIVE, "LIVEtruck"),
-        (m.OriginKind.REPLAY, "REPLAYtruck ×4"),
+        (OriginKind.LIVE, "LIVEtruck"),
+        (OriginKind.REPLAY, "REPLAYtruck ×4"),
     ],
 )
 def test_the_badge_says_where_the_data_are_from(
-    units: dict[str, Running], open_page: Callable[..., Page], kind: m.OriginKind, shown: str
+    units: dict[str, Running], open_page: Callable[..., Page], kind: OriginKind, shown: str
 ) -> None:
     bus = units["empty"].bus
     page = open_page(units["empty"].address)
     expect(page.locator(".origin")).to_be_visible()
-    speed = 4.0 if kind is m.OriginKind.REPLAY else 1.0
-    bus.feed(m.Origin(now_ns=bus.now_ns(), kind=kind, name="truck", speed=speed), f"sensors.{kind}")
+    speed = 4.0 if kind is OriginKind.REPLAY else 1.0
+    bus.feed(Origin(now_ns=bus.now_ns(), kind=kind, name="truck", speed=speed), f"sensors.{kind}")
     expect(page.locator(".origin")).to_have_text(shown)
 
 

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Page, expect
 
-from shared import messages as m
+from shared.messages.operation import Mode, ModeState
 from tests.browser.conftest import AXE, THEMES
 from tests.support.status_server import Running
 
@@ -142,7 +142,7 @@ def test_text_of_a_message_cannot_become_part_of_the_page(
 ) -> None:
     bus = units["empty"].bus
     text = "<img src=x onerror=alert(1)>"
-    state = m.ModeState(sampled_ns=bus.now_ns(), mode=m.Mode.DEGRADED, since_ns=bus.now_ns(), reason=text)
+    state = ModeState(sampled_ns=bus.now_ns(), mode=Mode.DEGRADED, since_ns=bus.now_ns(), reason=text)
     bus.feed(state, "controller.mode")
     page = open_page(units["empty"].address, path="system")
     expect(page.get_by_role("region", name="Unit")).to_contain_text(text)

@@ -13,21 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from shared.bus import Bus, Envelope
-from shared.config import BrokerAddress
-from shared.live import LiveReactor
-from shared.messages import (
-    Consumed,
-    GnssConfigure,
-    GnssRaw,
-    LastPosition,
-    Message,
-    ModeState,
-    ProcessHealth,
-    ProcessState,
-    Tick,
-)
-from shared.messages.operation import Mode
+from shared.bus.bus import Bus, Envelope
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import GnssConfigure, GnssRaw
+from shared.messages.navigation import LastPosition
+from shared.messages.operation import Consumed, Mode, ModeState, ProcessHealth, ProcessState
+from shared.runtime.config import BrokerAddress
+from shared.runtime.live import LiveReactor
 from shared.topics import TOPICS, subscriptions
 from tests.support import brokers
 
@@ -231,7 +223,7 @@ def start_process(name: str, port: int, folder: Path, vehicle: str = "") -> subp
         "OBU_VEHICLE": str(path), "OBU_BROKER": f"mqtt://127.0.0.1:{port}", "OBU_STATE": str(folder),
     }  # fmt: skip
     return subprocess.Popen(
-        [sys.executable, "-m", "services", "run", name],
+        [sys.executable, "-m", "cli", "run", name],
         env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
 

@@ -15,11 +15,12 @@ import httpx
 import psutil
 import pytest
 
-from shared.bus import Bus
-from shared.config import BrokerAddress, load_vehicle
-from shared.messages import Message, NavigationSolution, RawBytes
-from shared.offline import OfflineUnit, arrival_ns
+from shared.bus.bus import Bus
+from shared.messages.base import Message, RawBytes
+from shared.messages.navigation import NavigationSolution
 from shared.recording import Recording
+from shared.runtime.config import BrokerAddress, load_vehicle
+from shared.runtime.offline import OfflineUnit, arrival_ns
 from shared.topics import topic_of
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
@@ -82,7 +83,7 @@ class Demo:
 def start_demo(folder: Path, *arguments: str) -> Demo:
     port = free_port()
     process = subprocess.Popen(
-        [sys.executable, "-m", "services", "demo", "--port", str(port), *arguments],
+        [sys.executable, "-m", "cli", "demo", "--port", str(port), *arguments],
         env=os.environ | {"OBU_STATE": str(folder)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     return Demo(process, port, folder / "demo")
@@ -181,7 +182,7 @@ def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Pat
 
     (file,) = (tmp_path / "demo" / "recordings").glob("*.mcap")
     verified = subprocess.run(
-        [sys.executable, "-m", "services", "verify", str(file)],
+        [sys.executable, "-m", "cli", "verify", str(file)],
         capture_output=True,
         text=True,
         timeout=120,
@@ -224,7 +225,7 @@ def assert_live_and_offline_agree(messages: list[Message], vehicle: Path) -> Non
 )
 def test_a_mistake_of_the_user_is_answered_in_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "services", *arguments], capture_output=True, text=True, timeout=60, check=False,
+        [sys.executable, "-m", "cli", *arguments], capture_output=True, text=True, timeout=60, check=False,
         env=os.environ | {"OBU_STATE": str(tmp_path)},
     )  # fmt: skip
     assert done.returncode == 2
@@ -238,7 +239,7 @@ def test_a_port_in_use_sends_the_dashboard_to_a_free_one(tmp_path: Path) -> None
         taken.listen()
         port = taken.getsockname()[1]
         done = subprocess.run(
-            [sys.executable, "-m", "services", "demo", "--port", str(port), "--duration", "2"],
+            [sys.executable, "-m", "cli", "demo", "--port", str(port), "--duration", "2"],
             env=os.environ | {"OBU_STATE": str(tmp_path)}, capture_output=True, text=True, timeout=60, check=False,
         )  # fmt: skip
     assert "dashboard: http://127.0.0.1:" in done.stderr

@@ -15,10 +15,11 @@ from typing import Any
 
 import pytest
 
-from services.sensors.simulator.receiver import SOURCE
+from services.sensors.simulator.gnss.simulated_receiver import SOURCE
 from services.sensors.simulator.scenarios import BY_NAME
 from services.sensors.simulator.world import Equipment, World
-from shared.messages import GnssRaw, TruthState
+from shared.messages.gnss import GnssRaw
+from shared.messages.navigation import TruthState
 
 NS = 1_000_000_000
 START_NS = time.time_ns()  # gpsd mistrusts times far from its own clock

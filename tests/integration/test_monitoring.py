@@ -11,14 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from services.commands.record import record
-from services.commands.replay import replay
-from shared import xbus
-from shared.bus import Bus, Envelope
-from shared.config import BrokerAddress
+from cli.recordings.record import record
+from cli.recordings.replay import replay
+from shared.bus.bus import Bus, Envelope
+from shared.devices import xbus
 from shared.errors import UserError
-from shared.messages import ImuRaw, Message, Origin, OriginKind, Outage
+from shared.messages.base import Message
+from shared.messages.imu import ImuRaw
+from shared.messages.operation import Origin, OriginKind, Outage
 from shared.recording import Recording, RecordingWriter
+from shared.runtime.config import BrokerAddress
 from shared.topics import TOPICS, subscriptions
 from tests.support import brokers
 
@@ -59,7 +61,7 @@ class Unit:
 
     def start(self, name: str) -> subprocess.Popen[bytes]:
         with (self._folder / f"{name}.log").open("wb") as log:
-            command = [sys.executable, "-m", "services", "run", name]
+            command = [sys.executable, "-m", "cli", "run", name]
             process = subprocess.Popen(command, env=os.environ, stdout=log, stderr=log)
         self.processes.append(process)
         self.until(lambda: any(e.topic == f"health/{name}" for e in self.heard))
@@ -184,7 +186,7 @@ def test_a_broker_that_restarts_is_one_outage_with_its_duration(unit: Unit, brok
 def test_a_recording_by_hand_holds_what_was_said(unit: Unit, tmp_path: Path) -> None:
     bus = unit.bus("sensors.imu")
     command = run_command(
-        "from pathlib import Path; from services.commands.record import record;"
+        "from pathlib import Path; from cli.recordings.record import record;"
         f"raise SystemExit(record(Path({str(tmp_path / 'hand.mcap')!r}), 1.5, None))"
     )
     unit.until(lambda: command.poll() is not None, imu_publisher(bus))
@@ -240,7 +242,7 @@ def test_a_replay_refuses_a_bus_that_carries_other_data(unit: Unit, tmp_path: Pa
 
 
 def test_commands_without_a_broker_say_what_to_try(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.commands.recordings.PATIENCE_S", 0.5)
+    monkeypatch.setattr("cli.recordings.common.PATIENCE_S", 0.5)
     monkeypatch.setenv("OBU_BROKER", "mqtt://127.0.0.1:1")
     monkeypatch.setenv("OBU_STATE", str(tmp_path))
     with pytest.raises(UserError, match=r"no broker at 127\.0\.0\.1:1: .*; is the unit running\?"):

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from shared.mqtt.client import Client, Lost, Outgoing
-from shared.mqtt.client_packets import Delivery, decode_delivery, user_property
-from shared.mqtt.packets import Connect, Publish, Subscription
-from shared.mqtt.properties import Properties, Property
-from shared.mqtt.wire import text, varint
+from shared.bus.mqtt.client import Client, Lost, Outgoing
+from shared.bus.mqtt.client_packets import Delivery, decode_delivery, user_property
+from shared.bus.mqtt.packets import Connect, Publish, Subscription
+from shared.bus.mqtt.properties import Properties, Property
+from shared.bus.mqtt.wire import text, varint
 from tests.support import brokers, mqtt
 
 ACL = "user tester\ntopic readwrite #\n\nuser ours\ntopic readwrite #\n\nuser reader\ntopic read #\n"

@@ -16,8 +16,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from services.monitoring.status.patch import merge
 from services.monitoring.status.process import ADDRESS_FILE, Config, Process
+from services.monitoring.status.views.patch import merge
 from shared.errors import UserError
 from tests.support.fake_unit import FakeBus
 from tests.support.status_server import Running, eventually, status_server

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.commands.import_drive import import_drive
-from services.commands.solve import solve
-from services.commands.solving.overrides import Aiding
+from cli.import_drive.import_drive import import_drive
+from cli.solve.overrides import Aiding
+from cli.solve.solve import solve
 from tests.support.data import REPOSITORY, recording
 
-MAPPINGS = REPOSITORY / "deploy" / "mappings"
+MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 START_S = 456250.0  # of rtk_drive_57min
 Metrics = dict[str, float]
 pytestmark = pytest.mark.recording

@@ -13,10 +13,10 @@ from typing import cast
 
 import pytest
 
-from services.commands.import_drive import import_drive
-from services.commands.solving.inputs import inputs_of
+from cli.import_drive.import_drive import import_drive
+from cli.solve.inputs import inputs_of
 from services.core.fusion.process import Config, In, Process
-from shared.messages import NavigationState
+from shared.messages.navigation import NavigationState
 from shared.recording import Recording
 from tests.support.data import REPOSITORY, recording
 
@@ -25,8 +25,12 @@ pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 def as_recorded(name: str, folder: Path, out: Path) -> Path:
     """Import a drive without what its mapping knows of delays."""
-    deploy = REPOSITORY / "deploy"
-    lines = (deploy / "mappings" / f"{name}.toml").read_text().replace("../vehicles", str(deploy / "vehicles"))
+    folder_of_mappings = REPOSITORY / "benchmarks" / "recordings"
+    lines = (
+        (folder_of_mappings / "mappings" / f"{name}.toml")
+        .read_text()
+        .replace("../vehicles", str(folder_of_mappings / "vehicles"))
+    )
     kept = [line for line in lines.splitlines() if not line.startswith(("stamps_late_s", "latency_s"))]
     (out / "mapping.toml").write_text("\n".join(kept) + "\n")
     import_drive(out / "mapping.toml", folder, out / "drive.mcap")

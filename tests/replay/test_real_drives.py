@@ -20,12 +20,12 @@ from pathlib import Path
 
 import pytest
 
-from services.commands.import_drive import import_drive
-from services.commands.solve import solve
+from cli.import_drive.import_drive import import_drive
+from cli.solve.solve import solve
 from shared.errors import UserError
 from tests.support.data import REPOSITORY, recording
 
-MAPPINGS = REPOSITORY / "deploy" / "mappings"
+MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 Metrics = dict[str, float]
 pytestmark = pytest.mark.recording
 

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import pytest
 
-from services.commands.import_drive import import_drive
-from services.commands.solve import solve
+from cli.import_drive.import_drive import import_drive
+from cli.solve.solve import solve
 from tests.support.data import REPOSITORY, recording
 
 Metrics = dict[str, float]
@@ -31,7 +31,7 @@ LONE_FIX_M = 0.1  # one fix of wid_car 08, which is its truth, lies 0.096 m besi
 
 
 def smoothed(mapping: str, folder: Path, out: Path, outage: str | None = None) -> Metrics:
-    import_drive(REPOSITORY / "deploy" / "mappings" / f"{mapping}.toml", folder, out / "drive.mcap")
+    import_drive(REPOSITORY / "benchmarks" / "recordings" / "mappings" / f"{mapping}.toml", folder, out / "drive.mcap")
     assert solve(out / "drive.mcap", outage=outage, out=out / "smoothed", smooth=True) == 0
     found: Metrics = json.loads((out / "smoothed" / "metrics.json").read_text())
     return found

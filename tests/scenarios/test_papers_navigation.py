@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from services.commands import papers
-from services.commands import papers_navigation as drives
-from services.commands import papers_outages as outages
+from cli.papers import navigation as drives
+from cli.papers import outages, papers
 from shared.errors import UserError
 
 pytestmark = pytest.mark.xdist_group("papers_navigation")  # one worker, for the runs are shared

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks.given import fixes_of
-from services.commands.papers_navigation import YAW_SD, saved_heading
-from services.core.fusion.aiding import Counts
+from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.batch import solve
+from services.core.fusion.measurements.base import Counts
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import Drive, simulate

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from shared.bus import Bus, Envelope
-from shared.messages import Message
+from shared.bus.bus import Bus, Envelope
+from shared.messages.base import Message
 
 
 class FakeBus:

@@ -11,9 +11,21 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from shared import codec
-from shared import messages as m
-from shared.bus import Envelope
+from shared.bus import codec
+from shared.bus.bus import Envelope
+from shared.messages.base import Message, Vector3
+from shared.messages.gnss import CarrierSolution, Constellation, FixType, GnssFix, GnssRaw, GnssSatellites, Satellite
+from shared.messages.imu import ImuRaw, ImuSamples
+from shared.messages.navigation import (
+    AidingKind,
+    AidingUpdate,
+    NavigationPhase,
+    NavigationSolution,
+    NavigationState,
+    TruthState,
+)
+from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
+from shared.messages.vehicle import CanRaw, WheelSpeeds
 
 RADIUS_M, SPEED_M_S = 60.0, 9.0
 LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
@@ -34,7 +46,7 @@ VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
 
 
 class FakeBus:
-    """Has the face of `shared.bus.Bus`; what is fed is what is received."""
+    """Has the face of `shared.bus.bus.Bus`; what is fed is what is received."""
 
     def __init__(self, state_dir: Path, vehicle: str = "truck-07") -> None:
         self.state_dir, self.vehicle, self.vehicle_toml = state_dir, vehicle, VEHICLE_TOML
@@ -51,7 +63,7 @@ class FakeBus:
         """Read the time line."""
         return time.monotonic_ns() + self.offset_ns
 
-    def feed(self, message: m.Message, producer: str, *, delay_s: float = 0.0008) -> None:
+    def feed(self, message: Message, producer: str, *, delay_s: float = 0.0008) -> None:
         """Put a message onto the bus as that process."""
         payload, properties = codec.encode(message)
         self.feed_bytes(codec.topic_name(message), payload, producer, properties, delay_s=delay_s)
@@ -123,7 +135,7 @@ class FakeUnit:
         """End a process without a farewell, as the broker's last will tells it."""
         self.lost.add(process)
         now_ns = self.bus.now_ns()
-        will = m.ProcessHealth(process=process, state=m.ProcessState.LOST, incarnation=LIFE, sent_ns=now_ns)
+        will = ProcessHealth(process=process, state=ProcessState.LOST, incarnation=LIFE, sent_ns=now_ns)
         self.bus.feed(will, process)
 
     def revive(self, process: str) -> None:
@@ -141,18 +153,18 @@ class FakeUnit:
         scale = METRES_PER_DEG * math.cos(math.radians(LATITUDE_DEG))
         return LATITUDE_DEG + north / METRES_PER_DEG, LONGITUDE_DEG + east / scale
 
-    def _velocity(self, now_ns: int, factor: float = 1.0) -> m.Vector3:
+    def _velocity(self, now_ns: int, factor: float = 1.0) -> Vector3:
         angle = self._angle(now_ns)
         speed = SPEED_M_S * factor
         return (speed * math.cos(angle), speed * math.sin(angle), 0.0)
 
-    def _imu(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
+    def _imu(self, now_ns: int) -> Iterator[tuple[str, Message]]:
         if "imu" in self.silent:
             return
-        yield "sensors.simulator", m.ImuRaw(received_ns=now_ns, source="imu0", data=b"\xfa\xff\x36" + bytes(60))
+        yield "sensors.simulator", ImuRaw(received_ns=now_ns, source="imu0", data=b"\xfa\xff\x36" + bytes(60))
         yield (
             "parsers.imu",
-            m.ImuSamples(
+            ImuSamples(
                 received_ns=now_ns,
                 source="imu0",
                 sampled_ns=(now_ns - 500_000,),
@@ -161,16 +173,16 @@ class FakeUnit:
             ),
         )
 
-    def _fast(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
+    def _fast(self, now_ns: int) -> Iterator[tuple[str, Message]]:
         wobble = 0.03 * math.sin(now_ns * 1e-9)
         yield (
             "sensors.simulator",
-            m.CanRaw(received_ns=now_ns, source="can0", data=b"(0.0) can0 123#0011223344556677\n"),
+            CanRaw(received_ns=now_ns, source="can0", data=b"(0.0) can0 123#0011223344556677\n"),
         )
         wheel = SPEED_M_S * (1.01 + wobble / 3)
         yield (
             "parsers.can",
-            m.WheelSpeeds(
+            WheelSpeeds(
                 sampled_ns=now_ns,
                 received_ns=now_ns,
                 source="can0",
@@ -183,7 +195,7 @@ class FakeUnit:
         yaw = (self._angle(now_ns) + math.pi) % (2 * math.pi) - math.pi
         yield (
             "sensors.simulator",
-            m.TruthState(
+            TruthState(
                 sampled_ns=now_ns,
                 latitude_deg=latitude,
                 longitude_deg=longitude,
@@ -198,7 +210,7 @@ class FakeUnit:
         latitude, longitude = self._place(now_ns, 0.5 + 10 * wobble, -0.4)
         yield (
             "core.fusion",
-            m.NavigationSolution(
+            NavigationSolution(
                 sampled_ns=now_ns - 1_000_000,
                 phase=self._phase(),
                 latitude_deg=latitude,
@@ -222,22 +234,22 @@ class FakeUnit:
             ),
         )
 
-    def _phase(self) -> m.NavigationPhase:
-        return m.NavigationPhase.COASTING if self.coasting else m.NavigationPhase.NAVIGATING
+    def _phase(self) -> NavigationPhase:
+        return NavigationPhase.COASTING if self.coasting else NavigationPhase.NAVIGATING
 
-    def _slow(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
-        yield "sensors.simulator", m.GnssRaw(received_ns=now_ns, source="gnss0", data=b"\xb5\x62\x01\x07" + bytes(96))
+    def _slow(self, now_ns: int) -> Iterator[tuple[str, Message]]:
+        yield "sensors.simulator", GnssRaw(received_ns=now_ns, source="gnss0", data=b"\xb5\x62\x01\x07" + bytes(96))
         latitude, longitude = self._place(now_ns - 80_000_000, 1.4, 0.9)
         velocity = self._velocity(now_ns, 1.4 if self.rejecting else 1.0)
         yield (
             "parsers.gnss",
-            m.GnssFix(
+            GnssFix(
                 sampled_ns=now_ns - 80_000_000,
                 received_ns=now_ns,
                 source="gnss0",
                 utc_ns=now_ns - 80_000_000,
-                fix_type=m.FixType.THREE_D,
-                carrier_solution=m.CarrierSolution.FLOAT,
+                fix_type=FixType.THREE_D,
+                carrier_solution=CarrierSolution.FLOAT,
                 differential=True,
                 satellites_used=17,
                 latitude_deg=latitude,
@@ -252,11 +264,11 @@ class FakeUnit:
             ),
         )
         yield "parsers.gnss", self._satellites(now_ns)
-        for kind, ratio in ((m.AidingKind.GNSS_POSITION, 0.31), (m.AidingKind.GNSS_VELOCITY, 0.18)):
-            used = not (self.rejecting and kind is m.AidingKind.GNSS_VELOCITY)
+        for kind, ratio in ((AidingKind.GNSS_POSITION, 0.31), (AidingKind.GNSS_VELOCITY, 0.18)):
+            used = not (self.rejecting and kind is AidingKind.GNSS_VELOCITY)
             yield (
                 "core.fusion",
-                m.AidingUpdate(
+                AidingUpdate(
                     sampled_ns=now_ns,
                     source="gnss0",
                     kind=kind,
@@ -269,7 +281,7 @@ class FakeUnit:
             )
         yield (
             "core.fusion",
-            m.NavigationState(
+            NavigationState(
                 sampled_ns=now_ns,
                 phase=self._phase(),
                 since_ns=self.started_ns,
@@ -282,10 +294,10 @@ class FakeUnit:
                 resets=0,
             ),
         )
-        mode = m.Mode.DEGRADED if self.rejecting or self.coasting else m.Mode.MEASURING
+        mode = Mode.DEGRADED if self.rejecting or self.coasting else Mode.MEASURING
         yield (
             "controller.mode",
-            m.ModeState(
+            ModeState(
                 sampled_ns=now_ns,
                 mode=mode,
                 since_ns=self.started_ns,
@@ -297,7 +309,7 @@ class FakeUnit:
         )
         yield (
             "monitoring.recorder",
-            m.RecordingState(
+            RecordingState(
                 now_ns=now_ns,
                 recording=True,
                 file="2026-11-21T02.mcap",
@@ -308,23 +320,21 @@ class FakeUnit:
             ),
         )
 
-    def _satellites(self, now_ns: int) -> m.GnssSatellites:
+    def _satellites(self, now_ns: int) -> GnssSatellites:
         satellites = tuple(
-            m.Satellite(constellation=m.Constellation.GPS, number=n + 1, cn0_db_hz=30.0 + n % 15, used=n < 17)
+            Satellite(constellation=Constellation.GPS, number=n + 1, cn0_db_hz=30.0 + n % 15, used=n < 17)
             for n in range(24)
         )
-        return m.GnssSatellites(
-            sampled_ns=now_ns - 80_000_000, received_ns=now_ns, source="gnss0", satellites=satellites
-        )
+        return GnssSatellites(sampled_ns=now_ns - 80_000_000, received_ns=now_ns, source="gnss0", satellites=satellites)
 
-    def _heartbeats(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
+    def _heartbeats(self, now_ns: int) -> Iterator[tuple[str, Message]]:
         elapsed_s = (now_ns - self.started_ns) * 1e-9
         for index, name in enumerate(SIMULATED):
             yield (
                 name,
-                m.ProcessHealth(
+                ProcessHealth(
                     process=name,
-                    state=m.ProcessState.READY,
+                    state=ProcessState.READY,
                     incarnation=LIFE + self.lives[name],
                     sent_ns=now_ns,
                     messages_in=int(elapsed_s * (110 + 20 * index)),
@@ -335,5 +345,5 @@ class FakeUnit:
                 ),
             )
 
-    def _origin(self, now_ns: int) -> Iterator[tuple[str, m.Message]]:
-        yield "sensors.simulator", m.Origin(now_ns=now_ns, kind=m.OriginKind.SIMULATED, name="city-loop", seed=7)
+    def _origin(self, now_ns: int) -> Iterator[tuple[str, Message]]:
+        yield "sensors.simulator", Origin(now_ns=now_ns, kind=OriginKind.SIMULATED, name="city-loop", seed=7)

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar, cast
 
-from shared import codec
-from shared.bus import Bus, Envelope
-from shared.messages import Message
+from shared.bus import codec
+from shared.bus.bus import Bus, Envelope
+from shared.messages.base import Message
 
 M = TypeVar("M", bound=Message)
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from benchmarks.starts.start import STEP_S, drive
 from services.sensors.simulator.drive import Drive
-from services.sensors.simulator.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE, SensorErrors
-from services.sensors.simulator.inertial import attitude_matrices, ideal_forces, ideal_rates, integrate_position
-from services.sensors.simulator.trajectory import ROLL_STIFFNESS
+from services.sensors.simulator.imu.ideal_imu import attitude_matrices, ideal_forces, ideal_rates, integrate_position
+from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE, SensorErrors
+from services.sensors.simulator.motion.trajectory import ROLL_STIFFNESS
 from shared.maths.earth import Geodetic
 
 Leg = tuple[float, float, float]  # [s], [m/s²], [1/m]

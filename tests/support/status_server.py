@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from services.monitoring.status.process import ADDRESS_FILE, Config, Process
-from shared.bus import Bus
+from shared.bus.bus import Bus
 from tests.support.fake_unit import FakeBus, FakeUnit
 
 

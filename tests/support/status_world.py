@@ -3,10 +3,13 @@
 from dataclasses import dataclass, field
 
 from services.monitoring.status.state import State
-from shared import codec
-from shared import messages as m
-from shared.bus import Envelope
-from shared.config import parse_vehicle
+from shared.bus import codec
+from shared.bus.bus import Envelope
+from shared.messages.base import Message
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.operation import ProcessHealth, ProcessState
+from shared.runtime.config import parse_vehicle
 
 START_NS = 1_795_000_000 * 10**9
 SECOND_NS = 10**9
@@ -26,7 +29,7 @@ class World:
     def __post_init__(self) -> None:
         self.state = State("truck-07", parse_vehicle(self.toml).processes, self.now_ns, 900.0)
 
-    def hear(self, message: m.Message, producer: str, *, delay_s: float = 0.0, retained: bool = False) -> None:
+    def hear(self, message: Message, producer: str, *, delay_s: float = 0.0, retained: bool = False) -> None:
         payload, properties = codec.encode(message)
         self.hear_bytes(codec.topic_name(message), payload, producer, properties, delay_s=delay_s, retained=retained)
 
@@ -53,9 +56,7 @@ class World:
 
     def beat(self, *processes: str, incarnation: int = START_NS, **changes: object) -> None:
         for name in processes:
-            health = m.ProcessHealth(
-                process=name, state=m.ProcessState.READY, incarnation=incarnation, sent_ns=self.now_ns
-            )
+            health = ProcessHealth(process=name, state=ProcessState.READY, incarnation=incarnation, sent_ns=self.now_ns)
             self.hear(health.model_copy(update=changes), name)
 
 
@@ -72,10 +73,10 @@ ALL = (
 )
 
 
-def solution(now_ns: int, **changes: object) -> m.NavigationSolution:
-    base = m.NavigationSolution(
+def solution(now_ns: int, **changes: object) -> NavigationSolution:
+    base = NavigationSolution(
         sampled_ns=now_ns,
-        phase=m.NavigationPhase.NAVIGATING,
+        phase=NavigationPhase.NAVIGATING,
         latitude_deg=48.0,
         longitude_deg=11.0,
         height_ellipsoid_m=500.0,
@@ -95,13 +96,13 @@ def solution(now_ns: int, **changes: object) -> m.NavigationSolution:
     return base.model_copy(update=changes)
 
 
-def fix(now_ns: int, **changes: object) -> m.GnssFix:
-    base = m.GnssFix(
+def fix(now_ns: int, **changes: object) -> GnssFix:
+    base = GnssFix(
         sampled_ns=now_ns,
         received_ns=now_ns,
         source="gnss0",
         utc_ns=now_ns - 250_000_000,
-        fix_type=m.FixType.THREE_D,
+        fix_type=FixType.THREE_D,
         satellites_used=14,
         latitude_deg=48.0,
         longitude_deg=11.0,
@@ -111,8 +112,8 @@ def fix(now_ns: int, **changes: object) -> m.GnssFix:
     return base.model_copy(update=changes)
 
 
-def navigation(now_ns: int, phase: m.NavigationPhase, reason: str) -> m.NavigationState:
-    return m.NavigationState(
+def navigation(now_ns: int, phase: NavigationPhase, reason: str) -> NavigationState:
+    return NavigationState(
         sampled_ns=now_ns,
         phase=phase,
         since_ns=now_ns,
@@ -126,8 +127,8 @@ def navigation(now_ns: int, phase: m.NavigationPhase, reason: str) -> m.Navigati
     )
 
 
-def aiding(kind: m.AidingKind, test_ratio: float, *, used: bool = True) -> m.AidingUpdate:
-    return m.AidingUpdate(
+def aiding(kind: AidingKind, test_ratio: float, *, used: bool = True) -> AidingUpdate:
+    return AidingUpdate(
         sampled_ns=0,
         source="gnss0",
         kind=kind,

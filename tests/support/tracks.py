@@ -5,10 +5,11 @@ from math import cos, degrees, pi, sin
 
 import numpy as np
 
-from services.commands.solving.reference import Reference
-from services.commands.solving.track import Track, TrackBuilder
+from cli.solve.reference_track import Reference
+from cli.solve.track import Track, TrackBuilder
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
-from shared.messages import NavigationPhase, NavigationSolution, Vector3
+from shared.messages.base import Vector3
+from shared.messages.navigation import NavigationPhase, NavigationSolution
 
 PLACE = Geodetic(0.8, 0.2, 300.0)
 RADIUS, RATE = 50.0, 0.2  # [m], [rad/s]: 10 m/s

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from services.core.fusion.trail import Record
+from services.core.fusion.smoothing.history import Record
 
 
 class Records:

@@ -14,15 +14,15 @@ import numpy as np
 
 from benchmarks.navigation.cases import DRIVES, PHASES
 from benchmarks.navigation.runs import data_folder
-from services.commands.solving.drift import drifts
-from services.commands.solving.errors import Stamps, errors_against
-from services.commands.solving.metrics import Run, metrics_of
-from services.commands.solving.outages import Gap, Outages
-from services.commands.solving.reference import Reference
-from services.commands.solving.tally import Tally
-from services.commands.solving.track import NAMES, Track
+from cli.solve.metrics.counters import Tally
+from cli.solve.metrics.drift import drifts
+from cli.solve.metrics.errors import Stamps, errors_against
+from cli.solve.metrics.metrics import Run, metrics_of
+from cli.solve.outages import Gap, Outages
+from cli.solve.reference_track import Reference
+from cli.solve.track import NAMES, Track
 from shared.maths.earth import FloatArray
-from shared.messages import NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
 BEGIN_S, START_S, SETTLED_S = 456250.0, 456300.0, 456600.0  # of the files, of the protocol, of the judgement
 LEVER_M = (0.136, -0.301, -0.184)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from shared.messages import GnssConfiguration, GnssConfigure
+from shared.messages.gnss import GnssConfiguration, GnssConfigure
 
 NS = 1_000_000_000
 BACK_OFF_S = (2.0, 4.0, 8.0)  # before each further attempt

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from shared.messages import LastPosition, NavigationPhase, NavigationSolution
+from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution
 
 NS = 1_000_000_000
 

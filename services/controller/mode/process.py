@@ -4,19 +4,12 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
-from shared.config import Section
-from shared.messages import (
-    GnssConfiguration,
-    GnssConfigure,
-    GnssFix,
-    ImuSamples,
-    LastPosition,
-    Message,
-    Mode,
-    ModeState,
-    NavigationSolution,
-    Tick,
-)
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import LastPosition, NavigationSolution
+from shared.messages.operation import Mode, ModeState
+from shared.runtime.config import Section
 
 from .dialogue import Dialogue
 from .last_position import PositionKeeper

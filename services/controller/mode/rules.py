@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from shared.messages import Mode, NavigationPhase
+from shared.messages.navigation import NavigationPhase
+from shared.messages.operation import Mode
 
 BOOT_S = 1.0
 IMU_SILENT_S = 3.0

@@ -2,17 +2,12 @@
 
 from dataclasses import dataclass, field
 
-from shared.messages import (
-    GnssFix,
-    ImuSamples,
-    Message,
-    Mode,
-    ModeState,
-    NavigationSolution,
-    NavigationState,
-    Tick,
-    VehicleSpeed,
-)
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import NavigationSolution, NavigationState
+from shared.messages.operation import Mode, ModeState
+from shared.messages.vehicle import VehicleSpeed
 
 from .rules import GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT_S, Facts, decide
 from .sources import Sources, age_s

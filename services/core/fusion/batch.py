@@ -6,14 +6,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .aiding import Measurement
-from .delayed import order
+from .filter.imu_step import FORCE_LIMIT, RATE_LIMIT
+from .filter.runner import Runner
+from .measurements.base import Measurement
 from .navigator import Navigator
-from .runner import Runner
-from .samples import Sample, doubts
-from .sampling import FORCE_LIMIT, RATE_LIMIT
+from .plausibility.imu_faults import Sample, doubts
 from .solution import Solution
-from .stretch import Stretch
+from .timing.imu_batch import Stretch
+from .timing.out_of_sequence import order
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -16,24 +16,24 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
-from shared.messages import NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
-from . import barometer, compass
-from .aiding import Counts, Measurement, Outcome
-from .clock import FUTURE_LIMIT_NS, Clock
-from .delayed import DelayedEngine
-from .door import Devices, impossible
-from .engine import Engine
-from .gaps import LostTime
-from .gnss import Reading, Stamp, gnss_measurements
-from .heading import Prior
-from .runner import Runner
-from .samples import Repeats, Sample
-from .sampling import credible, usual
+from .alignment.heading import Prior
+from .filter.imu_step import credible, usual
+from .filter.runner import Runner
+from .measurements import barometer, magnetometer
+from .measurements.base import Counts, Measurement, Outcome
+from .measurements.gnss import Reading, Stamp, gnss_measurements
+from .measurements.odometer import WheelSpeed
+from .plausibility.imu_faults import Repeats, Sample
+from .plausibility.measurements import Devices, impossible
 from .settings import Settings
+from .smoothing.history import Trail
 from .solution import Bounds, Solution, solution_of
-from .trail import Trail
-from .wheels import WheelSpeed
+from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
+from .timing.out_of_sequence import DelayedEngine
+from .update.engine import Engine
+from .update.imu_gaps import LostTime
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -205,11 +205,11 @@ class Navigator:
         self, time_ns: int, field_b: Vector, *, received_ns: int | None = None, source: str = "compass"
     ) -> None:
         """Take a magnetic field [body, 1 where it was calibrated] at a stamp; one a second is used."""
-        if not self.settings.compass or not self._devices.is_due(source, "field", time_ns, compass.PERIOD_NS):
+        if not self.settings.compass or not self._devices.is_due(source, "field", time_ns, magnetometer.PERIOD_NS):
             return
         arrival_ns = time_ns if received_ns is None else received_ns
         declination = self.settings.magnetic_declination_rad
-        self.measure(compass.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
+        self.measure(magnetometer.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
 
     def leave(self, trail: Trail) -> None:
         """Keep a trail for a smoother, from the first sample on."""

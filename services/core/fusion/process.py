@@ -2,21 +2,14 @@
 
 from collections.abc import Iterator
 
-from shared.messages import (
-    AidingUpdate,
-    GnssFix,
-    ImuSamples,
-    LastPosition,
-    NavigationPhase,
-    NavigationSolution,
-    NavigationState,
-    Tick,
-    VehicleSpeed,
-    WheelSpeeds,
-)
+from shared.messages.base import Tick
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import AidingUpdate, LastPosition, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
-from . import translate
-from .fast import compiled_runner
+from . import messages
+from .filter.fast import compiled_runner
 from .navigator import Navigator
 from .settings import Settings
 
@@ -47,7 +40,7 @@ class Process:
             case ImuSamples():
                 yield from self._inertial(message)
             case GnssFix() | VehicleSpeed() | WheelSpeeds() | LastPosition():
-                if not translate.give(self._navigator, message):
+                if not messages.give(self._navigator, message):
                     self.rejects["fix without position"] += 1
                 if isinstance(message, GnssFix):
                     yield from self._silence(message.received_ns)
@@ -57,18 +50,18 @@ class Process:
             self.rejects["samples of a second imu"] += 1
             return
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
-        for sampled_ns, force, rate in translate.samples_of(batch):
+        for sampled_ns, force, rate in messages.samples_of(batch):
             due = self._is_due(sampled_ns)
             self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated, hurried=due)
             if due:  # first: whoever needs it shall not wait for what is late anyway
                 yield from self._solution(sampled_ns)
-            yield from map(translate.aiding_message, self._navigator.release(batch.received_ns))
+            yield from map(messages.aiding_message, self._navigator.release(batch.received_ns))
             if due or sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._state(sampled_ns)
             if self._is_due(2 * sampled_ns - self._sampled_ns):  # with the next sample
                 self._navigator.foresee()
             self._sampled_ns = sampled_ns
-        translate.give_environment(self._navigator, batch)
+        messages.give_environment(self._navigator, batch)
 
     def _is_due(self, sampled_ns: int) -> bool:
         """Whether a sample of that time is the first of a period."""
@@ -82,18 +75,18 @@ class Process:
         current = (NavigationPhase.WAITING_FOR_IMU, "", received_ns // STATE_PERIOD_NS)
         if self._is_silent(received_ns) and current != self._last_state:
             self._last_state = current
-            yield translate.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
+            yield messages.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
         """Say what goes on when it changes, and every second."""
         current = (self._navigator.phase, self._navigator.reason, sampled_ns // STATE_PERIOD_NS)
         if current != self._last_state:
             self._last_state = current
-            yield translate.state_message(self._navigator, sampled_ns)
+            yield messages.state_message(self._navigator, sampled_ns)
 
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
         """Say where the vehicle is."""
         solution = self._navigator.solution()
         if solution is not None and solution.time_ns == sampled_ns:  # not of a sample that was refused
             self._last_solution = sampled_ns // self._solution_period_ns
-            yield translate.solution_message(solution)
+            yield messages.solution_message(solution)

@@ -4,8 +4,8 @@ from math import pi, radians
 
 from pydantic import Field
 
-from shared.config import Section
-from shared.messages import Vector3
+from shared.messages.base import Vector3
+from shared.runtime.config import Section
 
 _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet
 _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet

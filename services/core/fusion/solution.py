@@ -7,14 +7,15 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector, roll_pitch_yaw_of_quaternion
-from shared.messages import NavigationPhase, Symmetric3
+from shared.messages.base import Symmetric3
+from shared.messages.navigation import NavigationPhase
 
-from . import error_model as em
-from .engine import Engine
-from .filter import ErrorStateFilter
-from .protection import Levels, protection_levels
+from .filter import error_model as em
+from .filter.eskf import ErrorStateFilter
+from .integrity.error_monitor import Watch
+from .integrity.protection_levels import Levels, protection_levels
 from .settings import Settings
-from .watch import Watch
+from .update.engine import Engine
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -1,9 +1,9 @@
 """The watchdog: every topic and process against its deadline, and outages with their cause."""
 
-from shared.bus import Bus, Envelope
-from shared.config import Section, parse_vehicle
+from shared.bus.bus import Bus, Envelope
 from shared.errors import BadPayload
-from shared.messages import ProcessHealth
+from shared.messages.operation import ProcessHealth
+from shared.runtime.config import Section, parse_vehicle
 
 from .watch import Watch
 

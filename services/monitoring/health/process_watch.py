@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 
-from shared.messages import ProcessHealth, ProcessState
+from shared.messages.operation import ProcessHealth, ProcessState
 from shared.topics import BY_NAME
 
 SILENT_AFTER_S = BY_NAME["health/+"].silent_after_s or 2.0

@@ -4,8 +4,9 @@ import re
 from collections import deque
 from collections.abc import Mapping
 
-from shared.freshness import freshness_of, limits_of, percentile
-from shared.messages import Freshness, Message
+from shared.messages.base import Message
+from shared.messages.operation import Freshness
+from shared.runtime.freshness import freshness_of, limits_of, percentile
 from shared.topics import Topic
 
 RATE_WINDOW_NS = 10_000_000_000

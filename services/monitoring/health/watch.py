@@ -2,8 +2,7 @@
 
 from collections.abc import Collection, Mapping
 
-from shared.freshness import STARTUP_GRACE_S
-from shared.messages import (
+from shared.messages.operation import (
     DeadlineReport,
     Freshness,
     Outage,
@@ -13,6 +12,7 @@ from shared.messages import (
     TopicAge,
 )
 from shared.processes import BY_NAME as PROCESS_ROWS
+from shared.runtime.freshness import STARTUP_GRACE_S
 from shared.topics import TOPICS, Topic, topic_of
 
 from .causes import Upstream, expected_topics, producers_of

@@ -4,11 +4,11 @@ import logging
 
 from pydantic import Field
 
-from shared.bus import Bus, Envelope
-from shared.config import Section
-from shared.messages import RecordingState
+from shared.bus.bus import Bus, Envelope
+from shared.messages.operation import RecordingState
 from shared.recording.folder import RecordingFolder
 from shared.recording.writer import Opener, open_new
+from shared.runtime.config import Section
 
 from .retention import Limits, decide, file_name
 

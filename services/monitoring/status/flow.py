@@ -3,10 +3,11 @@
 from collections import deque
 from itertools import pairwise
 
-from shared.bus import Envelope
+from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.freshness import freshness_of, limits_of, percentile
-from shared.messages import Consumed, Freshness, Message, ProcessHealth, ProcessState
+from shared.messages.base import Message
+from shared.messages.operation import Consumed, Freshness, ProcessHealth, ProcessState
+from shared.runtime.freshness import freshness_of, limits_of, percentile
 from shared.topics import Topic
 
 RATE_WINDOW_S = 10

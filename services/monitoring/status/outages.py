@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Mapping
 
-from shared.messages import Outage
+from shared.messages.operation import Outage
 
 SAME_EVENT_NS = 15_000_000_000  # two observers of one loss agree to better than this
 LENGTH = 200

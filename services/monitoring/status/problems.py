@@ -4,9 +4,9 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from shared.freshness import STARTUP_GRACE_S, freshness_of, limits_of
-from shared.messages import Freshness, ProcessState, RecordingState
+from shared.messages.operation import Freshness, ProcessState, RecordingState
 from shared.processes import BY_NAME as PROCESS_ROWS
+from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, limits_of
 from shared.topics import BY_NAME, Topic, subscriptions
 
 from .flow import ProcessFlow, TopicFlow

@@ -10,15 +10,15 @@ from pathlib import Path
 import uvicorn
 from pydantic import Field
 
-from shared.bus import Bus
-from shared.config import Section, parse_vehicle
+from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
+from shared.runtime.config import Section, parse_vehicle
 
-from .metrics import StateCollector, registry_of
-from .pages import read_pages
 from .state import State
-from .stream import Stream
-from .web import Api, make_app, make_server
+from .views.prometheus import StateCollector, registry_of
+from .web.pages import read_pages
+from .web.routes import Api, make_app, make_server
+from .web.websocket import Stream
 
 log = logging.getLogger(__name__)
 

@@ -6,34 +6,23 @@ from math import hypot
 from statistics import fmean
 from typing import TypeVar
 
-from shared.bus import Envelope
+from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.freshness import percentile
-from shared.messages import (
-    AidingKind,
-    AidingUpdate,
-    DeadlineReport,
-    Freshness,
-    GnssFix,
-    Message,
-    NavigationSolution,
-    NavigationState,
-    Origin,
-    Outage,
-    ProcessHealth,
-    TruthState,
-    VehicleSpeed,
-    WheelSpeeds,
-)
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState, TruthState
+from shared.messages.operation import DeadlineReport, Freshness, Origin, Outage, ProcessHealth
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
+from shared.runtime.freshness import percentile
 from shared.topics import BY_NAME, TOPICS, topic_of
 
-from .banner import Evidence, Trust, Verdict, judge
 from .flow import ProcessFlow, TopicFlow
-from .geometry import ellipse_95, offset_m
 from .history import History
 from .outages import OutageBook
 from .problems import DOWN, Problem, Status, find_problems, root_cause, status_of
+from .views.banner import Evidence, Trust, Verdict, judge
+from .views.geometry import ellipse_95, offset_m
 
 M = TypeVar("M", bound=Message)
 SAMPLE_NS = 200_000_000

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from pydantic import Field
 
-from shared.config import Section
 from shared.errors import UserError
-from shared.messages import CanRaw, Message, VehicleSpeed, WheelSpeeds
+from shared.messages.base import Message
+from shared.messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
+from shared.runtime.config import Section
 
 from .candump import CanFrame, LineReader
 from .database import WheelSpeedDecoder

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxtypes_configdb import UBX_CONFIG_DATABASE
 
-from shared.messages import GnssConfiguration, GnssConfigure, GnssWrite
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssWrite
 
 ACK, CFG = 0x05, 0x06
 VALSET, VALGET = 0x8A, 0x8B

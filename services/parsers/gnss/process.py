@@ -5,8 +5,9 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
-from shared.config import Section
-from shared.messages import GnssConfigure, GnssRaw, GnssWrite, Message, Tick
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import GnssConfigure, GnssRaw, GnssWrite
+from shared.runtime.config import Section
 
 from .receiver import Output, Receiver
 

@@ -4,14 +4,14 @@ from collections import Counter
 from collections.abc import Iterator
 
 from shared.maths.clock_mapping import ClockMapping
-from shared.messages import GnssConfiguration, GnssFix, GnssRaw, GnssSatellites
+from shared.messages.gnss import GnssConfiguration, GnssFix, GnssRaw, GnssSatellites
 
-from . import ubx
+from . import ubx_messages
 from .configuration import Configurator
-from .epoch import Epoch, EpochAssembler, fix_from_epoch
 from .framer import Frame, Framer, Protocol
 from .gnss_time import DAY_NS, MS, NS, WEEK_NS, Unwrapper
-from .nmea import NmeaAssembler, NmeaEpoch, NmeaError, fix_from_sentences
+from .nmea_epoch import NmeaAssembler, NmeaEpoch, NmeaError, fix_from_sentences
+from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
 NMEA_WAITS_NS = 5 * NS  # NMEA counts only while UBX has sent no fix for so long
 
@@ -41,13 +41,13 @@ class Receiver:
                     yield from self._take_nmea(frame, raw.received_ns)
                 elif frame.protocol is Protocol.UBX:
                     yield from self._take_ubx(frame, raw.received_ns)
-            except ubx.UbxError as fault:
+            except ubx_messages.UbxError as fault:
                 self._rejects[f"ubx_{fault}"] += 1
             except NmeaError as fault:
                 self._rejects[str(fault)] += 1
 
     def _take_ubx(self, frame: Frame, received_ns: int) -> Iterator[Output]:
-        kind = ubx.KINDS.get(frame.data[3]) if frame.data[2] == ubx.NAV else None
+        kind = ubx_messages.KINDS.get(frame.data[3]) if frame.data[2] == ubx_messages.NAV else None
         if kind is None:
             yield from self.configurator.take(frame.data)
             return
@@ -71,12 +71,12 @@ class Receiver:
 
     def _take_satellites(self, payload: bytes, received_ns: int) -> Iterator[Output]:
         """Stamp satellites as the fix of their epoch, whichever comes first; at once where there are no fixes."""
-        itow = ubx.satellites_itow_ms(payload)
+        itow = ubx_messages.satellites_itow_ms(payload)
         satellites = GnssSatellites(
             sampled_ns=received_ns,
             received_ns=received_ns,
             source=self._source,
-            satellites=ubx.decode_satellites(payload),
+            satellites=ubx_messages.decode_satellites(payload),
         )
         if self._last_stamp and self._last_stamp[0] == itow:
             yield satellites.model_copy(update={"sampled_ns": self._last_stamp[1]})

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 
 from pydantic import Field, field_validator
 
-from shared.config import Section
-from shared.messages import ImuRaw, ImuSamples, Message
+from shared.messages.base import Message
+from shared.messages.imu import ImuRaw, ImuSamples
+from shared.runtime.config import Section
 
-from .tracker import Matrix3, Tracker
+from .xsens import Matrix3, Tracker
 
 MAX_TRACKERS = 8
 TOLERANCE = 1e-4  # four decimals are enough

@@ -5,17 +5,18 @@ from collections.abc import Sequence
 
 from pydantic import Field
 
-from shared.bus import Bus, Envelope
-from shared.can_device import check_can_url, open_can
-from shared.config import Section
-from shared.driver import Link, run_driver
-from shared.messages import CanRaw, DeviceName
+from shared.bus.bus import Bus, Envelope
+from shared.devices.can_device import check_can_url, open_can
+from shared.devices.driver import Link, run_driver
+from shared.messages.base import DeviceName
+from shared.messages.vehicle import CanRaw
+from shared.runtime.config import Section
 
 SPEED_REQUEST = bytes.fromhex("02010D0000000000")  # SAE J1979 mode 01, PID 0D
 
 
 class Config(Section):
-    """Settings of the CAN driver; `shared/can_device.py` lists the kinds of device."""
+    """Settings of the CAN driver; `shared/devices/can_device.py` lists the kinds of device."""
 
     device: str = "socketcan://can0"
     source: DeviceName = "can0"

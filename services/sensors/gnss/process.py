@@ -2,16 +2,17 @@
 
 from collections.abc import Sequence
 
-from shared.bus import Bus, Envelope
-from shared.config import Section
-from shared.device import open_device, split_url
-from shared.driver import Link, run_driver
+from shared.bus.bus import Bus, Envelope
+from shared.devices.device import open_device, split_url
+from shared.devices.driver import Link, run_driver
 from shared.errors import BadPayload
-from shared.messages import DeviceName, GnssRaw, GnssWrite
+from shared.messages.base import DeviceName
+from shared.messages.gnss import GnssRaw, GnssWrite
+from shared.runtime.config import Section
 
 
 class Config(Section):
-    """Settings of the GNSS driver; `shared/device.py` lists the kinds of device."""
+    """Settings of the GNSS driver; `shared/devices/device.py` lists the kinds of device."""
 
     device: str = "serial:///dev/obu-gnss?baud=115200"
     source: DeviceName = "gnss0"

@@ -1,14 +1,15 @@
 """Reads the inertial measurement unit."""
 
-from shared.bus import Bus
-from shared.config import Section
-from shared.device import open_device, split_url
-from shared.driver import Link, run_driver
-from shared.messages import DeviceName, ImuRaw
+from shared.bus.bus import Bus
+from shared.devices.device import open_device, split_url
+from shared.devices.driver import Link, run_driver
+from shared.messages.base import DeviceName
+from shared.messages.imu import ImuRaw
+from shared.runtime.config import Section
 
 
 class Config(Section):
-    """Settings of the IMU driver; `shared/device.py` lists the kinds of device."""
+    """Settings of the IMU driver; `shared/devices/device.py` lists the kinds of device."""
 
     device: str = "serial:///dev/obu-imu?baud=115200"
     source: DeviceName = "imu0"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .reception import Reception
+from .gnss.reception import Reception
 from .scenarios import Scenario, scenario_of
 from .vehicle import LEVER_ARM_B, Stream, Vector, Vehicle, antenna_at
 

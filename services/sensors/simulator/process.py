@@ -5,12 +5,13 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from shared.bus import Bus
-from shared.config import Section
+from shared.bus.bus import Bus
 from shared.errors import BadPayload
-from shared.messages import GnssWrite, Vector3
+from shared.messages.base import Vector3
+from shared.messages.gnss import GnssWrite
+from shared.runtime.config import Section
 
-from .receiver import SOURCE
+from .gnss.simulated_receiver import SOURCE
 from .scenarios import scenario_of
 from .world import Equipment, World
 

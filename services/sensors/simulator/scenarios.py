@@ -5,8 +5,8 @@ from math import radians
 
 from shared.maths.earth import Geodetic
 
-from .gnss_errors import ErrorKind, InjectedError, Vector
-from .roads import Course, Stretch, bend
+from .gnss.gnss_errors import ErrorKind, InjectedError, Vector
+from .motion.roads import Course, Stretch, bend
 
 L_AQUILA = Geodetic(radians(42.3700), radians(13.3500), 700.0)
 

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 
-from .imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE, SensorErrors
+from .imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE, SensorErrors
+from .motion.trajectory import Motion, Trajectory
 from .scenarios import Scenario
-from .trajectory import Motion, Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]

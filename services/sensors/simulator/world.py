@@ -7,13 +7,15 @@ from itertools import count, takewhile
 
 import numpy as np
 
-from shared.messages import Message, Origin, OriginKind, TruthState
+from shared.messages.base import Message
+from shared.messages.navigation import TruthState
+from shared.messages.operation import Origin, OriginKind
 
-from .can_bus import CanBus
-from .receiver import Receiver
+from .can.can_bus import CanBus
+from .gnss.simulated_receiver import Receiver
+from .imu.simulated_xsens import Tracker
+from .motion.trajectory import Motion
 from .scenarios import Scenario, scenario_of
-from .tracker import Tracker
-from .trajectory import Motion
 from .vehicle import Readings, Stream, Vehicle, antenna_at
 
 NS = 1_000_000_000

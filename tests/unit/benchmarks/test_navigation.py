@@ -15,7 +15,7 @@ from benchmarks.navigation.peers.common import Given, given, judged, protocol_ga
 from benchmarks.navigation.peers.kf_gins import KfGins
 from benchmarks.navigation.peers.ob_gins import at_whole_seconds
 from benchmarks.navigation.runs import MAPPINGS, jobs_of, pooled
-from services.commands.solving.metrics import METRICS
+from cli.solve.metrics.metrics import METRICS
 from tests.support.data import REPOSITORY
 
 PLACE = (np.radians(30.4), np.radians(114.4), 20.0)

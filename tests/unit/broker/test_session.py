@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from broker.simulated.broker import Broker
 from broker.simulated.session import Limits, Session
-from shared.mqtt import packets
-from shared.mqtt.framing import Framer
-from shared.mqtt.packets import Acknowledge, Connect, Publish, Subscribe, Subscription
-from shared.mqtt.properties import NONE, Properties, Property
-from shared.mqtt.wire import Reason
+from shared.bus.mqtt import packets
+from shared.bus.mqtt.framing import Framer
+from shared.bus.mqtt.packets import Acknowledge, Connect, Publish, Subscribe, Subscription
+from shared.bus.mqtt.properties import NONE, Properties, Property
+from shared.bus.mqtt.wire import Reason
 
 
 class Wire:

@@ -4,9 +4,9 @@ import pytest
 
 from services.monitoring.health.topic_watch import TopicWatch
 from services.monitoring.status.flow import TopicFlow
-from shared.bus import Envelope
-from shared.codec import encode
-from shared.freshness import limits_of
+from shared.bus.bus import Envelope
+from shared.bus.codec import encode
+from shared.runtime.freshness import limits_of
 from shared.topics import BY_NAME, TOPICS, Topic
 from tests.support.status_world import START_NS, solution
 

@@ -6,22 +6,12 @@ import pytest
 from services.controller.mode.dialogue import Dialogue
 from services.controller.mode.process import Config, Process
 from services.controller.mode.sources import MAX_SOURCES, Sources
-from shared.messages import (
-    FixType,
-    GnssConfiguration,
-    GnssConfigure,
-    GnssFix,
-    ImuSamples,
-    LastPosition,
-    Message,
-    Mode,
-    ModeState,
-    NavigationPhase,
-    NavigationSolution,
-    NavigationState,
-    Tick,
-    VehicleSpeed,
-)
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import FixType, GnssConfiguration, GnssConfigure, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import LastPosition, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.operation import Mode, ModeState
+from shared.messages.vehicle import VehicleSpeed
 
 NS = 1_000_000_000
 START_NS = 1_764_000_000 * NS

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.controller.mode.rules import Facts, decide
-from shared.messages import Mode, NavigationPhase
+from shared.messages.navigation import NavigationPhase
+from shared.messages.operation import Mode
 
 P = NavigationPhase
 HEALTHY = Facts(

@@ -8,23 +8,23 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.core.fusion.aiding import Measurement
+from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.batch import solve
-from services.core.fusion.error_model import SIZE
-from services.core.fusion.fast import compiled_runner
-from services.core.fusion.heading import Prior
-from services.core.fusion.kalman import correct
-from services.core.fusion.machine import Machine
+from services.core.fusion.filter.error_model import SIZE
+from services.core.fusion.filter.fast import compiled_runner
+from services.core.fusion.filter.kalman import correct
+from services.core.fusion.filter.machine import Machine
+from services.core.fusion.filter.runner import Runner
+from services.core.fusion.measurements.base import Measurement
+from services.core.fusion.measurements.odometer import WheelSpeed
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.runner import Runner
-from services.core.fusion.samples import Repeats, Sample, doubts
+from services.core.fusion.plausibility.imu_faults import Repeats, Sample, doubts
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
-from services.core.fusion.wheels import WheelSpeed
 from services.sensors.simulator.drive import Drive, simulate
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.messages import NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]
 TENTH_NS = 100_000_000

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.core.fusion.aiding import Outcome
-from services.core.fusion.delayed import DelayedEngine
-from services.core.fusion.heading import Prior
+from services.core.fusion.alignment.heading import Prior
+from services.core.fusion.measurements.base import Outcome
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
+from services.core.fusion.timing.out_of_sequence import DelayedEngine
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
-from shared.messages import AidingKind, NavigationPhase
+from shared.messages.navigation import AidingKind, NavigationPhase
 
 SECOND_NS = 1_000_000_000
 DURATION_S = 40.0

@@ -9,25 +9,22 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from services.core.fusion.messages import measurements_from_fix
 from services.core.fusion.process import Config, Process
-from services.core.fusion.translate import measurements_from_fix
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.messages import (
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import (
     AidingKind,
     AidingUpdate,
-    FixType,
-    GnssFix,
-    ImuSamples,
     LastPosition,
-    Message,
     NavigationPhase,
     NavigationSolution,
     NavigationState,
-    Tick,
-    VehicleSpeed,
-    WheelSpeeds,
 )
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 EPOCH_NS = 1_790_000_000_000_000_000
 LATENCY_NS = 80_000_000

@@ -1,9 +1,9 @@
 from pathlib import Path
 
 from services.monitoring.health.process import Config, Process
-from shared import codec
-from shared.bus import Envelope
-from shared.messages import DeadlineReport, Outage, ProcessHealth, ProcessState
+from shared.bus import codec
+from shared.bus.bus import Envelope
+from shared.messages.operation import DeadlineReport, Outage, ProcessHealth, ProcessState
 from tests.support.fake_bus import FakeBus
 
 START_NS = 1_790_000_000_000_000_000

@@ -4,8 +4,9 @@ import pytest
 
 from services.monitoring.health.causes import expected_topics
 from services.monitoring.health.watch import Watch
-from shared import codec
-from shared.messages import Freshness, ImuSamples, Outage, ProcessHealth, ProcessState, TopicAge
+from shared.bus import codec
+from shared.messages.imu import ImuSamples
+from shared.messages.operation import Freshness, Outage, ProcessHealth, ProcessState, TopicAge
 from shared.processes import PROCESSES
 
 SECOND = 1_000_000_000

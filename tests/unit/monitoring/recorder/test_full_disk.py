@@ -10,8 +10,8 @@ ON_A_SMALL_DISK = """
 import os, random, sys
 from pathlib import Path
 from services.monitoring.recorder.process import Config, Process
-from shared.bus import Envelope
-from shared.messages import RecordingState
+from shared.bus.bus import (Envelope)
+from shared.messages.operation import RecordingState
 from shared.recording import Recording
 from tests.support.fake_bus import FakeBus
 

@@ -5,8 +5,8 @@ import pytest
 from pydantic import ValidationError
 
 from services.monitoring.recorder.process import Config, Process
-from shared.bus import Envelope
-from shared.messages import RecordingState
+from shared.bus.bus import Envelope
+from shared.messages.operation import RecordingState
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK
 from tests.support.fake_bus import FakeBus

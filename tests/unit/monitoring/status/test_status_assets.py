@@ -3,8 +3,8 @@ from base64 import b64encode
 from hashlib import sha256
 from pathlib import Path
 
-from services.monitoring.status import assets
 from services.monitoring.status.process import DASHBOARD
+from services.monitoring.status.web import assets
 
 PAGE = '<head><script type="importmap">{"imports": {}}</script><script type="module" src="/main.js"></script></head>'
 

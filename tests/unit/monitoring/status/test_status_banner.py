@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.monitoring.status.banner import NOT_MONITORED, Evidence, Trust, judge
-from shared.messages import AidingKind, FixType, NavigationPhase
+from services.monitoring.status.views.banner import NOT_MONITORED, Evidence, Trust, judge
+from shared.messages.gnss import FixType
+from shared.messages.navigation import AidingKind, NavigationPhase
 from tests.support.status_world import START_NS, aiding, fix, solution
 
 LEVELS = {"protection_level_horizontal_m": 3.14, "protection_level_vertical_m": 4.2, "integrity_risk": 1e-3}

@@ -1,4 +1,4 @@
-from services.monitoring.status.clients import QUEUE_FRAMES, Clients
+from services.monitoring.status.web.clients import QUEUE_FRAMES, Clients
 
 
 def test_a_full_house_admits_nobody() -> None:

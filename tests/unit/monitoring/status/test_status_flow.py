@@ -1,10 +1,12 @@
 import pytest
 
-from services.monitoring.status import reports
 from services.monitoring.status.flow import TopicFlow
+from services.monitoring.status.views import reports
 from shared.errors import BadPayload
-from shared.messages import AidingKind, GnssRaw, ImuSamples, ModeState, Origin, OriginKind
-from shared.messages.operation import Mode
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import AidingKind
+from shared.messages.operation import Mode, ModeState, Origin, OriginKind
 from tests.support.status_world import ALL, SECOND_NS, START_NS, World, aiding, fix, solution
 
 

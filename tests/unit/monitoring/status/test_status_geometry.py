@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.monitoring.status.geometry import CHI_SQUARE_95_TWO, ellipse_95, horizontal_sd, offset_m, vertical_sd
+from services.monitoring.status.views.geometry import (
+    CHI_SQUARE_95_TWO,
+    ellipse_95,
+    horizontal_sd,
+    offset_m,
+    vertical_sd,
+)
 from tests.support.status_world import START_NS, fix, solution
 
 

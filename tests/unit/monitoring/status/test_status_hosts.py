@@ -1,6 +1,6 @@
 import pytest
 
-from services.monitoring.status.hosts import host_allowed, same_origin
+from services.monitoring.status.web.hosts import host_allowed, same_origin
 
 
 @pytest.mark.parametrize(

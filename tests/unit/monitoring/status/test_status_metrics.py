@@ -3,14 +3,15 @@ import threading
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from services.monitoring.status import metrics
-from shared.messages import AidingKind, RecordingState
+from services.monitoring.status.views import prometheus
+from shared.messages.navigation import AidingKind
+from shared.messages.operation import RecordingState
 from tests.support.status_world import START_NS, World, aiding, fix, solution
 
 
 def scrape(world: World) -> dict[str, dict[tuple[str, ...], float]]:
-    collector = metrics.StateCollector(world.state, lambda: world.now_ns, threading.Lock(), "0.1.0")
-    text = metrics.text(metrics.registry_of(collector)).decode()
+    collector = prometheus.StateCollector(world.state, lambda: world.now_ns, threading.Lock(), "0.1.0")
+    text = prometheus.text(prometheus.registry_of(collector)).decode()
     found: dict[str, dict[tuple[str, ...], float]] = {}
     for family in text_string_to_metric_families(text):
         for sample in family.samples:

@@ -1,5 +1,5 @@
 from services.monitoring.status.outages import LENGTH, OutageBook
-from shared.messages import Outage
+from shared.messages.operation import Outage
 
 S = 10**9
 

@@ -2,18 +2,17 @@
 
 import pytest
 
-from services.monitoring.status import reports, view
-from services.monitoring.status.banner import Trust
 from services.monitoring.status.problems import Status
-from shared.codec import encode
+from services.monitoring.status.views import reports, snapshot
+from services.monitoring.status.views.banner import Trust
+from shared.bus.codec import encode
 from shared.errors import BadPayload
-from shared.messages import (
-    AidingKind,
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuRaw
+from shared.messages.navigation import AidingKind, NavigationPhase, TruthState
+from shared.messages.operation import (
     DeadlineReport,
     Freshness,
-    GnssRaw,
-    ImuRaw,
-    NavigationPhase,
     Origin,
     OriginKind,
     Outage,
@@ -22,10 +21,8 @@ from shared.messages import (
     ProcessState,
     RecordingState,
     TopicAge,
-    TruthState,
-    VehicleSpeed,
-    WheelSpeeds,
 )
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from tests.support.status_world import ALL, SECOND_NS, START_NS, World, aiding, fix, navigation, solution
 
 
@@ -92,7 +89,7 @@ def test_what_was_known_of_a_process_outlives_its_will(driving: World) -> None:
     will = ProcessHealth(process="parsers.gnss", state=ProcessState.LOST, incarnation=START_NS, sent_ns=driving.now_ns)
     driving.hear(will, "parsers.gnss")
     driving.pass_time(0.3)
-    row = view.processes(driving.state, driving.now_ns)["parsers.gnss"]
+    row = snapshot.processes(driving.state, driving.now_ns)["parsers.gnss"]
     assert isinstance(row, dict)
     assert (row["last_error"], row["rss_bytes"]) == ("checksum of UBX-NAV-PVT", 31_000_000)
 
@@ -220,7 +217,7 @@ def test_the_cause_that_the_health_process_found_is_preferred(driving: World) ->
 
 def test_one_simulated_source_among_live_ones_makes_the_whole_simulated(driving: World) -> None:
     driving.hear(Origin(now_ns=driving.now_ns, kind=OriginKind.LIVE, name="truck"), "sensors.gnss")
-    assert view.origin(driving.state, driving.now_ns) == {
+    assert snapshot.origin(driving.state, driving.now_ns) == {
         "kind": "simulated",
         "name": "urban",
         "seed": None,
@@ -230,7 +227,7 @@ def test_one_simulated_source_among_live_ones_makes_the_whole_simulated(driving:
 
 def test_an_origin_that_is_no_longer_repeated_is_not_believed(driving: World) -> None:
     driving.pass_time(11.0)
-    assert view.origin(driving.state, driving.now_ns) is None
+    assert snapshot.origin(driving.state, driving.now_ns) is None
 
 
 def test_the_odometer_is_the_mean_of_the_wheels_and_else_the_vehicle(driving: World) -> None:
@@ -269,7 +266,7 @@ def test_the_true_error_of_a_simulation_is_in_the_history(driving: World) -> Non
 
 def test_the_chain_names_how_many_links_work(driving: World) -> None:
     drive(driving, 6.0, without=("parsers.can", "GnssRaw"))
-    chain = view.chain(driving.state, driving.now_ns)
+    chain = snapshot.chain(driving.state, driving.now_ns)
     assert chain["services"] == {"ok": False, "up": 8, "of": 9, "worst": "parsers.can"}
     assert chain["sensors"] == {"ok": False, "up": 1, "of": 2, "worst": "gnss"}
 
@@ -321,7 +318,7 @@ def test_the_latency_of_a_process_is_that_of_what_it_says_regularly(driving: Wor
             late = aiding(AidingKind.ODOMETER, 0.5).model_copy(update={"sampled_ns": driving.now_ns - SECOND_NS})
             driving.hear(late, "core.fusion")
         driving.pass_time(1.0)
-    shown = view.processes(driving.state, driving.now_ns)["core.fusion"]
+    shown = snapshot.processes(driving.state, driving.now_ns)["core.fusion"]
     assert isinstance(shown, dict)
     assert shown["latency_of"] == "navigation/solution"
     assert shown["latency_p99_s"] < 0.5, "and not that of measurements that waited"
@@ -330,4 +327,6 @@ def test_the_latency_of_a_process_is_that_of_what_it_says_regularly(driving: Wor
 def test_the_dashboard_has_the_same_keys_with_and_without_data(driving: World) -> None:
     empty = World()
     empty.pass_time(0.3)
-    assert view.dashboard(empty.state, empty.now_ns).keys() == view.dashboard(driving.state, driving.now_ns).keys()
+    assert (
+        snapshot.dashboard(empty.state, empty.now_ns).keys() == snapshot.dashboard(driving.state, driving.now_ns).keys()
+    )

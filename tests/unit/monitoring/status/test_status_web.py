@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from services.monitoring.status.process import Config, Process
-from services.monitoring.status.stream import Stream
-from shared.bus import Envelope
+from services.monitoring.status.web.websocket import Stream
+from shared.bus.bus import Envelope
 from shared.errors import ObuError
 from tests.support.fake_bus import FakeBus
 

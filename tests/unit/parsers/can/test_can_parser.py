@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from services.parsers.can.candump import LineReader, parse_line
 from services.parsers.can.process import Config, Process, WheelSignals
 from shared.errors import UserError
-from shared.messages import CanRaw, ImuRaw, VehicleSpeed, WheelSpeeds
+from shared.messages.imu import ImuRaw
+from shared.messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from tests.support.data import recording
 
 NS = 1_000_000_000

@@ -10,7 +10,8 @@ from pyubx2.ubxtypes_configdb import UBX_CONFIG_DATABASE
 from services.parsers.gnss.configuration import read_values
 from services.parsers.gnss.framer import UBX_SYNC, ubx_checksum
 from services.parsers.gnss.process import Config, Process
-from shared.messages import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite, Message, Tick
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite
 
 NS = 1_000_000_000
 ASKED = GnssConfigure(request_id=7, source="gnss0", navigation_period_s=0.2, messages=("NAV-PVT", "NAV-COV"))

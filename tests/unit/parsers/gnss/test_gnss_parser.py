@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
 
 from services.parsers.gnss.process import Config, Process
-from shared.messages import CarrierSolution, FixType, GnssFix, GnssRaw, GnssSatellites, Message
+from shared.messages.base import Message
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw, GnssSatellites
 from tests.support.data import recording
 
 NS = 1_000_000_000

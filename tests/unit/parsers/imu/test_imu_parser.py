@@ -10,9 +10,10 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from services.parsers.imu.process import Config, Process
-from services.parsers.imu.tracker import inertial_data
-from shared import xbus
-from shared.messages import GnssRaw, ImuRaw, ImuSamples
+from services.parsers.imu.xsens import inertial_data
+from shared.devices import xbus
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuRaw, ImuSamples
 from tests.support.data import recording
 
 NS = 1_000_000_000

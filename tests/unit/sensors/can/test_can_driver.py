@@ -5,7 +5,7 @@ import pytest
 
 from services.sensors.can.process import Config, Process
 from shared.errors import UserError
-from shared.messages import CanRaw
+from shared.messages.vehicle import CanRaw
 from tests.support.live_bus import eventually, running
 
 

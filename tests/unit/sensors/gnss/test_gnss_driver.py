@@ -6,7 +6,7 @@ import pytest
 
 from services.sensors.gnss.process import Config, Process
 from shared.errors import UserError
-from shared.messages import GnssRaw, GnssWrite
+from shared.messages.gnss import GnssRaw, GnssWrite
 from tests.support.live_bus import eventually, running
 
 

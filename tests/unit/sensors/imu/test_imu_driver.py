@@ -4,8 +4,8 @@ import time
 import tty
 
 from services.sensors.imu.process import Config, Process
-from shared import xbus
-from shared.messages import ImuRaw
+from shared.devices import xbus
+from shared.messages.imu import ImuRaw
 from tests.support.live_bus import eventually, running
 
 

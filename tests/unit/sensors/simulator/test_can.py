@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
-from services.sensors.simulator.can_bus import CanBus
-from services.sensors.simulator.can_frames import line, speed_request, speed_response, wheel_frame, wheel_speeds
+from services.sensors.simulator.can.can_bus import CanBus
+from services.sensors.simulator.can.can_frames import line, speed_request, speed_response, wheel_frame, wheel_speeds
+from services.sensors.simulator.motion.trajectory import Motion
 from services.sensors.simulator.scenarios import BY_NAME
-from services.sensors.simulator.trajectory import Motion
 from services.sensors.simulator.vehicle import Vehicle
-from shared.messages import CanRaw
+from shared.messages.vehicle import CanRaw
 
 ROOT = Path(__file__).parents[4]
 START_NS = 1_790_000_000_000_000_000

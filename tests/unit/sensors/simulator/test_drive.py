@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from services.sensors.simulator.drive import simulate
-from services.sensors.simulator.gnss_errors import BASE_SD, ErrorKind, InjectedError, position_errors
+from services.sensors.simulator.gnss.gnss_errors import BASE_SD, ErrorKind, InjectedError, position_errors
 from services.sensors.simulator.scenarios import BY_NAME, DEGRADED_RMSE, with_error
 
 SETTLED = slice(14, None)  # fixes of t >= 15 s

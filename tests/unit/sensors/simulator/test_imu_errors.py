@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.sensors.simulator.imu_errors import (
+from services.sensors.simulator.imu.imu_errors import (
     MTI_630_ACCELEROMETER,
     MTI_630_GYROSCOPE,
     SensorErrors,

@@ -6,12 +6,14 @@ import pytest
 from pydantic import ValidationError
 
 from services.parsers.imu.process import Config as ImuConfig
+from services.sensors.simulator.imu.simulated_xsens import Tracker
 from services.sensors.simulator.process import Config, Process
-from services.sensors.simulator.tracker import Tracker
 from services.sensors.simulator.world import messages
-from shared.bus import Envelope
-from shared.config import load_vehicle
-from shared.messages import GnssRaw, ImuRaw, Message, RawBytes
+from shared.bus.bus import Envelope
+from shared.messages.base import Message, RawBytes
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuRaw
+from shared.runtime.config import load_vehicle
 from tests.support.fake_bus import FakeBus
 from tests.support.ublox import valset
 

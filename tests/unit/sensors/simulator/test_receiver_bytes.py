@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pyubx2.ubxtypes_configdb import UBX_CONFIG_DATABASE
 
-from services.sensors.simulator import nmea, settings, ubx
-from services.sensors.simulator.epoch import GEOID_M, Epoch
-from services.sensors.simulator.reception import Fix
-from services.sensors.simulator.settings import Settings
-from services.sensors.simulator.sky import CONSTELLATIONS, Sky, SkyModel, dilution
+from services.sensors.simulator.gnss import nmea_encoder, receiver_settings, ubx_encoder
+from services.sensors.simulator.gnss.receiver_settings import Settings
+from services.sensors.simulator.gnss.reception import Fix
+from services.sensors.simulator.gnss.simulated_epoch import GEOID_M, Epoch
+from services.sensors.simulator.gnss.sky import CONSTELLATIONS, Sky, SkyModel, dilution
 from shared.maths.earth import Geodetic
 from tests.support.ublox import parse_nmea, parse_ubx, valget, valset
 
@@ -36,7 +36,7 @@ def epoch(
 
 
 def test_nav_pvt_says_what_the_fix_is() -> None:
-    pvt = parse_ubx(ubx.nav_pvt(epoch(carrier="float")))
+    pvt = parse_ubx(ubx_encoder.nav_pvt(epoch(carrier="float")))
     assert pvt.identity == "NAV-PVT"
     assert (pvt.year, pvt.month, pvt.day, pvt.hour, pvt.min, pvt.second) == (2026, 9, 21, 14, 13, 21)
     assert pvt.nano == 200_000_000
@@ -59,13 +59,17 @@ def test_nav_pvt_says_what_the_fix_is() -> None:
 
 
 def test_an_autonomous_fix_knows_no_corrections() -> None:
-    pvt = parse_ubx(ubx.nav_pvt(epoch()))
+    pvt = parse_ubx(ubx_encoder.nav_pvt(epoch()))
     assert (pvt.diffSoln, pvt.carrSoln, pvt.lastCorrectionAge, pvt.invalidLlh) == (0, 0, 0, 0)
 
 
 def test_without_a_sky_there_is_no_fix_and_the_position_is_called_invalid() -> None:
     lost = epoch(valid=False)
-    pvt, cov, high = parse_ubx(ubx.nav_pvt(lost)), parse_ubx(ubx.nav_cov(lost)), parse_ubx(ubx.nav_hpposllh(lost))
+    pvt, cov, high = (
+        parse_ubx(ubx_encoder.nav_pvt(lost)),
+        parse_ubx(ubx_encoder.nav_cov(lost)),
+        parse_ubx(ubx_encoder.nav_hpposllh(lost)),
+    )
     assert (pvt.fixType, pvt.gnssFixOk, pvt.numSV, pvt.invalidLlh) == (0, 0, 0, 1)
     assert pvt.pDOP == 99.99
     assert (cov.posCovValid, cov.velCovValid, high.invalidLlh) == (0, 0, 1)
@@ -73,7 +77,7 @@ def test_without_a_sky_there_is_no_fix_and_the_position_is_called_invalid() -> N
 
 @pytest.mark.parametrize("place", [PLACE, Geodetic(radians(-33.123456789), radians(-151.987654321), -12.3456)])
 def test_nav_hpposllh_has_the_position_to_a_tenth_of_a_millimetre(place: Geodetic) -> None:
-    high = parse_ubx(ubx.nav_hpposllh(epoch(place=place)))
+    high = parse_ubx(ubx_encoder.nav_hpposllh(epoch(place=place)))
     assert high.lat == pytest.approx(degrees(place.latitude), abs=5.1e-10)
     assert high.lon == pytest.approx(degrees(place.longitude), abs=5.1e-10)
     assert high.height == pytest.approx(1000 * place.height, abs=0.051)
@@ -81,7 +85,7 @@ def test_nav_hpposllh_has_the_position_to_a_tenth_of_a_millimetre(place: Geodeti
 
 
 def test_nav_cov_and_nav_dop_are_consistent_with_the_other_messages() -> None:
-    cov, dop = parse_ubx(ubx.nav_cov(epoch())), parse_ubx(ubx.nav_dop(epoch()))
+    cov, dop = parse_ubx(ubx_encoder.nav_cov(epoch())), parse_ubx(ubx_encoder.nav_dop(epoch()))
     assert [cov.posCovNN, cov.posCovEE, cov.posCovDD] == pytest.approx([0.0625, 0.09, 0.16])
     assert [cov.velCovNN, cov.velCovEE, cov.velCovDD] == pytest.approx([0.0025, 0.0036, 0.0064])
     assert (cov.posCovNE, cov.posCovND, cov.posCovED) == (0.0, 0.0, 0.0)
@@ -92,14 +96,14 @@ def test_nav_cov_and_nav_dop_are_consistent_with_the_other_messages() -> None:
 
 def test_nav_sat_lists_the_satellites() -> None:
     now = epoch()
-    sat = parse_ubx(ubx.nav_sat(now))
+    sat = parse_ubx(ubx_encoder.nav_sat(now))
     assert sat.numSvs == len(now.sky.number) > 25
     used = [getattr(sat, f"svUsed_{i:02d}") for i in range(1, sat.numSvs + 1)]
     assert sum(used) == now.satellites_used
     assert {getattr(sat, f"gnssId_{i:02d}") for i in range(1, sat.numSvs + 1)} == {0, 2, 3, 6}
     assert sat.elev_01 == round(now.sky.elevation_deg[0])
     assert sat.cno_01 == round(now.sky.cn0_db_hz[0])
-    assert parse_ubx(ubx.nav_eoe(now)).iTOW == sat.iTOW == now.itow_ms
+    assert parse_ubx(ubx_encoder.nav_eoe(now)).iTOW == sat.iTOW == now.itow_ms
 
 
 def test_a_time_with_all_digits_is_the_calendar() -> None:
@@ -107,8 +111,8 @@ def test_a_time_with_all_digits_is_the_calendar() -> None:
 
 
 def test_the_sentences_say_what_the_fix_is() -> None:
-    rmc = parse_nmea(nmea.rmc(epoch()))
-    gga = parse_nmea(nmea.gga(epoch(carrier="fixed")))
+    rmc = parse_nmea(nmea_encoder.rmc(epoch()))
+    gga = parse_nmea(nmea_encoder.gga(epoch(carrier="fixed")))
     for sentence in (rmc, gga):
         assert sentence.latitude == pytest.approx(degrees(PLACE.latitude), abs=1e-7)
         assert sentence.longitude == pytest.approx(degrees(PLACE.longitude), abs=1e-7)
@@ -123,13 +127,13 @@ def test_the_sentences_say_what_the_fix_is() -> None:
 
 
 def test_south_and_west_have_their_letters() -> None:
-    rmc = parse_nmea(nmea.rmc(epoch(place=Geodetic(radians(-33.5), radians(-151.999999999), 0.0))))
+    rmc = parse_nmea(nmea_encoder.rmc(epoch(place=Geodetic(radians(-33.5), radians(-151.999999999), 0.0))))
     assert (rmc.lat, rmc.lat_dir) == ("3330.00000", "S")
     assert (rmc.lon, rmc.lon_dir) == ("15200.00000", "W")
 
 
 def test_every_constellation_has_its_gsa_sentence() -> None:
-    lines = nmea.gsa(epoch()).splitlines(keepends=True)
+    lines = nmea_encoder.gsa(epoch()).splitlines(keepends=True)
     parsed = [parse_nmea(line) for line in lines]
     assert [line.split(b",")[-1][:1] for line in lines] == [b"1", b"3", b"2", b"4"]
     assert all(sentence.mode_fix_type == "3" for sentence in parsed)
@@ -139,9 +143,9 @@ def test_every_constellation_has_its_gsa_sentence() -> None:
 
 def test_sentences_without_a_fix_are_void() -> None:
     lost = epoch(valid=False)
-    rmc, gga = (parse_nmea(encode(lost)) for encode in (nmea.rmc, nmea.gga))
+    rmc, gga = (parse_nmea(encode(lost)) for encode in (nmea_encoder.rmc, nmea_encoder.gga))
     assert (rmc.status, rmc.lat, gga.gps_qual, gga.lat) == ("V", "", 0, "")
-    assert parse_nmea(nmea.gsa(lost).splitlines()[0]).mode_fix_type == "1"
+    assert parse_nmea(nmea_encoder.gsa(lost).splitlines()[0]).mode_fix_type == "1"
 
 
 def answers(receiver: Settings, *messages: bytes) -> Iterator[Any]:
@@ -151,15 +155,15 @@ def answers(receiver: Settings, *messages: bytes) -> Iterator[Any]:
 
 
 def test_the_keys_are_those_of_the_interface_description() -> None:
-    for name, key in settings.OUTPUTS.items():
+    for name, key in receiver_settings.OUTPUTS.items():
         ports = [
             UBX_CONFIG_DATABASE[f"CFG_MSGOUT_{name}_{port}"][0] for port in ("I2C", "UART1", "UART2", "USB", "SPI")
         ]
         assert ports == [key + i for i in range(5)]
-    assert UBX_CONFIG_DATABASE["CFG_RATE_MEAS"][0] == settings.RATE_MEAS
-    assert UBX_CONFIG_DATABASE["CFG_RATE_NAV"][0] == settings.RATE_NAV
-    assert UBX_CONFIG_DATABASE["CFG_RATE_TIMEREF"][0] == settings.RATE_TIMEREF
-    assert UBX_CONFIG_DATABASE["CFG_NAVSPG_DYNMODEL"][0] == settings.DYNAMIC_MODEL
+    assert UBX_CONFIG_DATABASE["CFG_RATE_MEAS"][0] == receiver_settings.RATE_MEAS
+    assert UBX_CONFIG_DATABASE["CFG_RATE_NAV"][0] == receiver_settings.RATE_NAV
+    assert UBX_CONFIG_DATABASE["CFG_RATE_TIMEREF"][0] == receiver_settings.RATE_TIMEREF
+    assert UBX_CONFIG_DATABASE["CFG_NAVSPG_DYNMODEL"][0] == receiver_settings.DYNAMIC_MODEL
 
 
 def test_valset_is_acknowledged_obeyed_and_read_back() -> None:
@@ -192,7 +196,7 @@ def test_a_poll_of_an_unknown_key_is_refused() -> None:
 
 
 def test_the_receiver_tells_its_version() -> None:
-    (version,) = answers(Settings(("ubx",)), ubx.frame(0x0A, 0x04, b""))
+    (version,) = answers(Settings(("ubx",)), ubx_encoder.frame(0x0A, 0x04, b""))
     assert version.hwVersion.startswith(b"00190000")
     assert b"MOD=ZED-F9P" in b"".join(getattr(version, f"extension_{i:02d}") for i in range(1, 6))
 
@@ -211,7 +215,7 @@ def test_endless_garbage_does_not_fill_the_memory() -> None:
     receiver = Settings(("ubx",))
     for _ in range(100):
         assert not list(receiver.take(b"\xb5\x62\x06\x8a\x00\x04" + bytes(5000)))
-    assert len(receiver._buffer) <= settings.MAX_FRAME
+    assert len(receiver._buffer) <= receiver_settings.MAX_FRAME
 
 
 @pytest.mark.parametrize(("protocols", "first"), [(("ubx",), "UBX"), (("nmea",), "NMEA")])

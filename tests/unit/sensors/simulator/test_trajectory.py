@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from services.sensors.simulator.drive import simulate
-from services.sensors.simulator.inertial import attitude_matrices, integrate_position
-from services.sensors.simulator.roads import Course, Road, Stretch, bend
+from services.sensors.simulator.imu.ideal_imu import attitude_matrices, integrate_position
+from services.sensors.simulator.motion.roads import Course, Road, Stretch, bend
+from services.sensors.simulator.motion.speed import Timetable, plan_lap
+from services.sensors.simulator.motion.trajectory import Trajectory
 from services.sensors.simulator.scenarios import BY_NAME, SCENARIOS, Scenario
-from services.sensors.simulator.speed import Timetable, plan_lap
-from services.sensors.simulator.trajectory import Trajectory
 from services.sensors.simulator.vehicle import antenna_at
 from shared.maths.earth import Geodetic, earth_rate_n, gravity, ned_track, transport_rate_n
 from shared.maths.rotation import average_matrix_from_rotation_vector, matrix_from_rotation_vector, skew

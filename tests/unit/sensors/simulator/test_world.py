@@ -10,12 +10,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from services.sensors.simulator.receiver import SOURCE
+from services.sensors.simulator.gnss.simulated_receiver import SOURCE
 from services.sensors.simulator.scenarios import BY_NAME, NAMES
 from services.sensors.simulator.world import DEFAULT_START_NS, Equipment, World, messages
-from shared import xbus
-from shared.codec import encode
-from shared.messages import CanRaw, GnssRaw, ImuRaw, Message, Origin, OriginKind, TruthState
+from shared.bus.codec import encode
+from shared.devices import xbus
+from shared.messages.base import Message
+from shared.messages.gnss import GnssRaw
+from shared.messages.imu import ImuRaw
+from shared.messages.navigation import TruthState
+from shared.messages.operation import Origin, OriginKind
+from shared.messages.vehicle import CanRaw
 from shared.topics import BY_MESSAGE, publications
 from tests.support.ublox import parse_ubx, valget, valset
 

@@ -1,0 +1,1 @@
+"""`obu demo` and `obu up`: every process on this machine."""

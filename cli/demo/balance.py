@@ -1,0 +1,182 @@
+"""What a run amounted to: errors against the simulator's truth, latency, rates, restarts."""
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths import earth, rotation
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.navigation import NavigationSolution, TruthState
+from shared.messages.operation import DeadlineReport, ProcessHealth, ProcessState, TopicAge
+from shared.runtime.config import VehicleFile
+from shared.topics import topic_of
+
+T = TypeVar("T")
+FloatArray = npt.NDArray[np.float64]
+KEPT = 36_000  # the last hour of what comes ten times a second
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The balance of a run. Errors are 3-D root mean squares over the run, in metres."""
+
+    healthy: bool
+    duration_s: float
+    processes_alive: int
+    processes_expected: int
+    restarts: int
+    messages_per_second: float
+    broken_messages: int
+    gnss_position_rmse_m: float | None
+    fusion_position_rmse_m: float | None
+    fusion_horizontal_rmse_m: float | None
+    protection_horizontal_median_m: float | None
+    protection_vertical_median_m: float | None
+    misleading_horizontal: int  # solutions whose error is above their protection level
+    misleading_vertical: int
+    fixes: int
+    solutions: int
+    end_to_end_latency_p50_ms: float | None
+    end_to_end_latency_p99_ms: float | None
+    worst_topic: str | None
+    worst_topic_age_s: float | None
+
+
+class Balance:
+    """Collects what the bus says during a run, or only looks on where nobody will ask for the sum."""
+
+    def __init__(self, vehicle: VehicleFile, *, keep: bool = True) -> None:
+        self._keep = keep
+        lever = vehicle.tables.get("core.fusion", {}).get("lever_arm_body_m", (0.0, 0.0, 0.0))
+        self._lever_b = np.array(lever, dtype=float)
+        self._truth: list[TruthState] = []
+        self._fixes: list[GnssFix] = []
+        self._solutions: list[NavigationSolution] = []
+        self._latencies: list[float] = []
+        self._report: DeadlineReport | None = None
+        self._health: dict[str, ProcessHealth] = {}
+        self._first_ns = self._last_ns = 0
+        self.messages = self.broken_messages = 0
+
+    def add(self, topic: str, message: Message, received_ns: int) -> None:
+        """Take one message as it arrived."""
+        match message:
+            case TruthState() if self._keep:
+                _keep(self._truth, message)
+            case GnssFix() if self._keep:
+                _keep(self._fixes, message)
+            case NavigationSolution() if self._keep:
+                _keep(self._solutions, message)
+                _keep(self._latencies, (received_ns - message.sampled_ns) * 1e-9)
+            case DeadlineReport():
+                self._report = message
+            case ProcessHealth():
+                self._health[message.process] = message
+            case _ if topic == "imu/raw":
+                self.messages += 1
+                self._first_ns = self._first_ns or received_ns
+                self._last_ns = received_ns
+            case _:
+                pass
+
+    def summary(self, alive: int, expected: int, restarts: int) -> Summary:
+        """Add everything up."""
+        judged = [s for s in self._solutions if self._knows(s.sampled_ns)]
+        fusion = self._errors([(s.sampled_ns, _position(s)) for s in judged], np.zeros(3))
+        levels = np.array([_levels(s) for s in judged]).reshape(-1, 2)
+        fixes = [(f.sampled_ns, position) for f in self._fixes if (position := _fix_position(f)) is not None]
+        gnss = self._errors(fixes, self._lever_b)
+        ready = [h for h in self._health.values() if h.state == ProcessState.READY]
+        dated = [t for t in self._report.topics if _has_deadline(t)] if self._report else []
+        worst = max(dated, key=lambda t: t.age_s or 0.0, default=None)
+        return Summary(
+            healthy=alive == expected and len(ready) >= expected - 1 and bool(self._solutions),
+            duration_s=round((self._last_ns - self._first_ns) * 1e-9, 1),
+            processes_alive=alive,
+            processes_expected=expected,
+            restarts=restarts,
+            messages_per_second=round(sum(t.rate_hz for t in self._report.topics), 1) if self._report else 0.0,
+            broken_messages=self.broken_messages,
+            gnss_position_rmse_m=_rms(gnss),
+            fusion_position_rmse_m=_rms(fusion),
+            fusion_horizontal_rmse_m=_rms(fusion[:, :2]),
+            protection_horizontal_median_m=_median(levels[:, 0]),
+            protection_vertical_median_m=_median(levels[:, 1]),
+            misleading_horizontal=int((np.hypot(fusion[:, 0], fusion[:, 1]) > levels[:, 0]).sum()),
+            misleading_vertical=int((np.abs(fusion[:, 2]) > levels[:, 1]).sum()),
+            fixes=len(self._fixes),
+            solutions=len(self._solutions),
+            end_to_end_latency_p50_ms=_quantile(self._latencies, 0.5),
+            end_to_end_latency_p99_ms=_quantile(self._latencies, 0.99),
+            worst_topic=worst.topic if worst else None,
+            worst_topic_age_s=round(worst.age_s, 2) if worst and worst.age_s is not None else None,
+        )
+
+    def _knows(self, stamp_ns: int) -> bool:
+        """Whether the truth is known before and behind an instant."""
+        return bool(self._truth) and self._truth[0].sampled_ns < stamp_ns <= self._truth[-1].sampled_ns
+
+    def _errors(self, positions: list[tuple[int, tuple[float, float, float]]], lever_b: FloatArray) -> FloatArray:
+        """Compare positions with the truth at their own stamps, in metres north, east, down."""
+        stamps = [t.sampled_ns for t in self._truth]
+        errors = []
+        for stamp_ns, (latitude, longitude, height) in positions:
+            after = bisect_left(stamps, stamp_ns)
+            if not 0 < after < len(stamps):
+                continue
+            a, b = self._truth[after - 1], self._truth[after]
+            share = (stamp_ns - a.sampled_ns) / (b.sampled_ns - a.sampled_ns)
+            true = earth.Geodetic(
+                math.radians(a.latitude_deg + share * (b.latitude_deg - a.latitude_deg)),
+                math.radians(a.longitude_deg + share * (b.longitude_deg - a.longitude_deg)),
+                a.height_ellipsoid_m + share * (b.height_ellipsoid_m - a.height_ellipsoid_m),
+            )
+            said = earth.Geodetic(math.radians(latitude), math.radians(longitude), height)
+            lever_n = rotation.ned_from_body(a.roll_rad, a.pitch_rad, a.yaw_rad) @ lever_b
+            errors.append(np.array(earth.ned_from_geodetic_difference(said, true)) - lever_n)
+        return np.array(errors).reshape(-1, 3)
+
+
+def _has_deadline(age: TopicAge) -> bool:
+    topic = topic_of(age.topic)
+    return topic is not None and topic.silent_after_s is not None and age.age_s is not None
+
+
+def _keep(items: list[T], item: T) -> None:
+    items.append(item)
+    if len(items) > KEPT:
+        del items[: KEPT // 10]
+
+
+def _position(s: NavigationSolution) -> tuple[float, float, float]:
+    return s.latitude_deg, s.longitude_deg, s.height_ellipsoid_m
+
+
+def _levels(s: NavigationSolution) -> tuple[float, float]:
+    """Protection levels [m]; without one nothing was promised."""
+    horizontal, vertical = s.protection_level_horizontal_m, s.protection_level_vertical_m
+    return math.inf if horizontal is None else horizontal, math.inf if vertical is None else vertical
+
+
+def _fix_position(f: GnssFix) -> tuple[float, float, float] | None:
+    if f.latitude_deg is None or f.longitude_deg is None or f.height_ellipsoid_m is None:
+        return None
+    return f.latitude_deg, f.longitude_deg, f.height_ellipsoid_m
+
+
+def _rms(errors: FloatArray) -> float | None:
+    return round(float(np.sqrt((errors**2).sum(axis=1).mean())), 3) if len(errors) else None
+
+
+def _median(levels: FloatArray) -> float | None:
+    known = levels[np.isfinite(levels)]
+    return round(float(np.median(known)), 3) if len(known) else None
+
+
+def _quantile(values: list[float], share: float) -> float | None:
+    return round(float(np.quantile(values, share)) * 1e3, 2) if values else None

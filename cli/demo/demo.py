@@ -1,0 +1,213 @@
+"""`obu demo`: the whole unit on this machine with simulated sensors, and its balance at the end."""
+
+import json
+import logging
+import os
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress, TimeElapsedColumn
+
+from services.sensors.simulator.scenarios import scenario_of
+from shared.bus.bus import Bus
+from shared.errors import BadPayload, UserError
+from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
+from shared.topics import TOPICS
+
+from .balance import Balance, Summary
+from .local import broker_command, free_port, fresh_folder, only_one, port_or_free, unit
+from .supervisor import Supervisor
+
+SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
+OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw")
+START_LIMIT_S = 60.0
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """What the demo is asked to do."""
+
+    scenario: str
+    seed: int
+    duration_s: float | None
+    json_output: bool
+    http_port: int
+    broker: str  # auto, mosquitto or simulated
+    vehicle: Path = SIMULATED
+
+
+def run(options: DemoOptions) -> int:
+    """Start everything, watch it, and print the balance at the end."""
+    _insist_on_scenario(options)
+    base = state_dir().resolve()
+    with only_one(base / "demo.lock"), _errors_only("shared"):  # the broker's absence at the start is expected
+        return _drive(options, fresh_folder(base / "demo"))
+
+
+@contextmanager
+def _errors_only(name: str) -> Iterator[None]:
+    """Keep a logger's warnings back until the end of the block."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def _insist_on_scenario(options: DemoOptions) -> None:
+    """Refuse what the simulator would refuse, before anything is started."""
+    try:
+        scenario_of(options.scenario, options.seed)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+
+
+def _drive(options: DemoOptions, folder: Path) -> int:
+    port, (http_port, taken) = free_port(), port_or_free(options.http_port)
+    vehicle_path = folder / "vehicle.toml"
+    vehicle = _vehicle(options, http_port)
+    vehicle_path.write_text(vehicle.text, encoding="utf-8")
+    environment = {
+        "OBU_VEHICLE": str(vehicle_path),
+        "OBU_BROKER": f"mqtt://127.0.0.1:{port}",
+        "OBU_STATE": str(folder),
+    }
+    (folder / "logs").mkdir()
+    (folder / "demo.pid").write_text(str(os.getpid()))
+    broker = broker_command(folder, port, options.broker)
+    supervisor = unit(vehicle, environment, folder / "logs", broker)
+    console = Console(stderr=True)
+    console.print(f"[bold]OBU demo[/]: scenario {options.scenario}, seed {options.seed}; logs in {folder / 'logs'}")
+    if taken:
+        console.print(
+            f"port {options.http_port} {taken}: the dashboard takes {http_port}; "
+            "to choose one: `obu demo --port NUMBER`, or `make demo PORT=NUMBER`",
+            soft_wrap=True,
+        )
+    address = f"http://127.0.0.1:{http_port}"
+    bus = Bus("observer", vehicle.name, BrokerAddress.parse(environment["OBU_BROKER"]),
+              [t for t in TOPICS if t.name in OBSERVED], folder, observer=True)  # fmt: skip
+    balance = Balance(vehicle, keep=options.duration_s is not None)
+    try:
+        _watch(supervisor, bus, balance, options, console, address)
+        summary = balance.summary(supervisor.alive(), len(supervisor.children), _restarts(supervisor))
+    finally:
+        bus.close()
+        supervisor.stop()
+        _tell_recordings(folder, console)
+    _print(summary, options, console)
+    return 0 if summary.healthy else 1
+
+
+def _tell_recordings(folder: Path, console: Console) -> None:
+    """Say where the drive is kept, because the next demo begins with an empty folder."""
+    for path in sorted((folder / "recordings").glob("*.mcap")):
+        console.print(f"recorded: {path}   (copy it: the next demo removes it)", soft_wrap=True, highlight=False)
+
+
+def _restarts(supervisor: Supervisor) -> int:
+    return sum(child.restarts for child in supervisor.children.values())
+
+
+def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
+    """Take the file of the simulated vehicle and put the demo's choices into it."""
+    base = load_vehicle(options.vehicle)
+    tables: dict[str, Table] = {name: dict(table) for name, table in base.tables.items()}
+    simulator = tables.setdefault("sensors.simulator", {})
+    simulator.update(scenario=options.scenario, seed=options.seed)
+    tables.setdefault("monitoring.status", {}).update(port=http_port)
+    lines = [
+        line
+        for name, table in tables.items()
+        for line in (f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items()), "")
+    ]
+    text = "\n".join(lines)
+    tomllib.loads(text)
+    return parse_vehicle(text, "the demo's vehicle file")
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(v) for v in value) + "]"
+    return json.dumps(value)  # strings, numbers and booleans are written alike in JSON and TOML
+
+
+def _watch(
+    supervisor: Supervisor, bus: Bus, balance: Balance, options: DemoOptions, console: Console, address: str
+) -> None:
+    """Run until the duration is over, or for ever; the clock starts with the first solution."""
+    started = time.monotonic()
+    measuring_since: float | None = None
+    with Progress(*Progress.get_default_columns(), TimeElapsedColumn(), console=console,
+                  disable=not console.is_terminal) as progress:  # fmt: skip
+        task = progress.add_task("waiting for the first solution", total=options.duration_s)
+        while measuring_since is None or options.duration_s is None or \
+                time.monotonic() - measuring_since < options.duration_s:  # fmt: skip
+            supervisor.watch()
+            _insist(supervisor)
+            for envelope in bus.receive(0.1):
+                try:
+                    balance.add(envelope.topic, envelope.decode(), envelope.received_ns)
+                except BadPayload:
+                    balance.broken_messages += 1
+            if measuring_since is None and balance.messages:
+                measuring_since = time.monotonic()
+                console.print(f"dashboard: [bold link={address}]{address}[/]   (end with Ctrl-C)")
+                console.print(_how_to_listen(bus), style="dim", soft_wrap=True, highlight=False)
+                progress.update(task, description="driving")
+            if measuring_since is None and time.monotonic() - started > START_LIMIT_S:
+                raise UserError(f"nothing was heard from the sensors in {START_LIMIT_S:.0f} s; "
+                                f"see the logs in {bus.state_dir / 'logs'}")  # fmt: skip
+            if measuring_since is not None:
+                progress.update(task, completed=time.monotonic() - measuring_since)
+
+
+def _how_to_listen(bus: Bus) -> str:
+    """Say what another terminal must be told to hear this unit."""
+    broker = f"mqtt://{bus.address.host}:{bus.address.port}"
+    return f"to listen: export OBU_BROKER={broker} OBU_VEHICLE={bus.state_dir / 'vehicle.toml'}"
+
+
+def _insist(supervisor: Supervisor) -> None:
+    """End the demo where a process cannot work as it was asked to; its own last line says why."""
+    for child in supervisor.children.values():
+        if child.refuses and child.log_file:
+            lines = child.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
+            raise UserError(
+                f"{child.name} refuses to start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
+            )
+
+
+def _why_unhealthy(summary: Summary) -> str:
+    if summary.processes_alive < summary.processes_expected:
+        return (
+            f"{summary.processes_alive} of {summary.processes_expected} processes were alive at the end: see the logs"
+        )
+    if not summary.solutions:
+        return "there was no position yet: a drive needs about 20 s before its first, --duration 60 shows more"
+    return "not every process was heard to be ready: see the logs"
+
+
+def _print(summary: Summary, options: DemoOptions, console: Console) -> None:
+    if not summary.healthy:
+        console.print(f"not healthy: {_why_unhealthy(summary)}", soft_wrap=True, highlight=False)
+    if options.json_output:
+        print(json.dumps(asdict(summary)))
+        return
+    console.print("\n[bold]What was seen[/]")
+    for name, value in asdict(summary).items():
+        console.print(f"  {name:32} {value if value is not None else '-'}")
+    sys.stderr.flush()
+
+
+__all__ = ["DemoOptions", "run"]

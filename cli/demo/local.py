@@ -1,0 +1,92 @@
+"""A broker and a state folder on this machine, for the demo."""
+
+import contextlib
+import errno
+import fcntl
+import os
+import shutil
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from broker import local_config
+from shared.errors import UserError
+from shared.runtime.config import VehicleFile
+
+from .supervisor import Supervisor
+
+
+def free_port() -> int:
+    """Ask the kernel for a loopback port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def port_or_free(wanted: int) -> tuple[int, str | None]:
+    """Take the wanted loopback port, or any free one and the reason why not the wanted one."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", wanted))
+        except OSError as error:
+            return free_port(), "is taken" if error.errno == errno.EADDRINUSE else f"is refused ({error.strerror})"
+        return int(probe.getsockname()[1]), None
+
+
+@contextlib.contextmanager
+def only_one(lock: Path) -> Iterator[None]:
+    """Hold a folder for this demo alone: a second one would throw away what the first is writing."""
+    try:
+        file = lock.open("w")
+    except OSError as error:
+        raise UserError(f"cannot write {lock}: {error.strerror}; set OBU_STATE to a folder of yours") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise UserError(
+                f"another demo runs in {lock.parent}; end it, or set OBU_STATE to another folder"
+            ) from error
+        yield
+
+
+def fresh_folder(path: Path) -> Path:
+    """Make an empty folder, throwing away what an earlier run left there."""
+    try:
+        if path.exists():
+            shutil.rmtree(path)
+        path.mkdir(parents=True)
+    except OSError as error:
+        raise UserError(f"cannot empty {path}: {error.strerror}; remove it, or set OBU_STATE to another") from error
+    return path
+
+
+def broker_command(folder: Path, port: int, kind: str) -> list[str]:
+    """Say how to start a broker on a loopback port: Mosquitto where there is one, else our own.
+
+    `kind` is "auto", "mosquitto" or "simulated".
+    """
+    mosquitto = local_config.executable()
+    if not mosquitto and kind == "mosquitto":
+        raise UserError("Mosquitto is not installed: `apt-get install mosquitto`, or take `--broker simulated`")
+    if mosquitto and kind != "simulated":
+        return [mosquitto, "-c", str(local_config.write(folder, port))]
+    acl = Path(__file__).parents[2] / "broker" / "acl.conf"
+    return [sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl)]
+
+
+def unit(
+    vehicle: VehicleFile, environment: dict[str, str], logs: Path | None = None, broker: list[str] | None = None
+) -> Supervisor:
+    """Put every process of a vehicle under one supervisor, and the broker if it is ours to start.
+
+    Who listens starts before who speaks, so that a recording misses nothing and can be verified whole.
+    """
+    supervisor = Supervisor({**os.environ, **environment}, logs)
+    if broker:
+        supervisor.add("broker", broker, outlives_others=True)
+    for name in reversed(vehicle.processes):
+        supervisor.add_process(name)
+    return supervisor

@@ -1,0 +1,128 @@
+"""Keeps a set of processes alive: starts them, starts them again when they end, stops them in time."""
+
+import logging
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+log = logging.getLogger(__name__)
+
+BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
+SETTLED_S = 10.0  # a life this long forgives the deaths before it
+STOP_S = 4.0
+LAST_STOP_S = 0.5  # for who outlives the others
+
+
+@dataclass
+class Child:
+    """One supervised process: how to start it, and how it has fared."""
+
+    name: str
+    command: Sequence[str]
+    log_file: Path | None
+    outlives_others: bool = False
+    process: subprocess.Popen[bytes] | None = None
+    started: float = 0.0
+    next_start: float = 0.0
+    failures: int = 0
+    restarts: int = 0
+    refuses: bool = False
+    exit_codes: list[int] = field(default_factory=list)
+
+
+class Supervisor:
+    """Starts each child, and again with growing pauses when it ends before it is told to.
+
+    A child that ends because its configuration is wrong is not started again: it would end again.
+    """
+
+    def __init__(self, environment: Mapping[str, str], log_folder: Path | None = None) -> None:
+        self._environment = dict(environment)
+        self._log_folder = log_folder
+        self.children: dict[str, Child] = {}
+
+    def add(self, name: str, command: Sequence[str], *, outlives_others: bool = False) -> None:
+        """Take a child into care; `watch` starts it. One that outlives the others is ended after them."""
+        log_file = self._log_folder / f"{name}.log" if self._log_folder else None
+        self.children[name] = Child(name, command, log_file, outlives_others)
+
+    def add_process(self, name: str) -> None:
+        """Take a process of the unit into care."""
+        self.add(name, [sys.executable, "-m", "cli", "run", name])
+
+    def watch(self) -> None:
+        """Start what is due and notice what has ended; call it a few times a second."""
+        now = time.monotonic()
+        for child in self.children.values():
+            if child.process is None:
+                if now >= child.next_start:
+                    self._start(child)
+            elif (code := child.process.poll()) is not None:
+                self._ended(child, code, now)
+
+    def stop(self) -> None:
+        """End every child: SIGTERM, and SIGKILL for who has not gone within four seconds."""
+        deadline = time.monotonic() + STOP_S
+        for last in (False, True):
+            children = [child for child in self.children.values() if child.outlives_others == last]
+            for child in children:
+                if child.process is not None and child.process.poll() is None:
+                    child.process.send_signal(signal.SIGTERM)
+                    child.process.send_signal(signal.SIGCONT)  # a stopped child cannot hear the other
+            for child in children:
+                _wait_for_end(child, deadline if not last else deadline + LAST_STOP_S)
+
+    def alive(self) -> int:
+        """Count the children that run."""
+        return sum(c.process is not None and c.process.poll() is None for c in self.children.values())
+
+    def _start(self, child: Child) -> None:
+        output = child.log_file.open("ab") if child.log_file else None
+        try:
+            child.process = subprocess.Popen(
+                [*_end_with_parent(), *child.command],
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT if output else None,
+            )
+        finally:
+            if output:
+                output.close()
+        child.started = time.monotonic()
+
+    def _ended(self, child: Child, code: int, now: float) -> None:
+        child.process = None
+        child.exit_codes = [*child.exit_codes[-9:], code]
+        if code == os.EX_CONFIG:
+            child.refuses, child.next_start = True, math.inf
+            log.error("%s cannot work as it is configured; it starts again when everything does", child.name)
+            return
+        child.failures = 0 if now - child.started > SETTLED_S else child.failures + 1
+        pause = BACK_OFF_S[min(max(child.failures - 1, 0), len(BACK_OFF_S) - 1)]
+        child.next_start = now + pause
+        child.restarts += 1
+        log.warning("%s ended with %d, starting it again in %.1f s", child.name, code, pause)
+
+
+def _wait_for_end(child: Child, deadline: float) -> None:
+    if child.process is None:
+        return
+    try:
+        child.process.wait(max(0.0, deadline - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        log.warning("%s did not end in time and was killed", child.name)
+        child.process.kill()
+        child.process.wait()
+
+
+def _end_with_parent() -> list[str]:
+    """Have the kernel send SIGTERM to a child when the supervisor itself is killed, where util-linux is there."""
+    return ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []

@@ -1,0 +1,126 @@
+"""`obu doctor`: what is wrong, and how to mend it."""
+
+import os
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from shared.bus.bus import Bus
+from shared.errors import BadPayload, UserError
+from shared.messages.operation import ProcessHealth, ProcessState
+from shared.runtime.config import VehicleFile, broker_address, load_vehicle, state_dir
+from shared.runtime.live import load_process
+from shared.topics import TOPICS
+
+ENOUGH_BYTES = 1_000_000_000
+LISTEN_S = 2.0
+OTHER_BROKER = "set OBU_BROKER=mqtt://host:port (a demo prints the line to copy)"
+SILENT_NS = 3_000_000_000
+LIBRARIES = Path(__file__).parents[1] / "services" / "monitoring" / "status" / "dashboard" / "node_modules"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at: fine or not, and what to do."""
+
+    fine: bool
+    what: str
+    mend: str = ""
+
+
+def examine(vehicle_path: Path | None) -> int:
+    """Print every finding; 0 if all is well, 1 otherwise."""
+    findings = list(_findings(vehicle_path))
+    for finding in findings:
+        print(f"{'ok ' if finding.fine else 'NO '} {finding.what}")
+        if not finding.fine:
+            print(f"    -> {finding.mend}")
+    return 0 if all(finding.fine for finding in findings) else 1
+
+
+def _findings(vehicle_path: Path | None) -> Iterator[Finding]:
+    version = ".".join(str(part) for part in sys.version_info[:3])
+    yield Finding(sys.version_info >= (3, 11), f"Python {version}", "install Python 3.11 or newer")
+    yield Finding(LIBRARIES.is_dir(), "libraries of the dashboard", "run `make setup`")
+    try:
+        vehicle = load_vehicle(vehicle_path)
+        folder = state_dir()
+    except UserError as error:
+        yield Finding(False, "configuration", str(error))
+        return
+    yield Finding(True, f"vehicle {vehicle.name!r} from {vehicle.path}")
+    yield from (_process(name, vehicle) for name in vehicle.processes)
+    free = shutil.disk_usage(folder).free
+    yield Finding(
+        free > ENOUGH_BYTES, f"{free / 1e9:.1f} GB free in {folder}", "delete old recordings or set OBU_STATE"
+    )
+    yield Finding(os.access(folder, os.W_OK), f"{folder} is writable", f"change the owner of {folder} or set OBU_STATE")
+    yield from _devices(vehicle)
+    broker = _broker()
+    yield broker
+    if broker.fine:
+        yield from _unit(vehicle)
+
+
+def _process(name: str, vehicle: VehicleFile) -> Finding:
+    try:
+        load_process(name, vehicle)
+    except UserError as error:
+        return Finding(False, f"[{name}]", str(error))
+    return Finding(True, f"[{name}]")
+
+
+def _devices(vehicle: VehicleFile) -> Iterator[Finding]:
+    for name in vehicle.processes:
+        if not name.startswith("sensors."):
+            continue
+        device = str(vehicle.tables.get(name, {}).get("device", ""))
+        path = device.removeprefix("serial://").split("?")[0]
+        if path.startswith("/dev/"):
+            there = os.access(path, os.R_OK | os.W_OK)
+            mend = "plug it in" if not Path(path).exists() else "add yourself to the group `dialout` and log in again"
+            yield Finding(there, f"{name}: {path}", mend)
+
+
+def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
+    """Listen for a moment to the processes of a running unit."""
+    topics = [topic for topic in TOPICS if topic.name == "health/+"]
+    bus = Bus("observer", vehicle.name, broker_address(), topics, state_dir(), observer=True)
+    newest: dict[str, ProcessHealth] = {}
+    until = time.monotonic() + LISTEN_S
+    while time.monotonic() < until:
+        for envelope in bus.receive(0.1):
+            try:
+                message = envelope.decode()
+            except BadPayload:
+                continue  # who speaks so is not heard, and is told as such
+            if isinstance(message, ProcessHealth):
+                newest[message.process] = message
+    now_ns = bus.now_ns()
+    bus.close()
+    if not newest:
+        yield Finding(False, f"processes of {vehicle.name!r}", "start them, or name the vehicle that runs: OBU_VEHICLE")
+        return
+    for name in vehicle.processes:
+        health = newest.get(name)
+        if health is None:
+            yield Finding(False, f"{name} runs", "it was never heard; its log says why")
+        elif health.state is not ProcessState.READY or now_ns - health.sent_ns > SILENT_NS:
+            how = "silent" if health.state is ProcessState.READY else health.state
+            yield Finding(False, f"{name} runs", f"it is {how}; its log says why")
+        else:
+            yield Finding(not health.last_error, f"{name} runs", f"its last error: {health.last_error}")
+
+
+def _broker() -> Finding:
+    address = broker_address()
+    what = f"broker at {address.host}:{address.port}"
+    try:
+        socket.create_connection((address.host, address.port), timeout=2.0).close()
+    except OSError as error:
+        return Finding(False, f"{what}: {error.strerror or error}", f"start it, or {OTHER_BROKER}")
+    return Finding(True, what)

@@ -1,0 +1,201 @@
+"""The table of a file becomes messages: SI units, body axes, stamps on one time line."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from shared.errors import UserError
+from shared.maths.earth import FloatArray
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import TruthState
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
+
+from . import units
+from .fixes import fixes, usable_fixes
+from .quantities import triples
+from .schema import Force, Gnss, Imu, Rate, Speed, TableFile, Truth, Velocity, Wheels
+from .stamps import Stamps, stamped
+from .table import Table
+from .truth import true_states
+
+MAXIMUM_IMU_MESSAGES_HZ = 100.0  # faster sensors travel in batches, as they do on the bus
+GRAVITY_SEEN_M_S2 = (7.0, 13.0)  # what the specific force of a vehicle comes to, whatever it does most of the time
+SCALARS = ("column", "arrival_column", "satellites_used", "front_left", "front_right", "rear_left", "rear_right",
+           "hdop", "vdop")  # fmt: skip
+Imported: TypeAlias = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds | TruthState
+
+
+@dataclass(frozen=True)
+class Converted:
+    """The messages of one file, in the order of their arrival, and what became of its rows."""
+
+    messages: Sequence[Imported]
+    rows: int
+    rejects: Counter[str]
+
+
+def wanted_columns(spec: TableFile) -> list[str]:
+    """List every column that a table of the mapping names."""
+    return list(dict.fromkeys(_columns(spec.model_dump(exclude_none=True))))
+
+
+def _columns(document: dict[str, object]) -> Iterator[str]:
+    for key, value in document.items():
+        if isinstance(value, dict):
+            yield from _columns(value)
+        elif isinstance(value, tuple) and key in ("columns", "only_changes_of"):
+            yield from value
+        elif isinstance(value, str) and key in SCALARS:
+            yield value
+
+
+def convert(spec: TableFile, table: Table, *, start_s: float = 0.0) -> Converted:
+    """Turn the rows of one file into messages.
+
+    Parameters
+    ----------
+    spec : TableFile
+        The table of the mapping that describes the file.
+    table : Table
+        Its columns.
+    start_s : float
+        [s] Unix time at which the clock of the file shows zero.
+
+    Returns
+    -------
+    Converted
+        Rows that say nothing (repeated, of no listed quality, not later than the row before) are left
+        out and counted.
+    """
+    rows = len(table) + table.rejects.total()
+    table = _changes(spec, table)
+    if isinstance(spec, Gnss):
+        table = usable_fixes(spec, table)
+    table, sampled, received = stamped(spec, table, start_s)
+    return Converted(list(_messages(spec, table, sampled, received)), rows, table.rejects)
+
+
+def _changes(spec: TableFile, table: Table) -> Table:
+    """Leave out rows that repeat the one before in every column that is watched."""
+    if not spec.only_changes_of:
+        return table
+    watched = table.many(spec.only_changes_of)
+    # The first row may repeat a value from before the file began: its age is unknown.
+    return table.keep(np.r_[False, np.any(np.diff(watched, axis=0) != 0.0, axis=1)], "unchanged")
+
+
+def _messages(spec: TableFile, table: Table, sampled: Stamps, received: Stamps) -> Iterator[Imported]:
+    match spec:
+        case Imu():
+            return _imu(spec, table, sampled, received)
+        case Gnss():
+            return fixes(spec, table, sampled, received)
+        case Speed():
+            return _speeds(spec, table, sampled, received)
+        case Wheels():
+            return _wheels(spec, table, sampled, received)
+        case Truth():
+            return true_states(spec, table, sampled)
+        case _:
+            raise ValueError(f"no messages for {type(spec).__name__}")
+
+
+def _imu(spec: Imu, table: Table, sampled: Stamps, received: Stamps) -> Iterator[ImuSamples]:
+    sensor_from_body = spec.matrix().T
+    force = _means(spec.specific_force, units.FORCE, units.FORCE_INCREMENT, table, sampled) @ sensor_from_body
+    rate = _means(spec.angular_rate, units.RATE, units.RATE_INCREMENT, table, sampled) @ sensor_from_body
+    _check_gravity(spec, force)
+    if spec.specific_force.opposite:
+        force = -force
+    forces, rates, stamps, size = triples(force), triples(rate), sampled.tolist(), _batch(sampled)
+    for first in range(0, len(stamps), size):
+        part = slice(first, first + size)
+        yield ImuSamples(
+            received_ns=int(received[part][-1]),
+            source=spec.source,
+            sampled_ns=tuple(stamps[part]),
+            specific_force_body_m_s2=tuple(forces[part]),
+            angular_rate_body_rad_s=tuple(rates[part]),
+        )
+
+
+def _means(
+    spec: Force | Rate, means: Mapping[str, float], increments: Mapping[str, float], table: Table, sampled: Stamps
+) -> FloatArray:
+    """Mean over each sample, shape (rows, 3): what the sensor says, or its increment over the length of the sample."""
+    values = table.many(spec.columns)
+    if spec.unit in means:
+        return values * means[spec.unit]
+    return values * increments[spec.unit] / _lengths_s(sampled)[:, None]
+
+
+def _lengths_s(sampled: Stamps) -> FloatArray:
+    """How long each sample lasted; after lost ones, and for the first, as long as they usually do."""
+    if len(sampled) < 2:
+        raise UserError("one inertial sample alone has no length, so that its increments say nothing; add rows")
+    steps = np.diff(sampled) * 1e-9
+    usual = float(np.median(steps))
+    lengths: FloatArray = np.r_[usual, np.where(steps > 1.5 * usual, usual, steps)]
+    return lengths
+
+
+def _check_gravity(spec: Imu, force: FloatArray) -> None:
+    """Refuse a unit that cannot be: gravity is in every specific force, and the same everywhere."""
+    least, most = GRAVITY_SEEN_M_S2
+    found = float(np.median(np.linalg.norm(force, axis=1)))
+    if not least < found < most:
+        raise UserError(
+            f"{spec.file}: specific forces of {found:.3g} m/s2 (median) cannot be, where gravity alone is 9.8; check "
+            f"the unit {spec.specific_force.unit!r} (means: {', '.join(units.FORCE)}; increments: m/s)"
+        )
+
+
+def _batch(sampled: Stamps) -> int:
+    """How many samples one message holds."""
+    if len(sampled) < 2:
+        return 1
+    return max(1, round(1e9 / float(np.median(np.diff(sampled))) / MAXIMUM_IMU_MESSAGES_HZ))
+
+
+def _speeds(spec: Speed, table: Table, sampled: Stamps, received: Stamps) -> Iterator[VehicleSpeed]:
+    if spec.made_from is not None:
+        speeds = _made_speeds(spec, spec.made_from, table)
+    else:
+        factor = units.SPEED[spec.unit] if spec.wheel_radius_m is None else units.RATE[spec.unit] * spec.wheel_radius_m
+        speeds = (table[spec.column or ""] * (-factor if spec.opposite else factor)).tolist()
+    for stamp, arrival, speed in zip(sampled.tolist(), received.tolist(), speeds, strict=True):
+        yield VehicleSpeed(
+            sampled_ns=stamp,
+            received_ns=arrival,
+            source=spec.source,
+            speed_m_s=speed,
+            resolution_m_s=spec.resolution_m_s,
+        )
+
+
+def _made_speeds(spec: Speed, velocity: Velocity, table: Table) -> list[float]:
+    """Length of the velocity of a reference [m/s], with white noise."""
+    exact = np.linalg.norm(table.many(velocity.columns) * units.SPEED[velocity.unit], axis=1)
+    noise = np.random.default_rng(spec.noise_seed).normal(0.0, spec.noise_sd_m_s, len(exact))
+    speeds: list[float] = (exact + noise).tolist()
+    return speeds
+
+
+def _wheels(spec: Wheels, table: Table, sampled: Stamps, received: Stamps) -> Iterator[WheelSpeeds]:
+    names = (spec.front_left, spec.front_right, spec.rear_left, spec.rear_right)
+    factor = units.SPEED[spec.unit]
+    wheels = [(table[name] * factor).tolist() if name else [None] * len(table) for name in names]
+    for stamp, arrival, *speeds in zip(sampled.tolist(), received.tolist(), *wheels, strict=True):
+        yield WheelSpeeds(
+            sampled_ns=stamp,
+            received_ns=arrival,
+            source=spec.source,
+            front_left_m_s=speeds[0],
+            front_right_m_s=speeds[1],
+            rear_left_m_s=speeds[2],
+            rear_right_m_s=speeds[3],
+        )

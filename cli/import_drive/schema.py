@@ -1,0 +1,299 @@
+"""The tables of a mapping: each says what the columns of one file mean."""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from shared.maths.earth import FloatArray
+from shared.maths.rotation import ned_from_body
+from shared.messages.base import Vector3
+from shared.runtime.config import Section
+
+from . import units
+
+Columns = tuple[str, str, str]
+Direction = Literal["forward", "backward", "right", "left", "down", "up"]
+QualityWord = Literal["fixed", "float", "differential", "single"]
+DIRECTIONS: dict[str, Vector3] = {
+    "forward": (1.0, 0.0, 0.0),
+    "backward": (-1.0, 0.0, 0.0),
+    "right": (0.0, 1.0, 0.0),
+    "left": (0.0, -1.0, 0.0),
+    "down": (0.0, 0.0, 1.0),
+    "up": (0.0, 0.0, -1.0),
+}
+
+
+class Time(Section):
+    """When a row was sampled: a column plus an offset, or the number of the row times a period.
+
+    With `arrival_column` the column is the device's own clock, which is put onto the clock of the arrival
+    by the smallest difference of the two; `least_latency_s` is what even the quickest row took.
+    """
+
+    column: str | None = None
+    unit: units.TimeUnit = "s"
+    period_s: float | None = Field(default=None, gt=0.0)
+    offset_s: float = 0.0
+    arrival_column: str | None = None
+    least_latency_s: float = Field(default=0.0, ge=0.0)
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> Self:
+        if (self.column is None) == (self.period_s is None):
+            raise ValueError("time is either a `column` or `period_s` times the number of the row")
+        if self.arrival_column is not None and self.column is None:
+            raise ValueError("`arrival_column` needs a `column` with the device's own clock")
+        return self
+
+
+class TableFile(Section):
+    """One file of rows; without `header` its first line after `skip_rows` names the columns.
+
+    A file whose name ends in .npz holds NumPy arrays instead: `name`, or `name[0]`, `name[1]`... of one with columns.
+    """
+
+    file: str
+    optional: bool = False  # a file that not every drive of the kind has
+    separator: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
+    skip_rows: int = Field(default=0, ge=0)
+    header: tuple[str, ...] = ()
+    source: str = Field(default="file", max_length=64)
+    time: Time
+    stamps_late_s: float = 0.0  # how much later than the truth of its row a stamp is
+    latency_s: float = Field(default=0.0, ge=0.0)  # of the arrival, to be simulated
+    only_changes_of: tuple[str, ...] = ()  # keep a row only if one of these columns changed
+
+
+class Force(Section):
+    """Specific force along the sensor's x, y and z axes, or what it adds to the velocity over each sample.
+
+    With `opposite` the file holds what gravity does to the sensor: at rest -1 g along the axis that points up.
+    """
+
+    columns: Columns
+    unit: units.ForceUnit
+    opposite: bool = False
+
+
+class Rate(Section):
+    """Angular rate about three axes, or the angle by which each sample turns."""
+
+    columns: Columns
+    unit: units.RateUnit
+
+
+class Angles(Section):
+    """Roll, pitch and yaw of the body against north, east and down."""
+
+    columns: Columns
+    unit: units.AngleUnit
+
+
+class Scalar(Section):
+    """A speed."""
+
+    column: str
+    unit: units.SpeedUnit
+
+
+class Angle(Section):
+    """One angle."""
+
+    column: str
+    unit: units.AngleUnit
+
+
+class Coordinate(Section):
+    """Latitude or longitude."""
+
+    column: str
+    unit: units.CoordinateUnit
+
+
+class Height(Section):
+    """Height above the ellipsoid or above mean sea level; the separation turns the latter into the former."""
+
+    column: str
+    unit: units.LengthUnit = "m"
+    kind: Literal["ellipsoid", "msl"]
+    geoid_separation_m: float | None = None
+
+
+class Ecef(Section):
+    """Cartesian position in Earth-fixed axes."""
+
+    columns: Columns
+    unit: units.LengthUnit = "m"
+
+
+class Velocity(Section):
+    """Velocity over ground; `axes` says what the three columns are."""
+
+    columns: Columns
+    unit: units.SpeedUnit
+    axes: Literal["ned", "enu", "neu", "body"]
+
+
+class Accuracy(Section):
+    """One standard deviation on each axis: from columns, or the same for all rows."""
+
+    columns: Columns | None = None
+    axes: Literal["ned", "enu", "neu"] = "ned"
+    constant_ned: Vector3 | None = None
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if (self.columns is None) == (self.constant_ned is None):
+            raise ValueError("an accuracy is either `columns` or `constant_ned`")
+        return self
+
+
+class Quality(Section):
+    """What the numbers of a column say of a fix; a row with any other number is skipped."""
+
+    column: str
+    values: dict[str, QualityWord]
+
+    @model_validator(mode="after")
+    def _numbers(self) -> Self:
+        for key in self.values:
+            float(key)
+        return self
+
+
+class Imu(TableFile):
+    """The inertial measurement unit, and how it sits in the vehicle.
+
+    Either `axes` says where the sensor's x, y and z axes point, or `body_from_sensor` is the rotation matrix.
+    `mounting_rpy_deg` is the attitude that the sensor, so turned, still has in the vehicle.
+    """
+
+    source: str = "imu"
+    specific_force: Force
+    angular_rate: Rate
+    axes: tuple[Direction, Direction, Direction] | None = None
+    body_from_sensor: tuple[Vector3, Vector3, Vector3] | None = None
+    mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _rotation(self) -> Self:
+        if (self.axes is None) == (self.body_from_sensor is None):
+            raise ValueError("the sensor's axes are given either by `axes` or by `body_from_sensor`")
+        matrix = self._turned()
+        if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) or np.linalg.det(matrix) < 0.0:
+            raise ValueError("the sensor's axes are no right-handed set; check which way each points")
+        return self
+
+    def matrix(self) -> FloatArray:
+        """Rotation matrix from the sensor's axes to the body's: forward, right, down."""
+        left, _, right = np.linalg.svd(self._turned())  # a matrix typed to four digits is not quite a rotation
+        rotation: FloatArray = ned_from_body(*np.radians(self.mounting_rpy_deg)) @ left @ right
+        return rotation
+
+    def _turned(self) -> FloatArray:
+        if self.axes is not None:
+            return np.array([DIRECTIONS[word] for word in self.axes]).T
+        return np.array(self.body_from_sensor)
+
+
+class Gnss(TableFile):
+    """The GNSS receiver: position and velocity of its antenna."""
+
+    source: str = "gnss"
+    latitude: Coordinate
+    longitude: Coordinate
+    height: Height
+    velocity: Velocity | None = None
+    ground_speed: Scalar | None = None
+    course: Angle | None = None  # clockwise from north
+    hdop: str | None = None
+    vdop: str | None = None
+    position_sd: Accuracy | None = None  # [m]
+    velocity_sd: Accuracy | None = None  # [m/s]
+    quality: Quality | QualityWord = "single"
+    satellites_used: str | None = None
+
+    @model_validator(mode="after")
+    def _earth_axes(self) -> Self:
+        if self.velocity is not None and self.velocity.axes == "body":
+            raise ValueError("a receiver knows no body axes: velocity.axes is ned, enu or neu")
+        if (self.ground_speed is None) != (self.course is None):
+            raise ValueError("`ground_speed` says nothing without `course`, nor the other way round")
+        return self
+
+
+class Speed(TableFile):
+    """Speed of the vehicle as one number: from a sensor's column, or made from the velocity of a reference."""
+
+    source: str = "speed"
+    column: str | None = None
+    unit: units.SpeedUnit | units.RateUnit = "m/s"
+    wheel_radius_m: float | None = Field(default=None, gt=0.0)  # of a wheel whose turning is the column
+    opposite: bool = False  # it is below zero while the vehicle drives forward
+    clock_by_speed: bool = False  # the file's clock is its own; where it is, the speed of the fixes says
+    resolution_m_s: float | None = Field(default=None, gt=0.0)
+    made_from: Velocity | None = None
+    noise_sd_m_s: float = Field(default=0.0, ge=0.0)  # white, added to a speed that is made
+    noise_seed: int = Field(default=1, ge=0)
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if (self.column is None) == (self.made_from is None):
+            raise ValueError("a speed is either a `column` or `made_from` the velocity of a reference")
+        if (self.unit in units.RATE) != (self.wheel_radius_m is not None):
+            raise ValueError("a wheel's turning needs `wheel_radius_m`, and a speed has none")
+        if self.unit not in units.RATE and self.unit not in units.SPEED:
+            raise ValueError(f"{self.unit!r} is no unit of a speed, nor of a wheel's turning")
+        if self.column is not None and self.noise_sd_m_s:
+            raise ValueError("`noise_sd_m_s` is for a speed that is made; what a sensor measured has its own noise")
+        return self
+
+    def made(self) -> str | None:
+        """Say in a sentence that no sensor measured this speed, if none did."""
+        if self.made_from is None:
+            return None
+        return (
+            f"The speed was measured by no sensor: it is that of the reference in {self.file} with "
+            f"{self.noise_sd_m_s:g} m/s of white noise (seed {self.noise_seed})."
+        )
+
+
+class Wheels(TableFile):
+    """Speed of each wheel; a wheel without a column is missing."""
+
+    source: str = "wheels"
+    unit: units.SpeedUnit
+    front_left: str | None = None
+    front_right: str | None = None
+    rear_left: str | None = None
+    rear_right: str | None = None
+
+    @model_validator(mode="after")
+    def _some_wheel(self) -> Self:
+        if not (self.front_left or self.front_right or self.rear_left or self.rear_right):
+            raise ValueError("no wheel has a column")
+        return self
+
+
+class Truth(TableFile):
+    """A reference of higher grade: position, velocity, attitude and angular rate of the body."""
+
+    source: str = "truth"
+    position_ecef: Ecef | None = None
+    latitude: Coordinate | None = None
+    longitude: Coordinate | None = None
+    height: Height | None = None
+    velocity: Velocity
+    attitude: Angles
+    angular_rate: Rate | None = None
+
+    @model_validator(mode="after")
+    def _one_position(self) -> Self:
+        geodetic = [item is not None for item in (self.latitude, self.longitude, self.height)]
+        if any(geodetic) != all(geodetic) or all(geodetic) == (self.position_ecef is not None):
+            raise ValueError("the true position is `position_ecef`, or `latitude`, `longitude` and `height`")
+        if self.height is not None and self.height.kind == "msl" and self.height.geoid_separation_m is None:
+            raise ValueError("a true height above sea level needs its `geoid_separation_m`")
+        return self

@@ -1,0 +1,251 @@
+"""The command line: one line a command, its work in a file of its own."""
+
+import functools
+import logging
+import signal
+import sys
+import time
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+from shared.errors import UserError
+from shared.processes import BY_NAME
+from shared.runtime.config import load_vehicle
+
+from .import_drive.import_drive import import_drive
+from .recordings.record import record, repair
+from .recordings.replay import replay
+from .recordings.verify import verify
+from .solve.solve import solve
+
+app = typer.Typer(
+    help="A vehicle on-board unit that says where the vehicle is, and whether to believe it.",
+    epilog="Begin with [bold]obu demo[/]. The help of each command has examples, such as [bold]obu solve --help[/].",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+papers = typer.Typer(
+    help="Reproduce what the published papers report.\n\nExample: [bold]obu papers navigation --runs 2[/]",
+    no_args_is_help=True,
+)
+app.add_typer(papers, name="papers")
+recordings = typer.Typer()
+app.add_typer(recordings, name="record")
+
+VehicleOption = Annotated[
+    Path | None, typer.Option("--vehicle", help="The vehicle's TOML file; without it OBU_VEHICLE, else all defaults.")
+]
+
+
+class BrokerKind(StrEnum):
+    """Which broker the demo starts."""
+
+    AUTO = "auto"
+    MOSQUITTO = "mosquitto"
+    SIMULATED = "simulated"
+
+
+@app.command()
+def demo(
+    scenario: Annotated[
+        str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
+    ] = "urban",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 1,
+    duration: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Seconds to drive, counted from the first message; without it until Ctrl-C."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the balance as one JSON object.")] = False,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
+    broker: Annotated[BrokerKind, typer.Option(help="auto: Mosquitto if it is there, else our own.")] = BrokerKind.AUTO,
+) -> None:
+    """Run the whole unit here with simulated sensors: no Docker, no hardware, no account.
+
+    Examples:
+    [bold]obu demo[/]
+    [bold]obu demo --scenario tunnel --port 8090[/]
+    [bold]obu demo --scenario parking_lot --duration 60 --json[/]
+    """
+    from .demo.demo import DemoOptions, run
+
+    _end_on_sigterm()
+    raise typer.Exit(run(DemoOptions(scenario, seed, duration, json, port, broker.value)))
+
+
+@app.command()
+def up(vehicle: VehicleOption = None) -> None:
+    """Run every process of a vehicle under a small supervisor, on the broker of OBU_BROKER.
+
+    Example: [bold]OBU_BROKER=mqtt://127.0.0.1:1883 obu up --vehicle deploy/vehicles/pi.toml[/]
+    """
+    from .demo.local import unit
+
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    file = load_vehicle(vehicle)
+    environment = {"OBU_VEHICLE": str(vehicle.resolve())} if vehicle else {}
+    supervisor = unit(file, environment)
+    _end_on_sigterm()
+    try:
+        while True:
+            supervisor.watch()
+            time.sleep(0.2)
+    except (KeyboardInterrupt, SystemExit):
+        pass
+    finally:
+        supervisor.stop()
+
+
+@app.command()
+def run(
+    process: Annotated[
+        str, typer.Argument(help="Name of the process, such as core.fusion; `obu topics --processes` lists them.")
+    ],
+    vehicle: VehicleOption = None,
+) -> None:
+    """Run one process.
+
+    Example: [bold]obu run core.fusion --vehicle deploy/vehicles/pi.toml[/]
+    """
+    import difflib
+
+    from shared.runtime.live import run_process
+
+    if process not in BY_NAME:
+        near = difflib.get_close_matches(process, BY_NAME, n=1)
+        hint = f"did you mean {near[0]}?" if near else "`obu topics --processes` lists them"
+        raise UserError(f"there is no process {process!r}; {hint}")
+    run_process(process, load_vehicle(vehicle))
+
+
+@app.command()
+def topics(
+    processes: Annotated[bool, typer.Option("--processes", help="List the processes instead.")] = False,
+    asyncapi: Annotated[bool, typer.Option("--asyncapi", help="Print the contract as AsyncAPI 3.0.")] = False,
+) -> None:
+    """Print the contract of the bus: topics, or processes, or the AsyncAPI document.
+
+    Examples:
+    [bold]obu topics[/]
+    [bold]obu topics --processes[/]
+    [bold]obu topics --asyncapi > asyncapi.json[/]
+    """
+    from shared.bus import contract
+
+    if asyncapi:
+        print(contract.asyncapi_json())
+    else:
+        print(contract.processes_table() if processes else contract.topics_table())
+
+
+@app.command()
+def tail(
+    topic: Annotated[str, typer.Argument(help="Short name such as navigation/solution, or '#' for all.")] = "#",
+    vehicle: VehicleOption = None,
+    count: Annotated[int | None, typer.Option(min=1, help="Stop after this many messages.")] = None,
+) -> None:
+    """Print messages of a running unit as they come, one a line.
+
+    The broker is that of OBU_BROKER; a demo prints the line to copy.
+
+    Examples:
+    [bold]obu tail navigation/solution --count 3[/]
+    [bold]obu tail '#'[/]
+    """
+    from .tail import follow
+
+    _end_on_sigterm()
+    raise typer.Exit(follow(topic, load_vehicle(vehicle), count))
+
+
+@app.command()
+def doctor(vehicle: VehicleOption = None) -> None:
+    """Say what is wrong with this machine, its configuration and a running unit, and how to mend it.
+
+    Examples:
+    [bold]obu doctor[/]
+    [bold]obu doctor --vehicle deploy/vehicles/pi.toml[/]
+    """
+    from .doctor import examine
+
+    raise typer.Exit(examine(vehicle))
+
+
+@app.command(hidden=True)
+def reference(folder: Annotated[Path, typer.Argument(help="Where the pages go.")] = Path("docs/reference")) -> None:
+    """Print the reference pages from the code."""
+    from .reference import write_pages
+
+    for path in write_pages(folder):
+        print(path)
+
+
+def _ended(function: Callable[..., int]) -> Callable[..., None]:
+    """Turn a function that returns its exit code into a command."""
+
+    @functools.wraps(function)
+    def command(**arguments: object) -> None:
+        _end_on_sigterm()
+        raise typer.Exit(function(**arguments))
+
+    return command
+
+
+def _end_on_sigterm() -> None:
+    """Let SIGTERM unwind the stack as Ctrl-C does, so that everything started here is ended."""
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        sys.exit(0)
+
+    signal.signal(signal.SIGTERM, end)
+
+
+@papers.command()
+def navigation(
+    runs: Annotated[int, typer.Option(min=1, help="Seeds for each row.")] = 10,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the table.")] = False,
+) -> None:
+    """Repeat the degraded scenarios of the EMERGE paper beside its table 2, and outages.
+
+    Ends with 1 if a number is not reproduced. A goal that only the filter as delivered misses is named, and is no
+    failure.
+
+    Example: [bold]obu papers navigation --runs 2[/]
+    """
+    from .papers.papers import navigation as repeat
+
+    raise typer.Exit(repeat(runs, as_json))
+
+
+@recordings.callback(invoke_without_command=True)
+def _record(
+    context: typer.Context,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The recording to write; without it a name of the moment.")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0.1, help="Seconds to record; without it until Ctrl-C.")] = None,
+    vehicle: VehicleOption = None,
+) -> None:
+    """Record everything that a running unit says, beside its own recorder.
+
+    Examples:
+    [bold]obu record -o drive.mcap[/]
+    [bold]obu record --duration 60[/]
+    [bold]obu record repair cut.mcap -o whole.mcap[/]
+    """
+    if context.invoked_subcommand is None:
+        _end_on_sigterm()
+        raise typer.Exit(record(output, duration, vehicle))
+
+
+app.command("import")(_ended(import_drive))
+app.command("solve")(_ended(solve))
+recordings.command("repair")(_ended(repair))
+app.command("replay")(_ended(replay))
+app.command("verify")(_ended(verify))

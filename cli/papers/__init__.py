@@ -1,0 +1,1 @@
+"""`obu papers`: published results reproduced."""

@@ -1,0 +1,36 @@
+"""`obu papers navigation`: simulated drives and outages beside what the OBU paper and a correct filter reach."""
+
+import json as json_module
+import sys
+
+from rich.console import Console
+
+from shared.errors import UserError
+
+from . import navigation as drives_table
+from . import outages as outages_table
+
+
+def navigation(runs: int, json: bool) -> int:
+    """Print drives, then outages; 1 if a number is not reproduced. A goal missed as delivered is named only."""
+    if runs < 1:
+        raise UserError(f"{runs} runs measure nothing: try `obu papers navigation --runs 10`")
+    workers, progress = drives_table.WORKERS, sys.stderr.isatty()
+    drives = drives_table.measure_all(drives_table.CASES, runs, workers, progress)
+    outages = outages_table.measure_all(outages_table.AIDS, runs, workers, progress)
+    faults = drives_table.shortcomings(drives) + outages_table.shortcomings(outages)
+    missed = drives_table.missed_goals(drives)
+    if json:
+        rows = {"drives": drives_table.document(drives), "outages": outages_table.document(outages)}
+        print(json_module.dumps({"runs": runs, **rows, "shortcomings": faults, "missed_goals": missed}, indent=2))
+        return 1 if faults else 0
+    console = Console()
+    drives_table.print_table(drives, runs, console)
+    outages_table.print_table(outages, runs, console)
+    for fault in faults:
+        console.print(f"[red]not reached:[/] {fault}")
+    for goal in missed:
+        console.print(f"[yellow]goal missed:[/] {goal}")
+    if not faults:
+        console.print(f"[green]{'all others' if missed else 'all'} as small as they must be[/]")
+    return 1 if faults else 0

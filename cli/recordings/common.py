@@ -1,0 +1,62 @@
+"""What the commands on recordings share: opening one, its vehicle, its problems, meeting a broker."""
+
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from shared.bus.bus import Bus
+from shared.errors import BadRecording, UserError
+from shared.recording import Recording
+from shared.recording.writer import VEHICLE_FILE
+from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
+
+PATIENCE_S = 5.0
+
+
+def open_recording(path: Path) -> Recording:
+    """Open a recording, or say in one sentence why it cannot be."""
+    if path.is_file() and path.stat().st_size == 0:
+        raise UserError(f"{path} is empty; give a file written by `obu record`, `obu import` or the unit's recorder")
+    try:
+        recording = Recording(path)
+    except BadRecording as error:
+        raise UserError(f"{error}; give a file written by `obu record`, `obu import` or the unit's recorder") from error
+    if not recording.recognised:
+        recording.close()
+        raise UserError(
+            f"{path} is no recording, not even a damaged one; give a file written by `obu record` or the unit's "
+            "recorder, or make one of other data with `obu import`"
+        )
+    return recording
+
+
+def vehicle_of(recording: Recording, path: Path | None) -> VehicleFile:
+    """Read the vehicle's file that was given, else the one that lies in the recording."""
+    if path is not None:
+        return load_vehicle(path)
+    text = recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace")
+    return parse_vehicle(text, f"{recording.path}: {VEHICLE_FILE}")
+
+
+def tell_problems(recording: Recording, console: Console) -> None:
+    """Print what could not be read."""
+    for problem in recording.problems:
+        console.print(f"{recording.path.name}: {problem}", markup=False, highlight=False)
+
+
+def progress_on(console: Console) -> Progress:
+    """Make a progress bar that shows on terminals only, and goes when it is done."""
+    return Progress(console=console, disable=not console.is_terminal, transient=True)
+
+
+def meet(bus: Bus) -> None:
+    """Wait for the broker, or say that there is none."""
+    started = time.monotonic()
+    while not bus.connected:
+        bus.receive(0.1)
+        if time.monotonic() - started > PATIENCE_S:
+            raise UserError(
+                f"{bus.last_error or 'no broker answers'}; is the unit running? Set OBU_BROKER to its broker"
+            )

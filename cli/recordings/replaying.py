@@ -1,0 +1,49 @@
+"""Which messages of a recording stand for its devices, and how their stamps move to another time."""
+
+import re
+from collections.abc import Collection
+
+from shared.bus import codec
+from shared.bus.bus import Envelope
+from shared.topics import Topic, measurements, publications, topic_of
+
+CANDUMP_TIME = re.compile(rb"\((\d{1,10})\.(\d{1,9})\)")
+STAMPS = ("received_ns", "sampled_ns")
+
+
+def inputs_among(recorded: Collection[str]) -> frozenset[str]:
+    """Choose the topics to play: bytes of the devices, and measurements only where their bytes are missing."""
+    present = [topic for topic in measurements() if topic.name in recorded]
+    raw = {topic.name for topic in present if topic.is_raw}
+    derived = {made.name for name in raw for consumer in _row(name).consumers for made in publications(consumer)}
+    return frozenset(topic.name for topic in present if topic.name not in derived)
+
+
+def shifted(envelope: Envelope, shift_ns: int) -> tuple[bytes, dict[str, str]]:
+    """Move the stamps of a message; returns its payload and user properties."""
+    message = envelope.decode()
+    values = {name: getattr(message, name) for name in STAMPS if hasattr(message, name)}
+    moved = {
+        name: tuple(stamp + shift_ns for stamp in value) if isinstance(value, tuple) else value + shift_ns
+        for name, value in values.items()
+    }
+    payload, properties = codec.encode(message.model_copy(update=moved))
+    return (_shifted_candump(payload, shift_ns) if envelope.topic == "can/raw" else payload), properties
+
+
+def _shifted_candump(lines: bytes, shift_ns: int) -> bytes:
+    """Move the times in front of the frames of a candump log, to the digits that they have."""
+
+    def move(match: re.Match[bytes]) -> bytes:
+        digits = len(match[2])
+        time_ns = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, b"0")) + shift_ns
+        seconds, fraction_ns = divmod(time_ns, 1_000_000_000)
+        return b"(%d.%s)" % (seconds, b"%09d" % fraction_ns if digits > 6 else b"%06d" % (fraction_ns // 1000))
+
+    return CANDUMP_TIME.sub(move, lines)
+
+
+def _row(name: str) -> Topic:
+    row = topic_of(name)
+    assert row is not None, "it comes from the contract"
+    return row

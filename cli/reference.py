@@ -1,0 +1,101 @@
+"""The pages of docs/reference that are printed from code."""
+
+import importlib
+import inspect
+import json
+import re
+from pathlib import Path
+from typing import cast
+
+from shared.bus.contract import Json, asyncapi_json, processes_table, table, topics_table
+from shared.processes import PROCESSES
+from shared.runtime.config import Section
+
+from .solve.metrics.metrics import METRICS, TIMINGS
+from .solve.smoothing import SMOOTHED_METRICS
+from .solve.track import COLUMNS
+
+HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
+
+
+def configuration_pages() -> str:
+    """Print every setting of every process."""
+    parts = []
+    for row in PROCESSES:
+        config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
+        schema = cast(Json, config.model_json_schema())
+        fields = cast("dict[str, Json]", schema.get("properties", {}))
+        comments = _comments(config)
+        meanings = {name: field.description or comments.get(name, "") for name, field in config.model_fields.items()}
+        rows = [
+            (f"`{name}`", _kind(field), f"`{json.dumps(field.get('default'))}`", meanings.get(name, ""))
+            for name, field in fields.items()
+        ]
+        body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
+        parts.append(f"## [{row.name}]\n\n{body}\n")
+    return "\n".join(parts)
+
+
+def metrics_page() -> str:
+    """Print what `obu solve` writes: the metrics, and the columns of solution.csv."""
+    metrics = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in METRICS.items()])
+    smoothed = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in SMOOTHED_METRICS.items()])
+    timings = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in TIMINGS.items()])
+    stamps = [
+        ("`sampled_ns`", "instant on the time line of the recording, ns"),
+        ("`time_s`", "since the first row"),
+        ("`phase`", "`navigating`, or `coasting` while no position was used lately"),
+    ]
+    columns = table(("column", "meaning"), stamps + [(f"`{name}`", meaning) for name, meaning in COLUMNS.items()])
+    return (
+        "# What `obu solve` writes\n\n"
+        "Names end in their unit (see [conventions](conventions.md)). A metric that cannot be known is `null`.\n\n"
+        f"## metrics.json\n\n{metrics}\n\n"
+        "Root mean squares and percentiles are taken over the instants of the truth while the filter navigates or "
+        "coasts, outages included.\n\n"
+        f"`--smooth` adds:\n\n{smoothed}\n\n"
+        f"## Times, printed only\n\nThese differ from run to run, and so are in no file.\n\n{timings}\n\n"
+        f"## solution.csv\n\nOne row a solution while the filter navigates or coasts.\n\n{columns}\n\n"
+        "`solution_smoothed.csv`, of `--smooth`, has the same columns: a row a period of the solution, at a step of "
+        "the filter's covariance and so not at the very stamps of solution.csv; phase, standstill and age of GNSS are "
+        "the filter's, and what no smoother knows is empty.\n\n"
+        "## A truth of your own\n\n"
+        "`--truth FILE` takes a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970, "
+        "and any of position (`latitude_deg`, `longitude_deg`, `height_ellipsoid_m`), velocity (`velocity_north_m_s`, "
+        "`velocity_east_m_s`, `velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They are of "
+        "the IMU. Another solution.csv or solution_smoothed.csv is such a file.\n"
+    )
+
+
+def pages() -> dict[str, str]:
+    """Make every page of docs/reference that is printed from code: file name and text."""
+    return {
+        "topics.md": f"{HEAD}# Topics\n\nEach topic is `obu/<vehicle>/` and the name below.\n\n{topics_table()}\n",
+        "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
+        "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file a vehicle, one section a process; "
+        f"the section `[vehicle]` holds its `name`.\n\n{configuration_pages()}",
+        "metrics.md": HEAD + metrics_page(),
+        "asyncapi.json": asyncapi_json() + "\n",
+    }
+
+
+def write_pages(folder: Path) -> list[Path]:
+    """Write the printed pages into docs/reference."""
+    written = []
+    for name, text in pages().items():
+        (folder / name).write_text(text, encoding="utf-8")
+        written.append(folder / name)
+    return written
+
+
+def _comments(config: type[Section]) -> dict[str, str]:
+    """Read the comment behind each setting: it says what the name cannot."""
+    lines = inspect.getsource(config).splitlines()
+    found = (re.match(r"    (\w+):.*?\s#\s(.*)", line) for line in lines)
+    return {match[1]: match[2] for match in found if match}
+
+
+def _kind(field: Json) -> str:
+    if "anyOf" in field:
+        return " or ".join(str(option.get("type", "table")) for option in cast("list[Json]", field["anyOf"]))
+    return str(field.get("type", "table"))

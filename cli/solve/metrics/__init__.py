@@ -1,0 +1,1 @@
+"""Errors and metrics of a solved drive."""

@@ -1,0 +1,182 @@
+"""The errors of a solution against a reference, at the reference's own instants."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import FloatArray, Geodetic, ned_track
+from shared.maths.rotation import ned_from_body, skew
+from shared.messages.base import Vector3
+
+from ..reference_track import Reference
+from ..track import Track
+
+Stamps = npt.NDArray[np.int64]
+MAXIMUM_STEP_NS = 1_500_000_000  # further apart, two solutions say nothing about what lies between
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Solution minus reference at each instant that both know; None for what the reference does not say."""
+
+    stamps_ns: Stamps
+    next_solution_ns: Stamps  # the later one of the two solutions that were used
+    position_n: FloatArray | None  # [m, NED], shape (n, 3)
+    position_sd_n: FloatArray  # [m, NED] of the difference, shape (n, 3)
+    velocity_n: FloatArray | None  # [m/s, NED], shape (n, 3)
+    attitude: FloatArray | None  # [rad] roll, pitch, yaw in (-pi, pi], shape (n, 3)
+    angles: FloatArray | None = None  # [rad] roll, pitch, yaw of the solution, shape (n, 3)
+    distance_m: FloatArray | None = None  # along the reference since its first instant, horizontally, shape (n,)
+    protection_m: FloatArray | None = None  # horizontal and vertical protection level, shape (n, 2)
+    reference_sd_n: FloatArray | None = None  # [m, NED] of the reference's own positions, shape (n, 3)
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def since(self, stamp_ns: int) -> "Errors":
+        """Give the part from an instant on."""
+        first = int(np.searchsorted(self.stamps_ns, stamp_ns, side="left"))
+
+        def rest(values: FloatArray | None) -> FloatArray | None:
+            return None if values is None else values[first:]
+
+        return Errors(
+            self.stamps_ns[first:],
+            self.next_solution_ns[first:],
+            rest(self.position_n),
+            self.position_sd_n[first:],
+            rest(self.velocity_n),
+            rest(self.attitude),
+            rest(self.angles),
+            rest(self.distance_m),
+            rest(self.protection_m),
+            rest(self.reference_sd_n),
+        )
+
+
+def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) -> Errors:
+    """Compare a solution with a reference.
+
+    Parameters
+    ----------
+    reference : Reference
+        Its instants are those of the result, as far as they lie between two solutions.
+    track : Track
+        Solutions of the IMU while the filter navigates.
+    lever_arm_b : tuple of float
+        [m, body] From the IMU to the antenna; used where the reference is at the antenna.
+
+    Returns
+    -------
+    Errors
+        Solution minus reference.
+
+    Notes
+    -----
+    Positions between two solutions follow the cubic through both with both velocities (Hermite), and then go
+    to the antenna with velocity: r + C l, v + C (w x l). The variance of the difference is that of the
+    solution and, where known, of the reference; a fix that the filter has used is not independent of the
+    solution, which makes the sum larger than the truth.
+    """
+    then = reference.stamps_ns - reference.velocity_delay_ns  # when the velocities were true
+    rows = np.flatnonzero(_covered(track, reference.stamps_ns) & _covered(track, then))
+    state, earlier = _Between(track, reference.stamps_ns[rows]), _Between(track, then[rows])
+    arm = np.array(lever_arm_b if reference.at_antenna else (0.0, 0.0, 0.0))
+    sd = state.linear("position_sd_north_m")
+    stated = None if reference.position_sd_n is None else reference.position_sd_n[rows]
+    if stated is not None:
+        sd = np.hypot(sd, stated)
+    position = velocity = attitude = distance = None
+    if reference.geodetic is not None and len(rows):
+        distance = _distance(reference.geodetic)[rows]
+        position = state.position_minus(reference.geodetic[rows]) + state.turned(arm)
+    if reference.velocity_n is not None:
+        velocity = earlier.linear("velocity_north_m_s") + earlier.arm_velocity(arm) - reference.velocity_n[rows]
+    if reference.attitude is not None:
+        difference = state.angles() - reference.attitude[rows]
+        attitude = (difference + np.pi) % (2.0 * np.pi) - np.pi
+    angles = None if attitude is None else state.angles()
+    return Errors(
+        reference.stamps_ns[rows],
+        track.stamps_ns[state.after],
+        position,
+        sd,
+        velocity,
+        attitude,
+        angles,
+        distance,
+        state.linear("protection_level_horizontal_m", 2),
+        stated,
+    )
+
+
+def _distance(geodetic: FloatArray) -> FloatArray:
+    """Horizontal way along positions [m], shape (n,)."""
+    path = ned_track(geodetic, Geodetic(*geodetic[len(geodetic) // 2].tolist()))
+    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    way: FloatArray = np.r_[0.0, np.cumsum(steps)]
+    return way
+
+
+def _covered(track: Track, stamps_ns: Stamps) -> npt.NDArray[np.bool_]:
+    """Tell which instants lie between two solutions that are close to each other."""
+    after = np.searchsorted(track.stamps_ns, stamps_ns, side="left")
+    inside = (after > 0) & (after < len(track))
+    if len(track) > 1:
+        step = np.diff(track.stamps_ns)[np.clip(after - 1, 0, len(track) - 2)]
+        inside &= step <= MAXIMUM_STEP_NS
+    return inside
+
+
+class _Between:
+    """A track at instants between its rows."""
+
+    def __init__(self, track: Track, stamps_ns: Stamps) -> None:
+        self._track = track
+        self.after = np.searchsorted(track.stamps_ns, stamps_ns, side="left")
+        self._before = self.after - 1
+        first, last = track.stamps_ns[self._before], track.stamps_ns[self.after]
+        self._step_s = (last - first) * 1e-9
+        self._share = ((stamps_ns - first) / (last - first))[:, None]
+
+    def linear(self, name: str, count: int = 3) -> FloatArray:
+        """Neighbouring columns, on the straight line between two rows."""
+        values = self._track.columns(name, count)
+        found: FloatArray = values[self._before] * (1.0 - self._share) + values[self.after] * self._share
+        return found
+
+    def angles(self) -> FloatArray:
+        """Roll, pitch and yaw, the shorter way round."""
+        values = self._track.columns("roll_rad")
+        turn = values[self.after] - values[self._before]
+        turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
+        found: FloatArray = values[self._before] + turn * self._share
+        return found
+
+    def turned(self, vector_b: FloatArray) -> FloatArray:
+        """Turn a body vector to north, east, down, shape (n, 3)."""
+        return np.array([ned_from_body(*angles) @ vector_b for angles in self.angles().tolist()]).reshape(-1, 3)
+
+    def arm_velocity(self, arm_b: FloatArray) -> FloatArray:
+        """Velocity of the arm's end against its start, C (w x l), shape (n, 3)."""
+        rates = self.linear("angular_rate_forward_rad_s")
+        pairs = zip(self.angles().tolist(), rates, strict=True)
+        return np.array([ned_from_body(*angles) @ (skew(rate) @ arm_b) for angles, rate in pairs]).reshape(-1, 3)
+
+    def position_minus(self, geodetic: FloatArray) -> FloatArray:
+        """Metres north, east and down from given positions to the track."""
+        origin = Geodetic(*geodetic[len(geodetic) // 2].tolist())
+        path = ned_track(self._track.geodetic, origin)
+        u, h = self._share, self._step_s[:, None]
+        p0, p1 = path[self._before], path[self.after]
+        velocity = self._track.columns("velocity_north_m_s")
+        v0, v1 = velocity[self._before], velocity[self.after]
+        here = (
+            p0 * (1.0 + 2.0 * u) * (1.0 - u) ** 2
+            + v0 * h * u * (1.0 - u) ** 2
+            + p1 * u**2 * (3.0 - 2.0 * u)
+            + v1 * h * u**2 * (u - 1.0)
+        )
+        found: FloatArray = here - ned_track(geodetic, origin)
+        return found

@@ -1,0 +1,107 @@
+"""What a solution is compared with: fixes at the antenna, true states, or a table of another system."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import UserError
+from shared.maths.earth import FloatArray
+from shared.messages.gnss import CarrierSolution, GnssFix
+from shared.messages.navigation import TruthState
+
+POSITION = ("latitude_deg", "longitude_deg", "height_ellipsoid_m")
+VELOCITY = ("velocity_north_m_s", "velocity_east_m_s", "velocity_down_m_s")
+ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The truth, or what stands in for it; each quantity that it does not know is None."""
+
+    description: str
+    stamps_ns: npt.NDArray[np.int64]
+    at_antenna: bool  # else at the IMU
+    geodetic: FloatArray | None = None  # [rad, rad, m], shape (n, 3)
+    velocity_n: FloatArray | None = None  # [m/s, NED], shape (n, 3)
+    attitude: FloatArray | None = None  # [rad] roll, pitch, yaw, shape (n, 3)
+    position_sd_n: FloatArray | None = None  # [m, NED], shape (n, 3)
+    velocity_delay_ns: int = 0  # how much older than its stamp a velocity is
+
+    def only(self, quantities: Sequence[str]) -> "Reference":
+        """Forget the quantities that are not to be trusted."""
+        return replace(
+            self,
+            geodetic=self.geodetic if "position" in quantities else None,
+            velocity_n=self.velocity_n if "velocity" in quantities else None,
+            attitude=self.attitude if "attitude" in quantities else None,
+        )
+
+
+def from_fixes(fixes: Sequence[GnssFix], *, delay_s: float = 0.0, velocity_delay_s: float = 0.0) -> Reference:
+    """Take the fixes with integer ambiguities for the truth, as they were before anything was taken away.
+
+    A fix is older than its stamp by the delay, its velocity by the velocity's delay more, as the vehicle's file says.
+    """
+    found: Counter[str] = Counter()
+    kept = []
+    for fix in fixes:
+        found[fix.carrier_solution] += 1
+        if fix.carrier_solution == CarrierSolution.FIXED and None not in (fix.latitude_deg, fix.height_ellipsoid_m):
+            kept.append(fix)
+    if not kept:
+        words = ", ".join(f"{count} {word}" for word, count in found.items()) or "no fix at all"
+        raise UserError(
+            f"no fix of the recording has RTK quality and a height above the ellipsoid ({words}); "
+            "give the truth as a CSV file with --truth FILE, or go without it: --truth none"
+        )
+    velocities = [fix.velocity_ned_m_s for fix in kept]
+    deviations = [fix.position_sd_ned_m for fix in kept]
+    return Reference(
+        f"{len(kept)} RTK-fixed GNSS positions of the antenna, of {len(fixes)} fixes; not independent of the solution",
+        np.array([fix.sampled_ns for fix in kept], dtype=np.int64) - round(delay_s * 1e9),
+        at_antenna=True,
+        geodetic=_geodetic([[fix.latitude_deg, fix.longitude_deg, fix.height_ellipsoid_m] for fix in kept]),
+        velocity_n=None if None in velocities else np.array(velocities),
+        position_sd_n=None if None in deviations else np.array(deviations),
+        velocity_delay_ns=round(velocity_delay_s * 1e9),
+    )
+
+
+def from_states(states: Sequence[TruthState]) -> Reference:
+    """Take recorded true states."""
+    if not states:
+        raise UserError("the recording holds no truth/state; try --truth fixes, or a CSV file with --truth FILE")
+    return Reference(
+        f"{len(states)} true states of the recording",
+        np.array([s.sampled_ns for s in states], dtype=np.int64),
+        at_antenna=False,
+        geodetic=_geodetic([[s.latitude_deg, s.longitude_deg, s.height_ellipsoid_m] for s in states]),
+        velocity_n=np.array([s.velocity_ned_m_s for s in states]),
+        attitude=np.array([[s.roll_rad, s.pitch_rad, s.yaw_rad] for s in states]),
+    )
+
+
+def from_columns(name: str, stamps_ns: npt.NDArray[np.int64], columns: dict[str, FloatArray]) -> Reference:
+    """Take the columns of a CSV file, which are named as those of `solution.csv`."""
+
+    def together(names: tuple[str, ...]) -> FloatArray | None:
+        return np.column_stack([columns[n] for n in names]) if all(n in columns for n in names) else None
+
+    position = together(POSITION)
+    return Reference(
+        f"{len(stamps_ns)} rows of {name}",
+        stamps_ns,
+        at_antenna=False,
+        geodetic=None if position is None else _geodetic(position),
+        velocity_n=together(VELOCITY),
+        attitude=together(ATTITUDE),
+    )
+
+
+def _geodetic(rows: FloatArray | list[list[float | None]]) -> FloatArray:
+    values = np.array(rows, dtype=float)
+    values[:, :2] = np.radians(values[:, :2])
+    return values

@@ -1,0 +1,1 @@
+"""The report of `obu solve`: plots, tables, exports."""

@@ -1,0 +1,248 @@
+"""The figures of the report, as SVG that stands inside the page."""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import StringIO
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import FloatArray, Geodetic, ned_track
+from shared.messages.navigation import AidingKind
+
+from ..metrics.integrity import protected
+from ..metrics.metrics import Run
+from ..outages import Gap
+from ..reference_track import Reference
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+POINTS = 1500  # of a line: more is finer than a screen
+BLUE, ORANGE, GREEN, RED, GREY = "#0a5fb4", "#c75b00", "#2b7a3f", "#c01c28", "#8a8f98"
+COLOURS = (BLUE, ORANGE, GREEN)
+STYLE = {
+    "svg.hashsalt": "obu",  # the same figure has the same bytes
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 9.0,
+    "axes.grid": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#e3e6ea",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.1,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "path.simplify": False,  # it would drop dots, and lines are thinned here
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of the report."""
+
+    title: str
+    caption: str
+    svg: str
+
+
+def figures_of(run: Run, reference: Reference | None) -> list[Figure]:
+    """Draw every figure for which there is something to show."""
+    return list(_figures(run, reference))
+
+
+def _figures(run: Run, reference: Reference | None) -> Iterator[Figure]:
+    yield _trajectory(run, reference)
+    errors, gaps = run.errors, run.gaps
+    if errors is not None and len(errors):
+        time_s = seconds_since(errors.stamps_ns, run.first_ns)
+        if errors.position_n is not None:
+            labels = _Labels(("north [m]", "east [m]", "down [m]"), gaps, run.first_ns)
+            caption = "Solution minus truth; the band is three standard deviations as the filter knows them."
+            band = 3.0 * errors.position_sd_n
+            yield _three("Position errors", caption, time_s, errors.position_n, labels, band=band)
+        if errors.velocity_n is not None:
+            labels = _Labels(("north [m/s]", "east [m/s]", "down [m/s]"), gaps, run.first_ns)
+            yield _three("Velocity errors", "Solution minus truth.", time_s, errors.velocity_n, labels)
+        if errors.attitude is not None:
+            labels = _Labels(("roll [deg]", "pitch [deg]", "heading [deg]"), gaps, run.first_ns)
+            yield _three("Attitude errors", "Solution minus truth.", time_s, np.degrees(errors.attitude), labels)
+        yield from _integrity(run)
+    yield _speed(run)
+    yield _innovations(run)
+    yield _biases(run)
+
+
+def _integrity(run: Run) -> Iterator[Figure]:
+    from .stanford import stanford  # it draws with what is here
+
+    scored = run.scored()
+    if scored is not None:
+        yield from map(stanford, protected(scored, run.alert_limits_m))
+
+
+@dataclass(frozen=True)
+class _Labels:
+    """What stands at three axes, and the gaps that are shaded on them."""
+
+    names: tuple[str, str, str]
+    gaps: Sequence[Gap]
+    first_ns: int
+
+
+@contextmanager
+def stacked_axes(rows: int, height: float, store: Callable[[str], None]) -> Iterator[list["Axes"]]:
+    """Give axes above each other, and hand the finished figure over as SVG."""
+    from matplotlib import style
+    from matplotlib.figure import Figure as Canvas
+
+    with style.context(STYLE):
+        canvas = Canvas(figsize=(8.6, height), layout="constrained")
+        axes = np.atleast_1d(canvas.subplots(rows, 1, sharex=True)).tolist()
+        yield axes
+        text = StringIO()
+        canvas.savefig(text, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    store(text.getvalue())
+
+
+def inline_svg(svg: str, title: str) -> str:
+    """Cut the prologue off, and keep the names inside this figure apart from those of the others."""
+    prefix = re.sub(r"\W+", "-", title.lower())
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{prefix}-", body)
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    # A hundredth of a point is finer than any screen, and half the size of the page.
+    body = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), body)
+    return re.sub(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>',
+                  rf'<svg viewBox="\1" role="img" aria-label="{title}" xmlns:xlink="http://www.w3.org/1999/xlink">',
+                  body, count=1)  # fmt: skip
+
+
+def _trajectory(run: Run, reference: Reference | None) -> Figure:
+    drawn: list[str] = []
+    origin = Geodetic(*run.track.geodetic[0].tolist())
+    path = ned_track(run.track.geodetic, origin)
+    with stacked_axes(1, 5.2, drawn.append) as (axes,):
+        if reference is not None and reference.geodetic is not None:
+            true = ned_track(reference.geodetic, origin)
+            true = true[:: max(1, len(true) // POINTS)]
+            _dots(axes, true[:, 1], true[:, 0], GREY, "truth")
+        step = max(1, len(path) // POINTS)
+        axes.plot(path[::step, 1], path[::step, 0], color=BLUE, label="solution")
+        for number, (first, last) in enumerate(run.gaps):
+            rows = (run.track.stamps_ns >= first) & (run.track.stamps_ns < last)
+            axes.plot(path[rows, 1], path[rows, 0], color=ORANGE, label=None if number else "without GNSS")
+        axes.plot(0.0, 0.0, "o", color=GREEN, markersize=6, label="first solution")
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set(xlabel="east [m]", ylabel="north [m]")
+        axes.legend(loc="best")
+    title = "Trajectory"
+    return Figure(title, "Metres from the first solution; north is up.", inline_svg(drawn[0], title))
+
+
+def _three(
+    title: str, caption: str, time_s: FloatArray, values: FloatArray, labels: _Labels, band: FloatArray | None = None
+) -> Figure:
+    """Three components above each other, each with its band."""
+    drawn: list[str] = []
+    with stacked_axes(3, 5.0, drawn.append) as rows:
+        for column, axes in enumerate(rows):
+            shade_gaps(axes, labels.gaps, labels.first_ns)
+            if band is not None:
+                at, edge = thinned(time_s, band[:, column])
+                axes.fill_between(at, -edge, edge, color=BLUE, alpha=0.14, linewidth=0)
+            axes.plot(*thinned(time_s, values[:, column]), color=BLUE)
+            axes.set_ylabel(labels.names[column])
+        rows[-1].set_xlabel("time [s]")
+    return Figure(title, caption + (" Shaded: GNSS taken away." if labels.gaps else ""), inline_svg(drawn[0], title))
+
+
+def _speed(run: Run) -> Figure:
+    drawn: list[str] = []
+    time_s = seconds_since(run.track.stamps_ns, run.first_ns)
+    speed = np.sqrt((run.track.columns("velocity_north_m_s") ** 2).sum(axis=1))
+    still = run.track.columns("stationary", 1)[:, 0] > 0.5
+    with stacked_axes(1, 2.4, drawn.append) as (axes,):
+        shade_gaps(axes, run.gaps, run.first_ns)
+        axes.plot(*thinned(time_s, speed), color=BLUE)
+        axes.fill_between(time_s, 0.0, 1.0, where=still.tolist(), transform=axes.get_xaxis_transform(),
+                          color=GREEN, alpha=0.12, linewidth=0)  # fmt: skip
+        axes.set(xlabel="time [s]", ylabel="speed [m/s]")
+    return Figure("Speed", "Green: the vehicle was found to stand still.", inline_svg(drawn[0], "Speed"))
+
+
+def _innovations(run: Run) -> Figure:
+    drawn: list[str] = []
+    updates = run.tally.updates(AidingKind.GNSS_POSITION)
+    time_s = seconds_since(updates.stamps_ns, run.first_ns)
+    with stacked_axes(2, 4.0, drawn.append) as (size, ratio):
+        for used, colour, word in ((updates.used, BLUE, "used"), (~updates.used, RED, "rejected")):
+            if used.any():
+                at, horizontal = thinned(time_s[used], np.hypot(*updates.innovation[used, :2].T))
+                _dots(size, at, horizontal, colour, word)
+                at, values = thinned(time_s[used], np.maximum(updates.test_ratio[used], 1e-4))
+                _dots(ratio, at, values, colour)
+        ratio.axhline(1.0, color=GREY, linewidth=1.0, linestyle="--")
+        size.set(ylabel="horizontal [m]", yscale=_scale(np.hypot(*updates.innovation[:, :2].T)))
+        ratio.set(xlabel="time [s]", ylabel="test ratio", yscale="log" if len(updates) else "linear")
+        if len(updates):
+            size.legend(loc="upper right")
+            ratio.set_ylim(bottom=1e-4)
+    caption = "Each GNSS position against its prediction. Above a test ratio of 1 the gate rejects it."
+    return Figure("Innovations", caption, inline_svg(drawn[0], "Innovations"))
+
+
+def _scale(values: FloatArray) -> str:
+    """Logarithmic where the largest would flatten all others."""
+    return "log" if len(values) and values.max() > 30.0 * np.median(values) > 0.0 else "linear"
+
+
+def _biases(run: Run) -> Figure:
+    drawn: list[str] = []
+    time_s = seconds_since(run.track.stamps_ns, run.first_ns)
+    accelerometer = run.track.columns("accelerometer_bias_forward_m_s2")
+    gyroscope = np.degrees(run.track.columns("gyroscope_bias_forward_rad_s"))
+    with stacked_axes(2, 3.6, drawn.append) as rows:
+        for axes, values, label in ((rows[0], accelerometer, "accelerometer [m/s²]"),
+                                    (rows[1], gyroscope, "gyroscope [deg/s]")):  # fmt: skip
+            for column, (colour, axis) in enumerate(zip(COLOURS, ("forward", "right", "down"), strict=True)):
+                axes.plot(*thinned(time_s, values[:, column]), color=colour, label=axis)
+            axes.set_ylabel(label)
+        rows[0].legend(loc="upper right", ncols=3)
+        rows[1].set_xlabel("time [s]")
+    return Figure("Sensor biases", "As the filter estimates them.", inline_svg(drawn[0], "Sensor biases"))
+
+
+def _dots(axes: "Axes", x: FloatArray, y: FloatArray, colour: str, label: str | None = None) -> None:
+    """Draw dots as one line of short strokes with round ends: a third of the size of as many markers."""
+    nothing = np.full(len(x), np.nan)
+    at, values = np.column_stack([x, x, nothing]).ravel(), np.column_stack([y, y, nothing]).ravel()
+    axes.plot(at, values, color=colour, linewidth=2.2, solid_capstyle="round", label=label)
+
+
+def shade_gaps(axes: "Axes", gaps: Sequence[Gap], first_ns: int) -> None:
+    """Mark where GNSS was taken away."""
+    for first, last in gaps:
+        axes.axvspan((first - first_ns) * 1e-9, (last - first_ns) * 1e-9, color=ORANGE, alpha=0.13, linewidth=0)
+
+
+def seconds_since(stamps_ns: npt.NDArray[np.int64], first_ns: int) -> FloatArray:
+    """Times of stamps after the first input."""
+    return np.asarray((stamps_ns - first_ns) * 1e-9, dtype=np.float64)
+
+
+def thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Keep the smallest and the largest value of each stretch, so that no peak is lost."""
+    width = -(-len(x) // (POINTS // 2))
+    if width < 3:
+        return x, y
+    whole = len(x) // width * width
+    stretches = y[:whole].reshape(-1, width)
+    starts = np.arange(0, whole, width)
+    rows = np.sort(np.concatenate([starts + stretches.argmin(axis=1), starts + stretches.argmax(axis=1),
+                                   np.arange(whole, len(x))]))  # fmt: skip
+    return x[rows], y[rows]

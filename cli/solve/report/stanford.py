@@ -1,0 +1,90 @@
+"""The Stanford diagram: every error against the protection level that should have been above it."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from shared.maths.earth import FloatArray
+
+from ..metrics.integrity import Protected, Region
+from .plots import GREY, Figure, inline_svg, stacked_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+CELLS = 56  # on each side
+DECADES = 4.0  # that the diagram shows below its largest number
+SMALLEST_M = 1e-3
+# Face, hatch and colour of the hatch of each region; hatched is where the error is above the level.
+LOOKS = {
+    Region.NOMINAL: ("#f4faf4", None, "#b9c7b9"),
+    Region.UNAVAILABLE: ("#eceef1", None, "#b6bbc3"),
+    Region.MISLEADING: ("#f3f0ea", "///", "#b9b3a6"),
+    Region.UNAVAILABLE_MISLEADING: ("#ece4d3", "\\\\\\", "#b0a283"),
+    Region.HAZARDOUS: ("#e2d6cf", "xxx", "#7a6f66"),
+}
+CAPTION = (
+    "Each instant with a truth, by its error and its protection level; darker cells hold more of them (logarithmic); "
+    "what is smaller than the axis begins stands at its edge. "
+    "Hatched: the error is above the level. The dashed lines are the alert limit of {limit:g} m."
+)
+
+
+def stanford(one: Protected) -> Figure:
+    """Draw the diagram of one axis, with the counts of its regions beside it."""
+    drawn: list[str] = []
+    title = f"Stanford diagram, {one.axis}"
+    with stacked_axes(1, 5.6, drawn.append) as (axes,):
+        draw(axes, one)
+    return Figure(title, CAPTION.format(limit=one.alert_limit_m), inline_svg(drawn[0], title))
+
+
+def draw(axes: "Axes", one: Protected) -> None:
+    """Draw cells, regions and counts. The counts stand outside: within, a region may be too small for its own."""
+    low, high = _range(one)
+    _regions(axes, one, low, high)
+    _cells(axes, one, np.geomspace(low, high, CELLS + 1))
+    axes.axhline(one.alert_limit_m, color=GREY, linestyle="--", linewidth=1.0)
+    axes.axvline(one.alert_limit_m, color=GREY, linestyle="--", linewidth=1.0)
+    axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal",
+             xlabel=f"{one.axis} error [m]", ylabel=f"{one.axis} protection level [m]")  # fmt: skip
+    axes.legend(loc="upper left", bbox_to_anchor=(1.03, 1.0), borderaxespad=0.0, frameon=False, fontsize=9,
+                labelspacing=1.2, handlelength=2.2, handleheight=2.0)  # fmt: skip
+
+
+def _range(one: Protected) -> tuple[float, float]:
+    high = 2.0 * max(float(one.level_m.max()), float(one.error_m.max()), one.alert_limit_m)
+    least = min(float(one.level_m.min()), float(np.quantile(one.error_m, 0.05)), one.alert_limit_m)
+    return max(SMALLEST_M, min(0.5 * least, high), high * 10.0**-DECADES), high
+
+
+def _regions(axes: "Axes", one: Protected, low: float, high: float) -> None:
+    """Fill each region in its own way, and hatch it where errors are above levels."""
+    limit, total = one.alert_limit_m, len(one.error_m)
+    areas = {
+        Region.NOMINAL: ([low, limit], [low, limit], [limit, limit]),
+        Region.UNAVAILABLE: ([low, limit, high], [limit, limit, high], [high, high, high]),
+        Region.MISLEADING: ([low, limit], [low, low], [low, limit]),
+        Region.UNAVAILABLE_MISLEADING: ([limit, high], [limit, limit], [limit, high]),
+        Region.HAZARDOUS: ([limit, high], [low, low], [limit, limit]),
+    }
+    for region, count in one.regions().items():
+        face, hatch, edge = LOOKS[region]
+        axes.fill_between(*areas[region], facecolor=face, hatch=hatch, edgecolor=edge, linewidth=0, zorder=0,
+                          label=f"{region.value}\n{count} ({100.0 * count / total:.3g} %)")  # fmt: skip
+    axes.plot([low, high], [low, high], color="#1d2129", linewidth=1.2)
+
+
+def _cells(axes: "Axes", one: Protected, edges: FloatArray) -> None:
+    """One rectangle a cell that is not empty, from light to dark blue by the logarithm of its count."""
+    from matplotlib import colormaps
+    from matplotlib.collections import PolyCollection
+
+    error, level = (np.clip(values, edges[0], edges[-1]) for values in (one.error_m, one.level_m))
+    counts, _, _ = np.histogram2d(error, level, bins=[edges, edges])
+    rows, columns = np.nonzero(counts)
+    density = np.log1p(counts[rows, columns])
+    left, right, lower, upper = edges[rows], edges[rows + 1], edges[columns], edges[columns + 1]
+    corners = np.stack([left, lower, right, lower, right, upper, left, upper], axis=1).reshape(-1, 4, 2)
+    colours = colormaps["Blues"](0.35 + 0.65 * density / density.max())
+    axes.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="none", zorder=2))

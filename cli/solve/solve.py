@@ -1,0 +1,344 @@
+"""`obu solve`: layers 2 to 4 over a whole recording, and what came out of it."""
+
+import csv
+import json
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, cast
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from services.core.fusion.process import Config, Process
+from services.core.fusion.smoothing.history import Trail
+from services.core.fusion.smoothing.rts import smoothed_filters
+from shared.errors import ConfigError, UserError
+from shared.messages.base import Message
+from shared.messages.gnss import CarrierSolution, GnssFix, GnssRaw
+from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState
+from shared.runtime.config import VehicleFile
+from shared.runtime.offline import OfflineUnit
+
+from ..import_drive.table import read_table
+from ..recordings.common import open_recording, progress_on, tell_problems, vehicle_of
+from .files import write
+from .history_file import Spool
+from .inputs import Inputs, all_fixes, arrival_of, inputs_of
+from .metrics.counters import Tally
+from .metrics.errors import errors_against
+from .metrics.metrics import Run, Value, metrics_of
+from .outages import Outages
+from .overrides import SWITCHES, Aiding, with_settings
+from .reference_track import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
+from .report.report import Heading, summary
+from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
+from .track import Track, TrackBuilder
+
+
+def solve(  # noqa: PLR0913  # one argument an option
+    recording: Annotated[Path, typer.Argument(help="A recording, from `obu record` or `obu import`.")],
+    *,
+    truth: Annotated[
+        str | None,
+        typer.Option(help="fixes, recorded, none, or a CSV file; without it what the recording says of itself."),
+    ] = None,
+    vehicle: Annotated[
+        Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the recorded one.")
+    ] = None,
+    outage: Annotated[
+        str | None,
+        typer.Option(
+            help="Take GNSS away: 10/30 is for 10 s of every 30 s once the filter is aligned, 60/180@650 for 60 s of "
+            "every 180 s from 650 s after the first input on."
+        ),
+    ] = None,
+    score_from: Annotated[
+        float, typer.Option(min=0.0, help="Seconds after the first input whose errors are not judged, but in outages.")
+    ] = 0.0,
+    aiding: Annotated[
+        Aiding | None,
+        typer.Option(
+            help="What helps besides GNSS: free is nothing but standstill, nhc wheels that do not slide, odometer "
+            "those and the speed; without it what the vehicle's file says."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A setting in place of the vehicle's, as in the last example; may be repeated."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results; without it the recording's name and -solution.")
+    ] = None,
+    smooth: Annotated[
+        bool, typer.Option(help="Go back over the drive as well: solution_smoothed.csv, for maps and as a reference.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as one JSON object.")] = False,
+) -> int:
+    """Run the whole unit over a recording, and write solution.csv, solution.kml, metrics.json and report.html.
+
+    Examples:
+    [bold]obu solve drive.mcap[/]
+    [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]
+    [bold]obu solve drive.mcap --smooth[/]
+    [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]
+    [bold]obu solve drive.mcap --set core.fusion.gnss_delay_s=0.1[/]
+    """
+    outages = Outages.parse(outage) if outage is not None else None
+    console = Console(stderr=True)
+    changes = (*(SWITCHES[aiding] if aiding else ()), *(settings or ()))
+    drive = _changed(_read(recording, vehicle, console), changes)
+    _insist_on_time(drive, "--score-from", score_from)
+    if outages is not None:
+        outages.recording_ns = drive.first_ns
+        _insist_on_time(drive, "--outage", (outages.start_ns or 0) * 1e-9)
+    given, by_fixes = _given_truth(drive, truth)
+    folder = _folder(out or Path(f"{recording.stem}-solution"))
+    with ExitStack() as stack:
+        progress = stack.enter_context(progress_on(console))
+        spool = stack.enter_context(Spool(folder)) if smooth else None
+        solved = _run(drive, outages, progress, spool)
+        smoothed = _smooth(drive, solved, spool, progress) if spool is not None else None
+    if count := len(drive.inputs.undecodable):
+        console.print(f"{recording.name}: {count} messages could not be decoded and were left out", markup=False)
+    # All fixes of the recording, those that an outage took away as well.
+    fixes = solved.fixes if outages is None else all_fixes(drive.inputs, drive.vehicle)
+    reference = (
+        _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
+    )
+    run = replace(_judged(drive, solved, reference, fixes), scored_from_ns=drive.first_ns + round(score_from * 1e9))
+    metrics = metrics_of(run)
+    again = None
+    if smoothed is not None:
+        again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).lever_arm_body_m)
+        metrics |= smoothed_metrics(run, again)
+    truth_is = reference.description if reference else "none was given"
+    risk, made = _fusion(drive.vehicle).integrity_risk, drive.provenance.get("made", "")
+    heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), risk, made)
+    write(folder, (run, again), reference, heading, metrics)
+    timings: dict[str, Value] = {
+        "solve_seconds": round(solved.seconds, 3),
+        "realtime_factor": round((drive.last_ns - drive.first_ns) * 1e-9 / solved.seconds, 1),
+    }
+    if as_json:
+        print(json.dumps(metrics | timings))
+    else:
+        for sentence in summary(heading, metrics):
+            print(sentence)
+        print(f"Solved in {solved.seconds:.1f} s, {timings['realtime_factor']} times as fast as driven.")
+        smoothed_too = ", both also as solution_smoothed" if smooth else ""
+        print(
+            f"Wrote {folder / 'report.html'} and beside it metrics.json, solution.csv and solution.kml{smoothed_too}."
+        )
+    return 0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A recording as far as a solution needs it."""
+
+    name: str
+    file: str
+    inputs: Inputs
+    vehicle: VehicleFile
+    provenance: dict[str, str]
+
+    @property
+    def first_ns(self) -> int:
+        """Arrival of the first input."""
+        return arrival_of(self.inputs.envelopes[0])
+
+    @property
+    def last_ns(self) -> int:
+        """Arrival of the last input."""
+        return arrival_of(self.inputs.envelopes[-1])
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What the unit said over the whole recording."""
+
+    builder: TrackBuilder
+    tally: Tally
+    outages: Outages | None
+    fixes: list[GnssFix]  # that reached the filter
+    seconds: float
+
+
+def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
+    with open_recording(path) as recording:
+        inputs = inputs_of(recording)
+    tell_problems(recording, console)
+    _check(path, inputs)
+    provenance = recording.metadata.get("provenance", {})
+    return Drive(provenance.get("name", path.stem), path.name, inputs, vehicle_of(recording, vehicle), provenance)
+
+
+def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
+    """Put settings of the command line in the place of the vehicle's, and fail at once if they are wrong."""
+    OfflineUnit(drive.vehicle)  # so that what is wrong from here on is of the command line
+    changed = replace(drive, vehicle=with_settings(drive.vehicle, changes))
+    try:
+        OfflineUnit(changed.vehicle)
+    except ConfigError as error:
+        reason, said = str(error).partition(": ")[2].partition("; known keys: ")[0], " --set ".join(changes)
+        raise UserError(f"--set {said}: {reason}; docs/reference/configuration.md lists all keys") from error
+    return changed
+
+
+def _check(path: Path, inputs: Inputs) -> None:
+    if not inputs.topics:
+        raise UserError(f"{path} holds no message of a unit; was anything running when it was recorded?")
+    for sensor, topics in (("IMU", ("imu/raw", "imu/sample")), ("GNSS", ("gnss/raw", "gnss/fix"))):
+        if not any(inputs.topics[topic] for topic in topics):
+            held = ", ".join(sorted(inputs.topics))
+            raise UserError(
+                f"{path} holds neither {topics[0]} nor {topics[1]}, but {held}; record the {sensor} as well"
+            )
+
+
+def _insist_on_time(drive: Drive, option: str, begins_s: float) -> None:
+    """Refuse what would begin when the recording is over, and so would do nothing."""
+    lasts_s = (drive.last_ns - drive.first_ns) * 1e-9
+    if begins_s > lasts_s:
+        raise UserError(
+            f"{option} begins at {begins_s:g} s, but {drive.file} lasts {lasts_s:.0f} s; name an earlier time"
+        )
+
+
+def _run(drive: Drive, outages: Outages | None, progress: Progress, spool: Spool | None = None) -> Solved:
+    """Run layers 2 to 4 over all inputs, in the order of their arrival."""
+    unit, builder, tally = OfflineUnit(drive.vehicle), TrackBuilder(), Tally()
+    if spool is not None:
+        period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
+        cast(Process, unit.process("core.fusion")).leave(Trail(spool, period_ns))
+    fixes: list[GnssFix] = []
+    started = time.perf_counter()
+    for message in unit.run(_fed(drive.inputs, outages, tally, progress)):
+        match message:
+            case NavigationSolution():
+                builder.add(message)
+            case AidingUpdate():
+                tally.add_update(message)
+            case NavigationState():
+                tally.add_state(message)
+            case GnssFix() if message.latitude_deg is not None:
+                fixes.append(message)
+    return Solved(builder, tally, outages, fixes, time.perf_counter() - started)
+
+
+def _smooth(drive: Drive, solved: Solved, spool: Spool, progress: Progress) -> Track:
+    """Go back over what the filter did."""
+    records = progress.track(spool.newest_first(), total=len(spool), description="smoothing")
+    return smoothed_track(smoothed_filters(records), solved.builder.track().valid())
+
+
+def _fed(inputs: Inputs, outages: Outages | None, tally: Tally, progress: Progress) -> Iterator[Message]:
+    """Give the inputs one by one, but for the GNSS that an outage takes away."""
+    task = progress.add_task("solving", total=len(inputs))
+    for number, message in enumerate(inputs.messages()):
+        if number % 1000 == 0:
+            progress.update(task, completed=number)
+        if outages is not None and isinstance(message, GnssFix | GnssRaw):
+            outages.aligned_ns = tally.aligned_ns
+            if outages.hides(message.sampled_ns if isinstance(message, GnssFix) else message.received_ns):
+                continue
+        yield message
+
+
+def _given_truth(drive: Drive, truth: str | None) -> tuple[Reference | None, str]:
+    """Find the truth that was asked for, or the one that the recording promises or holds.
+
+    The second is "fixes" where the GNSS fixes are to be the truth, and "perhaps" where they may if they are good.
+    """
+    word = truth or drive.provenance.get("truth_is") or ("recorded" if drive.inputs.truth else "perhaps")
+    if word in ("none", "fixes", "perhaps"):
+        return None, word
+    if word != "recorded":
+        return _truth_file(Path(word)), "none"
+    reference = from_states(drive.inputs.truth)
+    quantities = drive.provenance.get("truth_quantities", "") if truth is None else ""
+    return reference.only(quantities.split(",")) if quantities else reference, "none"
+
+
+def _any_fixed(fixes: list[GnssFix]) -> bool:
+    return any(fix.carrier_solution == CarrierSolution.FIXED for fix in fixes)
+
+
+def _truth_file(path: Path) -> Reference:
+    """Read a CSV file whose columns are named as those of solution.csv."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = csv.reader(file)
+            header = next(rows, [])
+            clock = "utc_s" if "utc_s" in header else "sampled_ns"
+            known = [name for name in (*POSITION, *VELOCITY, *ATTITUDE) if name in header]
+            table = read_table(rows, header, [clock, *known], path.name)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no CSV file"
+        raise UserError(
+            f"cannot read the truth {path}: {reason}; --truth is fixes, recorded, none or a CSV file"
+        ) from error
+    if not known:
+        raise UserError(f"{path} has none of the columns {', '.join(POSITION)}; docs/reference/metrics.md lists them")
+    stamps = np.round(table[clock] * (1e9 if clock == "utc_s" else 1.0)).astype(np.int64)
+    order = np.argsort(stamps, kind="stable")
+    return from_columns(path.name, stamps[order], {name: table[name][order] for name in known})
+
+
+def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: list[GnssFix]) -> Run:
+    """Put the solution beside the truth."""
+    track = solved.builder.track().valid()
+    if not len(track):
+        state = solved.tally.state
+        reason = f"its last word was {state.phase.value}: {state.reason}" if state else "it heard no inertial sample"
+        raise UserError(
+            f"the filter never began to navigate ({reason}); check lever arm, axes and stamps, or drive further"
+        )
+    config = _fusion(drive.vehicle)
+    lever_arm = config.lever_arm_body_m
+    outages = solved.outages
+    return Run(
+        track,
+        solved.tally,
+        errors_against(reference, track, lever_arm_b=lever_arm) if reference else None,
+        outages.gaps(drive.last_ns) if outages else [],
+        drive.first_ns,
+        drive.last_ns,
+        len(fixes),
+        len(fixes) - len(solved.fixes),
+        alert_limits_m=(config.alert_limit_horizontal_m, config.alert_limit_vertical_m),
+    )
+
+
+def _folder(path: Path) -> Path:
+    """Make the folder for the results before minutes are spent on them."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {path}: {error.strerror}; choose another one with --out") from error
+    return path
+
+
+def _fusion(vehicle: VehicleFile) -> Config:
+    return vehicle.section("core.fusion", Config)
+
+
+def _by_fixes(drive: Drive, fixes: list[GnssFix]) -> Reference:
+    config = _fusion(drive.vehicle)
+    return from_fixes(fixes, delay_s=config.gnss_delay_s, velocity_delay_s=config.gnss_velocity_delay_s)
+
+
+def _facts(drive: Drive, changes: tuple[str, ...]) -> list[tuple[str, str]]:
+    files = json.loads(drive.provenance.get("files", "{}"))
+    return [
+        ("recording", drive.file),
+        ("vehicle", drive.vehicle.name),
+        *(("set", change) for change in changes),
+        *((name, f"SHA-256 {digest}") for name, digest in files.items()),
+        *((topic, f"{count} messages") for topic, count in sorted(drive.inputs.topics.items())),
+    ]

@@ -1,0 +1,1 @@
+"""Initial alignment: roll and pitch, heading and position before the filter runs."""

@@ -1,0 +1,295 @@
+"""From inertial samples and the first fixes to a running filter: levelling, position, heading."""
+
+from math import cos, hypot, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n, geodetic_from_ned_difference
+from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, quaternion_product
+from shared.messages.navigation import NavigationPhase
+
+from ..filter import error_model as em
+from ..filter.eskf import NO_PARAMETERS, ErrorStateFilter
+from ..filter.strapdown import InertialState, rotate
+from ..measurements.dual_antenna import BaselineHeading
+from ..measurements.gnss import GnssPosition, GnssVelocity
+from ..measurements.gnss_error_model import UNKNOWN, Colour, Told
+from ..settings import Settings
+from .heading import (
+    REST_RATE_SD,
+    Heading,
+    Motion,
+    Prior,
+    drift_sd,
+    forwards_or_backwards,
+    heading_of_accelerations,
+    heading_of_motion,
+    saved_heading,
+)
+from .initial_position import FirstPlace, first_place
+from .levelling import FAST_M_S, Levelling, rest_gyroscope_bias
+from .track_matching import Point, moved_m_s, track
+from .velocity_matching import REST_OFFSET_SD, Comparison
+
+FloatArray = npt.NDArray[np.float64]
+
+TRACK_S = 5.0  # longest time of the positions that give a course
+MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
+REST_VELOCITY_SD = 0.05  # [m/s]
+ARM_RATE_SD = 0.05  # [rad/s] by which the swing of the lever arm may be wrong
+DELAY_SD = (0.1, 0.1, 0.1)  # [s] of GNSS, of the odometer, and of GNSS velocity beyond that of its position
+UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
+BASELINE_AGE_S = 2.0  # up to which the heading of two antennas is one at the fix
+BASELINE_TILT_SD = 0.02  # [rad] by which a tilt that is not yet known turns it
+
+
+class Alignment:
+    """Collects until a filter can be started, and says what it waits for.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the filter to be.
+    lost : ErrorStateFilter, optional
+        One that ran before, whose biases are still good.
+    kept : Heading, optional
+        How well its attitude is still known; if not given, not at all. If it was found to be wrong by a turn, tilt,
+        biases and parameters that it has learnt are doubtful.
+    first : bool
+        Whether there was none before; if there was, errors of GNSS are no longer those of the first fix.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        lost: ErrorStateFilter | None = None,
+        kept: Heading | None = None,
+        *,
+        first: bool = True,
+    ) -> None:
+        self.how = ""  # the heading was found
+        self.seen_fix = False
+        self._settings = settings
+        self._lost = None if kept and kept.turn else lost
+        self._saved: Prior | None = None
+        self._kept = kept
+        self.levelling = (
+            Levelling(settings, lost.inertial.quaternion, lost.gyroscope_bias) if lost and kept else Levelling(settings)
+        )
+        self.comparison = Comparison()
+        self._from_zero = first and settings.gnss_error_from_zero
+        self._zero_ns: int | None = None  # stamp of a fix without lasting error
+        self._has_velocity = False
+        self._motion: Motion | None = None
+        self._course: Heading | None = None
+        self._baseline: tuple[int, Heading] | None = None  # stamp, and what two antennas say
+        self._track: tuple[Point, ...] = ()  # newest last
+        self._fixes_at_rest: tuple[GnssPosition, ...] = ()
+
+    def fork(self) -> "Alignment":
+        """Copy that goes its own way."""
+        twin = Alignment.__new__(Alignment)
+        twin.__dict__.update(self.__dict__)
+        twin.levelling = self.levelling.fork()
+        return twin
+
+    def remember(self, prior: Prior) -> None:
+        """Take a position and heading that were saved before the power went; only the first counts."""
+        self._saved = self._saved or prior
+
+    @property
+    def phase(self) -> NavigationPhase:
+        """What this alignment waits for."""
+        if not self.levelling.ready:
+            return NavigationPhase.LEVELLING
+        return NavigationPhase.WAITING_FOR_HEADING if self.seen_fix else NavigationPhase.WAITING_FOR_GNSS
+
+    @property
+    def reason(self) -> str:
+        """The same in words."""
+        match self.phase:
+            case NavigationPhase.LEVELLING:
+                return f"levelling, up to {self._settings.levelling_s:g} s at rest"
+            case NavigationPhase.WAITING_FOR_GNSS:
+                return "level, no position yet"
+            case _:
+                return f"no heading yet: drive at more than {self._settings.course_speed_m_s:g} m/s"
+
+    def see_velocity(self, seen: GnssVelocity) -> None:
+        """Take a velocity in, and the heading that it gives."""
+        self._has_velocity = True
+        self.levelling.see_speed(hypot(seen.velocity[0], seen.velocity[1]))
+        north, east, down = np.sqrt(seen.cov.diagonal()).tolist()
+        sd = (north, east, down if seen.axes == 3 else 1.0)
+        swing = self._swing()
+        self._compare(seen, swing)
+        self._move(Motion(seen.time_ns, seen.velocity, sd, swing))
+
+    def see_heading(self, seen: BaselineHeading) -> None:
+        """Take in the heading of the line between two antennas."""
+        turn = seen.turn_from(self.levelling.quaternion)
+        self._baseline = seen.time_ns, Heading(turn, hypot(seen.sd, BASELINE_TILT_SD), "two antennas")
+
+    def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
+        """Take a position in, and start the filter with it if all that it needs is known."""
+        if self._from_zero and not self.seen_fix:
+            self._zero_ns = fix.time_ns
+        self.seen_fix = True
+        self._follow(fix)
+        self._compare(fix, self._swing())
+        self._fixes_at_rest = (*self._fixes_at_rest[-99:], fix) if self.levelling.at_rest else ()
+        if self._motion is None or abs(fix.time_ns - self._motion.time_ns) > MOTION_AGE_S * 1e9:
+            self._move_without_velocity(fix)
+        if self._motion is None or not self.levelling.ready:
+            return None
+        heading = self._heading(fix)
+        return self._start(fix, self._motion, heading) if heading else None
+
+    def _heading(self, fix: GnssPosition) -> Heading | None:
+        """Choose the best of all headings that the motion so far does not contradict."""
+        drift = drift_sd(self.levelling)
+        kept = self._kept and self._kept._replace(sd=self._kept.sd + drift)
+        saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
+        known = [way for way in (kept, saved) if way and not self.comparison.contradicts(way.turn)]
+        course = self._course and forwards_or_backwards(self._course, self.comparison)
+        matched = heading_of_accelerations(self.comparison)
+        return min(
+            (way for way in (*known, course, matched, self._two_antennas(fix)) if way),
+            key=lambda way: way.sd,
+            default=None,
+        )
+
+    def _compare(self, seen: GnssPosition | GnssVelocity, swing: Vector) -> None:
+        """Hold the velocity of the antenna by inertial sensors alone against GNSS."""
+        if self.levelling.quaternion_at_rest is not None and self.comparison.offset_sd != REST_OFFSET_SD:
+            self.comparison = Comparison(offset_sd=REST_OFFSET_SD)
+        (north, east), (x, y) = self.levelling.velocity, self.levelling.before
+        self.comparison = self.comparison.after(seen, complex(north + x + swing[0], east + y + swing[1]))
+
+    def _two_antennas(self, fix: GnssPosition) -> Heading | None:
+        fresh = self._baseline is not None and abs(fix.time_ns - self._baseline[0]) <= BASELINE_AGE_S * 1e9
+        return self._baseline[1] if self._baseline and fresh else None
+
+    def _follow(self, fix: GnssPosition) -> None:
+        """Follow the track, and for want of a velocity tell the levelling of a motion that it shows."""
+        level, now_ns = self.levelling, fix.time_ns
+        x, y, _ = rotate(level.quaternion, self._settings.lever_arm_body_m)
+        recent = (point for point in self._track if now_ns - TRACK_S * 1e9 <= point.fix.time_ns < now_ns)
+        self._track = (*tuple(recent)[-99:], Point(fix, level.ahead, level.way, complex(x, y)))
+        if self._has_velocity:
+            return
+        level.see_speed(moved_m_s(self._track))
+        resting = [point for point in self._track if now_ns - point.fix.time_ns <= level.rest_s * 1e9]
+        if level.at_rest and moved_m_s(resting) > FAST_M_S:
+            level.forget_rest()
+            self.comparison = Comparison()
+
+    def _move(self, motion: Motion | None) -> None:
+        self._motion = motion
+        self._course = heading_of_motion(motion, self.levelling, self._settings) if motion else None
+
+    def _swing(self) -> Vector:
+        """Velocity of the antenna against the IMU [m/s, level frame]."""
+        x, y, z = np.cross(self.levelling.rate, self._settings.lever_arm_body_m).tolist()
+        return rotate(self.levelling.quaternion, (x, y, z))
+
+    def _move_without_velocity(self, fix: GnssPosition) -> None:
+        """Find the velocity of a vehicle whose receiver states none: at rest, or from its track."""
+        if self.levelling.at_rest:
+            self._move(Motion(fix.time_ns, (0.0, 0.0, 0.0), (REST_VELOCITY_SD,) * 3, (0.0, 0.0, 0.0)))
+        else:
+            self._motion, self._course = track(self._track, self.levelling, self._settings) or (None, None)
+
+    def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
+        """Make the filter at the instant of the fix."""
+        self.how, self.comparison = heading.how, self.comparison.turned(heading.turn).interrupted()
+        settings, arm = self._settings, self._settings.lever_arm_body_m
+        north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
+        quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
+        arm_n = rotate(quaternion, arm)
+        swing = rotate(north_from_level, motion.swing)
+        first = self._first_place(fix)
+        velocity = (motion.velocity[0] - swing[0], motion.velocity[1] - swing[1], motion.velocity[2] - swing[2])
+        position = geodetic_from_ned_difference((-arm_n[0], -arm_n[1], -arm_n[2]), first.position)
+        bias, bias_cov = self._accelerometer_bias()
+        drift, drift_cov = self._gyroscope_bias(north_from_level, position.latitude)
+        tilt2 = self.levelling.tilt_sd**2 + float(bias_cov[0, 0]) / STANDARD_GRAVITY**2
+
+        P = np.zeros((em.SIZE, em.SIZE))
+        P[em.ATTITUDE, em.ATTITUDE] = np.diag([tilt2, tilt2, heading.sd**2])
+        P[em.VELOCITY, em.VELOCITY] = np.diag(np.square(motion.sd)) + (ARM_RATE_SD * hypot(*arm)) ** 2 * np.eye(3)
+        P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
+        P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
+        if self._lost is None:
+            tilt = _tilt_by_bias(matrix_from_quaternion(quaternion))
+            P[em.ATTITUDE, em.ACCELEROMETER_BIAS] = tilt @ bias_cov
+            P[em.ACCELEROMETER_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.ACCELEROMETER_BIAS].T
+        P[em.SCALES, em.SCALES] = self._scales_cov()
+        P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
+        P[em.POSITION, em.POSITION] = first.cov
+        P[em.GNSS_ERROR, :] = P[:, em.GNSS_ERROR] = 0.0
+        P[em.GNSS_ERROR, em.GNSS_ERROR] = first.error_cov
+        P[em.POSITION, em.GNSS_ERROR] = first.both
+        P[em.GNSS_ERROR, em.POSITION] = first.both.T
+        inertial = InertialState(fix.time_ns, quaternion, velocity, position)
+        known = self._lost.parameters if self._lost else NO_PARAMETERS
+        begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
+        parameters = (*known[:begin], *first.error, *known[end:])
+        started = ErrorStateFilter(settings, inertial, P, bias, drift, parameters, first.colour)
+        if self._lost is not None:
+            started.accelerometer_scale, started.gyroscope_scale = (
+                self._lost.accelerometer_scale,
+                self._lost.gyroscope_scale,
+            )
+        return started
+
+    def _first_place(self, fix: GnssPosition) -> FirstPlace:
+        """Weigh the fixes of a rest, or take the one fix of a vehicle that drives."""
+        rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
+        colour = self._lost.colour.at_start() if self._lost else _told(self._settings)
+        return first_place(rest or [fix], colour, self._zero_ns)
+
+    def _scales_cov(self) -> FloatArray:
+        if self._lost is not None:
+            return self._lost.P[em.SCALES, em.SCALES]
+        sd = self._settings.accelerometer_scale_sd, self._settings.gyroscope_scale_sd
+        return np.diag(np.repeat(np.square(sd), 3))
+
+    def _parameters_cov(self) -> FloatArray:
+        if self._lost is not None:
+            return self._lost.P[em.PARAMETERS, em.PARAMETERS]
+        sd = np.zeros(em.SIZE)
+        sd[em.ODOMETER_SCALE] = self._settings.odometer_scale_sd
+        sd[em.MOUNTING] = self._settings.mounting_sd_rad
+        sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer else 0.0
+        sd[em.DELAYS] = DELAY_SD if self._settings.estimate_delays else 0.0
+        return np.diag(np.square(sd[em.PARAMETERS]))
+
+    def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:
+        if self._lost is not None:
+            return self._lost.accelerometer_bias, self._lost.P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS]
+        return (0.0, 0.0, 0.0), np.eye(3) * self._settings.accelerometer_bias_sd_m_s2**2
+
+    def _gyroscope_bias(self, north_from_level: Quaternion, latitude: float) -> tuple[Vector, FloatArray]:
+        at_rest = self.levelling.quaternion_at_rest
+        if at_rest is not None:
+            C = matrix_from_quaternion(quaternion_product(north_from_level, at_rest))
+            bias = rest_gyroscope_bias(self.levelling.rate_bias, C, earth_rate_n(latitude))
+            return bias, np.eye(3) * REST_RATE_SD**2
+        if self._lost is not None:
+            return self._lost.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
+        return self.levelling.rate_bias, np.eye(3) * self._settings.gyroscope_bias_sd_rad_s**2
+
+
+def _told(settings: Settings) -> Colour | Told:
+    """Run of GNSS errors before any fix: as the settings say, or still unknown."""
+    correlation_s = settings.gnss_error_correlation_s
+    return Told(correlation_s, 1.0 - settings.gnss_error_white_share) if correlation_s else UNKNOWN
+
+
+def _tilt_by_bias(ned_from_body: FloatArray) -> FloatArray:
+    """Matrix [rad per m/s²] of what a bias does to a body that was levelled by its force: f_n stays upright."""
+    sideways = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    tilt: FloatArray = sideways @ ned_from_body / STANDARD_GRAVITY
+    return tilt

@@ -1,0 +1,1 @@
+"""Protection levels and the statistics of the innovations behind them."""

@@ -1,0 +1,253 @@
+"""Protection levels: how far off a solution may be, but for a probability that was agreed upon before.
+
+The covariance is where it begins; what it does not know of is added, and nothing is ever taken away::
+
+    risk = (1 - P_fault) P(|σ n| > L) + P_fault P(|σ n + fault| > L),   level = disputed + L
+
+with n a normal number (vertical) or a normal pair (horizontal), σ² the inflated covariance, and fault the most that
+one wrong fix can have done without the gate seeing it. docs/explanation/protection-levels.md has every term.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from math import erfc, exp, hypot, isfinite, log, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.rotation import Vector
+
+from .error_monitor import Watch
+
+FloatArray = npt.NDArray[np.float64]
+
+NODES = 64  # of the mean over a quarter turn
+COSINES2 = np.cos((np.arange(NODES) + 0.5) * (pi / (2 * NODES))) ** 2
+STEPS = 32  # of the table of factors, from a line to a circle
+SPLITS = (0.5, 0.75, 0.95)  # [-] shares of the risk that horizontal errors without a fault may have
+FAULT_PROBABILITY = 0.01  # that one fix is wrong by as much as the gate lets pass
+OUTAGE_FACTOR = 3.0  # [-] on the variance that an outage adds, for errors of sensors that no state stands for
+OUTAGE_S = 10.0  # time in which these have come to bear
+LARGEST_M = 1e9
+NEAR = 1e-9  # standard deviations, by which a factor may be too large
+
+
+class Levels(NamedTuple):
+    """Radius on the ground and half height about the solution [m], with the probability of being outside each."""
+
+    horizontal: float
+    vertical: float
+    risk: float
+
+
+def probability_outside(radius: FloatArray, sd_minor: FloatArray) -> FloatArray:
+    """Find the probability that a normal pair lies outside a circle about its mean.
+
+    Parameters
+    ----------
+    radius : ndarray, shape (n,)
+        [-] Of circles, over the larger standard deviation along the axes of the pair's ellipse.
+    sd_minor : ndarray, shape (n,)
+        [-] The smaller one over it; not zero.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [-] To a millionth of itself for an ellipse that is not narrower than 1 to `STEPS`.
+
+    Notes
+    -----
+    With x = ρ cos φ and y = b ρ sin φ, ρ is Rayleigh's and φ even, so that the tail in each direction is closed::
+
+        P = 2/π ∫₀^{π/2} exp( -R² / (2 (cos² φ + b² sin² φ)) ) dφ
+
+    Midpoints give the integral of a smooth periodic function fast.
+
+    References
+    ----------
+    R. S. Hoyt, "Probability functions for the modulus of the angular vector", Bell System Technical Journal 26, 1947.
+    """
+    b2, half = (sd_minor**2)[:, np.newaxis], (0.5 * radius**2)[:, np.newaxis]
+    mean: FloatArray = np.exp(-half / (b2 + (1.0 - b2) * COSINES2)).mean(axis=1)
+    return mean
+
+
+@lru_cache(maxsize=64)
+def line_factor(risk: float) -> float:
+    """Find the number of standard deviations that a normal number is off, on either side, with a probability."""
+    return _where(lambda x: erfc(x / sqrt(2.0)), risk, 0.0, 40.0) if risk < 1.0 else 0.0
+
+
+def circle_factor(ratio: float, risk: float) -> float:
+    """Find the radius outside which a normal pair lies with a probability, over its larger standard deviation.
+
+    Parameters
+    ----------
+    ratio : float
+        [-] Of the smaller standard deviation to the larger, 0 to 1.
+    risk : float
+        [-] The probability.
+
+    Returns
+    -------
+    float
+        [-] From `line_factor` for a line to sqrt(-2 ln risk) for a circle; interpolated, which is
+        never too little, and too much by 0.003 at most.
+    """
+    return _interpolated(_factors(risk), ratio)
+
+
+def _interpolated(table: tuple[float, ...], ratio: float) -> float:
+    place = ratio * STEPS
+    k = min(int(place), STEPS - 1)
+    return table[k] + (place - k) * (table[k + 1] - table[k])
+
+
+@lru_cache(maxsize=64)
+def _factors(risk: float) -> tuple[float, ...]:
+    if risk >= 1.0:
+        return (0.0,) * (STEPS + 1)
+    line, circle, sd_minor = line_factor(risk), sqrt(-2.0 * log(risk)), np.arange(1, STEPS) / STEPS
+    low, high = np.full(STEPS - 1, line), np.full(STEPS - 1, circle)
+    while high[0] - low[0] > NEAR:  # as `_where` does it, but of all at once: a process waits for its first levels
+        middle = 0.5 * (low + high)
+        farther = probability_outside(middle, sd_minor) > risk
+        low, high = np.where(farther, middle, low), np.where(farther, high, middle)
+    return (line, *high.tolist(), circle)
+
+
+def _where(tail: Callable[[float], float], probability: float, low: float, high: float, near: float = NEAR) -> float:
+    """Find where a tail has fallen to a probability, on the safe side by as much as is `near`."""
+    while high - low > near:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if tail(middle) > probability else (low, middle)
+    return high
+
+
+def horizontal_level(nn: float, ne: float, ee: float, risk: float) -> float:
+    """Radius [m] of the circle that holds a horizontal error of a covariance [m²] but for a probability."""
+    major, ratio = _ellipse(nn, ne, ee)
+    return major * circle_factor(ratio, risk)
+
+
+def _ellipse(nn: float, ne: float, ee: float) -> tuple[float, float]:
+    """Larger standard deviation [m] of a covariance, and the ratio of the smaller to it."""
+    middle, spread = 0.5 * (nn + ee), hypot(0.5 * (nn - ee), ne)
+    major2 = middle + spread
+    return (sqrt(major2), sqrt(max(middle - spread, 0.0) / major2)) if major2 > 0.0 else (0.0, 0.0)
+
+
+def vertical_level(variance: float, risk: float) -> float:
+    """Half height [m] that holds a vertical error of a variance [m²] but for a probability."""
+    return sqrt(max(variance, 0.0)) * line_factor(risk)
+
+
+@lru_cache(maxsize=64)
+def _split(risk: float) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+    """Tables of factors without and with a fault, for every share of the risk."""
+    return tuple(
+        (_factors(share * risk), _factors(min(1.0, (1.0 - share) * risk / FAULT_PROBABILITY))) for share in SPLITS
+    )
+
+
+def horizontal_level_with_fault(cov: tuple[float, float, float], fault: float, risk: float) -> float:
+    """Radius [m] that holds a horizontal error of a covariance [m²: NN, NE, EE], moved by a fault [m] or not.
+
+    Notes
+    -----
+    For every share a of the risk::
+
+        L(a) = max( k(a risk) σ,  fault + k((1 - a) risk / P_fault) σ )
+
+    is enough, and so is the least of some.
+    """
+    major, ratio = _ellipse(*cov)
+    return min(
+        [
+            max(major * _interpolated(without, ratio), fault + major * _interpolated(with_one, ratio))
+            for without, with_one in _split(risk)
+        ]
+    )
+
+
+def vertical_level_with_fault(variance: float, fault: float, risk: float) -> float:
+    """Half height [m] that holds a vertical error of a variance [m²], moved by a fault [m] or not: exactly."""
+    low = vertical_level(variance, risk)
+    if fault <= 0.0 or variance <= 0.0:
+        return low + max(0.0, fault)
+    per_m = sqrt(0.5 / variance)
+
+    def outside(level: float) -> float:
+        moved = 0.5 * (erfc((level - fault) * per_m) + erfc((level + fault) * per_m))
+        return (1.0 - FAULT_PROBABILITY) * erfc(level * per_m) + FAULT_PROBABILITY * moved
+
+    return _where(outside, risk, low, low + fault, 1e-4 * low)
+
+
+def protection_levels(
+    position_cov: Sequence[Sequence[float]],
+    velocity: Vector,
+    time_ns: int,
+    watch: Watch,
+    *,
+    risk: float,
+    time_sd_s: float,
+) -> Levels:
+    """Say how far off a solution may be.
+
+    Parameters
+    ----------
+    position_cov : 3 sequences of 3 floats
+        [m², NED] Covariance of the position as the filter knows it.
+    velocity : tuple of float
+        [m/s, NED]
+    time_ns : int
+        Stamp of the solution.
+    watch : Watch
+        What the measurements have told of errors that the covariance does not know of.
+    risk : float
+        [-] Probability with which the error may be beyond a level, of each of the two.
+    time_sd_s : float
+        [s] Error of GNSS stamps.
+
+    Returns
+    -------
+    Levels
+        [m]
+
+    Notes
+    -----
+    With s² the scale of recent innovations, g the growth of an outage that lasts t, L the errors of GNSS that last
+    and P₀ the covariance after the last fix that was used::
+
+        Σ = s² (1 + (g - 1) (1 - tr P₀ / tr P)) P + L + stamp      g = (1 + 2 (1 - exp(-t/10 s))) overstatement
+
+    The stamp's part is what P lacks of (v σ_t)² along the velocity.
+    """
+    (nn, ne, _), (_, ee, _), (_, _, dd) = position_cov
+    age_s = (time_ns - watch.used_ns) * 1e-9
+    growth = (1.0 + (OUTAGE_FACTOR - 1.0) * (1.0 - exp(-max(0.0, age_s) / OUTAGE_S))) * watch.overstatement
+    anchored = watch.anchored
+    wide = watch.scale_horizontal * _grown(anchored[0] + anchored[2], nn + ee, growth)
+    high = watch.scale_vertical * _grown(anchored[3], dd, growth)
+    north, east, speed2 = velocity[0], velocity[1], velocity[0] ** 2 + velocity[1] ** 2
+    stamp = 0.0  # [s²] of which the velocity makes a covariance
+    if speed2 > 0.0:
+        along = (north * north * nn + 2.0 * north * east * ne + east * east * ee) / speed2
+        stamp = max(0.0, time_sd_s**2 - along / speed2)
+    lasting = watch.lasting_horizontal
+    nn, ne, ee = wide * nn + stamp * north**2, wide * ne + stamp * north * east, wide * ee + stamp * east**2
+    cov = (nn + lasting, ne, ee + lasting)
+    variance = high * dd + watch.lasting_vertical
+    if not isfinite(sum(cov) + variance):
+        return Levels(LARGEST_M, LARGEST_M, risk)  # of numbers that have broken down nothing is known
+    (fault_h, fault_v), (disputed_h, disputed_v) = watch.pulled, watch.disputed
+    horizontal = disputed_h + horizontal_level_with_fault(cov, fault_h, risk)
+    vertical = disputed_v + vertical_level_with_fault(variance, fault_v, risk)
+    return Levels(min(horizontal, LARGEST_M), min(vertical, LARGEST_M), risk)
+
+
+def _grown(then: float, now: float, growth: float) -> float:
+    """Factor on a variance of which only what has grown since then is multiplied."""
+    return 1.0 + (growth - 1.0) * max(0.0, 1.0 - then / now) if now > 0.0 else 1.0

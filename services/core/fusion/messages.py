@@ -1,0 +1,219 @@
+"""Between the messages of the bus and the types of the navigator."""
+
+from collections.abc import Iterator
+from math import cos, degrees, radians, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import Geodetic
+from shared.messages.base import Symmetric3, Vector3
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import AidingUpdate, LastPosition, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
+
+from .alignment.heading import Prior
+from .measurements.base import Measurement, Outcome
+from .measurements.dual_antenna import BaselineHeading
+from .measurements.gnss import Reading, Stamp, gnss_measurements, true_time_ns
+from .navigator import Navigator
+from .settings import Settings
+from .solution import Solution
+from .timing.delay_compensation import known_delays
+
+FloatArray = npt.NDArray[np.float64]
+
+USABLE = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
+COURSE_SPEED_M_S = 0.5  # below it the course of a receiver is noise
+GROUND_SPEED_SD = 0.3  # [m/s] of a speed and course that the receiver has smoothed
+LEAST_BASELINE_SD = 1e-3  # [rad]
+WORST_DOP = 1000.0  # some receivers say 99.99 where they know nothing
+UERE_M = 2.5  # [m] times the dilution of precision it is what a receiver without covariance is good for
+
+
+def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]:
+    """Make measurements of a fix: none if it holds no position that is GNSS's own."""
+    if fix.fix_type not in USABLE or fix.latitude_deg is None or fix.longitude_deg is None:
+        return []
+    height = fix.height_ellipsoid_m
+    has_height = height is not None and fix.fix_type is not FixType.TWO_D
+    position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), height or 0.0)
+    reading = Reading((0.0, 0.0, 0.0), _position_cov(fix), 3 if has_height else 2)
+    fixed = fix.carrier_solution is CarrierSolution.FIXED
+    stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
+    return gnss_measurements(settings, stamp, position, reading, _velocity(fix), fixed=fixed)
+
+
+Given = GnssFix | VehicleSpeed | WheelSpeeds | LastPosition
+InertialSample = tuple[int, Vector3, Vector3]
+
+
+def samples_of(batch: ImuSamples) -> Iterator[InertialSample]:
+    """Take a batch apart: stamp, specific force [m/s², body] and angular rate [rad/s, body] of each sample."""
+    return zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
+
+
+def give(navigator: Navigator, message: Given) -> bool:
+    """Hand all but inertial samples to the navigator; False for a fix that holds no position."""
+    match message:
+        case GnssFix():
+            return give_fix(navigator, message)
+        case LastPosition():
+            navigator.remember(prior_from_last_position(message))
+        case _:
+            give_speed(navigator, message)
+    return True
+
+
+def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
+    """Hand a fix to the navigator; False if it holds no position."""
+    settings = navigator.settings
+    measurements = measurements_from_fix(fix, settings)
+    if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
+        measurements.append(
+            BaselineHeading(
+                true_time_ns(settings, fix.sampled_ns),
+                fix.received_ns,
+                fix.source,
+                fix.baseline_heading_rad,
+                max(fix.baseline_heading_sd_rad, LEAST_BASELINE_SD),
+                settings.baseline_yaw_body_rad,
+            )
+        )
+    for measurement in measurements:
+        navigator.measure(measurement)
+    return bool(measurements)
+
+
+def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
+    """Hand pressure and magnetic field of a batch of samples to the navigator."""
+    sampled_ns, received_ns, source = batch.sampled_ns[-1], batch.received_ns, batch.source
+    if batch.pressure_pa is not None:
+        navigator.pressure(sampled_ns, batch.pressure_pa, received_ns=received_ns, source=source)
+    if batch.magnetic_field_body is not None:
+        navigator.magnetic_field(sampled_ns, batch.magnetic_field_body, received_ns=received_ns, source=source)
+
+
+def give_speed(navigator: Navigator, speed: VehicleSpeed | WheelSpeeds) -> None:
+    """Hand a speed to the navigator: the mean of the rear wheels, or of all if none of them is told."""
+    if isinstance(speed, VehicleSpeed):
+        value, resolution, of_wheels, exact = speed.speed_m_s, speed.resolution_m_s or 0.0, False, False
+    else:
+        rear = [wheel for wheel in (speed.rear_left_m_s, speed.rear_right_m_s) if wheel is not None]
+        wheels = rear or [wheel for wheel in (speed.front_left_m_s, speed.front_right_m_s) if wheel is not None]
+        if not wheels:
+            return
+        value, resolution, of_wheels, exact = sum(wheels) / len(wheels), 0.0, True, len(rear) == 2
+    navigator.speed(
+        speed.sampled_ns,
+        value,
+        resolution=resolution,
+        of_wheels=of_wheels,
+        exact=exact,
+        received_ns=speed.received_ns,
+        source=speed.source,
+    )
+
+
+def _position_cov(fix: GnssFix) -> FloatArray | None:
+    cov = _cov(fix.position_cov_ned_m2, fix.position_sd_ned_m)
+    if cov is None and fix.hdop is not None:
+        horizontal = UERE_M * min(abs(fix.hdop), WORST_DOP)
+        vertical = UERE_M * min(abs(fix.vdop or 2.0 * fix.hdop), WORST_DOP)
+        return np.diag(np.square([horizontal, horizontal, vertical]))
+    return cov
+
+
+def _velocity(fix: GnssFix) -> Reading | None:
+    if fix.velocity_ned_m_s is not None:
+        return Reading(fix.velocity_ned_m_s, _cov(fix.velocity_cov_ned_m2_s2, fix.velocity_sd_ned_m_s))
+    speed, course = fix.ground_speed_m_s, fix.course_rad
+    if speed is None or course is None or speed < COURSE_SPEED_M_S:
+        return None
+    cov = np.eye(3) * GROUND_SPEED_SD**2
+    return Reading((speed * cos(course), speed * sin(course), 0.0), cov, axes=2)
+
+
+def _cov(cov: Symmetric3 | None, sd: Vector3 | None) -> FloatArray | None:
+    if cov is not None:
+        nn, ne, nd, ee, ed, dd = cov
+        return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]])
+    return None if sd is None else np.diag(np.square(sd))
+
+
+def prior_from_last_position(last: LastPosition) -> Prior:
+    """Read the saved position and heading."""
+    position = Geodetic(radians(last.latitude_deg), radians(last.longitude_deg), last.height_ellipsoid_m)
+    return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad)
+
+
+def solution_message(solution: Solution) -> NavigationSolution:
+    """Put a solution on the bus."""
+    position_cov, velocity_cov, attitude_cov = solution.triangles
+    return NavigationSolution.unchecked(
+        sampled_ns=solution.time_ns,
+        phase=solution.phase,
+        latitude_deg=degrees(solution.position.latitude),
+        longitude_deg=degrees(solution.position.longitude),
+        height_ellipsoid_m=solution.position.height,
+        velocity_ned_m_s=solution.velocity,
+        roll_rad=solution.roll,
+        pitch_rad=solution.pitch,
+        yaw_rad=solution.yaw,
+        position_cov_ned_m2=position_cov,
+        velocity_cov_ned_m2_s2=velocity_cov,
+        attitude_cov_ned_rad2=attitude_cov,
+        angular_rate_body_rad_s=solution.rate,
+        accelerometer_bias_m_s2=solution.accelerometer_bias,
+        gyroscope_bias_rad_s=solution.gyroscope_bias,
+        stationary=solution.stationary,
+        gnss_age_s=solution.gnss_age_s,
+        protection_level_horizontal_m=solution.protection_level_horizontal,
+        protection_level_vertical_m=solution.protection_level_vertical,
+        integrity_risk=solution.integrity_risk,
+    )
+
+
+def aiding_message(outcome: Outcome) -> AidingUpdate:
+    """Put what became of an observation on the bus."""
+    return AidingUpdate(
+        sampled_ns=outcome.time_ns,
+        source=outcome.source,
+        kind=outcome.kind,
+        innovation=outcome.innovation,
+        innovation_sd=outcome.innovation_sd,
+        test_ratio=outcome.test_ratio,
+        used=outcome.used,
+        weight_ratio=outcome.weight,
+        reason=outcome.reason,
+    )
+
+
+def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
+    """Put what the navigator is doing on the bus, or that it does nothing since the inertial samples stopped."""
+    counts = navigator.counts
+    silent = silent_since_ns is not None
+    estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None
+    gnss, odometer, velocity = estimated or ((None, None),) * 3
+    return NavigationState(
+        sampled_ns=sampled_ns,
+        phase=NavigationPhase.WAITING_FOR_IMU if silent else navigator.phase,
+        since_ns=silent_since_ns if silent_since_ns is not None else navigator.since_ns,
+        reason="no inertial samples" if silent else navigator.reason,
+        fixes_used=counts.fixes_used,
+        fixes_rejected=counts.fixes_rejected,
+        samples_used=navigator.samples_used,
+        samples_rejected=navigator.samples_rejected,
+        imu_gaps=counts.imu_gaps,
+        resets=counts.resets,
+        epochs_repeated=counts.epochs_repeated,
+        measurements_late=navigator.measurements_late,
+        gnss_delay_s=gnss[0],
+        gnss_delay_sd_s=gnss[1],
+        gnss_velocity_delay_s=velocity[0],
+        gnss_velocity_delay_sd_s=velocity[1],
+        odometer_delay_s=odometer[0],
+        odometer_delay_sd_s=odometer[1],
+        lever_arm_error_body_m=navigator.lever_arm_error,
+    )

@@ -1,0 +1,1 @@
+"""Rauch-Tung-Striebel smoothing over the filter's history."""

@@ -1,0 +1,1 @@
+"""Out-of-sequence measurements, clocks and delays."""

@@ -1,0 +1,115 @@
+"""Which devices the filter listens to, and what is learnt of each while it does."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from ..alignment.velocity_matching import Comparison
+from ..filter import error_model as em
+from ..filter.eskf import ErrorStateFilter
+from ..filter.propagation import NEVER
+from ..integrity.error_monitor import NO_BLOCK, Watch, block
+from ..measurements import odometer, zupt
+from ..measurements.base import Measurement, News, Outcome
+from ..measurements.gnss import GnssPosition, GnssVelocity
+from ..measurements.magnetometer import CompassCheck, MagneticHeading
+from ..measurements.odometer import WheelSpeed
+from ..settings import Settings
+from ..timing.delay_compensation import FoundDelay
+from .duplicate_epochs import Epochs
+from .gating import Judge
+from .standstill_detector import SPEED_LIMIT, SURE, Doubt, doubt_of, length
+
+ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
+
+
+class Aids:
+    """Leads measurements to the filter; what it knows is replaced and never changed in place."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.judge = Judge(settings)
+        self.watch = Watch()
+        self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
+        self._compass = CompassCheck()
+        self._epochs = Epochs()
+        self._delay: FoundDelay | None = None  # the newest; a filter that begins with nothing has to be told
+
+    def fork(self) -> "Aids":
+        """Copy that goes its own way."""
+        twin = Aids.__new__(Aids)
+        twin.__dict__.update(self.__dict__)
+        twin.judge = self.judge.fork()
+        return twin
+
+    @property
+    def wheels_stand(self) -> bool:
+        """Whether the newest speed was zero."""
+        return self._odometer is not None and self._odometer.speed == 0.0
+
+    @property
+    def dues(self) -> tuple[float, float, float]:
+        """Times [s] after which a standstill and the wheels are made use of, and speed [m/s] of which wheels tell more.
+
+        The last of the `Limits` of `ordinary`.
+        """
+        return (
+            zupt.PERIOD_S - 1e-3 if self._settings.zero_velocity else NEVER,
+            odometer.PERIOD_S - 1e-3 if self._settings.non_holonomic else NEVER,
+            SPEED_LIMIT if self.wheels_stand else NEVER,
+        )
+
+    def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
+        """Go on with a filter that has just started, and with what is known of its heading."""
+        if self._delay is not None and not started.parameter(em.GNSS_DELAY):
+            self._delay.tell(started)
+        self.judge.acquit(comparison)
+        self.watch = self.watch.begun(time_ns, started)
+
+    def hear(self, news: News) -> None:
+        """Keep what a filter that begins later has to be told as well."""
+        if isinstance(news, FoundDelay):
+            self._delay = news
+
+    def is_told_again(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
+        """Whether a receiver has said this before."""
+        if not isinstance(measurement, GnssPosition | GnssVelocity):
+            return False
+        self._epochs, again = self._epochs.after(measurement, navigation)
+        return again
+
+    def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
+        """Hold a measurement against the filter, unless a better device says the same."""
+        if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, navigation):
+            return
+        if isinstance(measurement, MagneticHeading):
+            self._compass = self._compass.judged(measurement, navigation)
+            measurement = replace(measurement, check=self._compass)
+        for observe in measurement.observers():
+            before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
+            outcome = self.judge.judge(navigation, measurement, observe(navigation))
+            estimated = isinstance(measurement, GnssPosition) and measurement.lasts
+            self.watch = self.watch.after(
+                outcome, before, navigation, self._settings.gate_false_alarm, estimated=estimated
+            )
+            yield outcome
+            if isinstance(measurement, GnssPosition) and outcome.used:
+                measurement.teach(navigation)
+
+    def doubt(self, time_ns: int, navigation: ErrorStateFilter) -> Doubt:
+        """Find how far the filter can go by its own speed where it asks for a rest; wheels that stand vouch for it."""
+        seen = self._odometer
+        if seen is None or seen.speed != 0.0:
+            return doubt_of(navigation.P)
+        fresh = time_ns - seen.time_ns <= ODOMETER_SILENT_NS
+        return (doubt_of(navigation.P)[0], 1.0) if fresh and length(navigation.velocity) >= SPEED_LIMIT else SURE
+
+    def _is_spare(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
+        """Whether another odometer is in use; one that takes its place has a scale of its own."""
+        used = self._odometer
+        if used is not None and (used.source, used.of_wheels) != (seen.source, seen.of_wheels):
+            better = seen.of_wheels and not used.of_wheels
+            if not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS:
+                return True
+            navigation.forget_odometer()
+        self._odometer = seen
+        return False

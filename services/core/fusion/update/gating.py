@@ -1,0 +1,209 @@
+"""Which observations the filter is given, with what weight, and how a device that was wrong earns its way back."""
+
+from math import radians
+from typing import NamedTuple
+
+from shared.messages.navigation import AidingKind
+
+from ..alignment.heading import Heading
+from ..alignment.velocity_matching import Comparison, Corrections
+from ..filter import error_model as em
+from ..filter.eskf import ErrorStateFilter
+from ..filter.kalman import Correction, FloatArray, chi_square_limit
+from ..measurements.base import Height, Measurement, Observation, Outcome
+from ..measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
+from ..settings import Settings
+from . import lever_arm_monitor
+
+# A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
+WIDENING = {
+    AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
+    AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
+}
+TURNED_SD = radians(3.0)  # at best, of a heading that is mended
+# So does a refused speed of the wheels, along them and with time: for spinning wheels are refused as well, and rightly.
+DOUBT_M_S_SQRT_S = 0.1
+DOUBT_AFTER_NS, DOUBT_STEP_NS = 2_000_000_000, 1_000_000_000
+TOLD_LIMIT = 9.0  # times the gate: what is beyond it tells nothing of the lever arm
+FORGIVEN_S = 60.0  # without a fault, after which the ones before are forgotten
+
+
+class Standing(NamedTuple):
+    """What a device has to show for one kind of observation."""
+
+    wrong_ns: int | None = None  # since when all has been refused
+    sound_ns: int | None = None  # since when a device at fault agrees again
+    faults: int = 0
+    fault_ns: int = 0  # when the newest began or ended
+    excluded: bool = False
+
+    def after(self, time_ns: int, agrees: bool, settings: Settings) -> "Standing":
+        """Take in whether an observation was near enough to be used.
+
+        What is refused for `fault_after_s` is a fault, which excludes the device until all that it says has agreed for
+        `healthy_s`, twice as long after each further fault within a minute, but not longer than `healthy_max_s`.
+        """
+        if not agrees:
+            since = time_ns if self.wrong_ns is None else self.wrong_ns
+            if self.excluded or time_ns - since < settings.fault_after_s * 1e9:
+                return self._replace(wrong_ns=since, sound_ns=None)
+            recent = time_ns - self.fault_ns < FORGIVEN_S * 1e9
+            return Standing(since, None, 1 + (self.faults if recent else 0), time_ns, excluded=True)
+        if not self.excluded:
+            return self if self.wrong_ns is None else self._replace(wrong_ns=None)
+        since = time_ns if self.sound_ns is None else self.sound_ns
+        needed_s = min(settings.healthy_s * 2.0 ** (self.faults - 1), settings.healthy_max_s)
+        if time_ns - since >= needed_s * 1e9:
+            return Standing(faults=self.faults, fault_ns=time_ns)
+        return self._replace(wrong_ns=None, sound_ns=since)
+
+
+class Judge:
+    """Holds observations against the filter; what it knows is replaced and never changed in place."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.corrections = Corrections()
+        self.comparison = Comparison()  # of the filter's heading with GNSS
+        self.arm = lever_arm_monitor.begun()
+        self._height_ns: int | None = None  # since when heights have been refused
+        self._doubt_ns: int | None = None  # when the next doubt is due, while speeds of the wheels are refused
+        self._standings: dict[tuple[str, AidingKind], Standing] = {}
+
+    def fork(self) -> "Judge":
+        """Copy that goes its own way."""
+        twin = Judge.__new__(Judge)
+        twin.__dict__.update(self.__dict__)
+        return twin
+
+    def acquit(self, comparison: Comparison) -> None:
+        """Begin with all devices in good standing: it was the filter that was wrong, and it is a new one."""
+        self._standings, self.corrections, self.arm = {}, Corrections(), lever_arm_monitor.begun()
+        self.comparison = comparison
+
+    def compare(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> Heading | None:
+        """Turn by which the filter's heading is wrong; None if it is not."""
+        corrections = self.corrections.at(seen.time_ns)
+        (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, seen.lever_arm), navigation.velocity
+        self.corrections = Corrections(corrections.time_ns, corrections.velocity, corrections.lean)
+        pure = complex(an + vn, ae + ve) + corrections.velocity
+        self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
+        if not self.comparison.is_wrong(seen.time_ns):
+            return None
+        turn, sd = self.comparison.result()
+        return Heading(turn, max(sd, TURNED_SD), "matched accelerations")
+
+    def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
+        """Use an observation if its d² is within the limit of d², with less weight up to `robust_limit` times it.
+
+        A position that is beyond it, but not beyond what the receiver states, has another lasting error than the ones
+        before it. One whose height alone is beyond it is used without its height.
+        """
+        correction, ratio = self._weigh(navigation, seen)
+        limit = self._settings.robust_limit if seen.kind in WIDENING else 1.0
+        if ratio > limit and isinstance(measurement, GnssPosition) and seen.H[:, em.GNSS_ERROR].any():
+            other = navigation.fork()
+            other.trail = None
+            other.forget_gnss_error()
+            anew = measurement.observe(other)
+            if self._weigh(other, anew)[1] <= 1.0:
+                navigation.forget_gnss_error()
+                seen = anew
+                correction, ratio = self._weigh(navigation, seen)
+        if ratio > limit and seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3:
+            level = Observation(seen.kind, seen.z[:2], seen.H[:2], seen.R[:2, :2])
+            flat, flat_ratio = self._weigh(navigation, level)
+            if flat_ratio <= 1.0:
+                told = self._judge(navigation, measurement, level, flat, flat_ratio, self._height(seen))
+                taken_over = self._follow_height(navigation, seen, measurement.time_ns)
+                height = Height(float(seen.z[2]), correction.innovation_sd[2], taken_over)
+                return told._replace(height=height)
+        return self._judge(navigation, measurement, seen, correction, ratio, None)
+
+    def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:
+        correction = navigation.weigh(seen.z, seen.H, seen.R)
+        return correction, correction.distance2 / chi_square_limit(len(seen.z), self._settings.gate_false_alarm)
+
+    def _height(self, seen: Observation) -> str:
+        return f"height beyond the gate by {-float(seen.z[2]):.0f} m: used without it"
+
+    def _follow_height(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int) -> bool:
+        """Take a height over that has been refused for as long as a reset needs, and say whether."""
+        self._height_ns = time_ns if self._height_ns is None else self._height_ns
+        if time_ns - self._height_ns < self._settings.reset_after_s * 1e9:
+            return False
+        self._height_ns = None
+        navigation.widen(height_sd=abs(float(seen.z[2])))
+        return True
+
+    def _follow_speed(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int, refused: bool) -> None:
+        """Doubt a velocity that the wheels have contradicted for long: once a second, and along the wheels alone."""
+        if not refused:
+            self._doubt_ns = None
+            return
+        if self._doubt_ns is None:
+            self._doubt_ns = time_ns + DOUBT_AFTER_NS
+        if time_ns >= self._doubt_ns:
+            self._doubt_ns = time_ns + DOUBT_STEP_NS
+            navigation.widen_along(em.VELOCITY, DOUBT_M_S_SQRT_S * seen.H[0, em.VELOCITY])
+
+    def _judge(
+        self,
+        navigation: ErrorStateFilter,
+        measurement: Measurement,
+        seen: Observation,
+        correction: Correction,
+        ratio: float,
+        remark: str | None,
+    ) -> Outcome:
+        gnss = seen.kind in WIDENING
+        if gnss and ratio < TOLD_LIMIT:
+            self._watch_arm(navigation, measurement, seen, correction.S)
+        limit = self._settings.robust_limit if gnss else 1.0
+        excluded = gnss and self._is_excluded(measurement, seen.kind, ratio <= limit)
+        refused = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
+        refused = seen.unfit or refused
+        weight = 0.0 if refused else _weight(ratio, limit)
+        if not refused:
+            lighter = correction if weight == 1.0 else navigation.weigh(seen.z, seen.H, seen.R / weight)
+            navigation.accept(lighter)
+            self.corrections = self.corrections.after(measurement.time_ns, lighter.x[:5].tolist())
+        if gnss and refused and ratio > 1.0:
+            navigation.widen(**WIDENING[seen.kind])
+        if seen.kind is AidingKind.ODOMETER:
+            self._follow_speed(navigation, seen, measurement.time_ns, refused is not None)
+        if seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3 and not refused:
+            self._height_ns = None
+        return Outcome(
+            measurement.time_ns,
+            measurement.source,
+            seen.kind,
+            tuple(seen.z.tolist()),
+            correction.innovation_sd,
+            ratio,
+            refused is None,
+            refused or remark,
+            weight,
+            type(measurement),
+        )
+
+    def _watch_arm(
+        self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation, S: FloatArray
+    ) -> None:
+        gain = 1.0 - (seen.R.item(0, 0) + seen.R.item(1, 1)) / (S.item(0, 0) + S.item(1, 1))
+        position = seen.kind is AidingKind.GNSS_POSITION
+        self.arm = self.arm.after(measurement.time_ns, navigation, seen.z, S, gain=gain, position=position)
+
+    def _is_excluded(self, measurement: Measurement, kind: AidingKind, agrees: bool) -> bool:
+        """Keep the books of GNSS, and say whether what it says now is of no account."""
+        key = measurement.source, kind
+        before = self._standings.get(key, Standing())
+        after = before.after(measurement.time_ns, agrees, self._settings)
+        if after is not before:
+            self._standings = {**self._standings, key: after}
+        return after.excluded
+
+
+def _weight(ratio: float, limit: float) -> float:
+    """Full weight within the gate, none at the limit, and Tukey's biweight between them."""
+    return 1.0 if ratio <= 1.0 else max(1e-3, ((limit - ratio) / (limit - 1.0)) ** 2)

@@ -1,0 +1,83 @@
+"""What the close-up view draws: the 95 % error ellipse of a covariance, and offsets on the ground."""
+
+from dataclasses import dataclass
+from math import atan2, cos, hypot, radians, sin, sqrt
+
+from shared.messages.base import Symmetric3
+from shared.messages.gnss import GnssFix
+from shared.messages.navigation import NavigationSolution, TruthState
+
+CHI_SQUARE_95_TWO = 5.991464547107979  # 95 % quantile with two degrees of freedom: -2 ln 0.05
+WGS84_A = 6378137.0  # [m] semi-major axis, by definition
+WGS84_E2 = 6.69437999014e-3  # [-] first eccentricity squared
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """An ellipse on the ground; `orientation_rad` is the azimuth of the major axis, clockwise from north."""
+
+    semi_major_m: float
+    semi_minor_m: float
+    orientation_rad: float
+
+
+def ellipse_95(covariance_ned: Symmetric3) -> Ellipse:
+    """Find the ellipse that holds the true horizontal position with a probability of 95 %.
+
+    Parameters
+    ----------
+    covariance_ned : tuple of 6 floats
+        [m², NED] Upper triangle of the position covariance, row by row: NN NE ND EE ED DD.
+
+    Returns
+    -------
+    Ellipse
+        [m, rad] Semi-axes and the azimuth of the major one, in (-π/2, π/2].
+
+    Notes
+    -----
+    The eigenvalues of the symmetric 2x2 block, scaled by the quantile of χ² with two degrees of freedom::
+
+        λ = (P_NN + P_EE)/2 ± √( ((P_NN - P_EE)/2)² + P_NE² )
+        a = √(5.991 λ₁),  b = √(5.991 λ₂),  azimuth = ½ atan2(2 P_NE, P_NN - P_EE)
+
+    References
+    ----------
+    Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+    2001, section 2.3.4 (the confidence region of a Gaussian pair).
+    """
+    north, cross, _, east, _, _ = covariance_ned
+    middle, spread = (north + east) / 2.0, hypot((north - east) / 2.0, cross)
+    major, minor = max(middle + spread, 0.0), max(middle - spread, 0.0)
+    return Ellipse(
+        sqrt(CHI_SQUARE_95_TWO * major), sqrt(CHI_SQUARE_95_TWO * minor), atan2(2.0 * cross, north - east) / 2.0
+    )
+
+
+def horizontal_sd(covariance_ned: Symmetric3) -> float:
+    """Give the root of the summed horizontal variances, DRMS [m or m/s, NED]."""
+    return sqrt(max(covariance_ned[0] + covariance_ned[3], 0.0))
+
+
+def vertical_sd(covariance_ned: Symmetric3) -> float:
+    """Give the standard deviation of the last axis [m, NED], or of the heading [rad] of an attitude covariance."""
+    return sqrt(max(covariance_ned[5], 0.0))
+
+
+def offset_m(solution: NavigationSolution, reference: TruthState | GnssFix) -> tuple[float, float] | None:
+    """Tell how far a solution is from a reference, north and east [m]; None if the reference has no position.
+
+    The reference is moved by its own velocity to the moment of the solution, and the difference of the
+    two geodetic positions is taken to metres with the radii of curvature of the WGS84 ellipsoid.
+    """
+    velocity = reference.velocity_ned_m_s or (0.0, 0.0, 0.0)
+    if reference.latitude_deg is None or reference.longitude_deg is None:
+        return None
+    delay_s = (solution.sampled_ns - reference.sampled_ns) * 1e-9
+    latitude = radians(reference.latitude_deg)
+    curvature = 1.0 - WGS84_E2 * sin(latitude) ** 2
+    meridian = WGS84_A * (1.0 - WGS84_E2) / curvature**1.5
+    normal = WGS84_A / sqrt(curvature)
+    north = radians(solution.latitude_deg - reference.latitude_deg) * meridian
+    east = radians(solution.longitude_deg - reference.longitude_deg) * normal * cos(latitude)
+    return north - velocity[0] * delay_s, east - velocity[1] * delay_s

@@ -1,0 +1,270 @@
+"""The state as JSON for the dashboard: stamps instead of ages, and nothing that a browser would have to derive."""
+
+from math import hypot
+
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix, GnssSatellites
+from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
+from shared.messages.operation import Freshness, ModeState, Origin, OriginKind, RecordingState
+from shared.processes import LAYERS, PROCESSES
+from shared.runtime.freshness import freshness_of, limits_of
+from shared.topics import TOPICS
+
+from ..flow import TopicFlow
+from ..problems import DOWN, Status
+from ..state import State
+from .banner import WORDS
+from .geometry import ellipse_95, horizontal_sd, offset_m, vertical_sd
+
+Json = dict[str, object]
+SENSORS = tuple(topic.name for topic in TOPICS if topic.name.endswith("/raw"))
+RUNNING = (Status.READY, Status.ALERT, Status.STARTING)
+OUTAGES_SHOWN = 50
+
+
+def contract() -> Json:
+    """Say what never changes: layers, processes, topics with their limits."""
+    topics = {}
+    for topic in TOPICS:
+        limits = limits_of(topic)
+        topics[topic.name] = {
+            "type": topic.message.__name__,
+            "purpose": topic.purpose,
+            "producers": () if topic.per_process else topic.producers,
+            "consumers": topic.consumers,
+            "rate_hz": topic.rate_hz,
+            "late_after_s": limits.late_after_s if limits else None,
+            "stale_after_s": limits.stale_after_s if limits else None,
+            "qos": topic.qos,
+            "retain": topic.retain,
+        }
+    processes = {row.name: {"layer": row.layer, "purpose": row.purpose} for row in PROCESSES}
+    return {"layers": LAYERS, "processes": processes, "topics": topics}
+
+
+def dashboard(state: State, now_ns: int) -> Json:
+    """Draw up what the dashboard shows; every value with the stamp from which its age follows."""
+    return {
+        "now_ns": now_ns,
+        "vehicle": state.vehicle,
+        "started_ns": state.started_ns,
+        "origin": origin(state, now_ns),
+        "banner": banner(state),
+        "timeline": [{"since_ns": ns, "state": trust} for ns, trust in state.timeline],
+        "chain": chain(state, now_ns),
+        "solution": _solution(state, now_ns),
+        "fix": _fix(state, now_ns),
+        "satellites": _satellites(state, now_ns),
+        "odometer": _odometer(state, now_ns),
+        "truth": _truth(state, now_ns),
+        "navigation": _dated(state, "navigation/state", NavigationState, now_ns),
+        "mode": _dated(state, "mode/state", ModeState, now_ns),
+        "recording": _dated(state, "recording/state", RecordingState, now_ns),
+        "topics": {name: traffic(flow) for name, flow in state.topics.items()},
+        "processes": processes(state, now_ns),
+        "problems": [{"what": p.what, "text": p.text, "since_ns": p.since_ns} for p in state.problems],
+        "outages": outages(state),
+        "bus": {
+            "messages_hz": round(sum(flow.rate_hz for flow in state.topics.values()), 1),
+            "delay_p95_s": rounded(state.bus_delay_p95_s, 5),
+            "cpu_share": round(sum(p.cpu_share or 0.0 for p in state.processes.values()), 2),
+            "rss_bytes": sum(p.health.rss_bytes for p in state.processes.values() if p.health),
+        },
+    }
+
+
+def banner(state: State) -> Json:
+    """Show the verdict, since when, and the checks behind it."""
+    verdict = state.verdict
+    return {
+        "state": verdict.state,
+        "word": WORDS[verdict.state],
+        "sentence": verdict.sentence,
+        "action": verdict.action,
+        "since_ns": state.verdict_since_ns,
+        "checks": [
+            {
+                "name": c.name,
+                "label": c.label,
+                "state": c.state,
+                "text": c.text,
+                "ratio": c.ratio,
+                "link": c.link,
+                "fitted": c.fitted,
+            }
+            for c in verdict.checks
+        ],
+    }
+
+
+def origin(state: State, now_ns: int) -> Json | None:
+    """Say where the data are from; one simulated source among live ones makes the whole simulated."""
+    order = (OriginKind.SIMULATED, OriginKind.REPLAY, OriginKind.LIVE)
+    limits = state.topics["origin/state"].limits
+    known = [
+        (order.index(message.kind), message, ns)
+        for message, ns in state.origins.values()
+        if freshness_of((now_ns - ns) * 1e-9, limits) is not Freshness.STALE
+    ]
+    if not known:
+        return None
+    message: Origin = min(known, key=lambda entry: entry[0])[1]
+    return {"kind": message.kind, "name": message.name, "seed": message.seed, "speed": message.speed}
+
+
+def chain(state: State, now_ns: int) -> Json:
+    """Show the links behind the server, each with how much of it works: broker, services, sensors."""
+    expected = [name for name, status in state.statuses.items() if status is not Status.ABSENT]
+    up = [name for name in expected if state.statuses[name] in RUNNING]
+    down = [name for name in expected if state.statuses[name] in DOWN]
+    seen = [name for name in SENSORS if state.topics[name].count]
+    flowing = [name for name in seen if state.topics[name].freshness(now_ns) in (Freshness.FRESH, Freshness.LATE)]
+    silent = [name for name in seen if name not in flowing]
+    return {
+        "broker": {"ok": state.broker, "text": "connected" if state.broker else "does not answer"},
+        "services": {"ok": not down, "up": len(up), "of": len(expected), "worst": down[0] if down else None},
+        "sensors": {
+            "ok": bool(seen) and not silent,
+            "up": len(flowing),
+            "of": len(seen),
+            "worst": silent[0].removesuffix("/raw") if silent else None,
+        },
+    }
+
+
+def processes(state: State, now_ns: int) -> Json:
+    """Show each process with its state, its load, and the latency of what it says most often.
+
+    Of what it says regularly, if there is any: a topic of events may tell of data that waited on purpose.
+    """
+    rows: Json = {}
+    for name, flow in state.processes.items():
+        said = [t for t in state.topics.values() if t.newest and t.newest.producer == name and not t.topic.per_process]
+        main = max(said, key=lambda t: (t.limits is not None, t.rate_hz), default=None)
+        health = flow.health
+        rows[name] = {
+            "status": state.statuses[name],
+            "heartbeat_ns": flow.heartbeat_ns,
+            "since_ns": health.incarnation if health else None,
+            "restarts": state.restarts(name, now_ns),
+            "in_hz": rounded(flow.in_hz, 1),
+            "out_hz": rounded(flow.out_hz, 1),
+            "latency_of": main.name if main else None,
+            "latency_p50_s": rounded(main.latency_p50_s, 4) if main else None,
+            "latency_p99_s": rounded(main.latency_p99_s, 4) if main else None,
+            "cpu_share": rounded(flow.cpu_share, 3),
+            "rss_bytes": health.rss_bytes if health else None,
+            "dropped": health.dropped if health else 0,
+            "rejects": dict(health.rejects) if health else {},
+            "reconnections": health.reconnections if health else 0,
+            "last_error": flow.last_error,
+        }
+    return rows
+
+
+def outages(state: State) -> list[Json]:
+    """List what was lost: open ones first, then the newest."""
+    shown = [*state.outages.open(), *state.outages.closed()][:OUTAGES_SHOWN]
+    return [{"what": o.what, "since_ns": o.since_ns, "until_ns": o.until_ns, "cause": o.cause} for o in shown]
+
+
+def traffic(flow: TopicFlow) -> Json:
+    """Show how one topic flows."""
+    return {
+        "updated_ns": flow.updated_ns,
+        "rate_hz": round(flow.rate_hz, 2),
+        "latency_p50_s": rounded(flow.latency_p50_s, 4),
+        "latency_p99_s": rounded(flow.latency_p99_s, 4),
+    }
+
+
+def _dated(state: State, name: str, kind: type[Message], now_ns: int) -> Json | None:
+    message = state.newest(kind, name, now_ns)
+    if message is None:
+        return None
+    return {**message.model_dump(mode="json"), "updated_ns": state.topics[name].updated_ns}
+
+
+def _solution(state: State, now_ns: int) -> Json | None:
+    s = state.newest(NavigationSolution, "navigation/solution", now_ns)
+    if s is None:
+        return None
+    ellipse = ellipse_95(s.position_cov_ned_m2)
+    return {
+        "updated_ns": state.topics["navigation/solution"].updated_ns,
+        "sampled_ns": s.sampled_ns,
+        "phase": s.phase,
+        "latitude_deg": round(s.latitude_deg, 9),
+        "longitude_deg": round(s.longitude_deg, 9),
+        "height_ellipsoid_m": round(s.height_ellipsoid_m, 3),
+        "height_sd_m": round(vertical_sd(s.position_cov_ned_m2), 3),
+        "speed_m_s": round(hypot(*s.velocity_ned_m_s[:2]), 3),
+        "speed_sd_m_s": round(horizontal_sd(s.velocity_cov_ned_m2_s2), 3),
+        "heading_rad": round(s.yaw_rad, 5),
+        "heading_sd_rad": round(vertical_sd(s.attitude_cov_ned_rad2), 5),
+        "stationary": s.stationary,
+        "gnss_age_s": rounded(s.gnss_age_s, 2),
+        "protection_level_horizontal_m": rounded(s.protection_level_horizontal_m, 3),
+        "protection_level_vertical_m": rounded(s.protection_level_vertical_m, 3),
+        "integrity_risk": s.integrity_risk,
+        "ellipse": {
+            "semi_major_m": round(ellipse.semi_major_m, 3),
+            "semi_minor_m": round(ellipse.semi_minor_m, 3),
+            "orientation_rad": round(ellipse.orientation_rad, 4),
+        },
+    }
+
+
+def _fix(state: State, now_ns: int) -> Json | None:
+    """Show the newest fix, and how far it is from the solution when moved to the same moment."""
+    fields = _dated(state, "gnss/fix", GnssFix, now_ns)
+    solution = state.newest(NavigationSolution, "navigation/solution", now_ns, live=True)
+    fix = state.newest(GnssFix, "gnss/fix", now_ns, live=True)
+    offset = offset_m(solution, fix) if solution and fix else None
+    if fields is None:
+        return None
+    shown = {key: value for key, value in fields.items() if "cov" not in key}
+    return {
+        **shown,
+        "north_m": round(-offset[0], 3) if offset else None,
+        "east_m": round(-offset[1], 3) if offset else None,
+    }
+
+
+def _satellites(state: State, now_ns: int) -> Json | None:
+    message = state.newest(GnssSatellites, "gnss/satellites", now_ns)
+    if message is None:
+        return None
+    return {
+        "in_view": len(message.satellites),
+        "used": sum(satellite.used for satellite in message.satellites),
+        "updated_ns": state.topics["gnss/satellites"].updated_ns,
+    }
+
+
+def _odometer(state: State, now_ns: int) -> Json | None:
+    found = state.odometer(now_ns)
+    if found is None:
+        return None
+    return {"speed_m_s": round(found[0], 3), "topic": found[1], "updated_ns": state.topics[found[1]].updated_ns}
+
+
+def _truth(state: State, now_ns: int) -> Json | None:
+    truth = state.newest(TruthState, "truth/state", now_ns, live=True)
+    if truth is None:
+        return None
+    solution = state.newest(NavigationSolution, "navigation/solution", now_ns, live=True)
+    error = offset_m(solution, truth) if solution else None
+    return {
+        "updated_ns": state.topics["truth/state"].updated_ns,
+        "latitude_deg": round(truth.latitude_deg, 9),
+        "longitude_deg": round(truth.longitude_deg, 9),
+        "speed_m_s": round(hypot(*truth.velocity_ned_m_s[:2]), 3),
+        "error_north_m": round(error[0], 3) if error else None,
+        "error_east_m": round(error[1], 3) if error else None,
+    }
+
+
+def rounded(value: float | None, digits: int) -> float | None:
+    """Round what is there."""
+    return None if value is None else round(value, digits)

@@ -1,0 +1,106 @@
+"""The WebSocket: a snapshot on opening, then what changed, five times a second, one encoded frame for everyone."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from contextlib import AbstractContextManager
+
+from fastapi import Response, WebSocket, WebSocketDisconnect
+from pydantic_core import to_json
+
+from ..state import State
+from ..views import snapshot
+from ..views.patch import difference
+from ..views.snapshot import Json
+from . import hosts
+from .clients import Client, Clients
+
+PERIOD_S = 0.2
+PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s")
+
+
+class Stream:
+    """Compares the state with what browsers have been told, and tells them the difference."""
+
+    def __init__(
+        self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int], clients_maximum: int
+    ) -> None:
+        self._state, self._lock, self._now_ns = state, lock, now_ns
+        self.clients = Clients(clients_maximum)
+        self._told: Json = {}
+        self._sequence = 0
+        self.version = ""
+
+    async def run(self) -> None:
+        """Send a frame each period while somebody watches."""
+        while True:
+            await asyncio.sleep(PERIOD_S)
+            if len(self.clients):
+                self.clients.broadcast(self.difference())
+
+    def difference(self) -> bytes:
+        """Encode what changed since the last frame."""
+        before, self._told = self._told, self._view()
+        self._sequence += 1
+        changes = difference(before, self._told)
+        return to_json({"kind": "difference", "sequence": self._sequence, "state": changes})
+
+    def snapshot(self) -> bytes:
+        """Encode everything: what was told to the others last, what never changes, and the last minute."""
+        if len(self.clients) <= 1:
+            self._told = self._view()
+        with self._lock:
+            now_ns = self._now_ns()
+            history = self._state.history.columns(now_ns, 60.0, PLOTTED)
+        frame = {
+            "kind": "snapshot",
+            "version": self.version,
+            "sequence": self._sequence,
+            "contract": snapshot.contract(),
+            "history": history,
+            "state": self._told,
+        }
+        return to_json(frame)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Serve one browser until it leaves or falls behind."""
+        if not hosts.same_origin(socket.headers.get("origin"), socket.headers.get("host")):
+            await socket.send_denial_response(Response("this page is not from here\n", 403))
+            return
+        client = self.clients.enter()
+        if client is None:
+            await socket.send_denial_response(Response("too many dashboards are open; close one\n", 503))
+            return
+        try:
+            await socket.accept()
+            client.put(self.snapshot())
+            await _first_of(_write(socket, client), _read(socket))
+        finally:
+            self.clients.leave(client)
+
+    def _view(self) -> Json:
+        with self._lock:
+            return snapshot.dashboard(self._state, self._now_ns())
+
+
+async def _write(socket: WebSocket, client: Client) -> None:
+    while (frame := await client.frames.get()) is not None:
+        await socket.send_text(frame.decode())
+
+
+async def _read(socket: WebSocket) -> None:
+    """Listen only for the end: a dashboard has nothing to say."""
+    while (await socket.receive())["type"] != "websocket.disconnect":
+        pass
+
+
+async def _first_of(*coroutines: Coroutine[None, None, None]) -> None:
+    """Run until the first one ends, and end the others."""
+    tasks = [asyncio.create_task(coroutine) for coroutine in coroutines]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            if not isinstance(task.exception(), WebSocketDisconnect):
+                task.result()
+    finally:
+        for task in tasks:
+            task.cancel()

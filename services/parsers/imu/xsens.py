@@ -1,0 +1,181 @@
+"""Everything that is remembered of one motion tracker between two chunks of its bytes."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from shared.devices import xbus
+from shared.maths.clock_mapping import ClockMapping
+from shared.messages.base import Vector3
+from shared.messages.imu import ImuRaw, ImuSamples
+
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+
+TICK_NS = 100_000  # of the sample time fine
+TICK_WRAP = 1 << 32
+COUNTER_WRAP = 1 << 16
+LOST_AT_MOST = 1000  # a larger gap is a tracker that restarted
+STRONGEST_M_S2 = 1000.0  # the widest ranges for sale are 16 to 50 g
+FASTEST_RAD_S = 100.0  # ... and 2000 to 4000 deg/s
+STRONGEST_FIELD = 1000.0  # times that of the Earth
+CELSIUS_K = 273.15
+INERTIAL = frozenset((xbus.ACCELERATION, xbus.RATE_OF_TURN, xbus.DELTA_V, xbus.DELTA_Q))
+
+
+class SampleError(ValueError):
+    """A measurement that cannot be used; the text is the kind of reject."""
+
+
+@dataclass(slots=True)
+class _Batch:
+    """Samples that arrived in one chunk."""
+
+    device_ns: list[int] = field(default_factory=list)  # on the clock of the tracker
+    forces: list[Vector3] = field(default_factory=list)
+    rates: list[Vector3] = field(default_factory=list)
+    saturated: bool = False
+
+
+class Tracker:
+    """Turns the bytes of one tracker into samples in body axes, on the OBU time line.
+
+    `rejects` counts what the reader passes over, and `packet_gap` (measurements lost on the way), `counter_restart`,
+    `no_sample_time`, `no_inertial_data`, `repeated_sample`, `not_finite`, `absurd`.
+    """
+
+    def __init__(
+        self, source: str, *, body_from_sensor: Matrix3, minimum_delay_s: float, rejects: Counter[str]
+    ) -> None:
+        self._source = source
+        self._body_from_sensor = body_from_sensor
+        self._rejects = rejects
+        self._reader = xbus.XbusReader(rejects)
+        self._clock = ClockMapping(minimum_delay_s)
+        self._counter: int | None = None
+        self._ticks: int | None = None  # unwrapped
+        self._newest: dict[int, tuple[float, ...]] = {}  # since the last message; slow quantities come when they come
+
+    def take(self, raw: ImuRaw) -> ImuSamples | None:
+        """Take the next bytes; give one message with every sample that they complete."""
+        batch = _Batch()
+        for message in self._reader.feed(raw.data):
+            if message.mid == xbus.MTDATA2:
+                try:
+                    self._add(batch, xbus.decode_mtdata2(message.payload, self._rejects))
+                except SampleError as fault:
+                    self._rejects[str(fault)] += 1
+        return self._message(batch, raw.received_ns) if batch.device_ns else None
+
+    def _add(self, batch: _Batch, values: dict[int, tuple[float, ...]]) -> None:
+        self._count_gap(values)
+        self._newest.update(values)
+        if not values.keys() & INERTIAL:
+            return  # a tracker may send slow quantities by themselves
+        batch.saturated |= bool(int(values.get(xbus.STATUS_WORD, (0,))[0]) & xbus.CLIPPED)
+        if xbus.SAMPLE_TIME_FINE not in values:
+            raise SampleError("no_sample_time")
+        interval_s, ticks = self._interval_s(int(values[xbus.SAMPLE_TIME_FINE][0]))
+        if interval_s == 0.0:
+            raise SampleError("repeated_sample")
+        self._ticks = ticks
+        force, rate = inertial_data(values, interval_s)
+        check(force, STRONGEST_M_S2)
+        check(rate, FASTEST_RAD_S)
+        batch.device_ns.append(ticks * TICK_NS)
+        batch.forces.append(rotate(self._body_from_sensor, force))
+        batch.rates.append(rotate(self._body_from_sensor, rate))
+
+    def _interval_s(self, ticks: int) -> tuple[float | None, int]:
+        """Give the time since the last sample (None for the first, or after a restart) and the unwrapped ticks."""
+        if self._ticks is None:
+            return None, ticks
+        step = (ticks - self._ticks) % TICK_WRAP
+        if step < TICK_WRAP // 2:
+            return step * TICK_NS * 1e-9, self._ticks + step
+        return None, ticks
+
+    def _count_gap(self, values: dict[int, tuple[float, ...]]) -> None:
+        if xbus.PACKET_COUNTER not in values:
+            return
+        counter = int(values[xbus.PACKET_COUNTER][0])
+        if self._counter is not None and (lost := (counter - self._counter - 1) % COUNTER_WRAP):
+            restarted = lost > LOST_AT_MOST
+            self._rejects["counter_restart" if restarted else "packet_gap"] += 1 if restarted else lost
+        self._counter = counter
+
+    def _message(self, batch: _Batch, received_ns: int) -> ImuSamples:
+        newest, self._newest = self._newest, {}
+        temperature, pressure = newest.get(xbus.TEMPERATURE), newest.get(xbus.BARO_PRESSURE)
+        field_sensor = newest.get(xbus.MAGNETIC_FIELD)
+        if field_sensor is not None:
+            try:
+                check(field_sensor, STRONGEST_FIELD)
+            except SampleError as fault:
+                self._rejects[str(fault)] += 1
+                field_sensor = None
+        return ImuSamples.unchecked(
+            received_ns=received_ns,
+            source=self._source,
+            sampled_ns=self._clock.stamp_all(batch.device_ns, received_ns),
+            specific_force_body_m_s2=tuple(batch.forces),
+            angular_rate_body_rad_s=tuple(batch.rates),
+            saturated=batch.saturated,
+            temperature_k=temperature[0] + CELSIUS_K if temperature and math.isfinite(temperature[0]) else None,
+            pressure_pa=float(pressure[0]) if pressure and pressure[0] else None,
+            magnetic_field_body=rotate(self._body_from_sensor, field_sensor) if field_sensor else None,
+        )
+
+
+def inertial_data(values: dict[int, tuple[float, ...]], interval_s: float | None) -> tuple[Sequence[float], ...]:
+    """Take specific force and angular rate in sensor axes out of a measurement.
+
+    Parameters
+    ----------
+    values : dict
+        Data identifier -> numbers. Increments (delta-v, delta-q) are used where acceleration or rate is missing.
+    interval_s : float or None
+        [s] Time since the measurement before, over which the increments were integrated.
+
+    Returns
+    -------
+    tuple
+        Specific force [m/s², sensor] and angular rate [rad/s, sensor].
+
+    Raises
+    ------
+    SampleError
+        One of the two is missing.
+
+    Notes
+    -----
+    With the increment of attitude as the unit quaternion q = (cos(a/2), n sin(a/2))::
+
+        f = Δv / Δt        ω = n a / Δt
+    """
+    force, rate = values.get(xbus.ACCELERATION), values.get(xbus.RATE_OF_TURN)
+    if force is None and interval_s and xbus.DELTA_V in values:
+        force = tuple(increment / interval_s for increment in values[xbus.DELTA_V])
+    if rate is None and interval_s and xbus.DELTA_Q in values:
+        w, *axis = values[xbus.DELTA_Q]
+        sine = math.hypot(*axis)
+        angle = 2 * math.atan2(math.copysign(sine, w), abs(w))
+        rate = tuple(part * (angle / sine if sine else 2.0) / interval_s for part in axis)
+    if force is None or rate is None:
+        raise SampleError("no_inertial_data")
+    return force, rate
+
+
+def check(vector: Sequence[float], limit: float) -> None:
+    """Refuse a vector that no sensor can have measured."""
+    if not all(map(math.isfinite, vector)):
+        raise SampleError("not_finite")
+    if max(map(abs, vector)) > limit:
+        raise SampleError("absurd")
+
+
+def rotate(matrix: Matrix3, vector: Sequence[float]) -> Vector3:
+    """Multiply a matrix and a vector; far cheaper here than an array of three numbers."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    x, y, z = vector
+    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z

@@ -1,0 +1,1 @@
+"""The simulated GNSS receiver: satellites, errors, and the bytes it sends."""

@@ -1,0 +1,96 @@
+"""What a GNSS receiver makes of where its antenna is: fixes with errors, outages, and carrier-phase states."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+
+from ..scenarios import Scenario
+from ..vehicle import AntennaState, Stream, Vector
+from .gnss_errors import BASE_SD, VELOCITY_SD, PositionErrors, position_errors, position_sd
+
+FloatArray = npt.NDArray[np.float64]
+
+SETTLED_S = 15.0  # [s] the standstill in which a unit levels; it does not count for an exact RMSE
+REACQUISITION_S = 2.0  # [s] under open sky again, until the next fix
+AMBIGUITIES_S = (("none", 8.0), ("float", 25.0))  # [s] until the carrier-phase state gets better than this
+
+
+@dataclass(frozen=True)
+class Fix:
+    """One epoch as the receiver sees it."""
+
+    valid: bool
+    carrier: str
+    position: Geodetic  # of the last valid epoch, if this one is not
+    velocity_n: Vector
+    error_n: Vector  # [m, NED] reported minus true position
+    position_sd_n: Vector
+    velocity_sd_n: Vector
+
+
+class Reception:
+    """Turns antenna states into fixes, epoch by epoch at a constant rate."""
+
+    def __init__(self, scenario: Scenario, seed: int, step_s: float) -> None:
+        self._scenario, self._seed, self._step = scenario, seed, step_s
+        self._epochs = max(1, round(scenario.duration_s / step_s))
+        self._period = -1
+        self._errors: PositionErrors | None = None
+        self._open_s = float("inf")  # how long there has been a sky
+        self._last = scenario.start
+
+    def fix(self, epoch: int, antenna: AntennaState) -> Fix:
+        """Determine position and velocity.
+
+        Parameters
+        ----------
+        epoch : int
+            Number of the epoch; it may not decrease from call to call.
+        antenna : AntennaState
+            The truth.
+
+        Returns
+        -------
+        Fix
+            Its standard deviations are those of its errors. Without signals it repeats the last position.
+        """
+        period, index = divmod(epoch, self._epochs)
+        errors = self._errors_of(period)
+        self._open_s = 0.0 if antenna.covered else self._open_s + self._step
+        if self._open_s < REACQUISITION_S:
+            lost = (0.0, 0.0, 0.0)
+            return Fix(False, "none", self._last, lost, lost, (4000.0, 4000.0, 4000.0), (20.0, 20.0, 20.0))
+        carrier = self._carrier()
+        error_n = _vector(errors.noise[index] * BASE_SD[carrier] + errors.injected[index])
+        self._last = geodetic_from_ned_difference(error_n, antenna.position)
+        velocity_n = _vector(antenna.velocity_n + errors.velocity[index])
+        sd = _vector(position_sd(self._scenario.error, carrier))
+        return Fix(True, carrier, self._last, velocity_n, error_n, sd, VELOCITY_SD)
+
+    def _carrier(self) -> str:
+        """Ambiguities are resolved anew after each outage, and no better than the scenario allows."""
+        for state, until_s in AMBIGUITIES_S:
+            if self._open_s < until_s or self._scenario.carrier == state:
+                return state
+        return "fixed"
+
+    def _errors_of(self, period: int) -> PositionErrors:
+        if self._errors is None or period != self._period:
+            self._errors = position_errors(
+                self._scenario.error,
+                self._epochs,
+                self._step,
+                seed=(self._seed, Stream.GNSS, period),
+                settled=round(SETTLED_S / self._step) - 1 if period == 0 else 0,
+                last=None if self._errors is None else self._errors.last,
+            )
+            self._period = period
+        return self._errors
+
+
+def _vector(values: FloatArray) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z

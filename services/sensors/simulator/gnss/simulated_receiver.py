@@ -1,0 +1,110 @@
+"""The simulated GNSS receiver: a u-blox ZED-F9P on a serial line of 115,200 baud."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from shared.messages.base import Message
+from shared.messages.gnss import GnssRaw
+
+from ..devices import Delay, DeviceClock
+from ..scenarios import Scenario
+from ..vehicle import AntennaState, Stream
+from . import nmea_encoder, ubx_encoder
+from .receiver_settings import Settings
+from .reception import Reception
+from .simulated_epoch import Baseline, Epoch
+from .sky import SkyModel
+
+SOURCE = "gnss0"
+MS = 1_000_000
+BYTE_NS = 10 * 1_000_000_000 // 115_200
+FULL_NS = 1_000_000_000  # of bytes are waiting: a receiver leaves the next epoch out
+ANSWER_NS = 8 * MS
+CHUNK_BYTES = (120, 330)  # what a read of a serial port returns
+BASELINE_SD_M = 0.004  # of the line between two antennas, across it
+HOST_ERROR_MS = 30.0  # of the host's clock at boot
+ENCODERS = {**ubx_encoder.ENCODERS, **nmea_encoder.ENCODERS}
+
+
+class Receiver:
+    """Turns antenna states into UBX and NMEA bytes, and obeys UBX-CFG-VALSET."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        start_ns: int,
+        clocks: np.random.Generator,
+        protocols: tuple[str, ...],
+        second_antenna_m: float = 0.0,
+    ) -> None:
+        self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
+        self.settings = Settings(protocols)
+        self._sky = SkyModel(scenario.constellations, (seed, Stream.SATELLITES))
+        # Satellite time is right; it is the host that started with an error and drifts.
+        self._clock = DeviceClock(clocks, latest_start_ns=1)
+        self._utc_start_ns = start_ns - round(clocks.uniform(-HOST_ERROR_MS, HOST_ERROR_MS) * MS)
+        self._delay = Delay(0.050, 0.004, 0.080, clocks)
+        self._chunks = np.random.default_rng((seed, Stream.SATELLITES, 1))
+        self._second_antenna_m = second_antenna_m  # ahead of the first; 0: there is none
+        self._headings = np.random.default_rng((seed, Stream.SATELLITES, 2))
+        self._free_ns = 0  # when the line has sent everything
+        self._period_ms = self.settings.period_ms
+        self._reception = Reception(scenario, seed, self._period_ms * 1e-3)
+        self._next_ms = self._after(self._utc_start_ns // MS)
+
+    @property
+    def next_epoch_ns(self) -> int:
+        """When the next epoch is, on the time line of the on-board unit."""
+        return self._start_ns + self._clock.true_ns(self._next_ms * MS - self._utc_start_ns)
+
+    def navigate(self, antenna: AntennaState) -> Iterator[tuple[int, Message]]:
+        """Yield (arrival, message) of the next epoch, in the chunks of a serial port."""
+        epoch_ns, utc_ms = self.next_epoch_ns, self._next_ms
+        self._next_ms = self._after(utc_ms)
+        if self.settings.period_ms != self._period_ms:
+            self._period_ms = self.settings.period_ms
+            self._reception = Reception(self._scenario, self._seed, self._period_ms * 1e-3)
+        index = (utc_ms - self._utc_start_ns // MS - 1) // self._period_ms
+        fix = self._reception.fix(index, antenna)
+        if self._free_ns > epoch_ns + FULL_NS:
+            return
+        sky = self._sky.at(
+            utc_ms * 1e-3,
+            antenna.position,
+            mask_deg=self._scenario.mask_deg,
+            loss_db=self._scenario.loss_db,
+            covered=antenna.covered,
+        )
+        epoch = Epoch(utc_ms, fix, sky, tuple(self._sky.rows), self._baseline(antenna))
+        data = b"".join(ENCODERS[name](epoch) for name in self.settings.due(index))
+        first = min(len(data), int(self._chunks.integers(*CHUNK_BYTES)))
+        yield from self._send(data, self._delay.arrival_ns(epoch_ns) - first * BYTE_NS, first)
+
+    def _baseline(self, antenna: AntennaState) -> Baseline | None:
+        if not self._second_antenna_m:
+            return None
+        sd = BASELINE_SD_M / self._second_antenna_m
+        return Baseline(self._second_antenna_m, antenna.heading + sd * float(self._headings.standard_normal()), sd)
+
+    def write(self, data: bytes, now_ns: int) -> Iterator[tuple[int, Message]]:
+        """Yield (arrival, message) of what the receiver answers."""
+        answer = b"".join(self.settings.take(data))
+        if answer:
+            yield from self._send(answer, now_ns + ANSWER_NS, len(answer))
+
+    def _after(self, utc_ms: int) -> int:
+        """Time of the first epoch after another: epochs are at whole multiples of their period."""
+        return (utc_ms // self.settings.period_ms + 1) * self.settings.period_ms
+
+    def _send(self, data: bytes, begin_ns: int, first: int) -> Iterator[tuple[int, Message]]:
+        """Cut bytes into chunks, each of which arrives with its last byte."""
+        begin_ns = max(begin_ns, self._free_ns)
+        position, size = 0, first
+        while position < len(data):
+            chunk = data[position : position + size]
+            position += len(chunk)
+            self._free_ns = begin_ns + position * BYTE_NS
+            yield self._free_ns, GnssRaw.unchecked(received_ns=self._free_ns, source=SOURCE, data=chunk)
+            size = int(self._chunks.integers(*CHUNK_BYTES))

@@ -1,0 +1,180 @@
+"""Satellites over a place: where they stand, how strong they are, and the dilution of precision they give."""
+
+from dataclasses import dataclass
+from math import hypot, pi, radians, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import EARTH_RATE, GRAVITATIONAL_CONSTANT, Geodetic, ecef_from_geodetic, ned_from_ecef
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+HORIZON_DEG = 5.0  # below, a receiver does not search
+WEAKEST_DB_HZ = 24.0  # below, a signal is tracked and not used
+UNKNOWN_DOP = 99.99
+
+
+@dataclass(frozen=True)
+class Constellation:
+    """Satellites evenly spread over circular orbits in evenly spread planes."""
+
+    gnss_id: int  # as in UBX messages
+    nmea_id: int  # system id of NMEA 4.11
+    nmea_offset: int  # number of the first satellite in NMEA, less one
+    planes: int
+    per_plane: int
+    inclination_deg: float
+    radius_m: float
+
+
+CONSTELLATIONS = {
+    "gps": Constellation(0, 1, 0, 6, 5, 55.0, 26.560e6),
+    "galileo": Constellation(2, 3, 0, 3, 8, 56.0, 29.600e6),
+    "beidou": Constellation(3, 4, 0, 3, 8, 55.0, 27.906e6),
+    "glonass": Constellation(6, 2, 64, 3, 8, 64.8, 25.510e6),
+}
+
+
+@dataclass(frozen=True)
+class Dop:
+    """Dilutions of precision [-]."""
+
+    north: float
+    east: float
+    vertical: float
+    time: float
+
+    @property
+    def horizontal(self) -> float:
+        """Of north and east."""
+        return hypot(self.north, self.east)
+
+    @property
+    def position(self) -> float:
+        """Of all three axes."""
+        return hypot(self.horizontal, self.vertical)
+
+    @property
+    def geometric(self) -> float:
+        """Of position and time."""
+        return hypot(self.position, self.time)
+
+
+@dataclass(frozen=True)
+class Sky:
+    """n satellites above the horizon, nearest to the zenith first within each constellation."""
+
+    system: npt.NDArray[np.intp]  # shape (n,) index into the names of the constellations
+    number: npt.NDArray[np.intp]  # shape (n,) 1, 2, ... within the constellation
+    elevation_deg: FloatArray  # shape (n,)
+    azimuth_deg: FloatArray  # shape (n,) 0 to 360
+    cn0_db_hz: FloatArray  # shape (n,) 0 where nothing is received
+    residual_m: FloatArray  # shape (n,) of the pseudorange
+    used: BoolArray  # shape (n,)
+    dop: Dop
+
+
+class SkyModel:
+    """The satellites of some constellations, as functions of time and place."""
+
+    def __init__(self, names: tuple[str, ...], seed: tuple[int, ...]) -> None:
+        rows = [CONSTELLATIONS[name] for name in names]
+        self.rows = rows
+        counts = [row.planes * row.per_plane for row in rows]
+        self._system = np.repeat(np.arange(len(rows)), counts)
+        self._number = np.concatenate([np.arange(1, count + 1) for count in counts])
+        self._radius = np.repeat([row.radius_m for row in rows], counts)
+        self._inclination = np.radians(np.repeat([row.inclination_deg for row in rows], counts))
+        plane = np.concatenate([np.repeat(np.arange(row.planes) / row.planes, row.per_plane) for row in rows])
+        slot = np.concatenate([np.tile(np.arange(row.per_plane) / row.per_plane, row.planes) for row in rows])
+        rng = np.random.default_rng(seed)
+        turned = np.repeat(rng.random((2, len(rows))), counts, axis=1)
+        self._node = 2.0 * pi * (plane + turned[0])
+        self._phase = 2.0 * pi * (slot + plane / 3.0 + turned[1])
+        self._wave = 2.0 * pi * rng.random((2, len(plane)))
+
+    def at(self, time_s: float, place: Geodetic, *, mask_deg: float, loss_db: float, covered: bool) -> Sky:
+        """Look up.
+
+        Parameters
+        ----------
+        time_s : float
+            [s] Any time scale; the satellites move with it.
+        place : Geodetic
+            Where the antenna is.
+        mask_deg : float
+            [deg] Elevation below which walls and trees hide satellites.
+        loss_db : float
+            [dB] How much weaker signals are than under an open sky.
+        covered : bool
+            Whether there is no sky at all.
+
+        Returns
+        -------
+        Sky
+            Satellites above the horizon; those that are hidden have no signal.
+        """
+        distance, elevation, azimuth = self._directions(time_s, place)
+        seen = np.flatnonzero(elevation > radians(HORIZON_DEG))
+        seen = seen[np.lexsort((-elevation[seen], self._system[seen]))]
+        elevation, azimuth = elevation[seen], azimuth[seen]
+        # The antenna gains some 12 dB from the horizon to the zenith; multipath makes slow waves of 1.5 dB.
+        waves = np.sin(2.0 * pi * time_s / np.array([[47.0], [13.0]]) + self._wave[:, seen])
+        cn0 = 36.0 + 12.0 * np.sin(elevation) - 20.0 * np.log10(distance[seen] / 23e6) + 1.5 * waves[0] - loss_db
+        hidden = covered | (elevation < radians(mask_deg))
+        used = ~hidden & (cn0 >= WEAKEST_DB_HZ)
+        return Sky(
+            self._system[seen],
+            self._number[seen],
+            np.degrees(elevation),
+            np.degrees(azimuth),
+            np.where(hidden, 0.0, cn0),
+            0.4 * waves[1] / np.sin(elevation),
+            used,
+            dilution(elevation[used], azimuth[used]),
+        )
+
+    def _directions(self, time_s: float, place: Geodetic) -> tuple[FloatArray, FloatArray, FloatArray]:
+        angle = self._phase + np.sqrt(GRAVITATIONAL_CONSTANT / self._radius**3) * time_s
+        node = self._node - EARTH_RATE * time_s
+        along, across = self._radius * np.cos(angle), self._radius * np.sin(angle)
+        level = across * np.cos(self._inclination)
+        satellite_e = np.stack([
+            along * np.cos(node) - level * np.sin(node),
+            along * np.sin(node) + level * np.cos(node),
+            across * np.sin(self._inclination),
+        ], axis=1)  # fmt: skip
+        sight_n = (satellite_e - ecef_from_geodetic(place)) @ ned_from_ecef(place.latitude, place.longitude).T
+        distance = np.linalg.norm(sight_n, axis=1)
+        azimuth = np.arctan2(sight_n[:, 1], sight_n[:, 0]) % (2.0 * pi)
+        return distance, np.arcsin(-sight_n[:, 2] / distance), azimuth
+
+
+def dilution(elevation: FloatArray, azimuth: FloatArray) -> Dop:
+    """Dilution of precision of the satellites that are used.
+
+    Parameters
+    ----------
+    elevation, azimuth : ndarray, shape (n,)
+        [rad] Directions of the satellites.
+
+    Returns
+    -------
+    Dop
+        All 99.99 where fewer than four satellites give no position.
+
+    Notes
+    -----
+    With u the unit vectors to the satellites in NED, and H = [-u, 1]::
+
+        (n², e², v², t²) = diag( (H' H)^-1 )
+    """
+    if len(elevation) < 4:
+        return Dop(UNKNOWN_DOP, UNKNOWN_DOP, UNKNOWN_DOP, UNKNOWN_DOP)
+    level = np.cos(elevation)
+    H = np.column_stack([-level * np.cos(azimuth), -level * np.sin(azimuth), np.sin(elevation), np.ones_like(level)])
+    variances = np.diag(np.linalg.pinv(H.T @ H)).tolist()
+    north, east, vertical, time = (min(UNKNOWN_DOP, sqrt(max(0.0, v))) for v in variances)
+    return Dop(north, east, vertical, time)

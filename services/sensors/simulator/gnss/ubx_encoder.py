@@ -1,0 +1,169 @@
+"""UBX messages of a u-blox receiver of generation 9, encoded.
+
+Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), sections 3.10 and 3.15.
+"""
+
+import struct
+from collections.abc import Callable
+from math import atan2, cos, degrees, hypot, sin
+
+import numpy as np
+
+from .simulated_epoch import GEOID_M, Epoch
+
+NAV, ACK, CFG, MON = 0x01, 0x05, 0x06, 0x0A
+VALSET, VALGET = 0x8A, 0x8B
+SYNC = b"\xb5\x62"
+
+_CARRIER = {"none": 0, "float": 1, "fixed": 2}
+_HEADER = struct.Struct("<BBH")
+_PVT = struct.Struct("<IH5BBIi4B4i2I5i2IHH4xihH")
+_DOP = struct.Struct("<I7H")
+_COV = struct.Struct("<IBBB9x12f")
+_HPPOSLLH = struct.Struct("<B2xBI4i4b2I")
+_RELPOSNED = struct.Struct("<BxHI5i4x4b5I4xI")
+_SATELLITE = np.dtype([
+    ("system", "u1"), ("number", "u1"), ("cn0", "u1"), ("elevation", "i1"), ("azimuth", "<i2"), ("residual", "<i2"),
+    ("flags", "<u4"),
+])  # fmt: skip
+_TIME_VALID = 0x07  # date, time, fully resolved
+_TIME_CONFIRMED = 0xE0
+_WORST = 0xFFFFFFFF
+
+
+def frame(message_class: int, message_id: int, payload: bytes) -> bytes:
+    """Frame a payload: sync, class, id, length, payload, checksum."""
+    body = _HEADER.pack(message_class, message_id, len(payload)) + payload
+    return SYNC + body + checksum(body)
+
+
+def checksum(body: bytes) -> bytes:
+    """Eight-bit Fletcher checksum of everything between sync and checksum (RFC 1145)."""
+    first = second = 0
+    for byte in body:
+        first += byte
+        second += first
+    return bytes((first & 0xFF, second & 0xFF))
+
+
+def nav_pvt(epoch: Epoch) -> bytes:
+    """Position, velocity, time."""
+    fix, utc = epoch.fix, epoch.utc
+    latitude, longitude = degrees(fix.position.latitude), degrees(fix.position.longitude)
+    speed_sd = hypot(*fix.velocity_sd_n)
+    course_sd_deg = min(180.0, degrees(atan2(hypot(*fix.velocity_sd_n[:2]), epoch.ground_speed_m_s)))
+    corrected = fix.carrier != "none"
+    flags = fix.valid | corrected << 1 | _CARRIER[fix.carrier] << 6
+    flags3 = (not fix.valid) | (corrected << 1)  # invalid position; corrections younger than 1 s
+    north, east, down = (_milli(v) for v in fix.velocity_n)
+    height = _milli(fix.position.height)
+    course = round(epoch.course_deg * 1e5)
+    return frame(NAV, 0x07, _PVT.pack(
+        epoch.itow_ms, utc.year, utc.month, utc.day, utc.hour, utc.minute, utc.second, _TIME_VALID, 25,
+        utc.microsecond * 1000, 3 if fix.valid else 0, flags, _TIME_CONFIRMED, epoch.satellites_used,
+        round(longitude * 1e7), round(latitude * 1e7), height, height - _milli(GEOID_M),
+        _milli(epoch.horizontal_sd_m), _milli(fix.position_sd_n[2]), north, east, down,
+        _milli(epoch.ground_speed_m_s), course, _milli(speed_sd), round(course_sd_deg * 1e5),
+        _centi(epoch.sky.dop.position), flags3, 0, 0, 0,
+    ))  # fmt: skip
+
+
+def nav_dop(epoch: Epoch) -> bytes:
+    """Dilution of precision."""
+    dop = epoch.sky.dop
+    values = (dop.geometric, dop.position, dop.time, dop.vertical, dop.horizontal, dop.north, dop.east)
+    return frame(NAV, 0x04, _DOP.pack(epoch.itow_ms, *(_centi(value) for value in values)))
+
+
+def nav_cov(epoch: Epoch) -> bytes:
+    """Covariance of position and velocity, NED."""
+    terms: list[float] = []
+    for north, east, down in (epoch.fix.position_sd_n, epoch.fix.velocity_sd_n):
+        terms += (north**2, 0.0, 0.0, east**2, 0.0, down**2)
+    valid = epoch.fix.valid
+    return frame(NAV, 0x36, _COV.pack(epoch.itow_ms, 0, valid, valid, *terms))
+
+
+def nav_hpposllh(epoch: Epoch) -> bytes:
+    """Position at high precision."""
+    fix = epoch.fix
+    pairs = [_split(degrees(angle) * 1e9, 100) for angle in (fix.position.longitude, fix.position.latitude)]
+    pairs += [_split(height * 1e4, 10) for height in (fix.position.height, fix.position.height - GEOID_M)]
+    whole, rest = zip(*pairs, strict=True)
+    accuracies = (round(sd * 1e4) for sd in (epoch.horizontal_sd_m, fix.position_sd_n[2]))
+    return frame(NAV, 0x14, _HPPOSLLH.pack(0, not fix.valid, epoch.itow_ms, *whole, *rest, *accuracies))
+
+
+def nav_sat(epoch: Epoch) -> bytes:
+    """Satellites in view."""
+    sky = epoch.sky
+    rows = np.zeros(len(sky.number), _SATELLITE)
+    rows["system"] = np.array([c.gnss_id for c in epoch.constellations], np.uint8)[sky.system]
+    rows["number"] = sky.number
+    rows["cn0"] = np.rint(sky.cn0_db_hz)
+    rows["elevation"] = np.rint(sky.elevation_deg)
+    rows["azimuth"] = np.rint(sky.azimuth_deg) % 360
+    rows["residual"] = np.where(sky.used, np.rint(10.0 * sky.residual_m), 0)
+    quality = np.where(sky.used, 7, np.where(sky.cn0_db_hz > 0.0, 4, 1))  # carrier locked, code locked, searching
+    # used, healthy, orbit from an ephemeris that is available
+    rows["flags"] = quality | sky.used.astype(np.uint32) << 3 | 1 << 4 | 1 << 8 | 1 << 11
+    return frame(NAV, 0x35, struct.pack("<IBB2x", epoch.itow_ms, 1, len(rows)) + rows.tobytes())
+
+
+def nav_relposned(epoch: Epoch) -> bytes:
+    """Line from the first antenna to the second, as a moving base; nothing where there is no second."""
+    line = epoch.baseline
+    if line is None:
+        return b""
+    fixed = epoch.fix.valid and epoch.fix.carrier == "fixed"
+    north, east = line.length_m * cos(line.heading), line.length_m * sin(line.heading)
+    flags = epoch.fix.valid | 1 << 1 | fixed << 2 | _CARRIER[epoch.fix.carrier] << 3 | 1 << 5 | fixed << 8
+    accuracy = round(line.heading_sd * line.length_m * 1e4)
+    return frame(NAV, 0x3C, _RELPOSNED.pack(
+        1, 0, epoch.itow_ms, round(north * 100), round(east * 100), 0, round(line.length_m * 100),
+        round(degrees(line.heading) % 360.0 * 1e5), 0, 0, 0, 0, accuracy, accuracy, accuracy, accuracy,
+        round(degrees(line.heading_sd) * 1e5), flags,
+    ))  # fmt: skip
+
+
+def nav_eoe(epoch: Epoch) -> bytes:
+    """End of the epoch."""
+    return frame(NAV, 0x61, struct.pack("<I", epoch.itow_ms))
+
+
+def acknowledge(message_class: int, message_id: int, *, accepted: bool) -> bytes:
+    """ACK-ACK or ACK-NAK."""
+    return frame(ACK, int(accepted), bytes((message_class, message_id)))
+
+
+def mon_ver() -> bytes:
+    """Versions of software and hardware."""
+    lines = (b"ROM BASE 0x118B2060", b"FWVER=HPG 1.32", b"PROTVER=27.31", b"MOD=ZED-F9P", b"GPS;GLO;GAL;BDS")
+    software, hardware = b"EXT CORE 1.00 (simulated)".ljust(30, b"\0"), b"00190000".ljust(10, b"\0")
+    return frame(MON, 0x04, software + hardware + b"".join(line.ljust(30, b"\0") for line in lines))
+
+
+def _milli(value: float) -> int:
+    return min(round(value * 1e3), _WORST)
+
+
+def _centi(value: float) -> int:
+    return min(round(value * 1e2), 9999)
+
+
+def _split(value: float, parts: int) -> tuple[int, int]:
+    """Whole units towards zero and the rest in parts of a unit, as u-blox divides its high-precision numbers."""
+    total = round(value)
+    whole = int(total / parts)
+    return whole, total - whole * parts
+
+
+ENCODERS: dict[str, Callable[[Epoch], bytes]] = {
+    "UBX_NAV_PVT": nav_pvt,
+    "UBX_NAV_HPPOSLLH": nav_hpposllh,
+    "UBX_NAV_DOP": nav_dop,
+    "UBX_NAV_COV": nav_cov,
+    "UBX_NAV_SAT": nav_sat,
+    "UBX_NAV_RELPOSNED": nav_relposned,
+    "UBX_NAV_EOE": nav_eoe,
+}

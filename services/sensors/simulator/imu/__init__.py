@@ -1,0 +1,1 @@
+"""The simulated inertial measurement unit: ideal readings, errors, and the bytes it sends."""

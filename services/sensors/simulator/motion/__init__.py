@@ -1,0 +1,1 @@
+"""The true motion of the simulated vehicle."""

@@ -1,0 +1,1 @@
+"""The bus: MQTT client, codec and envelope."""

@@ -1,0 +1,127 @@
+"""The contract of the bus in print: tables for people, AsyncAPI 3.0 for machines."""
+
+import json
+from collections.abc import Sequence
+from typing import cast
+
+from ..processes import LAYERS, PROCESSES
+from ..topics import TOPICS, Topic, publications, subscriptions
+
+Json = dict[str, object]
+
+
+def asyncapi() -> Json:
+    """Describe every topic, message and process as an AsyncAPI 3.0 document."""
+    return {
+        "asyncapi": "3.0.0",
+        "info": {
+            "title": "On-board unit",
+            "version": "0.1.0",
+            "description": "MQTT contract of the on-board unit, derived from shared/topics.py and shared/processes.py.",
+        },
+        "servers": {
+            "vehicle": {"host": "127.0.0.1:1883", "protocol": "mqtt", "protocolVersion": "5.0"},
+        },
+        "channels": {_key(t): _channel(t) for t in TOPICS},
+        "operations": _operations(),
+        "components": {"messages": {t.message.__name__: _message(t) for t in TOPICS}},
+    }
+
+
+def asyncapi_json() -> str:
+    """Print the AsyncAPI document."""
+    return json.dumps(asyncapi(), indent=2)
+
+
+def topics_table() -> str:
+    """Print the topics as a Markdown table."""
+    rows = [
+        (
+            f"`{t.name}`",
+            t.message.__name__,
+            t.purpose,
+            f"{t.rate_hz:g}" if t.rate_hz else "on change",
+            f"{t.silent_after_s:g}" if t.silent_after_s else "-",
+            str(t.qos) + (", retained" if t.retain else "") + (f" {t.expiry_s} s" if t.expiry_s else ""),
+            "every process" if t.per_process else ", ".join(t.producers),
+            ", ".join(t.consumers) or "observers",
+        )
+        for t in TOPICS
+    ]
+    return table(("topic", "message", "purpose", "rate [Hz]", "silent after [s]", "QoS", "from", "to"), rows)
+
+
+def processes_table() -> str:
+    """Print the processes as a Markdown table."""
+    rows = [
+        (
+            f"{row.layer} {LAYERS[row.layer - 1]}",
+            f"`{row.name}`",
+            row.purpose,
+            "where configured" if row.extra else "always",
+            "everything" if row.observes_all else ", ".join(t.name for t in subscriptions(row.name)) or "-",
+            ", ".join(t.name for t in publications(row.name) if not t.per_process) or "-",
+        )
+        for row in PROCESSES
+    ]
+    return table(("layer", "process", "purpose", "runs", "listens to", "says"), rows)
+
+
+def _key(topic: Topic) -> str:
+    return topic.name.replace("/+", "").replace("/", ".")
+
+
+def _channel(topic: Topic) -> Json:
+    address = "obu/{vehicle}/" + topic.name.replace("+", "{process}")
+    parameters: Json = {"vehicle": {"description": "name of the vehicle"}}
+    if topic.per_process:
+        parameters["process"] = {"description": "name of the process", "enum": list(topic.producers)}
+    return {
+        "address": address,
+        "description": topic.purpose,
+        "parameters": parameters,
+        "messages": {
+            topic.message.__name__: {"$ref": f"#/components/messages/{topic.message.__name__}"},
+        },
+    }
+
+
+def _operations() -> Json:
+    operations: Json = {}
+    for topic in TOPICS:
+        binding: Json = {"mqtt": {"qos": topic.qos, "retain": topic.retain, "bindingVersion": "0.2.0"}}
+        if topic.expiry_s:
+            cast(Json, binding["mqtt"])["messageExpiryInterval"] = topic.expiry_s
+        channel = {"$ref": f"#/channels/{_key(topic)}"}
+        for name in topic.producers:
+            operations[f"{name}.sends.{_key(topic)}"] = {"action": "send", "channel": channel, "bindings": binding}
+    for row in PROCESSES:
+        for topic in subscriptions(row.name):
+            operations[f"{row.name}.receives.{_key(topic)}"] = {
+                "action": "receive",
+                "channel": {"$ref": f"#/channels/{_key(topic)}"},
+            }
+    return operations
+
+
+def _message(topic: Topic) -> Json:
+    message = topic.message
+    described: Json = {"name": message.__name__, "summary": (message.__doc__ or "").strip().splitlines()[0]}
+    if topic.is_raw:
+        described["contentType"] = "application/octet-stream"
+        described["description"] = (
+            "The payload is what the device sent; `received_ns` and `source` are user properties."
+        )
+        return described
+    described["contentType"] = "application/json"
+    described["payload"] = {
+        "schemaFormat": "application/schema+json;version=draft-2020-12",
+        "schema": message.model_json_schema(mode="serialization"),
+    }
+    return described
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Lay out rows as a Markdown table."""
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    return "\n".join([*lines, *("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)])

@@ -1,0 +1,1 @@
+"""Access to devices: byte streams, CAN interfaces, and the Xbus protocol."""

@@ -1,0 +1,139 @@
+"""The loop of a process of layer 1: reads a device, stamps and publishes its bytes, opens it again when it was away."""
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from ..bus.bus import Bus, Envelope
+from ..messages.base import Message
+from ..messages.operation import Origin, OriginKind
+from .device import Device, DeviceBusy, DeviceLost
+
+log = logging.getLogger(__name__)
+
+BACK_OFF_S = (0.5, 1.0, 2.0, 5.0)
+WAIT_S = 0.02  # for the first byte
+CHUNK_BYTES = 16384
+ORIGIN_S = 2.0
+
+
+class Link:
+    """A device that may come and go.
+
+    A loss is logged once and counted in `bus.rejects["device_lost"]`; `bus.last_error` says what to check until
+    the device is back. The device is closed before it is opened again: a port that is still held by a dead handle
+    comes back under another name. A chunk ends after `gap_s` of silence, or when its first byte has waited for
+    `chunk_s`.
+    """
+
+    def __init__(self, open_it: Callable[[], Device], *, gap_s: float = 0.002, chunk_s: float = 0.01) -> None:
+        self._open, self._gap_s, self._chunk_s = open_it, gap_s, chunk_s
+        self._device: Device | None = None
+        self._attempts = 0
+        self._next_attempt = 0.0
+        self._fault: str | None = None
+
+    def read(self, bus: Bus, wait_s: float) -> tuple[bytes, int]:
+        """Return one chunk and the time at which its last byte arrived; empty if nothing came, or nobody is there."""
+        chunk, received_ns = b"", 0
+        try:
+            device = self._device or self._reopen()
+            if device is None:
+                return b"", 0
+            chunk = device.read(wait_s)
+            received_ns, end = bus.now_ns(), time.monotonic() + self._chunk_s
+            if chunk:
+                self._note_life(bus)
+            while chunk and len(chunk) < CHUNK_BYTES and time.monotonic() < end and (more := device.read(self._gap_s)):
+                received_ns, chunk = bus.now_ns(), chunk + more
+        except DeviceLost as error:
+            self._lose(bus, error)
+        return chunk, received_ns
+
+    def write(self, bus: Bus, data: bytes) -> None:
+        """Send bytes; they are lost and counted as `write_lost` while the device is away or does not take them."""
+        try:
+            if self._device is None:
+                raise DeviceBusy("there is no device")
+            self._device.write(data)
+        except DeviceBusy:
+            bus.rejects["write_lost"] += 1
+        except DeviceLost as error:
+            self._lose(bus, error)
+
+    @property
+    def present(self) -> bool:
+        """Whether the device is open."""
+        return self._device is not None
+
+    def close(self) -> None:
+        """Let go of the device."""
+        if self._device is not None:
+            self._device.close()
+            self._device = None
+
+    def _reopen(self) -> Device | None:
+        if time.monotonic() < self._next_attempt:
+            return None
+        self._device = self._open()
+        return self._device
+
+    def _note_life(self, bus: Bus) -> None:
+        self._attempts = 0
+        if self._fault is not None:
+            log.info("the device is back")
+            if bus.last_error == self._fault:
+                bus.last_error = None
+            self._fault = None
+
+    def _lose(self, bus: Bus, error: DeviceLost) -> None:
+        if self._device is not None:
+            bus.rejects["device_lost"] += 1
+        self.close()
+        if self._fault is None:
+            log.warning("%s; trying again until it is there", error)
+        self._fault = bus.last_error = str(error)
+        self._next_attempt = time.monotonic() + BACK_OFF_S[min(self._attempts, len(BACK_OFF_S) - 1)]
+        self._attempts += 1
+
+
+class Herald:
+    """Says every two seconds that the data of this bus are live, or come from a recorded file."""
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        self._recording = Path(parts.netloc + parts.path).stem[:64] if parts.scheme == "file" else None
+        self._next = 0.0
+
+    def announce(self, bus: Bus) -> None:
+        """Publish the origin if it is time."""
+        if time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + ORIGIN_S
+        kind = OriginKind.LIVE if self._recording is None else OriginKind.REPLAY
+        bus.publish(Origin(now_ns=bus.now_ns(), kind=kind, name=self._recording or bus.vehicle))
+
+
+def run_driver(
+    bus: Bus,
+    link: Link,
+    url: str,
+    make_raw: Callable[[bytes, int], Message],
+    take: Callable[[Sequence[Envelope]], None] = lambda envelopes: None,
+) -> None:
+    """Read a device until the bus stops.
+
+    `make_raw` makes the message of a chunk and its stamp; `take` gets in each turn what has arrived on the bus.
+    """
+    herald = Herald(url)
+    while not bus.stopping and not bus.connected:  # nobody would hear the device yet
+        bus.receive(0.1)
+    while not bus.stopping:
+        data, received_ns = link.read(bus, WAIT_S)
+        if data:
+            bus.publish(make_raw(data, received_ns))
+        take(bus.receive(0.0 if link.present else 0.1))
+        herald.announce(bus)
+    link.close()

@@ -1,0 +1,1 @@
+"""The runtimes of a process: live from the bus, and offline from a recording."""

@@ -1,0 +1,141 @@
+"""The vehicle's file: one TOML document, one section a process."""
+
+import difflib
+import os
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+from urllib.parse import urlsplit
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ..errors import ConfigError, UserError
+from ..processes import BY_NAME, PROCESSES
+
+S = TypeVar("S", bound="Section")
+Table = dict[str, object]
+
+
+class Section(BaseModel):
+    """Settings of one process; a key that it does not know is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class VehicleSection(Section):
+    """Who this vehicle is."""
+
+    name: str = Field(default="vehicle", pattern=r"^[A-Za-z0-9_-]{1,48}$")  # the second level of every topic
+
+
+@dataclass(frozen=True)
+class BrokerAddress:
+    """Where the broker listens, and as whom to speak to it."""
+
+    host: str = "127.0.0.1"
+    port: int = 1883
+    username: str | None = None
+    password: str | None = field(default=None, repr=False)
+
+    @classmethod
+    def parse(cls, url: str) -> "BrokerAddress":
+        """Read mqtt://[user:password@]host[:port]."""
+        parts = urlsplit(url if "://" in url else f"mqtt://{url}")
+        try:
+            port = parts.port or 1883
+        except ValueError as error:
+            raise UserError(f"the broker's address {url!r} has no valid port: try mqtt://127.0.0.1:1883") from error
+        if parts.scheme != "mqtt" or not parts.hostname:
+            raise UserError(f"the broker's address {url!r} is not understood: try mqtt://127.0.0.1:1883")
+        return cls(parts.hostname, port, parts.username, parts.password)
+
+
+@dataclass(frozen=True)
+class VehicleFile:
+    """The parsed file of a vehicle."""
+
+    path: str
+    text: str
+    tables: dict[str, Table]
+
+    @property
+    def name(self) -> str:
+        """Name of the vehicle, the second level of every topic."""
+        return self.section("vehicle", VehicleSection).name
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """Processes that run in this vehicle: the standing ones, and each extra one that has a section."""
+        return tuple(row.name for row in PROCESSES if not row.extra or row.name in self.tables)
+
+    def section(self, name: str, kind: type[S]) -> S:
+        """Read the settings of one process, or its defaults where the file is silent."""
+        try:
+            return kind.model_validate(self.tables.get(name, {}))
+        except ValidationError as error:
+            raise ConfigError(f"{self.path}: {_explain(name, kind, error)}") from error
+
+
+def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
+    """Say in one sentence what is wrong with the first bad key, and what may have been meant."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] != "extra_forbidden":
+        return f"[{section}] {key} = {first['input']!r}: {first['msg']}"
+    near = difflib.get_close_matches(key, kind.model_fields, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(sorted(kind.model_fields)) or 'none'}"
+    return f"[{section}] has no setting {key!r}; {hint}"
+
+
+def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
+    """Parse the text of a vehicle's file into one table a section."""
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}; mend that line") from error
+    tables: dict[str, Table] = {}
+    for layer, content in document.items():
+        if not isinstance(content, dict):
+            raise ConfigError(f"{path}: {layer!r} stands outside a section; put it under [vehicle] or a process")
+        if layer == "vehicle":
+            tables[layer] = content
+            continue
+        for process, table in content.items():
+            name = f"{layer}.{process}"
+            if name not in BY_NAME or not isinstance(table, dict):
+                near = difflib.get_close_matches(name, BY_NAME, n=1)
+                hint = f"did you mean [{near[0]}]?" if near else "`obu topics --processes` lists them"
+                raise ConfigError(f"{path}: [{name}] is no process; {hint}")
+            tables[name] = table
+    return VehicleFile(path, text, tables)
+
+
+def load_vehicle(path: str | Path | None = None) -> VehicleFile:
+    """Read the vehicle's file named by the argument or by OBU_VEHICLE; without either, all defaults."""
+    name = path or os.environ.get("OBU_VEHICLE")
+    if not name:
+        return parse_vehicle("", "<no vehicle file>")
+    try:
+        text = Path(name).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise UserError(
+            f"cannot read the vehicle's file {name}: {reason}; see deploy/vehicles/ for examples"
+        ) from error
+    return parse_vehicle(text, str(name))
+
+
+def broker_address() -> BrokerAddress:
+    """Read OBU_BROKER, or fall back to the broker's usual place."""
+    return BrokerAddress.parse(os.environ.get("OBU_BROKER", "mqtt://127.0.0.1:1883"))
+
+
+def state_dir() -> Path:
+    """Find the folder that outlives a process: OBU_STATE, or .obu in the working folder."""
+    path = Path(os.environ.get("OBU_STATE", ".obu"))
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the state folder {path}: {error.strerror}; set OBU_STATE to one") from error
+    return path

@@ -1,0 +1,236 @@
+"""The live runtime: one process, fed from the bus until it is told to stop."""
+
+import gc
+import importlib
+import json
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import FrameType
+from typing import Protocol, cast
+
+from ..bus import codec
+from ..bus.bus import Bus, Envelope
+from ..errors import BadPayload
+from ..messages.base import Message, Tick
+from ..messages.operation import Consumed
+from ..processes import BY_NAME
+from ..topics import BY_MESSAGE, publications, subscriptions
+from .config import Section, VehicleFile, broker_address, state_dir
+
+log = logging.getLogger(__name__)
+
+TICK_NS = 1_000_000_000
+JOURNAL_S = 1.0
+
+
+class Reactor(Protocol):
+    """A process of layers 2 to 4: a function of its messages."""
+
+    def handle(self, message: Message) -> Iterable[Message]:
+        """Take one message and say what follows from it."""
+        ...
+
+
+class Runner(Protocol):
+    """A process of layer 1 or 5: it owns its loop."""
+
+    def run(self, bus: Bus) -> None:
+        """Work until `bus.stopping`."""
+        ...
+
+
+class Journal:
+    """The order in which a process consumed its messages, in runs of neighbours."""
+
+    def __init__(self, process: str, incarnation: int) -> None:
+        self._process, self._incarnation = process, incarnation
+        self._runs: list[tuple[str, str, int, int, int]] = []
+
+    def add(self, envelope: Envelope) -> None:
+        """Note that a message was consumed."""
+        self._append(envelope.topic, envelope.producer, envelope.incarnation, envelope.sequence)
+
+    def add_tick(self, tick: Tick) -> None:
+        """Note that a tick was consumed."""
+        self._append("tick", "", tick.now_ns, 0)
+
+    def take(self) -> Consumed | None:
+        """Hand over what was noted since the last call."""
+        if not self._runs:
+            return None
+        runs, self._runs = tuple(self._runs), []
+        return Consumed(process=self._process, incarnation=self._incarnation, runs=runs)
+
+    def _append(self, topic: str, producer: str, incarnation: int, sequence: int) -> None:
+        if self._runs:
+            last_topic, last_producer, last_life, first, count = self._runs[-1]
+            same = (last_topic, last_producer, last_life) == (topic, producer, incarnation)
+            if same and sequence == first + count and topic != "tick":
+                self._runs[-1] = (topic, producer, incarnation, first, count + 1)
+                return
+        self._runs.append((topic, producer, incarnation, sequence, 1))
+
+
+def load_process(name: str, vehicle: VehicleFile) -> object:
+    """Make the process of that name with its section of the vehicle's file."""
+    module = importlib.import_module(f"services.{name}.process")
+    kind = cast("type[Section]", module.Config)
+    return cast("Callable[[Section], object]", module.Process)(vehicle.section(name, kind))
+
+
+def run_process(name: str, vehicle: VehicleFile) -> None:
+    """Run one process until SIGTERM or SIGINT."""
+    start_logging(name)
+    process = load_process(name, vehicle)
+    bus = Bus(name, vehicle.name, broker_address(), subscriptions(name), state_dir())
+    bus.vehicle_toml = vehicle.text
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        bus.stopping = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    bus.guard()
+    gc.collect()
+    gc.freeze()  # what was made so far stays: a search through it for garbage would stop the process for 4 to 9 ms
+    if BY_NAME[name].layer in (1, 5):
+        cast(Runner, process).run(bus)
+    else:
+        LiveReactor(cast(Reactor, process), bus).run()
+    bus.close()
+
+
+class LiveReactor:
+    """Feeds a process of layers 2 to 4 from the bus, and sends what it says."""
+
+    def __init__(self, process: Reactor, bus: Bus) -> None:
+        self._process, self._bus = process, bus
+        self._journal = Journal(bus.process, bus.incarnation)
+        self._next_tick_ns = (bus.now_ns() // TICK_NS + 1) * TICK_NS
+        self._next_journal = time.monotonic() + JOURNAL_S
+        self._rejects: dict[str, int] = getattr(process, "rejects", {})
+
+    def run(self) -> None:
+        """Receive, feed, publish, until told to stop."""
+        while not self._bus.stopping and not self._bus.connected:
+            self._bus.receive(0.1)
+        self._restore()
+        while not self._bus.stopping:
+            until_tick_s = (self._next_tick_ns - self._bus.now_ns()) * 1e-9
+            for envelope in self._bus.receive(min(max(until_tick_s, 0.0), 0.2)):
+                self._consume(envelope)
+            self._tick()
+            self._publish_journal()
+        closing = getattr(self._process, "close", None)
+        if closing is not None:
+            self._say(closing())
+        self._publish_journal(at_once=True)
+
+    def _consume(self, envelope: Envelope) -> None:
+        try:
+            message = envelope.decode()
+        except BadPayload as error:
+            self._bus.rejects["payload"] += 1
+            self._bus.last_error = str(error)[:400]
+            return
+        self._say(self._process.handle(message))  # the books are kept when the answer is on its way
+        self._journal.add(envelope)
+        if self._rejects:
+            self._bus.rejects.update({kind: n - self._bus.rejects[kind] for kind, n in self._rejects.items()})
+
+    def _tick(self) -> None:
+        now_ns = self._bus.now_ns()
+        if now_ns < self._next_tick_ns:
+            return
+        tick = Tick(now_ns=now_ns // TICK_NS * TICK_NS)
+        self._next_tick_ns = tick.now_ns + TICK_NS
+        self._journal.add_tick(tick)
+        self._say(self._process.handle(tick))
+
+    def _say(self, messages: Iterable[Message]) -> None:
+        """Send the first message as soon as it is there, and those that follow from the same cause in one write."""
+        first = True
+        for message in messages:
+            self._bus.publish(message, at_once=first)
+            if BY_MESSAGE[type(message)].persist:
+                self._bus.flush()
+                _save(self._bus.state_dir, message)
+            first = False
+        if not first:
+            self._bus.flush()
+
+    def _restore(self) -> None:
+        """Give the process what it said before the last power-off, and the bus as well."""
+        for topic in publications(self._bus.process):
+            path = _saved_path(self._bus.state_dir, topic.name)
+            if not topic.persist or not path.exists():
+                continue
+            try:
+                message = codec.decode(topic.name, path.read_bytes(), {})
+            except (BadPayload, OSError) as error:
+                self._bus.rejects["saved state"] += 1
+                log.warning("ignored the saved %s: %s", topic.name, error)
+                continue
+            self._bus.publish(message)
+            self._journal.add(Envelope(
+                topic.name, b"", {}, 0, self._bus.process, self._bus.incarnation, self._bus.sequence
+            ))  # fmt: skip
+            self._say(self._process.handle(message))
+
+    def _publish_journal(self, *, at_once: bool = False) -> None:
+        if at_once or time.monotonic() >= self._next_journal:
+            self._next_journal = time.monotonic() + JOURNAL_S
+            if (consumed := self._journal.take()) is not None:
+                self._bus.publish(consumed)
+
+
+def _saved_path(folder: Path, name: str) -> Path:
+    return folder / f"saved-{name.replace('/', '-')}.json"
+
+
+def _save(folder: Path, message: Message) -> None:
+    """Write the message so that a power cut leaves either the old file or the new one."""
+    path = _saved_path(folder, codec.topic_name(message))
+    draft = path.with_suffix(".new")
+    try:
+        with draft.open("wb") as file:
+            file.write(codec.encode(message)[0])
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    except OSError as error:
+        log.warning("could not save %s: %s", path.name, error.strerror)
+
+
+class JsonFormatter(logging.Formatter):
+    """One JSON object a line: UTC, process, level, logger, text."""
+
+    def __init__(self, process: str) -> None:
+        super().__init__()
+        self._process = process
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Print a record as one line."""
+        line = {
+            "ts": time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created)) + f".{int(record.msecs):03d}Z",
+            "mono": round(time.monotonic(), 3),
+            "proc": self._process,
+            "level": record.levelname.lower(),
+            "event": record.getMessage(),
+        }
+        if record.exc_info:
+            line["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(line)
+
+
+def start_logging(process: str) -> None:
+    """Send log lines to standard output as JSON; an uncaught bug becomes one of them as well."""
+    handler = logging.StreamHandler(sys.stdout)
+    handler.setFormatter(JsonFormatter(process))
+    logging.basicConfig(level=os.environ.get("OBU_LOG", "INFO").upper(), handlers=[handler], force=True)
+    sys.excepthook = lambda kind, error, trace: log.critical("ended by a bug: %s", error, exc_info=(kind, error, trace))

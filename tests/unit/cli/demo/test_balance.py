@@ -1,0 +1,42 @@
+"""The demo's balance counts solutions whose error is above what they promised."""
+
+import pytest
+
+from cli.demo.balance import Balance
+from shared.messages.navigation import NavigationSolution, TruthState
+from shared.runtime.config import parse_vehicle
+from tests.support.tracks import START_NS, solution
+
+
+def truth(time_s: float) -> TruthState:
+    s = solution(time_s)
+    return TruthState(
+        sampled_ns=s.sampled_ns,
+        latitude_deg=s.latitude_deg,
+        longitude_deg=s.longitude_deg,
+        height_ellipsoid_m=s.height_ellipsoid_m,
+        velocity_ned_m_s=s.velocity_ned_m_s,
+        roll_rad=0.0,
+        pitch_rad=0.0,
+        yaw_rad=s.yaw_rad,
+        angular_rate_body_rad_s=s.angular_rate_body_rad_s,
+    )
+
+
+def promised(time_s: float, level: float | None) -> NavigationSolution:
+    made = solution(time_s, error_n=(3.0, 4.0, -2.0))
+    return made.model_copy(update={"protection_level_horizontal_m": level, "protection_level_vertical_m": level})
+
+
+def test_misleading_solutions_are_counted_against_the_truth() -> None:
+    """Errors of 5 m on the ground and 2 m in height against levels of 6, 4, 1 m and none; the last has no truth."""
+    balance = Balance(parse_vehicle("[vehicle]\nname = 'truck-07'\n"))
+    for k in range(6):
+        balance.add("truth/state", truth(0.1 * k), START_NS)
+    for k, level in enumerate((6.0, 4.0, 1.0, None), 1):
+        balance.add("navigation/solution", promised(0.1 * k, level), START_NS)
+    balance.add("navigation/solution", promised(9.0, 0.1), START_NS)
+    found = balance.summary(alive=1, expected=1, restarts=0)
+    assert (found.misleading_horizontal, found.misleading_vertical) == (2, 1)
+    assert found.protection_horizontal_median_m == found.protection_vertical_median_m == pytest.approx(4.0)
+    assert found.fusion_horizontal_rmse_m == pytest.approx(5.0, abs=0.01)

@@ -1,0 +1,61 @@
+from cli.solve.inputs import inputs_of
+from shared.bus.bus import Envelope
+from shared.bus.codec import encode, topic_name
+from shared.messages.base import Message
+from shared.messages.gnss import FixType, GnssFix, GnssRaw
+from shared.messages.imu import ImuRaw, ImuSamples
+from shared.messages.navigation import TruthState
+from tests.support.tracks import solution
+
+
+def envelope(message: Message) -> Envelope:
+    payload, properties = encode(message)
+    return Envelope(topic_name(message), payload, properties, getattr(message, "received_ns", 0))
+
+
+def fix(stamp: int) -> GnssFix:
+    return GnssFix(sampled_ns=stamp, received_ns=stamp, source="gnss", fix_type=FixType.NONE)
+
+
+def samples(stamp: int) -> ImuSamples:
+    return ImuSamples(
+        received_ns=stamp, source="imu", sampled_ns=(stamp,), specific_force_body_m_s2=((0.0, 0.0, -9.8),),
+        angular_rate_body_rad_s=((0.0, 0.0, 0.0),),
+    )  # fmt: skip
+
+
+def test_typed_messages_are_used_in_order_of_arrival_and_old_solutions_are_not() -> None:
+    found = inputs_of(map(envelope, [fix(30), samples(10), solution(0.0), samples(20)]))
+    assert list(found.messages()) == [samples(10), samples(20), fix(30)]
+    assert found.topics == {"gnss/fix": 1, "imu/sample": 2, "navigation/solution": 1}
+
+
+def test_raw_bytes_replace_what_was_made_of_them_one_sensor_at_a_time() -> None:
+    raw = GnssRaw(received_ns=5, source="gnss", data=b"$")
+    found = inputs_of(map(envelope, [raw, fix(30), samples(10)]))
+    assert list(found.messages()) == [raw, samples(10)], "the fix is made of the bytes again; the samples have no bytes"
+    both = inputs_of(map(envelope, [raw, samples(10), ImuRaw(received_ns=9, source="imu", data=b"\xfa")]))
+    assert [type(message) for message in both.messages()] == [GnssRaw, ImuRaw]
+
+
+def test_bytes_are_ordered_by_their_arrival_at_the_driver_and_not_at_the_recorder() -> None:
+    late = GnssRaw(received_ns=7, source="gnss", data=b"$")
+    payload, properties = encode(late)
+    found = inputs_of([envelope(samples(6)), envelope(samples(8)), Envelope("gnss/raw", payload, properties, 9)])
+    assert list(found.messages()) == [samples(6), late, samples(8)]
+
+
+def test_a_message_that_cannot_be_decoded_is_counted_once_however_often_it_is_read() -> None:
+    found = inputs_of([Envelope("gnss/fix", b"{", {}, 0), envelope(samples(1))])
+    for _ in range(2):
+        assert list(found.messages()) == [samples(1)]
+    assert len(found.undecodable) == 1
+
+
+def test_true_states_are_kept_apart() -> None:
+    state = TruthState(
+        sampled_ns=1, latitude_deg=1.0, longitude_deg=2.0, height_ellipsoid_m=3.0, velocity_ned_m_s=(0.0, 0.0, 0.0),
+        roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0, angular_rate_body_rad_s=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    found = inputs_of([envelope(state), envelope(samples(1))])
+    assert found.truth == [state] and list(found.messages()) == [samples(1)]

@@ -1,0 +1,47 @@
+import pytest
+
+from cli.solve.overrides import SWITCHES, Aiding, with_settings
+from services.core.fusion.process import Config
+from shared.errors import UserError
+from shared.runtime.config import parse_vehicle
+
+VEHICLE = parse_vehicle("[core.fusion]\nlever_arm_body_m = [1.0, 2.0, 3.0]\nodometer = false\n", "car.toml")
+
+
+def fusion(*settings: str) -> Config:
+    return with_settings(VEHICLE, settings).section("core.fusion", Config)
+
+
+def test_a_setting_takes_the_place_of_the_vehicles_and_leaves_the_others() -> None:
+    changed = fusion("core.fusion.lever_arm_body_m=[0.0, 0.5, 0]", "core.fusion.gnss_delay_s = 0.1")
+    assert changed.lever_arm_body_m == (0.0, 0.5, 0.0) and changed.gnss_delay_s == 0.1 and not changed.odometer
+    assert fusion().lever_arm_body_m == (1.0, 2.0, 3.0), "the file itself is as it was"
+
+
+@pytest.mark.parametrize(
+    ("aiding", "odometer", "non_holonomic"),
+    [(Aiding.FREE, False, False), (Aiding.NHC, False, True), (Aiding.ODOMETER, True, True)],
+)
+def test_the_aidings_that_filters_are_compared_with(aiding: Aiding, odometer: bool, non_holonomic: bool) -> None:
+    changed = fusion(*SWITCHES[aiding])
+    assert (changed.odometer, changed.non_holonomic) == (odometer, non_holonomic)
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("odometer=false", "not understood"),
+        ("core.fusion.odometer", "not understood"),
+        ("core.fusio.odometer=false", "did you mean core.fusion?"),
+        ("core.fusion.odometer=no", "is no value"),
+        ("core.fusion.odometer=", "is no value"),
+    ],
+)
+def test_what_is_no_setting_is_one_sentence(setting: str, sentence: str) -> None:
+    with pytest.raises(UserError, match=sentence):
+        with_settings(VEHICLE, [setting])
+
+
+def test_a_setting_that_the_process_does_not_know_is_named() -> None:
+    with pytest.raises(UserError, match="has no setting 'odometr'; did you mean 'odometer'"):
+        fusion("core.fusion.odometr=false")

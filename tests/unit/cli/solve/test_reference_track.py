@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+
+from cli.solve.reference_track import from_columns, from_fixes, from_states
+from shared.errors import UserError
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
+
+
+def fix(second: int, carrier: CarrierSolution, height_m: float | None = 300.0) -> GnssFix:
+    stamp = second * 1_000_000_000
+    return GnssFix(
+        sampled_ns=stamp, received_ns=stamp, source="gnss", fix_type=FixType.THREE_D, carrier_solution=carrier,
+        latitude_deg=45.0, longitude_deg=9.0, height_ellipsoid_m=height_m, position_sd_ned_m=(0.01, 0.01, 0.02),
+    )  # fmt: skip
+
+
+def test_only_fixes_with_integer_ambiguities_are_truth() -> None:
+    words = [CarrierSolution.FIXED, CarrierSolution.FLOAT, CarrierSolution.NONE, CarrierSolution.FIXED]
+    found = from_fixes([fix(k, word) for k, word in enumerate(words)])
+    assert found.stamps_ns.tolist() == [0, 3_000_000_000]
+    assert found.at_antenna
+    assert found.velocity_n is None, "one fix without velocity makes it unknown"
+    assert found.geodetic is not None
+    np.testing.assert_allclose(found.geodetic[0], [np.radians(45.0), np.radians(9.0), 300.0])
+    assert "not independent" in found.description
+
+
+def test_without_a_fix_of_that_quality_the_user_learns_what_there_is() -> None:
+    with pytest.raises(UserError, match="2 float"):
+        from_fixes([fix(k, CarrierSolution.FLOAT) for k in range(2)])
+    with pytest.raises(UserError, match="no fix at all"):
+        from_fixes([])
+    with pytest.raises(UserError, match="1 fixed"):
+        from_fixes([fix(0, CarrierSolution.FIXED, height_m=None)])
+
+
+def test_a_recording_without_true_states_is_refused() -> None:
+    with pytest.raises(UserError, match="--truth fixes"):
+        from_states([])
+
+
+def test_a_table_may_know_some_quantities_only_and_trust_may_be_narrower_still() -> None:
+    stamps = np.array([0, 1], dtype=np.int64)
+    columns = {name: np.zeros(2) for name in ("latitude_deg", "longitude_deg", "height_ellipsoid_m", "yaw_rad")}
+    found = from_columns("peer.csv", stamps, columns)
+    assert found.geodetic is not None and found.velocity_n is None and found.attitude is None
+    assert found.only(["velocity", "attitude"]).geodetic is None
+
+
+def test_a_fix_is_as_much_older_than_its_stamp_as_the_vehicle_says() -> None:
+    found = from_fixes([fix(5, CarrierSolution.FIXED)], delay_s=0.1, velocity_delay_s=0.125)
+    assert found.stamps_ns.tolist() == [4_900_000_000] and found.velocity_delay_ns == 125_000_000

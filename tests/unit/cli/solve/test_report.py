@@ -1,0 +1,90 @@
+import re
+from html.parser import HTMLParser
+
+from cli.solve.metrics.counters import Tally
+from cli.solve.metrics.errors import errors_against
+from cli.solve.metrics.metrics import Run, metrics_of
+from cli.solve.report.plots import figures_of
+from cli.solve.report.report import Heading, page
+from shared.messages.navigation import AidingKind, AidingUpdate
+from tests.support.tracks import START_NS, reference, solution, track
+
+S = 1_000_000_000
+
+
+class Checker(HTMLParser):
+    """Collects what a page would load, the ids in it, and tags that are not closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.ids: list[str] = []
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = {name: value or "" for name, value in attrs}
+        self.ids += [found["id"]] if "id" in found else []
+        targets = [found.get(name, "") for name in ("src", "href", "xlink:href", "data")]
+        self.loads += [target for target in targets if target and not target.startswith("#")]
+        if tag not in ("meta", "link", "br", "img"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if self.open and self.open[-1] == tag:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def report() -> str:
+    tally = Tally()
+    for k in range(200):
+        tally.add_update(AidingUpdate(
+            sampled_ns=START_NS + k * S // 4, source="gnss", kind=AidingKind.GNSS_POSITION,
+            innovation=(0.1, 0.2, 0.3), innovation_sd=(0.5, 0.5, 0.5), test_ratio=0.5 if k % 9 else 2.0,
+            used=bool(k % 9),
+        ))  # fmt: skip
+    made, truth = track(solution(0.1 * k) for k in range(600)), reference([0.25 * k for k in range(200)])
+    errors = errors_against(truth, made, lever_arm_b=(0.0, 0.0, 0.0))
+    run = Run(made, tally, errors, [(START_NS + 20 * S, START_NS + 30 * S)], START_NS, START_NS + 60 * S, 200, 40)
+    metrics = metrics_of(run)
+    heading = Heading("drive <1>", "a circle", "10/30", [("file & co", "SHA-256 0")], 0.001)
+    return page(heading, metrics, figures_of(run, truth))
+
+
+def test_every_run_with_truth_has_a_stanford_diagram_of_each_axis() -> None:
+    text = report()
+    assert 'aria-label="Stanford diagram, horizontal"' in text and 'aria-label="Stanford diagram, vertical"' in text
+    assert "protection_vertical_ratio_median" in text
+
+
+def test_the_page_is_whole_and_loads_nothing_from_anywhere() -> None:
+    text = report()
+    checker = Checker()
+    checker.feed(text)
+    checker.close()
+    assert not checker.open and not checker.loads
+    assert len(checker.ids) == len(set(checker.ids)), "figures do not share names"
+    assert "url(http" not in text and "@import" not in text and "<script" not in text
+
+
+def test_the_page_shows_all_figures_and_the_numbers_in_words() -> None:
+    text = report()
+    titles = re.findall(r"<h2>(.*?)</h2>", text)
+    assert titles == ["Trajectory", "Position errors", "Velocity errors", "Attitude errors",
+                      "Stanford diagram, horizontal", "Stanford diagram, vertical", "Speed", "Innovations",
+                      "Sensor biases", "Metrics", "Where the data come from"]  # fmt: skip
+    assert text.count("<svg") == 9 and text.count('role="img"') == 9
+    assert "drive &lt;1&gt;" in text and "file &amp; co" in text
+    assert "GNSS was taken away once" in text
+    assert re.search(r"Above their protection levels were \d+ of \d+ horizontal errors", text)
+    assert "which may happen to 0.1 % (integrity risk 0.001)." in text
+    assert "The truth is: a circle." in text
+
+
+def test_the_same_run_gives_the_same_page_and_a_light_one() -> None:
+    first = report()
+    assert first == report()
+    assert len(first) < 500_000

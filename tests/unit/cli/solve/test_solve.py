@@ -1,0 +1,217 @@
+"""From CSV files of a simulated drive to a judged solution: what was put in must come out."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from cli.import_drive.import_drive import import_drive
+from cli.solve.metrics.metrics import METRICS, TIMINGS
+from cli.solve.overrides import Aiding
+from cli.solve.report.export import HEADER
+from cli.solve.smoothing import SMOOTHED_METRICS
+from cli.solve.solve import solve
+from services.sensors.simulator.drive import simulate
+from services.sensors.simulator.world import messages
+from shared.bus.bus import Envelope
+from shared.bus.codec import encode, topic_name
+from shared.errors import UserError
+from shared.messages.base import RawBytes
+from shared.messages.imu import ImuSamples
+from shared.recording import Recording, RecordingWriter
+from shared.runtime.offline import arrival_ns
+from tests.support.csv_drive import write_drive
+
+Metrics = dict[str, float]
+
+
+DURATION_S = 70.0
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drive")
+    mapping = write_drive(folder, simulate("parking_lot", seed=3, duration_s=DURATION_S))
+    import_drive(mapping, folder, folder / "drive.mcap")
+    return folder / "drive.mcap"
+
+
+@pytest.fixture(scope="module")
+def solution(recording: Path) -> Path:
+    assert solve(recording, out=recording.parent / "whole") == 0
+    return recording.parent / "whole"
+
+
+def metrics_in(folder: Path) -> Metrics:
+    found: Metrics = json.loads((folder / "metrics.json").read_text())
+    return found
+
+
+def test_what_was_imported_is_what_was_simulated(recording: Path) -> None:
+    drive = simulate("parking_lot", seed=3, duration_s=DURATION_S)
+    with Recording(recording) as opened:
+        decoded = [envelope.decode() for envelope in opened]
+    samples = [message for message in decoded if isinstance(message, ImuSamples)]
+    assert [m.sampled_ns[0] - 1_700_000_000_000_000_000 for m in samples] == drive.t_ns.tolist()
+    force = [component for m in samples[::100] for component in m.specific_force_body_m_s2[0]]
+    assert force == pytest.approx(drive.force_b[::100].ravel().tolist(), abs=1e-6)
+
+
+def test_the_solution_is_close_to_the_truth_of_the_simulation(solution: Path) -> None:
+    found = metrics_in(solution)
+    # A car park under an open sky with 1 Hz single-frequency GNSS, as in tests of the fusion: below a metre.
+    assert found["horizontal_rmse_m"] < 1.0
+    assert found["velocity_rmse_m_s"] < 0.1
+    assert abs(found["yaw_rmse_rad"]) < 0.05 and found["roll_rmse_rad"] < 0.01 and found["pitch_rmse_rad"] < 0.01
+    assert found["truth_count"] > 400 and found["fixes_rejected"] <= 3 and found["outage_count"] is None
+    assert found["fixes_recorded"] >= found["fixes_used"] > 40
+    assert list(found) == list(METRICS)
+
+
+def test_outages_take_fixes_away_and_are_judged_and_the_metrics_are_printed(
+    recording: Path, solution: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert solve(recording, outage="5/15", out=tmp_path, as_json=True) == 0
+    printed = capsys.readouterr()
+    whole, cut = metrics_in(solution), metrics_in(tmp_path)
+    assert cut["outage_count"] == 3
+    assert 15 <= cut["fixes_removed"] <= 21, "1 Hz: five or six fixes in each gap, whether judged or not"
+    assert cut["fixes_used"] == pytest.approx(whole["fixes_used"] - cut["fixes_removed"], abs=2)
+    # 10 s of inertial navigation with an MTi-630 end within 0.6 m of the error before (0.9 m for 95 %).
+    assert cut["outage_end_error_max_m"] < whole["horizontal_max_m"] + 1.0
+    found = json.loads(printed.out)
+    assert list(found) == [*METRICS, *TIMINGS]
+    assert {name: found[name] for name in METRICS} == cut
+    assert found["realtime_factor"] > 5.0
+    assert printed.err == "", "no progress bar where nobody watches"
+
+
+def test_outages_at_fixed_times_are_listed_and_settings_take_the_place_of_the_vehicles(
+    recording: Path, tmp_path: Path
+) -> None:
+    solve(recording, outage="5/15@30", score_from=20.0, aiding=Aiding.FREE, out=tmp_path)
+    with (tmp_path / "outages.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["start_s"]) for row in rows] == [30.0, 45.0, 60.0]
+    found = metrics_in(tmp_path)
+    assert found["outage_end_error_max_m"] == pytest.approx(max(float(row["end_error_m"]) for row in rows), abs=1e-4)
+    assert found["truth_count"] == pytest.approx(500, abs=5), "50 of 70 s at 10 Hz"
+    assert "core.fusion.non_holonomic=false" in (tmp_path / "report.html").read_text()
+    with pytest.raises(UserError, match=r"^--set core\.fusion\.odometr=true: .*did you mean 'odometer'"):
+        solve(recording, settings=["core.fusion.odometr=true"], out=tmp_path)
+
+
+def test_the_same_recording_gives_the_same_files(recording: Path, solution: Path, tmp_path: Path) -> None:
+    solve(recording, out=tmp_path)
+    files = sorted(path.name for path in solution.iterdir())
+    assert files == ["metrics.json", "report.html", "solution.csv", "solution.kml"]
+    for name in files:
+        assert (solution / name).read_bytes() == (tmp_path / name).read_bytes(), name
+
+
+def test_the_csv_holds_one_line_a_solution(solution: Path) -> None:
+    with (solution / "solution.csv").open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert tuple(rows[0]) == HEADER and len(rows) == metrics_in(solution)["solution_count"] + 1
+
+
+def test_a_solution_is_a_truth_for_another_one(recording: Path, solution: Path, tmp_path: Path) -> None:
+    solve(recording, truth=str(solution / "solution.csv"), out=tmp_path)
+    found = metrics_in(tmp_path)
+    assert found["truth_count"] > 400
+    assert found["horizontal_rmse_m"] < 1e-3 and found["yaw_rmse_rad"] < 1e-6, "up to the rounding of the file"
+
+
+def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
+    toml = '[vehicle]\nname = "raw"\n\n[core.fusion]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
+    writer = RecordingWriter(tmp_path / "raw.mcap", vehicle="raw", vehicle_toml=toml)
+    for message in messages("parking_lot", seed=3, duration_s=DURATION_S):
+        payload, properties = encode(message)
+        writer.write(Envelope(topic_name(message), payload, properties, arrival_ns(message) or 0))
+        assert isinstance(message, RawBytes) or arrival_ns(message) is None
+    writer.close()
+    solve(tmp_path / "raw.mcap", outage="5/15", out=tmp_path / "out")
+    found = metrics_in(tmp_path / "out")
+    assert found["truth_count"] > 400 and found["outage_count"] == 3
+    assert found["fixes_removed"] >= 15
+    assert found["horizontal_rmse_m"] < 2.0
+
+
+def test_what_cannot_be_solved_is_one_sentence(recording: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="obu record"):
+        solve(tmp_path / "absent.mcap", out=tmp_path)
+    RecordingWriter(tmp_path / "empty.mcap").close()
+    with pytest.raises(UserError, match=r"empty\.mcap holds no message of a unit"):
+        solve(tmp_path / "empty.mcap", out=tmp_path)
+    with pytest.raises(UserError, match=r"--score-from begins at 1e\+06 s, but .* lasts \d+ s"):
+        solve(recording, score_from=1e6, out=tmp_path)
+    with pytest.raises(UserError, match=r"--outage begins at 9000 s, but .* name an earlier time"):
+        solve(recording, outage="60/180@9000", out=tmp_path)
+    with pytest.raises(UserError, match="no fix of the recording has RTK quality"):
+        solve(recording, truth="fixes", out=tmp_path)
+    with pytest.raises(UserError, match="--truth is fixes, recorded, none or a CSV file"):
+        solve(recording, truth="fixed", out=tmp_path)
+    with pytest.raises(UserError, match="--outage"):
+        solve(recording, outage="10", out=tmp_path)
+    (tmp_path / "vehicle.toml").write_text("[core.fusion]\nlever_arm = 1\n")
+    with pytest.raises(UserError, match="did you mean 'lever_arm_body_m'"):
+        solve(recording, vehicle=tmp_path / "vehicle.toml", out=tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot make the folder"):
+        solve(recording, out=tmp_path / "file")
+
+
+def test_without_any_truth_the_report_says_so(recording: Path, tmp_path: Path) -> None:
+    solve(recording, truth="none", out=tmp_path)
+    found = metrics_in(tmp_path)
+    assert found["horizontal_rmse_m"] is None and found["innovation_horizontal_rms_m"] > 0.0
+    assert "The truth is: none was given." in (tmp_path / "report.html").read_text()
+
+
+def test_a_vehicle_that_never_moves_is_told_what_the_filter_waits_for(tmp_path: Path) -> None:
+    mapping = write_drive(tmp_path, simulate("parking_lot", seed=3, duration_s=10.0))
+    import_drive(mapping, tmp_path, tmp_path / "drive.mcap")
+    with pytest.raises(UserError, match="never began to navigate"):
+        solve(tmp_path / "drive.mcap", out=tmp_path / "out")
+
+
+def test_a_recording_that_was_cut_off_is_solved_as_far_as_it_goes(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = recording.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 3 // 4])
+    assert solve(tmp_path / "cut.mcap", out=tmp_path / "out") == 0
+    assert "cut.mcap: " in capsys.readouterr().err
+    assert 30.0 < metrics_in(tmp_path / "out")["duration_s"] < DURATION_S
+
+
+def test_a_smoothed_drive_stands_beside_the_filtered_one_and_is_closer_to_the_truth(
+    recording: Path, solution: Path, tmp_path: Path
+) -> None:
+    assert solve(recording, out=tmp_path, smooth=True) == 0
+    assert (tmp_path / "solution.csv").read_bytes() == (solution / "solution.csv").read_bytes(), (
+        "the filter is the same"
+    )
+    found = metrics_in(tmp_path)
+    assert list(found) == [*METRICS, *SMOOTHED_METRICS]
+    for name in ("horizontal_rmse_m", "vertical_rmse_m", "velocity_rmse_m_s", "yaw_rmse_rad"):
+        assert found[f"smoothed_{name}"] < found[name], name
+    assert (tmp_path / "solution_smoothed.kml").read_text().count("<coordinates>") == 1
+    report = (tmp_path / "report.html").read_text()
+    assert "Position errors, filtered and smoothed" in report and "Smoothed, the position is off by" in report
+    assert "smoothed_horizontal_rmse_m" in report
+    assert not [path.name for path in tmp_path.iterdir() if path.stem.startswith("tmp")]
+
+
+def test_a_smoothed_drive_bridges_outages_and_serves_as_a_truth(recording: Path, tmp_path: Path) -> None:
+    assert solve(recording, outage="5/15", out=tmp_path / "cut", smooth=True) == 0
+    found = metrics_in(tmp_path / "cut")
+    assert found["smoothed_outage_inside_max_m"] < found["outage_inside_max_m"]
+    assert found["smoothed_outage_largest_error_rms_m"] < found["outage_largest_error_rms_m"]
+    assert solve(recording, out=tmp_path / "reference", smooth=True) == 0
+    truth = str(tmp_path / "reference" / "solution_smoothed.csv")
+    assert solve(recording, truth=truth, outage="5/15", out=tmp_path / "judged") == 0
+    judged = metrics_in(tmp_path / "judged")
+    assert judged["truth_count"] > 400
+    assert judged["outage_end_error_max_m"] == pytest.approx(found["outage_end_error_max_m"], abs=0.5)

@@ -1,0 +1,52 @@
+"""What `obu tail` makes of a topic's name."""
+
+from pathlib import Path
+
+import pytest
+
+from cli.tail import follow
+from shared.bus.bus import Bus
+from shared.errors import UserError
+from shared.messages.operation import ProcessHealth, ProcessState
+from shared.runtime.config import BrokerAddress, parse_vehicle
+from shared.topics import BY_NAME
+from tests.support import brokers
+
+CAR = parse_vehicle("[vehicle]\nname = 'car'\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("solution", "navigation/solution"),
+        ("obu/car/imu/raw", "imu/raw"),
+        ("navigation/soluton", "navigation/solution"),
+    ],
+)
+def test_a_topic_that_does_not_exist_is_answered_with_the_nearest(name: str, meant: str) -> None:
+    with pytest.raises(UserError, match=f"did you mean {meant}\\? `obu topics` lists them"):
+        follow(name, CAR, 1)
+
+
+def test_the_health_of_one_process_is_not_that_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broker = brokers.start(brokers.SIMULATED, tmp_path)
+    monkeypatch.setenv("OBU_STATE", str(tmp_path))
+    monkeypatch.setenv("OBU_BROKER", f"mqtt://127.0.0.1:{broker.port}")
+    address = BrokerAddress("127.0.0.1", broker.port)
+    buses = [Bus(name, "car", address, (), tmp_path) for name in ("parsers.gnss", "core.fusion")]
+    try:
+        for bus in buses:
+            while not bus.connected:
+                bus.receive(0.02)
+            state = ProcessHealth(process=bus.process, state=ProcessState.READY, incarnation=1, sent_ns=bus.now_ns())
+            bus.send(f"health/{bus.process}", state.model_dump_json().encode(), {}, BY_NAME["health/+"])
+            bus.receive(0.1)
+        assert follow("health/core.fusion", CAR, 1) == 0
+    finally:
+        for bus in buses:
+            bus.close()
+        broker.stop()
+    said = capsys.readouterr().out
+    assert '"topic": "health/core.fusion"' in said and "parsers.gnss" not in said

@@ -1,0 +1,133 @@
+from math import degrees, radians
+
+import numpy as np
+import pytest
+
+from services.core.fusion.alignment.levelling import Levelling, level, rest_gyroscope_bias
+from services.core.fusion.settings import Settings
+from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n
+from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body, roll_pitch_yaw
+
+STEP_S = 0.01
+UP: Vector = (0.0, 0.0, -STANDARD_GRAVITY)
+NOTHING: Vector = (0.0, 0.0, 0.0)
+
+
+def feed(levelling: Levelling, seconds: float, force: Vector, rate: Vector = NOTHING, *, shake: float = 0.0) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(round(seconds / STEP_S)):
+        x, y, z = (np.array(force) + shake * rng.standard_normal(3)).tolist()
+        a, b, c = (np.array(rate) + 0.02 * shake * rng.standard_normal(3)).tolist()
+        levelling.advance((x, y, z), (a, b, c), STEP_S)
+
+
+@pytest.mark.parametrize("roll_pitch", [(0.0, 0.0), (0.3, -0.2), (-3.0, 1.2)])
+def test_roll_and_pitch_are_read_off_the_force_at_rest(roll_pitch: tuple[float, float]) -> None:
+    force = ned_from_body(*roll_pitch, 1.0).T @ np.array(UP)
+    x, y, z = force.tolist()
+    assert level((x, y, z)) == pytest.approx(roll_pitch, abs=1e-12)
+
+
+def test_a_bias_of_two_thousandths_of_gravity_tilts_by_a_tenth_of_a_degree() -> None:
+    bias = 2e-3 * STANDARD_GRAVITY
+    assert degrees(level((bias, 0.0, -STANDARD_GRAVITY))[1]) == pytest.approx(0.115, abs=0.001)
+    assert abs(degrees(level((0.0, bias, -STANDARD_GRAVITY))[0])) == pytest.approx(0.115, abs=0.001)
+
+
+def test_the_gyroscope_bias_at_rest_is_what_the_earth_does_not_explain() -> None:
+    attitude, bias = ned_from_body(0.1, 0.2, 2.0), np.array([1e-3, -2e-3, 5e-4])
+    earth = earth_rate_n(radians(42.0))
+    x, y, z = (attitude.T @ np.array(earth) + bias).tolist()
+    assert rest_gyroscope_bias((x, y, z), attitude, earth) == pytest.approx(bias, abs=1e-15)
+
+
+def test_a_rest_of_fifteen_seconds_ends_the_levelling() -> None:
+    levelling = Levelling(Settings())
+    feed(levelling, 14.9, UP, (0.002, 0.0, -0.001))
+    assert levelling.at_rest and not levelling.ready
+    feed(levelling, 0.2, UP, (0.002, 0.0, -0.001))
+    assert levelling.ready
+    assert levelling.rate_bias == pytest.approx((0.002, 0.0, -0.001), abs=1e-12)
+
+
+def test_a_vehicle_that_drives_off_is_not_waited_for() -> None:
+    levelling = Levelling(Settings())
+    feed(levelling, 3.0, UP)
+    feed(levelling, 1.0, (1.5, 0.0, -STANDARD_GRAVITY))
+    assert levelling.ready and not levelling.at_rest
+
+
+def test_a_vehicle_in_motion_is_levelled_while_it_drives() -> None:
+    """Twenty seconds of turns, braking and accelerating leave no more than two degrees of tilt."""
+    levelling = Levelling(Settings())
+    for forward, right in ((1.5, 0.5), (0.0, 2.0), (-1.5, -0.5), (0.0, -2.0)) * 5:
+        feed(levelling, 1.0, (forward, right, -STANDARD_GRAVITY))
+    assert levelling.ready
+    assert levelling.quaternion_at_rest is None
+    roll, pitch, _ = roll_pitch_yaw(matrix_from_quaternion(levelling.quaternion))
+    assert max(abs(degrees(roll)), abs(degrees(pitch))) < 2.0
+    assert levelling.tilt_sd > radians(2.0)
+
+
+def test_an_idling_engine_does_not_hide_a_rest() -> None:
+    """Single samples shake by 0.7 m/s² and 0.014 rad/s, as recorded in a car at rest."""
+    levelling = Levelling(Settings())
+    feed(levelling, 15.0, UP, (0.001, 0.0, 0.0), shake=0.7)
+    assert levelling.at_rest
+    assert levelling.rate_bias == pytest.approx((0.001, 0.0, 0.0), abs=2e-3)
+
+
+def test_a_creep_after_a_rest_is_not_taken_for_a_rest() -> None:
+    """Rolling evenly for two seconds while turning by 0.2 degrees a second leaves the bias as it was."""
+    levelling = Levelling(Settings())
+    feed(levelling, 10.0, UP)
+    feed(levelling, 0.5, (1.0, 0.0, -STANDARD_GRAVITY))
+    feed(levelling, 3.0, UP, (0.0, 0.0, radians(0.2)))
+    assert not levelling.at_rest
+    assert levelling.rate_bias == pytest.approx(NOTHING, abs=1e-12)
+
+
+def test_a_motion_that_gnss_sees_is_no_rest() -> None:
+    levelling = Levelling(Settings())
+    for _ in range(10):
+        levelling.see_speed(30.0)
+        feed(levelling, 1.0, UP)
+    assert not levelling.at_rest
+
+
+def test_a_rest_that_was_none_is_taken_back() -> None:
+    """Even motion looks like a rest until positions tell; what it has taught is forgotten, and it counts as motion."""
+    levelling = Levelling(Settings())
+    feed(levelling, 4.0, UP, (0.0, 0.0, 0.01))
+    assert levelling.at_rest and levelling.rate_bias[2] == pytest.approx(0.01)
+    levelling.forget_rest()
+    assert not levelling.at_rest and levelling.quaternion_at_rest is None and levelling.yaw_at_start is None
+    assert levelling.rate_bias == NOTHING
+    feed(levelling, 0.5, UP)
+    assert levelling.ready, "after three seconds of motion levelling goes on while navigating"
+
+
+def test_the_velocity_gained_since_a_rest_is_summed_up() -> None:
+    levelling = Levelling(Settings())
+    feed(levelling, 5.0, UP)
+    feed(levelling, 3.0, (1.0, 0.0, -STANDARD_GRAVITY))
+    assert levelling.velocity == pytest.approx((3.0, 0.0), abs=0.01)
+    assert levelling.moving_s == pytest.approx(3.0, abs=0.01)
+
+
+def test_waiting_at_rest_for_hours_does_not_tilt_the_level_frame() -> None:
+    """The Earth turns by 15 degrees an hour; an hour in fast motion: the same turn in 36 s of half-second blocks."""
+    levelling = Levelling(Settings())
+    for hour in range(72):
+        feed(levelling, 0.5, UP, (radians(0.01 * hour / 72), 0.0, 0.0))
+    roll, pitch, _ = roll_pitch_yaw(matrix_from_quaternion(levelling.quaternion))
+    assert (roll, pitch) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_a_fork_goes_its_own_way() -> None:
+    levelling = Levelling(Settings())
+    feed(levelling, 5.0, UP)
+    twin = levelling.fork()
+    feed(levelling, 5.0, (2.0, 0.0, -STANDARD_GRAVITY))
+    assert twin.at_rest and not levelling.at_rest
+    assert twin.velocity == (0.0, 0.0)

@@ -1,0 +1,312 @@
+"""The error model against finite differences of the mechanisation, and against its own equations in matrices."""
+
+from collections.abc import Sequence
+from math import cos, hypot, sin, tan
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.linalg import expm
+
+from services.core.fusion.filter import error_model as em
+from services.core.fusion.filter import strapdown
+from services.core.fusion.filter.eskf import ErrorStateFilter
+from services.core.fusion.filter.kalman import predict
+from services.core.fusion.filter.strapdown import InertialState
+from services.core.fusion.measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
+from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
+from services.core.fusion.settings import Settings
+from shared.maths.earth import (
+    EARTH_RATE,
+    ECCENTRICITY_SQUARED,
+    Geodetic,
+    curvature_radii,
+    earth_rate_n,
+    geodetic_from_ned_difference,
+    gravity,
+    ned_from_geodetic_difference,
+    transport_rate_n,
+)
+from shared.maths.rotation import (
+    Vector,
+    matrix_from_quaternion,
+    matrix_from_rotation_vector,
+    ned_from_body,
+    quaternion_from_matrix,
+    rotation_vector_from_matrix,
+    skew,
+)
+
+FloatArray = npt.NDArray[np.float64]
+
+LATITUDE, HEIGHT = 0.74, 1500.0
+VELOCITY = (120.0, -180.0, 15.0)
+FORCE_N = (1.2, -0.7, -9.6)
+ATTITUDE = ned_from_body(0.1, -0.2, 0.7)
+RATE: Vector = (0.05, -0.02, 0.3)
+STATE = InertialState(0, quaternion_from_matrix(ATTITUDE), VELOCITY, Geodetic(LATITUDE, 0.2, HEIGHT))
+MOTION = strapdown.motion_of(STATE)
+STEP_NS = 1_000_000
+PERTURBATION = np.repeat([1e-3, 1.0, 1000.0, 1.0, 1e-3, 0.01, 1e-3], 3)
+NEGLECTED = {0: 1e-9, 3: 0.01, 6: 0.01}  # by first row: what the length of the step leaves where the model has nought
+
+
+def vector(array: FloatArray) -> Vector:
+    x, y, z = array.tolist()
+    return x, y, z
+
+
+def disturbed(state: InertialState, error: FloatArray) -> InertialState:
+    """What an estimate looks like whose error, estimated minus true, is given."""
+    matrix = matrix_from_rotation_vector(error[em.ATTITUDE]) @ matrix_from_quaternion(state.quaternion)
+    return InertialState(
+        state.time_ns,
+        quaternion_from_matrix(matrix),
+        vector(np.add(state.velocity, error[em.VELOCITY])),
+        geodetic_from_ned_difference(vector(error[em.POSITION]), state.position),
+    )
+
+
+def error_of(estimate: InertialState, truth: InertialState) -> FloatArray:
+    """Estimated minus true, in the order of the first nine states."""
+    turned = matrix_from_quaternion(estimate.quaternion) @ matrix_from_quaternion(truth.quaternion).T
+    return np.concatenate(
+        [
+            rotation_vector_from_matrix(turned),
+            np.subtract(estimate.velocity, truth.velocity),
+            ned_from_geodetic_difference(estimate.position, truth.position),
+        ]
+    )
+
+
+@pytest.fixture
+def differences(monkeypatch: pytest.MonkeyPatch) -> FloatArray:
+    """Derivative of the first nine errors by all that drive them, with gravity of one latitude."""
+    parallel = strapdown.parallel
+    monkeypatch.setattr(strapdown, "parallel", lambda latitude: (*parallel(latitude)[:4], *parallel(LATITUDE)[4:]))
+    force, rate = vector(ATTITUDE.T @ np.array(FORCE_N)), RATE
+
+    def after(error: FloatArray) -> FloatArray:
+        wrong_force = vector(np.array(force) * (1.0 + error[em.ACCELEROMETER_SCALE]) + error[em.ACCELEROMETER_BIAS])
+        wrong_rate = vector(np.array(rate) * (1.0 + error[em.GYROSCOPE_SCALE]) + error[em.GYROSCOPE_BIAS])
+        estimate, _ = strapdown.propagate(disturbed(STATE, error), wrong_force, wrong_rate, STEP_NS)
+        truth, _ = strapdown.propagate(STATE, force, rate, STEP_NS)
+        return (error_of(estimate, truth) - error[:9]) / (STEP_NS * 1e-9)
+
+    columns = []
+    for j, size in enumerate(PERTURBATION):
+        step = np.zeros(em.DRIVING)
+        step[j] = size
+        columns.append((after(step) - after(-step)) / (2.0 * size))
+    return np.array(columns).T
+
+
+BLOCKS = [
+    (row, column)
+    for row in (em.ATTITUDE, em.VELOCITY, em.POSITION)
+    for column in (
+        em.ATTITUDE,
+        em.VELOCITY,
+        em.POSITION,
+        em.ACCELEROMETER_BIAS,
+        em.GYROSCOPE_BIAS,
+        em.ACCELEROMETER_SCALE,
+        em.GYROSCOPE_SCALE,
+    )
+]
+
+
+def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differences: FloatArray) -> None:
+    F = em.system_matrix(MOTION, FORCE_N, RATE)
+    one_percent = 0.01
+    for row, column in BLOCKS:
+        size = np.linalg.norm(F[row, column])
+        limit = one_percent * size if size else NEGLECTED[row.start]
+        assert np.linalg.norm(differences[row, column] - F[row, column]) <= limit, (row, column)
+
+
+def test_the_transition_is_that_of_the_matrix_exponential_to_first_order() -> None:
+    step_s = 1e-4
+    F = np.zeros((em.SIZE, em.SIZE))
+    F[: em.MOVING, : em.DRIVING] = em.system_matrix(MOTION, FORCE_N, RATE)
+    Phi = em.transition_matrix(em.error_rates(MOTION, FORCE_N, RATE), step_s, 1.0)
+    assert Phi == pytest.approx(expm(F * step_s), abs=1e-6)
+    assert Phi == pytest.approx(np.eye(em.SIZE) + F * step_s, abs=1e-15)
+
+
+def test_lasting_errors_decay_exactly_at_any_step() -> None:
+    """Two halves are a whole, what is apart from them is left alone, and they end at variance one."""
+    root = np.random.default_rng(4).standard_normal((em.SIZE, em.SIZE))
+    at_rest, steady, calm = (0.0,) * len(em.PLACES), (0.0,) * 5, np.zeros(em.SIZE)
+
+    def decayed(P: FloatArray, remains: float) -> FloatArray:
+        Phi = em.transition_matrix(at_rest, 1.0, remains)
+        return predict(P, Phi, em.added_variances(calm, steady, 1.0, 1.0, remains))
+
+    P = root @ root.T
+    whole = decayed(P, np.exp(-1.0))
+    assert decayed(decayed(P, np.exp(-0.5)), np.exp(-0.5)) == pytest.approx(whole, abs=1e-12)
+    assert (whole[: em.DRIVING, : em.DRIVING] == P[: em.DRIVING, : em.DRIVING]).all()
+    assert decayed(P, 0.0)[em.GNSS_ERROR, em.GNSS_ERROR] == pytest.approx(np.eye(3))
+
+
+def test_vibration_adds_what_the_settings_lack() -> None:
+    density, shaking = em.noise_density((em.ATTITUDE, 2.0), (em.VELOCITY, 3.0)), (10.0, 1.0, 0.0, 0.0, 0.0)
+    added = em.added_variances(density, shaking, 0.5, 0.1, 1.0)
+    assert added[em.ATTITUDE] == pytest.approx(np.full(3, 0.2))
+    assert added[em.VELOCITY] == pytest.approx(np.full(3, 0.5))
+    assert not added[em.POSITION.start :].any()
+
+
+def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
+    F = em.system_matrix(MOTION, FORCE_N, RATE)
+    latitude_scale, east_scale = curvature_radii(LATITUDE)
+    m, t, tangent = latitude_scale + HEIGHT, east_scale + HEIGHT, tan(LATITUDE)
+    north, east, _ = VELOCITY
+    earth = np.array(earth_rate_n(LATITUDE))
+    transport = np.array(transport_rate_n(LATITUDE, HEIGHT, VELOCITY))
+    by_velocity = np.array([[0.0, 1.0 / t, 0.0], [-1.0 / m, 0.0, 0.0], [0.0, -tangent / t, 0.0]])
+    earth_by_position = np.zeros((3, 3))
+    earth_by_position[:, 0] = np.array([-sin(LATITUDE), 0.0, -cos(LATITUDE)]) * EARTH_RATE / m
+    transport_by_position = np.array(
+        [
+            [0.0, 0.0, east / t**2],
+            [0.0, 0.0, -north / m**2],
+            [-east / cos(LATITUDE) ** 2 / (t * m), 0.0, -east * tangent / t**2],
+        ]
+    )
+    geocentric_radius = east_scale * hypot(cos(LATITUDE), (1.0 - ECCENTRICITY_SQUARED) * sin(LATITUDE))
+    free_air = np.zeros((3, 3))
+    free_air[2, 2] = 2.0 * gravity(LATITUDE, 0.0) / geocentric_radius
+    expected = {
+        (em.ATTITUDE.start, em.ATTITUDE.start): -skew(earth + transport),
+        (em.ATTITUDE.start, em.VELOCITY.start): -by_velocity,
+        (em.ATTITUDE.start, em.POSITION.start): -(earth_by_position + transport_by_position),
+        (em.ATTITUDE.start, em.GYROSCOPE_BIAS.start): ATTITUDE,
+        (em.VELOCITY.start, em.ATTITUDE.start): -skew(FORCE_N),
+        (em.VELOCITY.start, em.VELOCITY.start): skew(VELOCITY) @ by_velocity - skew(transport + 2.0 * earth),
+        (em.VELOCITY.start, em.POSITION.start): skew(VELOCITY) @ (transport_by_position + 2.0 * earth_by_position)
+        + free_air,
+        (em.VELOCITY.start, em.ACCELEROMETER_BIAS.start): ATTITUDE,
+        (em.POSITION.start, em.VELOCITY.start): np.eye(3),
+        (em.VELOCITY.start, em.ACCELEROMETER_SCALE.start): ATTITUDE @ np.diag(ATTITUDE.T @ np.array(FORCE_N)),
+        (em.ATTITUDE.start, em.GYROSCOPE_SCALE.start): ATTITUDE @ np.diag(RATE),
+    }
+    for (row, column), block in expected.items():
+        assert F[row : row + 3, column : column + 3] == pytest.approx(block, rel=1e-12, abs=1e-19), (row, column)
+    assert not F[em.POSITION, em.ATTITUDE].any() and not F[em.POSITION, em.ACCELEROMETER_BIAS.start :].any()
+
+
+def navigation(error: FloatArray) -> ErrorStateFilter:
+    """Filter that is wrong by an error; the biases of the error are what is left after correction."""
+    wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
+    wrong.rate = vector(np.array(RATE) + error[em.GYROSCOPE_BIAS])
+    wrong._shaking = (0.0, 0.0, *SWAY)  # what the last samples have left
+    wrong.parameters = (*(np.array(VEHICLE) + error[em.VEHICLE]).tolist(), *error[em.VEHICLE.stop :].tolist())
+    return wrong
+
+
+SWAY: Vector = (1.2, -0.7, 0.3)  # [m/s²]
+VEHICLE: Vector = (0.03, 0.1, -0.07)  # scale error of the odometer, pitch and yaw of the mounting
+ARM: Vector = (0.3, -0.5, -1.2)
+ANTENNA = geodetic_from_ned_difference(vector(ATTITUDE @ np.array(ARM)), STATE.position)
+PERFECT = navigation(np.zeros(em.SIZE))
+
+
+@pytest.mark.parametrize(
+    "measurement",
+    [
+        GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0),
+        GnssPosition(0, 0, "", ANTENNA, np.diag([1.0, 4.0, 9.0]) + 0.5, 3, ARM, 0.0, lasts=True),
+        GnssVelocity(0, 0, "", vector(np.array(VELOCITY) + antenna_velocity(PERFECT, ARM)), np.eye(3), 3, ARM),
+    ],
+    ids=["position", "position with an error that lasts", "velocity"],
+)
+def test_the_measurement_matrices_agree_with_finite_differences(measurement: GnssPosition | GnssVelocity) -> None:
+    seen = measurement.observe(PERFECT)
+    assert seen.z == pytest.approx(np.zeros(3), abs=1e-8)
+    for j in range(em.SIZE):
+        step = np.zeros(em.SIZE)
+        step[j] = 1e-4
+        ahead, behind = measurement.observe(navigation(step)).z, measurement.observe(navigation(-step)).z
+        earth_rate_term = 1e-4  # of the lever arm, which H leaves out
+        assert (ahead - behind) / 2e-4 == pytest.approx(seen.H[:, j], abs=earth_rate_term)
+
+
+AXLE = vector(
+    ned_from_body(0.0, *VEHICLE[1:]) @ (ATTITUDE.T @ np.array(VELOCITY) + np.cross(RATE, ARM))  # [m/s, vehicle]
+)
+
+
+@pytest.mark.parametrize(
+    ("measurement", "predicted"),
+    [
+        (WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(rear_axle_body_m=ARM)), [1.03 * AXLE[0]]),
+        (NonHolonomic(0, Settings(rear_axle_body_m=ARM)), AXLE[1:]),
+    ],
+    ids=["odometer", "non-holonomic"],
+)
+def test_the_matrices_of_the_wheels_agree_with_finite_differences(
+    measurement: WheelSpeed | NonHolonomic, predicted: Sequence[float]
+) -> None:
+    seen = measurement.observe(PERFECT)
+    assert -seen.z == pytest.approx(np.array(predicted)), "a wheel that stands, and one that does not slide"
+    for j in range(em.SIZE):
+        step = np.zeros(em.SIZE)
+        step[j] = 1e-5
+        ahead, behind = measurement.observe(navigation(step)).z, measurement.observe(navigation(-step)).z
+        assert (ahead - behind) / 2e-5 == pytest.approx(seen.H[:, j], rel=1e-6, abs=1e-6)
+
+
+def test_the_noise_goes_where_its_name_says() -> None:
+    noise = em.noise_density((em.ATTITUDE, 1.0), (em.GYROSCOPE_BIAS, 4.0), (em.ODOMETER_SCALE, 5.0))
+    assert noise[em.ATTITUDE].tolist() == [1.0] * 3 and noise[em.GYROSCOPE_BIAS].tolist() == [4.0] * 3
+    assert noise[em.ODOMETER_SCALE] == 5.0 and noise.sum() == 20.0
+
+
+def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:
+    defaults = Settings()
+    assert defaults.angle_random_walk_rad_sqrt_s**2 == pytest.approx(1.493e-8, rel=1e-3)
+    assert defaults.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)
+
+
+LEFT_S = 0.03  # of a delay, that no stamp was moved by
+
+
+@pytest.mark.parametrize(
+    "measurement",
+    [
+        GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=-LEFT_S),
+        GnssVelocity(0, 0, "", VELOCITY, np.eye(3), 3, ARM, removed_s=-LEFT_S),
+        WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(rear_axle_body_m=ARM), removed_s=-LEFT_S),
+    ],
+    ids=["position", "velocity", "odometer"],
+)
+def test_the_matrices_of_delays_agree_with_finite_differences(
+    measurement: GnssPosition | GnssVelocity | WheelSpeed,
+) -> None:
+    """All columns; those of the acceleration times what is left of a delay, some mm/s a degree, are left out of H."""
+    seen = measurement.observe(PERFECT)
+    neglected = LEFT_S * hypot(*SWAY) * 1.1
+    for j in range(em.SIZE):
+        step = np.zeros(em.SIZE)
+        step[j] = 1e-4
+        ahead, behind = measurement.observe(navigation(step)).z, measurement.observe(navigation(-step)).z
+        delay = j in em.DELAYS
+        assert (ahead - behind) / 2e-4 == pytest.approx(seen.H[:, j], abs=1e-4 if delay else neglected), j
+    assert seen.H[:, em.DELAYS].any(axis=0).sum() == (2 if isinstance(measurement, GnssVelocity) else 1)
+
+
+def test_a_delay_is_that_by_which_what_is_measured_is_older() -> None:
+    """Position and velocity of the antenna a moment ago agree with a filter that knows of the delay."""
+    then_s, v, a = 0.05, np.array(VELOCITY) + antenna_velocity(PERFECT, ARM), np.array(SWAY)
+    old = geodetic_from_ned_difference(vector(-then_s * v + 0.5 * then_s**2 * a), ANTENNA)
+    knowing = np.zeros(em.SIZE)
+    knowing[em.GNSS_DELAY], knowing[em.GNSS_VELOCITY_DELAY] = 0.02, 0.03
+    velocity = GnssVelocity(0, 0, "", vector(v - then_s * a), np.eye(3), 3, ARM)
+    assert velocity.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=1e-9)
+    knowing[em.GNSS_DELAY] = 0.05
+    position = GnssPosition(0, 0, "", old, np.eye(3), 3, ARM, 0.0)
+    assert position.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=2e-4), "the Earth is round"
+    moved = GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=0.05)
+    assert moved.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=1e-8)

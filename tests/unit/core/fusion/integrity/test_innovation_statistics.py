@@ -1,0 +1,153 @@
+"""Whether the filter is as good as it says: errors over standard deviations, and what no filter can do better."""
+
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import chi2
+
+from cli.papers.navigation import navigate, position_errors, saved_heading
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.core.fusion.solution import Solution
+from services.sensors.simulator.drive import Drive, simulate
+from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
+from services.sensors.simulator.scenarios import scenario_of, with_error
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.maths.rotation import ned_from_body, rotation_vector_from_matrix
+
+FloatArray = npt.NDArray[np.float64]
+RUNS = 8
+WHITE = InjectedError(ErrorKind.WHITE, (3.07, 1.99, 1.56), exact=True)
+LASTING = InjectedError(ErrorKind.GAUSS_MARKOV, (3.07, 1.99, 1.56), correlation_s=60.0)
+
+
+def follow(drive: Drive, instants_s: tuple[float, ...], covariance_period_s: float = 0.05) -> list[Solution]:
+    """Solutions at given instants."""
+    settings = Settings(lever_arm_body_m=drive.lever_arm_b, covariance_period_s=covariance_period_s)
+    navigator = Navigator(settings)
+    navigator.remember(saved_heading(drive, radians(1.5)))
+    times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
+    found, fix = [], 0
+    for i, time_ns in enumerate(times):
+        while fix < len(drive.fix_ns) and drive.fix_ns[fix] <= time_ns:
+            velocity, place = drive.fix_velocity_n[fix].tolist(), Geodetic(*drive.fix_position[fix].tolist())
+            sd, speed_sd = drive.fix_position_sd_n[fix].tolist(), drive.fix_velocity_sd_n[fix].tolist()
+            navigator.fix(time_ns, position=place, velocity=velocity, position_sd=sd, velocity_sd=speed_sd)
+            fix += 1
+        navigator.imu(time_ns, forces[i], rates[i])
+        if time_ns in [round(t * 1e9) for t in instants_s]:
+            solution = navigator.solution()
+            assert solution is not None
+            found.append(solution)
+    return found
+
+
+def errors(drive: Drive, solution: Solution) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Estimated minus true position, velocity and attitude."""
+    i = round(solution.time_ns / 1e7) - 1
+    truth = Geodetic(*drive.position[i].tolist())
+    turned = ned_from_body(solution.roll, solution.pitch, solution.yaw) @ ned_from_body(*drive.attitude[i]).T
+    return (
+        np.array(ned_from_geodetic_difference(solution.position, truth)),
+        np.array(solution.velocity) - drive.velocity_n[i],
+        rotation_vector_from_matrix(turned),
+    )
+
+
+@pytest.fixture(scope="module", params=[WHITE, LASTING], ids=["white", "60 s"])
+def sizes(request: pytest.FixtureRequest) -> FloatArray:
+    """Normalised errors squared, shape (runs, instants, 3 kinds)."""
+    instants = (70.0, 100.0)  # by when the filter knows that the errors are white
+    rows = []
+    for seed in range(RUNS):
+        drive = simulate(with_error(scenario_of("parking_lot"), request.param), seed, duration_s=101.0)
+        row = []
+        for solution in follow(drive, instants):
+            covs = (solution.position_cov, solution.velocity_cov, solution.attitude_cov)
+            row.append([e @ np.linalg.solve(P, e) for e, P in zip(errors(drive, solution), covs, strict=True)])
+        rows.append(row)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2], ids=["position", "velocity", "attitude"])
+def test_normalised_errors_squared_lie_in_their_band(
+    sizes: FloatArray, kind: int, request: pytest.FixtureRequest
+) -> None:
+    """Their sum over independent runs is chi-square with three degrees of freedom a run; 99 % band of it.
+
+    Positions with white errors may be better than they say: 5 % of the variance is held for a base error that no fix
+    can show, and these have none. Attitude may be a little: the simulated rests are perfect, and the filter does not
+    count on it.
+    """
+    low, high = chi2.ppf(0.005, 3 * RUNS), chi2.isf(0.005, 3 * RUNS)
+    if kind == 0 and "white" in request.node.name:
+        low *= 0.2
+    if kind == 2:
+        low *= 0.9
+    totals: FloatArray = sizes[:, :, kind].sum(axis=0)
+    assert (low < totals).all() and (totals < high).all(), totals
+
+
+def test_no_error_is_beyond_what_its_covariance_allows(sizes: FloatArray) -> None:
+    assert (sizes < chi2.isf(0.0001, 3)).all()
+
+
+def test_errors_are_within_three_sigma_in_99_percent_of_the_time() -> None:
+    inside = []
+    for seed in (20, 21):
+        drive = simulate(with_error(scenario_of("parking_lot"), WHITE), seed, duration_s=100.0)
+        for solution in follow(drive, tuple(range(20, 100, 2))):
+            position = errors(drive, solution)[0]
+            inside += (np.abs(position) < 3.0 * np.sqrt(solution.position_cov.diagonal())).tolist()
+    assert len(inside) == 2 * 40 * 3
+    assert np.mean(inside) >= 0.99
+
+
+def test_how_often_the_covariance_is_brought_up_hardly_matters() -> None:
+    """Reference: 1.04 m of RMSE with the covariance at 1 Hz, 1.05 m at 10 and at 100 Hz."""
+    error = InjectedError(ErrorKind.GAUSS_MARKOV, (3.07, 1.99, 1.56), exact=True)
+    drive, sizes = simulate(with_error(scenario_of("parking_lot"), error), 3, duration_s=90.0), []
+    for period_s in (0.01, 0.1, 1.0):
+        found = [errors(drive, solution)[0] for solution in follow(drive, tuple(range(25, 90, 5)), period_s)]
+        sizes.append(np.sqrt((np.array(found) ** 2).sum(axis=1).mean()))
+    assert sizes[1:] == pytest.approx([sizes[0]] * 2, rel=0.05), sizes
+
+
+def test_a_perfect_receiver_leaves_millimetres() -> None:
+    """Positions to 1 mm and velocities to 0.1 mm/s, ideal inertial readings: at most 5 mm."""
+    drive, rng = simulate("parking_lot", seed=5, duration_s=60.0), np.random.default_rng(1)
+    precise = {"gnss_position_sd_floor_m": 1e-3, "gnss_velocity_sd_floor_m_s": 1e-4, "gnss_time_sd_s": 0.0}
+    navigator = Navigator(Settings.model_validate(precise))
+    navigator.remember(saved_heading(drive, radians(0.1)))
+    found = []
+    for i, time_ns in enumerate(drive.t_ns.tolist()):
+        if time_ns % 10**9 == 0:
+            north, east, down = (drive.velocity_n[i] + 1e-4 * rng.standard_normal(3)).tolist()
+            noise = (1e-3 * rng.standard_normal(3)).tolist()
+            place = geodetic_from_ned_difference((noise[0], noise[1], noise[2]), Geodetic(*drive.position[i].tolist()))
+            sd, speed_sd = (1e-3, 1e-3, 1e-3), (1e-4, 1e-4, 1e-4)
+            navigator.fix(time_ns, position=place, velocity=(north, east, down), position_sd=sd, velocity_sd=speed_sd)
+        navigator.imu(time_ns, drive.ideal_force_b[i].tolist(), drive.ideal_rate_b[i].tolist())
+        solution = navigator.solution() if time_ns > 40e9 and i % 10 == 0 else None
+        if solution:
+            found.append(errors(drive, solution)[0])
+    assert len(found) == 200
+    assert np.sqrt((np.array(found) ** 2).mean(axis=0)).max() < 0.005
+
+
+def test_an_outage_of_ten_seconds_costs_less_than_a_metre_or_two() -> None:
+    """Reference: median 0.31 m and 95 % 0.56 m with standstill aiding; here the worst of four."""
+    ends = []
+    for seed in range(4):
+        drive = simulate("parking_lot", seed, duration_s=95.0)
+        hidden = (drive.fix_ns > 80e9) & (drive.fix_ns <= 90e9)
+        drive.fix_valid[hidden] = False
+        navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b))
+        navigator.remember(saved_heading(drive, radians(1.5)))
+        track = navigate(drive, navigator)
+        at_end = np.argmin(np.abs(drive.t_ns[track.index] - 90e9))
+        ends.append(float(np.hypot(*position_errors(drive, track)[at_end, :2])))
+    assert np.median(ends) < 1.0
+    assert max(ends) < 2.0

@@ -1,0 +1,263 @@
+"""Protection levels: the exact radius, and that nothing makes a level smaller than the covariance says."""
+
+from dataclasses import replace
+from math import cos, exp, hypot, log, pi, sin, sqrt
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from services.core.fusion.filter.kalman import chi_square_limit, correct
+from services.core.fusion.integrity.error_monitor import Watch
+from services.core.fusion.integrity.innovation_statistics import ESTIMATED, RARE, Evidence
+from services.core.fusion.integrity.protection_levels import (
+    FAULT_PROBABILITY,
+    LARGEST_M,
+    circle_factor,
+    horizontal_level,
+    horizontal_level_with_fault,
+    line_factor,
+    probability_outside,
+    protection_levels,
+    vertical_level,
+    vertical_level_with_fault,
+)
+
+SECOND_NS = 1_000_000_000
+RISKS = (1e-1, 1e-3, 1e-5, 1e-7)
+FloatArray = npt.NDArray[np.float64]
+COV = ((4.0, 1.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 9.0))
+
+
+def outside_by_integration(radius: float, sd_major: float, sd_minor: float) -> float:
+    """Integrate the density over chords: another way than that of the code."""
+
+    def chord(angle: float) -> float:
+        x, reach = radius * sin(angle), radius * cos(angle)
+        return float(norm.pdf(x, scale=sd_major) * 2.0 * norm.sf(reach, scale=sd_minor) * reach)
+
+    inside, _ = quad(chord, 0.0, pi / 2.0, epsabs=0.0, epsrel=1e-11, limit=400)
+    return float(2.0 * inside + 2.0 * norm.sf(radius, scale=sd_major))
+
+
+@pytest.mark.parametrize("sd_minor", [1.0, 0.7, 0.3, 0.1, 1.0 / 32.0])
+@pytest.mark.parametrize("radius", [0.5, 2.0, 3.7, 5.5])
+def test_the_probability_outside_a_circle_is_that_of_the_integral(radius: float, sd_minor: float) -> None:
+    found = probability_outside(np.array([radius]), np.array([sd_minor]))
+    assert found == pytest.approx(outside_by_integration(radius, 1.0, sd_minor), rel=1e-6)
+
+
+def test_the_limits_are_rayleigh_and_normal() -> None:
+    for risk in RISKS:
+        assert circle_factor(1.0, risk) == pytest.approx(sqrt(-2.0 * log(risk)), rel=1e-9)
+        assert circle_factor(0.0, risk) == pytest.approx(norm.isf(risk / 2.0), rel=1e-8)
+        assert line_factor(risk) == pytest.approx(norm.isf(risk / 2.0), rel=1e-8)
+
+
+@pytest.mark.parametrize("risk", RISKS)
+def test_between_the_limits_the_factor_is_exact_to_its_tolerance(risk: float) -> None:
+    for ratio in np.linspace(0.03, 0.99, 25).tolist():
+        factor = circle_factor(ratio, risk)
+        assert outside_by_integration(factor, 1.0, ratio) <= risk * (1.0 + 1e-5), "never too little"
+        assert outside_by_integration(factor - 3e-3, 1.0, ratio) >= risk
+
+
+def test_of_a_million_draws_a_thousandth_lies_outside() -> None:
+    rng = np.random.default_rng(3)
+    cov = np.array([[4.0, 1.8], [1.8, 1.0]])
+    draws = rng.multivariate_normal(np.zeros(2), cov, size=1_000_000)
+    outside = (np.hypot(*draws.T) > horizontal_level(4.0, 1.8, 1.0, 1e-3)).sum()
+    assert abs(outside - 1000) < 4.0 * sqrt(1000)
+
+
+@given(st.floats(0.0, 6.3), st.floats(0.01, 50.0), st.floats(0.0, 1.0))
+def test_a_level_does_not_depend_on_where_north_is(turn: float, major: float, ratio: float) -> None:
+    C = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    cov = C @ np.diag([major**2, (ratio * major) ** 2]) @ C.T
+    level = horizontal_level(cov[0, 0], cov[0, 1], cov[1, 1], 1e-3)
+    assert level == pytest.approx(major * circle_factor(ratio, 1e-3), rel=1e-6)
+
+
+KNOWING = Watch(used_ns=SECOND_NS, anchored=(4.0, 1.0, 2.0, 9.0))
+
+
+def watch(
+    position: Evidence | None = None,
+    *,
+    anchored: tuple[float, float, float, float] = KNOWING.anchored,
+    pulled: tuple[float, float] = (0.0, 0.0),
+    contested: tuple[float, float] = (0.0, 0.0),
+) -> Watch:
+    """Make one that knows nothing but that a position was just used."""
+    known = learnt(white(400)) if position is None else position
+    return replace(KNOWING, position=known, anchored=anchored, pulled=pulled, contested=contested)
+
+
+def white(count: int, seed: int = 1) -> FloatArray:
+    return np.random.default_rng(seed).standard_normal((count, 3))
+
+
+def correlated(count: int, correlation_s: float, seed: int = 1) -> FloatArray:
+    draws, phi = white(count, seed), exp(-1.0 / correlation_s)
+    for k in range(1, count):
+        draws[k] = phi * draws[k - 1] + sqrt(1.0 - phi**2) * draws[k]
+    return draws
+
+
+def learnt(innovations: FloatArray, sd: float = 2.0) -> Evidence:
+    """Learn from one innovation a second, given in units of the standard deviation that is expected."""
+    found = Evidence()
+    for k, row in enumerate(innovations.tolist()):
+        found = found.after((k + 1) * SECOND_NS, [sd * u for u in row], (sd, sd, sd))
+    return found
+
+
+def levels(seen: Watch, *, after_s: float = 0.0, cov: object = COV, velocity: float = 0.0) -> tuple[float, float]:
+    found = protection_levels(
+        cov,  # type: ignore[arg-type]  # some of these are wrong on purpose
+        (velocity, 0.0, 0.0),
+        SECOND_NS + round(after_s * 1e9),
+        seen,
+        risk=1e-3,
+        time_sd_s=0.002,
+    )
+    return found.horizontal, found.vertical
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-20.0, 20.0)] * 3), min_size=0, max_size=30),
+    st.floats(0.0, 100.0),
+    st.floats(0.0, 60.0),
+)
+def test_nothing_makes_a_level_smaller_than_the_covariance_says(
+    innovations: list[tuple[float, float, float]], after_s: float, velocity: float
+) -> None:
+    seen = watch(position=learnt(np.array(innovations).reshape(-1, 3)))
+    horizontal, vertical = levels(seen, after_s=after_s, velocity=velocity)
+    assert horizontal >= horizontal_level(4.0, 1.0, 2.0, 1e-3)
+    assert vertical >= vertical_level(9.0, 1e-3)
+
+
+def test_white_innovations_add_little_and_correlated_ones_what_they_hide() -> None:
+    quiet = np.median([levels(watch(position=learnt(white(400, seed))))[0] for seed in range(20)])
+    assert quiet < 1.3 * horizontal_level(4.0, 1.0, 2.0, 5e-4)
+    lasting = np.array([[learnt(correlated(400, 60.0, seed)).lasting(axis) for axis in range(3)] for seed in range(5)])
+    assert lasting.mean() > 0.4 * 4.0 and lasting.max() <= 4.0, "most of (2 m)², and never more"
+
+
+def test_innovations_that_are_far_too_small_are_not_taken_for_a_large_error() -> None:
+    """A receiver that states metres and errs by centimetres, and the half of it that the filter may have followed."""
+    evidence = learnt(0.01 * correlated(400, 60.0))
+    assert evidence.lasting(0) < 0.1**2
+
+
+def test_trust_has_to_be_earned() -> None:
+    some, more = learnt(white(5)), learnt(white(100))
+    assert some.lasting(0) > 0.3 * 4.0
+    assert more.lasting(0) < 0.1 * 4.0
+
+
+def test_innovations_larger_than_expected_scale_the_covariance() -> None:
+    surprised = watch(position=learnt(2.0 * white(400)))
+    assert levels(surprised)[0] > 1.6 * levels(watch())[0]
+
+
+def test_in_an_outage_the_level_grows_faster_than_the_covariance() -> None:
+    cov = ((40.0, 0.0, 0.0), (0.0, 40.0, 0.0), (0.0, 0.0, 40.0))
+    bare = horizontal_level(40.0, 0.0, 40.0, 5e-4)
+    found = [levels(watch(), after_s=t, cov=cov)[0] for t in (0.0, 1.0, 5.0, 20.0, 60.0)]
+    assert found == sorted(found) and found[-1] > 1.4 * bare
+
+
+def test_what_a_fix_may_have_done_unseen_is_the_farthest_that_the_gate_lets_it_go() -> None:
+    """Search over all innovations on the gate's surface for the one that moves the position most."""
+    rng = np.random.default_rng(5)
+    root = rng.standard_normal((9, 9))
+    P, R = root @ root.T, np.diag([4.0, 6.0, 9.0])
+    H = np.hstack([np.zeros((3, 6)), -np.eye(3)])
+    S, limit = H @ P @ H.T + R, chi_square_limit(3, 1e-3)
+    taken = (P - correct(P, np.zeros(3), H, R).P)[6:, 6:]
+    nn, ne, ee, dd = taken[0, 0], taken[0, 1], taken[1, 1], taken[2, 2]
+    bound = sqrt(limit * (0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne)))
+    directions = rng.standard_normal((20_000, 3))
+    surface = sqrt(limit) * (np.linalg.cholesky(S) @ (directions / np.linalg.norm(directions, axis=1)[:, None]).T).T
+    moves = surface @ (P @ H.T @ np.linalg.inv(S)).T[:, 6:]
+    assert np.hypot(moves[:, 0], moves[:, 1]).max() == pytest.approx(bound, rel=5e-3)
+    assert np.hypot(moves[:, 0], moves[:, 1]).max() <= bound
+    assert np.abs(moves[:, 2]).max() == pytest.approx(sqrt(limit * dd), rel=5e-3)
+    pulled = watch(pulled=(bound, sqrt(limit * dd)))
+    assert levels(pulled)[0] >= bound + horizontal_level(4.0, 1.0, 2.0, 0.05)
+
+
+@pytest.mark.parametrize("fault", [0.0, 0.5, 2.0, 4.0, 20.0])
+def test_with_faults_as_often_as_assumed_the_vertical_level_is_exact(fault: float) -> None:
+    sd = 3.0
+    level = vertical_level_with_fault(sd**2, fault * sd, 1e-3)
+    moved = norm.sf(level / sd - fault) + norm.sf(level / sd + fault)
+    outside = 2.0 * (1.0 - FAULT_PROBABILITY) * norm.sf(level / sd) + FAULT_PROBABILITY * moved
+    assert 0.999e-3 < outside <= 1e-3
+
+
+@pytest.mark.parametrize("fault", [0.0, 2.0, 8.0])
+def test_with_faults_as_often_as_assumed_no_more_than_a_thousandth_lies_outside(fault: float) -> None:
+    """A million draws, moved in the worst direction, along the major axis."""
+    rng = np.random.default_rng(6)
+    draws = rng.standard_normal((1_000_000, 2)) * (2.0, 1.0)
+    draws[rng.random(1_000_000) < FAULT_PROBABILITY, 0] += fault
+    level = horizontal_level_with_fault((4.0, 0.0, 1.0), fault, 1e-3)
+    assert (np.hypot(*draws.T) > level).sum() < 1000 + 4.0 * sqrt(1000)
+    assert level < fault + horizontal_level(4.0, 0.0, 1.0, 5e-4), "and it is less than both together"
+
+
+def test_errors_that_come_larger_than_a_normal_number_s_count_for_a_minute() -> None:
+    calm, struck = white(200), white(200)
+    calm = np.clip(calm, -3.0, 3.0)
+    struck = np.vstack([np.clip(struck, -3.0, 3.0), [[0.0, 0.0, 4.5]]])
+    then, before = learnt(struck), learnt(calm)
+    assert before.scale_vertical == pytest.approx(1.0, abs=0.15)
+    assert then.scale_vertical == pytest.approx((4.5 / RARE) ** 2)
+    assert then.scale_horizontal == before.scale_horizontal == 1.0
+    later = then
+    for k in range(60):
+        later = later.after((202 + k) * SECOND_NS, [0.0, 0.0, 0.0], (2.0, 2.0, 2.0))
+    assert later.scale_vertical == 1.0
+
+
+def test_what_the_filter_estimates_is_not_taken_for_granted_besides() -> None:
+    first = ESTIMATED.after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0))
+    assert first.lasting(0) == 0.0 < Evidence().after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0)).lasting(0)
+    found = ESTIMATED
+    for k, row in enumerate(correlated(100, 60.0).tolist()):
+        found = found.after((k + 1) * SECOND_NS, [2.0 * u for u in row], (2.0, 2.0, 2.0))
+    assert max(found.lasting(axis) for axis in range(3)) > 0.4 * 4.0, "but it counts if it shows all the same"
+
+
+def test_a_refused_position_counts_until_one_is_used_again() -> None:
+    """Either it is wrong or the solution is, and nobody knows which."""
+    assert levels(watch(contested=(30.0, 12.0)))[0] > 30.0
+    assert levels(watch(contested=(30.0, 12.0)))[1] > 12.0
+
+
+def test_a_filter_that_gave_way_to_positions_is_unsure_of_them_for_minutes() -> None:
+    contested = watch(contested=(30.0, 12.0))
+    given_up = replace(KNOWING, position=contested.position, yielded=contested.disputed)
+    assert given_up.disputed == (30.0, 12.0)
+    assert levels(given_up)[0] > 30.0 and levels(given_up)[1] > 12.0
+
+
+def test_an_error_of_the_stamp_is_an_error_along_the_road() -> None:
+    sharp = ((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 1e-6))
+    seen = watch(position=learnt(white(400), sd=1e-3), anchored=(1e-6, 0.0, 1e-6, 1e-6))
+    slow, fast = levels(seen, cov=sharp)[0], levels(seen, cov=sharp, velocity=30.0)[0]
+    assert fast >= line_factor(1e-3) * 0.06 > 5.0 * slow
+
+
+def test_numbers_that_have_broken_down_protect_nothing() -> None:
+    broken = ((float("nan"), 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    assert levels(watch(), cov=broken) == (LARGEST_M, LARGEST_M)
+    endless = ((1e30, 0.0, 0.0), (0.0, 1e30, 0.0), (0.0, 0.0, 1e30))
+    assert levels(watch(), cov=endless) == (LARGEST_M, LARGEST_M)

@@ -1,0 +1,228 @@
+"""The wheels as aids: what they hold without GNSS, what is learnt of them, and when they are not believed."""
+
+from dataclasses import replace
+from functools import cache
+from math import hypot, radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from cli.papers.navigation import give_fix
+from services.core.fusion.alignment.heading import Prior
+from services.core.fusion.filter import error_model as em
+from services.core.fusion.filter.eskf import ErrorStateFilter
+from services.core.fusion.measurements.base import Outcome
+from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.core.fusion.update.gating import Judge
+from services.core.fusion.update.standstill_detector import QUIET_S, SMOOTHING_S, SURE, UNSETTLED, at_rest
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.rotation import ned_from_body
+from shared.messages.navigation import AidingKind
+
+FloatArray = npt.NDArray[np.float64]
+
+MOUNTING = (0.0, radians(2.0), radians(-1.5))  # roll, pitch, yaw of the IMU against the vehicle
+OUTAGE_S = (80.0, 110.0)
+ARM_B = (0.0, 0.0, 0.0)  # the simulated vehicle turns about the IMU
+
+
+@cache
+def drive() -> Drive:
+    """110 s of the car park, with the IMU askew."""
+    straight = simulate("parking_lot", seed=3, duration_s=OUTAGE_S[1])
+    body_from_vehicle = ned_from_body(*MOUNTING).T
+    force, rate = straight.force_b @ body_from_vehicle.T, straight.rate_b @ body_from_vehicle.T
+    forward, right, down = (body_from_vehicle @ straight.lever_arm_b).tolist()
+    return replace(straight, force_b=force, rate_b=rate, lever_arm_b=(forward, right, down))
+
+
+def navigator(**changes: object) -> Navigator:
+    d = drive()
+    made = Navigator(Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "rear_axle_body_m": ARM_B, **changes}))
+    yaw = float(d.attitude[0, 2]) + MOUNTING[2]
+    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), yaw, radians(1.0)))
+    return made
+
+
+def feed(made: Navigator, speeds: FloatArray | None, outage: bool = True) -> list[Outcome]:
+    """Lead a navigator through the drive."""
+    d = drive()
+    outcomes: list[Outcome] = []
+    for i, time_ns in enumerate(d.t_ns.tolist()):
+        if speeds is not None and i % 10 == 9:
+            made.speed(time_ns, float(speeds[(i + 1) // 10]))
+        if i % 100 == 99 and not (outage and time_ns * 1e-9 >= OUTAGE_S[0]):
+            give_fix(d, i // 100, made)
+        outcomes += made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
+    return outcomes
+
+
+def error_m(made: Navigator) -> float:
+    """Horizontal error at the end."""
+    solution = made.solution()
+    assert solution is not None
+    return hypot(*ned_from_geodetic_difference(solution.position, Geodetic(*drive().position[-1].tolist()))[:2])
+
+
+def filter_of(made: Navigator) -> ErrorStateFilter:
+    inside = made._delayed.engine.filter  # what it has learnt of the vehicle is not published
+    assert inside is not None
+    return inside
+
+
+@cache
+def aided() -> tuple[Navigator, list[Outcome]]:
+    made = navigator()
+    return made, feed(made, drive().odometer * 1.03)
+
+
+def test_wheels_hold_the_position_without_gnss() -> None:
+    """Half a minute without GNSS."""
+    without = navigator(odometer=False, non_holonomic=False)
+    feed(without, drive().odometer)
+    assert error_m(aided()[0]) < min(0.3, 0.5 * error_m(without))
+
+
+def test_scale_and_mounting_are_learnt_as_well_as_the_filter_says() -> None:
+    inside = filter_of(aided()[0])
+    d = drive()
+    moving = d.odometer > 1.0
+    truth = np.hypot(d.velocity_n[:, 0], d.velocity_n[:, 1])
+    scale = 1.03 * float(np.median(d.odometer[1:][moving[1:]] / truth[9::10][moving[1:]])) - 1.0
+    sd = np.sqrt(inside.P.diagonal()[em.VEHICLE])
+    errors = np.array(inside.parameters[:3]) - (scale, MOUNTING[1], MOUNTING[2])
+    assert (np.abs(errors) < 4.0 * sd).all()
+    assert sd[0] < 0.005 and (sd[1:] < radians(0.7)).all(), "much better than at switch-on"
+
+
+def test_both_aids_are_told() -> None:
+    outcomes = aided()[1]
+    assert {o.kind for o in outcomes} >= {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
+    wheels = [o for o in outcomes if o.kind in (AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC)]
+    assert np.mean([o.used for o in wheels]) > 0.98
+    assert all(o.reason == "beyond the gate" for o in wheels if not o.used)
+
+
+def test_neither_aid_is_used_if_the_settings_say_so() -> None:
+    made = navigator(odometer=False, non_holonomic=False)
+    kinds = {o.kind for o in feed(made, drive().odometer)}
+    assert not kinds & {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
+    assert filter_of(made).parameters[:3] == (0.0, 0.0, 0.0)
+    cross = filter_of(made).P[em.VEHICLE, :15]
+    assert not cross.any(), "what is not measured does not touch the other fifteen states"
+
+
+def test_springs_give_way_more_than_tyres_do_but_in_bends() -> None:
+    """Straight on, the two standard deviations count; a bend at 10 m/s adds slip sideways, and nothing vertically."""
+    settings = Settings.model_validate({"rear_axle_body_m": ARM_B})
+    twin = backing(-10.0, 0.1)
+    twin.rate = (0.0, 0.0, 0.0)
+    straight = NonHolonomic(0, settings).observe(twin).R
+    assert np.diagonal(straight).tolist() == pytest.approx([10.0 * 0.05**2, 10.0 * 0.1**2])
+    twin.rate = (0.0, 0.0, 0.2)
+    bend = NonHolonomic(0, settings).observe(twin).R
+    assert bend[0, 0] == pytest.approx(10.0 * (0.05**2 + (0.006 * 10.0**2 * 0.2) ** 2), rel=0.01)
+    assert bend[1, 1] == straight[1, 1]
+
+
+def test_spinning_wheels_are_not_believed() -> None:
+    """On ice the driven wheels turn three times as fast as the car goes."""
+    speeds = drive().odometer.copy()
+    speeds[900:] *= 3.0
+    made = navigator()
+    outcomes = [o for o in feed(made, speeds) if o.kind is AidingKind.ODOMETER and o.time_ns > 91e9]
+    fast = [o for o in outcomes if abs(o.innovation[0]) > 2.0]
+    assert len(fast) > 20 and not any(o.used for o in fast)
+
+
+def test_another_odometer_has_a_scale_of_its_own() -> None:
+    made = navigator()
+    d = drive()
+    for k, time_ns in enumerate(d.odometer_ns.tolist()):
+        made.speed(time_ns, float(d.odometer[k]), source="can" if time_ns < 70e9 else "spare")
+    outcomes = feed(made, None, outage=False)
+    used = {name: [o.time_ns for o in outcomes if o.source == name] for name in ("can", "spare")}
+    assert max(used["can"]) < 70e9 and min(used["spare"]) > 71.9e9, "a spare waits until the other is silent"
+
+
+def backing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
+    """A filter that goes backwards, and knows how fast with a standard deviation."""
+    twin = filter_of(aided()[0]).fork()
+    north, east, _ = (twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([-speed_m_s, 0.0, 0.0])).tolist()
+    twin.inertial = twin.inertial._replace(velocity=(north, east, 0.0))
+    P = twin.P.copy()
+    P[em.VELOCITY] = P[:, em.VELOCITY] = 0.0
+    P[em.VELOCITY, em.VELOCITY] = velocity_sd**2 * np.eye(3)
+    twin.P = P
+    return twin
+
+
+@pytest.mark.parametrize("speed_m_s", [0.2, 3.0])
+def test_a_speed_without_a_sign_may_be_one_backwards(speed_m_s: float) -> None:
+    twin = backing(speed_m_s, 0.05)
+    seen = WheelSpeed(0, 0, "", speed_m_s, 0.0, True, True, navigator().settings).observe(twin)
+    assert abs(float(seen.z[0])) < 0.02 + 0.06 * speed_m_s  # the scale of the odometer is not one
+
+
+def test_where_nobody_knows_the_sign_a_speed_says_how_fast_at_most() -> None:
+    """Of +1 and -1 m/s the mean is zero and the variance one."""
+    twin = backing(0.0, 0.5)
+    seen = WheelSpeed(0, 0, "", 1.0, 0.0, True, True, navigator().settings).observe(twin)
+    assert abs(float(seen.z[0])) < 0.05
+    assert 1.0 < float(seen.R[0, 0]) < 1.01
+
+
+def test_a_speed_below_zero_has_its_sign() -> None:
+    twin = backing(1.0, 0.05)
+    seen = WheelSpeed(0, 0, "", -1.0, 0.0, True, True, navigator().settings).observe(twin)
+    assert abs(float(seen.z[0])) < 0.05
+    assert float(seen.R[0, 0]) < 0.01
+
+
+def test_wheels_that_contradict_for_long_are_heard_in_the_end() -> None:
+    """The filter is sure of a speed that is wrong by 1 m/s: it doubts after two seconds, not at once."""
+    settings = navigator().settings
+    twin, judge = backing(-5.0, 0.02), Judge(settings)
+    before = twin.P[em.VELOCITY, em.VELOCITY].copy()
+    used = []
+    for k in range(600):
+        seen = WheelSpeed(k * 100_000_000, 0, "", 6.2, 0.0, True, True, settings)
+        used.append(judge.judge(twin, seen, seen.observe(twin)).used)
+        if k == 15:
+            assert (twin.P[em.VELOCITY, em.VELOCITY] == before).all()
+    assert not any(used[:20]) and all(used[-50:])
+    ahead = twin.ned_from_body.T @ np.array(twin.velocity)
+    assert abs(hypot(ahead[0], ahead[1]) - 6.0) < 0.4
+
+
+def rest_after(speed: float, limit: float, force: float = 0.0) -> bool:
+    rest = UNSETTLED
+    for _ in range(round((SMOOTHING_S + QUIET_S) * 100) + 2):
+        rest = at_rest(rest, (0.0, 0.0, 0.0), (force, 0.0, 0.0), speed, 0.01, (limit, 1.0))
+    return rest[2] >= QUIET_S
+
+
+def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> None:
+    """After a minute without GNSS a vehicle at rest may seem to creep at 1.5 m/s."""
+    assert not rest_after(1.5, limit=0.3)
+    assert rest_after(1.5, limit=2.0)
+    assert not rest_after(2.5, limit=2.0), "the filter is surer than that"
+    assert not rest_after(1.5, limit=2.0, force=0.5), "locked wheels on ice"
+
+
+@pytest.mark.parametrize(("speed", "supports"), [(0.0, True), (0.4, False)])
+def test_only_wheels_that_stand_now_vouch_for_a_rest(speed: float, supports: bool) -> None:
+    made = navigator()
+    feed(made, np.where(np.arange(1101) > 1050, speed, drive().odometer))
+    aids = made.engine.aids
+    inside = filter_of(made)
+    inside.widen(velocity_sd=1.0)
+    limit, pace = aids.doubt(inside.inertial.time_ns, inside)
+    assert limit > 3.0
+    assert (pace == 1.0) is supports, "without them quiet has to last"
+    if supports:
+        assert aids.doubt(inside.inertial.time_ns + 3 * 10**9, inside) == SURE, "it was too long ago"

@@ -1,0 +1,151 @@
+"""A filter that is told how GNSS errors run: as one that has found it out for certain, and as good as it says."""
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import chi2
+
+from cli.papers.navigation import navigate, saved_heading
+from services.core.fusion.alignment import alignment
+from services.core.fusion.alignment.alignment import Alignment
+from services.core.fusion.alignment.initial_position import first_place
+from services.core.fusion.measurements.gnss import GnssPosition
+from services.core.fusion.measurements.gnss_error_model import HYPOTHESES, SCALES, UNKNOWN, Colour, Told, mean_at_rest
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.sensors.simulator.drive import Drive, simulate
+from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
+from services.sensors.simulator.scenarios import scenario_of, with_error
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
+
+FloatArray = npt.NDArray[np.float64]
+RMSE = (3.07, 1.99, 1.56)
+SD = np.array(RMSE)
+DURATION_S, RUNS = 60.0, 6
+PERIOD_S = scenario_of("parking_lot").duration_s  # over which a simulated walk has the mean square that is stated
+TIME_S, SHARE = 5.0, 0.01  # as one of the hypotheses
+GIVEN: dict[str, float | bool] = {"gnss_error_correlation_s": TIME_S, "gnss_error_white_share": SHARE}
+ORIGIN = Geodetic(0.74, 0.23, 700.0)
+
+
+def certain() -> Colour:
+    """Bank in which nothing speaks against one hypothesis and one scale."""
+    evidence = np.zeros_like(UNKNOWN.evidence)
+    evidence[:, HYPOTHESES.index((TIME_S, SHARE)), SCALES.tolist().index(1.0)] = 1e6
+    return replace(UNKNOWN, evidence=evidence)
+
+
+def drive_of(kind: ErrorKind, seed: int) -> Drive:
+    error = InjectedError(kind, RMSE, correlation_s=TIME_S)
+    return simulate(with_error(scenario_of("parking_lot"), error), seed, duration_s=DURATION_S)
+
+
+def led(drive: Drive, **settings: float | bool) -> Navigator:
+    """Navigator at the end of a drive."""
+    navigator = Navigator(Settings.model_validate({"lever_arm_body_m": drive.lever_arm_b, **settings}))
+    navigator.remember(saved_heading(drive, radians(1.5)))
+    navigate(drive, navigator)
+    return navigator
+
+
+def fixes_at_rest() -> list[GnssPosition]:
+    """One a second, each farther north by what is told of it."""
+    places = [geodetic_from_ned_difference((north, 0.0, 0.0), ORIGIN) for north in (0.0, 0.4, 0.3, 0.9)]
+    return [
+        GnssPosition(i * 10**9, i * 10**9, "", place, np.diag(SD**2), 3, (0.0, 0.0, 0.0), 0.0, lasts=True)
+        for i, place in enumerate(places)
+    ]
+
+
+def test_what_is_told_is_what_a_bank_says_that_is_certain() -> None:
+    told, bank = Told(TIME_S, 1.0 - SHARE), certain()
+    assert (bank.correlation_s, bank.lasting) == pytest.approx((TIME_S, 1.0 - SHARE))
+    assert told.unit == pytest.approx(bank.unit)
+    assert told.scaled(np.diag(SD**2)) == pytest.approx(bank.scaled(np.diag(SD**2)))
+    one, other = first_place(fixes_at_rest(), told), first_place(fixes_at_rest(), bank)
+    assert one.position == pytest.approx(other.position, abs=1e-12)
+    assert one.error == pytest.approx(other.error, abs=1e-9)
+    assert one.both == pytest.approx(other.both)
+
+
+def test_a_drive_told_is_a_drive_with_a_bank_that_is_certain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To a micrometre: the bank's weights are rounded."""
+    drive = drive_of(ErrorKind.GAUSS_MARKOV, 1)
+    told = led(drive, **GIVEN).solution()
+    monkeypatch.setattr(alignment, "UNKNOWN", certain())
+    certainly = led(drive).solution()
+    assert told is not None and certainly is not None
+    apart = ned_from_geodetic_difference(told.position, certainly.position)
+    assert apart == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert told.position_cov == pytest.approx(certainly.position_cov, rel=1e-6)
+
+
+def test_what_is_not_told_is_learned() -> None:
+    filter_ = led(drive_of(ErrorKind.GAUSS_MARKOV, 1)).engine.filter
+    assert filter_ is not None and isinstance(filter_.colour, Colour)
+    assert filter_.colour.time_ns is not None, "and has been taught"
+    told = led(drive_of(ErrorKind.GAUSS_MARKOV, 1), **GIVEN).engine.filter
+    assert told is not None and told.colour == Told(TIME_S, 1.0 - SHARE)
+
+
+def test_an_error_that_was_never_zero_starts_as_it_did_to_the_bit() -> None:
+    times = np.array([-9.0, -5.0, -4.0, 0.0])
+    for mine, known in zip(mean_at_rest(times, 0.7, 6.0), mean_at_rest(times, 0.7, 6.0, -1e6), strict=True):
+        assert (mine == known).all(), "zero for so long ago that nothing of it is left"
+
+
+def test_the_covariance_of_a_start_from_zero_is_that_of_its_errors() -> None:
+    """20,000 draws of processes that were zero a second before the first fix; 4 % tolerance."""
+    times, zero, lasting, time_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), -10.0, 0.9, 20.0
+    weights, joint = mean_at_rest(times, lasting, time_s, zero)
+    rng, state, before, rows = np.random.default_rng(0), np.zeros(20_000), zero, []
+    for time in times.tolist():
+        phi = np.exp(-(time - before) / time_s)
+        state = phi * state + np.sqrt(lasting * (1.0 - phi**2)) * rng.standard_normal(20_000)
+        rows.append(state)
+        before = time
+    fixes = np.array(rows).T + np.sqrt(1.0 - lasting) * rng.standard_normal((20_000, 5))
+    wrong = fixes @ weights.T - np.column_stack([np.zeros(20_000), rows[-1]])
+    assert np.cov(wrong.T) == pytest.approx(joint, rel=0.04, abs=0.005)
+
+
+def test_a_start_from_zero_is_where_its_first_fix_is() -> None:
+    """The error that grows from there is known to grow, and the place is as good as a fix's white part."""
+    first = first_place(fixes_at_rest(), Told(240.0, 1.0 - 1e-4), zero_ns=0)
+    assert ned_from_geodetic_difference(first.position, ORIGIN) == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+    assert np.sqrt(np.diag(first.cov)) == pytest.approx(0.01 * SD, rel=0.05)
+    assert first.error[0] * SD[0] == pytest.approx(0.9, abs=0.05)
+
+
+def test_only_the_first_alignment_starts_from_zero() -> None:
+    """When a solution was lost, errors have walked for as long as it ran."""
+    settings = Settings(gnss_error_correlation_s=240.0, gnss_error_from_zero=True)
+    first, second = Alignment(settings), Alignment(settings, first=False)
+    fix = fixes_at_rest()[0]
+    for one in (first, second):
+        one.start_at(fix)
+    assert first._first_place(fix).cov[0, 0] < 0.05 * SD[0] ** 2
+    assert second._first_place(fix).cov[0, 0] == pytest.approx(SD[0] ** 2)
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        (ErrorKind.GAUSS_MARKOV, GIVEN),
+        (ErrorKind.WIENER, {"gnss_error_correlation_s": PERIOD_S, "gnss_error_from_zero": True}),
+    ],
+    ids=["5 s", "walk"],
+)
+def test_told_how_errors_run_it_is_as_good_as_it_says(kind: ErrorKind, given: dict[str, float | bool]) -> None:
+    """Sum of normalised errors squared of six runs, in the 99 % band of chi-square of 18."""
+    nees = 0.0
+    for seed in range(RUNS):
+        drive = drive_of(kind, seed)
+        solution = led(drive, **given).solution()
+        assert solution is not None
+        error = np.array(ned_from_geodetic_difference(solution.position, Geodetic(*drive.position[-1].tolist())))
+        nees += float(error @ np.linalg.solve(solution.position_cov, error))
+    assert chi2.ppf(0.005, 3 * RUNS) < nees < chi2.isf(0.005, 3 * RUNS), nees / (3 * RUNS)

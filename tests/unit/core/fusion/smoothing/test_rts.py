@@ -1,0 +1,452 @@
+"""The smoother against batch least squares, against its textbook form, and against what is true."""
+
+from dataclasses import dataclass
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import chi2
+
+from cli.papers.navigation import saved_heading
+from services.core.fusion.filter import error_model as em
+from services.core.fusion.filter.eskf import ErrorStateFilter
+from services.core.fusion.filter.kalman import correct, predict, resized
+from services.core.fusion.filter.strapdown import InertialState
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.core.fusion.smoothing.history import Corrected, Knot, Start, Step, Trail
+from services.core.fusion.smoothing.rts import Backwards, smoothed_filters
+from services.sensors.simulator.drive import Drive, simulate
+from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
+from services.sensors.simulator.scenarios import scenario_of, with_error
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.rotation import ned_from_body, quaternion_from_matrix, rotation_vector_from_matrix
+from tests.support.trails import Records
+
+FloatArray = npt.NDArray[np.float64]
+PERIOD_NS = 500_000_000
+
+
+@dataclass
+class Way:
+    """A linear filter that feeds its estimate back at once, and what it left for the smoother."""
+
+    Ps: list[FloatArray]  # after each measurement
+    states: list[FloatArray]
+    steps: list[FloatArray]  # F t
+    corrections: list[Corrected]
+    predicted: list[FloatArray]  # covariance before each measurement
+
+
+def filtered(measured: FloatArray, P0: FloatArray, F: FloatArray, noise: FloatArray, R: FloatArray) -> Way:
+    """Measure the first state, and its second every third time, after each step of 0.1 s."""
+    way = Way([P0], [np.zeros(len(P0))], [], [], [])
+    P, state = P0, np.zeros(len(P0))
+    for k, value in enumerate(measured):
+        m, n = F.shape
+        Phi = np.eye(len(P0))
+        Phi[:m, :n] += 0.1 * F
+        P, state = predict(P, Phi, 0.1 * noise), Phi @ state
+        H = np.zeros((1, len(P0)))
+        H[0, 1 if k % 3 == 2 else 0] = 1.0
+        way.predicted.append(P)
+        correction = correct(P, value - H @ state, H, R)
+        P, state = correction.P, state + correction.x
+        way.steps.append(F * 0.1)
+        way.corrections.append(Corrected(0, correction.z, H, correction.K, correction.S_inverse))
+        way.Ps.append(P)
+        way.states.append(state)
+    return way
+
+
+def smoothed(way: Way) -> tuple[list[FloatArray], list[FloatArray]]:
+    back = Backwards(len(way.Ps[0]))
+    states, covs = [], []
+    for k in reversed(range(len(way.Ps))):
+        errors, cov = back.smoothed(way.Ps[k])
+        states.append(way.states[k] + errors)
+        covs.append(cov)
+        if k > 0:
+            correction = way.corrections[k - 1]
+            back.correction(correction.z, correction.H, correction.K, correction.S_inverse)
+            back.step(way.steps[k - 1])
+    return states[::-1], covs[::-1]
+
+
+@pytest.fixture(scope="module")
+def moving() -> tuple[FloatArray, Way]:
+    """Position, velocity and a state that is known to be zero; 30 measurements."""
+    rng = np.random.default_rng(4)
+    measured = rng.standard_normal((30, 1)) * 3.0 + np.linspace(0.0, 9.0, 30)[:, None]
+    F, noise = np.array([[0.0, 1.0]]), np.array([0.02, 0.3, 0.0])
+    return measured, filtered(measured, np.diag([4.0, 9.0, 0.0]), F, noise, np.array([[0.5]]))
+
+
+def test_it_gives_the_batch_least_squares_of_all_states(moving: tuple[FloatArray, Way]) -> None:
+    measured, way = moving
+    count = len(measured) + 1
+    Phi, Q = np.array([[1.0, 0.1], [0.0, 1.0]]), np.diag([0.002, 0.03])
+    rows, values = [np.eye(2, 2 * count) / np.array([[2.0], [3.0]])], [np.zeros(2)]
+    for k, value in enumerate(measured):
+        step = np.zeros((2, 2 * count))
+        step[:, 2 * k : 2 * k + 2], step[:, 2 * k + 2 : 2 * k + 4] = -Phi, np.eye(2)
+        rows.append(step / np.sqrt(Q.diagonal())[:, None])
+        values.append(np.zeros(2))
+        seen = np.zeros((1, 2 * count))
+        seen[0, 2 * k + 2 + (k % 3 == 2)] = 1.0
+        rows.append(seen / np.sqrt(0.5))
+        values.append(value / np.sqrt(0.5))
+    A = np.vstack(rows)
+    cov = np.linalg.inv(A.T @ A)
+    best = (cov @ A.T @ np.concatenate(values)).reshape(count, 2)
+    states, covs = smoothed(way)
+    assert np.array(states)[:, :2] == pytest.approx(best, abs=1e-9)
+    for k, P in enumerate(covs):
+        assert P[:2, :2] == pytest.approx(cov[2 * k : 2 * k + 2, 2 * k : 2 * k + 2], abs=1e-9)
+        assert not P[2].any() and not P[:, 2].any() and states[k][2] == 0.0, "no variance: as it was given"
+
+
+def test_it_gives_the_textbook_form_that_divides_by_the_covariance(moving: tuple[FloatArray, Way]) -> None:
+    """x_s = x + A (x_s+ - Phi x), P_s = P + A (P_s+ - P_predicted) A^T, A = P Phi^T P_predicted^-1."""
+    _, way = moving
+    Phi = np.array([[1.0, 0.1], [0.0, 1.0]])
+    states, covs = smoothed(way)
+    state, cov = way.states[-1][:2], way.Ps[-1][:2, :2]
+    for k in reversed(range(len(way.Ps) - 1)):
+        P, predicted = way.Ps[k][:2, :2], way.predicted[k][:2, :2]
+        A = P @ Phi.T @ np.linalg.inv(predicted)
+        state = way.states[k][:2] + A @ (state - Phi @ way.states[k][:2])
+        cov = P + A @ (cov - predicted) @ A.T
+        assert states[k][:2] == pytest.approx(state, abs=1e-9)
+        assert covs[k][:2, :2] == pytest.approx(cov, abs=1e-9)
+
+
+def test_an_error_that_decays_is_smoothed_as_a_batch_does() -> None:
+    """x0 known to 2, x1 = 0.5 x0 + noise of variance 3, z = x1 + noise of variance 1."""
+    P1 = np.array([[0.25 * 4.0 + 3.0]])
+    seen = correct(P1, np.array([2.0]), np.eye(1), np.eye(1))
+    back = Backwards(1)
+    back.correction(seen.z, seen.H, seen.K, seen.S_inverse)
+    back.step(np.zeros((0, 0)), np.array([0.5]))
+    errors, cov = back.smoothed(np.array([[4.0]]))
+    batch = np.linalg.inv(np.array([[1 / 4 + 0.25 / 3, -0.5 / 3], [-0.5 / 3, 1 / 3 + 1.0]]))
+    assert cov[0, 0] == pytest.approx(batch[0, 0], abs=1e-12)
+    assert errors[0] == pytest.approx((batch @ [0.0, 2.0])[0], abs=1e-12)
+
+
+def test_what_is_seen_of_a_new_error_says_nothing_of_the_old_one() -> None:
+    seen = correct(np.eye(2), np.array([1.0]), np.array([[0.0, 1.0]]), np.eye(1))
+    back = Backwards(2)
+    back.correction(seen.z, seen.H, seen.K, seen.S_inverse)
+    back.forget(1)
+    errors, cov = back.smoothed(np.eye(2))
+    assert not errors.any() and (cov == np.eye(2)).all()
+
+
+def drive_of(seed: int, duration_s: float = 80.0) -> Drive:
+    white = InjectedError(ErrorKind.WHITE, (3.07, 1.99, 1.56), exact=True)
+    return simulate(with_error(scenario_of("parking_lot"), white), seed, duration_s=duration_s)
+
+
+Times = tuple[float, float]
+
+
+def follow(
+    drive: Drive,
+    *,
+    late_ns: int = 0,
+    gap_s: Times = (0.0, 0.0),
+    silent_s: Times = (0.0, 0.0),
+    lasting: bool = True,
+) -> Records:
+    """Drive through; fixes may come late, and GNSS or the IMU be away for a while."""
+    records = Records()
+    settings = Settings(lever_arm_body_m=drive.lever_arm_b, merge_delay_s=0.0, gnss_lasting_errors=lasting)
+    navigator = Navigator(settings)
+    navigator.leave(Trail(records, PERIOD_NS))
+    navigator.remember(saved_heading(drive, radians(1.5)))
+    times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
+    fix = 0
+    for i, time_ns in enumerate(times):
+        while fix < len(drive.fix_ns) and drive.fix_ns[fix] + late_ns <= time_ns:
+            velocity, place = drive.fix_velocity_n[fix].tolist(), Geodetic(*drive.fix_position[fix].tolist())
+            sd, speed_sd = drive.fix_position_sd_n[fix].tolist(), drive.fix_velocity_sd_n[fix].tolist()
+            if not gap_s[0] <= drive.fix_ns[fix] * 1e-9 < gap_s[1]:
+                navigator.fix(int(drive.fix_ns[fix]), position=place, velocity=velocity, position_sd=sd,
+                              velocity_sd=speed_sd, received_ns=time_ns)  # fmt: skip
+            fix += 1
+        if not silent_s[0] < time_ns * 1e-9 < silent_s[1]:
+            navigator.imu(time_ns, forces[i], rates[i])
+    return records
+
+
+def of_filter(records: Records) -> dict[int, ErrorStateFilter]:
+    """Give the filter at each knot, with its whole covariance."""
+    found = {}
+    for record in records.all:
+        if isinstance(record, Knot):
+            twin = record.filter.fork()
+            twin.P = np.zeros((em.SIZE, em.SIZE))
+            twin.P[np.ix_(record.known, record.known)] = record.filter.P
+            found[record.time_ns] = twin
+    return found
+
+
+def of_smoother(records: Records) -> dict[int, ErrorStateFilter]:
+    return {state.inertial.time_ns: state for state in smoothed_filters(records.newest_first())}
+
+
+def errors(drive: Drive, state: ErrorStateFilter) -> FloatArray:
+    """Estimated minus true attitude, velocity and position, shape (9,)."""
+    i = round(state.inertial.time_ns / 1e7) - 1
+    truth = Geodetic(*drive.position[i].tolist())
+    return np.concatenate([
+        rotation_vector_from_matrix(state.ned_from_body @ ned_from_body(*drive.attitude[i]).T),
+        np.array(state.inertial.velocity) - drive.velocity_n[i],
+        np.array(ned_from_geodetic_difference(state.inertial.position, truth)),
+    ])  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def one() -> tuple[Drive, Records]:
+    drive = drive_of(3)
+    return drive, follow(drive)
+
+
+def test_the_smoothed_covariance_is_never_above_the_filters() -> None:
+    """Where the size of GNSS errors is not learned, for hindsight may find them larger than the filter could know."""
+    records = follow(drive_of(3), lasting=False)
+    before, after = of_filter(records), of_smoother(records)
+    assert before.keys() == after.keys() and len(before) > 100
+    for time_ns, state in after.items():
+        scale = np.sqrt(np.maximum(before[time_ns].P.diagonal(), 1e-30))
+        less = (before[time_ns].P - state.P) / np.outer(scale, scale)
+        assert np.linalg.eigvalsh(less).min() > -1e-9
+        assert np.linalg.eigvalsh(state.P / np.outer(scale, scale)).min() > -1e-9
+
+
+def test_at_the_end_the_smoother_is_the_filter(one: tuple[Drive, Records]) -> None:
+    records = Records()
+    records.all = one[1].all[: max(k for k, record in enumerate(one[1].all) if isinstance(record, Knot)) + 1]
+    last = max(of_filter(records))
+    before, after = of_filter(records)[last], of_smoother(records)[last]
+    assert (before.P == after.P).all() and before.accelerometer_bias == after.accelerometer_bias
+    assert after.inertial.velocity == before.inertial.velocity
+    assert after.inertial.position == pytest.approx(before.inertial.position, abs=1e-15)
+
+
+def test_a_constant_is_the_same_from_the_start_to_the_end(one: tuple[Drive, Records]) -> None:
+    """Biases wander by far less than they are uncertain at first: their smoothed course is flat."""
+    found = of_smoother(one[1])
+    course = np.array([found[time_ns].gyroscope_bias for time_ns in sorted(found)])
+    at_first = of_filter(one[1])[min(found)]
+    assert np.ptp(course, axis=0).max() < 0.3 * np.sqrt(at_first.P.diagonal()[em.GYROSCOPE_BIAS].max())
+
+
+def test_filtering_is_the_same_with_and_without_a_trail() -> None:
+    drive = drive_of(1, 60.0)
+    states = []
+    for store in (Records(), None):
+        navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b))
+        if store is not None:
+            navigator.leave(Trail(store, PERIOD_NS))
+        navigator.remember(saved_heading(drive, radians(1.5)))
+        for i, time_ns in enumerate(drive.t_ns.tolist()):
+            if time_ns % 10**9 == 0:
+                navigator.fix(time_ns, position=Geodetic(*drive.position[i].tolist()), position_sd=(1.0, 1.0, 1.0))
+            navigator.imu(time_ns, drive.force_b[i].tolist(), drive.rate_b[i].tolist())
+        states.append(navigator.solution())
+    assert states[0] is not None and states[1] is not None
+    assert states[0].position == states[1].position and (states[0].position_cov == states[1].position_cov).all()
+
+
+def test_a_fix_that_came_late_is_smoothed_as_one_in_time() -> None:
+    drive = drive_of(2, 60.0)
+    none_at_the_end = (59.0, 61.0)  # a late one would not come any more
+    in_time = of_smoother(follow(drive, gap_s=none_at_the_end))
+    late = of_smoother(follow(drive, gap_s=none_at_the_end, late_ns=230_000_000))
+    both = in_time.keys() & late.keys()
+    assert len(both) > 60
+    for time_ns in both:
+        a, b = in_time[time_ns], late[time_ns]
+        assert np.abs(ned_from_geodetic_difference(a.inertial.position, b.inertial.position)).max() < 1e-9
+        assert np.abs(a.P - b.P).max() < 1e-12
+
+
+def test_a_trail_that_goes_back_keeps_starts_steps_and_corrections_in_order() -> None:
+    records = follow(drive_of(2, 60.0), late_ns=230_000_000)
+    stamps = [record.time_ns for record in records.all]
+    assert stamps == sorted(stamps)
+    assert sum(isinstance(record, Start) for record in records.all) == 1
+    steps = [record for record in records.all if isinstance(record, Step)]
+    assert len({record.time_ns for record in steps}) == len(steps), "no step is there twice"
+
+
+@pytest.mark.parametrize("begin", range(3000, 3016))
+def test_a_way_back_over_a_gap_writes_no_step_twice(begin: int) -> None:
+    """The step before a gap is made when it is bridged, and has the stamp of the sample before it."""
+    drive, records = drive_of(2, 60.0), Records()
+    navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b, merge_delay_s=0.0))
+    navigator.leave(Trail(records, PERIOD_NS))
+    navigator.remember(saved_heading(drive, radians(1.5)))
+    for i in (*range(begin), *range(begin + 30, begin + 80)):
+        time_ns = int(drive.t_ns[i])
+        if i == begin + 40:  # late, and true within the gap
+            time_ns = int(drive.t_ns[begin + 10])
+        if time_ns % 10**9 == 0 or i == begin + 40:
+            position = Geodetic(*drive.position[i].tolist())
+            navigator.fix(time_ns, position=position, position_sd=(1.0, 1.0, 1.0), received_ns=int(drive.t_ns[i]))
+        navigator.imu(int(drive.t_ns[i]), drive.force_b[i].tolist(), drive.rate_b[i].tolist())
+    steps = [record.time_ns for record in records.all if isinstance(record, Step)]
+    assert len(set(steps)) == len(steps) > 200
+
+
+RUNS = 12
+
+
+@pytest.fixture(scope="module")
+def drives() -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Drives with 10 s without GNSS: errors of filter and smoother at all knots, and the smoother's variances."""
+    found = []
+    for seed in range(RUNS):
+        drive = drive_of(seed + 100)
+        records = follow(drive, gap_s=(45.0, 55.0))
+        before, after = of_filter(records), of_smoother(records)
+        stamps = sorted(after)
+        variances = np.array([after[k].P.diagonal()[:9] for k in stamps])
+        of_both = [np.array([errors(drive, states[k]) for k in stamps]) for states in (before, after)]
+        found.append((of_both[0], of_both[1], variances))
+    return found
+
+
+@pytest.mark.parametrize("part", [em.ATTITUDE, em.VELOCITY, em.POSITION], ids=["attitude", "velocity", "position"])
+def test_it_beats_the_filter_on_every_drive(
+    drives: list[tuple[FloatArray, FloatArray, FloatArray]], part: slice
+) -> None:
+    ratios = [np.linalg.norm(after[:, part]) / np.linalg.norm(before[:, part]) for before, after, _ in drives]
+    assert max(ratios) < 1.0, ratios
+    assert np.median(ratios) < 0.7, "0.35, 0.6 and 0.4 were measured"
+
+
+def test_its_errors_on_drives_are_within_three_sigma(
+    drives: list[tuple[FloatArray, FloatArray, FloatArray]],
+) -> None:
+    inside = [np.abs(after) <= 3.0 * np.sqrt(variances) for _, after, variances in drives]
+    # The receiver's errors are as large as it says on the whole, not in each drive: the filter is no better here.
+    assert np.concatenate(inside).mean() > 0.985
+
+
+def test_the_smoothed_errors_are_the_same_on_both_sides_of_a_new_unit() -> None:
+    """Of a few errors, in the units from before: estimates and covariance, to rounding."""
+    rng = np.random.default_rng(7)
+    root, n, place, ratios = rng.standard_normal((6, 6)), 6, slice(3, 6), np.array([0.3, 0.3, 2.0])
+    P = root @ root.T + np.eye(n)
+    units = np.ones(n)
+    units[place] = ratios
+    behind = resized(P, place.start, place.stop, ratios)
+    back = Backwards(n)
+    H = rng.standard_normal((2, n))
+    S_inverse: FloatArray = np.asarray(np.linalg.inv(H @ behind @ H.T + np.eye(2)), dtype=np.float64)
+    back.correction(np.array([1.0, -2.0]), H, behind @ H.T @ S_inverse, S_inverse)
+    errors_behind, cov_behind = back.smoothed(behind)
+    back.resize(place, ratios, P[place])
+    errors_before, cov_before = back.smoothed(P)
+    assert errors_before == pytest.approx(units * errors_behind, abs=1e-12)
+    assert cov_before == pytest.approx(cov_behind * np.outer(units, units), abs=1e-12)
+
+
+def test_a_short_silence_of_the_imu_is_bridged() -> None:
+    drive = drive_of(3)
+    records = follow(drive, silent_s=(45.0, 45.5))
+    before, after = of_filter(records), of_smoother(records)
+    assert sum(isinstance(record, Start) for record in records.all) == 1
+    stamps = [k for k in sorted(after) if 45.0e9 <= k <= 50.0e9]
+    of_both = [np.array([errors(drive, states[k])[em.POSITION] for k in stamps]) for states in (before, after)]
+    assert len(stamps) > 8 and np.linalg.norm(of_both[1]) < np.linalg.norm(of_both[0])
+
+
+def test_a_long_silence_of_the_imu_parts_the_drive_and_each_part_is_smoothed_by_itself() -> None:
+    drive = drive_of(3)
+    records = follow(drive, silent_s=(45.0, 47.0))
+    before, after = of_filter(records), of_smoother(records)
+    starts = [record.time_ns for record in records.all if isinstance(record, Start)]
+    assert len(starts) == 2 and starts[1] > 45.0e9
+    assert not [k for k in after if 45.2e9 < k < starts[1]], "nothing is known of the silence"
+    end = max(k for k in after if k < starts[1])
+    variances = [states[end].P[em.POSITION, em.POSITION].diagonal() for states in (before, after)]
+    assert (variances[1] > 0.5 * variances[0]).all(), "what came after the silence says nothing of what was before"
+    for first in starts:
+        assert (after[first].P.diagonal()[:9] < before[first].P.diagonal()[:9]).all()
+        error, P = errors(drive, after[first]), after[first].P[:9, :9]
+        assert error @ np.linalg.solve(P, error) < chi2.isf(1e-4, 9)
+
+
+@dataclass
+class World:
+    """A filter's trail, and the truth that it looks for in the middle of an outage."""
+
+    drive: Drive
+    records: Records
+    middle_ns: int
+    accelerometer_bias: FloatArray
+    gyroscope_bias: FloatArray
+
+
+def matched(seed: int) -> World:
+    """Drive for 40 s with nothing but the noise that the filter knows, from a state as uncertain as it thinks."""
+    rng, first = np.random.default_rng(seed), 2499
+    drive = simulate("parking_lot", seed=7, duration_s=65.0)
+    settings = Settings.model_validate({"vibration_factor": 0.0})
+    sd = np.zeros(em.SIZE)
+    sd[:15] = np.repeat([0.005, 0.1, 1.0, 0.03, 1e-3], 3)
+    attitude = quaternion_from_matrix(ned_from_body(*drive.attitude[first]))
+    position, velocity = Geodetic(*drive.position[first].tolist()), drive.velocity_n[first].tolist()
+    inertial = InertialState(int(drive.t_ns[first]), attitude, (velocity[0], velocity[1], velocity[2]), position)
+    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2))
+    start = sd * rng.standard_normal(em.SIZE)
+    navigation.take_out(start, np.diag(sd**2))
+    force_bias, rate_bias = np.zeros(3), np.zeros(3)
+    records = Records()
+    Trail(records, PERIOD_NS).follow(navigation)
+    noise = np.array([settings.velocity_random_walk_m_s_sqrt_s, settings.angle_random_walk_rad_sqrt_s]) * 10.0
+    walk = np.sqrt(np.array([settings.accelerometer_bias_psd_m2_s5, settings.gyroscope_bias_psd_rad2_s3]) * 0.01)
+    sd_of_fix, H = np.array([0.5, 0.5, 1.0]), em.antenna_position_matrix((0.0, 0.0, 0.0))
+    biases = force_bias, rate_bias
+    for k in range(1, 4001):
+        i = first + k
+        force_bias, rate_bias = (
+            force_bias + walk[0] * rng.standard_normal(3),
+            rate_bias + walk[1] * rng.standard_normal(3),
+        )
+        fx, fy, fz = (drive.ideal_force_b[i] + force_bias + noise[0] * rng.standard_normal(3)).tolist()
+        wx, wy, wz = (drive.ideal_rate_b[i] + rate_bias + noise[1] * rng.standard_normal(3)).tolist()
+        navigation.advance((fx, fy, fz), (wx, wy, wz), int(drive.t_ns[i]))
+        navigation.keep_covariance()
+        if k == 2000:
+            biases = force_bias, rate_bias
+        if k % 100 == 0 and not 1500 <= k < 2500:
+            place = Geodetic(*drive.position[i].tolist())
+            z = np.array(ned_from_geodetic_difference(place, navigation.inertial.position))
+            z += sd_of_fix * rng.standard_normal(3)
+            navigation.accept(navigation.weigh(z, H, np.diag(sd_of_fix**2)))
+    return World(drive, records, int(drive.t_ns[first + 2000]), *biases)
+
+
+def test_its_normalised_errors_squared_lie_in_their_band_of_95_percent() -> None:
+    """In the middle of an outage, over 50 runs; sums are chi-square with as many degrees as errors a run."""
+    runs, parts = 50, {"all": slice(0, 15), "attitude": em.ATTITUDE, "velocity": em.VELOCITY, "position": em.POSITION}
+    sizes = dict.fromkeys(parts, 0.0)
+    for seed in range(runs):
+        world = matched(seed)
+        state = of_smoother(world.records)[world.middle_ns]
+        e = np.concatenate([
+            errors(world.drive, state),
+            world.accelerometer_bias - state.accelerometer_bias,
+            world.gyroscope_bias - state.gyroscope_bias,
+        ])  # fmt: skip
+        for name, part in parts.items():
+            sizes[name] += float(e[part] @ np.linalg.solve(state.P[part, part], e[part]))
+    for name, part in parts.items():
+        count = runs * (part.stop - part.start)
+        assert chi2.ppf(0.025, count) < sizes[name] < chi2.isf(0.025, count), (name, sizes[name] / count)

@@ -1,0 +1,132 @@
+"""Samples wait until somebody looks: who looks, and when, changes nothing."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from math import nan, radians
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.core.fusion.alignment.heading import Prior
+from services.core.fusion.filter.fast import compiled_runner
+from services.core.fusion.measurements.base import Outcome
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic
+
+SET_BACK = (1, 3, 5, 7)  # seeds of drives with a clock that loses 0.3 s
+Look = Callable[[int], bool]
+ALWAYS: Look = lambda _: True  # noqa: E731  # shorter than a function with a name of its own
+NEVER: Look = lambda _: False  # noqa: E731
+
+
+@dataclass(frozen=True)
+class Step:
+    """A sample as it comes, and the place of a fix or a speed that comes with it."""
+
+    time_ns: int
+    force: list[float]
+    rate: list[float]
+    received_ns: int
+    saturated: bool
+    fixes: list[int]
+    speeds: list[int]
+
+
+@cache
+def drive() -> Drive:
+    return simulate("parking_lot", seed=3, duration_s=60.0, epoch_s=0.5)
+
+
+@cache
+def messy(seed: int) -> list[Step]:
+    """All that goes wrong on a bus, here and there: lost, doubled, swapped, stuck, impossible, and late by anything."""
+    d, rng = drive(), np.random.default_rng(seed)
+    places = [i for i in range(len(d.t_ns)) for _ in range(1 + (rng.random() < 0.003))]
+    for _ in range(4):
+        first = int(rng.integers(500, len(places) - 400))
+        del places[first : first + int(rng.choice([3, 30, 250]))]
+    for k in rng.integers(1, len(places), 8).tolist():
+        places[k - 1], places[k] = places[k], places[k - 1]
+    stuck = int(rng.integers(1000, 4000))
+    set_back = int(rng.integers(2000, 5000)) if seed in SET_BACK else len(places)
+    fix_at = np.searchsorted(d.t_ns, d.fix_ns + rng.choice([80e6, 300e6, 1.2e9], len(d.fix_ns)).astype(np.int64))
+    speed_at = np.searchsorted(d.t_ns, d.odometer_ns + rng.choice([5e6, 50e6, 400e6], len(d.odometer_ns)).astype(int))
+    steps = []
+    for k, i in enumerate(places):
+        force, rate = d.force_b[i].tolist(), d.rate_b[i].tolist()
+        if stuck <= i < stuck + 150:
+            force = d.force_b[stuck].tolist()
+        if rng.random() < 0.001:
+            force[0] = float(rng.choice([nan, 1e9]))
+        back_ns = 300_000_000 if k >= set_back else 0
+        time_ns, odd = int(d.t_ns[i]) - back_ns, bool(rng.random() < 0.002)
+        due = (np.flatnonzero(fix_at == i).tolist(), np.flatnonzero(speed_at == i).tolist())
+        steps.append(Step(time_ns, force, rate, int(d.t_ns[i]) + 2_000_000, odd, *due))
+    return steps
+
+
+def followed(seed: int, look: Look, hurry: Look, **changes: object) -> Iterator[Any]:
+    """What a navigator says of a messy drive, looked at now and then.
+
+    But for its levels: they are of when the covariance was seen first, up to a period ago.
+    """
+    d = drive()
+    made = Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0, **changes})
+    navigator = Navigator(made, compiled_runner() if changes.get("machine_code") else None)
+    navigator.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), d.attitude[0, 2], radians(1.0)))
+    outcomes: list[Outcome] = []
+    for k, step in enumerate(messy(seed)):
+        for j in step.fixes:
+            navigator.fix(
+                int(d.fix_ns[j]),
+                position=Geodetic(*d.fix_position[j].tolist()),
+                velocity=tuple(d.fix_velocity_n[j].tolist()),
+                position_sd=tuple(d.fix_position_sd_n[j].tolist()),
+                velocity_sd=tuple(d.fix_velocity_sd_n[j].tolist()),
+                received_ns=step.received_ns,
+            )
+        for j in step.speeds:
+            navigator.speed(int(d.odometer_ns[j]), float(d.odometer[j]), received_ns=step.received_ns)
+        sample = step.time_ns, step.force, step.rate, step.received_ns
+        navigator.advance(*sample, saturated=step.saturated, hurried=hurry(k))
+        if look(2 * k):
+            navigator.solution()
+        outcomes += navigator.release(step.received_ns)
+        if look(2 * k + 1):
+            navigator.foresee()
+    solution = navigator.solution()
+    outcomes += navigator.release(step.received_ns)
+    assert solution is not None
+    yield from (solution.time_ns, solution.position, solution.velocity, solution.roll, solution.pitch, solution.yaw)
+    yield from (cov.tolist() for cov in (solution.position_cov, solution.velocity_cov, solution.attitude_cov))
+    yield from (solution.gnss_age_s, navigator.phase, navigator.since_ns, navigator.reason, navigator.counts)
+    yield from (navigator.samples_used, navigator.samples_rejected, navigator.measurements_late, navigator.rejects)
+    yield navigator.lever_arm_error
+    # What was told before a late fix came is not told again; what was not told yet, and is used later, knows of the
+    # fix. So does a fix of the future, as there are after a clock was set back.
+    of_devices = [outcome for outcome in outcomes if outcome.source in ("gnss", "wheels")]
+    keys = [(outcome.time_ns, outcome.source, outcome.kind) for outcome in of_devices]
+    yield sorted(keys if seed in SET_BACK else of_devices, key=repr)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_who_looks_changes_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    looks, hurries = rng.random(20_000) < 0.02, rng.random(20_000) < 0.1
+    every = list(followed(seed, ALWAYS, NEVER))
+    assert list(followed(seed, NEVER, NEVER)) == every
+    assert list(followed(seed, lambda k: bool(looks[k]), lambda k: bool(hurries[k]))) == every
+    assert len(every[-1]) > 400, "the drive is navigated for all that"
+
+
+@pytest.mark.parametrize("changes", [{"estimate_delays": True}, {"history_s": 0.2}, {"history_s": 1.0}])
+@pytest.mark.parametrize("seed", range(2))
+def test_nor_where_delays_are_estimated_or_the_memory_is_short(seed: int, changes: dict[str, object]) -> None:
+    every = list(followed(seed, ALWAYS, NEVER, **changes))
+    assert list(followed(seed, NEVER, NEVER, **changes)) == every
+    assert list(followed(seed, NEVER, lambda k: k % 10 == 0, **changes)) == every
+    assert len(every[-1]) > 100

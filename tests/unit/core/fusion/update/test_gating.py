@@ -1,0 +1,318 @@
+"""Faults of a receiver: what is refused, what is weighed less, and when it is admitted again."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from math import radians
+
+import numpy as np
+import pytest
+
+from services.core.fusion.alignment.heading import Prior
+from services.core.fusion.filter import error_model as em
+from services.core.fusion.filter.eskf import ErrorStateFilter
+from services.core.fusion.integrity.error_monitor import Watch, block
+from services.core.fusion.measurements.base import Height, Outcome
+from services.core.fusion.measurements.gnss import GnssPosition
+from services.core.fusion.measurements.gnss_error_model import HYPOTHESES, SCALES, UNKNOWN
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.core.fusion.update.gating import Judge, Standing
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.messages.navigation import AidingKind
+
+Shift = tuple[float, float, float]
+FAULT_S, END_S = 36.0, 60.0
+SECOND_NS = 1_000_000_000
+SETTINGS = Settings()
+
+
+@cache
+def drive() -> Drive:
+    return simulate("parking_lot", seed=2, duration_s=END_S, epoch_s=0.2)
+
+
+@dataclass
+class Run:
+    navigator: Navigator
+    outcomes: list[Outcome]
+    errors: dict[float, np.ndarray]
+    levels: dict[float, tuple[float, float]]
+
+    def worst_m(self, begin_s: float, end_s: float) -> float:
+        return max(float(np.hypot(*e[:2])) for t, e in self.errors.items() if begin_s <= t < end_s)
+
+    def positions(self, begin_s: float, end_s: float) -> list[Outcome]:
+        return [
+            o for o in self.outcomes if o.kind is AidingKind.GNSS_POSITION and begin_s * 1e9 <= o.time_ns < end_s * 1e9
+        ]
+
+
+def run(shift: "Fault", **changes: object) -> Run:
+    """Lead a navigator through the drive, with positions (and not velocities) moved by a fault."""
+    d = drive()
+    made = Navigator(Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0, **changes}))
+    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    result, k = Run(made, [], {}, {}), 0
+    for i, time_ns in enumerate(d.t_ns.tolist()):
+        if k < len(d.fix_ns) and d.fix_ns[k] <= time_ns:
+            north, east, down = d.fix_velocity_n[k].tolist()
+            made.fix(
+                time_ns,
+                position=geodetic_from_ned_difference(shift(time_ns * 1e-9), Geodetic(*d.fix_position[k].tolist())),
+                velocity=(north, east, down),
+                position_sd=d.fix_position_sd_n[k].tolist(),
+                velocity_sd=d.fix_velocity_sd_n[k].tolist(),
+            )
+            k += 1
+        result.outcomes += made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
+        solution = made.solution()
+        if solution and i % 10 == 0:
+            truth = Geodetic(*d.position[i].tolist())
+            result.errors[time_ns * 1e-9] = np.array(ned_from_geodetic_difference(solution.position, truth))
+            levels = solution.protection_level_horizontal, solution.protection_level_vertical
+            result.levels[time_ns * 1e-9] = levels
+    return result
+
+
+class Fault:
+    """A shift of positions [m, NED] from `FAULT_S` on."""
+
+    def __init__(self, length_s: float, north_m: float = 0.0, *, rate: float = 0.0, down_m: float = 0.0) -> None:
+        self.length_s, self.north_m, self.rate, self.down_m = length_s, north_m, rate, down_m
+
+    def __call__(self, time_s: float) -> Shift:
+        since_s = time_s - FAULT_S
+        if not 0.0 <= since_s < self.length_s:
+            return 0.0, 0.0, 0.0
+        return self.north_m + self.rate * since_s, 0.0, self.down_m
+
+
+@pytest.mark.parametrize("fault", [Fault(0.1, 30.0), Fault(4.0, 30.0), Fault(4.0, 500.0)], ids=["one", "4 s", "far"])
+def test_a_jump_that_returns_is_ridden_out(fault: Fault) -> None:
+    found = run(fault)
+    assert found.worst_m(FAULT_S, END_S) < 0.6
+    assert found.navigator.counts.resets == 0
+    during = found.positions(FAULT_S, FAULT_S + fault.length_s)
+    assert during and all(o.reason == "beyond the gate" and o.weight == 0.0 for o in during)
+
+
+def test_after_a_fault_a_receiver_is_admitted_when_it_has_agreed_for_a_while() -> None:
+    found = run(Fault(4.0, 30.0))
+    back = found.positions(FAULT_S + 4.0, END_S)
+    waiting = [o for o in back if o.reason == "not admitted again yet"]
+    assert 4 <= len(waiting) <= 7, "a second of five a second"
+    assert back[: len(waiting)] == waiting and all(o.used for o in back[len(waiting) :])
+
+
+def test_a_single_outlier_costs_nothing_but_itself() -> None:
+    found = run(Fault(0.1, 30.0))
+    assert all(o.used for o in found.positions(FAULT_S + 0.15, END_S))
+
+
+def test_repeated_faults_take_longer_to_be_forgiven() -> None:
+    """Three faults of 3 s: healthy times of 1, 2 and 4 s; after a minute without any it is 1 s again."""
+    second, standing, time_ns = 1_000_000_000, Standing(), 0
+    needed: list[float] = []
+    for pause_s in (10, 10, 10, 100, 10):
+        for _ in range(30):
+            time_ns += second // 10
+            standing = standing.after(time_ns, agrees=False, settings=SETTINGS)
+        assert standing.excluded
+        begin_ns = time_ns
+        while standing.excluded:
+            time_ns += second // 10
+            standing = standing.after(time_ns, agrees=True, settings=SETTINGS)
+        needed.append(round((time_ns - begin_ns) * 1e-9 - 0.1, 3))
+        time_ns += pause_s * second
+    assert needed == [1.0, 2.0, 4.0, 8.0, 1.0]
+
+
+def test_a_receiver_on_probation_that_errs_again_begins_its_time_anew() -> None:
+    standing = Standing(excluded=True, faults=1)
+    standing = standing.after(0, agrees=True, settings=SETTINGS)
+    standing = standing.after(900_000_000, agrees=False, settings=SETTINGS)
+    standing = standing.after(1_100_000_000, agrees=True, settings=SETTINGS)
+    assert standing.excluded and standing.sound_ns == 1_100_000_000
+
+
+def test_bursts_of_any_size_do_less_harm_than_with_a_hard_gate_or_without_any() -> None:
+    """Multipath of 1.5 and 2.5 m for 3 s. The worst costs 1.0 m, with a hard gate 1.2 m, and more with full weight."""
+    sizes = (1.5, 2.5)
+    choices: list[dict[str, float]] = [{}, {"robust_limit": 1.0}, {"robust_limit": 1.0, "gate_false_alarm": 1e-12}]
+    robust, hard, trusting = (
+        max(run(Fault(3.0, size), **choice).worst_m(FAULT_S, END_S) for size in sizes) for choice in choices
+    )
+    assert robust < hard < trusting
+    weights = [o.weight for o in run(Fault(3.0, 1.5)).positions(FAULT_S, FAULT_S + 3.0)]
+    assert any(0.0 < weight < 1.0 for weight in weights)
+
+
+def test_a_lasting_jump_resets_with_its_reason() -> None:
+    found = run(Fault(60.0, 500.0))
+    assert found.navigator.counts.resets == 1
+    assert "positions in a row rejected" in found.navigator.reason
+    assert found.errors[max(found.errors)][0] == pytest.approx(500.0, abs=2.0)
+
+
+class Swapping(Fault):
+    """Heights of two kinds by turns, 47 m apart: 2 s of this and 2 s of that."""
+
+    def __call__(self, time_s: float) -> Shift:
+        return 0.0, 0.0, -47.0 if time_s > FAULT_S and time_s % 4.0 < 2.0 else 0.0
+
+
+def test_heights_that_swap_are_told_and_the_horizontal_is_used_on() -> None:
+    found = run(Swapping(30.0))
+    odd = [o for o in found.positions(FAULT_S, END_S) if o.reason]
+    assert len(odd) > 50 and all(o.used and "used without it" in (o.reason or "") for o in odd)
+    assert found.worst_m(FAULT_S, END_S) < 0.5
+    assert max(abs(e[2]) for t, e in found.errors.items() if t > FAULT_S) < 1.5
+    assert found.navigator.counts.resets == 0
+
+
+def test_a_height_that_stays_is_taken_over() -> None:
+    found = run(Fault(60.0, down_m=-47.0))
+    assert found.errors[max(found.errors)][2] == pytest.approx(-47.0, abs=2.0)
+    assert found.worst_m(FAULT_S, END_S) < 0.5 and found.navigator.counts.resets == 0
+    assert any("height beyond the gate" in (o.reason or "") for o in found.outcomes)
+
+
+@cache
+def lifted() -> Run:
+    """All heights are 47 m too great from 36 s on."""
+    return run(Fault(60.0, down_m=-47.0))
+
+
+def test_a_height_in_dispute_is_in_the_vertical_level_and_in_no_other() -> None:
+    found = lifted()
+    (first, *_, last) = [o.time_ns * 1e-9 for o in found.outcomes if o.height]
+    during = {t: levels for t, levels in found.levels.items() if first + 0.2 < t < last}  # a fix waits for late ones
+    assert len(during) > 40 and min(vertical for _, vertical in during.values()) > 46.0
+    assert max(horizontal for horizontal, _ in during.values()) < 3.0
+
+
+def test_a_filter_that_gave_way_to_a_height_is_unsure_of_it_as_of_a_place() -> None:
+    """The level holds the 47 m after the takeover for as long as that of a jump on the ground, and fades like it."""
+    found, level = lifted(), run(Fault(60.0, north_m=47.0))
+    taken_over = next(o.time_ns * 1e-9 for o in found.outcomes if o.height and o.height.taken_over)
+    after = [t for t in found.levels if t > taken_over + 0.4]
+    assert all(found.levels[t][1] > abs(found.errors[t][2]) > 45.0 for t in after if t < taken_over + 1.5)
+    assert all(abs(found.levels[t][1] - level.levels[t][0]) < 1.0 for t in after[10:])
+    assert found.levels[after[-1]][1] < 40.0
+
+
+def test_only_a_height_that_is_used_ends_the_dispute_about_heights() -> None:
+    """A position without a height is no answer to a height that was refused."""
+    twin = filter_that_trusts_lasting_errors().fork()
+    twin.bring_covariance_up()
+    made = Outcome(SECOND_NS, "gnss", AidingKind.GNSS_POSITION, (0.1, 0.1), (1.0, 1.0), 0.1, used=True)
+    refused = made._replace(height=Height(-47.0, 1.0, taken_over=False))
+    seen = Watch().after(refused, block(twin), twin, 1e-3, estimated=False)
+    assert seen.disputed == (0.0, 47.0)
+    seen = seen.after(made._replace(time_ns=2 * SECOND_NS), block(twin), twin, 1e-3, estimated=False)
+    assert seen.disputed == (0.0, 47.0)
+    whole = made._replace(time_ns=3 * SECOND_NS, innovation=(0.1, 0.1, 0.1), innovation_sd=(1.0, 1.0, 1.0))
+    assert seen.after(whole, block(twin), twin, 1e-3, estimated=False).disputed == (0.0, 0.0)
+    unfit = refused._replace(used=False, height=Height(-47.0, 1.0, taken_over=True))
+    given_way = seen.after(unfit, block(twin), twin, 1e-3, estimated=False)
+    assert given_way.yielded == (0.0, 47.0) and given_way.contested[1] == 0.0
+
+
+@pytest.mark.parametrize("seed_settings", [{}, {"position_only": True}], ids=["velocity", "positions only"])
+def test_a_sound_receiver_is_hardly_ever_refused(seed_settings: dict[str, object]) -> None:
+    found = run(Fault(0.0), **seed_settings)
+    positions = found.positions(0.0, END_S)
+    assert np.mean([o.reason is not None for o in positions]) < 0.005
+    assert not any(o.reason == "not admitted again yet" for o in positions)
+
+
+@cache
+def filter_that_trusts_lasting_errors() -> ErrorStateFilter:
+    """It knows its place to 0.2 m, and has learned that errors of 3 m last for 200 s."""
+    inside = run(Fault(0.0)).navigator._delayed.engine.filter
+    assert inside is not None
+    evidence = UNKNOWN.evidence.copy()
+    evidence[:, HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0
+    twin, P = inside.fork(), inside.P.copy()
+    twin.colour = replace(UNKNOWN, evidence=evidence)
+    twin.parameters = tuple(0.0 for _ in twin.parameters)
+    for part, variance in ((em.POSITION, 0.04), (em.GNSS_ERROR, 0.01)):
+        P[part], P[:, part] = 0.0, 0.0
+        P[part, part] = variance * np.eye(3)
+    twin.P = P
+    return twin
+
+
+def fix_beside(navigation: ErrorStateFilter, north_m: float) -> GnssPosition:
+    place, now_ns = geodetic_from_ned_difference((north_m, 0.0, 0.0), navigation.inertial.position), 61 * 10**9
+    return GnssPosition(now_ns, now_ns, "gnss", place, 9.0 * np.eye(3), 3, (0.0, 0.0, 0.0), 0.0, lasts=True)
+
+
+def test_a_jump_within_what_the_receiver_states_is_another_lasting_error() -> None:
+    """Other satellites, other errors: the fix is used, and the solution stays where it was."""
+    twin = filter_that_trusts_lasting_errors().fork()
+    fix = fix_beside(twin, 6.0)
+    outcome = Judge(SETTINGS).judge(twin, fix, fix.observe(twin))
+    assert outcome.used and outcome.weight == 1.0
+    assert twin.gnss_error[0] == pytest.approx(2.0, rel=0.02)
+    assert abs(twin.moved[0] - filter_that_trusts_lasting_errors().moved[0]) < 0.1
+
+
+def test_a_jump_beyond_what_the_receiver_states_is_refused() -> None:
+    twin = filter_that_trusts_lasting_errors().fork()
+    fix = fix_beside(twin, 15.0)
+    assert not Judge(SETTINGS).judge(twin, fix, fix.observe(twin)).used
+    assert twin.gnss_error[0] == 0.0
+
+
+def test_healthy_time_is_not_doubled_for_ever() -> None:
+    standing, time_ns = Standing(excluded=True, faults=20), 0
+    while standing.excluded:
+        standing = standing.after(time_ns, agrees=True, settings=SETTINGS)
+        time_ns += 100_000_000
+    assert time_ns * 1e-9 == pytest.approx(SETTINGS.healthy_max_s + 0.1)
+
+
+def test_positions_at_fault_leave_velocities_in_use() -> None:
+    """Each kind of each device has its own standing: a jump of 500 m in position says nothing of Doppler."""
+    found = run(Fault(4.0, 500.0))
+    during = [o for o in found.outcomes if FAULT_S * 1e9 <= o.time_ns < (FAULT_S + 5.0) * 1e9]
+    velocities = [o for o in during if o.kind is AidingKind.GNSS_VELOCITY]
+    assert len(velocities) > 20 and all(o.used for o in velocities)
+    assert not any(o.used for o in during if o.kind is AidingKind.GNSS_POSITION)
+
+
+def test_a_refused_position_widens_what_the_filter_believes() -> None:
+    """While all is refused, the covariance grows by more than without GNSS, so that a wrong filter comes back."""
+    refused, silent = (sd_at_end(position) for position in (Fault(60.0, 500.0), None))
+    assert refused > 1.05 * silent
+
+
+def sd_at_end(fault: Fault | None) -> float:
+    """Standard deviation of the position [m] after four seconds of positions that are refused, or that do not come."""
+    d = drive()
+    made = Navigator(Settings(lever_arm_body_m=d.lever_arm_b, levelling_s=2.0, reset_after_s=60.0))
+    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    for i, time_ns in enumerate(d.t_ns.tolist()[: round((FAULT_S + 4.0) * 100)]):
+        faulty = time_ns >= FAULT_S * 1e9
+        if i % 20 == 19 and (fault or not faulty):
+            k, shift = i // 20, fault(time_ns * 1e-9) if fault else (0.0, 0.0, 0.0)
+            made.fix(
+                time_ns,
+                position=geodetic_from_ned_difference(shift, Geodetic(*d.fix_position[k].tolist())),
+                position_sd=d.fix_position_sd_n[k].tolist(),
+            )
+        made.imu(time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
+    solution = made.solution()
+    assert solution is not None
+    return float(np.sqrt(solution.position_cov[0, 0]))
+
+
+def test_a_reset_after_refused_positions_keeps_the_biases_and_doubts_the_heading() -> None:
+    """What the gyroscope's bias was learnt to be is not forgotten because a receiver has jumped."""
+    found = run(Fault(60.0, 500.0))
+    solution, truth = found.navigator.solution(), (drive().rate_b - drive().ideal_rate_b)[:1000].mean(axis=0)
+    assert solution is not None and found.navigator.counts.resets == 1
+    assert solution.gyroscope_bias == pytest.approx(truth, abs=2e-4)
+    assert "heading kept" in found.navigator.reason or "matched" in found.navigator.reason

@@ -1,0 +1,306 @@
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import astuple
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyubx2.ubxmessage import UBXMessage
+from pyubx2.ubxreader import UBXReader
+
+from services.parsers.gnss import ubx_messages
+from services.parsers.gnss.framer import Framer, Protocol
+from shared.messages.gnss import CarrierSolution, Constellation, FixType
+from tests.support.data import recording
+
+RECORDINGS = (
+    ("gpsd_receiver_logs", "ublox-zed-f9p-hp.log"),
+    ("gpsd_receiver_logs", "ublox-zed-f9p-rtk.log"),
+    ("gpsd_receiver_logs", "ublox-zed-f9r.log"),
+    ("gpsd_receiver_logs", "ublox-neo-m8l.log"),
+    ("gpsd_receiver_logs", "ublox-glo.log"),
+    ("pyubx2_logs", "pygpsdata-MIXED.log"),
+)
+Pair = tuple[bytes, Any]  # messages have attributes that only exist at run time
+
+# The interface description once more, independent of pyubx2: the layout and the names of the fields.
+PVT = struct.Struct("<IH5BBIi4B4iII4iiIIHH")
+PVT_FIELDS = (
+    "iTOW year month day hour min second valid tAcc nano fixType flags flags2 numSV lon lat height hMSL hAcc vAcc "
+    "velN velE velD gSpeed headMot sAcc headAcc pDOP flags3"
+)
+DOP = struct.Struct("<I7H")
+DOP_FIELDS = "iTOW gDOP pDOP tDOP vDOP hDOP nDOP eDOP"
+HPPOSLLH = struct.Struct("<B2xBI4i4bII")
+HPPOSLLH_FIELDS = "version flags iTOW lon lat height hMSL lonHp latHp heightHp hMSLHp hAcc vAcc"
+COV = struct.Struct("<IBBB9x12f")
+
+
+def encode(name: str, **fields: Any) -> bytes:
+    """Let pyubx2 encode the payload of a message that a receiver sends."""
+    return bytes(UBXMessage("NAV", name, 0, **fields).payload)
+
+
+def decode_pvt(payload: bytes) -> ubx_messages.Pvt:
+    return ubx_messages.decode_pvt(ubx_messages.parse("PVT", payload))
+
+
+def decode_covariance(payload: bytes) -> ubx_messages.Covariance:
+    return ubx_messages.decode_covariance(ubx_messages.parse("COV", payload))
+
+
+def decode_high_precision(payload: bytes) -> ubx_messages.HighPrecision:
+    return ubx_messages.decode_high_precision(ubx_messages.parse("HPPOSLLH", payload))
+
+
+def unpack(layout: struct.Struct, names: str, payload: bytes) -> Any:
+    """Read a payload with the tables above."""
+    return SimpleNamespace(**dict(zip(names.split(), layout.unpack_from(payload), strict=True)))
+
+
+def messages(path: Path, kind: str) -> list[Pair]:
+    """Find the payloads of one kind, each with what pyubx2 reads in it."""
+    return [
+        (frame.data[6:-2], UBXReader.parse(frame.data))
+        for frame in Framer().feed(path.read_bytes())
+        if frame.protocol is Protocol.UBX
+        and frame.data[2] == ubx_messages.NAV
+        and ubx_messages.KINDS.get(frame.data[3]) == kind
+    ]
+
+
+@pytest.mark.recording
+@pytest.mark.parametrize(("folder", "name"), RECORDINGS)
+def test_every_recorded_nav_pvt_is_read_as_the_interface_description_says(folder: str, name: str) -> None:
+    pairs = messages(recording(folder) / name, "PVT")
+    assert pairs
+    for payload, _ in pairs:
+        ours, theirs = decode_pvt(payload), unpack(PVT, PVT_FIELDS, payload)
+        assert ours.itow_ms == theirs.iTOW
+        assert ours.calendar == (theirs.year, theirs.month, theirs.day, theirs.hour, theirs.min, theirs.second)
+        assert ours.nanosecond == theirs.nano
+        assert ours.time_valid == (theirs.valid & 7 == 7)
+        assert ours.fix_type is tuple(FixType)[theirs.fixType]
+        assert (ours.fix_ok, ours.differential) == (bool(theirs.flags & 1), bool(theirs.flags & 2))
+        assert ours.carrier_solution is tuple(CarrierSolution)[theirs.flags >> 6]
+        assert ours.satellites_used == theirs.numSV
+        assert ours.velocity_ned_m_s == pytest.approx((theirs.velN / 1e3, theirs.velE / 1e3, theirs.velD / 1e3))
+        assert ours.ground_speed_m_s == pytest.approx(theirs.gSpeed / 1e3)
+        assert ours.course_rad == pytest.approx(math.radians(theirs.headMot / 1e5))
+        assert ours.speed_sd_m_s == pytest.approx(theirs.sAcc / 1e3)
+        if ours.position is not None:
+            assert ours.position.latitude_deg == pytest.approx(theirs.lat / 1e7, abs=1e-10)
+            assert ours.position.longitude_deg == pytest.approx(theirs.lon / 1e7, abs=1e-10)
+            assert ours.position.height_ellipsoid_m == pytest.approx(theirs.height / 1e3)
+            assert ours.position.height_msl_m == pytest.approx(theirs.hMSL / 1e3)
+
+
+@pytest.mark.recording
+@pytest.mark.parametrize(("folder", "name"), RECORDINGS)
+def test_every_recorded_nav_sat_is_read_as_pyubx2_reads_it(folder: str, name: str) -> None:
+    pairs = messages(recording(folder) / name, "SAT")
+    assert pairs
+    for payload, theirs in pairs:
+        ours = ubx_messages.decode_satellites(payload)
+        assert len(ours) == theirs.numSvs
+        for i, satellite in enumerate(ours, 1):
+            field = {
+                key: getattr(theirs, f"{key}_{i:02}") for key in ("svId", "cno", "elev", "azim", "prRes", "svUsed")
+            }
+            assert satellite.number == field["svId"]
+            assert (satellite.cn0_db_hz or 0) == field["cno"]
+            assert satellite.used == bool(field["svUsed"])
+            if satellite.elevation_rad is not None and satellite.azimuth_rad is not None:
+                assert math.degrees(satellite.elevation_rad) == pytest.approx(field["elev"])
+                assert math.degrees(satellite.azimuth_rad) == pytest.approx(field["azim"])
+            if satellite.used:
+                assert satellite.residual_m == pytest.approx(field["prRes"])
+
+
+@pytest.mark.recording
+def test_recorded_dop_and_high_precision_are_read_as_the_interface_description_says() -> None:
+    path = recording("gpsd_receiver_logs") / "ublox-zed-f9p-hp.log"
+    for payload, _ in messages(path, "DOP"):
+        dop, theirs = ubx_messages.decode_dop(ubx_messages.parse("DOP", payload)), unpack(DOP, DOP_FIELDS, payload)
+        assert (dop.pdop, dop.vdop, dop.hdop) == pytest.approx(
+            (theirs.pDOP / 100, theirs.vDOP / 100, theirs.hDOP / 100)
+        )
+    for payload, _ in messages(path, "HPPOSLLH"):
+        position, theirs = decode_high_precision(payload).position, unpack(HPPOSLLH, HPPOSLLH_FIELDS, payload)
+        assert position is not None
+        assert position.latitude_deg == pytest.approx(theirs.lat / 1e7 + theirs.latHp / 1e9, abs=1e-10)
+        assert position.longitude_deg == pytest.approx(theirs.lon / 1e7 + theirs.lonHp / 1e9, abs=1e-10)
+        assert position.height_ellipsoid_m == pytest.approx(theirs.height / 1e3 + theirs.heightHp / 1e4, abs=1e-9)
+        assert position.horizontal_sd_m == pytest.approx(theirs.hAcc / 1e4)
+
+
+def pvt_bytes(*, pvt_flags: int = 0b01_0_000_11, flags3: int = 0b0110, size: int = 92) -> bytes:
+    payload = PVT.pack(
+        396_018_250, 2026, 1, 2, 3, 4, 5, 7, 21, -123_456, 3, pvt_flags, 0xE0, 17, -132_500_001, 425_000_002, 700_003,
+        650_004, 1_005, 2_006, 3_007, -4_008, 5_009, 5_010, 306_86990, 111, 1_234_567, 234, flags3,
+    )  # fmt: skip
+    return (payload + bytes(92 - PVT.size))[:size]
+
+
+def test_every_field_of_nav_pvt_has_its_place_and_unit() -> None:
+    pvt = decode_pvt(pvt_bytes())
+    assert (pvt.itow_ms, pvt.calendar, pvt.nanosecond) == (396_018_250, (2026, 1, 2, 3, 4, 5), -123_456)
+    assert (pvt.time_valid, pvt.fix_ok, pvt.differential) == (True, True, True)
+    assert (pvt.fix_type, pvt.carrier_solution) == (FixType.THREE_D, CarrierSolution.FLOAT)
+    assert pvt.satellites_used == 17
+    assert pvt.position is not None
+    assert astuple(pvt.position) == pytest.approx((42.5000002, -13.2500001, 700.003, 650.004, 1.005, 2.006), rel=1e-12)
+    assert pvt.velocity_ned_m_s == pytest.approx((3.007, -4.008, 5.009))
+    assert (pvt.ground_speed_m_s, pvt.speed_sd_m_s, pvt.pdop) == pytest.approx((5.010, 0.111, 2.34))
+    assert pvt.course_rad == pytest.approx(math.radians(306.8699))
+    assert pvt.correction_age_s == 5  # class 3
+
+
+def test_the_shorter_nav_pvt_of_generation_7_has_no_flags3() -> None:
+    assert decode_pvt(pvt_bytes(flags3=0b0101)).position is None
+    old = decode_pvt(pvt_bytes(flags3=0b0101, size=84))
+    assert old.position is not None
+    assert (old.correction_age_s, old.pdop) == (None, 2.34)
+    with pytest.raises(ubx_messages.UbxError, match="short"):
+        decode_pvt(pvt_bytes(size=77))
+
+
+@pytest.mark.parametrize(("flags", "solution"), [(0x41, "float"), (0x81, "fixed"), (0xC1, "none"), (0x01, "none")])
+def test_nav_pvt_tells_the_carrier_solution(flags: int, solution: str) -> None:
+    assert decode_pvt(pvt_bytes(pvt_flags=flags)).carrier_solution is CarrierSolution(solution)
+
+
+def test_every_field_of_nav_dop_has_its_place_and_unit() -> None:
+    dop = ubx_messages.decode_dop(ubx_messages.parse("DOP", DOP.pack(250, 1, 202, 3, 304, 405, 9999, 0)))
+    assert (dop.itow_ms, dop.pdop, dop.vdop, dop.hdop) == (250, 2.02, 3.04, 4.05)
+
+
+def test_every_field_of_nav_cov_has_its_place_and_unit() -> None:
+    position, velocity = (4.0, 1.0, 0.5, 9.0, -0.25, 16.0), (8.0, 2.0, 1.0, 18.0, -0.5, 32.0)
+    decoded = decode_covariance(COV.pack(250, 0, 1, 1, *position, *velocity))
+    assert decoded == ubx_messages.Covariance(250, position, velocity)
+    assert decode_covariance(COV.pack(250, 0, 0, 1, *position, *velocity)) == ubx_messages.Covariance(
+        250, None, velocity
+    )
+    with pytest.raises(ubx_messages.UbxError, match="short"):
+        decode_covariance(COV.pack(250, 0, 1, 1, *position, *velocity)[:-1])
+
+
+def test_every_field_of_nav_hpposllh_has_its_place_and_unit() -> None:
+    def payload(flags: int, accuracy: int) -> bytes:
+        return HPPOSLLH.pack(0, flags, 250, -132_500_000, 425_000_001, 700_001, 650_001, -45, 23, -3, 4, 141, accuracy)
+
+    decoded = decode_high_precision(payload(0, 200))
+    assert decoded.itow_ms == 250
+    expected = (42.500000123, -13.250000045, 700.0007, 650.0014, 0.0141, 0.02)
+    assert decoded.position is not None
+    assert astuple(decoded.position) == pytest.approx(expected, rel=0, abs=1e-10)
+    assert decode_high_precision(payload(1, 200)).position is None
+    unknown = decode_high_precision(payload(0, 0xFFFFFFFF)).position
+    assert unknown is not None
+    assert unknown.horizontal_sd_m == pytest.approx(0.0141)
+    assert unknown.vertical_sd_m is None
+
+
+@pytest.mark.parametrize("kind", ["EOE", "DOP", "SAT"])
+def test_a_time_of_week_is_within_the_week(kind: str) -> None:
+    def itow_ms(value: int) -> int:
+        payload = struct.pack("<I14x", value)
+        return (
+            ubx_messages.satellites_itow_ms(payload) if kind == "SAT" else int(ubx_messages.parse(kind, payload).iTOW)
+        )
+
+    assert itow_ms(604_799_999) == 604_799_999
+    with pytest.raises(ubx_messages.UbxError, match="time_of_week"):
+        itow_ms(604_800_000)
+
+
+def covariance(**fields: float) -> bytes:
+    values: dict[str, Any] = {"posCovValid": 1,
+              "velCovValid": 1, "posCovNN": 4.0, "posCovEE": 9.0, "posCovDD": 16.0, "posCovNE": 1.0,
+              "velCovNN": 0.01, "velCovEE": 0.02, "velCovDD": 0.03, **fields}  # fmt: skip
+    return encode("NAV-COV", iTOW=1, **values)
+
+
+def test_a_covariance_comes_as_the_upper_triangle() -> None:
+    decoded = decode_covariance(covariance())
+    assert decoded.position_ned_m2 == (4.0, 1.0, 0.0, 9.0, 0.0, 16.0)
+    assert decoded.velocity_ned_m2_s2 == pytest.approx((0.01, 0, 0, 0.02, 0, 0.03))
+
+
+def test_a_covariance_that_is_not_valid_is_missing() -> None:
+    decoded = decode_covariance(covariance(posCovValid=0, velCovValid=0))
+    assert decoded.position_ned_m2 is None
+    assert decoded.velocity_ned_m2_s2 is None
+
+
+@pytest.mark.parametrize("field", [{"posCovNN": math.nan}, {"posCovNE": 7.0}, {"velCovDD": 0.0}, {"posCovEE": -1.0}])
+def test_a_matrix_that_is_no_covariance_is_refused(field: dict[str, float]) -> None:
+    with pytest.raises(ubx_messages.UbxError, match="covariance"):
+        decode_covariance(covariance(**field))
+
+
+def test_what_a_receiver_does_not_know_is_missing() -> None:
+    payload = encode("NAV-PVT", lat=0, lon=0, hAcc=0xFFFFFFFF, vAcc=0, sAcc=0, pDOP=99.99)
+    pvt = decode_pvt(payload)
+    assert pvt.position is not None
+    assert (pvt.position.horizontal_sd_m, pvt.position.vertical_sd_m, pvt.speed_sd_m_s, pvt.pdop) == (None,) * 4
+    assert pvt.correction_age_s is None
+
+
+@pytest.mark.parametrize("fields", [{"lat": 91.0}, {"lon": -181.0}, {"height": 2_000_000_000}, {"invalidLlh": 1}])
+def test_a_position_that_is_none_is_missing(fields: dict[str, float]) -> None:
+    assert decode_pvt(encode("NAV-PVT", **fields)).position is None
+
+
+def test_satellites_without_a_place_in_the_sky_have_none() -> None:
+    payload = struct.pack("<IBB2xBBBbhhI", 0, 1, 1, 6, 255, 0, -91, 0, 0, 0)
+    (satellite,) = ubx_messages.decode_satellites(payload)
+    assert satellite.constellation is Constellation.GLONASS
+    assert (satellite.elevation_rad, satellite.azimuth_rad, satellite.cn0_db_hz) == (None, None, None)
+
+
+@given(st.sampled_from(sorted(set(ubx_messages.KINDS.values()))), st.binary(max_size=120))
+def test_any_payload_is_decoded_or_refused(kind: str, payload: bytes) -> None:
+    decoders: dict[str, Callable[[bytes], object]] = {
+        "PVT": decode_pvt,
+        "DOP": lambda data: ubx_messages.decode_dop(ubx_messages.parse("DOP", data)),
+        "COV": decode_covariance,
+        "HPPOSLLH": decode_high_precision,
+        "SAT": ubx_messages.decode_satellites,
+        "RELPOSNED": lambda data: ubx_messages.decode_baseline(ubx_messages.parse("RELPOSNED", data)),
+        "EOE": lambda data: ubx_messages.parse("EOE", data).iTOW,
+    }
+    try:
+        assert decoders[kind](payload) is not None
+    except ubx_messages.UbxError as fault:
+        assert str(fault)
+
+
+GOOD_LINE = {"version": 1, "iTOW": 1000, "relPosLength": 120, "relPosHeading": 12.3, "accHeading": 0.2, "gnssFixOK": 1,
+             "relPosValid": 1, "isMoving": 1, "relPosHeadingValid": 1, "carrSoln": 2}  # fmt: skip
+
+
+def baseline(**changes: int) -> ubx_messages.Baseline:
+    return ubx_messages.decode_baseline(
+        ubx_messages.parse("RELPOSNED", encode("NAV-RELPOSNED", **{**GOOD_LINE, **changes}))
+    )
+
+
+def test_the_line_between_two_antennas_has_a_heading() -> None:
+    line = baseline()
+    assert line.length_m == pytest.approx(1.2)
+    assert line.heading_rad == pytest.approx(math.radians(12.3))
+    assert line.heading_sd_rad == pytest.approx(math.radians(0.2))
+
+
+@pytest.mark.parametrize(
+    "flag", ["gnssFixOK", "relPosValid", "isMoving", "relPosHeadingValid", "carrSoln", "accHeading"]
+)
+def test_a_line_that_is_not_the_vehicles_has_none(flag: str) -> None:
+    line = baseline(**{flag: 1 if flag == "carrSoln" else 0})
+    assert line == ubx_messages.Baseline(1000, None, None, None)

@@ -1,0 +1,149 @@
+import os
+import pty
+import time
+import tty
+from pathlib import Path
+
+import can
+import pytest
+from can.io import CanutilsLogReader
+
+from shared.devices.can_device import candump_line, check_can_url, open_can
+from shared.devices.device import Device, DeviceBusy, DeviceLost
+from shared.errors import UserError
+from tests.support.data import recording
+
+REQUEST = bytes.fromhex("02010D0000000000")
+
+
+def read_lines(device: Device, n: int, within_s: float = 3.0) -> list[str]:
+    data = b""
+    deadline = time.monotonic() + within_s
+    while data.count(b"\n") < n and time.monotonic() < deadline:
+        data += device.read(0.02)
+    return data.decode().splitlines()
+
+
+def commands(far: int, last: bytes) -> list[bytes]:
+    """Read commands to an adapter, each of which ends in a carriage return, up to one that begins with `last`."""
+    data = b""
+    while True:
+        data += os.read(far, 1)
+        words = [word for word in data.split(b"\r") if word]
+        if data.endswith(b"\r") and words and words[-1].startswith(last):
+            return words
+
+
+def without_stamps(lines: list[str]) -> list[str]:
+    return [line.split(") ")[1] for line in lines]
+
+
+@pytest.mark.parametrize(
+    ("frame", "text"),
+    [
+        (can.Message(arbitration_id=0x7E8, is_extended_id=False, data=b"\x03\x41\x0d"), "can0 7E8#03410D"),
+        (can.Message(arbitration_id=0x7E8, is_extended_id=True, data=b"\x01"), "can0 000007E8#01"),
+        (can.Message(arbitration_id=0x1, is_extended_id=False, is_remote_frame=True), "can0 001#R"),
+        (can.Message(arbitration_id=0x1, is_extended_id=False, is_fd=True, bitrate_switch=True, data=b"\xab"),
+         "can0 001##1AB"),
+    ],
+)  # fmt: skip
+def test_a_line_is_read_back_by_python_can_as_the_frame_that_it_was(
+    frame: can.Message, text: str, tmp_path: Path
+) -> None:
+    line = candump_line(1_436_509_052_249_713_999, "can0", frame)
+    assert line.decode() == f"(1436509052.249713) {text}\n"
+    path = tmp_path / "candump.log"
+    path.write_bytes(line)
+    (read,) = CanutilsLogReader(path)
+    assert read.equals(frame, timestamp_delta=None, check_channel=False, check_direction=False)
+
+
+def test_frames_of_an_interface_become_lines_stamped_on_the_time_line() -> None:
+    device = open_can("virtual://lines", 0x7DF, time.monotonic_ns)
+    with can.Bus("lines", "virtual") as far:
+        before_ns = time.monotonic_ns()
+        far.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\xbe\xef"))
+        far.send(can.Message(arbitration_id=0x18FEF100, data=bytes(8)))
+        far.send(can.Message(is_error_frame=True))
+        lines = read_lines(device, 2)
+    assert without_stamps(lines) == ["lines 123#BEEF", "lines 18FEF100#0000000000000000"]
+    stamp_s = float(lines[0].split(")")[0][1:])
+    assert before_ns * 1e-9 - 1e-3 <= stamp_s <= time.monotonic()
+    device.close()
+
+
+@pytest.mark.parametrize(("identifier", "extended"), [(0x7DF, False), (0x18DB33F1, True)])
+def test_a_request_is_sent_with_its_identifier(identifier: int, extended: bool) -> None:
+    device = open_can("virtual://requests", identifier, time.monotonic_ns)
+    with can.Bus("requests", "virtual") as far:
+        device.write(REQUEST)
+        frame = far.recv(1.0)
+    assert frame is not None
+    assert (frame.arbitration_id, frame.is_extended_id, bytes(frame.data)) == (identifier, extended, REQUEST)
+    device.close()
+
+
+def test_a_closed_interface_is_lost_for_reading_and_busy_for_writing() -> None:
+    device = open_can("virtual://closed", 0x7DF, time.monotonic_ns)
+    device.close()
+    with pytest.raises(DeviceLost, match="check its cable"):
+        device.read(0.0)
+    with pytest.raises(DeviceBusy):
+        device.write(REQUEST)
+
+
+def test_a_serial_adapter_speaks_lawicel() -> None:
+    far, near = pty.openpty()
+    tty.setraw(near)
+    device = open_can(f"slcan://{os.ttyname(near)}?bitrate=250000", 0x7DF, time.monotonic_ns)
+    assert commands(far, b"O") == [b"C", b"S5", b"O"]  # close, 250 kbit/s, open
+    os.write(far, b"t7E8803410D3200000000\r")
+    (line,) = read_lines(device, 1)
+    assert without_stamps([line]) == [f"{Path(os.ttyname(near)).name} 7E8#03410D3200000000"]
+    device.write(REQUEST)
+    assert commands(far, b"t")[-1] == b"t7DF802010D0000000000"
+    os.close(far)
+    with pytest.raises(DeviceLost):
+        for _ in range(3):
+            device.read(0.02)
+    device.close()
+    os.close(near)
+
+
+def test_an_absent_interface_says_what_to_check() -> None:
+    with pytest.raises(DeviceLost, match="cannot open socketcan://nocan7"):
+        open_can("socketcan://nocan7", 0x7DF, time.monotonic_ns)
+
+
+@pytest.mark.parametrize("url", ["can0", "serial:///dev/ttyACM0", "socketcan://can0?bitrate=5"])
+def test_a_wrong_url_is_answered_with_what_to_try(url: str) -> None:
+    with pytest.raises(UserError, match=r"try socketcan://can0|known options"):
+        check_can_url(url)
+
+
+def test_a_log_is_replayed_at_its_pace_with_stamps_of_now(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    path.write_text("(1000.000000) can0 001#01\nrubbish\n(1000.100000) can0 002#02\n(1000.3) can0 003#03\n")
+    device = open_can(f"file://{path}", 0x7DF, time.monotonic_ns)
+    start = time.monotonic()
+    lines = read_lines(device, 3)
+    assert without_stamps(lines) == ["can0 001#01", "can0 002#02", "can0 003#03"]
+    assert 0.29 < time.monotonic() - start < 0.6
+    stamps_s = [float(line.split(")")[0][1:]) for line in lines]
+    assert [stamp - stamps_s[0] for stamp in stamps_s] == pytest.approx([0.0, 0.1, 0.3], abs=2e-6)
+    assert device.read(0.02) == b""
+    device.close()
+
+
+@pytest.mark.recording
+def test_a_recorded_log_is_replayed_as_python_can_reads_it(tmp_path: Path) -> None:
+    source = recording("can_toyobaru_wheelspeed") / "can_sample.log"
+    path = tmp_path / "part.log"
+    with source.open() as file:
+        path.write_text("".join(line for line, _ in zip(file, range(200), strict=False)))
+    device = open_can(f"file://{path}", 0x7DF, time.monotonic_ns)
+    lines = read_lines(device, 200)
+    expected = [f"can0 {frame.arbitration_id:03X}#{frame.data.hex().upper()}" for frame in CanutilsLogReader(path)]
+    assert without_stamps(lines) == expected
+    device.close()

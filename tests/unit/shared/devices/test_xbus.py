@@ -1,0 +1,161 @@
+import math
+import struct
+from collections import Counter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shared.devices import xbus
+from shared.devices.xbus import XbusReader, decode_field, decode_mtdata2, encode_field, encode_message, encode_mtdata2
+from tests.support.data import recording
+
+GOLDEN_NAMES = {
+    "PacketCounter": xbus.PACKET_COUNTER,
+    "SampleTimeFine": xbus.SAMPLE_TIME_FINE,
+    "SampleTimeCoarse": xbus.SAMPLE_TIME_COARSE,
+    "StatusWord": xbus.STATUS_WORD,
+    "StatusByte": xbus.STATUS_BYTE,
+    "EulerAngles": xbus.EULER_ANGLES,
+    "Acceleration": xbus.ACCELERATION,
+    "DeltaV": xbus.DELTA_V,
+    "RateOfTurn": xbus.RATE_OF_TURN,
+    "DeltaQ": xbus.DELTA_Q,
+    "Quaternion": xbus.QUATERNION,
+    "Temperature": xbus.TEMPERATURE,
+    "MagneticField": xbus.MAGNETIC_FIELD,
+    "BaroPressure": xbus.BARO_PRESSURE,
+}
+
+
+def golden(text: str) -> list[dict[int, list[float]]]:
+    """Read the decode of an independent implementation (einride/xsens-go)."""
+    messages = []
+    for block in text.strip().split("\n\n"):
+        fields: dict[int, list[float]] = {}
+        values: list[float] = []
+        for line in block.splitlines():
+            if not line.startswith(" "):
+                name = line.split("(")[0].rstrip(":")
+                values = []
+                if name in GOLDEN_NAMES:
+                    fields[GOLDEN_NAMES[name]] = values
+                base = 2 if name.startswith("Status") else 10
+            elif "T" not in line:
+                text_value = line.split(":")[-1].strip()
+                values.append(int(text_value, 2) if base == 2 else float(text_value) if text_value else math.nan)
+        messages.append(fields)
+    return messages
+
+
+@pytest.mark.recording
+@pytest.mark.parametrize("number", ["1", "3", "5"])
+def test_a_recording_of_an_mti_decodes_as_an_independent_implementation_decodes_it(number: str) -> None:
+    folder = recording("xsens_xbus") / number
+    reader = XbusReader()
+    data = (folder / "output.bin").read_bytes()
+    payloads = [m.payload for i in range(0, len(data), 11) for m in reader.feed(data[i : i + 11])]
+    expected = golden((folder / "output.golden").read_text())
+    assert not reader.rejects
+    assert len(payloads) == len(expected) == 100
+    for payload, fields in zip(payloads, expected, strict=True):
+        decoded = decode_mtdata2(payload, reader.rejects)
+        assert decoded.keys() == fields.keys()
+        for kind, values in fields.items():
+            assert decoded[kind] == pytest.approx(values, rel=1e-15)
+    assert not reader.rejects
+
+
+@pytest.mark.recording
+def test_a_recording_is_encoded_again_byte_for_byte() -> None:
+    data = (recording("xsens_xbus") / "3" / "output.bin").read_bytes()
+    again = b"".join(encode_mtdata2(dict(xbus.split_mtdata2(m.payload))) for m in XbusReader().feed(data))
+    assert again == data
+
+
+def test_a_message_is_framed_as_the_protocol_document_says() -> None:
+    assert encode_message(0x30, b"") == bytes.fromhex("fa ff 30 00 d1")  # GoToConfig, as printed in the document
+
+
+def test_a_long_message_uses_the_extended_length() -> None:
+    data = encode_message(0x36, bytes(300))
+    assert data[:6] == bytes.fromhex("fa ff 36 ff 01 2c")
+    assert [m.payload for m in XbusReader().feed(data)] == [bytes(300)]
+
+
+def test_a_payload_beyond_the_limit_is_refused() -> None:
+    with pytest.raises(ValueError, match="2049"):
+        encode_message(0x36, bytes(2049))
+
+
+@pytest.mark.parametrize("number_format", [0, 1, 2, 3])
+def test_every_number_format_survives_the_wire(number_format: int) -> None:
+    sent = (-9.80665, 0.0, 1024.25)
+    data_id = xbus.ACCELERATION | number_format
+    quantum = (2**-14, 2**-20, 2**-32, 0.0)[number_format]  # half a float32 step at 1024 is 2**-14
+    assert decode_field(data_id, encode_field(data_id, *sent)) == pytest.approx(sent, abs=quantum)
+
+
+@pytest.mark.parametrize(("data_id", "values"), [(0x1234, (1.0,)), (xbus.ACCELERATION, (1.0,)), (0x4021, (1e9, 0, 0))])
+def test_a_field_that_cannot_be_encoded_is_refused(data_id: int, values: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match=r"field 0x"):
+        encode_field(data_id, *values)
+
+
+def test_a_field_of_the_wrong_size_does_not_lose_its_neighbours() -> None:
+    rejects: Counter[str] = Counter()
+    payload = struct.pack(">HBHHBHHB2s", 0x1020, 2, 7, 0x4020, 2, 0, 0x8020, 12, b"\0\0")
+    assert decode_mtdata2(payload, rejects) == {xbus.PACKET_COUNTER: (7,)}
+    assert rejects == {"bad_field": 1, "cut_field": 1}
+
+
+def test_a_wrong_checksum_loses_one_message_and_no_other() -> None:
+    good = encode_message(0x36, b"good")
+    bad = bytearray(encode_message(0x36, b"bad!"))
+    bad[-1] ^= 1
+    reader = XbusReader()
+    assert [m.payload for m in reader.feed(bytes(good + bad + good))] == [b"good", b"good"]
+    assert reader.rejects == {"bad_checksum": 1, "garbage_bytes": len(bad)}
+
+
+def test_an_impossible_length_is_passed_over_at_once() -> None:
+    reader = XbusReader()
+    message = encode_message(0x36, b"x")
+    assert len(list(reader.feed(bytes.fromhex("fa ff 36 ff ff ff") + message))) == 1
+    assert reader.rejects == {"oversize": 1, "garbage_bytes": 6}
+
+
+def test_the_buffer_stays_bounded_whatever_arrives() -> None:
+    reader = XbusReader()
+    for _ in range(200):
+        list(reader.feed(bytes.fromhex("fa ff 36 ff 07 00") + bytes(94)))
+        assert len(reader._buffer) < 2 * xbus.MAX_PAYLOAD_BYTES
+
+
+MEASUREMENT = encode_mtdata2({xbus.PACKET_COUNTER: encode_field(xbus.PACKET_COUNTER, 1)})
+
+
+@given(garbage=st.lists(st.binary(max_size=40), max_size=5), cut=st.integers(1, 50))
+def test_noise_between_messages_never_raises_and_costs_no_message_and_no_time(garbage: list[bytes], cut: int) -> None:
+    stream = b"".join(part + MEASUREMENT for part in garbage)
+    reader = XbusReader()
+    found = [m for i in range(0, len(stream), cut) for m in reader.feed(stream[i : i + cut])]
+    assert [m.payload for m in found].count(MEASUREMENT[4:-1]) == len(garbage)
+
+
+def test_a_damaged_length_neither_swallows_nor_delays_the_messages_that_follow() -> None:
+    damaged = bytearray(MEASUREMENT)
+    damaged[3] = 0xF0
+    reader = XbusReader()
+    assert [m.payload for m in reader.feed(bytes(damaged) + MEASUREMENT * 2)] == [MEASUREMENT[4:-1]] * 2
+    assert reader.rejects["cut_message"] == 1
+
+
+def test_a_message_that_was_cut_off_does_not_take_the_next_one_with_it() -> None:
+    for cut in range(1, len(MEASUREMENT)):
+        assert len(list(XbusReader().feed(MEASUREMENT[:cut] + MEASUREMENT))) == 1
+
+
+@given(payload=st.binary(max_size=120))
+def test_any_payload_is_decoded_or_counted_and_never_raises(payload: bytes) -> None:
+    decode_mtdata2(payload, Counter())

@@ -1,0 +1,319 @@
+import random
+import struct
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from shared.bus.bus import Envelope
+from shared.errors import BadRecording
+from shared.recording import Recording, RecordingWriter
+
+START_NS = 1_790_000_000_000_000_000
+RAW = {"received_ns": str(START_NS - 5), "source": "gnss0"}
+
+
+def envelopes(count: int, *, seed: int = 1) -> list[Envelope]:
+    rng = random.Random(seed)
+    made = []
+    for k in range(count):
+        stamp = START_NS + k * 10_000_000
+        if k % 3 == 0:
+            properties = {"received_ns": str(stamp - 1000), "source": "imu0"}
+            made.append(Envelope("imu/raw", rng.randbytes(60), properties, stamp, "sensors.imu", START_NS, k + 1))
+        else:
+            payload = b'{"sampled_ns":%d,"yaw_rad":%f}' % (stamp, rng.random())
+            made.append(Envelope("navigation/solution", payload, {}, stamp, "core.fusion", START_NS + 7, k + 1))
+    return made
+
+
+def record(path: Path, messages: list[Envelope], *, every: int = 25, close: bool = True) -> bytes:
+    writer = RecordingWriter(path, vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
+    for k, envelope in enumerate(messages, 1):
+        writer.write(envelope)
+        if k % every == 0:
+            writer.flush()
+    if close:
+        writer.close()
+    else:
+        writer.abandon()
+    return path.read_bytes()
+
+
+def read(path: Path) -> tuple[list[Envelope], list[str]]:
+    with Recording(path) as recording:
+        return list(recording), recording.problems
+
+
+def chunk_ends(data: bytes, path: Path) -> list[int]:
+    path.write_bytes(data)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return [index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes]
+
+
+def test_every_envelope_comes_back_equal_and_in_order(tmp_path: Path) -> None:
+    messages = envelopes(200)
+    record(tmp_path / "a.mcap", messages)
+
+    assert read(tmp_path / "a.mcap") == (messages, [])
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        Envelope("gnss/raw", b"\0\n\xff", {**RAW, "traceparent": "00-a-b-01"}, START_NS, "sensors.gnss", 1, 2),
+        Envelope("gnss/raw", b"x", {**RAW, "received_ns": "007"}, START_NS, "sensors.gnss", 1, 2),
+        Envelope("gnss/raw", b"x", {**RAW, "received_ns": "9" * 5000}, START_NS, "sensors.gnss", 1, 2),
+        Envelope("gnss/raw", b"x", {"source": "gnss0"}, START_NS, "sensors.gnss", 1, 2),
+        Envelope("mode/state", b"{}", {}, START_NS, "controller.mode", -3, 1 << 40),
+        Envelope("mode/state", b"{}", {}, START_NS, "controller.mode", 3, -1),
+        Envelope("mode/state", b"", {"a": "b\nc"}, -1, "ü", 3, 1),
+    ],
+)
+def test_an_envelope_that_fits_no_channel_comes_back_equal(tmp_path: Path, odd: Envelope) -> None:
+    messages = [*envelopes(3), odd, *envelopes(3, seed=2)]
+    record(tmp_path / "a.mcap", messages)
+
+    assert read(tmp_path / "a.mcap") == (messages, [])
+
+
+def test_more_lives_than_channels_lose_nothing(tmp_path: Path) -> None:
+    messages = [Envelope("mode/state", b"{}", {}, START_NS + k, "controller.mode", k, 1) for k in range(4200)]
+    record(tmp_path / "a.mcap", messages, every=1000)
+
+    assert read(tmp_path / "a.mcap") == (messages, [])
+
+
+def test_a_full_chunk_is_written_without_being_asked(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "a.mcap", chunk_bytes=4096)
+    for envelope in envelopes(200):
+        writer.write(envelope)
+    writer.abandon()
+
+    assert writer.messages > 150
+    assert len(read(tmp_path / "a.mcap")[0]) == writer.messages
+
+
+def test_the_plain_mcap_reader_opens_a_closed_file(tmp_path: Path) -> None:
+    messages = envelopes(200)
+    record(tmp_path / "a.mcap", messages)
+
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        plain = [
+            (channel.topic, message.data, message.log_time, message.sequence, schema and schema.name)
+            for schema, channel, message in reader.iter_messages()
+        ]
+        summary = reader.get_summary()
+        attachments = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
+        metadata = {entry.name: entry.metadata for entry in reader.iter_metadata()}
+    names = {"imu/raw": None, "navigation/solution": "NavigationSolution"}
+    assert plain == [(m.topic, m.payload, m.received_ns, m.sequence, names[m.topic]) for m in messages]
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 200
+    assert summary.statistics.message_start_time == messages[0].received_ns
+    assert summary.statistics.message_end_time == messages[-1].received_ns
+    assert attachments == {"vehicle.toml": b'[vehicle]\nname = "car"\n'}
+    assert metadata == {"obu": {"vehicle": "car"}}
+
+
+def test_the_message_index_points_at_its_messages(tmp_path: Path) -> None:
+    data = record(tmp_path / "a.mcap", envelopes(20), every=10)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    for index in summary.chunk_indexes:
+        assert len(index.message_index_offsets) == 2
+        for channel, offset in index.message_index_offsets.items():
+            assert struct.unpack_from("<BQH", data, offset)[::2] == (7, channel)
+
+
+def test_a_cut_at_any_byte_gives_a_prefix_that_holds_every_whole_chunk(tmp_path: Path) -> None:
+    messages = envelopes(60)
+    data = record(tmp_path / "whole.mcap", messages, every=20)
+    ends = chunk_ends(data, tmp_path / "whole.mcap")
+    cut = tmp_path / "cut.mcap"
+    for length in range(len(data)):
+        cut.write_bytes(data[:length])
+        found, problems = read(cut)
+
+        assert found == messages[: len(found)]
+        assert len(found) >= 20 * sum(length >= end for end in ends)
+        assert problems
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.0, 1.0), st.integers(1, 400))
+def test_a_cut_of_a_larger_file_gives_a_prefix(
+    tmp_path_factory: pytest.TempPathFactory, part: float, every: int
+) -> None:
+    folder = tmp_path_factory.mktemp("cut")
+    messages = envelopes(800)
+    data = record(folder / "whole.mcap", messages, every=every)
+    (folder / "cut.mcap").write_bytes(data[: int(part * len(data))])
+
+    found, _ = read(folder / "cut.mcap")
+
+    assert found == messages[: len(found)]
+
+
+def test_a_cut_inside_a_large_chunk_still_gives_its_first_blocks(tmp_path: Path) -> None:
+    messages = [
+        Envelope("gnss/raw", random.Random(k).randbytes(1000), RAW, START_NS + k, "sensors.gnss", 1, k)
+        for k in range(200)
+    ]
+    writer = RecordingWriter(tmp_path / "a.mcap", chunk_bytes=1 << 20)
+    for envelope in messages:
+        writer.write(envelope)
+    writer.flush()
+    writer.abandon()
+    data = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "a.mcap").write_bytes(data[:-30_000])
+
+    found, problems = read(tmp_path / "a.mcap")
+
+    assert 100 < len(found) < 200
+    assert found == messages[: len(found)]
+    assert problems == [f"the recording was not closed: it ends at byte {len(data) - 30_000}"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 500), st.integers(0, 1000))
+def test_garbage_in_the_middle_costs_only_the_chunks_that_it_hits(
+    tmp_path_factory: pytest.TempPathFactory, where: int, length: int, seed: int
+) -> None:
+    folder = tmp_path_factory.mktemp("garbage")
+    messages = envelopes(200)
+    data = bytearray(record(folder / "a.mcap", messages, every=20))
+    ends = chunk_ends(bytes(data), folder / "a.mcap")
+    start = 8 + where % (ends[-1] - 8)
+    garbage = random.Random(seed).randbytes(length)
+    data[start : start + length] = garbage[: len(data) - start]
+    (folder / "a.mcap").write_bytes(data)
+
+    found, _ = read(folder / "a.mcap")
+
+    begins = [0, *ends[:-1]]
+    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        if end <= start or begin >= start + length:
+            assert messages[20 * k : 20 * k + 20] == [m for m in found if m in messages[20 * k : 20 * k + 20]]
+    assert [m for m in messages if m in found] == found
+
+
+def test_inserted_garbage_is_skipped_and_counted(tmp_path: Path) -> None:
+    messages = envelopes(100)
+    data = record(tmp_path / "a.mcap", messages, every=20)
+    middle = chunk_ends(data, tmp_path / "a.mcap")[1]
+    (tmp_path / "a.mcap").write_bytes(data[:middle] + b"\x06garbage" * 50 + data[middle:])
+
+    found, problems = read(tmp_path / "a.mcap")
+
+    assert found == messages
+    assert len(problems) == 1
+    assert problems[0].startswith(f"damage: skipped the bytes {middle} to ")
+
+
+def test_zeros_after_a_power_cut_cost_nothing_before_them(tmp_path: Path) -> None:
+    messages = envelopes(60)
+    data = record(tmp_path / "a.mcap", messages, every=20, close=False)
+    (tmp_path / "a.mcap").write_bytes(data + bytes(8192))
+
+    found, problems = read(tmp_path / "a.mcap")
+
+    assert found == messages
+    assert problems == [f"the recording was not closed: it ends at byte {len(data) + 8192}"]
+
+
+def test_a_lost_first_chunk_does_not_take_the_others_with_it(tmp_path: Path) -> None:
+    messages = envelopes(60)
+    data = bytearray(record(tmp_path / "a.mcap", messages, every=20))
+    end = chunk_ends(bytes(data), tmp_path / "a.mcap")[0]
+    data[end - 40 : end] = bytes(40)
+    (tmp_path / "a.mcap").write_bytes(data)
+
+    assert read(tmp_path / "a.mcap")[0] == messages[20:]
+
+
+def test_a_file_of_something_else_gives_a_problem_and_no_message(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"\x06\x07 not a recording" * 1000)
+
+    found, problems = read(tmp_path / "a.mcap")
+
+    assert found == []
+    assert problems[0] == "the file does not begin like an MCAP recording"
+
+
+def test_a_missing_file_is_a_bad_recording(tmp_path: Path) -> None:
+    with pytest.raises(BadRecording, match=r"cannot read .*: No such file"):
+        Recording(tmp_path / "missing.mcap")
+
+
+def test_a_recording_can_be_read_twice(tmp_path: Path) -> None:
+    record(tmp_path / "a.mcap", envelopes(30))
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert list(recording) == list(recording)
+        assert recording.position == recording.size
+
+
+def test_a_second_recording_never_overwrites_the_first(tmp_path: Path) -> None:
+    record(tmp_path / "a.mcap", envelopes(3))
+    with pytest.raises(FileExistsError):
+        RecordingWriter(tmp_path / "a.mcap")
+
+
+class FullDisk:
+    """A file that takes so many bytes and then, like a full disk, a part of a write and no more."""
+
+    def __init__(self, path: Path, room: int) -> None:
+        self._file = path.open("xb", buffering=0)
+        self.room = room
+
+    def write(self, data: memoryview) -> int | None:
+        if not self.room:
+            raise OSError(28, "No space left on device")
+        part = data[: self.room]
+        self.room -= len(part)
+        return self._file.write(part)
+
+    def truncate(self, size: int) -> int:
+        return self._file.truncate(size)
+
+    def seek(self, offset: int) -> int:
+        return self._file.seek(offset)
+
+    def fileno(self) -> int:
+        return self._file.fileno()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def test_a_full_disk_leaves_the_chunks_before_it_and_no_part_of_the_next(tmp_path: Path) -> None:
+    messages = envelopes(100)
+    writer = RecordingWriter(tmp_path / "a.mcap", opener=lambda path: FullDisk(path, 8000))
+    with pytest.raises(OSError, match="No space left"):
+        for k, envelope in enumerate(messages, 1):
+            writer.write(envelope)
+            if k % 10 == 0:
+                writer.flush()
+    writer.abandon()
+
+    found, _ = read(tmp_path / "a.mcap")
+
+    assert 0 < len(found) == writer.messages < 100
+    assert found == messages[: len(found)]
+    assert (tmp_path / "a.mcap").stat().st_size == writer.bytes_written
+
+
+def test_provenance_comes_back_as_it_was_given(tmp_path: Path) -> None:
+    provenance = {"name": "a drive", "mapping": "# of\ntwo lines"}
+    RecordingWriter(tmp_path / "a.mcap", vehicle="car", provenance=provenance).close()
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert recording.metadata == {"obu": {"vehicle": "car"}, "provenance": provenance}
+    with (tmp_path / "a.mcap").open("rb") as file:
+        assert {record.name for record in make_reader(file).iter_metadata()} == {"obu", "provenance"}

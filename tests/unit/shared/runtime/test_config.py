@@ -1,0 +1,101 @@
+"""The vehicle's file: what it may say, and what is said to its author when it is wrong."""
+
+from pathlib import Path
+
+import pytest
+
+from shared.errors import UserError
+from shared.messages.base import Vector3
+from shared.runtime.config import BrokerAddress, Section, load_vehicle, parse_vehicle
+
+
+class Config(Section):
+    lever_arm_body_m: Vector3 = (0.0, 0.0, 0.0)
+    period_s: float = 1.0
+
+
+def test_a_silent_file_gives_the_defaults() -> None:
+    assert parse_vehicle("").section("core.fusion", Config) == Config()
+
+
+def test_a_section_is_read_with_its_units() -> None:
+    vehicle = parse_vehicle("[core.fusion]\nlever_arm_body_m = [1.0, 2.0, 3]")
+    assert vehicle.section("core.fusion", Config).lever_arm_body_m == (1.0, 2.0, 3.0)
+
+
+def test_a_mistyped_key_is_an_error_that_names_the_right_one() -> None:
+    vehicle = parse_vehicle("[core.fusion]\nlever_arm_m = [1.0, 2.0, 3.0]")
+    with pytest.raises(UserError, match="did you mean 'lever_arm_body_m'"):
+        vehicle.section("core.fusion", Config)
+
+
+def test_a_value_of_the_wrong_kind_names_its_section_and_key() -> None:
+    with pytest.raises(UserError, match=r"\[core.fusion\] period_s = 'soon'"):
+        parse_vehicle('[core.fusion]\nperiod_s = "soon"').section("core.fusion", Config)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_numbers_that_are_none_are_refused(value: str) -> None:
+    with pytest.raises(UserError, match="period_s"):
+        parse_vehicle(f"[core.fusion]\nperiod_s = {value}").section("core.fusion", Config)
+
+
+def test_a_mistyped_section_is_an_error_that_names_the_right_one() -> None:
+    with pytest.raises(UserError, match=r"did you mean \[core.fusion\]"):
+        parse_vehicle("[core.fusoin]\n")
+
+
+def test_a_key_outside_a_section_is_an_error() -> None:
+    with pytest.raises(UserError, match="outside a section"):
+        parse_vehicle('name = "truck"')
+
+
+def test_broken_toml_is_one_sentence() -> None:
+    with pytest.raises(UserError, match="not valid TOML"):
+        parse_vehicle("[core.fusion")
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"gone\.toml"):
+        load_vehicle(tmp_path / "gone.toml")
+
+
+def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "noise.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UserError, match="UTF-8"):
+        load_vehicle(path)
+
+
+def test_an_extra_process_runs_only_where_it_has_a_section() -> None:
+    assert "sensors.simulator" not in parse_vehicle("").processes
+    assert "sensors.simulator" in parse_vehicle("[sensors.simulator]").processes
+    assert "core.fusion" in parse_vehicle("").processes
+
+
+@pytest.mark.parametrize(
+    ("url", "expected"),
+    [
+        ("mqtt://broker:1884", BrokerAddress("broker", 1884)),
+        ("broker", BrokerAddress("broker", 1883)),
+        ("mqtt://core.fusion:secret@10.0.0.1", BrokerAddress("10.0.0.1", 1883, "core.fusion", "secret")),
+    ],
+)
+def test_the_address_of_the_broker_is_read(url: str, expected: BrokerAddress) -> None:
+    assert BrokerAddress.parse(url) == expected
+
+
+@pytest.mark.parametrize("url", ["http://broker", "mqtt://broker:many", "mqtt://"])
+def test_an_address_that_makes_no_sense_says_what_one_looks_like(url: str) -> None:
+    with pytest.raises(UserError, match=r"mqtt://127.0.0.1:1883"):
+        BrokerAddress.parse(url)
+
+
+def test_a_password_does_not_show_in_logs() -> None:
+    assert "secret" not in repr(BrokerAddress.parse("mqtt://me:secret@host"))
+
+
+@pytest.mark.parametrize("name", ["", "+", "#", "a/b", "x" * 49, "car 7"])
+def test_a_vehicle_whose_name_is_no_level_of_a_topic_is_refused(name: str) -> None:
+    with pytest.raises(UserError, match="name"):
+        _ = parse_vehicle(f'[vehicle]\nname = "{name}"').name

@@ -1,0 +1,80 @@
+"""The offline runtime: every consumer is fed, in order, with ticks between."""
+
+import itertools
+
+import pytest
+
+from services.sensors.simulator.scenarios import BY_NAME
+from services.sensors.simulator.world import Equipment, World
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import FixType, GnssFix, GnssRaw
+from shared.messages.imu import ImuRaw, ImuSamples
+from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState, TruthState
+from shared.messages.vehicle import CanRaw
+from shared.runtime import offline
+from shared.runtime.config import parse_vehicle
+from shared.runtime.offline import OfflineUnit
+
+
+class Echo:
+    """A process that remembers what it was given and answers a fix with a state."""
+
+    def __init__(self) -> None:
+        self.given: list[Message] = []
+
+    def handle(self, message: Message) -> list[Message]:
+        self.given.append(message)
+        if isinstance(message, GnssFix):
+            return [NavigationState(
+                sampled_ns=message.sampled_ns, phase=NavigationPhase.LEVELLING, since_ns=0, reason="", fixes_used=1,
+                fixes_rejected=0, samples_used=0, samples_rejected=0, imu_gaps=0, resets=0,
+            )]  # fmt: skip
+        return []
+
+    def close(self) -> list[Message]:
+        return []
+
+
+def fix(received_ns: int) -> GnssFix:
+    return GnssFix(sampled_ns=received_ns, received_ns=received_ns, source="g", fix_type=FixType.NONE)
+
+
+@pytest.fixture
+def echoes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Echo]:
+    made: dict[str, Echo] = {}
+
+    def load(name: str, _vehicle: object) -> Echo:
+        return made.setdefault(name, Echo())
+
+    monkeypatch.setattr(offline, "load_process", load)
+    return made
+
+
+def test_a_message_reaches_each_of_its_consumers_and_so_do_the_answers(echoes: dict[str, Echo]) -> None:
+    said = list(OfflineUnit(parse_vehicle("")).run([fix(1)]))
+    assert [type(m) for m in said] == [GnssFix, NavigationState, NavigationState]
+    assert [type(m) for m in echoes["core.fusion"].given] == [GnssFix]
+    assert [type(m) for m in echoes["controller.mode"].given] == [GnssFix, NavigationState, NavigationState]
+    assert echoes["parsers.imu"].given == []
+
+
+def test_time_passes_once_a_second_before_what_comes_later(echoes: dict[str, Echo]) -> None:
+    list(OfflineUnit(parse_vehicle(""), ["core.fusion"]).run([fix(10**9 - 1), fix(10**9 + 5), fix(5 * 10**9)]))
+    kinds = [m.now_ns if isinstance(m, Tick) else type(m) for m in echoes["core.fusion"].given]
+    assert kinds == [GnssFix, 10**9, GnssFix, 5 * 10**9, GnssFix]
+
+
+def test_what_is_said_unchecked_passes_every_check() -> None:
+    """Makers on the way of an inertial sample validate nothing: their messages must be as if they did."""
+    world = World(BY_NAME["urban"], 1, 10**18, Equipment())
+    driven = (message for _, message in itertools.islice(world, 4000) if not isinstance(message, TruthState))
+    kinds = set()
+    for message in OfflineUnit(parse_vehicle("")).run(driven):
+        assert type(message).model_validate(message.model_dump()) == message
+        kinds.add(type(message))
+    assert {ImuRaw, GnssRaw, CanRaw, ImuSamples, NavigationSolution} <= kinds
+
+
+def test_only_layers_two_to_four_are_made(echoes: dict[str, Echo]) -> None:
+    OfflineUnit(parse_vehicle("[sensors.simulator]"))
+    assert set(echoes) == {"parsers.gnss", "parsers.imu", "parsers.can", "controller.mode", "core.fusion"}
