@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from shared.config import Section
+from shared.runtime.config import Section
 
 from .tachograph import KM_H, WindowMode
 
