@@ -48,23 +48,25 @@ def topics_table() -> str:
         )
         for t in TOPICS
     ]
-    return table(("topic", "message", "purpose", "rate [Hz]", "silent after [s]", "QoS", "from", "to"), rows)
+    return table(
+        ("topic", "message", "purpose", "rate [Hz]", "silent after [s]", "QoS", "producers", "consumers"), rows
+    )
 
 
 def processes_table() -> str:
     """Print the processes as a Markdown table."""
     rows = [
         (
-            f"{row.layer} {LAYERS[row.layer - 1]}",
+            f"{row.layer} {list(LAYERS)[row.layer - 1]}",
             f"`{row.name}`",
             row.purpose,
-            "where configured" if row.extra else "always",
+            row.kind.value,
             "everything" if row.observes_all else ", ".join(t.name for t in subscriptions(row.name)) or "-",
             ", ".join(t.name for t in publications(row.name) if not t.per_process) or "-",
         )
         for row in PROCESSES
     ]
-    return table(("layer", "process", "purpose", "runs", "listens to", "says"), rows)
+    return table(("layer", "process", "purpose", "kind", "consumes", "produces"), rows)
 
 
 def _key(topic: Topic) -> str:
