@@ -123,6 +123,17 @@ def measurements() -> tuple[Topic, ...]:
     )  # fmt: skip
 
 
+def hot_path() -> tuple[str, ...]:
+    """List the processes upstream of the navigation solution along topics with a rate: their delays are its own."""
+    found: set[str] = set()
+    waiting = [BY_NAME["navigation/solution"]]
+    while waiting:
+        new = set(waiting.pop().producers) - found
+        found |= new
+        waiting += [topic for name in new for topic in subscriptions(name) if topic.rate_hz is not None]
+    return tuple(row.name for row in PROCESSES if row.name in found)
+
+
 def contradictions(processes: Sequence[ProcessRow], topics: Sequence[Topic]) -> list[str]:
     """Compare the two tables; give one sentence for each row that contradicts another, with what to change."""
     found = [
