@@ -150,8 +150,10 @@ def _message(topic: Topic) -> Json:
 
 def _schemas() -> Json:
     """Describe the payloads, and what they hold, side by side: a reference is resolved from the document's root."""
-    kinds = [(t.message, cast(JsonSchemaMode, "serialization")) for t in TOPICS if not t.is_raw]
-    _, schemas = models_json_schema(kinds, ref_template="#/components/schemas/{model}")
+    mode: JsonSchemaMode = "serialization"
+    _, schemas = models_json_schema(
+        [(t.message, mode) for t in TOPICS if not t.is_raw], ref_template="#/components/schemas/{model}"
+    )
     return cast(Json, schemas["$defs"])
 
 
