@@ -120,9 +120,10 @@ def printed(root: Path) -> dict[Path, str]:
 
 def write(root: Path) -> list[Path]:
     """Write what is printed into the repository."""
-    for path, text in printed(root).items():
+    files = printed(root)
+    for path, text in files.items():
         path.write_text(text, encoding="utf-8")
-    return list(printed(root))
+    return list(files)
 
 
 def _comments(config: type[Section]) -> dict[str, str]:

@@ -31,7 +31,7 @@ systemctl disable --quiet --now mosquitto.service
 # Besides those that obu.target wants, the processes run that have a section in the vehicle's file.
 optional='from shared.processes import *; print(*(row.name for row in PROCESSES if row.kind is not Kind.STANDING))'
 for name in $(.venv/bin/python -c "$optional"); do
-    if grep -q "^\[${name//./\\.}\]" /etc/obu/vehicle.toml; then
+    if grep -q "^\[${name//./\\.}[].]" /etc/obu/vehicle.toml; then
         systemctl enable --quiet "obu@$name.service"
     else
         systemctl disable --quiet --now "obu@$name.service"
