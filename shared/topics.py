@@ -11,6 +11,7 @@ from .messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssRaw, G
 from .messages.imu import ImuRaw, ImuSamples
 from .messages.navigation import AidingUpdate, LastPosition, NavigationSolution, NavigationState, TruthState
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.trust import TrustEvent, TrustMonitor, TrustState
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow
@@ -81,6 +82,10 @@ TOPICS = (
     Topic("navigation/state", NavigationState, "what the navigation filter is doing and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
     Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it"),
+    Topic("trust/monitor", TrustMonitor, "result of one integrity monitor", rate_hz=1.0, silent_after_s=5.0),
+    Topic("trust/state", TrustState, "whether the position can be used, and why",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("trust/event", TrustEvent, "each change of the verdict, with the evidence", qos=1),
     Topic("deadline/report", DeadlineReport, "age and rate of every topic and process",
           rate_hz=2.0, silent_after_s=5.0),
     Topic("outage/event", Outage, "what was lost, and for how long", qos=1),

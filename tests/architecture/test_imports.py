@@ -13,7 +13,8 @@ PURE = {
     "bisect", "cantools", "collections", "cmath", "dataclasses", "datetime", "difflib", "enum", "fractions",
     "functools", "hashlib", "heapq",
     "html", "ipaddress", "itertools", "json", "math", "operator", "random", "re", "statistics", "string", "struct",
-    "types", "typing", "collections.abc", "numpy", "numpy.typing", "pydantic", "pyubx2", "pynmea2", "prometheus_client",
+    "types", "typing", "collections.abc", "numpy", "numpy.typing", "scipy.linalg", "scipy.special",
+    "pydantic", "pyubx2", "pynmea2", "prometheus_client",
 }  # fmt: skip
 PURE_SHARED = {
     "shared.maths",
