@@ -15,6 +15,7 @@ from shared.messages.operation import RecordingState
 from ..state import State
 from .banner import Trust
 from .geometry import ellipse_95
+from .snapshot import RUNNING
 
 # As NMEA and gpsd count: 1 no fix, 2 two dimensions, 3 three.
 FIX_MODES = {FixType.TWO_D: 2, FixType.THREE_D: 3, FixType.GNSS_DEAD_RECKONING: 3}
@@ -105,8 +106,8 @@ def _traffic(state: State, now_ns: int) -> Iterator[Metric]:
     for name, process in state.processes.items():
         if process.health is None:
             continue
-        up.add_metric([name], 1.0 if state.statuses[name] in ("ready", "starting", "alert") else 0.0)
-        restarts.add_metric([name], process.restarts)
+        up.add_metric([name], 1.0 if state.judgement.statuses[name] in RUNNING else 0.0)
+        restarts.add_metric([name], state.judgement.restarts.get(name, 0))
         for reason, number in process.health.rejects.items():
             rejects.add_metric([name, reason], number)
     yield from (age, count, up, restarts, rejects)
