@@ -36,7 +36,13 @@ class World:
     def hear(self, message: Message, producer: str, *, delay_s: float = 0.0, retained: bool = False) -> None:
         payload, properties = codec.encode(message)
         self.hear_bytes(
-            codec.topic_name(message), payload, producer, properties, delay_s=delay_s, retained=retained, message=message
+            codec.topic_name(message),
+            payload,
+            producer,
+            properties,
+            delay_s=delay_s,
+            retained=retained,
+            message=message,
         )
 
     def hear_bytes(

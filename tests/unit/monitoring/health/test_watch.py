@@ -438,7 +438,9 @@ def test_a_topic_whose_device_never_spoke_is_missing_after_two_minutes() -> None
     told = causes(unit.run(125))
 
     assert told == {"can/raw": "sensors.can runs, but its device sends nothing (can/raw)"}
-    assert {"can/raw", "vehicle/speed", "vehicle/wheel_speed"} == set(unit.watch.report(unit.now_ns).problems[0].affected)
+    assert {"can/raw", "vehicle/speed", "vehicle/wheel_speed"} == set(
+        unit.watch.report(unit.now_ns).problems[0].affected
+    )
 
 
 def test_a_topic_that_the_vehicle_does_not_have_is_not_missed_beside_one_that_it_has() -> None:

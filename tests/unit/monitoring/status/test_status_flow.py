@@ -141,14 +141,6 @@ def test_load_and_rates_of_a_process_come_from_two_heartbeats() -> None:
     assert process.out_hz == pytest.approx(10.0)
 
 
-def test_a_new_life_of_a_process_is_a_restart() -> None:
-    world = World()
-    for life in range(3):
-        world.beat("core.fusion", incarnation=START_NS + life)
-        world.beat("core.fusion", incarnation=START_NS + life)
-    assert world.state.processes["core.fusion"].restarts == 2
-
-
 def test_every_kind_of_measurement_is_kept_apart() -> None:
     world = World()
     world.hear(aiding(AidingKind.GNSS_POSITION, 0.2), "core.fusion")
