@@ -1,5 +1,7 @@
 """What the status process makes of the messages of a whole unit."""
 
+from typing import Any
+
 import pytest
 
 from services.monitoring.status.views import reports, snapshot
@@ -20,7 +22,6 @@ from shared.messages.operation import (
     ProcessHealth,
     ProcessState,
     ProcessStatus,
-    RecordingState,
     TopicAge,
 )
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
@@ -61,6 +62,11 @@ def status(world: World, process: str) -> ProcessStatus:
     return world.state.judgement.statuses[process]
 
 
+def rows(found: object) -> list[dict[str, Any]]:
+    assert isinstance(found, list)
+    return found
+
+
 def problems(world: World) -> list[str]:
     return [problem.text for problem in world.state.judgement.problems]
 
@@ -86,7 +92,7 @@ def test_a_stopped_process_is_stale_within_its_deadline_of_two_seconds(driving: 
 def test_everything_that_fell_silent_with_a_process_is_one_problem(driving: World) -> None:
     drive(driving, 8.0, without=("core.fusion",))
     assert problems(driving) == [STALE]
-    [shown] = reports.health(driving.state, driving.now_ns)["problems"]  # type: ignore[misc]
+    [shown] = rows(reports.health(driving.state, driving.now_ns)["problems"])
     assert shown["affected"] == ["navigation/solution", "navigation/state"]
 
 
@@ -132,12 +138,12 @@ def test_a_unit_that_has_just_started_has_no_root_cause_yet() -> None:
 def test_an_outage_lasts_from_the_last_message_to_the_first_after_it(driving: World) -> None:
     lost_ns = driving.now_ns
     drive(driving, 6.0, without=("core.fusion",))
-    (open_,) = reports.outages(driving.state)["open"]  # type: ignore[misc]
+    (open_,) = rows(reports.outages(driving.state)["open"])
     assert open_["what"] == "core.fusion"
     assert abs(open_["since_ns"] - lost_ns) < 0.6 * SECOND_NS
     assert reports.outages(driving.state)["closed"] == []
     drive(driving, 2.0)
-    (closed,) = reports.outages(driving.state)["closed"]  # type: ignore[misc]
+    (closed,) = rows(reports.outages(driving.state)["closed"])
     assert (closed["until_ns"] - closed["since_ns"]) * 1e-9 == pytest.approx(6.2, abs=0.6)
     assert reports.outages(driving.state)["open"] == []
 
@@ -189,7 +195,7 @@ def test_a_lost_or_hung_broker_is_the_only_problem_and_all_else_is_unknown(
     assert driving.state.verdict.state is Trust.STALE
     assert driving.state.verdict.sentence == f"Nothing is known: {text}."
     assert reports.health(driving.state, driving.now_ns)["state"] == "failed"
-    [outage] = reports.outages(driving.state)["open"]  # type: ignore[misc]
+    [outage] = rows(reports.outages(driving.state)["open"])
     assert (outage["what"], outage["cause"]) == ("broker", text)
 
 
