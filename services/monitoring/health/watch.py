@@ -2,8 +2,8 @@
 
 An outage is one root cause: a process that is down, the broker, or a topic that is silent although its producer runs.
 It begins with the last message before the silence. It affects the topics of that process at once, and further topics as
-they pass their deadlines. It ends when the cause is over and every affected topic was published again, so that a process
-that was killed remains the cause while it starts again.
+they pass their deadlines. It ends when the cause is over and every affected topic was published again: a process that
+was killed remains the cause while it starts again.
 """
 
 from collections.abc import Mapping
