@@ -112,6 +112,7 @@ class FakeUnit:
         self.lost: set[str] = set()  # processes that were killed
         self.rejecting = False
         self.coasting = False
+        self.aligning = False  # core.fusion runs, but has no solution yet
         self.lives: Counter[str] = Counter()
         self.watchdog = Watchdog(SIMULATED, self.started_ns)
         self._due: dict[str, int] = {}
@@ -226,6 +227,8 @@ class FakeUnit:
                 angular_rate_body_rad_s=(0.0, 0.0, 0.15),
             ),
         )
+        if self.aligning:
+            return
         latitude, longitude = self._place(now_ns, 0.5 + 10 * wobble, -0.4)
         yield (
             "core.fusion",
@@ -254,6 +257,8 @@ class FakeUnit:
         )
 
     def _phase(self) -> NavigationPhase:
+        if self.aligning:
+            return NavigationPhase.WAITING_FOR_GNSS
         return NavigationPhase.COASTING if self.coasting else NavigationPhase.NAVIGATING
 
     def _slow(self, now_ns: int) -> Iterator[tuple[str, Message]]:

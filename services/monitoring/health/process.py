@@ -38,6 +38,7 @@ class Process:
                 step_ns = now_ns + STEP_NS
                 for outage in watch.step(now_ns, connected=bus.connected):
                     bus.publish(outage)
+                    report_ns = now_ns  # with a report at once
             if now_ns >= report_ns and bus.connected and watch.answering:
                 report_ns = now_ns + REPORT_NS
                 bus.publish(watch.report(now_ns))
