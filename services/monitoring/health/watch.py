@@ -221,6 +221,8 @@ class Watch:
                 continue
             for entry in self._open.values():
                 entry.silent_ns.pop(name, None)
+            if root in self._settling:
+                self._continue(root)
             if root in self._open:
                 self._affect(self._open[root], [name])
             else:
@@ -234,8 +236,8 @@ class Watch:
         """Find the root cause of the silence of a topic; None while it cannot be told yet.
 
         It is, in this order: a producer that is down, or was restarted since the last message; what silenced the input
-        that ended last; an outage upstream that is not over for good; the topic itself, if its producer has sent a
-        heartbeat since the topic's deadline.
+        that ended last, as soon as no other is late; an outage upstream that is not over for good; the topic itself, if
+        its producer has sent a heartbeat since the topic's deadline.
         """
         producers = self._producers(topic)
         if down := [name for name in producers if self._is_down(name)]:
@@ -244,10 +246,14 @@ class Watch:
         ours = [self._processes[name] for name in producers if name in self._processes]
         if restarted := [watch.name for watch in ours if newest_ns and watch.incarnation > newest_ns]:
             return restarted[0]
+        silent = self._ended_inputs(topic, seen, stale=True)
+        root = self._root(silent[0], (*seen, topic.name)) if silent else None
+        if root is not None and self._is_down(root):
+            return root
         if self._ended_inputs(topic, seen, stale=False):
             return None
-        if silent := self._ended_inputs(topic, seen, stale=True):
-            return self._root(silent[0], (*seen, topic.name))
+        if silent:
+            return root
         recent = {**self._settling, **self._open}
         if upstream := [name for name in recent if name == BROKER or name in upstream_of(topic)]:
             return max(upstream, key=lambda name: recent[name].outage.since_ns)
@@ -314,11 +320,15 @@ class Watch:
     # --- outages
 
     def _begin(self, what: str, since_ns: int, cause: str, topics: list[str]) -> None:
-        """Open an outage, or continue the one of the same root cause that has just ended."""
-        entry = self._settling.pop(what, None) or _Open(Outage(what=what, since_ns=since_ns, cause=cause))
-        entry.outage = entry.outage.model_copy(update={"until_ns": None})
-        self._open[what] = entry
+        self._settling.pop(what, None)
+        self._open[what] = entry = _Open(Outage(what=what, since_ns=since_ns, cause=cause))
         self._affect(entry, topics)
+        self._events.append(entry.outage)
+
+    def _continue(self, what: str) -> None:
+        """Open an outage again whose topics fell silent once more soon after its end."""
+        self._open[what] = entry = self._settling.pop(what)
+        entry.outage = entry.outage.model_copy(update={"until_ns": None})
         self._events.append(entry.outage)
 
     def _affect(self, entry: _Open, topics: list[str]) -> None:
@@ -371,7 +381,7 @@ class Watch:
         """Say what an outage means at the moment."""
         what, waiting = entry.outage.what, ", ".join(entry.silent_ns)
         if what == BROKER and self.answering:
-            return f"the broker is back; not yet published again: {waiting or 'nothing is missing'}"
+            return "the broker is back" + (f"; not yet published again: {waiting}" if waiting else "")
         if what in self._processes:
             status = self._status(what)
             if status.down:
