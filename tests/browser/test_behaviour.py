@@ -245,7 +245,9 @@ def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Cal
     with status_server(tmp_path) as server:
         server.bus.connected = False
         page = open_page(server.address)
-        expect(page.locator(".banner .sentence")).to_contain_text("Nothing is known: the broker is not reachable", timeout=6000)
+        expect(page.locator(".banner .sentence")).to_contain_text(
+            "Nothing is known: the broker is not reachable", timeout=6000
+        )
         expect(page.locator(".chain .worst")).to_have_text("Broker does not answer")
         services = page.get_by_role("region", name="Services")
         expect(services).to_contain_text("not known")

@@ -236,28 +236,39 @@ class Watch:
         """Find the root cause of the silence of a topic; None while it cannot be told yet.
 
         It is, in this order: a producer that is down, or was restarted since the last message; what silenced the input
-        that ended last, as soon as no other is late; an outage upstream that is not over for good; the topic itself, if
-        its producer has sent a heartbeat since the topic's deadline.
+        that ended last, as soon as no other is late; an outage upstream that is not over for good; the topic itself.
         """
-        producers = self._producers(topic)
-        if down := [name for name in producers if self._is_down(name)]:
-            return down[0]
-        newest_ns = self._topics[topic.name].newest_ns
-        ours = [self._processes[name] for name in producers if name in self._processes]
-        if restarted := [watch.name for watch in ours if newest_ns and watch.incarnation > newest_ns]:
-            return restarted[0]
+        if failed := self._failed_producer(topic):
+            return failed
         silent = self._ended_inputs(topic, seen, stale=True)
         root = self._root(silent[0], (*seen, topic.name)) if silent else None
         if root is not None and self._is_down(root):
             return root
         if self._ended_inputs(topic, seen, stale=False):
             return None
-        if silent:
-            return root
+        return root if silent else self._recent_root(topic) or self._own_root(topic)
+
+    def _failed_producer(self, topic: Topic) -> str | None:
+        """Name the producer that is down, or was restarted since the last message of the topic."""
+        producers, newest_ns = self._producers(topic), self._topics[topic.name].newest_ns
+        failed = [name for name in producers if self._is_down(name)]
+        restarted = [
+            name
+            for name in producers
+            if newest_ns and name in self._processes and self._processes[name].incarnation > newest_ns
+        ]
+        return next(iter(failed + restarted), None)
+
+    def _recent_root(self, topic: Topic) -> str | None:
+        """Name the latest outage upstream of a topic that is open, or ended a short while ago."""
         recent = {**self._settling, **self._open}
-        if upstream := [name for name in recent if name == BROKER or name in upstream_of(topic)]:
-            return max(upstream, key=lambda name: recent[name].outage.since_ns)
+        upstream = [name for name in recent if name == BROKER or name in upstream_of(topic)]
+        return max(upstream, key=lambda name: recent[name].outage.since_ns, default=None)
+
+    def _own_root(self, topic: Topic) -> str | None:
+        """Name the topic itself, once its producer has sent a heartbeat since the topic's deadline."""
         due_ns = (self._silent_since_ns(topic) or 0) + round((topic.silent_after_s or 0.0) * 1e9)
+        ours = [self._processes[name] for name in self._producers(topic) if name in self._processes]
         return topic.name if all((watch.heartbeat_ns or 0) >= due_ns for watch in ours) else None
 
     def _producers(self, topic: Topic) -> tuple[str, ...]:

@@ -247,6 +247,13 @@ def test_a_topic_that_falls_silent_just_before_its_input_waits_for_it(unit: Unit
     assert set(causes(unit.run(10))) == {"gnss/raw"}
 
 
+def test_a_process_that_is_down_is_the_cause_while_another_input_is_only_late(unit: Unit) -> None:
+    unit.hanging |= {"sensors.gnss", "sensors.imu"}
+    unit.run(4)
+    assert unit.topic("gnss/fix").freshness is Freshness.LATE
+    assert str(unit.topic("navigation/solution").cause).startswith("sensors.imu is stale")
+
+
 def test_a_process_that_publishes_nothing_although_fed_is_itself_the_cause(unit: Unit) -> None:
     unit.mute.add("imu/sample")
     assert causes(unit.run(5)) == {"imu/sample": "parsers.imu runs, but does not publish imu/sample"}
