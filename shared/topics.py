@@ -81,7 +81,7 @@ TOPICS = (
     Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it",
           ("core.fusion",), ()),
     Topic("deadline/report", DeadlineReport, "age and status of every topic and process, and problems by root cause",
-          ("monitoring.health",), (), rate_hz=2.0, silent_after_s=2.0, retain=True),
+          ("monitoring.health",), (), rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("outage/event", Outage, "begin and end of an outage, with its root cause",
           ("monitoring.health",), (), qos=1),
     Topic("recording/state", RecordingState, "what is being recorded",

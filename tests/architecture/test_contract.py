@@ -16,7 +16,7 @@ from shared import messages
 from shared.bus.contract import asyncapi
 from shared.messages.base import Message, RawBytes, Stamped, Tick
 from shared.messages.gnss import Satellite
-from shared.messages.operation import ProcessAge, TopicAge
+from shared.messages.operation import Problem, ProcessAge, TopicAge
 from shared.processes import BY_NAME, PROCESSES
 from shared.topics import TOPICS, subscriptions
 
@@ -59,7 +59,7 @@ def test_a_topic_has_one_message_and_a_message_one_topic() -> None:
 
 def test_every_message_travels_on_a_topic_or_inside_one_that_does() -> None:
     on_topics = {topic.message for topic in TOPICS}
-    inside = {Satellite, TopicAge, ProcessAge}
+    inside = {Satellite, TopicAge, ProcessAge, Problem}
     assert set(all_messages()) - on_topics - inside - {Message, RawBytes, Stamped, Tick} == set()
 
 

@@ -169,7 +169,7 @@ def test_a_hung_broker_is_one_outage(units: list[Unit]) -> None:
     def test(unit: Unit) -> None:
         broker = unit.fail(BROKER_PROCESS[unit.kind], signal.SIGSTOP)
         stopped = time.monotonic()
-        unknown = "Nothing is known: the broker is connected, but delivers nothing."
+        unknown = "Nothing is known: the broker hangs: it is connected, but delivers nothing."
         unit.until(lambda _: unknown in unit.sentences, 5.0, "the banner names the broker")
         health = unit.look()
         assert (health["state"], health["topics"]) == ("failed", {})
@@ -177,7 +177,7 @@ def test_a_hung_broker_is_one_outage(units: list[Unit]) -> None:
         time.sleep(max(0.0, stopped + 8.0 - time.monotonic()))
         broker.send_signal(signal.SIGCONT)
         unit.until_well()
-        unit.assert_one_outage("broker", "the broker is connected, but delivers nothing", "imu/raw")
+        unit.assert_one_outage("broker", "the broker hangs: it is connected, but delivers nothing", "imu/raw")
         [outage] = unit.outages()
         assert outage["until_ns"] - outage["since_ns"] > 7 * 10**9
 

@@ -146,7 +146,11 @@ class Watch:
         self._now_ns, self.answering = now_ns, answering
         if not answering:
             if BROKER not in self._open:
-                cause = "the broker is connected, but delivers nothing" if connected else "the broker is not reachable"
+                cause = (
+                    "the broker hangs: it is connected, but delivers nothing"
+                    if connected
+                    else "the broker is not reachable"
+                )
                 self._begin(BROKER, self._received_ns, cause, self._flowing())
             return []
         if now_ns >= self._judged_from_ns:

@@ -55,7 +55,7 @@ def unavailable(expected: Collection[str], problem: Problem | None) -> Judgement
 
 def broker_problem(since_ns: int, *, connected: bool) -> Problem:
     """Say that the broker does not work; everything else is unknown then."""
-    text = "the broker is connected, but delivers nothing" if connected else "the broker is not reachable"
+    text = "the broker hangs: it is connected, but delivers nothing" if connected else "the broker is not reachable"
     return _problem("broker", text, since_ns)
 
 

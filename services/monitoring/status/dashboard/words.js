@@ -330,7 +330,7 @@ export const words = {
     note: "By root cause",
     open: "open",
     empty: "No outage since this process started.",
-    affected: (topics) => `affected: ${topics.join(", ")}`,
+    affected: (topics) => `affected: ${topics.length > 6 ? `${topics.length} topics` : topics.join(", ")}`,
   },
 
   unitCard: {

@@ -298,7 +298,7 @@ def test_a_broker_that_hangs_is_one_outage(unit: Unit) -> None:
     outage = outages(unit.run(20))["broker"]
 
     assert set(outages(unit.events)) == {"broker"}
-    assert outage.cause == "the broker is connected, but delivers nothing"
+    assert outage.cause == "the broker hangs: it is connected, but delivers nothing"
     assert duration_s(outage) == pytest.approx(20, abs=1.1)
 
 

@@ -76,8 +76,8 @@ def test_nothing_that_can_be_known_here_makes_it_safe(
 
 def test_a_lost_broker_leaves_nothing_known() -> None:
     assert judge(changed(broker=False)).state is Trust.STALE
-    sentence = judge(changed(broker=False, cause="the broker is connected, but delivers nothing")).sentence
-    assert sentence == "Nothing is known: the broker is connected, but delivers nothing."
+    sentence = judge(changed(broker=False, cause="the broker hangs: it is connected, but delivers nothing")).sentence
+    assert sentence == "Nothing is known: the broker hangs: it is connected, but delivers nothing."
 
 
 def test_a_watchdog_that_does_not_report_leaves_the_position_but_says_so() -> None:

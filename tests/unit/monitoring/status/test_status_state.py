@@ -182,7 +182,7 @@ def test_a_health_message_in_the_name_of_a_stranger_is_rejected(driving: World) 
 
 @pytest.mark.parametrize(
     ("connected", "text"),
-    [(False, "the broker is not reachable"), (True, "the broker is connected, but delivers nothing")],
+    [(False, "the broker is not reachable"), (True, "the broker hangs: it is connected, but delivers nothing")],
 )
 def test_a_lost_or_hung_broker_is_the_only_problem_and_all_else_is_unknown(
     driving: World, connected: bool, text: str
