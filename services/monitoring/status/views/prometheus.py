@@ -86,7 +86,7 @@ def _trust(state: State) -> Iterator[Metric]:
     statistic = GaugeMetricFamily(
         "obu_monitor_statistic", "Newest statistic over its limit; above 1 it alarms.", labels=["monitor"]
     )
-    alarms = CounterMetricFamily("obu_monitor_alarms", "Times that a monitor has alarmed.", labels=["monitor"])
+    alarms = CounterMetricFamily("obu_monitor_alarms", "Alarms of a monitor.", labels=["monitor"])
     for kind, (update, _) in state.aiding.items():
         statistic.add_metric([f"innovation_{kind}"], update.test_ratio)
         alarms.add_metric([f"innovation_{kind}"], state.rejections.get(kind, 0))
@@ -102,7 +102,7 @@ def _traffic(state: State, now_ns: int) -> Iterator[Metric]:
             count.add_metric([name], flow.count)
     up = GaugeMetricFamily("obu_process_up", "1 while its heartbeat is in time.", labels=["process"])
     restarts = CounterMetricFamily("obu_process_restarts", "Restarts seen.", labels=["process"])
-    rejects = CounterMetricFamily("obu_parser_rejects", "Refused input.", labels=["proto", "reason"])
+    rejects = CounterMetricFamily("obu_parser_rejects", "Rejected input.", labels=["proto", "reason"])
     for name, process in state.processes.items():
         if process.health is None:
             continue
