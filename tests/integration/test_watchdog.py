@@ -41,8 +41,9 @@ class Unit:
         health = self.demo.get("/api/health")
         if health:
             self.sentences.add(str(health["position"]["sentence"]))  # type: ignore[index]
-            self.problems |= {str(problem["text"]) for problem in listed(health["problems"])}
-            self.causes |= {str(problem["what"]) for problem in listed(health["problems"])}
+            new = [p for p in listed(health["problems"]) if (p["what"], p["since_ns"]) not in self.before]
+            self.problems |= {problem["text"] for problem in new}
+            self.causes |= {problem["what"] for problem in new}
         return health
 
     def fail(self, mark: str, number: signal.Signals) -> psutil.Process:
@@ -92,7 +93,7 @@ class Unit:
         [outage] = outages
         assert outage["until_ns"] is not None
         assert set(affected) <= {str(topic) for topic in listed(outage["affected"])}
-        assert self.causes <= {what}, self.kind
+        assert self.causes <= {what}, f"{self.kind}: {self.problems}"
 
 
 def listed(found: object) -> list[Outage]:

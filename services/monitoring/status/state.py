@@ -34,7 +34,7 @@ from .views.geometry import ellipse_95, offset_m
 
 M = TypeVar("M", bound=Message)
 SAMPLE_NS = 200_000_000
-SECOND_NS = 1_000_000_000
+SECOND_NS = STALL_NS = 1_000_000_000
 WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
 
 
@@ -51,7 +51,7 @@ class State:
         self.rejections: dict[AidingKind, int] = {}
         self.history, self.outages = History(history_s), OutageList()
         self.broker = False  # whether it is connected and delivers
-        self._received_ns = started_ns  # newest message
+        self._ticked_ns = self._received_ns = started_ns  # newest message
         self._broker_back_ns = started_ns  # first message after the last outage of the broker
         self.verdict: Verdict = judge(Evidence(broker=True))
         self.verdict_since_ns = started_ns
@@ -87,6 +87,9 @@ class State:
 
     def tick(self, now_ns: int, *, broker: bool) -> None:
         """Let time pass: renew rates once a second, verdict and history five times."""
+        if now_ns - self._ticked_ns > STALL_NS:
+            self._received_ns = now_ns  # this process did not run, so that its silence says nothing of the broker
+        self._ticked_ns = now_ns
         self.broker = broker and not self._broker_lost(now_ns)
         if now_ns >= self._next_second_ns:
             self._next_second_ns = now_ns + SECOND_NS

@@ -212,6 +212,14 @@ def test_a_broker_that_is_back_accuses_nobody(driving: World) -> None:
     assert reports.health(driving.state, driving.now_ns)["state"] == "ok"
 
 
+def test_a_stall_of_the_status_process_itself_is_no_loss_of_the_broker(driving: World) -> None:
+    driving.now_ns += 4 * SECOND_NS
+    driving.state.tick(driving.now_ns, broker=True)
+    assert problems(driving) == []
+    drive(driving, 3.0)
+    assert problems(driving) == []
+
+
 def test_a_short_break_of_the_broker_is_one_outage_of_its_duration(driving: World) -> None:
     driving.broker = False
     driving.pass_time(1.0)
