@@ -88,7 +88,7 @@ class State:
     def tick(self, now_ns: int, *, broker: bool) -> None:
         """Let time pass: renew rates once a second, verdict and history five times."""
         if now_ns - self._ticked_ns > STALL_NS:
-            self._received_ns = now_ns  # this process did not run, so that its silence says nothing of the broker
+            self._received_ns = self._broker_back_ns = now_ns  # this process did not run: no silence of the broker
         self._ticked_ns = now_ns
         self.broker = broker and not self._broker_lost(now_ns)
         if now_ns >= self._next_second_ns:
