@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from cli.papers.navigation import saved_heading
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
-from services.core.fusion.filter.kalman import correct, predict, resized
+from services.core.fusion.filter.kalman import predict, resized
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
@@ -21,6 +21,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.kalman import correct
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix, rotation_vector_from_matrix
 from tests.support.trails import Records
 
