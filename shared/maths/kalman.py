@@ -90,7 +90,7 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     """
     PHt = P @ H.mT
     S = H @ PHt + R
-    root_of(S)
+    root_of(S, "an innovation")
     S_inverse: FloatArray = np.asarray(np.linalg.inv(S), dtype=np.float64)
     K = PHt @ S_inverse
     x = np.matvec(K, z)
@@ -101,20 +101,21 @@ def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corre
     return Correction(x, _symmetric(A - (A @ H.mT - K @ R) @ K.mT), distance2, z, H, K, S, S_inverse)
 
 
-def root_of(cov: FloatArray) -> FloatArray:
-    """Cholesky's root L, L L^T = cov, shape (..., m, m).
+def root_of(cov: FloatArray, what: str) -> FloatArray:
+    """Cholesky's root L, L L^T = cov, of the covariance of what an error message names, shape (..., m, m).
 
     Raises
     ------
     FilterDiverged
         It is not positive definite, or not finite.
     """
+    problem = FilterDiverged(f"the covariance of {what} is not positive definite")
     try:
         root: FloatArray = np.asarray(np.linalg.cholesky(cov), dtype=np.float64)
-    except np.linalg.LinAlgError as error:
-        raise FilterDiverged("a covariance is not positive definite") from error
+    except np.linalg.LinAlgError:
+        raise problem from None
     if not np.isfinite(root).all():
-        raise FilterDiverged("a covariance is not finite")
+        raise problem
     return root
 
 

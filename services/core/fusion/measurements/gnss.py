@@ -77,7 +77,7 @@ class GnssPosition:
         cov = navigation.colour.scaled(self.cov) if self.lasts else self.cov
         R = (1.0 - lasting) * cov + along * along[:, np.newaxis]
         if lasting > 0.0:
-            root = sqrt(lasting) * root_of(cov)
+            root = sqrt(lasting) * root_of(cov, "a measurement")
             z -= root @ navigation.gnss_error
             H[:, em.GNSS_ERROR] = -root
         n = self.axes

@@ -55,12 +55,12 @@ def test_what_is_no_covariance_has_no_root(place: int) -> None:
     for wrong in (-1.0, 0.0, np.nan, np.inf):
         S = np.eye(3)
         S[place, place] = wrong
-        with pytest.raises(FilterDiverged, match="covariance is not"):
-            root_of(S)
-        with pytest.raises(FilterDiverged, match="covariance is not"):
-            root_of(np.array([np.eye(3), S]))
+        with pytest.raises(FilterDiverged, match="covariance of this is not positive definite"):
+            root_of(S, "this")
+        with pytest.raises(FilterDiverged, match="covariance of this is not positive definite"):
+            root_of(np.array([np.eye(3), S]), "this")
     with pytest.raises(FilterDiverged, match="positive definite"):
-        root_of(np.array([[1.0, 2.0], [2.0, 1.0]]))
+        root_of(np.array([[1.0, 2.0], [2.0, 1.0]]), "this")
 
 
 def test_a_nearly_perfect_measurement_leaves_a_positive_covariance() -> None:

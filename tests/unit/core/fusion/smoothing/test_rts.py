@@ -6,6 +6,7 @@ from math import radians
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from cli.papers.navigation import saved_heading
@@ -22,7 +23,7 @@ from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.kalman import correct
-from shared.maths.rotation import ned_from_body, quaternion_from_matrix, rotation_vector_from_matrix
+from shared.maths.rotation import ned_from_body, quaternion_from_matrix
 from tests.support.trails import Records
 
 FloatArray = npt.NDArray[np.float64]
@@ -203,7 +204,7 @@ def errors(drive: Drive, state: ErrorStateFilter) -> FloatArray:
     i = round(state.inertial.time_ns / 1e7) - 1
     truth = Geodetic(*drive.position[i].tolist())
     return np.concatenate([
-        rotation_vector_from_matrix(state.ned_from_body @ ned_from_body(*drive.attitude[i]).T),
+        Rotation.from_matrix(state.ned_from_body @ ned_from_body(*drive.attitude[i]).T).as_rotvec(),
         np.array(state.inertial.velocity) - drive.velocity_n[i],
         np.array(ned_from_geodetic_difference(state.inertial.position, truth)),
     ])  # fmt: skip
