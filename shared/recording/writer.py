@@ -9,7 +9,7 @@ from mcap.writer import Writer
 from ..bus.envelope import Envelope
 from .channels import IRREGULAR, MAXIMUM_CHANNELS, Key, encoding_of, fields_of, key_of, metadata_of, schema_of
 
-CHUNK_BYTES = 64 * 1024
+CHUNK_BYTES = 256 * 1024
 VEHICLE_FILE = "vehicle.toml"
 
 

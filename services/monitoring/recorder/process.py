@@ -21,7 +21,7 @@ class Config(Section):
     """Where recordings go, how they are cut into files, and how much room they may take."""
 
     folder: str = "recordings"  # below the state folder, unless absolute; made if what it lies in is there
-    chunk_bytes: int = Field(default=64 * 1024, gt=0, le=64 * 1024**2)
+    chunk_bytes: int = Field(default=256 * 1024, gt=0, le=64 * 1024**2)
     flush_period_s: float = Field(default=0.5, gt=0)  # what a crash of the recorder costs at most
     rotate_bytes: int = Field(default=256 * 1024**2, gt=0)
     rotate_period_s: float = Field(default=3600.0, gt=0)
