@@ -4,6 +4,7 @@ import importlib
 import inspect
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
@@ -20,20 +21,36 @@ HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\
 
 def configuration_pages() -> str:
     """Print every setting of every process."""
-    parts = []
+    parts: list[str] = []
     for row in PROCESSES:
         config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
-        schema = cast(Json, config.model_json_schema())
-        fields = cast("dict[str, Json]", schema.get("properties", {}))
-        comments = _comments(config)
-        meanings = {name: field.description or comments.get(name, "") for name, field in config.model_fields.items()}
-        rows = [
-            (f"`{name}`", _kind(field), f"`{json.dumps(field.get('default'))}`", meanings.get(name, ""))
-            for name, field in fields.items()
-        ]
-        body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
-        parts.append(f"## [{row.name}]\n\n{body}\n")
+        parts += _tables(row.name, config)
     return "\n".join(parts)
+
+
+def _tables(name: str, config: type[Section], said: str = "") -> Iterator[str]:
+    """Print one table for a section, below what it is about, then one for each section inside it."""
+    inner = {
+        key: field.annotation
+        for key, field in config.model_fields.items()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Section)
+    }
+    fields = cast("dict[str, Json]", config.model_json_schema().get("properties", {}))
+    comments = _comments(config)
+    rows = [
+        (
+            f"`{key}`",
+            _kind(field),
+            f"`{json.dumps(field.get('default'))}`",
+            str(field.get("description", comments.get(key, ""))),
+        )
+        for key, field in fields.items()
+        if key not in inner
+    ]
+    body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
+    yield f"## [{name}]\n\n{said}{body}\n"
+    for key, section in inner.items():
+        yield from _tables(f"{name}.{key}", section, f"{inspect.getdoc(section)}\n\n")
 
 
 def metrics_page() -> str:

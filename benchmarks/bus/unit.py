@@ -31,7 +31,7 @@ name = "bench"
 scenario = "urban"
 seed = 1
 
-[core.fusion]
+[core.fusion.gnss]
 lever_arm_body_m = [0.3, 0.0, -1.2]
 
 [monitoring.status]

@@ -22,7 +22,7 @@ DOUBT_SDS = circle_factor(1.0, 1e-3), line_factor(1e-3)
 _MEANINGS = {
     "median_m": "{axis} protection level, median",
     "available_fraction": "share of the instants whose {axis} protection level is within the alert limit "
-    "(`core.fusion.alert_limit_{axis}_m`)",
+    "(`core.fusion.integrity.alert_limit_{axis}_m`)",
     "judged_count": "instants at which the {axis} error is held against its protection level",
     "misleading_count": "instants with a {axis} error above its protection level: misleading information",
     "misleading_fraction": "the same as a share, which the integrity risk should not be below",
