@@ -101,7 +101,7 @@ def test_the_alert_limit_is_the_configured_one_that_fusion_publishes() -> None:
     process = Process(Config())
     list(process.handle(navigation_state(SECOND_NS, horizontal_m=2.0)))
     published = second(process, SECOND_NS, passing(SECOND_NS))
-    state = next(message for message in published if isinstance(message, TrustState))
+    state = [message for message in published if isinstance(message, TrustState)][-1]
     assert state.alert_limit_horizontal_m == 2.0
     assert state.state is TrustLevel.UNSAFE, "the protection level is 3 m"
 
