@@ -52,6 +52,7 @@ class Fit:
     redundancy: FloatArray  # shape (n,) diagonal of S, 0 to 1: the part of an error that its own residual shows
     gain: FloatArray  # shape (m, n) parameters per unit of a measurement
     sd: FloatArray  # shape (n,)
+    hat: FloatArray  # shape (n, n) I - S, of measurements over their sd
     statistic: float  # T
     dof: int
 
@@ -97,8 +98,55 @@ def weighted_fit(H: FloatArray, y: FloatArray, sd: FloatArray) -> Fit | None:
     residuals = y - H @ parameters
     redundancy = 1.0 - (Q * Q).sum(axis=1)
     statistic = float(((residuals / sd) ** 2).sum())
-    gain = inverse @ Q.T / sd
-    return Fit(parameters, inverse @ inverse.T, residuals, redundancy, gain, sd, statistic, len(A) - A.shape[1])
+    gain, cov, dof = inverse @ Q.T / sd, inverse @ inverse.T, len(A) - A.shape[1]
+    return Fit(parameters, cov, residuals, redundancy, gain, sd, Q @ Q.T, statistic, dof)
+
+
+def largest_correlations(fit: Fit) -> FloatArray:
+    """Largest |correlation| of each w with another one, shape (n,): 1 where two faults cannot be told apart."""
+    S = np.eye(len(fit.sd)) - fit.hat
+    sd = np.sqrt(np.maximum(fit.redundancy, MIN_REDUNDANCY))
+    correlation = np.abs(S / np.outer(sd, sd))
+    np.fill_diagonal(correlation, 0.0)
+    largest: FloatArray = np.minimum(correlation.max(axis=1), 1.0)
+    return largest
+
+
+def minimal_identifiable_biases(fit: Fit, lambda_: float, missed_detection_rate: float) -> FloatArray:
+    """Bias of each measurement that is detected, and attributed to it and not to another one, but for P_MD.
+
+    Parameters
+    ----------
+    fit : Fit
+        With dof >= 1.
+    lambda_ : float
+        `noncentrality` of its dof.
+    missed_detection_rate : float
+        [-] P_MD, of either mistake.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [unit of the measurements] Infinite where no bias can be attributed, as everywhere with dof = 1.
+
+    Notes
+    -----
+    A bias of d standard deviations of w_i moves w_j by rho_ij d, so that w_i - w_j has the mean (1 - rho) d and the
+    variance 2 (1 - rho)::
+
+        MIB_i = sd_i/sqrt(S_ii) max( sqrt(lambda), k sqrt(2/(1 - rho_i)) ),   k = Phi^-1(1 - P_MD/(n - 1))
+
+    References
+    ----------
+    J. Wang, N. L. Knight, "New outlier separability test and its application in GNSS positioning", J. Global
+    Positioning Systems 11(1), 2012.
+    """
+    detectable = minimal_detectable_biases(fit, lambda_)
+    k = -float(ndtri(missed_detection_rate / max(len(fit.sd) - 1, 1)))
+    apart = 1.0 - largest_correlations(fit)
+    separable = apart > MIN_REDUNDANCY
+    factor = np.where(separable, k * np.sqrt(2.0 / np.where(separable, apart, 1.0) / lambda_), inf)
+    return detectable * np.maximum(1.0, factor)
 
 
 def minimal_detectable_biases(fit: Fit, lambda_: float) -> FloatArray:

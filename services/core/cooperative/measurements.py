@@ -79,6 +79,7 @@ class SatelliteFinding:
     residual_m: float  # least-squares residual; of an excluded satellite: against the solution without it
     w: float  # |residual| over its own standard deviation
     mdb_m: float | None  # minimal detectable bias; None where no bias can be detected
+    mib_m: float | None  # minimal bias that is attributed to this satellite too; None where none can be
     hpl_m: float | None  # horizontal error that the minimal detectable bias causes; None where nothing bounds it
     excluded: bool = False
 
@@ -101,7 +102,8 @@ class SatelliteVerdict:
     """The verdict of one epoch, with its evidence.
 
     `outcome` accuses while a satellite is excluded or a fault is detected; `fault_free` says whether the solution is
-    free of it. An accusation without satellites is a fault that could not be attributed.
+    free of it. An accusation without satellites is a fault that could not be attributed; `suspects` are satellites
+    that explain the fault as well as those that were excluded, in which case nothing says that it is gone.
     """
 
     outcome: Outcome
@@ -111,6 +113,7 @@ class SatelliteVerdict:
     dof: int = 0
     false_alarm_rate: float = 0.0
     excluded: tuple[SatelliteId, ...] = ()
+    suspects: tuple[SatelliteId, ...] = ()
     fault_free: bool = False
     solution: SatelliteSolution | None = None
     hpl_m: float | None = None

@@ -152,5 +152,3 @@ def nearest_ns(seconds_of_week: int, reference_ns: int) -> int:
 def _angle(bits: Bits, length: int, power: int) -> float:
     """A signed field in semicircles, or semicircles per second, as radians."""
     return bits.signed(length) * 2.0**-power * GPS_PI
-
-

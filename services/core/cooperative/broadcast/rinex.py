@@ -105,9 +105,11 @@ def _toc_ns(row: str, version: int) -> int:
         year, month, day, hour, minute = (int(row[k : k + 3]) for k in range(2, 17, 3))
         year += 1900 if year >= 80 else 2000
         whole = round(float(row[17:22]))
-    return (datetime(year, month, day, hour, minute) - GPS_EPOCH + timedelta(seconds=whole)) // timedelta(
-        microseconds=1
-    ) * 1000
+    return (
+        (datetime(year, month, day, hour, minute) - GPS_EPOCH + timedelta(seconds=whole))
+        // timedelta(microseconds=1)
+        * 1000
+    )
 
 
 def _numbers(row: str, margin: int) -> tuple[float, ...]:

@@ -40,7 +40,8 @@ class EphemerisStore:
             [ns] Time of reception, to a minute.
         """
         if satellite.number not in NUMBERS[satellite.constellation]:
-            return self._reject("unknown_satellite")
+            self._reject("unknown_satellite")
+            return None
         if satellite.constellation == Constellation.GPS:
             found = self._add_gps(satellite, words, gps_time_ns)
         else:
@@ -50,9 +51,11 @@ class EphemerisStore:
     def add(self, ephemeris: Ephemeris) -> Ephemeris | None:
         """Keep an ephemeris, unless its orbit is impossible."""
         if not MIN_SQRT_A < ephemeris.sqrt_a < MAX_SQRT_A or not 0.0 <= ephemeris.eccentricity < MAX_ECCENTRICITY:
-            return self._reject("implausible_ephemeris")
+            self._reject("implausible_ephemeris")
+            return None
         if abs(ephemeris.clock[0]) > PLAUSIBLE_CLOCK_S:
-            return self._reject("implausible_ephemeris")
+            self._reject("implausible_ephemeris")
+            return None
         kept = self._ephemerides.setdefault(ephemeris.satellite, {})
         kept.pop((ephemeris.toe_ns, ephemeris.issue), None)
         kept[ephemeris.toe_ns, ephemeris.issue] = ephemeris
@@ -73,7 +76,8 @@ class EphemerisStore:
 
     def _add_gps(self, satellite: SatelliteId, words: tuple[int, ...], gps_time_ns: int) -> Ephemeris | None:
         if (subframe := gps_lnav.decode_subframe(words)) is None:
-            return self._reject("bad_subframe")
+            self._reject("bad_subframe")
+            return None
         if ionosphere := gps_lnav.decode_ionosphere(subframe):
             self.ionosphere = ionosphere
         kept = self._subframes.setdefault(satellite, {})
@@ -84,7 +88,8 @@ class EphemerisStore:
 
     def _add_galileo(self, satellite: SatelliteId, words: tuple[int, ...], gps_time_ns: int) -> Ephemeris | None:
         if (word := galileo_inav.decode_page(words)) is None:
-            return self._reject("bad_page")
+            self._reject("bad_page")
+            return None
         if word.number not in galileo_inav.EPHEMERIS_WORDS:
             return None
         kept = self._words.setdefault(satellite, {})

@@ -34,7 +34,8 @@ def klobuchar_delay_m(
     -----
     All angles in semicircles; at the pierce point (phi_i, lambda_i) with geomagnetic latitude phi_m::
 
-        psi = 0.0137/(E + 0.11) - 0.022,  phi_i = phi + psi cos A (within ±0.416),  lambda_i = lambda + psi sin A/cos phi_i
+        psi = 0.0137/(E + 0.11) - 0.022,  phi_i = phi + psi cos A (within ±0.416)
+        lambda_i = lambda + psi sin A/cos phi_i
         phi_m = phi_i + 0.064 cos(lambda_i - 1.617),  t = 43200 lambda_i + t_gps,  F = 1 + 16 (0.53 - E)³
         x = 2 pi (t - 50400)/PER,  delay = F [5 ns + AMP (1 - x²/2 + x⁴/24)] where |x| < 1.57, else F 5 ns
 
@@ -72,7 +73,7 @@ def saastamoinen_zenith_m(latitude: float, height_m: float) -> float:
     ISO 2533:1975.
     """
     height = min(max(height_m, -500.0), 11000.0)  # where the standard atmosphere's gradient is constant
-    pressure = 1013.25 * (1.0 - 2.25577e-5 * height) ** 5.25588
+    pressure = 1013.25 * pow(1.0 - 2.25577e-5 * height, 5.25588)
     temperature = 288.15 - 0.0065 * height
     vapour = 6.108 * RELATIVE_HUMIDITY * exp((17.15 * temperature - 4684.0) / (temperature - 38.45))
     dry = 0.0022768 * pressure / (1.0 - 0.00266 * cos(2.0 * latitude) - 0.00028 * height / 1000.0)

@@ -6,7 +6,14 @@ from math import isfinite
 import numpy as np
 
 from ..broadcast.store import EphemerisStore
-from ..detection import global_threshold, horizontal_levels, innovation_test, minimal_detectable_biases, noncentrality
+from ..detection import (
+    global_threshold,
+    horizontal_levels,
+    innovation_test,
+    minimal_detectable_biases,
+    minimal_identifiable_biases,
+    noncentrality,
+)
 from ..measurements import FloatArray, Outcome, RawEpoch, SatelliteFinding, SatelliteId, SatelliteVerdict
 from .model import ErrorModel, Sight, Sky, usable_sights
 from .solution import PositionFit, fit_velocity, masked, solution_of
@@ -29,6 +36,7 @@ class _Tested:
 
     position: PositionFit | None
     excluded: tuple[Sight, ...]
+    suspects: tuple[SatelliteId, ...]  # without any of which the test would have passed as well
     passes: bool
     rejected: dict[str, int]
 
@@ -72,20 +80,26 @@ class SatelliteMonitor:
 
     def _test(self, sky: Sky, excluded: frozenset[SatelliteId]) -> _Tested:
         """Solve without the excluded satellites; while the global test fails, exclude the one with the largest w."""
+        rate = self._settings.false_alarm_rate
         out = [sight for sight in sky.sights if sight.satellite in excluded]
         kept = [sight for sight in sky.sights if sight.satellite not in excluded]
+        suspects: tuple[SatelliteId, ...] = ()
         while True:
             position, rejected = masked(replace(sky, sights=tuple(kept)), self._start_e) if kept else (None, {})
             if position is None or position.fit.dof < 1:
-                return _Tested(position, tuple(out), False, rejected)
+                return _Tested(position, tuple(out), (), False, rejected)
             fit = position.fit
-            if fit.statistic <= global_threshold(fit.dof, self._settings.false_alarm_rate):
-                return _Tested(position, tuple(out), True, rejected)
+            if fit.statistic <= global_threshold(fit.dof, rate):
+                return _Tested(position, tuple(out), suspects, True, rejected)
             if fit.dof < 2:
-                return _Tested(position, tuple(out), False, rejected)
-            worst = position.sky.sights[int(fit.w.argmax())]
-            out.append(worst)
-            kept.remove(worst)
+                return _Tested(position, tuple(out), (), False, rejected)
+            worst = int(fit.w.argmax())
+            enough = fit.statistic - fit.w**2 <= global_threshold(fit.dof - 1, rate)  # T without each satellite
+            suspects = tuple(
+                satellite for row, satellite in enumerate(position.satellites) if enough[row] and row != worst
+            )
+            out.append(position.sky.sights[worst])
+            kept.remove(position.sky.sights[worst])
 
     def _verdict(self, position: PositionFit, tested: _Tested, rejected: dict[str, int]) -> SatelliteVerdict:
         settings, dof = self._settings, position.fit.dof
@@ -100,23 +114,19 @@ class SatelliteMonitor:
             )
         rate = settings.false_alarm_rate
         lambda_ = noncentrality(dof, rate, settings.missed_detection_rate)
-        findings = _findings(position, lambda_)
+        findings = _findings(position, lambda_, settings.missed_detection_rate)
         levels = [finding.hpl_m for finding in findings]
         bounded = [level for level in levels if level is not None]
-        reason = None
-        if tested.excluded:
-            reason = "excluded " + ", ".join(str(sight.satellite) for sight in tested.excluded)
-        if not tested.passes:
-            reason = "a fault is detected, but no satellite can be singled out"
         return SatelliteVerdict(
             Outcome.ACCUSES if tested.excluded or not tested.passes else Outcome.PASS,
-            reason,
+            _reason(tested),
             position.fit.statistic,
             global_threshold(dof, rate),
             dof,
             rate,
             tuple(sight.satellite for sight in tested.excluded),
-            fault_free=tested.passes,
+            tested.suspects,
+            fault_free=tested.passes and not tested.suspects,
             solution=solution_of(position, fit_velocity(position, rate)),
             hpl_m=max(bounded) if len(bounded) == len(levels) else None,
             findings=(*findings, *excluded),
@@ -148,24 +158,38 @@ class SatelliteMonitor:
             sd = float(geometry.sd[row])
             innovation, t = innovation_test(h, y, sd, position.fit)
             elevation, azimuth = float(geometry.elevation[row]), float(geometry.azimuth[row])
-            found.append(
-                SatelliteFinding(sight.satellite, elevation, azimuth, sd, innovation, t, None, None, excluded=True)
-            )
+            tested = elevation, azimuth, sd, innovation, t
+            found.append(SatelliteFinding(sight.satellite, *tested, None, None, None, excluded=True))
         return tuple(found)
 
 
-def _findings(position: PositionFit, lambda_: float) -> tuple[SatelliteFinding, ...]:
+def _findings(position: PositionFit, lambda_: float, missed_detection_rate: float) -> tuple[SatelliteFinding, ...]:
     """Test and protection of each satellite of the solution."""
     fit, geometry = position.fit, position.geometry
-    columns = (
-        position.satellites, geometry.elevation.tolist(), geometry.azimuth.tolist(), fit.sd.tolist(),
-        fit.residuals.tolist(), fit.w.tolist(), minimal_detectable_biases(fit, lambda_).tolist(),
-        horizontal_levels(fit, lambda_).tolist(),
-    )  # fmt: skip
+    measured = (geometry.elevation, geometry.azimuth, fit.sd, fit.residuals, fit.w)
+    bounds = (
+        minimal_detectable_biases(fit, lambda_),
+        minimal_identifiable_biases(fit, lambda_, missed_detection_rate),
+        horizontal_levels(fit, lambda_),
+    )
     return tuple(
-        SatelliteFinding(
-            satellite, elevation, azimuth, sd, residual, w,
-            mdb if isfinite(mdb) else None, level if isfinite(level) else None,
-        )
-        for satellite, elevation, azimuth, sd, residual, w, mdb, level in zip(*columns, strict=True)
-    )  # fmt: skip
+        _finding(satellite, *([float(values[row]) for values in group] for group in (measured, bounds)))
+        for row, satellite in enumerate(position.satellites)
+    )
+
+
+def _finding(satellite: SatelliteId, measured: list[float], bounds: list[float]) -> SatelliteFinding:
+    elevation, azimuth, sd, residual, w = measured
+    mdb, mib, level = (bound if isfinite(bound) else None for bound in bounds)
+    return SatelliteFinding(satellite, elevation, azimuth, sd, residual, w, mdb, mib, level)
+
+
+def _reason(tested: _Tested) -> str | None:
+    """What the exclusion came to, in words; None where nothing is excluded or detected."""
+    if not tested.passes:
+        return "a fault is detected, but no satellite can be singled out"
+    if not tested.excluded:
+        return None
+    excluded = "excluded " + ", ".join(str(sight.satellite) for sight in tested.excluded)
+    suspects = ", ".join(str(satellite) for satellite in tested.suspects)
+    return f"{excluded}, but the fault may be in {suspects}" if suspects else excluded
