@@ -1,6 +1,6 @@
 """Delays of L1 and E1 in the ionosphere (Klobuchar) and in the troposphere (Saastamoinen, standard atmosphere)."""
 
-from math import cos, exp, pi, sin, sqrt
+from math import cos, exp, log1p, pi, sin, sqrt
 
 from shared.maths.earth import Geodetic
 
@@ -73,7 +73,7 @@ def saastamoinen_zenith_m(latitude: float, height_m: float) -> float:
     ISO 2533:1975.
     """
     height = min(max(height_m, -500.0), 11000.0)  # where the standard atmosphere's gradient is constant
-    pressure = 1013.25 * pow(1.0 - 2.25577e-5 * height, 5.25588)
+    pressure = 1013.25 * exp(5.25588 * log1p(-2.25577e-5 * height))
     temperature = 288.15 - 0.0065 * height
     vapour = 6.108 * RELATIVE_HUMIDITY * exp((17.15 * temperature - 4684.0) / (temperature - 38.45))
     dry = 0.0022768 * pressure / (1.0 - 0.00266 * cos(2.0 * latitude) - 0.00028 * height / 1000.0)

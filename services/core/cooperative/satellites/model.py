@@ -185,7 +185,7 @@ def noise_factor(cn0: float | None, model: ErrorModel) -> float:
 
 
 def turned(vectors_e: FloatArray, angles: FloatArray) -> FloatArray:
-    """Turn vectors, shape (n, 3), into the ECEF axes of a time when the Earth has turned by angles [rad], shape (n,)."""
+    """Turn vectors, shape (n, 3), into ECEF axes that have turned with the Earth by angles [rad], shape (n,)."""
     c, s = np.cos(angles), np.sin(angles)
     x, y, z = vectors_e.T
     return np.column_stack([c * x + s * y, c * y - s * x, z])
