@@ -102,14 +102,14 @@ def with_neighbours_and_map(estimate: Estimate, drive: Drive, k: int, ratio: flo
     runs = len(drive.start)
     axes = (runs, *[1] * (estimate.x.ndim - 2))
     m = len(others)
-    heard = Neighbours(
+    reports = Neighbours(
         (others + drive.neighbour_noise[k - 1]).reshape(*axes, m, 3),
         velocities,
         (true_rate + sd * drive.rate_noise[k - 1]).reshape(*axes, m),
         np.full(m, scenario.NEIGHBOUR_SD),
         np.full(m, sd),
     )
-    estimate = correct_range_rates(estimate, heard)
+    estimate = correct_range_rates(estimate, reports)
     sds = np.array([settings.cross_track_sd, settings.height_sd, settings.lateral_speed_sd])
     return correct_road(estimate, scenario.road(), settings, (sds * drive.map_noise[k - 1]).reshape(*axes, 3))
 
@@ -156,13 +156,13 @@ def leave_one_out(drive: Drive, ratio: float, settings: BankSettings | None = No
     bank = LeaveOneOutBank(start_estimate(drive), n, settings)
     excluded, false, errors = [], [], []
     accused_while_healthy = np.zeros((runs, n), dtype=np.bool_)
-    sd, visible = np.full(n, scenario.PSEUDORANGE_SD), np.ones(n, dtype=np.bool_)
+    sd, lasting, visible = np.full(n, scenario.PSEUDORANGE_SD), np.zeros(n), np.ones(n, dtype=np.bool_)
     for k in range(1, scenario.EPOCHS + 1):
         fault = scenario.faults()[k - 1]
         predicted = with_neighbours_and_map(bank.estimate, drive, k, ratio)
         position = scenario.vehicle(float(k))[0]
         y = H[:, :3] @ position + fault + drive.pseudorange_noise[k - 1]
-        test = bank.advance(predicted, Pseudoranges(-H[:, :3], (0,) * n, y, sd, visible))
+        test = bank.advance(predicted, Pseudoranges(-H[:, :3], (0,) * n, y, sd, lasting, visible))
         accused_while_healthy = (accused_while_healthy | test.newly_excluded & (fault == 0.0)) & test.excluded
         excluded.append(test.excluded)
         false.append(accused_while_healthy & (fault == 0.0))

@@ -9,7 +9,7 @@ with the satellite s at its time of transmission, turned by R through the Earth'
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite, radians, sin, sqrt
+from math import hypot, isfinite, radians, sin
 
 import numpy as np
 
@@ -116,6 +116,7 @@ class Geometry:
     distance: FloatArray  # [m] shape (n,), Earth rotation included
     delay: FloatArray  # [m] shape (n,), ionosphere and troposphere
     sd: FloatArray  # [m] shape (n,)
+    noise_sd: FloatArray  # [m] shape (n,), the part of it that is white from epoch to epoch
     elevation: FloatArray  # [rad] shape (n,)
     azimuth: FloatArray  # [rad] shape (n,)
     satellite_velocity_n: FloatArray  # [m/s] shape (n, 3), of the ECEF frame in NED axes
@@ -149,34 +150,31 @@ class Sky:
         sight_n = away / distance[:, np.newaxis] @ to_ned.T
         elevation = np.arcsin(np.clip(-sight_n[:, 2], -1.0, 1.0))
         azimuth = np.arctan2(sight_n[:, 1], sight_n[:, 0])
-        delay, sd = self._delays(place, elevation, azimuth)
+        delay, sd, noise_sd = self._delays(place, elevation, azimuth)
         velocity_n = turned(velocities, EARTH_RATE * flight_s) @ to_ned.T
-        return Geometry(position_e, to_ned, sight_n, distance, delay, sd, elevation, azimuth, velocity_n)
+        return Geometry(position_e, to_ned, sight_n, distance, delay, sd, noise_sd, elevation, azimuth, velocity_n)
 
-    def _delays(self, place: Geodetic, elevation: FloatArray, azimuth: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Delays [m] and standard deviations [m] of all sights; what is below the mask is taken at the mask."""
-        delays, sds = [], []
+    def _delays(self, place: Geodetic, elevation: FloatArray, azimuth: FloatArray) -> FloatArray:
+        """Delay, sd and sd of the noise [m], shape (3, n); what is below the mask is taken at the mask."""
+        rows = []
         second_of_day = self.gps_time_ns * 1e-9 % SECONDS_PER_DAY
         at_height = Geodetic(place.latitude, place.longitude, min(max(place.height, LOWEST), HIGHEST))
         zenith = saastamoinen_zenith_m(at_height.latitude, at_height.height)
+        model = self.model
         for sight, up, towards in zip(self.sights, elevation.tolist(), azimuth.tolist(), strict=True):
-            el = max(up, self.model.elevation_mask_rad)
+            el = max(up, model.elevation_mask_rad)
             ionosphere = klobuchar_delay_m(
                 self.ionosphere, at_height, elevation=el, azimuth=towards, second_of_day=second_of_day
             )
             mapping = troposphere_mapping(el)
-            delays.append(ionosphere + zenith * mapping)
-            sds.append(self._sd(el, ionosphere, mapping, sight.cn0))
-        return np.array(delays), np.array(sds)
-
-    def _sd(self, elevation: float, ionosphere: float, mapping: float, cn0: float | None) -> float:
-        model = self.model
-        return sqrt(
-            model.signal_in_space_sd_m**2
-            + (model.ionosphere_fraction * ionosphere) ** 2
-            + (model.zenith_troposphere_sd_m * mapping) ** 2
-            + (model.code_sd_m * noise_factor(cn0, model) / sin(elevation)) ** 2
-        )
+            noise = model.code_sd_m * noise_factor(sight.cn0, model) / sin(el)
+            parts = (
+                model.signal_in_space_sd_m,
+                model.ionosphere_fraction * ionosphere,
+                model.zenith_troposphere_sd_m * mapping,
+            )
+            rows.append((ionosphere + zenith * mapping, hypot(*parts, noise), noise))
+        return np.array(rows).T
 
 
 def noise_factor(cn0: float | None, model: ErrorModel) -> float:

@@ -6,6 +6,7 @@ Axes: any leading axes (the runs of a simulation), then the filters: one for eac
 that uses all satellites.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,8 @@ class Pseudoranges:
     line_of_sight_n: FloatArray  # [-, NED] shape (n, 3)
     clock: tuple[int, ...]  # number of the clock of each satellite
     y: FloatArray  # [m] shape (..., n)
-    sd: FloatArray  # [m] shape (n,)
+    sd: FloatArray  # [m] shape (n,), of the noise, which is white
+    lasting_sd: FloatArray  # [m] shape (n,), of the errors that last longer than the window: orbit, clock, atmosphere
     visible: BoolArray  # shape (n,); what is not measured in this epoch is neither tested nor used
 
     def rows(self, size: int) -> FloatArray:
@@ -48,6 +50,7 @@ class Pseudoranges:
 class BankTest:
     """Tests of one epoch, shapes (..., n)."""
 
+    innovation: FloatArray  # [m] of satellite i against filter i
     single: FloatArray  # innovation over its standard deviation
     mean: FloatArray  # mean of the last innovations over its standard deviation
     threshold: float
@@ -86,6 +89,31 @@ class LeaveOneOutBank:
         """Estimate from all satellites that are not excluded."""
         return Estimate(self.estimate.x[..., -1, :], self.estimate.P[..., -1, :, :])
 
+    def rearrange(self, sources: Sequence[int | None]) -> None:
+        """Change the satellites: each new one is a former one by number, or None for one that was never used.
+
+        The filter of a satellite that was never used is the one that uses all others.
+        """
+        known = np.array([source is not None for source in sources], dtype=np.bool_)
+        columns = [0 if source is None else source for source in sources]
+        filters = [self.satellites if source is None else source for source in sources] + [self.satellites]
+        self.estimate = Estimate(self.estimate.x[..., filters, :], self.estimate.P[..., filters, :, :])
+        if self.satellites == 0:
+            shape = (*self.excluded.shape[:-1], len(sources))
+            self.excluded = np.zeros(shape, dtype=np.bool_)
+            self._healthy, self._filled = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+            self._history = np.zeros((self._settings.window, *shape))
+            return
+        self.excluded = self.excluded[..., columns] & known
+        self._healthy, self._filled = self._healthy[..., columns] * known, self._filled[..., columns] * known
+        self._history = self._history[..., columns] * known
+
+    def shift_clocks(self, jump: FloatArray) -> None:
+        """Add a jump of the receiver's clock [m], shape (...), to all clocks of all filters."""
+        x = self.estimate.x.copy()
+        x[..., CLOCK:] += jump[..., np.newaxis, np.newaxis]
+        self.estimate = Estimate(x, self.estimate.P)
+
     def advance(self, predicted: Estimate, ranges: Pseudoranges) -> BankTest:
         """Test the pseudoranges of an epoch, exclude and re-admit, and correct all filters.
 
@@ -105,9 +133,10 @@ class LeaveOneOutBank:
         -----
         With nu_i = y_i - h_i x_i and P_i of filter i::
 
-            t_i = |nu_i|/sqrt(R_i + h_i P_i h_i'),    t_i,m = |mean_m nu_i|/sqrt(R_i/m + h_i P_i h_i')
+            t_i = |nu_i|/sqrt(R_i + B_i + h_i P_i h_i'),    t_i,m = |mean_m nu_i|/sqrt(R_i/m + B_i + h_i P_i h_i')
 
-        P is not divided by m: the errors of an estimate are correlated over the window.
+        R_i is the variance of noise, B_i that of errors that last; neither B nor P is divided by m: they are the same
+        over the window. In the filters B counts m times, so that m epochs with one error weigh as much as one.
         """
         self.estimate = predicted
         rows = ranges.rows(predicted.x.shape[-1])
@@ -115,7 +144,7 @@ class LeaveOneOutBank:
         self._push(rows, ranges)
         single, mean = self._statistics(rows, ranges)
         threshold = local_threshold(2 * self.satellites, self._settings.false_alarm_rate)
-        first = single, mean
+        first = self._history[0].copy(), single, mean
         for _ in range(self.satellites - 1):
             t = np.where(self.excluded | ~ranges.visible, 0.0, np.maximum(single, mean))
             worst = t.argmax(axis=-1)[..., np.newaxis]
@@ -125,11 +154,12 @@ class LeaveOneOutBank:
             self._exclude(fires, worst)
             self._push(rows, ranges, only=fires)
             single, mean = self._statistics(rows, ranges)
-        self._readmit(np.maximum(*first), before, ranges.visible)
+        self._readmit(np.maximum(first[1], first[2]), before, ranges.visible)
         own = np.eye(self.satellites + 1, self.satellites, dtype=np.bool_)
         used = ~self.excluded[..., np.newaxis, :] & ranges.visible & ~own
         innovations = ranges.y[..., np.newaxis, :] - self.estimate.x @ rows.T
-        self.estimate = correct(self.estimate, rows, innovations, ranges.sd**2, used)
+        variances = ranges.sd**2 + self._settings.window * ranges.lasting_sd**2
+        self.estimate = correct(self.estimate, rows, innovations, variances, used)
         return BankTest(*first, threshold, self.excluded.copy(), self.excluded & ~before)
 
     def _own(self) -> Estimate:
@@ -148,7 +178,7 @@ class LeaveOneOutBank:
 
     def _statistics(self, rows: FloatArray, ranges: Pseudoranges) -> tuple[FloatArray, FloatArray]:
         reference = ((self._own().P @ rows[..., np.newaxis])[..., 0] * rows).sum(axis=-1)
-        variance = ranges.sd**2
+        variance, reference = ranges.sd**2, reference + ranges.lasting_sd**2
         count = np.maximum(self._filled, 1)
         recent = np.arange(self._settings.window).reshape(-1, *[1] * count.ndim) < self._filled
         mean = np.where(recent, self._history, 0.0).sum(axis=0) / count

@@ -138,7 +138,9 @@ def linearised_range_rates(estimate: Estimate, neighbours: Neighbours) -> tuple[
     spread = np.sqrt(n) * np.swapaxes(L, -1, -2)  # rows are the columns of L
     points = np.concatenate([x[..., np.newaxis, :] + spread, x[..., np.newaxis, :] - spread], axis=-2)
     # (..., 12, m): the filters' axes of the neighbours are in front of the points'
-    apart = Neighbours(*(np.asarray(part)[..., np.newaxis, :, :] for part in neighbours[:2]), *neighbours[2:])
+    apart = neighbours._replace(
+        position_n=neighbours.position_n[..., np.newaxis, :, :], velocity_n=neighbours.velocity_n[..., np.newaxis, :, :]
+    )
     z = range_rates(points, apart)
     mean = z.mean(axis=-2)
     D = np.swapaxes(z[..., :n, :] - z[..., n:, :], -1, -2) / (2.0 * np.sqrt(n))
