@@ -103,7 +103,7 @@ def weighted_fit(H: FloatArray, y: FloatArray, sd: FloatArray) -> Fit | None:
 
 
 def largest_correlations(fit: Fit) -> FloatArray:
-    """Largest |correlation| of each w with another one, shape (n,): 1 where two faults cannot be told apart."""
+    """Largest |correlation| of each w with another one, shape (n,): 1 where two faults cannot be separated."""
     S = np.eye(len(fit.sd)) - fit.hat
     sd = np.sqrt(np.maximum(fit.redundancy, MIN_REDUNDANCY))
     correlation = np.abs(S / np.outer(sd, sd))

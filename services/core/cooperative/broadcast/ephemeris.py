@@ -6,7 +6,7 @@ IS-GPS-200N, tables 20-III and 20-IV and sections 20.3.3.3.3 and 20.3.3.4.3; Gal
 """
 
 from dataclasses import dataclass
-from math import atan2, cos, pi, sin, sqrt
+from math import atan2, copysign, cos, pi, sin, sqrt
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -70,7 +70,7 @@ class SatelliteState(NamedTuple):
 
 
 def eccentric_anomaly(mean_anomaly: float, eccentricity: float) -> float:
-    """Solve Kepler's equation E - e sin E = M for E [rad] by Newton's method; 0 <= e < 1.
+    """Solve Kepler's equation E - e sin E = M for E [rad] by Newton's method; |M| <= pi where e >= 0.8.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def eccentric_anomaly(mean_anomaly: float, eccentricity: float) -> float:
     """
     if not 0.0 <= eccentricity < 1.0:
         raise ValueError(f"eccentricity {eccentricity} is not that of an ellipse")
-    anomaly = mean_anomaly if eccentricity < 0.8 else pi
+    anomaly = mean_anomaly if eccentricity < 0.8 else copysign(pi, mean_anomaly)
     for _ in range(KEPLER_ROUNDS):
         step = (anomaly - eccentricity * sin(anomaly) - mean_anomaly) / (1.0 - eccentricity * cos(anomaly))
         anomaly -= step

@@ -156,13 +156,13 @@ def leave_one_out(drive: Drive, ratio: float, settings: BankSettings | None = No
     bank = LeaveOneOutBank(start_estimate(drive), n, settings)
     excluded, false, errors = [], [], []
     accused_while_healthy = np.zeros((runs, n), dtype=np.bool_)
-    sd, lasting, visible = np.full(n, scenario.PSEUDORANGE_SD), np.zeros(n), np.ones(n, dtype=np.bool_)
+    sd, correlated, visible = np.full(n, scenario.PSEUDORANGE_SD), np.zeros(n), np.ones(n, dtype=np.bool_)
     for k in range(1, scenario.EPOCHS + 1):
         fault = scenario.faults()[k - 1]
         predicted = with_neighbours_and_map(bank.estimate, drive, k, ratio)
         position = scenario.vehicle(float(k))[0]
         y = H[:, :3] @ position + fault + drive.pseudorange_noise[k - 1]
-        test = bank.advance(predicted, Pseudoranges(-H[:, :3], (0,) * n, y, sd, lasting, visible))
+        test = bank.advance(predicted, Pseudoranges(-H[:, :3], (0,) * n, y, sd, correlated, visible))
         accused_while_healthy = (accused_while_healthy | test.newly_excluded & (fault == 0.0)) & test.excluded
         excluded.append(test.excluded)
         false.append(accused_while_healthy & (fault == 0.0))

@@ -35,7 +35,7 @@ class Pseudoranges:
     clock: tuple[int, ...]  # number of the clock of each satellite
     y: FloatArray  # [m] shape (..., n)
     sd: FloatArray  # [m] shape (n,), of the noise, which is white
-    lasting_sd: FloatArray  # [m] shape (n,), of the errors that last longer than the window: orbit, clock, atmosphere
+    correlated_sd: FloatArray  # [m] shape (n,), of time-correlated errors: orbit, clock, atmosphere
     visible: BoolArray  # shape (n,); what is not measured in this epoch is neither tested nor used
 
     def rows(self, size: int) -> FloatArray:
@@ -135,8 +135,8 @@ class LeaveOneOutBank:
 
             t_i = |nu_i|/sqrt(R_i + B_i + h_i P_i h_i'),    t_i,m = |mean_m nu_i|/sqrt(R_i/m + B_i + h_i P_i h_i')
 
-        R_i is the variance of noise, B_i that of errors that last; neither B nor P is divided by m: they are the same
-        over the window. In the filters B counts m times, so that m epochs with one error weigh as much as one.
+        R_i is the variance of white noise, B_i of time-correlated errors; B and P are not divided by m: they hardly change
+        over the window. In the filters B counts m times, so that m epochs with the same error weigh as much as one.
         """
         self.estimate = predicted
         rows = ranges.rows(predicted.x.shape[-1])
@@ -158,7 +158,7 @@ class LeaveOneOutBank:
         own = np.eye(self.satellites + 1, self.satellites, dtype=np.bool_)
         used = ~self.excluded[..., np.newaxis, :] & ranges.visible & ~own
         innovations = ranges.y[..., np.newaxis, :] - self.estimate.x @ rows.T
-        variances = ranges.sd**2 + self._settings.window * ranges.lasting_sd**2
+        variances = ranges.sd**2 + self._settings.window * ranges.correlated_sd**2
         self.estimate = correct(self.estimate, rows, innovations, variances, used)
         return BankTest(*first, threshold, self.excluded.copy(), self.excluded & ~before)
 
@@ -178,7 +178,7 @@ class LeaveOneOutBank:
 
     def _statistics(self, rows: FloatArray, ranges: Pseudoranges) -> tuple[FloatArray, FloatArray]:
         reference = ((self._own().P @ rows[..., np.newaxis])[..., 0] * rows).sum(axis=-1)
-        variance, reference = ranges.sd**2, reference + ranges.lasting_sd**2
+        variance, reference = ranges.sd**2, reference + ranges.correlated_sd**2
         count = np.maximum(self._filled, 1)
         recent = np.arange(self._settings.window).reshape(-1, *[1] * count.ndim) < self._filled
         mean = np.where(recent, self._history, 0.0).sum(axis=0) / count

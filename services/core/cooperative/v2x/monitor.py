@@ -233,16 +233,16 @@ class CooperativeMonitor:
         n = len(self._satellites)
         row_of = {satellite: row for row, satellite in enumerate(self._satellites)}
         sight_n, visible = np.zeros((n, 3)), np.zeros(n, dtype=np.bool_)
-        y, sd, lasting_sd = np.zeros(n), np.ones(n), np.zeros(n)
+        y, sd, correlated_sd = np.zeros(n), np.ones(n), np.zeros(n)
         at = self._ned_from_ecef @ (geometry.position_e - self._origin_e)
         towards = geometry.line_of_sight_n @ geometry.ned_from_ecef @ self._ned_from_ecef.T
         for k, sight in enumerate(sights):
             row = row_of[sight.satellite]
             sight_n[row], sd[row], visible[row] = towards[k], geometry.noise_sd[k], True
-            lasting_sd[row] = sqrt(geometry.sd[k] ** 2 - geometry.noise_sd[k] ** 2)
+            correlated_sd[row] = sqrt(geometry.sd[k] ** 2 - geometry.noise_sd[k] ** 2)
             y[row] = sight.pseudorange - geometry.distance[k] - geometry.delay[k] - towards[k] @ at
         clocks = tuple(CLOCKS[satellite.constellation] for satellite in self._satellites)
-        return Pseudoranges(sight_n, clocks, y, sd, lasting_sd, visible)
+        return Pseudoranges(sight_n, clocks, y, sd, correlated_sd, visible)
 
     def _without_clock_jump(self, ranges: Pseudoranges) -> Estimate:
         """Move the clocks by what most innovations have in common, where the receiver has set its clock."""
