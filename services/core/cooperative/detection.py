@@ -91,7 +91,7 @@ def weighted_fit(H: FloatArray, y: FloatArray, sd: FloatArray) -> Fit | None:
         return None
     Q, R = np.linalg.qr(A)
     diagonal = np.abs(np.diag(R))
-    if diagonal.min() < 1e-9 * diagonal.max():
+    if diagonal.min() <= 1e-9 * diagonal.max():
         return None
     inverse = np.linalg.inv(R)
     parameters = inverse @ (Q.T @ (y / sd))
