@@ -50,7 +50,7 @@ def faults() -> FloatArray:
 
 
 def along_road(s: float, offset: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Point at arc length s [m], offset [m] to the right, and the direction there: [m, NED] and [-, NED]."""
+    """Point [m, NED] at arc length s [m] of the centre line and offset [m] to the right, and its derivative by s."""
     turn = min(max(s - FIRST_STRAIGHT, 0.0), ARC_END - FIRST_STRAIGHT) / RADIUS  # to the left
     before, behind = min(s, FIRST_STRAIGHT), max(s - ARC_END, 0.0)
     heading = AZIMUTH - turn
@@ -59,7 +59,8 @@ def along_road(s: float, offset: float = 0.0) -> tuple[FloatArray, FloatArray]:
     left = np.array([sin(AZIMUTH), -cos(AZIMUTH), 0.0])
     right = np.array([-along[1], along[0], 0.0])
     arc = RADIUS * (sin(turn) * start + (1.0 - cos(turn)) * left)
-    return before * start + arc + behind * along + offset * right, along
+    longer = 1.0 + offset / RADIUS if FIRST_STRAIGHT < s < ARC_END else 1.0
+    return before * start + arc + behind * along + offset * right, longer * along
 
 
 def road() -> Road:
