@@ -135,8 +135,8 @@ class LeaveOneOutBank:
 
             t_i = |nu_i|/sqrt(R_i + B_i + h_i P_i h_i'),    t_i,m = |mean_m nu_i|/sqrt(R_i/m + B_i + h_i P_i h_i')
 
-        R_i is the variance of white noise, B_i of time-correlated errors; B and P are not divided by m: they hardly change
-        over the window. In the filters B counts m times, so that m epochs with the same error weigh as much as one.
+        R_i is the variance of white noise, B_i of time-correlated errors. B and P are not divided by m: they hardly
+        vary over the window. In the filters B counts m times, so that m epochs with the same error weigh as one.
         """
         self.estimate = predicted
         rows = ranges.rows(predicted.x.shape[-1])

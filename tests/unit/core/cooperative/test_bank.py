@@ -1,4 +1,4 @@
-"""The leave-one-out bank on a vehicle at rest with four and more satellites: false alarms, ramps, steps, re-admission."""
+"""The leave-one-out bank on a vehicle at rest with eight satellites: false alarms, ramps, steps, re-admission."""
 
 import numpy as np
 import pytest

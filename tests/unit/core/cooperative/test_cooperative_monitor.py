@@ -21,7 +21,8 @@ RECEIVER = -3e-7  # [-] of the vehicle's radio
 
 
 def truth(k: int) -> np.ndarray:
-    return ORIGIN + TO_NED.T @ (k * SPEED_N)
+    position: np.ndarray = ORIGIN + TO_NED.T @ (k * SPEED_N)
+    return position
 
 
 def neighbours(k: int, rng: np.random.Generator | None = None) -> tuple[NeighbourReport, ...]:

@@ -21,7 +21,7 @@ from tests.support.constellation import (
 )
 
 GPS, GALILEO = SatelliteId(Constellation.GPS, 7), SatelliteId(Constellation.GALILEO, 24)
-# Subframe 5 of PRN 5 as a u-blox receiver reported it: preamble, parity with complemented words, foreign bits 30 and 31.
+# Subframe 5 of PRN 5 as a u-blox receiver reported it: preamble, parity with complemented words, bits 30 and 31.
 RECEIVED = (
     0x22C0502E, 0x92D16C80, 0x1789BCED, 0x98FF4950, 0x3F50000F,
     0x284308F0, 0x24BD152A, 0xA35BC727, 0x2DC7C349, 0xB57FF4E0,

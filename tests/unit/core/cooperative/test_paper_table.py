@@ -50,7 +50,8 @@ def test_missed_ramps_depend_on_the_design_rate_as_in_the_reference(rate: float,
 
 
 @pytest.mark.parametrize(
-    ("ratio", "false_alarm", "step", "ramp"), [(1.0, 3.2, 1.8, 42.6), (0.7, 0.40, 0.39, 43.1), (0.5, 0.02, 0.0, 44.3), (0.1, 0.0, 0.0, 45.0)]
+    ("ratio", "false_alarm", "step", "ramp"),
+    [(1.0, 3.2, 1.8, 42.6), (0.7, 0.40, 0.39, 43.1), (0.5, 0.02, 0.0, 44.3), (0.1, 0.0, 0.0, 45.0)]
 )  # fmt: skip
 def test_the_open_loop_reference_has_the_reference_rates(
     ratio: float, false_alarm: float, step: float, ramp: float
