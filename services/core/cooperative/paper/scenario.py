@@ -64,8 +64,8 @@ def along_road(s: float, offset: float = 0.0) -> tuple[FloatArray, FloatArray]:
 
 
 def road() -> Road:
-    """The centre line; chords of the arc are off by 4 mm at most."""
-    stations = [-1000.0, *np.linspace(FIRST_STRAIGHT, ARC_END, 61).tolist(), 3000.0]
+    """The centre line; chords of the arc are off by 4 cm at most."""
+    stations = [-1000.0, *np.linspace(FIRST_STRAIGHT, ARC_END, 21).tolist(), 3000.0]
     return Road(np.array([along_road(s)[0] for s in stations]))
 
 

@@ -96,9 +96,9 @@ def correct(
     lead = x.shape[:-1]
     for k in range(rows.shape[-2]):
         h = np.broadcast_to(rows[..., k, :], x.shape)
-        Ph = (P @ h[..., np.newaxis])[..., 0]
-        moved = (h * (x - estimate.x)).sum(axis=-1)
-        S = (h * Ph).sum(axis=-1) + variances[..., k]
+        Ph = np.einsum("...ij,...j->...i", P, h)
+        moved = np.einsum("...i,...i", h, x - estimate.x)
+        S = np.einsum("...i,...i", h, Ph) + variances[..., k]
         weight = np.broadcast_to(used[..., k], lead) / S
         x += (weight * (innovations[..., k] - moved))[..., np.newaxis] * Ph
         P -= (weight[..., np.newaxis] * Ph)[..., :, np.newaxis] * Ph[..., np.newaxis, :]
@@ -109,7 +109,8 @@ def range_rates(x: FloatArray, neighbours: Neighbours) -> FloatArray:
     """Range-rates e (v - v_j) [m/s], shape (..., m), of states, shape (..., 6): position and velocity."""
     dp = x[..., np.newaxis, POSITION] - neighbours.position_n
     dv = x[..., np.newaxis, VELOCITY] - neighbours.velocity_n
-    rates: FloatArray = (dp * dv).sum(axis=-1) / np.maximum(np.sqrt((dp**2).sum(axis=-1)), NEAREST)
+    distance = np.sqrt(np.einsum("...i,...i", dp, dp))
+    rates: FloatArray = np.einsum("...i,...i", dp, dv) / np.maximum(distance, NEAREST)
     return rates
 
 

@@ -41,11 +41,12 @@ class Road:
         """Project positions, shape (..., 3), onto the nearest segment; beyond the ends the end segments continue."""
         start, step = self.points_n[:-1], np.diff(self.points_n, axis=0)
         away = position_n[..., np.newaxis, :2] - start[:, :2]
-        share = (away * step[:, :2]).sum(axis=-1) / self._lengths2()
+        share = np.einsum("...mi,mi->...m", away, step[:, :2]) / self._lengths2()
         low, high = np.zeros(len(step)), np.ones(len(step))
         low[0], high[-1] = -np.inf, np.inf
         share = np.clip(share, low, high)
-        distance2 = ((away - share[..., np.newaxis] * step[:, :2]) ** 2).sum(axis=-1)
+        off = away - share[..., np.newaxis] * step[:, :2]
+        distance2 = np.einsum("...i,...i", off, off)
         nearest = distance2.argmin(axis=-1)
         along_share = np.take_along_axis(share, nearest[..., np.newaxis], axis=-1)
         at = start[nearest] + along_share * step[nearest]

@@ -33,7 +33,7 @@ def test_velocities_are_the_derivatives_of_positions() -> None:
 
 def test_the_vehicle_is_on_the_centre_line() -> None:
     points = np.array([scenario.vehicle(t)[0] for t in np.arange(0.0, 90.0, 0.7)])
-    assert scenario.road().foot(points).distance.max() < 0.01
+    assert scenario.road().foot(points).distance.max() < 0.05
 
 
 def test_against_a_perfect_reference_the_structure_test_is_the_reference() -> None:
