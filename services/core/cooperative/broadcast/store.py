@@ -63,6 +63,10 @@ class EphemerisStore:
             del kept[next(iter(kept))]
         return ephemeris
 
+    def satellites(self) -> tuple[SatelliteId, ...]:
+        """All satellites of which an ephemeris is kept."""
+        return tuple(self._ephemerides)
+
     def select(self, satellite: SatelliteId, gps_time_ns: int) -> Ephemeris | str:
         """Find the ephemeris nearest to an instant, or the reason why there is none: one word for counting."""
         kept = self._ephemerides.get(satellite)

@@ -24,6 +24,7 @@ from .atmosphere import SECONDS_PER_DAY, klobuchar_delay_m, saastamoinen_zenith_
 
 WAVELENGTH = SPEED_OF_LIGHT / L1_FREQUENCY  # [m]
 MIN_PSEUDORANGE, MAX_PSEUDORANGE = 1.5e7, 4.5e7  # [m] medium orbits are 19,000 to 29,000 km away; the clock adds some
+TYPICAL_FLIGHT_S = 0.075
 MAX_DOPPLER = 50_000.0  # [Hz] orbit, vehicle and an oscillator that is 20 ppm off
 LOWEST, HIGHEST = -2_000.0, 100_000.0  # [m] heights at which the delays of the atmosphere are evaluated
 
@@ -205,3 +206,15 @@ def clock_columns(sights: tuple[Sight, ...]) -> tuple[FloatArray, Mapping[str, i
     for row, sight in enumerate(sights):
         design[row, column[sight.satellite.constellation]] = 1.0
     return design, column
+
+
+def virtual_sights(store: EphemerisStore, gps_time_ns: int, received: frozenset[SatelliteId]) -> tuple[Sight, ...]:
+    """Satellites whose ephemeris is valid although they are not received; pseudorange 0."""
+    found = []
+    for satellite in store.satellites():
+        ephemeris = store.select(satellite, gps_time_ns)
+        if satellite in received or isinstance(ephemeris, str):
+            continue
+        state = satellite_state(ephemeris, gps_time_ns, TYPICAL_FLIGHT_S)
+        found.append(Sight(satellite, 0.0, None, None, state.position_e, state.velocity_e))
+    return tuple(found)

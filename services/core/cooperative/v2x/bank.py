@@ -155,12 +155,17 @@ class LeaveOneOutBank:
             self._push(rows, ranges, only=fires)
             single, mean = self._statistics(rows, ranges)
         self._readmit(np.maximum(first[1], first[2]), before, ranges.visible)
+        self.correct_all(ranges)
+        return BankTest(*first, threshold, self.excluded.copy(), self.excluded & ~before)
+
+    def correct_all(self, ranges: Pseudoranges) -> None:
+        """Correct each filter by the visible satellites that are neither excluded nor its own."""
         own = np.eye(self.satellites + 1, self.satellites, dtype=np.bool_)
         used = ~self.excluded[..., np.newaxis, :] & ranges.visible & ~own
+        rows = ranges.rows(self.estimate.x.shape[-1])
         innovations = ranges.y[..., np.newaxis, :] - self.estimate.x @ rows.T
         variances = ranges.sd**2 + self._settings.window * ranges.correlated_sd**2
         self.estimate = correct(self.estimate, rows, innovations, variances, used)
-        return BankTest(*first, threshold, self.excluded.copy(), self.excluded & ~before)
 
     def _own(self) -> Estimate:
         """Estimate of filter i for satellite i."""

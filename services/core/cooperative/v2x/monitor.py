@@ -1,12 +1,11 @@
 """V2X-assisted satellite monitor: the leave-one-out bank on raw epochs, neighbours' reports and the road."""
 
 from dataclasses import dataclass, field, replace
-from math import isfinite, log, sqrt
+from math import log, sqrt
 
 import numpy as np
 
 from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
-from shared.maths.rotation import Vector
 
 from ..broadcast.store import EphemerisStore
 from ..measurements import (
@@ -20,8 +19,9 @@ from ..measurements import (
     SatelliteSolution,
     SatelliteVerdict,
 )
-from ..satellites.model import ErrorModel, Geometry, Sight, Sky, usable_sights
+from ..satellites.model import ErrorModel, Geometry, Sight, Sky, usable_sights, virtual_sights
 from .bank import BankSettings, BankTest, LeaveOneOutBank, Pseudoranges
+from .construction import construction_test
 from .forward import (
     CLOCK,
     DRIFT,
@@ -35,27 +35,13 @@ from .forward import (
     correct_road,
     predict,
 )
+from .neighbours import NeighbourReport, unusable
 from .range_rate import CARRIER_FREQUENCY, MAX_OFFSET, range_rate_from_cfo
 from .road import Road
 
 CLOCKS = {Constellation.GPS: 0, Constellation.GALILEO: 1}
 MAX_NEIGHBOURS = 32  # the nearest ones are used
-MAX_DISTANCE = 2000.0  # [m] beyond which nobody is received
-MAX_SPEED = 100.0  # [m/s]
-
-
-@dataclass(frozen=True)
-class NeighbourReport:
-    """State that a neighbour published, and the carrier frequency offset of the message that carried it."""
-
-    name: str
-    position_e: Vector  # [m, ECEF]
-    velocity_e: Vector  # [m/s, ECEF]
-    position_sd_m: float
-    velocity_sd_m_s: float
-    cfo_hz: float | None = None
-    oscillator_offset: float | None = None  # [-] fractional frequency offset of its transmitter
-    cfo_sd_hz: float = 20.0
+MAX_VIRTUAL = 9  # candidates, the lowest: 126 sets of 5 are compared
 
 
 @dataclass(frozen=True)
@@ -67,6 +53,7 @@ class CooperativeSettings:
     model: ErrorModel = field(default_factory=ErrorModel)
     missed_detection_rate: float = 1e-4
     longest_gap_s: float = 5.0  # after which the filters restart
+    paper_construction: bool = False  # the paper's test instead of the bank; for comparison, it absorbs slow ramps
     forget_after_s: float = 60.0  # satellites that are not received
     clock_jump_m: float = 1000.0  # innovation that all satellites have in common
     farthest_from_origin_m: float = 50_000.0
@@ -144,9 +131,14 @@ class CooperativeMonitor:
             return SatelliteVerdict(Outcome.NOT_EVALUATED, "no usable satellite", rejected=rejected)
         self._arrange(above, epoch.gps_time_ns)
         ranges = self._pseudoranges(above, geometry)
-        test = bank.advance(self._without_clock_jump(ranges), ranges)
-        if reports is None and road is None:
-            reason = "no usable neighbour and no road"
+        predicted = self._without_clock_jump(ranges)
+        if settings.paper_construction:
+            bank.estimate = predicted
+            test = self._paper_test(store, ranges, geometry.position_e)
+        else:
+            test = bank.advance(predicted, ranges)
+        if test is None or (reports is None and road is None):
+            reason = "no usable neighbour and no road" if test else "too few virtual satellites"
             return SatelliteVerdict(Outcome.NOT_EVALUATED, reason, rejected=rejected, solution=self._solution())
         return self._verdict(test, above, geometry, rejected)
 
@@ -179,7 +171,7 @@ class CooperativeMonitor:
         for report in reports:
             position = self._ned_from_ecef @ (np.array(report.position_e) - self._origin_e)
             velocity = self._ned_from_ecef @ np.array(report.velocity_e)
-            reason = _unusable(report, float(np.linalg.norm(position - own)), float(np.linalg.norm(velocity)))
+            reason = unusable(report, float(np.linalg.norm(position - own)), float(np.linalg.norm(velocity)))
             if reason is not None:
                 rejected[reason] = rejected.get(reason, 0) + 1
                 continue
@@ -254,6 +246,27 @@ class CooperativeMonitor:
             self._bank.shift_clocks(np.asarray(jump))
         return self._bank.estimate
 
+    def _paper_test(self, store: EphemerisStore, ranges: Pseudoranges, at_e: FloatArray) -> BankTest | None:
+        """Test through virtual satellites, and correct the forward estimate by what is not excluded."""
+        assert self._bank is not None
+        sights = virtual_sights(store, self._time_ns, frozenset(self._satellites))
+        if not sights:
+            return None
+        sky = Sky(sights, self._time_ns, store.ionosphere, self._settings.model).geometry(at_e)
+        rising = [row for row in np.argsort(sky.elevation).tolist() if sky.elevation[row] > 0.0][:MAX_VIRTUAL]
+        n = len(rising)
+        candidates = Pseudoranges(
+            sky.line_of_sight_n[rising] @ sky.ned_from_ecef @ self._ned_from_ecef.T,
+            tuple(CLOCKS[sights[row].satellite.constellation] for row in rising),
+            np.zeros(n), np.ones(n), np.zeros(n), np.ones(n, dtype=np.bool_),
+        )  # fmt: skip
+        rate = self._settings.bank.false_alarm_rate
+        test = construction_test(self._bank.estimate.x[-1], ranges, candidates, rate)
+        if test is not None:
+            self._bank.excluded = test.excluded
+            self._bank.correct_all(ranges)
+        return test
+
     def _solution(self) -> SatelliteSolution:
         assert self._bank is not None
         estimate, to_ecef = self._bank.fault_free, self._ned_from_ecef.T
@@ -309,17 +322,3 @@ class CooperativeMonitor:
             findings=tuple(findings),
             rejected=rejected,
         )
-
-
-def _unusable(report: NeighbourReport, distance: float, speed: float) -> str | None:
-    """Why a neighbour's range-rate is not used; None where it is."""
-    if report.cfo_hz is None or not isfinite(report.cfo_hz):
-        return "neighbour_without_cfo"
-    if report.oscillator_offset is None or not abs(report.oscillator_offset) <= MAX_OFFSET:
-        return "neighbour_without_oscillator_offset"
-    if abs(report.cfo_hz) > 2.0 * MAX_OFFSET * CARRIER_FREQUENCY:
-        return "implausible_cfo"
-    if not distance <= MAX_DISTANCE or not speed <= MAX_SPEED:
-        return "implausible_neighbour"
-    sds = (report.position_sd_m, report.velocity_sd_m_s, report.cfo_sd_hz)
-    return None if all(isfinite(sd) and sd > 0.0 for sd in sds) else "neighbour_without_accuracy"

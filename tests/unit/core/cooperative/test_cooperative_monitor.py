@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import Constellation, Outcome, RawEpoch, SatelliteSolution, SatelliteVerdict
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
-from services.core.cooperative.v2x.monitor import MAX_NEIGHBOURS, CooperativeMonitor, NeighbourReport
+from services.core.cooperative.v2x.monitor import MAX_NEIGHBOURS, CooperativeMonitor, CooperativeSettings
+from services.core.cooperative.v2x.neighbours import NeighbourReport
 from services.core.cooperative.v2x.range_rate import cfo_from_range_rate
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
-from tests.support.constellation import NOW_NS, filled_store, pushed, raw_epoch
+from tests.support.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch
 
 STORE = filled_store()
 ORIGIN = np.array(ecef_from_geodetic(Geodetic(0.83, 0.16, 300.0)))
@@ -175,3 +177,43 @@ def test_satellites_that_come_and_go_do_not_disturb_the_others() -> None:
         verdict = judged(monitor, replace(full, measurements=part), k)
         assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.reason}"
         assert len(verdict.findings) == len(part)
+
+
+def half_of_the_sky(k: int, rng: np.random.Generator | None = None) -> RawEpoch:
+    """Every second satellite is not received: the others' directions are free for virtual ones."""
+    full = epoch(k, rng)
+    return replace(full, measurements=full.measurements[::2])
+
+
+def test_the_papers_construction_can_be_selected_and_excludes_a_step() -> None:
+    rng, monitor = np.random.default_rng(6), CooperativeMonitor(CooperativeSettings(paper_construction=True))
+    satellite = half_of_the_sky(0).measurements[2].satellite
+    for k in range(20):
+        one = pushed(half_of_the_sky(k, rng), satellite, 150.0 if k in (10, 11) else 0.0)
+        verdict = judged(monitor, one, k, rng)
+        assert verdict.excluded == ((satellite,) if k in (10, 11) else ()), f"epoch {k}"
+
+
+def test_the_bank_excludes_a_ramp_of_1_m_s_earlier_than_the_papers_construction() -> None:
+    satellite = half_of_the_sky(0).measurements[2].satellite
+    found = []
+    for paper in (True, False):
+        rng, monitor = np.random.default_rng(7), CooperativeMonitor(CooperativeSettings(paper_construction=paper))
+        times = [
+            k
+            for k in range(60)
+            if judged(monitor, pushed(half_of_the_sky(k, rng), satellite, max(0.0, k - 15.0)), k, rng).excluded
+        ]
+        found.append(len(times))
+    assert 0 < found[0] < found[1]
+
+
+def test_without_virtual_satellites_the_construction_is_not_evaluated() -> None:
+    one, store = epoch(0), EphemerisStore()
+    received = {measurement.satellite for measurement in one.measurements}
+    for ephemeris in constellation():
+        if ephemeris.satellite in received:
+            store.add(ephemeris)
+    monitor = CooperativeMonitor(CooperativeSettings(paper_construction=True))
+    verdict = monitor.evaluate(one, store, neighbours(0), road_e=ROAD_E, start=start())
+    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.reason == "too few virtual satellites"

@@ -5,10 +5,12 @@ import pytest
 
 from services.core.cooperative.paper import scenario
 from services.core.cooperative.paper.monte_carlo import (
+    closed_loop,
     draw,
     horizontal_rms,
     leave_one_out,
     open_loop,
+    row,
     structure_test,
 )
 
@@ -73,3 +75,17 @@ def test_the_bank_sees_the_ramp_twice_as_early(ratio: float, ramp: float) -> Non
     if ratio == 1.0:
         assert found.missed_ramp <= 25.0 and found.false_alarm <= 0.3
     assert np.sqrt((horizontal_rms(error)[50:80] ** 2).mean()) < 5.5
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.1])
+def test_a_closed_loop_absorbs_the_ramp(ratio: float) -> None:
+    """Reference: 99.96 and 98.6 % missed, 36 and 14 m horizontal RMS from 51 to 80 s."""
+    found, error = closed_loop(DRIVE, ratio)
+    assert found.missed_ramp > 97.0 and found.missed_step < 0.5
+    assert np.sqrt((horizontal_rms(error)[50:80] ** 2).mean()) == pytest.approx({1.0: 36.0, 0.1: 14.0}[ratio], rel=0.4)
+
+
+def test_a_row_holds_one_ratio_of_all_methods() -> None:
+    found = row(5, runs=20)
+    assert found.ratio == 0.5 and found.published.missed_ramp == 48.59
+    assert found.leave_one_out.missed_ramp < found.open_loop.missed_ramp < found.closed_loop.missed_ramp
