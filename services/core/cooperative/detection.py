@@ -26,7 +26,7 @@ def global_threshold(dof: int, false_alarm_rate: float) -> float:
 
 
 @lru_cache(maxsize=256)
-def local_threshold(tests: int, false_alarm_rate: float) -> float:
+def local_threshold(tests: float, false_alarm_rate: float) -> float:
     """D_H = Phi^-1(1 - P_FA/(2 n)), two-sided for each of n tests, to be compared with |w| and not with its square."""
     return float(-ndtri(false_alarm_rate / (2 * tests)))
 

@@ -22,16 +22,17 @@ def start(runs: int) -> Estimate:
 
 
 def drive(faults: np.ndarray, runs: int, settings: BankSettings, seed: int) -> tuple[LeaveOneOutBank, list[BankTest]]:
-    """A vehicle at rest in the origin; `faults` [m], shape (epochs, N)."""
+    """A vehicle that drifts about the origin as the filters expect it; `faults` [m], shape (epochs, N)."""
     rng = np.random.default_rng(seed)
     bank, tests = LeaveOneOutBank(start(runs), N, settings), []
-    x = start(runs).x + rng.standard_normal((runs, CLOCK + 1)) * np.sqrt(np.diagonal(start(runs).P, axis1=1, axis2=2))
-    truth = np.zeros((runs, CLOCK + 1))
-    truth[:, :6] = (start(runs).x - x)[:, :6]
-    truth[:, CLOCK] = -x[:, CLOCK]
+    size = CLOCK + 1
+    Q = predict(Estimate(np.zeros(size), np.zeros((size, size))), 1.0, FORWARD).P
+    step = np.linalg.cholesky(Q + 1e-15 * np.eye(size))
+    truth = rng.standard_normal((runs, size)) * np.sqrt(np.diagonal(start(runs).P, axis1=1, axis2=2))
     for fault in faults:
         predicted = predict(bank.estimate, 1.0, FORWARD)
-        truth[:, :3] += truth[:, 3:6]
+        truth = predict(Estimate(truth, np.zeros((size, size))), 1.0, FORWARD).x
+        truth += rng.standard_normal((runs, size)) @ step.T
         y = truth[:, :3] @ ROWS[:, :3].T + truth[:, CLOCK, np.newaxis] + fault + 3.0 * rng.standard_normal((runs, N))
         ranges = Pseudoranges(-ROWS[:, :3], (0,) * N, y, np.full(N, 3.0), np.zeros(N), VISIBLE)
         tests.append(bank.advance(predicted, ranges))
@@ -40,19 +41,18 @@ def drive(faults: np.ndarray, runs: int, settings: BankSettings, seed: int) -> t
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [1e-2, 1e-3])
-def test_fault_free_epochs_alarm_no_more_often_than_the_design_rate(rate: float) -> None:
-    """100,000 epochs; windows overlap, so that alarms are counted as episodes; two tests share the rate."""
+def test_false_alarms_begin_at_the_design_rate(rate: float) -> None:
+    """100,000 epochs; windows overlap, so that alarms are counted as episodes."""
     runs, epochs = 2000, 50
     _, tests = drive(np.zeros((epochs, N)), runs, BankSettings(false_alarm_rate=rate), 1)
     episodes = sum(int(test.newly_excluded.any(axis=-1).sum()) for test in tests)
-    assert 0 < episodes <= binom.ppf(0.999, runs * epochs, rate)
+    assert binom.ppf(0.001, runs * epochs, rate) <= episodes <= binom.ppf(0.999, runs * epochs, rate)
 
 
 def test_single_innovations_are_standard_normal() -> None:
     _, tests = drive(np.zeros((30, N)), 500, BankSettings(false_alarm_rate=1e-9), 2)
     squares = np.array([test.single**2 for test in tests[10:]])
-    # a filter that assumes more process noise than there is makes them a little smaller
-    assert squares.mean() == pytest.approx(1.0, abs=0.1)
+    assert squares.mean() == pytest.approx(1.0, abs=0.02)
 
 
 def test_a_ramp_of_1_m_s_is_not_absorbed() -> None:
@@ -67,12 +67,11 @@ def test_a_ramp_of_1_m_s_is_not_absorbed() -> None:
 def test_a_step_is_excluded_at_once_and_readmitted_eight_epochs_after_its_end() -> None:
     faults = np.zeros((60, N))
     faults[20:30, 3] = 50.0
-    bank, tests = drive(faults, 100, BankSettings(), 4)
+    _, tests = drive(faults, 100, BankSettings(), 4)
     excluded = np.array([test.excluded[:, 3] for test in tests])
     assert excluded[20:30].mean() > 0.99 and excluded[:20].mean() < 0.01
     assert excluded[30:37].all(), "not before eight healthy epochs"
     assert excluded[-5:].mean() < 0.05
-    assert np.abs(bank.fault_free.x[:, :3]).max() < 40.0
 
 
 def test_a_filter_never_uses_its_own_satellite() -> None:
