@@ -69,7 +69,9 @@ PROCESSES = (
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
         consumes=("gnss/raw", "gnss/configure"),
-        produces=("gnss/write", "gnss/fix", "gnss/satellites", "gnss/configuration"),
+        produces=(
+            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/configuration",
+        ),
     ),
     ProcessRow(
         "parsers.imu", Kind.STANDING, "turns Xbus bytes into inertial samples in body axes",
@@ -96,6 +98,11 @@ PROCESSES = (
     ProcessRow(
         "core.motion_conflict", Kind.STANDING, "compares the speeds of GNSS and odometer as the smart tachograph does",
         consumes=("gnss/fix", "vehicle/speed", "trust/state"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
+        "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
         produces=("trust/monitor",),
     ),
     ProcessRow(
