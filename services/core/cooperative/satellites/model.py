@@ -38,6 +38,9 @@ class ErrorModel:
     signal_in_space_sd_m: float = 1.0
     zenith_troposphere_sd_m: float = 0.12  # RTCA DO-229D, A.4.2.4
     ionosphere_fraction: float = 0.3  # sd over the delay that the Klobuchar model gives, which removes half or more
+    # Without coefficients the model gives its night-time delay. By day it is several times that, but most of the
+    # difference is common to all satellites or looks like height: the residuals show about a tenth of it.
+    unknown_ionosphere_fraction: float = 1.0
     code_sd_m: float = 0.4  # noise and multipath at the zenith; grows as 1/sin(elevation)
     range_rate_sd_m_s: float = 0.1
     reference_cn0_db_hz: float = 45.0  # below it, the noise grows: `noise_factor`
@@ -162,6 +165,7 @@ class Sky:
         at_height = Geodetic(place.latitude, place.longitude, min(max(place.height, LOWEST), HIGHEST))
         zenith = saastamoinen_zenith_m(at_height.latitude, at_height.height)
         model = self.model
+        fraction = model.ionosphere_fraction if self.ionosphere else model.unknown_ionosphere_fraction
         for sight, up, towards in zip(self.sights, elevation.tolist(), azimuth.tolist(), strict=True):
             el = max(up, model.elevation_mask_rad)
             ionosphere = klobuchar_delay_m(
@@ -171,7 +175,7 @@ class Sky:
             noise = model.code_sd_m * noise_factor(sight.cn0, model) / sin(el)
             parts = (
                 model.signal_in_space_sd_m,
-                model.ionosphere_fraction * ionosphere,
+                fraction * ionosphere,
                 model.zenith_troposphere_sd_m * mapping,
             )
             rows.append((ionosphere + zenith * mapping, hypot(*parts, noise), noise))
