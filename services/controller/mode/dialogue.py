@@ -15,10 +15,10 @@ class Dialogue:
     `configuring` says what is being asked, `fault` why the last attempt of all failed; each is None otherwise.
     """
 
-    def __init__(self, source: str, period_s: float, messages: tuple[str, ...]) -> None:
+    def __init__(self, source: str, period_s: float, messages: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
         self.configuring: str | None = None
         self.fault: str | None = None
-        self._source, self._period_s, self._messages = source, period_s, messages
+        self._source, self._period_s, self._messages, self._optional = source, period_s, messages, optional
         self._request_id: int | None = None  # of the question that waits for an answer
         self._due_ns = 0  # of the next question, or of the answer
         self._attempts = 0
@@ -56,8 +56,9 @@ class Dialogue:
             f" (attempt {self._attempts} of {len(BACK_OFF_S) + 1})"
         )
         return GnssConfigure(
-            request_id=now_ns, source=self._source, navigation_period_s=self._period_s, messages=self._messages
-        )
+            request_id=now_ns, source=self._source, navigation_period_s=self._period_s, messages=self._messages,
+            optional_messages=self._optional,
+        )  # fmt: skip
 
     def _fail(self, reason: str, now_ns: int) -> None:
         self._request_id = None

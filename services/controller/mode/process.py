@@ -24,6 +24,8 @@ class Config(Section):
     configure_gnss: bool = True  # False: the receiver stays as it is
     navigation_period_s: float = Field(default=1.0, gt=0.0)
     gnss_messages: tuple[str, ...] = ("NAV-PVT", "NAV-DOP", "NAV-COV", "NAV-SAT", "NAV-EOE")
+    # A receiver that refuses them stays with the others.
+    optional_gnss_messages: tuple[str, ...] = ("RXM-RAWX", "RXM-SFRBX")
     last_position_period_s: float = Field(default=10.0, gt=0.0)
 
 
@@ -70,7 +72,13 @@ class Process:
 
     def _dialogue(self, source: str) -> Dialogue:
         return self._dialogues.setdefault(
-            source, Dialogue(source, self._config.navigation_period_s, self._config.gnss_messages)
+            source,
+            Dialogue(
+                source,
+                self._config.navigation_period_s,
+                self._config.gnss_messages,
+                self._config.optional_gnss_messages,
+            ),
         )
 
 

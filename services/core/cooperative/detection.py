@@ -11,8 +11,7 @@ from functools import lru_cache
 from math import inf, sqrt
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chdtri, chndtr, ndtri
+from scipy.special import chdtri, chndtrinc, ndtri
 
 from .measurements import FloatArray
 
@@ -34,12 +33,7 @@ def local_threshold(tests: float, false_alarm_rate: float) -> float:
 @lru_cache(maxsize=256)
 def noncentrality(dof: int, false_alarm_rate: float, missed_detection_rate: float) -> float:
     """Find lambda with P(chi2(dof, lambda) < T_H) = P_MD: what a fault must add to T to be detected."""
-    threshold = global_threshold(dof, false_alarm_rate)
-
-    def missed(value: float) -> float:
-        return float(chndtr(threshold, dof, value)) - missed_detection_rate
-
-    return float(brentq(missed, 0.0, 1000.0, xtol=1e-9))
+    return float(chndtrinc(global_threshold(dof, false_alarm_rate), dof, missed_detection_rate))
 
 
 @dataclass(frozen=True)

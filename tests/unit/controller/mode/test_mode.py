@@ -135,9 +135,10 @@ def test_a_tunnel_is_named_as_what_it_is() -> None:
 
 
 def test_a_receiver_is_asked_for_what_the_vehicles_file_says() -> None:
-    process = Process(Config(navigation_period_s=0.2, gnss_messages=("NAV-PVT",)))
+    process = Process(Config(navigation_period_s=0.2, gnss_messages=("NAV-PVT",), optional_gnss_messages=("RXM-RAWX",)))
     (request,) = requests(feed(process, [fix(0.0)]))
     assert (request.source, request.navigation_period_s, request.messages) == ("gnss0", 0.2, ("NAV-PVT",))
+    assert request.optional_messages == ("RXM-RAWX",)
 
 
 def test_a_receiver_that_speaks_ubx_and_nmea_is_asked_once() -> None:
