@@ -1,18 +1,14 @@
 """A synthetic GPS and Galileo constellation, raw epochs of it, and the navigation words that it broadcasts."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from math import cos, pi, radians, sin
 
 import numpy as np
 import numpy.typing as npt
 
 from services.core.cooperative.broadcast.ephemeris import Ephemeris, satellite_state
-from services.core.cooperative.broadcast.galileo_inav import crc24q
-from services.core.cooperative.broadcast.gps_lnav import Klobuchar, parity
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import (
-    L1_FREQUENCY,
-    SPEED_OF_LIGHT,
     WEEK_NS,
     Constellation,
     Measurement,
@@ -20,11 +16,13 @@ from services.core.cooperative.measurements import (
     SatelliteId,
 )
 from services.core.cooperative.satellites.model import ErrorModel, Sight, Sky
+from services.sensors.simulator.gnss.navigation_words import Elements, inav_page, lnav_subframe
+from shared.maths.gnss_signals import EARTH_RATE, L1_FREQUENCY, SPEED_OF_LIGHT, Klobuchar
 
+NS = 1_000_000_000
 FloatArray = npt.NDArray[np.float64]
 NOW_NS = 2300 * WEEK_NS + 200_000 * 1_000_000_000
 TOE_NS = 2300 * WEEK_NS + 201_600 * 1_000_000_000
-EARTH_RATE = 7.2921151467e-5  # [rad/s]
 IONOSPHERE = Klobuchar((1.118e-8, 1.49e-8, -5.96e-8, -5.96e-8), (88060.0, 16380.0, -196600.0, -131100.0))
 
 
@@ -121,80 +119,17 @@ def pushed(epoch: RawEpoch, satellite: SatelliteId, bias_m: float) -> RawEpoch:
     )
 
 
-class Packer:
-    """Concatenates fields of a navigation message, the most significant bit first."""
-
-    def __init__(self) -> None:
-        self.text = ""
-
-    def put(self, value: int, bits: int) -> "Packer":
-        self.text += format(value & ((1 << bits) - 1), f"0{bits}b")
-        return self
-
-    def scaled(self, value: float, bits: int, power: int, unit: float = 1.0) -> "Packer":
-        """A value in units of 2^-power."""
-        return self.put(round(value / unit * 2.0**power), bits)
-
-
-SEMICIRCLE = 3.1415926535898
-
-
-def lnav_words(data: str) -> tuple[int, ...]:
-    """240 data bits as ten words with parity, as they are after the complement by D30* was undone."""
-    words = []
-    for k in range(0, 240, 24):
-        word = int(data[k : k + 24], 2) << 6
-        words.append(word | parity(word))
-    return tuple(words)
-
-
-def _lnav_head(number: int, tow_s: int) -> Packer:
-    return Packer().put(0x8B, 8).put(0, 16).put(tow_s // 6, 17).put(0, 2).put(number, 3).put(0, 2)
+def elements(one: Ephemeris) -> Elements:
+    """What the simulated satellite broadcasts of an ephemeris."""
+    names = (field.name for field in fields(Elements) if field.name != "number")
+    return Elements(number=one.satellite.number, **{name: getattr(one, name) for name in names})
 
 
 def lnav_subframes(one: Ephemeris, sent_ns: int) -> list[tuple[int, ...]]:
     """Subframes 1, 2 and 3."""
-    week, tow = divmod(sent_ns, WEEK_NS)
-    tow_s = tow // 1_000_000_000
-    toe, toc = (time_ns % WEEK_NS // 16_000_000_000 for time_ns in (one.toe_ns, one.toc_ns))
-    first = _lnav_head(1, tow_s).put(week, 10).put(1, 2).put(0, 4).put(0 if one.healthy else 63, 6)
-    first.put(one.issue >> 8, 2).put(0, 88).scaled(one.group_delay_s, 8, 31).put(one.issue, 8).put(toc, 16)
-    first.scaled(one.clock[2], 8, 55).scaled(one.clock[1], 16, 43).scaled(one.clock[0], 22, 31).put(0, 2)
-    second = _lnav_head(2, tow_s + 6).put(one.issue, 8).scaled(one.crs, 16, 5)
-    second.scaled(one.mean_motion_difference, 16, 43, SEMICIRCLE).scaled(one.mean_anomaly, 32, 31, SEMICIRCLE)
-    second.scaled(one.cuc, 16, 29).scaled(one.eccentricity, 32, 33).scaled(one.cus, 16, 29).scaled(one.sqrt_a, 32, 19)
-    second.put(toe, 16).put(0, 8)
-    third = _lnav_head(3, tow_s + 12).scaled(one.cic, 16, 29).scaled(one.node, 32, 31, SEMICIRCLE)
-    third.scaled(one.cis, 16, 29).scaled(one.inclination, 32, 31, SEMICIRCLE).scaled(one.crc, 16, 5)
-    third.scaled(one.perigee, 32, 31, SEMICIRCLE).scaled(one.node_rate, 24, 43, SEMICIRCLE).put(one.issue, 8)
-    third.scaled(one.inclination_rate, 14, 43, SEMICIRCLE).put(0, 2)
-    return [lnav_words(packer.text) for packer in (first, second, third)]
+    return [lnav_subframe(elements(one), number, sent_ns // NS + 6 * (number - 1)) for number in (1, 2, 3)]
 
 
 def inav_pages(one: Ephemeris, sent_ns: int) -> list[tuple[int, ...]]:
     """Words 1 to 5."""
-    week, tow = divmod(sent_ns - 1024 * WEEK_NS, WEEK_NS)
-    toe, toc = (time_ns % WEEK_NS // 60_000_000_000 for time_ns in (one.toe_ns, one.toc_ns))
-    words = [Packer().put(kind, 6) for kind in range(1, 6)]
-    for word in words[:4]:
-        word.put(one.issue, 10)
-    words[0].put(toe, 14).scaled(one.mean_anomaly, 32, 31, SEMICIRCLE).scaled(one.eccentricity, 32, 33)
-    words[0].scaled(one.sqrt_a, 32, 19).put(0, 2)
-    words[1].scaled(one.node, 32, 31, SEMICIRCLE).scaled(one.inclination, 32, 31, SEMICIRCLE)
-    words[1].scaled(one.perigee, 32, 31, SEMICIRCLE).scaled(one.inclination_rate, 14, 43, SEMICIRCLE).put(0, 2)
-    words[2].scaled(one.node_rate, 24, 43, SEMICIRCLE).scaled(one.mean_motion_difference, 16, 43, SEMICIRCLE)
-    words[2].scaled(one.cuc, 16, 29).scaled(one.cus, 16, 29).scaled(one.crc, 16, 5).scaled(one.crs, 16, 5).put(107, 8)
-    words[3].put(one.satellite.number, 6).scaled(one.cic, 16, 29).scaled(one.cis, 16, 29).put(toc, 14)
-    words[3].scaled(one.clock[0], 31, 34).scaled(one.clock[1], 21, 46).scaled(one.clock[2], 6, 59).put(0, 2)
-    words[4].put(0, 11 + 11 + 14 + 5 + 10).scaled(one.group_delay_s, 10, 32).put(0, 2).put(0 if one.healthy else 1, 2)
-    words[4].put(0, 2).put(week, 12).put(tow // 1_000_000_000, 20).put(0, 23)
-    return [inav_page(word.text) for word in words]
-
-
-def inav_page(word: str) -> tuple[int, ...]:
-    """128 bits of a word as the eight words of a page, with CRC."""
-    even = "00" + word[:112] + "000000"
-    odd = "10" + word[112:] + "0" * 64
-    crc = crc24q(int(even[:114] + odd, 2), 196)
-    bits = even.ljust(128, "0") + (odd + format(crc, "024b")).ljust(128, "0")
-    return tuple(int(bits[k : k + 32], 2) for k in range(0, 256, 32))
+    return [inav_page(elements(one), kind, sent_ns // NS) for kind in range(1, 6)]

@@ -17,8 +17,6 @@ from shared.maths.rotation import Vector
 
 FloatArray = npt.NDArray[np.float64]
 
-SPEED_OF_LIGHT = 299792458.0  # [m/s] exact, by definition (17th CGPM, 1983)
-L1_FREQUENCY = 1575.42e6  # [Hz] GPS L1 and Galileo E1: IS-GPS-200 and Galileo OS SIS ICD
 SECONDS_PER_WEEK = 604800
 WEEK_NS = SECONDS_PER_WEEK * 1_000_000_000
 NOTHING: Mapping[str, int] = MappingProxyType({})

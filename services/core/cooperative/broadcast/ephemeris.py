@@ -10,18 +10,17 @@ from math import atan2, copysign, cos, pi, sin, sqrt
 from types import MappingProxyType
 from typing import NamedTuple
 
+from shared.maths.gnss_signals import EARTH_RATE, SPEED_OF_LIGHT
 from shared.maths.rotation import Vector
 
-from ..measurements import SPEED_OF_LIGHT, WEEK_NS, Constellation, SatelliteId
+from ..measurements import WEEK_NS, Constellation, SatelliteId
 
-GPS_PI = 3.1415926535898  # [-] the value that IS-GPS-200 and the Galileo ICD prescribe for semicircles
 MU = MappingProxyType(
     {
         Constellation.GPS: 3.986005e14,  # [m³/s²] IS-GPS-200N, table 20-IV
         Constellation.GALILEO: 3.986004418e14,  # [m³/s²] Galileo OS SIS ICD 2.1, table 58
     }
 )
-EARTH_RATE = 7.2921151467e-5  # [rad/s] IS-GPS-200N, table 20-IV; rounded like WGS-84's, an orbit would be 24 m off
 MAX_AGE_S = MappingProxyType(
     {
         Constellation.GPS: 7200.0,  # half of the 4 h fit interval: IS-GPS-200N, 20.3.4.4

@@ -9,14 +9,15 @@ u-blox F9 HPG 1.32 interface description (UBX-22008968), 1.4.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from shared.maths.navigation_words import GPS_PI, crc24q
+
 from ..measurements import SECONDS_PER_WEEK, WEEK_NS, Constellation, SatelliteId
 from .bits import Bits, joined
-from .ephemeris import GPS_PI, Ephemeris
+from .ephemeris import Ephemeris
 from .gps_lnav import nearest_ns, resolved_week
 
 WORDS = 8
 EPHEMERIS_WORDS = (1, 2, 3, 4, 5)
-CRC24Q = 0x1864CFB  # generator polynomial: Galileo OS SIS ICD 2.1, 5.1.9.4
 GST_WEEK_OF_GPS = 1024  # Galileo's week 0 began at this GPS week, whose roll-overs it does not share
 ROLLOVER_WEEKS = 4096
 NO_ACCURACY = 255
@@ -32,15 +33,6 @@ class NavigationWord:
     def bits(self) -> Bits:
         """The word behind its type."""
         return Bits(self.data & ((1 << 122) - 1), 122)
-
-
-def crc24q(value: int, bits: int) -> int:
-    """CRC-24Q of a bit string that is held as an integer; leading zeros do not change it."""
-    value <<= 24
-    for bit in range(bits + 23, 23, -1):
-        if value >> bit & 1:
-            value ^= CRC24Q << (bit - 24)
-    return value
 
 
 def decode_page(words: tuple[int, ...]) -> NavigationWord | None:

@@ -11,14 +11,15 @@ IS-GPS-200N, 20.3.3 and tables 20-I to 20-XIV; u-blox F9 HPG 1.32 interface desc
 
 from dataclasses import dataclass
 
+from shared.maths.gnss_signals import Klobuchar
+from shared.maths.navigation_words import GPS_PI, parity
+
 from ..measurements import SECONDS_PER_WEEK, WEEK_NS, Constellation, SatelliteId
 from .bits import Bits, joined
-from .ephemeris import GPS_PI, Ephemeris
+from .ephemeris import Ephemeris
 
 WORDS = 10
 PREAMBLE = 0x8B
-# Each row: the bits of D29*, D30* and d1 to d24 (from bit 31 down to 6) that make one parity bit, D25 first.
-PARITY_MASKS = (0xBB1F3480, 0x5D8F9A40, 0xAEC7CD00, 0x5763E680, 0x6BB1F340, 0x8B7A89C0)  # table 20-XIV
 IONOSPHERE_PAGE = 56  # SV ID of subframe 4, page 18
 URA_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1536.0, 3072.0, 6144.0)
 ROLLOVER_WEEKS = 1024
@@ -35,22 +36,6 @@ class Subframe:
     def bits(self) -> Bits:
         """Words 3 to 10 without parity."""
         return Bits(self.data, 192)
-
-
-@dataclass(frozen=True)
-class Klobuchar:
-    """Coefficients of the broadcast ionosphere model: alpha [s/semicircle^k] and beta [s/semicircle^k]."""
-
-    alpha: tuple[float, float, float, float]
-    beta: tuple[float, float, float, float]
-
-
-def parity(word: int) -> int:
-    """Six parity bits of a 32-bit word [D29* D30* d1 ... d24 and 6 bits that are ignored]."""
-    value = 0
-    for mask in PARITY_MASKS:
-        value = value << 1 | (word & mask).bit_count() & 1
-    return value
 
 
 PARITY_OF_STARS = frozenset(parity(stars << 30) for stars in range(4))

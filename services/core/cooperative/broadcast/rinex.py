@@ -8,9 +8,11 @@ RINEX 2.11 (W. Gurtner, L. Estey, 2007), tables A3 and A4; RINEX 3.05 (I. Romero
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 
+from shared.maths.gnss_signals import Klobuchar
+
 from ..measurements import Constellation, SatelliteId
 from .ephemeris import Ephemeris
-from .gps_lnav import Klobuchar, nearest_ns
+from .gps_lnav import nearest_ns
 
 GPS_EPOCH = datetime(1980, 1, 6)  # of GPS time, without leap seconds
 ORBIT_LINES = 7

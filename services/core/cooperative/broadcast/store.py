@@ -1,9 +1,10 @@
 """Collects broadcast navigation data of all satellites and selects the ephemeris to use."""
 
+from shared.maths.gnss_signals import Klobuchar
+
 from ..measurements import Constellation, SatelliteId
 from . import galileo_inav, gps_lnav
 from .ephemeris import MAX_AGE_S, Ephemeris, age_s
-from .gps_lnav import Klobuchar
 
 NUMBERS = {Constellation.GPS: range(1, 33), Constellation.GALILEO: range(1, 37)}
 MIN_SQRT_A, MAX_SQRT_A = 4500.0, 6500.0  # [sqrt m] all navigation satellites in medium orbits, with margin

@@ -14,13 +14,21 @@ from math import hypot, isfinite, radians, sin
 import numpy as np
 
 from shared.maths.earth import SEMI_MAJOR_AXIS, Geodetic, geodetic_from_ecef, ned_from_ecef
+from shared.maths.gnss_signals import (
+    EARTH_RATE,
+    L1_FREQUENCY,
+    SECONDS_PER_DAY,
+    SPEED_OF_LIGHT,
+    Klobuchar,
+    klobuchar_delay_m,
+    saastamoinen_zenith_m,
+    troposphere_mapping,
+)
 from shared.maths.rotation import Vector
 
-from ..broadcast.ephemeris import EARTH_RATE, satellite_state
-from ..broadcast.gps_lnav import Klobuchar
+from ..broadcast.ephemeris import satellite_state
 from ..broadcast.store import EphemerisStore
-from ..measurements import L1_FREQUENCY, SPEED_OF_LIGHT, FloatArray, Measurement, RawEpoch, SatelliteId
-from .atmosphere import SECONDS_PER_DAY, klobuchar_delay_m, saastamoinen_zenith_m, troposphere_mapping
+from ..measurements import FloatArray, Measurement, RawEpoch, SatelliteId
 
 WAVELENGTH = SPEED_OF_LIGHT / L1_FREQUENCY  # [m]
 MIN_PSEUDORANGE, MAX_PSEUDORANGE = 1.5e7, 4.5e7  # [m] medium orbits are 19,000 to 29,000 km away; the clock adds some

@@ -6,10 +6,10 @@ from math import log, sqrt
 import numpy as np
 
 from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
+from shared.maths.gnss_signals import SPEED_OF_LIGHT
 
 from ..broadcast.store import EphemerisStore
 from ..measurements import (
-    SPEED_OF_LIGHT,
     Constellation,
     FloatArray,
     Outcome,

@@ -8,16 +8,16 @@ from services.core.cooperative.broadcast import galileo_inav, gps_lnav
 from services.core.cooperative.broadcast.ephemeris import Ephemeris
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import WEEK_NS, Constellation, SatelliteId
+from services.sensors.simulator.gnss.navigation_words import Packer, lnav_words
+from shared.maths.navigation_words import parity
 from tests.support.constellation import (
     IONOSPHERE,
     NOW_NS,
     TOE_NS,
-    Packer,
     constellation,
     ephemeris,
     inav_pages,
     lnav_subframes,
-    lnav_words,
 )
 
 GPS, GALILEO = SatelliteId(Constellation.GPS, 7), SatelliteId(Constellation.GALILEO, 24)
@@ -130,7 +130,7 @@ def test_the_parity_of_a_word_is_that_of_the_interface_document() -> None:
     for data in (0x8B0000, 0x123456, 0xABCDEF, 0xFFFFFF, 1):
         bits = [data >> (24 - k) & 1 for k in range(25)]
         expected = [sum(bits[k] for k in row) % 2 for row in members]
-        assert gps_lnav.parity(data << 6) == int("".join(map(str, expected)), 2)
+        assert parity(data << 6) == int("".join(map(str, expected)), 2)
 
 
 def test_the_ionosphere_is_read_from_page_18_and_from_no_other() -> None:

@@ -4,14 +4,14 @@ from math import pi, radians
 
 import pytest
 
-from services.core.cooperative.broadcast.gps_lnav import Klobuchar
-from services.core.cooperative.measurements import SPEED_OF_LIGHT
-from services.core.cooperative.satellites.atmosphere import (
+from shared.maths.earth import Geodetic
+from shared.maths.gnss_signals import (
+    SPEED_OF_LIGHT,
+    Klobuchar,
     klobuchar_delay_m,
     saastamoinen_zenith_m,
     troposphere_mapping,
 )
-from shared.maths.earth import Geodetic
 
 COEFFICIENTS = Klobuchar((0.2e-7, -0.8e-8, -0.5e-7, 0.1e-6), (0.2e6, 0.2e6, -0.1e6, -0.1e7))
 

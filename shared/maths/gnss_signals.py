@@ -1,16 +1,27 @@
-"""Delays of L1 and E1 in the ionosphere (Klobuchar) and in the troposphere (Saastamoinen, standard atmosphere)."""
+"""Constants of L1 and E1, and their delays: ionosphere (Klobuchar), troposphere (Saastamoinen, standard atmosphere)."""
 
+from dataclasses import dataclass
 from math import cos, exp, log1p, pi, sin, sqrt
 
-from shared.maths.earth import Geodetic
+from .earth import Geodetic
 
-from ..broadcast.gps_lnav import Klobuchar
-from ..measurements import SPEED_OF_LIGHT
-
+SPEED_OF_LIGHT = 299792458.0  # [m/s] exact, by definition (17th CGPM, 1983)
+L1_FREQUENCY = 1575.42e6  # [Hz] GPS L1 and Galileo E1: IS-GPS-200 and Galileo OS SIS ICD
+EARTH_RATE = 7.2921151467e-5  # [rad/s] IS-GPS-200N, table 20-IV; rounded like WGS-84's, an orbit would be 24 m off
 NIGHT_DELAY_S = 5e-9  # IS-GPS-200N, 20.3.3.5.2.5
 GEOMAGNETIC_POLE_LONGITUDE = 1.617  # [semicircles] IS-GPS-200N, figure 20-4
 SECONDS_PER_DAY = 86400
 RELATIVE_HUMIDITY = 0.7  # [-] of the standard atmosphere, which leaves it open
+
+
+@dataclass(frozen=True)
+class Klobuchar:
+    """Coefficients of the broadcast ionosphere model: alpha [s/semicircle^k] and beta [s/semicircle^k]."""
+
+    alpha: tuple[float, float, float, float]
+    beta: tuple[float, float, float, float]
+
+
 NO_COEFFICIENTS = Klobuchar((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
 
