@@ -13,7 +13,8 @@ from math import hypot, isfinite, radians, sin
 
 import numpy as np
 
-from shared.maths.earth import SEMI_MAJOR_AXIS, Geodetic, geodetic_from_ecef, ned_from_ecef
+from shared.maths.earth import Geodetic, geodetic_from_ecef, ned_from_ecef
+from shared.maths.ellipsoid import SEMI_MAJOR_AXIS
 from shared.maths.gnss_signals import (
     EARTH_RATE,
     L1_FREQUENCY,
