@@ -8,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from services.core.cooperative.broadcast.ephemeris import (
-    EARTH_RATE,
     MU,
     Ephemeris,
     eccentric_anomaly,
@@ -16,6 +15,7 @@ from services.core.cooperative.broadcast.ephemeris import (
 )
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import WEEK_NS, Constellation, SatelliteId
+from shared.maths.gnss_signals import EARTH_RATE
 from tests.support.constellation import NOW_NS, TOE_NS, constellation, ephemeris
 
 GPS, GALILEO = SatelliteId(Constellation.GPS, 5), SatelliteId(Constellation.GALILEO, 11)

@@ -199,7 +199,7 @@ def test_measurements_of_any_content_are_decoded_or_refused(parts: list[bytes], 
 @pytest.mark.parametrize("first", [True, False])
 def test_raw_measurements_have_the_stamp_of_their_epoch_whichever_comes_first(first: bool) -> None:
     itow_ms = round(TOW_S * 1000)
-    pvt = {"year": 2026, "month": 9, "day": 21, "validDate": 1, "validTime": 1, "fixType": 3, "gnssFixOk": 1}
+    pvt: dict[str, Any] = {"year": 2026, "month": 9, "day": 21, "validDate": 1, "validTime": 1, "fixType": 3, "gnssFixOk": 1}
     fix = bytes(UBXMessage("NAV", "NAV-PVT", 0, iTOW=itow_ms, **pvt).serialize())
     fix += bytes(UBXMessage("NAV", "NAV-EOE", 0, iTOW=itow_ms).serialize())
     raw = frame(0x15, rawx(GOOD))

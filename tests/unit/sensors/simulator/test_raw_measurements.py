@@ -17,7 +17,8 @@ from services.sensors.simulator.gnss.orbits import UPLOAD_S
 from services.sensors.simulator.gnss.raw_measurements import CLOCK_DRIFT, IONOSPHERE, clock_bias_s
 from services.sensors.simulator.gnss.sky import SkyModel
 from services.sensors.simulator.world import messages
-from shared.maths.earth import curvature_radii, geodetic_from_ecef, ned_from_ecef
+from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
+from shared.maths.ellipsoid import curvature_radii
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
 from shared.messages.gnss import GnssFix, GnssNavigationBits, GnssRaw, GnssRawEpoch
 
@@ -132,7 +133,8 @@ def test_the_broadcast_elements_give_the_simulated_positions_in_the_users_algori
 
 
 def test_the_ionosphere_is_broadcast_every_twelve_and_a_half_minutes() -> None:
-    one, store, received = SkyModel(("gps",), (1,)).orbits.elements(1_474_000_000, 0), EphemerisStore(), []
+    one, store = SkyModel(("gps",), (1,)).orbits.elements(1_474_000_000, 0), EphemerisStore()
+    received: list[int] = []
     for end_s in range(1_474_000_000, 1_474_001_500):
         if words := gps_words(one, end_s, IONOSPHERE):
             store.ionosphere = None
