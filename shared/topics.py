@@ -18,8 +18,7 @@ class Topic:
     """One kind of message on the bus.
 
     `rate_hz` is the expected rate (None: whenever it happens), `silent_after_s` the age after which
-    the newest message is stale, `expiry_s` how long the broker keeps a retained one, and `persist`
-    says that the newest message outlives a power-off.
+    the newest message is stale, and `persist` says that the newest message outlives a power-off.
     """
 
     name: str
@@ -31,7 +30,6 @@ class Topic:
     silent_after_s: float | None = None
     qos: int = 0
     retain: bool = False
-    expiry_s: int | None = None
     persist: bool = False
 
     @cached_property
@@ -41,7 +39,7 @@ class Topic:
 
     @cached_property
     def is_raw(self) -> bool:
-        """Whether the payload is what a device sent, and the rest of the message user properties."""
+        """Whether the message holds bytes of a device as they are."""
         return issubclass(self.message, RawBytes)
 
 
@@ -71,13 +69,13 @@ TOPICS = (
     Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to",
           ("controller.mode",), ("parsers.gnss",), qos=1),
     Topic("mode/state", ModeState, "what the unit is doing",
-          ("controller.mode",), (), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
+          ("controller.mode",), (), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("navigation/last_position", LastPosition, "where the vehicle was last known to be",
           ("controller.mode",), ("core.fusion",), qos=1, retain=True, persist=True),
     Topic("navigation/solution", NavigationSolution, "where the vehicle is, with covariance",
           ("core.fusion",), ("controller.mode",), rate_hz=10.0, silent_after_s=2.0),
     Topic("navigation/state", NavigationState, "what the navigation filter is doing and why",
-          ("core.fusion",), ("controller.mode",), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
+          ("core.fusion",), ("controller.mode",), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it",
           ("core.fusion",), ()),
     Topic("deadline/report", DeadlineReport, "age and rate of every topic and process",
@@ -85,10 +83,10 @@ TOPICS = (
     Topic("outage/event", Outage, "what was lost, and for how long",
           ("monitoring.health",), (), qos=1),
     Topic("recording/state", RecordingState, "what is being recorded",
-          ("monitoring.recorder",), (), rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True, expiry_s=30),
+          ("monitoring.recorder",), (), rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
           ("sensors.gnss", "sensors.imu", "sensors.can", "sensors.simulator"), (),
-          rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True, expiry_s=10),
+          rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
     Topic("truth/state", TruthState, "where the simulated vehicle really is",
           ("sensors.simulator",), (), rate_hz=10.0, silent_after_s=5.0),
     Topic("health/+", ProcessHealth, "birth, heartbeat, farewell and last will of a process",

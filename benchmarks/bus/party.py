@@ -31,7 +31,7 @@ def publish(rate_hz: float, count: int, size: int) -> None:
         due_s += 1 / rate_hz
         while (remaining_s := due_s - time.monotonic()) > 0:
             bus.receive(remaining_s)
-        bus.publish(ImuRaw.unchecked(received_ns=bus.now_ns(), source="bench", data=data))
+        bus.publish(ImuRaw(received_ns=bus.now_ns(), source="bench", data=data))
     bus.close()
 
 
@@ -55,11 +55,11 @@ def subscribe(count: int) -> None:
 class Driver(Bus):
     """The bus of a driver that takes the time at the last moment."""
 
-    def publish(self, message: Message, *, at_once: bool = True) -> None:
+    def publish(self, message: Message) -> None:
         """Stamp what a device sent, and send it."""
         if isinstance(message, RawBytes):
-            message = type(message).unchecked(received_ns=self.now_ns(), source=message.source, data=message.data)
-        super().publish(message, at_once=at_once)
+            message = message.model_copy(update={"received_ns": self.now_ns()})
+        super().publish(message)
 
 
 def drive() -> None:

@@ -74,10 +74,10 @@ class Player:
             task = progress.add_task(recording.path.name, total=recording.size)
             for envelope, shift_ns in self._paced(e for e in recording if e.topic in wanted):
                 try:
-                    payload, properties = shifted(envelope, shift_ns)
+                    message = shifted(envelope, shift_ns)
                 except BadPayload:
                     continue  # its consumers would refuse it as well
-                self._bus.send(envelope.topic, payload, properties, BY_NAME[envelope.topic])
+                self._bus.publish(message)
                 if count % STEP == 0:
                     progress.update(task, completed=recording.position)
                 count += 1

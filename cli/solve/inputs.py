@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from shared.bus.bus import Envelope
@@ -10,7 +11,7 @@ from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import TruthState
 from shared.runtime.config import VehicleFile
-from shared.runtime.offline import OfflineUnit
+from shared.runtime.offline import OfflineUnit, arrival_ns
 
 # Bytes of a device, and the topics that are made of them again.
 MADE_OF = {"gnss/raw": ("gnss/fix",), "imu/raw": ("imu/sample",), "can/raw": ("vehicle/speed", "vehicle/wheel_speed")}
@@ -73,8 +74,10 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
 
 def arrival_of(envelope: Envelope) -> int:
     """When the bytes of a device arrived at the driver, or a typed message at the recorder."""
-    stamp = envelope.properties.get("received_ns", "")
-    return int(stamp) if stamp.isascii() and stamp.isdecimal() else envelope.received_ns
+    if envelope.topic in MADE_OF:
+        with suppress(BadPayload):
+            return arrival_ns(envelope.decode()) or envelope.received_ns
+    return envelope.received_ns
 
 
 def all_fixes(inputs: Inputs, vehicle: VehicleFile) -> list[GnssFix]:

@@ -2,8 +2,8 @@
 
 import json
 from collections.abc import Sequence
-from typing import cast
 
+from ..messages.base import Message, Sender
 from ..processes import LAYERS, PROCESSES
 from ..topics import TOPICS, Topic, publications, subscriptions
 
@@ -20,7 +20,7 @@ def asyncapi() -> Json:
             "description": "MQTT contract of the on-board unit, derived from shared/topics.py and shared/processes.py.",
         },
         "servers": {
-            "vehicle": {"host": "127.0.0.1:1883", "protocol": "mqtt", "protocolVersion": "5.0"},
+            "vehicle": {"host": "127.0.0.1:1883", "protocol": "mqtt", "protocolVersion": "3.1.1"},
         },
         "channels": {_key(t): _channel(t) for t in TOPICS},
         "operations": _operations(),
@@ -42,7 +42,7 @@ def topics_table() -> str:
             t.purpose,
             f"{t.rate_hz:g}" if t.rate_hz else "on change",
             f"{t.silent_after_s:g}" if t.silent_after_s else "-",
-            str(t.qos) + (", retained" if t.retain else "") + (f" {t.expiry_s} s" if t.expiry_s else ""),
+            str(t.qos) + (", retained" if t.retain else ""),
             "every process" if t.per_process else ", ".join(t.producers),
             ", ".join(t.consumers) or "observers",
         )
@@ -90,8 +90,6 @@ def _operations() -> Json:
     operations: Json = {}
     for topic in TOPICS:
         binding: Json = {"mqtt": {"qos": topic.qos, "retain": topic.retain, "bindingVersion": "0.2.0"}}
-        if topic.expiry_s:
-            cast(Json, binding["mqtt"])["messageExpiryInterval"] = topic.expiry_s
         channel = {"$ref": f"#/channels/{_key(topic)}"}
         for name in topic.producers:
             operations[f"{name}.sends.{_key(topic)}"] = {"action": "send", "channel": channel, "bindings": binding}
@@ -107,18 +105,20 @@ def _operations() -> Json:
 def _message(topic: Topic) -> Json:
     message = topic.message
     described: Json = {"name": message.__name__, "summary": (message.__doc__ or "").strip().splitlines()[0]}
-    if topic.is_raw:
-        described["contentType"] = "application/octet-stream"
-        described["description"] = (
-            "The payload is what the device sent; `received_ns` and `source` are user properties."
-        )
-        return described
     described["contentType"] = "application/json"
     described["payload"] = {
         "schemaFormat": "application/schema+json;version=draft-2020-12",
-        "schema": message.model_json_schema(mode="serialization"),
+        "schema": payload_schema(message),
     }
     return described
+
+
+def payload_schema(message: type[Message]) -> Json:
+    """Describe the payload of a message as JSON schema: its fields, and who sent it."""
+    schema = message.model_json_schema(mode="serialization")
+    schema["properties"] = {"sender": Sender.model_json_schema(), **schema["properties"]}
+    schema["required"] = ["sender", *schema.get("required", ())]
+    return schema
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -25,11 +25,12 @@ from mcap.records import (
 )
 
 from ..bus.envelope import Envelope
-from .channels import IRREGULAR, MAXIMUM_CHANNELS, Key, encoding_of, fields_of, key_of, metadata_of, schema_of
+from .channels import schema_of
 from .chunk import ChunkInProgress, packed
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 256 * 1024
+FORMAT = "2"  # 1 kept sender, stamp and source of raw bytes beside the payload
 VEHICLE_FILE = "vehicle.toml"
 SUMMARY_ORDER = (
     Opcode.SCHEMA,
@@ -99,14 +100,14 @@ class RecordingWriter:
         self._chunk_bytes = chunk_bytes
         self._file = opener(path)
         self._compressor = zstandard.ZstdCompressor()
-        self._channels: dict[Key | None, Channel] = {}
+        self._channels: dict[str, Channel] = {}
         self._schemas: dict[str, Schema] = {}
         self._summary = {opcode: bytearray() for opcode in SUMMARY_ORDER}
         self._counts: dict[int, int] = {}
         self._span = (1 << 64) - 1, 0
         self._chunks = 0
         self._chunk = ChunkInProgress()
-        self._metadata = {"obu": {"vehicle": vehicle}}
+        self._metadata = {"obu": {"vehicle": vehicle, "format": FORMAT}}
         if provenance is not None:
             self._metadata["provenance"] = dict(provenance)
         try:
@@ -123,12 +124,9 @@ class RecordingWriter:
 
     def write(self, envelope: Envelope) -> None:
         """Add a message; once the chunk is full it goes to the file."""
-        key = key_of(envelope)
-        if key not in self._channels and len(self._channels) >= MAXIMUM_CHANNELS:
-            key = None
-        channel = self._channels.get(key) or self._new_channel(key)
-        fields = fields_of(envelope, key)
-        self._chunk.add(channel, (fields.sequence, max(envelope.received_ns, 0), fields.publish_time), fields.data)
+        channel = self._channels.get(envelope.topic) or self._new_channel(envelope.topic)
+        arrival_ns = max(envelope.received_ns, 0)
+        self._chunk.add(channel, (0, arrival_ns, arrival_ns), envelope.payload)
         if len(self._chunk.data) >= self._chunk_bytes:
             self.flush()
 
@@ -184,16 +182,15 @@ class RecordingWriter:
             AttachmentIndex(position, self.bytes_written - position, 0, 0, len(text), VEHICLE_FILE, "application/toml")
         )
 
-    def _new_channel(self, key: Key | None) -> Channel:
-        topic = IRREGULAR if key is None else key[0]
+    def _new_channel(self, topic: str) -> Channel:
         channel = Channel(
             id=len(self._channels) + 1,
             topic=topic,
-            message_encoding=encoding_of(topic),
-            metadata={} if key is None else metadata_of(key),
+            message_encoding="json",
+            metadata={},
             schema_id=self._schema_id(topic),
         )
-        self._channels[key] = channel
+        self._channels[topic] = channel
         self._summary[Opcode.CHANNEL] += packed(channel)
         return channel
 

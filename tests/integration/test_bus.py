@@ -21,7 +21,7 @@ from shared.messages.operation import Consumed, Mode, ModeState, ProcessHealth, 
 from shared.runtime.config import BrokerAddress
 from shared.runtime.live import LiveReactor
 from shared.topics import TOPICS, subscriptions
-from tests.support import brokers
+from tests.support import brokers, mqtt
 
 LAST = LastPosition(
     sampled_ns=1, utc_ns=None, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0, yaw_rad=1.0,
@@ -177,16 +177,32 @@ def run_until(reactor: LiveReactor, bus: Bus, condition: Callable[[], bool], oth
     reactor.run()
 
 
-def test_noise_on_a_topic_is_counted_and_the_process_goes_on(make_bus: Callable[[str], Bus]) -> None:
+HOSTILE: tuple[dict[str, object], ...] = (
+    {"hdop": "NaN"}, {"hdop": float("nan")}, {"sampled_ns": 10**310}, {"received_ns": -(2**63) - 1}, {"source": 65 * "x"},
+    {"latitude_deg": True}, {"velocity_ned_m_s": [1.0, 2.0]}, {"fix_type": {"a": 1}}, {"source": None},
+)  # fmt: skip
+
+
+def test_hostile_payloads_on_a_topic_are_counted_and_the_process_goes_on(
+    broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
+) -> None:
     parser, controller, observer = make_bus("parsers.gnss"), make_bus("controller.mode"), make_bus("observer")
     process = Answering()
     good = {"sampled_ns": 1, "received_ns": 2, "source": "g", "fix_type": "none"}
-    fix_row = next(t for t in TOPICS if t.name == "gnss/fix")
-    for payload in (b"\xff\x00", b"{}", json.dumps(good | {"hdop": "NaN"}).encode(), json.dumps(good).encode()):
-        parser.send("gnss/fix", payload, {}, fix_row)
+    sender = f'{{"sender":{{"process":"parsers.gnss","incarnation":{parser.incarnation},"sequence":1}},'.encode()
+    with mqtt.Client(broker.port, "intruder", user="parsers.gnss") as intruder:
+        intruder.connect()
+        for body in (
+            b"\xff\x00", b"{}", json.dumps(good).encode(),  # nobody sent these
+            *(sender + json.dumps(good | wrong).encode()[1:] for wrong in HOSTILE), sender + b'"a":' + b"[" * 300_000,
+            sender + b'"received_ns":' + b"9" * 310 + b"}", bytes(1 << 20),
+            sender + json.dumps(good).encode()[1:],
+        ):  # fmt: skip
+            intruder.publish("obu/car/gnss/fix", body)
     run_until(LiveReactor(process, controller), controller, lambda: bool(process.given), lambda: parser.receive(0.0))
     assert len([m for m in process.given if not isinstance(m, Tick)]) == 1
-    assert controller.rejects["payload"] == 3
+    assert controller.rejects["payload"] + controller.rejects["envelope"] == 6 + len(HOSTILE)
+    assert controller.rejects["payload"] >= len(HOSTILE)
     heard = [e for e in pump(0.3, controller, observer) if e.topic == "consumed/controller.mode"]
     journals = [m for e in heard if isinstance(m := e.decode(), Consumed)]
     runs = [run for journal in journals for run in journal.runs if run[0] == "gnss/fix"]

@@ -50,7 +50,6 @@ class Watch:
         self,
         name: str,
         payload: bytes,
-        properties: Mapping[str, str],
         *,
         producer: str,
         received_ns: int,
@@ -60,7 +59,7 @@ class Watch:
         self._heard_ns = max(self._heard_ns, received_ns)
         topic = topic_of(name)
         if topic is not None:
-            self._topics[topic.name].take(producer, payload, properties, received_ns, retained=retained)
+            self._topics[topic.name].take(producer, payload, received_ns, retained=retained)
 
     def take_health(self, health: ProcessHealth, received_ns: int, *, retained: bool = False) -> None:
         """Note what a process says of itself, or the broker of a process that it lost.

@@ -45,4 +45,4 @@ class Process:
         run_driver(bus, link, config.device, self._raw, ask)
 
     def _raw(self, data: bytes, received_ns: int) -> CanRaw:
-        return CanRaw.unchecked(received_ns=received_ns, source=self._config.source, data=data)
+        return CanRaw(received_ns=received_ns, source=self._config.source, data=data)
