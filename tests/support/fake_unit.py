@@ -26,6 +26,7 @@ from shared.messages.navigation import (
 )
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
 from shared.messages.vehicle import CanRaw, WheelSpeeds
+from tests.support.envelopes import sent_bytes
 
 RADIUS_M, SPEED_M_S = 60.0, 9.0
 LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
@@ -65,17 +66,14 @@ class FakeBus:
 
     def feed(self, message: Message, producer: str, *, delay_s: float = 0.0008) -> None:
         """Put a message onto the bus as that process."""
-        payload, properties = codec.encode(message)
-        self.feed_bytes(codec.topic_name(message), payload, producer, properties, delay_s=delay_s)
+        self.feed_bytes(codec.topic_name(message), codec.encode(message), producer, delay_s=delay_s)
 
-    def feed_bytes(
-        self, topic: str, payload: bytes, producer: str, properties: dict[str, str] | None = None, *, delay_s: float = 0
-    ) -> None:
+    def feed_bytes(self, topic: str, body: bytes, producer: str, *, delay_s: float = 0) -> None:
         """Put any payload onto the bus, a bad one as well."""
         with self._lock:
             self._sequence += 1
             now_ns = self.now_ns() + int(delay_s * 1e9)
-            self._fed.append(Envelope(topic, payload, properties or {}, now_ns, producer, LIFE, self._sequence))
+            self._fed.append(sent_bytes(topic, body, now_ns, producer, LIFE, self._sequence))
 
     def receive(self, timeout_s: float) -> list[Envelope]:
         """Hand over what is due."""

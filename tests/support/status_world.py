@@ -4,12 +4,12 @@ from dataclasses import dataclass, field
 
 from services.monitoring.status.state import State
 from shared.bus import codec
-from shared.bus.bus import Envelope
 from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import ProcessHealth, ProcessState
 from shared.runtime.config import parse_vehicle
+from tests.support.envelopes import sent_bytes
 
 START_NS = 1_795_000_000 * 10**9
 SECOND_NS = 10**9
@@ -30,24 +30,15 @@ class World:
         self.state = State("truck-07", parse_vehicle(self.toml).processes, self.now_ns, 900.0)
 
     def hear(self, message: Message, producer: str, *, delay_s: float = 0.0, retained: bool = False) -> None:
-        payload, properties = codec.encode(message)
-        self.hear_bytes(codec.topic_name(message), payload, producer, properties, delay_s=delay_s, retained=retained)
+        body = codec.encode(message)
+        self.hear_bytes(codec.topic_name(message), body, producer, delay_s=delay_s, retained=retained)
 
     def hear_bytes(
-        self,
-        topic: str,
-        payload: bytes,
-        producer: str,
-        properties: dict[str, str] | None = None,
-        *,
-        delay_s: float = 0.0,
-        retained: bool = False,
+        self, topic: str, body: bytes, producer: str, *, delay_s: float = 0.0, retained: bool = False
     ) -> None:
         self.sequence += 1
         received_ns = self.now_ns + int(delay_s * 1e9)
-        self.state.receive(
-            Envelope(topic, payload, properties or {}, received_ns, producer, 1, self.sequence, retained)
-        )
+        self.state.receive(sent_bytes(topic, body, received_ns, producer, 1, self.sequence, retained=retained))
 
     def pass_time(self, seconds: float, step_s: float = 0.1) -> None:
         for _ in range(round(seconds / step_s)):

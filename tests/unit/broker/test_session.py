@@ -5,14 +5,14 @@ from collections.abc import Callable
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from broker.simulated.broker import Broker
-from broker.simulated.session import Limits, Session
 from shared.bus.mqtt import packets
 from shared.bus.mqtt.framing import Framer
 from shared.bus.mqtt.packets import Acknowledge, Connect, Publish, Subscribe, Subscription
 from shared.bus.mqtt.properties import NONE, Properties, Property
 from shared.bus.mqtt.wire import Reason
+
+from broker.simulated.broker import Broker
+from broker.simulated.session import Limits, Session
 
 
 class Wire:

@@ -4,10 +4,9 @@ import pytest
 
 from services.monitoring.health.topic_watch import TopicWatch
 from services.monitoring.status.flow import TopicFlow
-from shared.bus.bus import Envelope
-from shared.bus.codec import encode
 from shared.runtime.freshness import limits_of
 from shared.topics import BY_NAME, TOPICS, Topic
+from tests.support.envelopes import sent
 from tests.support.status_world import START_NS, solution
 
 SOLUTIONS = BY_NAME["navigation/solution"]
@@ -16,12 +15,9 @@ SOLUTIONS = BY_NAME["navigation/solution"]
 def both(topic: Topic, latencies_s: list[float]) -> tuple[TopicWatch, TopicFlow]:
     watch, flow = TopicWatch(topic), TopicFlow(topic.name, topic)
     for number, latency_s in enumerate(latencies_s):
-        payload, properties = encode(solution(START_NS))
-        envelope = Envelope(
-            "navigation/solution", payload, properties, START_NS + round(latency_s * 1e9), "x", 1, number
-        )
+        envelope = sent(solution(START_NS), START_NS + round(latency_s * 1e9), "x", 1, number)
         flow.note(envelope)
-        watch.take("x", payload, properties, envelope.received_ns, retained=False)
+        watch.take("x", envelope.payload, envelope.received_ns, retained=False)
     flow.roll()
     return watch, flow
 

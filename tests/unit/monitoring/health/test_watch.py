@@ -79,7 +79,7 @@ class Unit:
         speaking = [name for name in self.running if name not in self.hanging]
         for process in speaking:
             if self._is_due(f"health/{process}", 2.0):
-                self.watch.take(f"health/{process}", b"{}", {}, producer=process, received_ns=self.now_ns)
+                self.watch.take(f"health/{process}", b"{}", producer=process, received_ns=self.now_ns)
                 self.say_health(process)
         alive: set[str] = set()
         for name, (producer, rate_hz, need) in FLOW.items():
@@ -87,9 +87,8 @@ class Unit:
                 continue
             alive.add(name)
             if self._is_due(name, rate_hz):
-                payload = b'{"sampled_ns":%d}' % (self.now_ns - 3_000_000)
-                properties = {"received_ns": str(self.now_ns - 1_000_000), "source": "a"}
-                self.watch.take(name, payload, properties, producer=producer, received_ns=self.now_ns)
+                payload = b'{"received_ns":%d,"sampled_ns":%d}' % (self.now_ns - 1_000_000, self.now_ns - 3_000_000)
+                self.watch.take(name, payload, producer=producer, received_ns=self.now_ns)
 
     def _is_due(self, what: str, rate_hz: float) -> bool:
         if self.now_ns < self._due.get(what, 0):
@@ -414,8 +413,7 @@ def test_the_stamp_is_found_in_a_message_as_it_is_encoded() -> None:
         angular_rate_body_rad_s=((0.0, 0.0, 0.0),),
     )
     watch = Watch(STANDING, START_NS)
-    payload, _ = codec.encode(samples)
-    watch.take("imu/sample", payload, {}, producer="parsers.imu", received_ns=START_NS + 2_000_000)
+    watch.take("imu/sample", codec.encode(samples), producer="parsers.imu", received_ns=START_NS + 2_000_000)
 
     age = next(age for age in watch.report(START_NS + SECOND).topics if age.topic == "imu/sample")
     assert age.latency_p50_s == pytest.approx(0.002)
@@ -424,7 +422,7 @@ def test_the_stamp_is_found_in_a_message_as_it_is_encoded() -> None:
 def test_a_retained_message_is_as_old_as_its_own_stamp_and_spoils_no_latency() -> None:
     watch = Watch(STANDING, START_NS)
     payload = b'{"sampled_ns":%d}' % (START_NS - 40 * SECOND)
-    watch.take("mode/state", payload, {}, producer="controller.mode", received_ns=START_NS, retained=True)
+    watch.take("mode/state", payload, producer="controller.mode", received_ns=START_NS, retained=True)
     age = next(age for age in watch.report(START_NS).topics if age.topic == "mode/state")
 
     assert age.age_s == pytest.approx(40.0)
