@@ -160,7 +160,7 @@ def tail(
     Examples:
     [bold]obu tail navigation/solution --count 3[/]
     [bold]obu tail '#'[/]
-    [bold]obu tail --raw gnss/raw | gpsdecode[/]
+    [bold]obu tail --raw gnss/raw > receiver.ubx[/]
     """
     from .tail import follow
 

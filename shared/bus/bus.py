@@ -98,7 +98,8 @@ class Bus:
         client.max_inflight_messages_set(IN_FLIGHT)
         client.on_socket_open = _send_at_once
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
-        client.on_subscribe, client.on_publish, client.on_message = self._on_subscribe, self._on_publish, self._on_message
+        client.on_subscribe, client.on_publish = self._on_subscribe, self._on_publish
+        client.on_message = self._on_message
         if not self._observer:
             will = ProcessHealth(
                 process=self.process, state=ProcessState.LOST, incarnation=self.incarnation, sent_ns=self.incarnation
@@ -173,7 +174,8 @@ class Bus:
 
     def _ready(self, topic: Topic) -> bool:
         """Whether the broker takes a message now: it reads what it was sent, and has acknowledged enough of it."""
-        return self.connected and not self._client.want_write() and not (topic.qos and len(self._in_flight) >= IN_FLIGHT)
+        acknowledged = not topic.qos or len(self._in_flight) < IN_FLIGHT
+        return self.connected and acknowledged and not self._client.want_write()
 
     def _send(self, name: str, payload: bytes, topic: Topic) -> None:
         info = self._client.publish(name, payload, topic.qos, topic.retain)

@@ -27,12 +27,12 @@ def schema_of(topic: str) -> tuple[str, bytes] | None:
 def envelope_of(channel: Channel, data: bytes, log_time: int, sequence: int, publish_time: int) -> Envelope:
     """Rebuild the envelope; raises `BadPayload` for a message that no process of the unit sent."""
     if "life" in channel.metadata:
-        data = _from_version_1(channel, data, sequence, publish_time)
+        data = _from_0_1(channel, data, sequence, publish_time)
     return Envelope.of(channel.topic, data, log_time)
 
 
-def _from_version_1(channel: Channel, data: bytes, sequence: int, publish_time: int) -> bytes:
-    """Make a payload of what recordings of format 1 kept on the channel: sender, and device of raw bytes."""
+def _from_0_1(channel: Channel, data: bytes, sequence: int, publish_time: int) -> bytes:
+    """Make a payload of what version 0.1 recorded: sender, device and stamp of raw bytes stood beside it."""
     row = topic_of(channel.topic)
     if row is not None and issubclass(row.message, RawBytes):
         source = channel.metadata.get("source", "")

@@ -30,7 +30,6 @@ from .chunk import ChunkInProgress, packed
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 256 * 1024
-FORMAT = "2"  # 1 kept sender, stamp and source of raw bytes beside the payload
 VEHICLE_FILE = "vehicle.toml"
 SUMMARY_ORDER = (
     Opcode.SCHEMA,
@@ -107,7 +106,7 @@ class RecordingWriter:
         self._span = (1 << 64) - 1, 0
         self._chunks = 0
         self._chunk = ChunkInProgress()
-        self._metadata = {"obu": {"vehicle": vehicle, "format": FORMAT}}
+        self._metadata = {"obu": {"vehicle": vehicle}}
         if provenance is not None:
             self._metadata["provenance"] = dict(provenance)
         try:

@@ -178,8 +178,9 @@ def run_until(reactor: LiveReactor, bus: Bus, condition: Callable[[], bool], oth
 
 
 HOSTILE: tuple[dict[str, object], ...] = (
-    {"hdop": "NaN"}, {"hdop": float("nan")}, {"sampled_ns": 10**310}, {"received_ns": -(2**63) - 1}, {"source": 65 * "x"},
-    {"latitude_deg": True}, {"velocity_ned_m_s": [1.0, 2.0]}, {"fix_type": {"a": 1}}, {"source": None},
+    {"hdop": "NaN"}, {"hdop": float("nan")}, {"sampled_ns": 10**310}, {"received_ns": -(2**63) - 1},
+    {"source": 65 * "x"}, {"latitude_deg": True}, {"velocity_ned_m_s": [1.0, 2.0]},
+    {"fix_type": {"a": 1}}, {"source": None},
 )  # fmt: skip
 
 

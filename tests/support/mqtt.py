@@ -156,9 +156,7 @@ class Client:
     ) -> None:
         self._subacks[packet_id] = reasons
 
-    def _on_publish(
-        self, _c: paho.Client, _u: object, packet_id: int, _r: ReasonCode, _p: Properties | None
-    ) -> None:
+    def _on_publish(self, _c: paho.Client, _u: object, packet_id: int, _r: ReasonCode, _p: Properties | None) -> None:
         self._pubacks.add(packet_id)
 
     def _on_message(self, _c: paho.Client, _u: object, message: paho.MQTTMessage) -> None:

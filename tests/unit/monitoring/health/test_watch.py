@@ -361,8 +361,8 @@ def test_the_will_of_a_former_life_says_nothing_of_this_one(unit: Unit) -> None:
 def test_a_replay_that_ends_is_the_cause_of_the_silence_after_it() -> None:
     unit = Unit(STANDING)
     unit.run(15)
-    unit.watch.take("imu/raw", b"", {}, producer="replay", received_ns=unit.now_ns)
-    unit.watch.take("imu/sample", b"", {}, producer="parsers.imu", received_ns=unit.now_ns)
+    unit.watch.take("imu/raw", b"", producer="replay", received_ns=unit.now_ns)
+    unit.watch.take("imu/sample", b"", producer="parsers.imu", received_ns=unit.now_ns)
     told = causes(unit.run(5))
 
     assert told == dict.fromkeys(("imu/raw", "imu/sample"), "replay has stopped")
@@ -432,10 +432,10 @@ def test_a_retained_message_is_as_old_as_its_own_stamp_and_spoils_no_latency() -
 @pytest.mark.parametrize(
     "feed",
     [
-        lambda watch: watch.take("no/such", b"", {}, producer="x", received_ns=START_NS),
-        lambda watch: watch.take("imu/raw", b"", {"received_ns": "-"}, producer="", received_ns=START_NS),
-        lambda watch: watch.take("imu/raw", b"", {"received_ns": "9" * 99}, producer="x", received_ns=START_NS),
-        lambda watch: watch.take("mode/state", b'{"sampled_ns":1e99}', {}, producer="x", received_ns=START_NS),
+        lambda watch: watch.take("no/such", b"", producer="x", received_ns=START_NS),
+        lambda watch: watch.take("imu/raw", b'{"received_ns":-}', producer="", received_ns=START_NS),
+        lambda watch: watch.take("imu/raw", b'{"received_ns":%s}' % (b"9" * 99), producer="x", received_ns=START_NS),
+        lambda watch: watch.take("mode/state", b'{"sampled_ns":1e99}', producer="x", received_ns=START_NS),
         lambda watch: watch.take_health(
             ProcessHealth(process="x", state=ProcessState.LOST, incarnation=1, sent_ns=1), START_NS
         ),

@@ -116,7 +116,7 @@ def test_a_payload_that_breaks_the_contract_does_not_hide_the_last_good_one() ->
 def test_a_fast_message_that_cannot_be_read_is_shown_as_such() -> None:
     world = World()
     world.hear(samples(world.now_ns), "parsers.imu")
-    world.hear_bytes("imu/sample", b"{}", "parsers.imu")
+    world.hear_bytes("imu/sample", b'{"source":"a"}', "parsers.imu")
     shown = reports.topic(flow(world, "imu/sample"), world.now_ns)
     assert shown["message"] is None
     assert "Field required" in str(shown["unreadable"])

@@ -11,7 +11,7 @@ from services.sensors.simulator.process import Config, Process
 from services.sensors.simulator.world import messages
 from shared.bus.bus import Envelope
 from shared.messages.base import Message, RawBytes
-from shared.messages.gnss import GnssRaw
+from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.messages.imu import ImuRaw
 from shared.runtime.config import load_vehicle
 from tests.support.envelopes import sent, sent_bytes

@@ -99,9 +99,11 @@ def test_a_field_of_a_newer_producer_is_ignored() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"data": "A"}, {"data": "AA=A"}, {"data": "AAAA\n"}, {"data": "AA-_"}, {"data": "é"}, {"data": None}, {"data": 1},
+        {"data": "A"}, {"data": "AA=A"}, {"data": "AAAA\n"}, {"data": "AA-_"}, {"data": "é"}, {"data": None},
+        {"data": 1},
         {"data": "AAAA" * (1 << 17) + "AAAA" * 50_000}, {"received_ns": None}, {"received_ns": "soon"},
-        {"received_ns": 2**63}, {"received_ns": int(310 * "9")}, {"received_ns": -int(4000 * "9")}, {"source": 49 * "c"},
+        {"received_ns": 2**63}, {"received_ns": int(310 * "9")}, {"received_ns": -int(4000 * "9")},
+        {"source": 49 * "c"},
     ],
 )  # fmt: skip
 def test_raw_bytes_that_break_the_contract_are_refused(change: dict[str, object]) -> None:
