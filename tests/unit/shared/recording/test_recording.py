@@ -165,16 +165,8 @@ def test_a_cut_of_a_larger_file_gives_a_prefix(
 
 
 def test_a_cut_inside_a_large_chunk_still_gives_its_first_blocks(tmp_path: Path) -> None:
-    messages = [
-        sent(
-            GnssRaw(received_ns=1, source="g", data=noise(k)),
-            START_NS + k,
-            "sensors.gnss",
-            1,
-            k,
-        )
-        for k in range(200)
-    ]
+    noise = [GnssRaw(received_ns=1, source="g", data=random.Random(k).randbytes(1000)) for k in range(200)]
+    messages = [sent(raw, START_NS + k, "sensors.gnss", 1, k) for k, raw in enumerate(noise)]
     writer = RecordingWriter(tmp_path / "a.mcap", chunk_bytes=1 << 20)
     for envelope in messages:
         writer.write(envelope)
