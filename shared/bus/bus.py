@@ -13,8 +13,10 @@ import time
 from collections import Counter, deque
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
@@ -90,9 +92,7 @@ class Bus:
 
     def _make_client(self) -> mqtt.Client:
         identity = f"{self.process}-{self.incarnation:x}" if self._observer else self.process
-        client = mqtt.Client(
-            mqtt.CallbackAPIVersion.VERSION2, identity, protocol=mqtt.MQTTv311, reconnect_on_failure=False
-        )
+        client = mqtt.Client(CallbackAPIVersion.VERSION2, identity, protocol=mqtt.MQTTv311, reconnect_on_failure=False)
         client.username_pw_set(self.address.username or self.process, self.address.password)
         client.connect_timeout = CONNECT_S
         client.max_inflight_messages_set(IN_FLIGHT)
@@ -206,7 +206,7 @@ class Bus:
 
     def _exchange(self, timeout_s: float) -> None:
         """Wait until the broker sends, or reads again; take in what came, and send what waited."""
-        client, sock = self._client, [self._client.socket()]
+        client, sock = self._client, [cast(socket.socket, self._client.socket())]
         readable, writable, _ = select.select(sock, sock if client.want_write() else [], [], timeout_s)
         if writable:
             client.loop_write()
@@ -292,7 +292,7 @@ class Bus:
             message, received_ns = self._inbox.popleft()
             try:
                 name = message.topic.removeprefix(self._prefix)
-                envelopes.append(Envelope.of(name, message.payload, received_ns, retained=message.retain))
+                envelopes.append(Envelope.of(name, bytes(message.payload), received_ns, retained=message.retain))
             except (BadPayload, UnicodeDecodeError) as error:
                 self.rejects["envelope"] += 1
                 self.last_error = str(error)[:400]

@@ -40,9 +40,10 @@ def sender_of(payload: bytes) -> Sender:
     if len(payload) > MAXIMUM_PAYLOAD:
         raise BadPayload(f"{len(payload)} bytes")
     try:
-        return _Signed.__pydantic_validator__.validate_json(payload).sender
+        head: _Signed = _Signed.__pydantic_validator__.validate_json(payload)
     except ValidationError as error:
         raise BadPayload(f"sender: {error.errors()[0]['msg']}") from error
+    return head.sender
 
 
 def decode(name: str, payload: bytes) -> Message:

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from cli import reference
 from shared import messages
 from shared.bus.contract import asyncapi
-from shared.messages.base import Message, RawBytes, Stamped, Tick
+from shared.messages.base import Message, RawBytes, Sender, Stamped, Tick
 from shared.messages.gnss import Satellite
 from shared.messages.operation import ProcessAge, TopicAge
 from shared.processes import BY_NAME, PROCESSES
@@ -26,8 +26,8 @@ UNITS = ("m", "m_s", "m_s2", "m2", "m2_s2", "rad", "rad_s", "rad2", "deg", "s", 
 # Numbers without a unit, each with its reason in the message's own comment or docstring.
 UNITLESS = {
     "integrity_risk",
-    "pdop", "hdop", "vdop", "test_ratio", "seed", "speed", "incarnation", "satellites_used", "number", "request_id",
-    "count", "restarts", "messages", "messages_in", "messages_out", "dropped", "reconnections", "fixes_used",
+    "pdop", "hdop", "vdop", "test_ratio", "seed", "speed", "incarnation", "sequence", "satellites_used", "number",
+    "request_id", "count", "restarts", "messages", "messages_in", "messages_out", "dropped", "reconnections", "fixes_used",
     "fixes_rejected", "samples_used", "samples_rejected", "imu_gaps", "resets", "bytes_written", "innovation",
     "innovation_sd", "weight_ratio", "magnetic_field_body", "epochs_repeated", "measurements_late",
 }  # fmt: skip
@@ -60,7 +60,7 @@ def test_a_topic_has_one_message_and_a_message_one_topic() -> None:
 def test_every_message_travels_on_a_topic_or_inside_one_that_does() -> None:
     on_topics = {topic.message for topic in TOPICS}
     inside = {Satellite, TopicAge, ProcessAge}
-    assert set(all_messages()) - on_topics - inside - {Message, RawBytes, Stamped, Tick} == set()
+    assert set(all_messages()) - on_topics - inside - {Message, RawBytes, Sender, Stamped, Tick} == set()
 
 
 def test_topic_names_are_two_lower_case_nouns() -> None:
