@@ -78,7 +78,7 @@ class Bus:
         self._prefix = f"obu/{vehicle}/"
         self._inbox: deque[tuple[mqtt.MQTTMessage, int]] = deque(maxlen=QUEUE_LENGTH)
         self._waiting: deque[tuple[str, bytes, Topic]] = deque()
-        self._in_flight: set[int] = set()
+        self._last: mqtt.MQTTMessageInfo | None = None  # of QoS 1
         self._next_heartbeat = self._next_attempt = 0.0
         self._attempts = self._brief = 0
         self._connected_s = 0.0
@@ -96,10 +96,10 @@ class Bus:
         client.username_pw_set(self.address.username or self.process, self.address.password)
         client.connect_timeout = CONNECT_S
         client.max_inflight_messages_set(IN_FLIGHT)
+        client.max_queued_messages_set(QUEUE_LENGTH)
         client.on_socket_open = _send_at_once
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
-        client.on_subscribe, client.on_publish = self._on_subscribe, self._on_publish
-        client.on_message = self._on_message
+        client.on_subscribe, client.on_message = self._on_subscribe, self._on_message
         if not self._observer:
             will = ProcessHealth(
                 process=self.process, state=ProcessState.LOST, incarnation=self.incarnation, sent_ns=self.incarnation
@@ -119,7 +119,7 @@ class Bus:
         name, payload = self._prefix + codec.topic_name(message, topic), self._sign(message)
         if len(payload) > codec.MAXIMUM_PAYLOAD or not (self.connected or topic.qos):
             self.dropped += 1
-        elif self._waiting or not self._ready(topic):
+        elif self._waiting or not self._ready():
             self._wait(name, payload, topic)
         else:
             self._send(name, payload, topic)
@@ -142,7 +142,7 @@ class Bus:
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.DISCONNECTED))
         deadline = time.monotonic() + 0.5
-        while self.connected and (self._waiting or self._in_flight) and time.monotonic() < deadline:
+        while self.connected and self._is_owed() and time.monotonic() < deadline:
             self._exchange(0.05)
         self._client.disconnect()
         self.connected = False
@@ -172,15 +172,21 @@ class Bus:
         sender = Sender(process=self.process, incarnation=self.incarnation, sequence=self.sequence)
         return codec.signed(codec.encode(message), sender)
 
-    def _ready(self, topic: Topic) -> bool:
-        """Whether the broker takes a message now: it reads what it was sent, and has acknowledged enough of it."""
-        acknowledged = not topic.qos or len(self._in_flight) < IN_FLIGHT
-        return self.connected and acknowledged and not self._client.want_write()
+    def _ready(self) -> bool:
+        """Whether the broker reads as fast as it is written to."""
+        return self.connected and not self._client.want_write()
+
+    def _is_owed(self) -> bool:
+        """Whether a message waits, or for its acknowledgement."""
+        last = self._last
+        return bool(self._waiting) or (last is not None and not last.rc and not last.is_published())
 
     def _send(self, name: str, payload: bytes, topic: Topic) -> None:
         info = self._client.publish(name, payload, topic.qos, topic.retain)
-        if topic.qos:
-            self._in_flight.add(info.mid)
+        if info.rc == mqtt.MQTT_ERR_QUEUE_SIZE:  # so many of QoS 1 were not acknowledged
+            self.dropped += 1
+        elif topic.qos:
+            self._last = info
 
     def _wait(self, name: str, payload: bytes, topic: Topic) -> None:
         self._waiting.append((name, payload, topic))
@@ -210,15 +216,14 @@ class Bus:
         readable, writable, _ = select.select(sock, sock if client.want_write() else [], [], timeout_s)
         if writable:
             client.loop_write()
-        for _ in range(MOST_READS if readable else 0):
-            before = self.messages_in
-            client.loop_read()
-            if self.messages_in == before:
+        for _ in range(MOST_READS):
+            if not readable:
                 break
+            client.loop_read()
+            readable = [] if client.socket() is None else select.select(sock, [], [], 0.0)[0]
         if client.want_write():
             client.loop_write()
-        client.loop_misc()
-        while self._waiting and self._ready(self._waiting[0][2]):
+        while self._waiting and self._ready():
             self._send(*self._waiting.popleft())
 
     def _on_connect(
@@ -244,9 +249,6 @@ class Bus:
             self.rejects["refused"] += len(refused)
             self.last_error = f"the broker refuses a subscription: {refused[0]}"
             log.error("%s", self.last_error)
-
-    def _on_publish(self, _c: mqtt.Client, _u: object, mid: int, _r: ReasonCode, _p: Properties | None) -> None:
-        self._in_flight.discard(mid)
 
     def _on_message(self, _c: mqtt.Client, _u: object, message: mqtt.MQTTMessage) -> None:
         self.messages_in += 1
@@ -276,12 +278,13 @@ class Bus:
 
     def _heartbeat(self) -> None:
         now = time.monotonic()
-        if self._observer or now < self._next_heartbeat:
+        if now < self._next_heartbeat:
             return
         self._next_heartbeat = now + HEARTBEAT_S
+        self._client.loop_misc()  # keep-alive
         if self._guarded:
             faulthandler.dump_traceback_later(HUNG_S, exit=True)
-        if self.connected:
+        if self.connected and not self._observer:
             self.publish(self.health(ProcessState.READY))
             if self._alive_file:
                 Path(self._alive_file).touch()
