@@ -1,39 +1,57 @@
-"""The pages of docs/reference that are printed from code."""
+"""What is printed from code: the pages of docs/reference, and parts of other files."""
 
 import importlib
 import inspect
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
-from shared.bus.contract import Json, asyncapi_json, processes_table, table, topics_table
-from shared.processes import PROCESSES
+from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
+from shared.processes import PROCESSES, Kind
 from shared.runtime.config import Section
 
 from .solve.metrics.metrics import METRICS, TIMINGS
 from .solve.smoothing import SMOOTHED_METRICS
 from .solve.track import COLUMNS
 
+BEGIN, END = "begin of what `make docs` prints", "end of what `make docs` prints"
 HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
 
 
 def configuration_pages() -> str:
     """Print every setting of every process."""
-    parts = []
+    parts: list[str] = []
     for row in PROCESSES:
         config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
-        schema = cast(Json, config.model_json_schema())
-        fields = cast("dict[str, Json]", schema.get("properties", {}))
-        comments = _comments(config)
-        meanings = {name: field.description or comments.get(name, "") for name, field in config.model_fields.items()}
-        rows = [
-            (f"`{name}`", _kind(field), f"`{json.dumps(field.get('default'))}`", meanings.get(name, ""))
-            for name, field in fields.items()
-        ]
-        body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
-        parts.append(f"## [{row.name}]\n\n{body}\n")
+        parts += _tables(row.name, config)
     return "\n".join(parts)
+
+
+def _tables(name: str, config: type[Section], said: str = "") -> Iterator[str]:
+    """Print one table for a section, below what it is about, then one for each section inside it."""
+    inner = {
+        key: field.annotation
+        for key, field in config.model_fields.items()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Section)
+    }
+    fields = cast("dict[str, Json]", config.model_json_schema().get("properties", {}))
+    comments = _comments(config)
+    rows = [
+        (
+            f"`{key}`",
+            _kind(field),
+            f"`{json.dumps(field.get('default'))}`",
+            str(field.get("description", comments.get(key, ""))),
+        )
+        for key, field in fields.items()
+        if key not in inner
+    ]
+    body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
+    yield f"## [{name}]\n\n{said}{body}\n"
+    for key, section in inner.items():
+        yield from _tables(f"{name}.{key}", section, f"{inspect.getdoc(section)}\n\n")
 
 
 def metrics_page() -> str:
@@ -79,13 +97,33 @@ def pages() -> dict[str, str]:
     }
 
 
-def write_pages(folder: Path) -> list[Path]:
-    """Write the printed pages into docs/reference."""
-    written = []
-    for name, text in pages().items():
-        (folder / name).write_text(text, encoding="utf-8")
-        written.append(folder / name)
-    return written
+def blocks() -> dict[str, str]:
+    """Make what is printed between two markers of files that are otherwise written by hand: path and text."""
+    layers = ([row for row in PROCESSES if row.kind is Kind.STANDING and row.layer == n] for n in range(1, 6))
+    wants = [f"Wants={' '.join(f'obu@{row.name}.service' for row in rows)}\n" for rows in layers if rows]
+    return {
+        "README.md": f"```\n{diagram()}\n```\n",
+        "docs/explanation/architecture.md": f"```\n{diagram()}\n```\n",
+        "deploy/systemd/obu.target": "".join(wants),
+    }
+
+
+def printed(root: Path) -> dict[Path, str]:
+    """Make every file of the repository that is printed from code, wholly or between its markers."""
+    files = {root / "docs" / "reference" / name: text for name, text in pages().items()}
+    for name, text in blocks().items():
+        lines = (root / name).read_text(encoding="utf-8").splitlines(keepends=True)
+        begin, end = (next(n for n, line in enumerate(lines) if mark in line) for mark in (BEGIN, END))
+        files[root / name] = "".join([*lines[: begin + 1], text, *lines[end:]])
+    return files
+
+
+def write(root: Path) -> list[Path]:
+    """Write what is printed into the repository."""
+    files = printed(root)
+    for path, text in files.items():
+        path.write_text(text, encoding="utf-8")
+    return list(files)
 
 
 def _comments(config: type[Section]) -> dict[str, str]:

@@ -28,10 +28,10 @@ SCENARIO, DURATION_S = "urban", 140.0
 BAND = 0.95
 RMSE = (float(POSITION_SD[0]), float(POSITION_SD[1]), float(POSITION_SD[2]))
 WHITE, LASTING = InjectedError(ErrorKind.WHITE, RMSE), InjectedError(ErrorKind.GAUSS_MARKOV, RMSE, LASTING_S)
-NO_LASTING = {"gnss_lasting_errors": False}
-FREE = {**NO_LASTING, "zero_velocity": False, "non_holonomic": False}
+NO_LASTING = {"gnss.time_correlated_errors": False}
+FREE = {**NO_LASTING, "standstill.enabled": False, "non_holonomic.enabled": False}
 # Biases at switch-on as the simulator draws them.
-NO_MARGINS = {**FREE, "accelerometer_bias_sd_m_s2": 0.0196, "gyroscope_bias_sd_rad_s": 0.00175}
+NO_MARGINS = {**FREE, "imu.accelerometer_bias_sd_m_s2": 0.0196, "imu.gyroscope_bias_sd_rad_s": 0.00175}
 CASES: dict[str, Model | Unit] = {
     "matched, white errors": Model(),
     "matched, errors of 60 s": Model(lasts=True),

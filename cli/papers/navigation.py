@@ -20,7 +20,7 @@ from rich.table import Table
 
 from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import GnssSettings, NonHolonomicSettings, Settings
 from services.sensors.simulator.drive import ODOMETER_SCALE_SD, ODOMETER_SD, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import BASE_SD, ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error
@@ -161,7 +161,10 @@ def position_errors(drive: Drive, track: Track) -> FloatArray:
 
 def settings_for(drive: Drive, *, wheels: bool) -> Settings:
     """What a vehicle's file says of the simulated vehicle."""
-    return Settings(lever_arm_body_m=drive.lever_arm_b, rear_axle_body_m=IMU_ON_AXLE if wheels else None)
+    return Settings(
+        gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b),
+        non_holonomic=NonHolonomicSettings(rear_axle_body_m=IMU_ON_AXLE if wheels else None),
+    )
 
 
 def told(settings: Settings, drive: Drive, error: InjectedError) -> Settings:
@@ -172,14 +175,14 @@ def told(settings: Settings, drive: Drive, error: InjectedError) -> Settings:
     """
     walks = error.kind is ErrorKind.WIENER
     known = {
-        "gnss_error_correlation_s": float(drive.t_ns[-1] * 1e-9) if walks else error.correlation_s,
-        "gnss_error_white_share": float(np.square(BASE_SD["none"]).sum() / np.square(error.rmse_ned_m).sum()),
-        "gnss_error_from_zero": walks,
-        "odometer_sd_m_s": ODOMETER_SD,
-        "odometer_scale_sd": ODOMETER_SCALE_SD,
-        "mounting_sd_rad": MOUNTING_SD,
+        "gnss.correlation_time_s": float(drive.t_ns[-1] * 1e-9) if walks else error.correlation_s,
+        "gnss.white_noise_share": float(np.square(BASE_SD["none"]).sum() / np.square(error.rmse_ned_m).sum()),
+        "gnss.zero_error_at_start": walks,
+        "odometer.speed_sd_m_s": ODOMETER_SD,
+        "odometer.scale_sd": ODOMETER_SCALE_SD,
+        "non_holonomic.mounting_sd_rad": MOUNTING_SD,
     }
-    return settings.model_copy(update=known)
+    return settings.with_values(known)
 
 
 def measure(job: tuple[Case, int]) -> tuple[str, FloatArray]:

@@ -65,8 +65,8 @@ def measure(job: tuple[Aids, int]) -> tuple[str, list[float]]:
     drive = simulate(scenario, FIRST_SEED + run, duration_s=start_s + LENGTHS_S[-1] + 1.0)
     drive.fix_valid[drive.fix_ns > start_s * 1e9] = False
     settings = settings_for(drive, wheels=aids.wheels)
-    switches = {"zero_velocity": aids.zero_velocity, "non_holonomic": aids.wheels}
-    navigator = Navigator(settings.model_copy(update=switches))
+    switches = {"standstill.enabled": aids.zero_velocity, "non_holonomic.enabled": aids.wheels}
+    navigator = Navigator(settings.with_values(switches))
     navigator.remember(saved_heading(drive, YAW_SD))
     track = navigate(drive, navigator, wheels=aids.wheels)
     errors, times_s = position_errors(drive, track), drive.t_ns[track.index] * 1e-9

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from shared.errors import UserError
 from shared.processes import BY_NAME
-from shared.runtime.config import VehicleFile
+from shared.runtime.config import VehicleFile, with_values
 
 
 class Aiding(StrEnum):
@@ -19,10 +19,11 @@ class Aiding(StrEnum):
     ODOMETER = "odometer"
 
 
+LAYERS = {name.partition(".")[0] for name in BY_NAME}
 SWITCHES = {
-    Aiding.FREE: ("core.fusion.odometer=false", "core.fusion.non_holonomic=false"),
-    Aiding.NHC: ("core.fusion.odometer=false", "core.fusion.non_holonomic=true"),
-    Aiding.ODOMETER: ("core.fusion.odometer=true", "core.fusion.non_holonomic=true"),
+    Aiding.FREE: ("core.fusion.odometer.enabled=false", "core.fusion.non_holonomic.enabled=false"),
+    Aiding.NHC: ("core.fusion.odometer.enabled=false", "core.fusion.non_holonomic.enabled=true"),
+    Aiding.ODOMETER: ("core.fusion.odometer.enabled=true", "core.fusion.non_holonomic.enabled=true"),
 }
 
 
@@ -34,7 +35,8 @@ def with_settings(vehicle: VehicleFile, settings: Sequence[str]) -> VehicleFile:
     vehicle : VehicleFile
         It is left as it is.
     settings : sequence of str
-        Each `process.setting=value`, the value as TOML writes it; of two the later counts.
+        Each `process.setting=value` or `process.section.setting=value`, the value as TOML writes it; without a process
+        it is a setting of core.fusion. Of two the later counts.
 
     Returns
     -------
@@ -46,18 +48,21 @@ def with_settings(vehicle: VehicleFile, settings: Sequence[str]) -> VehicleFile:
     UserError
         A setting is not understood, or names no process.
     """
-    tables = {name: dict(table) for name, table in vehicle.tables.items()}
+    tables = dict(vehicle.tables)
     for text in settings:
         name, key, value = _parsed(text)
-        tables.setdefault(name, {})[key] = value
+        tables[name] = with_values(tables.get(name, {}), {key: value})
     return replace(vehicle, tables=tables)
 
 
 def _parsed(text: str) -> tuple[str, str, object]:
     path, equals, value = text.partition("=")
-    name, _, key = path.strip().rpartition(".")
-    if not (equals and name and key):
-        raise UserError(f"--set {text} is not understood; write it as --set core.fusion.odometer=false")
+    parts = path.strip().split(".")
+    if parts[0] not in LAYERS:
+        parts = ["core", "fusion", *parts]
+    name, key = ".".join(parts[:2]), ".".join(parts[2:])
+    if not (equals and key and all(parts)):
+        raise UserError(f"--set {text} is not understood; write it as --set core.fusion.odometer.enabled=false")
     if name not in BY_NAME:
         near = difflib.get_close_matches(name, BY_NAME, n=1)
         hint = f"did you mean {near[0]}?" if near else "`obu topics --processes` lists them"

@@ -86,7 +86,7 @@ def solve(  # noqa: PLR0913  # one argument an option
     [bold]obu solve drive.mcap --outage 10/30 --out gaps --json[/]
     [bold]obu solve drive.mcap --smooth[/]
     [bold]obu solve drive.mcap --outage 60/180@650 --score-from 350 --aiding nhc[/]
-    [bold]obu solve drive.mcap --set core.fusion.gnss_delay_s=0.1[/]
+    [bold]obu solve drive.mcap --set core.fusion.gnss.delay_s=0.1[/]
     """
     outages = Outages.parse(outage) if outage is not None else None
     console = Console(stderr=True)
@@ -114,10 +114,10 @@ def solve(  # noqa: PLR0913  # one argument an option
     metrics = metrics_of(run)
     again = None
     if smoothed is not None:
-        again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).lever_arm_body_m)
+        again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).gnss.lever_arm_body_m)
         metrics |= smoothed_metrics(run, again)
     truth_is = reference.description if reference else "none was given"
-    risk, made = _fusion(drive.vehicle).integrity_risk, drive.provenance.get("made", "")
+    risk, made = _fusion(drive.vehicle).integrity.risk, drive.provenance.get("made", "")
     heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), risk, made)
     write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
@@ -300,7 +300,7 @@ def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: li
             f"the filter never began to navigate ({reason}); check lever arm, axes and stamps, or drive further"
         )
     config = _fusion(drive.vehicle)
-    lever_arm = config.lever_arm_body_m
+    lever_arm = config.gnss.lever_arm_body_m
     outages = solved.outages
     return Run(
         track,
@@ -311,7 +311,7 @@ def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: li
         drive.last_ns,
         len(fixes),
         len(fixes) - len(solved.fixes),
-        alert_limits_m=(config.alert_limit_horizontal_m, config.alert_limit_vertical_m),
+        alert_limits_m=(config.integrity.alert_limit_horizontal_m, config.integrity.alert_limit_vertical_m),
     )
 
 
@@ -330,7 +330,7 @@ def _fusion(vehicle: VehicleFile) -> Config:
 
 def _by_fixes(drive: Drive, fixes: list[GnssFix]) -> Reference:
     config = _fusion(drive.vehicle)
-    return from_fixes(fixes, delay_s=config.gnss_delay_s, velocity_delay_s=config.gnss_velocity_delay_s)
+    return from_fixes(fixes, delay_s=config.gnss.delay_s, velocity_delay_s=config.gnss.velocity_delay_s)
 
 
 def _facts(drive: Drive, changes: tuple[str, ...]) -> list[tuple[str, str]]:

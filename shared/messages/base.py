@@ -1,10 +1,19 @@
 """What every message on the bus has in common."""
 
 from binascii import a2b_base64, b2a_base64
-from typing import Annotated
+from typing import Annotated, cast
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationInfo, WithJsonSchema
+from pydantic.fields import FieldInfo
 
+
+def unit(name: str) -> FieldInfo:
+    """Name the unit of a number whose field does not end in it; "1" is that of counts and ratios."""
+    return cast(FieldInfo, Field(json_schema_extra={"unit": name}))
+
+
+Count = Annotated[int, unit("1")]
+Ratio = Annotated[float, unit("1")]
 Vector3 = tuple[float, float, float]
 # Upper triangle of a symmetric 3x3 matrix, row by row: NN NE ND EE ED DD.
 Symmetric3 = tuple[float, float, float, float, float, float]
@@ -52,8 +61,8 @@ class Sender(Message):
     """Who sent a message, in which life, as which of theirs: the field `sender` of every payload on the bus."""
 
     process: Name
-    incarnation: Nanoseconds  # start of that life on the OBU time line [ns]
-    sequence: Annotated[int, Field(ge=0, lt=LARGEST_NS)]
+    incarnation: Annotated[Nanoseconds, unit("ns")]  # start of that life on the OBU time line
+    sequence: Annotated[Count, Field(ge=0, lt=LARGEST_NS)]
 
 
 class Stamped(Message):

@@ -20,7 +20,7 @@ DOUBT_SDS = 3.72, 3.29  # by which a reference is off once in a thousand: of a n
 _MEANINGS = {
     "median_m": "{axis} protection level, median",
     "available_fraction": "share of the instants whose {axis} protection level is within the alert limit "
-    "(`core.fusion.alert_limit_{axis}_m`)",
+    "(`core.fusion.integrity.alert_limit_{axis}_m`)",
     "judged_count": "instants at which the {axis} error is held against its protection level",
     "misleading_count": "instants with a {axis} error above its protection level: misleading information",
     "misleading_fraction": "the same as a share, which the integrity risk should not be below",

@@ -78,7 +78,7 @@ def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
                 fix.source,
                 fix.baseline_heading_rad,
                 max(fix.baseline_heading_sd_rad, LEAST_BASELINE_SD),
-                settings.baseline_yaw_body_rad,
+                settings.dual_antenna.baseline_yaw_body_rad,
             )
         )
     for measurement in measurements:

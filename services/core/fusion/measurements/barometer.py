@@ -70,5 +70,8 @@ class BarometricHeight:
         north, east, _ = navigation.velocity
         wind = WIND * (north * north + east * east) * CORRELATION_S**0.5
         return Observation(
-            AidingKind.BAROMETRIC_HEIGHT, np.array([z]), H, np.array([[hypot(self.settings.barometer_sd_m, wind) ** 2]])
+            AidingKind.BAROMETRIC_HEIGHT,
+            np.array([z]),
+            H,
+            np.array([[hypot(self.settings.barometer.height_sd_m, wind) ** 2]]),
         )

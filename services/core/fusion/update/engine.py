@@ -43,7 +43,7 @@ class Engine:
 
     def __init__(self, settings: Settings, counts: Counts | None = None, why: str = "") -> None:
         self._settings = settings
-        self._coasting_ns = settings.coasting_after_s * 1e9
+        self._coasting_ns = settings.gnss.coasting_after_s * 1e9
         self.phase, self.since_ns = NavigationPhase.WAITING_FOR_IMU, 0
         self.reason = "no inertial sample yet"
         self.counts = counts or Counts()
@@ -218,8 +218,8 @@ class Engine:
 
     def _is_astray(self, time_ns: int) -> bool:
         """Whether the receiver has contradicted the filter for so often and so long that the filter must be wrong."""
-        enough = self._rejections >= self._settings.reset_after_rejections
-        return enough and time_ns - (self.accepted_ns or 0) >= self._settings.reset_after_s * 1e9
+        enough = self._rejections >= self._settings.gating.reset_after_rejections
+        return enough and time_ns - (self.accepted_ns or 0) >= self._settings.gating.reset_after_s * 1e9
 
     def _align(self, measurement: Measurement) -> None:
         """Give a measurement to the alignment, and start the filter if it can."""
@@ -250,7 +250,7 @@ class Engine:
         rate, speed = navigation.rate, length(navigation.velocity)
         rest = self._rest = at_rest(self._rest, rate, navigation.acceleration, speed, step_s, doubt)
         self.stationary = rest[2] >= QUIET_S
-        if not (self.stationary and self._settings.zero_velocity):
+        if not (self.stationary and self._settings.standstill.enabled):
             if self._rest_s:
                 self._rest_turn, self._rest_s = STILL, 0.0
             return
@@ -266,7 +266,7 @@ class Engine:
     def _watch_the_wheels(self, time_ns: int, step_s: float, outcomes: list[Outcome]) -> None:
         """Tell the filter at 10 Hz that the vehicle goes where its wheels point."""
         self._rolling_s += step_s
-        if self._rolling_s < WHEELS_PERIOD_S - 1e-3 or self.filter is None or not self._settings.non_holonomic:
+        if self._rolling_s < WHEELS_PERIOD_S - 1e-3 or self.filter is None or not self._settings.non_holonomic.enabled:
             return
         self._rolling_s = 0.0
         if hypot(*self.filter.velocity) > SLOWEST_M_S:

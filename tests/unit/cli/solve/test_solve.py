@@ -96,8 +96,8 @@ def test_outages_at_fixed_times_are_listed_and_settings_take_the_place_of_the_ve
     found = metrics_in(tmp_path)
     assert found["outage_end_error_max_m"] == pytest.approx(max(float(row["end_error_m"]) for row in rows), abs=1e-4)
     assert found["truth_count"] == pytest.approx(500, abs=5), "50 of 70 s at 10 Hz"
-    assert "core.fusion.non_holonomic=false" in (tmp_path / "report.html").read_text()
-    with pytest.raises(UserError, match=r"^--set core\.fusion\.odometr=true: .*did you mean 'odometer'"):
+    assert "core.fusion.non_holonomic.enabled=false" in (tmp_path / "report.html").read_text()
+    with pytest.raises(UserError, match=r"^--set core\.fusion\.odometr=true: .*did you mean 'odometer\.enabled'"):
         solve(recording, settings=["core.fusion.odometr=true"], out=tmp_path)
 
 
@@ -123,7 +123,7 @@ def test_a_solution_is_a_truth_for_another_one(recording: Path, solution: Path, 
 
 
 def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
-    toml = '[vehicle]\nname = "raw"\n\n[core.fusion]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
+    toml = '[vehicle]\nname = "raw"\n\n[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
     writer = RecordingWriter(tmp_path / "raw.mcap", vehicle="raw", vehicle_toml=toml)
     for message in messages("parking_lot", seed=3, duration_s=DURATION_S):
         writer.write(sent(message, arrival_ns(message) or 0))
@@ -153,7 +153,7 @@ def test_what_cannot_be_solved_is_one_sentence(recording: Path, tmp_path: Path) 
     with pytest.raises(UserError, match="--outage"):
         solve(recording, outage="10", out=tmp_path)
     (tmp_path / "vehicle.toml").write_text("[core.fusion]\nlever_arm = 1\n")
-    with pytest.raises(UserError, match="did you mean 'lever_arm_body_m'"):
+    with pytest.raises(UserError, match=r"did you mean 'gnss\.lever_arm_body_m'"):
         solve(recording, vehicle=tmp_path / "vehicle.toml", out=tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="cannot make the folder"):

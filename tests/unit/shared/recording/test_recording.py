@@ -82,7 +82,7 @@ def test_a_recording_of_version_0_1_opens_with_its_senders_and_devices(tmp_path:
         ):  # fmt: skip
             channel = writer.register_channel(topic, encoding, 0, metadata)
             writer.add_message(channel, START_NS, data, published_ns, sequence=9)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates it by half
 
     expected = [sent(state, START_NS, "controller.mode", 7, 9), sent(raw, START_NS, "sensors.gnss", 7, 9)]
     found, problems = read(tmp_path / "old.mcap")

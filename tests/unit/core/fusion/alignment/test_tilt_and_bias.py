@@ -7,7 +7,7 @@ from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import ImuSettings, Settings
 from shared.maths.earth import STANDARD_GRAVITY, Geodetic
 from shared.maths.rotation import Vector, ned_from_body, rotation_vector_from_matrix
 
@@ -17,7 +17,7 @@ TILTED = ned_from_body(0.05, -0.08, 0.7)
 
 def started(bias: Vector) -> ErrorStateFilter:
     """Stand on a slope for 16 s, and start with a heading that was saved."""
-    navigator = Navigator(Settings(accelerometer_bias_sd_m_s2=BIAS_SD, merge_delay_s=0.0))
+    navigator = Navigator(Settings(merge_delay_s=0.0, imu=ImuSettings(accelerometer_bias_sd_m_s2=BIAS_SD)))
     x, y, z = (TILTED.T @ np.array([0.0, 0.0, -STANDARD_GRAVITY]) + bias).tolist()
     here = Geodetic(0.74, 0.23, 700.0)
     navigator.remember(Prior(here, (1.0, 1.0, 1.0), 0.7, 0.01))

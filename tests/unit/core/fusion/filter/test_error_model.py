@@ -15,7 +15,7 @@ from services.core.fusion.filter.kalman import predict
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import NonHolonomicSettings, Settings
 from shared.maths.earth import (
     EARTH_RATE,
     ECCENTRICITY_SQUARED,
@@ -241,8 +241,13 @@ AXLE = vector(
 @pytest.mark.parametrize(
     ("measurement", "predicted"),
     [
-        (WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(rear_axle_body_m=ARM)), [1.03 * AXLE[0]]),
-        (NonHolonomic(0, Settings(rear_axle_body_m=ARM)), AXLE[1:]),
+        (
+            WheelSpeed(
+                0, 0, "", 0.0, 0.0, True, True, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))
+            ),
+            [1.03 * AXLE[0]],
+        ),
+        (NonHolonomic(0, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))), AXLE[1:]),
     ],
     ids=["odometer", "non-holonomic"],
 )
@@ -266,8 +271,8 @@ def test_the_noise_goes_where_its_name_says() -> None:
 
 def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:
     defaults = Settings()
-    assert defaults.angle_random_walk_rad_sqrt_s**2 == pytest.approx(1.493e-8, rel=1e-3)
-    assert defaults.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)
+    assert defaults.imu.angle_random_walk_rad_sqrt_s**2 == pytest.approx(1.493e-8, rel=1e-3)
+    assert defaults.imu.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)
 
 
 LEFT_S = 0.03  # of a delay, that no stamp was moved by
@@ -278,7 +283,17 @@ LEFT_S = 0.03  # of a delay, that no stamp was moved by
     [
         GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=-LEFT_S),
         GnssVelocity(0, 0, "", VELOCITY, np.eye(3), 3, ARM, removed_s=-LEFT_S),
-        WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(rear_axle_body_m=ARM), removed_s=-LEFT_S),
+        WheelSpeed(
+            0,
+            0,
+            "",
+            0.0,
+            0.0,
+            True,
+            True,
+            Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM)),
+            removed_s=-LEFT_S,
+        ),
     ],
     ids=["position", "velocity", "odometer"],
 )

@@ -18,7 +18,15 @@ from services.core.fusion.measurements.base import Outcome
 from services.core.fusion.measurements.dual_antenna import BaselineHeading
 from services.core.fusion.measurements.magnetometer import SECTORS, WORST, CompassCheck, MagneticHeading
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import (
+    AlignmentSettings,
+    GnssSettings,
+    MagnetometerSettings,
+    NonHolonomicSettings,
+    OdometerSettings,
+    Settings,
+    StandstillSettings,
+)
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.rotation import Vector, matrix_from_rotation_vector, ned_from_body, quaternion_from_matrix
@@ -103,12 +111,11 @@ def led(
     d = drive()
     made = Navigator(
         Settings(
-            lever_arm_body_m=d.lever_arm_b,
-            compass=iron is not None,
-            magnetic_declination_rad=DECLINATION,
-            odometer=False,
-            non_holonomic=False,
-            zero_velocity=False,
+            gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b),
+            magnetometer=MagnetometerSettings(enabled=iron is not None, declination_rad=DECLINATION),
+            odometer=OdometerSettings(enabled=False),
+            non_holonomic=NonHolonomicSettings(enabled=False),
+            standstill=StandstillSettings(enabled=False),
         )
     )
     outcomes: list[Outcome] = []
@@ -169,7 +176,9 @@ def test_a_pressure_of_no_road_is_counted(pressure_pa: float) -> None:
 
 def test_two_antennas_give_the_heading_at_rest() -> None:
     d, yaw_body, sd = drive(), radians(90.0), radians(0.3)
-    made = Navigator(Settings(lever_arm_body_m=d.lever_arm_b, levelling_s=5.0))
+    made = Navigator(
+        Settings(gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b), alignment=AlignmentSettings(levelling_s=5.0))
+    )
     started_ns = None
     for i, time_ns in enumerate(d.t_ns[:1600].tolist()):
         if i % 100 == 99:
