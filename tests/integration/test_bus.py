@@ -1,9 +1,12 @@
 """The bus and the live runtime on real brokers: what arrives, what is lost, what comes back."""
 
+import contextlib
 import itertools
 import json
 import os
+import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -303,3 +306,76 @@ def test_a_mistyped_setting_ends_in_one_sentence(tmp_path: Path) -> None:
     assert process.returncode == os.EX_CONFIG
     assert output.startswith("obu: ") and "lever_arm_body_m" in output
     assert len(output.strip().splitlines()) == 1
+
+
+def filler(bus: Bus, number: int) -> GnssConfigure:
+    return GnssConfigure(request_id=number, source="gnss", navigation_period_s=1.0, messages=())
+
+
+def test_messages_of_qos_1_wait_for_the_broker_in_a_queue_that_forgets_the_oldest_and_counts(
+    broker: brokers.RunningBroker, make_bus: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shared.bus.bus.QUEUE_LENGTH", 20)
+    controller = make_bus("controller.mode")
+    parser = make_bus("parsers.gnss")
+    broker.stop()
+    wait_for(lambda: not (parser.connected or controller.connected), parser, controller)
+    for number in range(50):
+        controller.publish(filler(controller, number))
+    assert controller.dropped == 30
+    broker.restart()
+    wait_for(lambda: parser.connected, parser)
+    pump(0.2, parser)
+    wait_for(lambda: controller.connected, controller)
+    heard = [e.decode() for e in pump(1.0, controller, parser)]
+    found = [m.request_id for m in heard if isinstance(m, GnssConfigure)]
+    # Mosquitto has 100 acknowledgements to wait for at most: all 20 come, in order.
+    assert found == list(range(30, 50))
+
+
+def test_a_message_that_is_larger_than_a_payload_may_be_is_dropped_and_counted(make_bus: Callable[[str], Bus]) -> None:
+    sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
+    oversized = GnssRaw.model_construct(received_ns=1, source="gnss", data=bytes(1 << 20))
+    sensor.publish(oversized)
+    sensor.publish(raw(sensor, b"next"))
+    heard = [e.decode() for e in pump(0.3, sensor, parser)]
+    assert sensor.dropped == 1 and sensor.connected and sensor.reconnections == 0
+    assert [m.data for m in heard if isinstance(m, GnssRaw)] == [b"next"]
+
+
+def test_a_process_that_does_not_take_its_messages_keeps_the_newest_and_counts_the_rest(
+    make_bus: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shared.bus.bus.QUEUE_LENGTH", 10)
+    sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
+    for number in range(40):
+        sensor.publish(raw(sensor, b"%d" % number))
+    pump(0.2, sensor)
+    heard = [m.data for e in parser.receive(0.5) if isinstance(m := e.decode(), GnssRaw)]
+    assert heard == [b"%d" % number for number in range(30, 40)]
+    assert parser.dropped == 30
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"\x20\x02\0\0" + b"\x30\x05\0\x02\xc3\x28x",  # a topic that is not UTF-8
+        b"\x20\x02\0\0" + b"\x30\x01\0",  # a PUBLISH that ends inside its topic
+        b"\x20\x02\0\0" + b"\x32\x03\0\x01a",  # without its packet identifier
+        b"\x20\x02\0\0" + b"\x90\x00",  # an empty SUBACK
+        b"\x20\x02\0\0" + b"\x40\x01\0",  # half a PUBACK
+        b"\x20\x02\0\0" + b"\xff\xff\xff\xff\xff",  # a length of more than four bytes
+        b"\x20\x00", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"",
+    ],
+)  # fmt: skip
+def test_a_broker_that_sends_garbage_ends_neither_the_loop_nor_the_reconnection(garbage: bytes, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        bus = Bus("core.fusion", "car", BrokerAddress("127.0.0.1", server.getsockname()[1]), (), tmp_path)
+        for _ in range(3):
+            wait_for(lambda: bool(select.select([server], [], [], 0.0)[0]), bus)
+            with contextlib.closing(server.accept()[0]) as connection:
+                connection.sendall(garbage)
+                for _ in range(4):
+                    bus.receive(0.02)
+            wait_for(lambda: not bus.connected, bus)
+        bus.close()
