@@ -207,8 +207,7 @@ class Bus:
             self.last_error = f"no broker at {self.address.host}:{self.address.port}: {error.strerror or error}"
             if self._attempts == 1:
                 log.warning("%s, trying again until it is there", self.last_error)
-            return False
-        return True
+        return self._client.socket() is not None
 
     def _exchange(self, timeout_s: float) -> None:
         """Wait until the broker sends, or reads again; take in what came, and send what waited."""
