@@ -30,6 +30,7 @@ UNITLESS = {
     "count", "restarts", "messages", "messages_in", "messages_out", "dropped", "reconnections", "fixes_used",
     "fixes_rejected", "samples_used", "samples_rejected", "imu_gaps", "resets", "bytes_written", "innovation",
     "innovation_sd", "weight_ratio", "magnetic_field_body", "epochs_repeated", "measurements_late",
+    "quaternion_ned_from_body", "accelerometer_scale", "gyroscope_scale", "parameters", "covariance",
 }  # fmt: skip
 
 

@@ -17,11 +17,11 @@ import pytest
 
 from shared.bus.bus import Bus
 from shared.messages.base import Message, RawBytes
-from shared.messages.navigation import NavigationSolution
+from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
 from shared.recording import Recording
 from shared.runtime.config import BrokerAddress, load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
-from shared.topics import topic_of
+from shared.topics import TOPICS, topic_of
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -106,6 +106,58 @@ def test_a_killed_process_is_back_and_its_outage_is_told(demo: Demo) -> None:
     assert took < 10.0
     assert demo.child("run core.fusion").pid != before.pid
     demo.wait(lambda: "core.fusion" in json.dumps(demo.get("/api/outages")["closed"]), 5.0, "the outage is listed")
+
+
+def test_a_killed_filter_goes_on_with_honest_uncertainty_within_two_seconds(demo: Demo, tmp_path: Path) -> None:
+    """The state that the broker retains: solutions go on with the first sample, long before the filter could align."""
+    killed = demo.child("run core.fusion")
+    bus = Bus("observer", "demo", BrokerAddress.parse(killed.environ()["OBU_BROKER"]),
+              [t for t in TOPICS if t.name in ("navigation/solution", "navigation/state", "truth/state")],
+              tmp_path, observer=True)  # fmt: skip
+    solutions: dict[int, list[tuple[float, NavigationSolution]]] = {}  # by the life of their producer
+    truth: dict[int, TruthState] = {}
+    reasons: list[str] = []
+
+    def listen(until: Callable[[], bool], limit_s: float, what: str) -> None:
+        end = time.monotonic() + limit_s
+        while not until():
+            assert time.monotonic() < end, f"not within {limit_s} s: {what}"
+            for envelope in bus.receive(0.05):
+                message = envelope.decode()
+                if isinstance(message, TruthState):
+                    truth[message.sampled_ns] = message
+                elif isinstance(message, NavigationSolution):
+                    solutions.setdefault(envelope.incarnation, []).append((time.time(), message))
+                elif isinstance(message, NavigationState):
+                    reasons.append(message.reason)
+
+    listen(lambda: len(next(iter(solutions.values()), ())) > 30, 60.0, "the filter has aligned")
+    lives = set(solutions)
+    killed.kill()
+    listen(lambda: set(solutions) > lives, 10.0, "there is a solution again")
+    started_s = demo.child("run core.fusion").create_time()
+    (after,) = [solutions[life] for life in solutions if life not in lives]
+    listen(lambda: len(after) > 30, 10.0, "solutions go on")
+    bus.close()
+    assert after[0][0] - started_s < 2.0
+    assert any(reason.startswith("warm start") for reason in reasons), reasons
+    compared = 0
+    for _, solution in after:
+        if seen := truth.get(solution.sampled_ns):
+            compared += 1
+            nn, _, _, ee, _, dd = solution.position_cov_ned_m2
+            north_m, east_m = horizontal_m(solution, seen)
+            assert math.hypot(north_m, east_m) < 3.0 * math.sqrt(nn + ee)
+            assert abs(solution.height_ellipsoid_m - seen.height_ellipsoid_m) < 3.5 * math.sqrt(dd)
+            assert math.hypot(north_m, east_m) < (solution.protection_level_horizontal_m or 0.0)
+    assert compared > 10
+
+
+def horizontal_m(solution: NavigationSolution, truth: TruthState) -> tuple[float, float]:
+    """Difference of two near positions [m, north and east]."""
+    north_m = (solution.latitude_deg - truth.latitude_deg) * 111_200.0
+    east_m = (solution.longitude_deg - truth.longitude_deg) * 111_320.0 * math.cos(math.radians(truth.latitude_deg))
+    return north_m, east_m
 
 
 def test_a_stopped_process_is_shown_as_silent_within_its_deadline(demo: Demo) -> None:

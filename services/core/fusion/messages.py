@@ -184,13 +184,13 @@ def solution_message(solution: Solution) -> NavigationSolution:
     )
 
 
-def filter_state_message(navigator: Navigator, imu: str) -> FilterState | None:
-    """Put on the bus what a later process can go on from; None while no filter runs."""
+def filter_states(navigator: Navigator, imu: str) -> Iterator[FilterState]:
+    """Put on the bus what a later process can go on from; nothing while no filter runs."""
     saved = navigator.saved_state()
     if saved is None:
-        return None
+        return
     time_ns, quaternion, velocity, position = saved.inertial
-    return FilterState(
+    yield FilterState(
         sampled_ns=time_ns,
         fingerprint=fingerprint(navigator.settings),
         imu=imu,

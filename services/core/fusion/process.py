@@ -72,7 +72,7 @@ class Process:
             if due or sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._state(sampled_ns)
             if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
-                yield from self._filter_state(batch.source)
+                yield from messages.filter_states(self._navigator, batch.source)
             if self._is_due(2 * sampled_ns - self._sampled_ns):  # with the next sample
                 self._navigator.foresee()
             self._sampled_ns = sampled_ns
@@ -98,11 +98,6 @@ class Process:
         if current != self._last_state:
             self._last_state = current
             yield messages.state_message(self._navigator, sampled_ns)
-
-    def _filter_state(self, imu: str) -> Iterator[FilterState]:
-        """Say what a later process can go on from."""
-        if state := messages.filter_state_message(self._navigator, imu):
-            yield state
 
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
         """Say where the vehicle is."""
