@@ -12,10 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
+import numpy as np
 import psutil
 import pytest
 
 from shared.bus.bus import Bus
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message, RawBytes
 from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
 from shared.recording import Recording
@@ -139,25 +141,29 @@ def test_a_killed_filter_goes_on_with_honest_uncertainty_within_two_seconds(demo
     (after,) = [solutions[life] for life in solutions if life not in lives]
     listen(lambda: len(after) > 30, 10.0, "solutions go on")
     bus.close()
-    assert after[0][0] - started_s < 2.0
+    assert after[0][0] - started_s < 2.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), "2 s of a free machine"
     assert any(reason.startswith("warm start") for reason in reasons), reasons
-    compared = 0
-    for _, solution in after:
-        if seen := truth.get(solution.sampled_ns):
-            compared += 1
-            nn, _, _, ee, _, dd = solution.position_cov_ned_m2
-            north_m, east_m = horizontal_m(solution, seen)
-            assert math.hypot(north_m, east_m) < 3.0 * math.sqrt(nn + ee)
-            assert abs(solution.height_ellipsoid_m - seen.height_ellipsoid_m) < 3.5 * math.sqrt(dd)
-            assert math.hypot(north_m, east_m) < (solution.protection_level_horizontal_m or 0.0)
-    assert compared > 10
+    known = [solution for _, solution in after if min(truth) <= solution.sampled_ns <= max(truth)]
+    assert len(known) > 20
+    for solution in known:
+        north_m, east_m, down_m = error_ned_m(solution, truth)
+        nn, _, _, ee, _, dd = solution.position_cov_ned_m2
+        assert math.hypot(north_m, east_m) < 3.0 * math.sqrt(nn + ee)
+        assert abs(down_m) < 3.5 * math.sqrt(dd)
+        assert math.hypot(north_m, east_m) < (solution.protection_level_horizontal_m or 0.0)
 
 
-def horizontal_m(solution: NavigationSolution, truth: TruthState) -> tuple[float, float]:
-    """Difference of two near positions [m, north and east]."""
-    north_m = (solution.latitude_deg - truth.latitude_deg) * 111_200.0
-    east_m = (solution.longitude_deg - truth.longitude_deg) * 111_320.0 * math.cos(math.radians(truth.latitude_deg))
-    return north_m, east_m
+def error_ned_m(solution: NavigationSolution, truth: dict[int, TruthState]) -> tuple[float, float, float]:
+    """Estimated position minus the true one [m, NED], which is interpolated between its stamps."""
+    stamps = sorted(truth)
+    rows = [(truth[t].latitude_deg, truth[t].longitude_deg, truth[t].height_ellipsoid_m) for t in stamps]
+    times_s = [(t - solution.sampled_ns) * 1e-9 for t in stamps]
+    latitude, longitude, height = (float(np.interp(0.0, times_s, column)) for column in zip(*rows, strict=True))
+    there = Geodetic(math.radians(latitude), math.radians(longitude), height)
+    here = Geodetic(
+        math.radians(solution.latitude_deg), math.radians(solution.longitude_deg), solution.height_ellipsoid_m
+    )
+    return ned_from_geodetic_difference(here, there)
 
 
 def test_a_stopped_process_is_shown_as_silent_within_its_deadline(demo: Demo) -> None:
