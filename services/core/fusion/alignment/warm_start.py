@@ -1,7 +1,7 @@
 """Warm start: the state of the filter in numbers that outlive its process, and the filter that goes on after a gap.
 
 Over the gap between the last sample of the one process and the first of the next, the vehicle is taken to move with
-the mean of the two samples, in body axes. Its yaw rate and acceleration differ from that mean by w(t) and a(t), which
+the mean of the two samples, in body axes, and to turn about the vertical alone. Its yaw rate and acceleration differ from that mean by w(t) and a(t), which
 are random walks that return to zero at both ends (Brownian bridges), and by the vibration of the two samples, which is
 constant over the gap. A vehicle that turns turns its velocity as well::
 
@@ -36,7 +36,8 @@ YAW_PSD = 0.05  # [rad²/s³]
 TILT_PSD = 1e-4  # [rad²/s³] road and springs
 JERK_PSD = np.diag([1.0, 1.0, 0.03])  # [m²/s⁵, NED]
 # and variances of the vibration in the mean of two samples.
-RATE_VARIANCE = 0.02**2  # [rad²/s²]
+RATE_VARIANCE = 0.02**2  # [rad²/s²] about the vertical
+TILT_VARIANCE = 0.01**2  # [rad²/s²] that is left out
 FORCE_VARIANCE = np.diag(np.square([0.5, 0.5, 0.5]))  # [m²/s⁴, NED]
 UPPER = np.triu_indices(em.SIZE)
 LARGEST = 1e12  # [mixed] of a variance: beyond it nothing is known
@@ -157,10 +158,12 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
     )
     navigation.accelerometer_scale, navigation.gyroscope_scale = saved.accelerometer_scale, saved.gyroscope_scale
     force, rate = mean(saved.sample[0], sample.force), mean(saved.sample[1], sample.rate)
+    bias, down = np.array(saved.gyroscope_bias), navigation.ned_from_body[2]
+    x, y, z = (bias + (np.array(rate) - bias) @ down * down).tolist()  # about the vertical alone
     begun_ns, gap_ns = saved.inertial.time_ns, sample.time_ns - saved.inertial.time_ns
     steps = max(1, round(gap_ns * 1e-9 / STEP_S))
     for step in range(1, steps + 1):
-        navigation.advance(force, rate, begun_ns + gap_ns * step // steps)
+        navigation.advance(force, (x, y, z), begun_ns + gap_ns * step // steps)
         navigation.bring_covariance_up()
     navigation.P = navigation.P + unmeasured_motion(navigation.velocity, gap_ns * 1e-9)
     return navigation
@@ -184,7 +187,7 @@ def unmeasured_motion(velocity: Vector, span_s: float) -> FloatArray:
     Q = np.zeros((em.SIZE, em.SIZE))
     for N, turn, tilt, acceleration in (
         (np.array([[T**3 / 12, T**4 / 24], [T**4 / 24, T**5 / 45]]), YAW_PSD, TILT_PSD, JERK_PSD),
-        (np.array([[T**2, T**3 / 2], [T**3 / 2, T**4 / 4]]), RATE_VARIANCE, RATE_VARIANCE, FORCE_VARIANCE),
+        (np.array([[T**2, T**3 / 2], [T**3 / 2, T**4 / 4]]), RATE_VARIANCE, TILT_VARIANCE, FORCE_VARIANCE),
     ):
         together = np.kron(N[0], turn * g)
         Q[em.ATTITUDE, em.ATTITUDE] += np.diag([tilt, tilt, turn]) * N[0, 0]
