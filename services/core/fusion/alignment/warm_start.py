@@ -1,9 +1,9 @@
 """Warm start: the state of the filter in numbers that outlive its process, and the filter that goes on after a gap.
 
 Over the gap between the last sample of the one process and the first of the next, the vehicle is taken to move with
-the mean of the two samples, in body axes, and to turn about the vertical alone. Its yaw rate and acceleration differ from that mean by w(t) and a(t), which
-are random walks that return to zero at both ends (Brownian bridges), and by the vibration of the two samples, which is
-constant over the gap. A vehicle that turns turns its velocity as well::
+the mean of the two samples, in body axes, and to turn about the vertical alone. Its yaw rate and acceleration differ
+from that mean by w(t) and a(t), which are random walks that return to zero at both ends (Brownian bridges), and by the
+vibration of the two samples, which is constant over the gap. A vehicle that turns turns its velocity as well::
 
     psi_D' = w,    v' = g w + a,    p' = v,    g = d v / d psi_D = (-v_E, v_N, 0)
 """
