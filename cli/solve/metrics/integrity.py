@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
+from shared.maths.quantiles import circle_factor, line_factor
 
 from .errors import Errors
 
 AXES = ("horizontal", "vertical")
-DOUBT_SDS = 3.72, 3.29  # by which a reference is off once in a thousand: of a normal pair, and of a number
+# Standard deviations by which a reference is off once in a thousand: of a normal pair, and of a number.
+DOUBT_SDS = circle_factor(1.0, 1e-3), line_factor(1e-3)
 # Names and meanings, for both axes.
 _MEANINGS = {
     "median_m": "{axis} protection level, median",
