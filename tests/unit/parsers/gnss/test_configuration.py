@@ -37,7 +37,7 @@ def acknowledge(message_id: int, *, good: bool = True) -> bytes:
 
 
 def values(**changes: int) -> bytes:
-    """The answer to UBX-CFG-VALGET, encoded by pyubx2: its payload is that of VALSET with another first byte."""
+    """The response to UBX-CFG-VALGET, encoded by pyubx2: its payload is that of VALSET with another first byte."""
     payload = bytes(UBXMessage.config_set(0, 0, list({**GRANTED, **changes}.items())).payload)
     return bytes(UBXMessage("CFG", "CFG-VALGET", 0, payload=b"\x01" + payload[1:]).serialize())
 
@@ -57,7 +57,7 @@ def command(message_id: int, payload: bytes) -> bytes:
     return UBX_SYNC + body + ubx_checksum(body)
 
 
-def test_a_request_becomes_valset_and_a_poll_as_the_interface_description_has_them() -> None:
+def test_a_request_is_encoded_as_valset_and_valget_of_the_interface_description() -> None:
     setting, poll = ask(Process(Config()))
     assert isinstance(setting, GnssWrite)
     assert isinstance(poll, GnssWrite)
@@ -69,7 +69,7 @@ def test_a_request_becomes_valset_and_a_poll_as_the_interface_description_has_th
     assert (setting.source, poll.source) == ("gnss0", "gnss0")
 
 
-def test_what_was_read_back_is_what_is_reported() -> None:
+def test_the_values_read_back_are_reported() -> None:
     process = Process(Config())
     ask(process)
     assert not say(process, acknowledge(0x8A))
@@ -78,7 +78,7 @@ def test_what_was_read_back_is_what_is_reported() -> None:
     assert (result.navigation_period_s, result.messages) == (0.2, ("NAV-PVT", "NAV-COV"))
 
 
-def test_one_port_is_enough() -> None:
+def test_a_message_enabled_on_one_port_is_accepted() -> None:
     process = Process(Config())
     ask(process)
     assert answer(say(process, values(CFG_MSGOUT_UBX_NAV_COV_UART1=0))).accepted
@@ -92,7 +92,7 @@ def test_one_port_is_enough() -> None:
         ({"CFG_MSGOUT_UBX_NAV_COV_UART1": 0, "CFG_MSGOUT_UBX_NAV_COV_USB": 0}, "does not send NAV-COV"),
     ],
 )
-def test_a_setting_that_did_not_take_effect_is_not_accepted(changes: dict[str, int], reason: str) -> None:
+def test_a_value_that_differs_when_read_back_is_not_accepted(changes: dict[str, int], reason: str) -> None:
     process = Process(Config())
     ask(process)
     result = answer(say(process, values(**changes)))
@@ -100,30 +100,30 @@ def test_a_setting_that_did_not_take_effect_is_not_accepted(changes: dict[str, i
     assert reason in (result.reason or "")
 
 
-def test_a_refusal_is_reported_with_what_is_in_force() -> None:
+def test_a_rejected_valset_is_reported_with_the_current_values() -> None:
     process = Process(Config())
     ask(process)
     say(process, acknowledge(0x8A, good=False))
     result = answer(say(process, values(CFG_RATE_MEAS=1000)))
     assert not result.accepted
-    assert "refused UBX-CFG-VALSET" in (result.reason or "")
+    assert "rejected UBX-CFG-VALSET" in (result.reason or "")
     assert result.navigation_period_s == 1.0
 
 
-def test_a_receiver_that_is_too_old_says_so() -> None:
+def test_a_rejected_valget_is_reported_as_an_unsupported_receiver() -> None:
     process = Process(Config())
     ask(process)
     result = answer(say(process, acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)))
     assert "older than generation 9" in (result.reason or "")
 
 
-def test_a_receiver_that_does_not_answer_is_given_up_after_three_seconds() -> None:
+def test_a_request_without_a_response_ends_after_3_s() -> None:
     process = Process(Config())
     ask(process)
     assert [list(process.handle(Tick(now_ns=k * NS))) for k in range(2)] == [[], []]
     result = answer(list(process.handle(Tick(now_ns=3 * NS))))
-    assert "check that its receiving line is connected" in (result.reason or "")
-    assert not say(process, values())  # an answer that comes too late
+    assert "check that its RX line is connected" in (result.reason or "")
+    assert not say(process, values())  # a response after the timeout
 
 
 @pytest.mark.parametrize(
@@ -134,17 +134,17 @@ def test_a_receiver_that_does_not_answer_is_given_up_after_three_seconds() -> No
         ({"messages": tuple(f"NAV-{name}" for name in MANY)}, "too many"),
     ],
 )  # fmt: skip
-def test_a_request_that_cannot_be_is_refused_at_once(change: dict[str, object], reason: str) -> None:
+def test_an_invalid_request_is_rejected_at_once(change: dict[str, object], reason: str) -> None:
     result = answer(ask(Process(Config()), ASKED.model_copy(update=change)))
     assert not result.accepted
     assert reason in (result.reason or "")
 
 
-def test_answers_of_nobodys_asking_are_ignored() -> None:
+def test_unsolicited_responses_are_ignored() -> None:
     assert not say(Process(Config()), acknowledge(0x8A) + values() + acknowledge(0x8B, good=False))
 
 
-def test_values_of_every_size_are_read() -> None:
+def test_values_of_every_size_are_decoded() -> None:
     items: list[tuple[int | str, object]] = [
         ("CFG_RATE_MEAS", 500),
         ("CFG_UART1_BAUDRATE", 115200),
@@ -155,7 +155,7 @@ def test_values_of_every_size_are_read() -> None:
 
 
 @given(st.binary(max_size=80))
-def test_any_answer_is_read_as_far_as_it_goes(payload: bytes) -> None:
+def test_any_response_is_decoded_without_error(payload: bytes) -> None:
     process = Process(Config())
     ask(process)
     read_values(payload)

@@ -28,7 +28,7 @@ def test_the_exponential_agrees_with_scipy(vector: tuple[float, float, float]) -
 
 
 @given(st.one_of(VECTORS.filter(lambda v: np.linalg.norm(v) < pi - 1e-6), SMALL))
-def test_the_logarithm_undoes_the_exponential(vector: tuple[float, float, float]) -> None:
+def test_the_logarithm_is_the_inverse_of_the_exponential(vector: tuple[float, float, float]) -> None:
     matrix = rotation.matrix_from_rotation_vector(vector)
     assert rotation.rotation_vector_from_matrix(matrix) == pytest.approx(np.array(vector), abs=1e-9)
 
@@ -44,7 +44,7 @@ def test_roll_pitch_yaw_agree_with_scipy(angles: tuple[float, float, float]) -> 
 
 
 @pytest.mark.parametrize("pitch", [-pi / 2, pi / 2])
-def test_a_vertical_body_has_a_yaw_and_no_roll(pitch: float) -> None:
+def test_at_a_pitch_of_90_degrees_roll_is_zero(pitch: float) -> None:
     matrix = rotation.ned_from_body(0.0, pitch, 0.7)
     assert rotation.roll_pitch_yaw(matrix) == pytest.approx((0.0, pitch, 0.7), abs=1e-7)
     found = rotation.roll_pitch_yaw_of_quaternion(rotation.quaternion_from_matrix(matrix))
@@ -52,7 +52,7 @@ def test_a_vertical_body_has_a_yaw_and_no_roll(pitch: float) -> None:
 
 
 @given(VECTORS)
-def test_a_quaternion_and_its_matrix_are_the_same_turn(vector: tuple[float, float, float]) -> None:
+def test_a_quaternion_and_its_matrix_are_the_same_rotation(vector: tuple[float, float, float]) -> None:
     matrix = Rotation.from_rotvec(vector).as_matrix()
     quaternion = rotation.quaternion_from_matrix(matrix)
     assert quaternion[0] >= 0.0
