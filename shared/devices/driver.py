@@ -79,7 +79,7 @@ class Link:
         self._device = self._open()
         return self._device
 
-    def _note_life(self, bus: Bus) -> None:
+    def _note_received(self, bus: Bus) -> None:
         self._attempts = 0
         if self._fault is not None:
             log.info("device reconnected")

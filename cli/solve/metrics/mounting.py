@@ -1,4 +1,4 @@
-"""The rotation by which an IMU sits askew in the axes of its reference, which is no error of a solution."""
+"""Estimates the constant mounting rotation between the IMU and the reference, which is not a solution error."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,30 +8,31 @@ from shared.maths.rotation import roll_pitch_yaw
 
 
 def without_mounting(angles: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Estimate the mounting as one constant rotation, and give the errors of attitude that are left without it.
+    """Estimate the mounting as one constant rotation, and compute the attitude errors after its removal.
 
     Parameters
     ----------
     angles, reference : ndarray, shape (n, 3)
-        [rad] Roll, pitch and yaw of the solution and of the reference at the same instants.
+        [rad] Roll, pitch and yaw of the solution and of the reference at equal times.
 
     Returns
     -------
     mounting : ndarray, shape (3,)
-        [rad] Roll, pitch and yaw of the solution's axes in those of the reference.
+        [rad] Roll, pitch and yaw of the solution's axes relative to those of the reference.
     errors : ndarray, shape (n, 3)
-        [rad] Roll, pitch and yaw of the solution, turned back by the mounting, minus the reference's, in (-pi, pi].
+        [rad] Roll, pitch and yaw of the solution, corrected by the mounting, minus those of the reference, in
+        (-pi, pi].
 
     Notes
     -----
-    With C the rotations body to NED of the solution (s) and of the reference (r), the mounting M is the rotation that
-    is nearest to the mean of the differences, which a singular value decomposition gives::
+    With C the rotations body to NED of the solution (s) and of the reference (r), the mounting M is the rotation
+    closest to the mean of the differences (singular value decomposition)::
 
         U S V^T = mean( C_r^T C_s ),    M = U diag(1, 1, det(U V^T)) V^T
 
     References
     ----------
-    F. L. Markley et al., "Averaging quaternions", J. Guid. Control Dyn. 30(4), 2007 (the same mean, in matrices).
+    F. L. Markley et al., "Averaging quaternions", J. Guid. Control Dyn. 30(4), 2007 (here for matrices).
     """
     solved, true = _matrices(angles), _matrices(reference)
     left, _, right = np.linalg.svd(np.einsum("nji,njk->ik", true, solved))
@@ -49,7 +50,7 @@ def without_mounting(angles: FloatArray, reference: FloatArray) -> tuple[FloatAr
 
 
 def _matrices(angles: FloatArray) -> npt.NDArray[np.float64]:
-    """Rotations body to NED, shape (n, 3, 3); `shared.maths.rotation.ned_from_body` for many at once."""
+    """Rotations body to NED, shape (n, 3, 3): vectorised `shared.maths.rotation.ned_from_body`."""
     sines, cosines = np.sin(angles).T, np.cos(angles).T
     (sr, sp, sy), (cr, cp, cy) = sines, cosines
     rows = [
