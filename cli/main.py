@@ -178,11 +178,11 @@ def doctor(vehicle: VehicleOption = None) -> None:
 
 
 @app.command(hidden=True)
-def reference(folder: Annotated[Path, typer.Argument(help="Where the pages go.")] = Path("docs/reference")) -> None:
-    """Print the reference pages from the code."""
-    from .reference import write_pages
+def reference(root: Annotated[Path, typer.Argument(help="Folder of the repository.")] = Path()) -> None:
+    """Print from code what the repository holds of it: docs/reference, the README's diagram, obu.target."""
+    from .reference import write
 
-    for path in write_pages(folder):
+    for path in write(root):
         print(path)
 
 

@@ -1,4 +1,4 @@
-"""The pages of docs/reference that are printed from code."""
+"""What is printed from code: the pages of docs/reference, and parts of other files."""
 
 import importlib
 import inspect
@@ -8,14 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
-from shared.bus.contract import Json, asyncapi_json, processes_table, table, topics_table
-from shared.processes import PROCESSES
+from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
+from shared.processes import PROCESSES, Kind
 from shared.runtime.config import Section
 
 from .solve.metrics.metrics import METRICS, TIMINGS
 from .solve.smoothing import SMOOTHED_METRICS
 from .solve.track import COLUMNS
 
+BEGIN, END = "begin of what `make docs` prints", "end of what `make docs` prints"
 HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
 
 
@@ -96,13 +97,33 @@ def pages() -> dict[str, str]:
     }
 
 
-def write_pages(folder: Path) -> list[Path]:
-    """Write the printed pages into docs/reference."""
-    written = []
-    for name, text in pages().items():
-        (folder / name).write_text(text, encoding="utf-8")
-        written.append(folder / name)
-    return written
+def blocks() -> dict[str, str]:
+    """Make what is printed between two markers of files that are otherwise written by hand: path and text."""
+    layers = ([row for row in PROCESSES if row.kind is Kind.STANDING and row.layer == n] for n in range(1, 6))
+    wants = [f"Wants={' '.join(f'obu@{row.name}.service' for row in rows)}\n" for rows in layers if rows]
+    return {
+        "README.md": f"```\n{diagram()}\n```\n",
+        "docs/explanation/architecture.md": f"```\n{diagram()}\n```\n",
+        "deploy/systemd/obu.target": "".join(wants),
+    }
+
+
+def printed(root: Path) -> dict[Path, str]:
+    """Make every file of the repository that is printed from code, wholly or between its markers."""
+    files = {root / "docs" / "reference" / name: text for name, text in pages().items()}
+    for name, text in blocks().items():
+        lines = (root / name).read_text(encoding="utf-8").splitlines(keepends=True)
+        begin, end = (next(n for n, line in enumerate(lines) if mark in line) for mark in (BEGIN, END))
+        files[root / name] = "".join([*lines[: begin + 1], text, *lines[end:]])
+    return files
+
+
+def write(root: Path) -> list[Path]:
+    """Write what is printed into the repository."""
+    files = printed(root)
+    for path, text in files.items():
+        path.write_text(text, encoding="utf-8")
+    return list(files)
 
 
 def _comments(config: type[Section]) -> dict[str, str]:

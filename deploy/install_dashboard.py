@@ -52,7 +52,7 @@ def install(folder: Path, *, tests: bool) -> None:
 def main() -> int:
     """Install what is missing."""
     parser = argparse.ArgumentParser(description="Install the dashboard's libraries.")
-    parser.add_argument("--testing", action="store_true", help="also what the browser tests need")
+    parser.add_argument("--testing", action="store_true", help="also what the tests need: axe-core, @asyncapi/parser")
     tests = parser.parse_args().testing
     if is_installed(DASHBOARD, tests=tests):
         return 0

@@ -11,12 +11,13 @@ from shared.messages.gnss import GnssFix
 from shared.messages.navigation import TruthState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
+from shared.topics import measurements
 
-# Raw bytes of a device, and the topics derived from them.
-MADE_OF = {"gnss/raw": ("gnss/fix",), "imu/raw": ("imu/sample",), "can/raw": ("vehicle/speed", "vehicle/wheel_speed")}
+from ..recordings.replaying import inputs_among
+
 RECEIVER = ("gnss/raw", "gnss/fix")
 TRUTH = "truth/state"
-WANTED = {TRUTH, *MADE_OF, *(topic for made in MADE_OF.values() for topic in made)}
+CONSUMED = tuple(topic.name for topic in measurements() if topic.consumers)
 
 
 @dataclass
@@ -31,7 +32,7 @@ class Inputs:
     def __len__(self) -> int:
         return len(self.envelopes)
 
-    def messages(self, topics: Iterable[str] = WANTED) -> Iterator[Message]:
+    def messages(self, topics: Iterable[str] = (*CONSUMED, TRUTH)) -> Iterator[Message]:
         """Decode the messages of the given topics one by one."""
         chosen = frozenset(topics)
         for place, envelope in enumerate(self.envelopes):
@@ -57,13 +58,14 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
         time of recording are not used.
     """
     found = Inputs()
-    kept: dict[str, list[Envelope]] = {topic: [] for topic in WANTED}
+    kept: dict[str, list[Envelope]] = {topic: [] for topic in (*CONSUMED, TRUTH)}
     for envelope in envelopes:
         found.topics[envelope.topic] += 1
         if envelope.topic in kept:
             kept[envelope.topic].append(envelope)
-    for raw, made in MADE_OF.items():
-        for topic in (raw,) if kept[raw] else made:
+    played = inputs_among(found.topics)
+    for topic in CONSUMED:
+        if topic in played:
             found.envelopes += kept[topic]
     found.envelopes.sort(key=arrival_of)
     states = Inputs(kept[TRUTH]).messages()

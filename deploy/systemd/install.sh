@@ -28,12 +28,13 @@ if command -v udevadm >/dev/null; then udevadm control --reload && udevadm trigg
 
 systemctl daemon-reload
 systemctl disable --quiet --now mosquitto.service
-# The sensors are those that have a section in the vehicle's file.
-for name in gnss imu can simulator; do
-    if grep -q "^\[sensors\.$name\]" /etc/obu/vehicle.toml; then
-        systemctl enable --quiet "obu@sensors.$name.service"
+# Besides those that obu.target wants, the processes run that have a section in the vehicle's file.
+optional='from shared.processes import *; print(*(row.name for row in PROCESSES if row.kind is not Kind.STANDING))'
+for name in $(.venv/bin/python -c "$optional"); do
+    if grep -q "^\[${name//./\\.}[].]" /etc/obu/vehicle.toml; then
+        systemctl enable --quiet "obu@$name.service"
     else
-        systemctl disable --quiet --now "obu@sensors.$name.service"
+        systemctl disable --quiet --now "obu@$name.service"
     fi
 done
 systemctl enable --quiet obu.target

@@ -1,8 +1,11 @@
 """The contract of the bus in print: tables for people, AsyncAPI 3.0 for machines."""
 
 import json
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
 from typing import cast
+
+from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
 from ..processes import LAYERS, PROCESSES
 from ..topics import TOPICS, Topic, publications, subscriptions
@@ -24,7 +27,7 @@ def asyncapi() -> Json:
         },
         "channels": {_key(t): _channel(t) for t in TOPICS},
         "operations": _operations(),
-        "components": {"messages": {t.message.__name__: _message(t) for t in TOPICS}},
+        "components": {"messages": {t.message.__name__: _message(t) for t in TOPICS}, "schemas": _schemas()},
     }
 
 
@@ -48,23 +51,47 @@ def topics_table() -> str:
         )
         for t in TOPICS
     ]
-    return table(("topic", "message", "purpose", "rate [Hz]", "silent after [s]", "QoS", "from", "to"), rows)
+    return table(
+        ("topic", "message", "purpose", "rate [Hz]", "silent after [s]", "QoS", "producers", "consumers"), rows
+    )
 
 
 def processes_table() -> str:
     """Print the processes as a Markdown table."""
     rows = [
         (
-            f"{row.layer} {LAYERS[row.layer - 1]}",
+            f"{row.layer} {list(LAYERS)[row.layer - 1]}",
             f"`{row.name}`",
             row.purpose,
-            "where configured" if row.extra else "always",
+            row.kind.value,
             "everything" if row.observes_all else ", ".join(t.name for t in subscriptions(row.name)) or "-",
             ", ".join(t.name for t in publications(row.name) if not t.per_process) or "-",
         )
         for row in PROCESSES
     ]
-    return table(("layer", "process", "purpose", "runs", "listens to", "says"), rows)
+    return table(("layer", "process", "purpose", "kind", "consumes", "produces"), rows)
+
+
+def diagram() -> str:
+    """Draw the layers as text, the devices at the bottom: the processes of each, what they consume and produce."""
+    lines = []
+    for number, (layer, purpose) in reversed(list(enumerate(LAYERS.items(), 1))):
+        rows = [row for row in PROCESSES if row.layer == number]
+        consumed = (name for row in rows for name in (["every topic"] if row.observes_all else row.consumes))
+        produced = (name for row in rows for name in row.produces)
+        lines += [
+            f"{number} {layer}: {purpose}",
+            f"    {'   '.join(row.short for row in rows)}",
+            *_wrapped("consume  ", consumed),
+            *_wrapped("produce  ", produced),
+            "",
+        ]
+    return "\n".join(lines[:-1])
+
+
+def _wrapped(label: str, names: Iterable[str]) -> list[str]:
+    text, indent = ", ".join(dict.fromkeys(names)), 8 * " "
+    return textwrap.wrap(text, 110, initial_indent=indent + label, subsequent_indent=indent + len(label) * " ")
 
 
 def _key(topic: Topic) -> str:
@@ -116,9 +143,18 @@ def _message(topic: Topic) -> Json:
     described["contentType"] = "application/json"
     described["payload"] = {
         "schemaFormat": "application/schema+json;version=draft-2020-12",
-        "schema": message.model_json_schema(mode="serialization"),
+        "schema": {"$ref": f"#/components/schemas/{message.__name__}"},
     }
     return described
+
+
+def _schemas() -> Json:
+    """Describe the payloads, and what they hold, side by side: a reference is resolved from the document's root."""
+    mode: JsonSchemaMode = "serialization"
+    _, schemas = models_json_schema(
+        [(t.message, mode) for t in TOPICS if not t.is_raw], ref_template="#/components/schemas/{model}"
+    )
+    return cast(Json, schemas["$defs"])
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,9 +1,18 @@
 """What every message on the bus has in common."""
 
-from typing import Annotated, Self
+from typing import Annotated, Self, cast
 
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
 
+
+def unit(name: str) -> FieldInfo:
+    """Name the unit of a number whose field does not end in it; "1" is that of counts and ratios."""
+    return cast(FieldInfo, Field(json_schema_extra={"unit": name}))
+
+
+Count = Annotated[int, unit("1")]
+Ratio = Annotated[float, unit("1")]
 Vector3 = tuple[float, float, float]
 # Upper triangle of a symmetric 3x3 matrix, row by row: NN NE ND EE ED DD.
 Symmetric3 = tuple[float, float, float, float, float, float]

@@ -1,8 +1,10 @@
 """What the fusion core says, and the truth that only the simulator knows."""
 
 from enum import StrEnum
+from typing import Annotated
 
 from .base import (
+    Count,
     Deviation,
     Deviation3,
     Height,
@@ -11,11 +13,15 @@ from .base import (
     Message,
     Name,
     Nanoseconds,
+    Ratio,
     Reason,
     Symmetric3,
     Vector3,
     Velocity3,
+    unit,
 )
+
+Innovation = Annotated[float, unit("of the kind: m, m/s, rad/s or rad")]
 
 
 class NavigationPhase(StrEnum):
@@ -52,7 +58,7 @@ class NavigationSolution(Message):
     # Error beyond which the position is with probability `integrity_risk` only; absent in recordings of older units.
     protection_level_horizontal_m: Deviation | None = None
     protection_level_vertical_m: Deviation | None = None
-    integrity_risk: float | None = None
+    integrity_risk: Ratio | None = None
 
 
 class NavigationState(Message):
@@ -62,14 +68,14 @@ class NavigationState(Message):
     phase: NavigationPhase
     since_ns: Nanoseconds
     reason: Reason
-    fixes_used: int
-    fixes_rejected: int
-    samples_used: int
-    samples_rejected: int
-    imu_gaps: int
-    resets: int
-    epochs_repeated: int = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
-    measurements_late: int = 0  # used at their own time after newer ones of the same device
+    fixes_used: Count
+    fixes_rejected: Count
+    samples_used: Count
+    samples_rejected: Count
+    imu_gaps: Count
+    resets: Count
+    epochs_repeated: Count = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
+    measurements_late: Count = 0  # used at their own time after newer ones of the same device
     # by how much measurements are older than their stamps and the settings say, each with its standard deviation
     gnss_delay_s: float | None = None  # None unless `estimate_delays` is set and the filter runs
     gnss_delay_sd_s: float | None = None
@@ -100,11 +106,11 @@ class AidingUpdate(Message):
     sampled_ns: Nanoseconds
     source: Name
     kind: AidingKind
-    innovation: tuple[float, ...]  # measured - predicted, in the unit of the kind (m, m/s, rad/s, rad)
-    innovation_sd: tuple[float, ...]
-    test_ratio: float  # normalised innovation squared over its limit: above 1 the gate rejects
+    innovation: tuple[Innovation, ...]  # measured - predicted
+    innovation_sd: tuple[Innovation, ...]
+    test_ratio: Ratio  # normalised innovation squared over its limit: above 1 the gate rejects
     used: bool
-    weight_ratio: float = (
+    weight_ratio: Ratio = (
         1.0  # less than 1 of one that was used although it is beyond the gate, 0 of one that was not used
     )
     reason: Reason | None = None

@@ -1,10 +1,13 @@
 """What the unit says of itself: mode, health, ages, outages, recording, origin."""
 
 from enum import StrEnum
+from typing import Annotated
 
 from pydantic import Field
 
-from .base import Message, Name, Nanoseconds, Reason
+from .base import Count, Message, Name, Nanoseconds, Ratio, Reason, unit
+
+Incarnation = Annotated[Nanoseconds, unit("ns")]  # start of a life of a process on the OBU time line
 
 
 class Mode(StrEnum):
@@ -46,13 +49,13 @@ class ProcessHealth(Message):
 
     process: Name
     state: ProcessState
-    incarnation: Nanoseconds  # start of this life on the OBU time line [ns]
+    incarnation: Incarnation
     sent_ns: Nanoseconds
-    messages_in: int = 0
-    messages_out: int = 0
-    dropped: int = 0  # forgotten by a full queue
+    messages_in: Count = 0
+    messages_out: Count = 0
+    dropped: Count = 0  # forgotten by a full queue
     rejects: dict[str, int] = Field(default_factory=dict)  # bad input by kind
-    reconnections: int = 0
+    reconnections: Count = 0
     cpu_s: float = 0.0
     rss_bytes: int = 0
     last_error: Reason | None = None
@@ -75,7 +78,7 @@ class TopicAge(Message):
     freshness: Freshness
     age_s: float | None = None
     rate_hz: float
-    count: int
+    count: Count
     latency_p50_s: float | None = None  # from `received_ns` or `sampled_ns` to the observer
     latency_p99_s: float | None = None
     cause: Reason | None = None  # the process or device behind the silence
@@ -88,7 +91,7 @@ class ProcessAge(Message):
     state: ProcessState | None = None
     silent: bool
     heartbeat_age_s: float | None = None
-    restarts: int
+    restarts: Count
 
 
 class DeadlineReport(Message):
@@ -114,9 +117,9 @@ class RecordingState(Message):
     now_ns: Nanoseconds
     recording: bool
     file: Name | None = None
-    bytes_written: int
-    messages: int
-    dropped: int
+    bytes_written: Annotated[int, unit("bytes")]
+    messages: Count
+    dropped: Count
     free_bytes: int
     reason: Reason | None = None
 
@@ -135,8 +138,8 @@ class Origin(Message):
     now_ns: Nanoseconds
     kind: OriginKind
     name: Name  # scenario, recording or vehicle
-    seed: int | None = None
-    speed: float = 1.0
+    seed: Count | None = None
+    speed: Ratio = 1.0
 
 
 class Consumed(Message):
@@ -147,5 +150,5 @@ class Consumed(Message):
     """
 
     process: Name
-    incarnation: Nanoseconds
+    incarnation: Incarnation
     runs: tuple[tuple[str, str, int, int, int], ...]

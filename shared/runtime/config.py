@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ConfigError, UserError
-from ..processes import BY_NAME, PROCESSES
+from ..processes import BY_NAME, PROCESSES, Kind
 
 S = TypeVar("S", bound="Section")
 Table = dict[str, object]
@@ -72,8 +72,8 @@ class VehicleFile:
 
     @property
     def processes(self) -> tuple[str, ...]:
-        """Processes that run in this vehicle: the standing ones, and each extra one that has a section."""
-        return tuple(row.name for row in PROCESSES if not row.extra or row.name in self.tables)
+        """Processes that run in this vehicle: the standing ones, and each other one that has a section."""
+        return tuple(row.name for row in PROCESSES if row.kind is Kind.STANDING or row.name in self.tables)
 
     def section(self, name: str, kind: type[S]) -> S:
         """Read the settings of one process, or its defaults where the file is silent."""

@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from shared.messages.operation import Origin, OriginKind
+from tests.support.fake_unit import SIMULATED
 from tests.support.status_server import Running, status_server
 
 DEADLINE_S = 2.0  # of navigation/solution
@@ -330,7 +331,7 @@ def test_a_unit_that_has_just_started_is_not_called_well(
 ) -> None:
     page = open_page(units["empty"].address)
     services = page.locator(".chain li", has_text="Services")
-    expect(services).to_contain_text("0/9")
+    expect(services).to_contain_text(f"0/{len(SIMULATED)}")
     expect(services).to_have_class("unknown")
-    expect(page.locator(".foot")).to_contain_text("9 processes have not started yet")
+    expect(page.locator(".foot")).to_contain_text(f"{len(SIMULATED)} processes have not started yet")
     expect(page.locator(".foot")).not_to_contain_text("CPU")

@@ -26,6 +26,7 @@ from shared.topics import topic_of
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
 KINDS = ("mosquitto", "simulated")
+SIMULATED = set(load_vehicle(Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml").processes)
 
 
 def free_port() -> int:
@@ -72,7 +73,7 @@ class Demo:
 
     def all_ready(self) -> bool:
         found = self.statuses()
-        return len(found) >= 9 and set(found.values()) == {"ready"}
+        return set(found) == SIMULATED and set(found.values()) == {"ready"}
 
     def solutions(self) -> int:
         """Count the solutions that the page has seen."""

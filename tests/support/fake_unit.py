@@ -26,23 +26,14 @@ from shared.messages.navigation import (
 )
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
 from shared.messages.vehicle import CanRaw, WheelSpeeds
+from shared.runtime.config import parse_vehicle
 
 RADIUS_M, SPEED_M_S = 60.0, 9.0
 LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
 METRES_PER_DEG = 111_200.0
 LIFE = 1_795_000_000 * 10**9
-SIMULATED = (
-    "sensors.simulator",
-    "parsers.gnss",
-    "parsers.imu",
-    "parsers.can",
-    "controller.mode",
-    "core.fusion",
-    "monitoring.recorder",
-    "monitoring.health",
-    "monitoring.status",
-)
 VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
+SIMULATED = parse_vehicle(VEHICLE_TOML).processes
 
 
 class FakeBus:

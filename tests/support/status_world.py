@@ -60,17 +60,7 @@ class World:
             self.hear(health.model_copy(update=changes), name)
 
 
-ALL = (
-    "sensors.simulator",
-    "parsers.gnss",
-    "parsers.imu",
-    "parsers.can",
-    "controller.mode",
-    "core.fusion",
-    "monitoring.recorder",
-    "monitoring.health",
-    "monitoring.status",
-)
+ALL = parse_vehicle(SIMULATED).processes
 
 
 def solution(now_ns: int, **changes: object) -> NavigationSolution:

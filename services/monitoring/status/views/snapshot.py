@@ -38,8 +38,10 @@ def contract() -> Json:
             "qos": topic.qos,
             "retain": topic.retain,
         }
-    processes = {row.name: {"layer": row.layer, "purpose": row.purpose} for row in PROCESSES}
-    return {"layers": LAYERS, "processes": processes, "topics": topics}
+    processes = {
+        row.name: {"layer": row.layer, "purpose": row.purpose, "observes_all": row.observes_all} for row in PROCESSES
+    }
+    return {"layers": tuple(LAYERS), "processes": processes, "topics": topics}
 
 
 def dashboard(state: State, now_ns: int) -> Json:

@@ -7,11 +7,9 @@ from services.monitoring.health.watch import Watch
 from shared.bus import codec
 from shared.messages.imu import ImuSamples
 from shared.messages.operation import Freshness, Outage, ProcessHealth, ProcessState, TopicAge
-from shared.processes import PROCESSES
 
 SECOND = 1_000_000_000
 START_NS = 1_790_000_000 * SECOND
-STANDING = tuple(row.name for row in PROCESSES if not row.extra)
 SENSORS = ("sensors.gnss", "sensors.imu", "sensors.can")
 FLOW = {  # topic: (producer, rate, the topic that it needs)
     "gnss/raw": ("sensors.gnss", 1.0, None),
@@ -26,6 +24,7 @@ FLOW = {  # topic: (producer, rate, the topic that it needs)
     "recording/state": ("monitoring.recorder", 1.0, None),
     "deadline/report": ("monitoring.health", 2.0, None),
 }
+STANDING = (*dict.fromkeys(name for name, _, _ in FLOW.values() if name not in SENSORS), "monitoring.status")
 STEP_NS = SECOND // 25
 
 

@@ -11,6 +11,7 @@ from shared.messages.gnss import FixType, GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState, TruthState
 from shared.messages.vehicle import CanRaw
+from shared.processes import PROCESSES, Kind
 from shared.runtime import offline
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
@@ -77,4 +78,4 @@ def test_what_is_said_unchecked_passes_every_check() -> None:
 
 def test_only_layers_two_to_four_are_made(echoes: dict[str, Echo]) -> None:
     OfflineUnit(parse_vehicle("[sensors.simulator]"))
-    assert set(echoes) == {"parsers.gnss", "parsers.imu", "parsers.can", "controller.mode", "core.fusion"}
+    assert set(echoes) == {row.name for row in PROCESSES if row.kind is Kind.STANDING and 2 <= row.layer <= 4}
