@@ -264,7 +264,7 @@ def test_a_speed_computed_from_a_reference_is_reported_as_computed() -> None:
     # Of 2000 values the mean is known to 0.1/sqrt(2000) and the deviation to 0.1/sqrt(4000); four times that.
     assert mean == pytest.approx(5.0, abs=0.009) and sd == pytest.approx(0.1, abs=0.0064)
     (sentence,) = parse_mapping('name = "drive"\n' + MADE, "m.toml").made()
-    assert sentence.startswith("The speed was measured by no sensor: it is that of the reference in reference.csv")
+    assert sentence.startswith("The speed is not measured: it is that of the reference in reference.csv")
 
 
 def test_a_speed_is_either_measured_or_computed() -> None:

@@ -75,7 +75,7 @@ def test_the_page_has_all_figures_and_a_summary() -> None:
     titles = re.findall(r"<h2>(.*?)</h2>", text)
     assert titles == ["Trajectory", "Position errors", "Velocity errors", "Attitude errors",
                       "Stanford diagram, horizontal", "Stanford diagram, vertical", "Speed", "Innovations",
-                      "Sensor biases", "Metrics", "Where the data come from"]  # fmt: skip
+                      "Sensor biases", "Metrics", "Data sources"]  # fmt: skip
     assert text.count("<svg") == 9 and text.count('role="img"') == 9
     assert "drive &lt;1&gt;" in text and "file &amp; co" in text
     assert "GNSS was removed once" in text

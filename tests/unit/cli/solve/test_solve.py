@@ -166,7 +166,7 @@ def test_the_report_states_that_there_is_no_truth(recording: Path, tmp_path: Pat
     solve(recording, truth="none", out=tmp_path)
     found = metrics_in(tmp_path)
     assert found["horizontal_rmse_m"] is None and found["innovation_horizontal_rms_m"] > 0.0
-    assert "The truth is: none was given." in (tmp_path / "report.html").read_text()
+    assert "Truth: none." in (tmp_path / "report.html").read_text()
 
 
 def test_the_error_for_a_parked_vehicle_states_the_missing_alignment(tmp_path: Path) -> None:
