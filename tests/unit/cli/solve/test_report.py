@@ -79,7 +79,7 @@ def test_the_page_has_all_figures_and_a_summary() -> None:
     assert text.count("<svg") == 9 and text.count('role="img"') == 9
     assert "drive &lt;1&gt;" in text and "file &amp; co" in text
     assert "GNSS was removed once" in text
-    assert re.search(r"Above their protection levels were \d+ of \d+ horizontal errors", text)
+    assert re.search(r"Above the protection level: \d+ of \d+ horizontal errors", text)
     assert "the integrity risk allows 0.1 %." in text
     assert "Truth: a circle." in text
 
