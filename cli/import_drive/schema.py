@@ -4,6 +4,7 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
+from scipy.linalg import polar
 
 from shared.maths.earth import FloatArray
 from shared.maths.rotation import ned_from_body
@@ -188,8 +189,8 @@ class Imu(TableFile):
 
     def matrix(self) -> FloatArray:
         """Rotation matrix from sensor axes to body axes (forward, right, down)."""
-        left, _, right = np.linalg.svd(self._turned())  # orthonormalises a matrix given with a few digits
-        rotation: FloatArray = ned_from_body(*np.radians(self.mounting_rpy_deg)) @ left @ right
+        nearest, _ = polar(self._turned())  # orthonormalises a matrix given with a few digits
+        rotation: FloatArray = ned_from_body(*np.radians(self.mounting_rpy_deg)) @ nearest
         return rotation
 
     def _turned(self) -> FloatArray:

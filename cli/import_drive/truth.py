@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from math import degrees
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from shared.maths.earth import FloatArray, geodetic_from_ecef
-from shared.maths.rotation import ned_from_body
 from shared.messages.navigation import TruthState
 
 from . import units
@@ -45,7 +45,8 @@ def _velocity_ned(spec: Truth, table: Table, attitude: FloatArray) -> FloatArray
     velocity = table.many(spec.velocity.columns) * units.SPEED[spec.velocity.unit]
     if spec.velocity.axes != "body":
         return as_ned(velocity, spec.velocity.axes)
-    return np.array([ned_from_body(*angles) @ v for angles, v in zip(attitude.tolist(), velocity, strict=True)])
+    turned: FloatArray = Rotation.from_euler("ZYX", attitude[:, ::-1]).apply(velocity)
+    return turned
 
 
 def _positions(spec: Truth, table: Table) -> Rows:

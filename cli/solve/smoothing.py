@@ -7,7 +7,7 @@ import numpy as np
 
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
-from shared.maths.rotation import roll_pitch_yaw
+from shared.maths.rotation import roll_pitch_yaw_of_quaternion
 
 from .metrics.errors import errors_against
 from .metrics.metrics import METRICS, Run, Value, metrics_of
@@ -74,7 +74,7 @@ def _row(state: ErrorStateFilter) -> list[float]:
         *np.degrees([latitude, longitude]).tolist(),
         height,
         *state.inertial.velocity,
-        *roll_pitch_yaw(state.ned_from_body),
+        *roll_pitch_yaw_of_quaternion(state.quaternion),
         *sd.tolist(),
         *state.rate,
         *state.accelerometer_bias,

@@ -1,4 +1,4 @@
-"""WGS-84: radii of curvature, gravity, Earth rate, and conversions between geodetic, ECEF and local coordinates.
+"""WGS-84: gravity, Earth rate, and conversions between geodetic, ECEF and local coordinates.
 
 Angles are in radians, positions are (latitude, longitude, ellipsoidal height). Functions called for every inertial
 sample use plain floats; functions of a whole track use NumPy.
@@ -10,15 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from .ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS, SEMI_MINOR_AXIS, curvature_radii
+
 FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
-SEMI_MAJOR_AXIS = 6378137.0  # [m] NIMA TR8350.2, table 3.1
-FLATTENING = 1.0 / 298.257223563  # [-] NIMA TR8350.2, table 3.1
 EARTH_RATE = 7.292115e-5  # [rad/s] NIMA TR8350.2, table 3.1
 GRAVITATIONAL_CONSTANT = 3.986004418e14  # [m³/s²] NIMA TR8350.2, table 3.1
-SEMI_MINOR_AXIS = SEMI_MAJOR_AXIS * (1.0 - FLATTENING)  # [m]
-ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)  # [-]
 EQUATORIAL_GRAVITY = 9.7803253359  # [m/s²] NIMA TR8350.2, table 3.4
 SOMIGLIANA_CONSTANT = 0.00193185265241  # [-] NIMA TR8350.2, table 3.4
 STANDARD_GRAVITY = 9.80665  # [m/s²] exact, by definition (3rd CGPM, 1901)
@@ -37,35 +35,6 @@ def wrap_angle(angle: float) -> float:
     """Wrap an angle [rad] to (-pi, pi]."""
     wrapped = remainder(angle, 2.0 * pi)
     return pi if wrapped == -pi else wrapped
-
-
-def curvature_radii(latitude: float) -> tuple[float, float]:
-    """Meridian and transverse radii of curvature of the ellipsoid.
-
-    Parameters
-    ----------
-    latitude : float
-        [rad] Geodetic latitude.
-
-    Returns
-    -------
-    tuple of float
-        [m] Meridian radius R_N and transverse radius R_E; R_N < R_E, except at the poles,
-        where both are a²/b.
-
-    Notes
-    -----
-    With s = 1 - e² sin²L::
-
-        R_N = a (1 - e²) / s^1.5,    R_E = a / sqrt(s)
-
-    References
-    ----------
-    P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., 2.105, 2.106.
-    """
-    s = 1.0 - ECCENTRICITY_SQUARED * sin(latitude) ** 2
-    transverse = SEMI_MAJOR_AXIS / sqrt(s)
-    return transverse * (1.0 - ECCENTRICITY_SQUARED) / s, transverse
 
 
 def gravity(latitude: float, height: float) -> float:

@@ -1,7 +1,8 @@
 """Rotations in three dimensions: rotation vectors, matrices, quaternions, and roll, pitch and yaw.
 
 Matrices are named `to_from_from`: `v_n = ned_from_body @ v_b`. Quaternions are Hamilton quaternions (w, x, y, z) of
-unit norm with w >= 0, and represent the same rotation as their matrix.
+unit norm with w >= 0, and represent the same rotation as their matrix. These functions are for live processes;
+offline tools use `scipy.spatial.transform.Rotation`.
 """
 
 from math import asin, atan2, cos, sin, sqrt
@@ -27,76 +28,6 @@ def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def matrix_from_rotation_vector(rotation_vector: npt.ArrayLike) -> FloatArray:
-    """Rotation matrix of a rotation vector: the matrix exponential of sk(a).
-
-    Parameters
-    ----------
-    rotation_vector : array_like, shape (3,)
-        [rad] Its direction is the axis, its norm the angle.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        The active rotation: it rotates a vector by the angle about the axis.
-
-    Notes
-    -----
-    Rodrigues' formula::
-
-        exp(sk(a)) = I + sin|a|/|a| sk(a) + (1 - cos|a|)/|a|² sk(a)²
-    """
-    S = skew(rotation_vector)
-    angle2 = 0.5 * float((S * S).sum())
-    angle = sqrt(angle2)
-    if angle < _SMALL_ANGLE:
-        first, second = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
-    else:
-        first, second = sin(angle) / angle, (1.0 - cos(angle)) / angle2
-    return np.eye(3) + first * S + second * (S @ S)
-
-
-def average_matrix_from_rotation_vector(rotation_vector: npt.ArrayLike) -> FloatArray:
-    """Mean of the rotation matrix during a rotation at constant rate by a rotation vector.
-
-    Parameters
-    ----------
-    rotation_vector : array_like, shape (3,)
-        [rad] The total rotation.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        The mean, which is not orthogonal; the identity for a zero rotation vector.
-
-    Notes
-    -----
-    ::
-
-        mean of exp(s sk(a)), s = 0..1  =  I + (1 - cos|a|)/|a|² sk(a) + (1 - sin|a|/|a|)/|a|² sk(a)²
-
-    References
-    ----------
-    P. Groves, 2nd ed., eq. 5.84.
-    """
-    S = skew(rotation_vector)
-    angle2 = 0.5 * float((S * S).sum())
-    angle = sqrt(angle2)
-    if angle < _SMALL_ANGLE:
-        first, second = 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
-    else:
-        first, second = (1.0 - cos(angle)) / angle2, (1.0 - sin(angle) / angle) / angle2
-    return np.eye(3) + first * S + second * (S @ S)
-
-
-def rotation_vector_from_matrix(matrix: npt.ArrayLike) -> FloatArray:
-    """Rotation vector [rad], shape (3,), of a rotation matrix; its norm is at most pi."""
-    w, x, y, z = quaternion_from_matrix(matrix)
-    sine = sqrt(x * x + y * y + z * z)
-    scale = 2.0 if sine < 1e-12 else 2.0 * atan2(sine, w) / sine
-    return scale * np.array([x, y, z])
-
-
 def ned_from_body(roll: float, pitch: float, yaw: float) -> FloatArray:
     """Rotation matrix from body axes (forward, right, down) to north, east and down.
 
@@ -119,15 +50,6 @@ def ned_from_body(roll: float, pitch: float, yaw: float) -> FloatArray:
             [-sp, sr * cp, cr * cp],
         ]
     )
-
-
-def roll_pitch_yaw(matrix: npt.ArrayLike) -> Vector:
-    """Roll, pitch and yaw [rad] of a rotation matrix NED from body; at pitch ±90° the roll is 0."""
-    C = np.asarray(matrix, dtype=np.float64)
-    pitch = asin(max(-1.0, min(1.0, -float(C[2, 0]))))
-    if abs(C[2, 0]) > 1.0 - 1e-12:
-        return 0.0, pitch, atan2(-float(C[0, 1]), float(C[1, 1]))
-    return atan2(float(C[2, 1]), float(C[2, 2])), pitch, atan2(float(C[1, 0]), float(C[0, 0]))
 
 
 def roll_pitch_yaw_of_quaternion(quaternion: Quaternion) -> Vector:

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray, Geodetic, ned_track
-from shared.maths.rotation import ned_from_body, skew
 from shared.messages.base import Vector3
 
+from ..attitude import rotations
 from ..reference_track import Reference
 from ..track import Track
 
@@ -156,13 +156,14 @@ class _Between:
 
     def turned(self, vector_b: FloatArray) -> FloatArray:
         """A body vector rotated to NED, shape (n, 3)."""
-        return np.array([ned_from_body(*angles) @ vector_b for angles in self.angles().tolist()]).reshape(-1, 3)
+        turned: FloatArray = rotations(self.angles()).apply(vector_b)
+        return turned
 
     def arm_velocity(self, arm_b: FloatArray) -> FloatArray:
         """Velocity of the antenna relative to the IMU, C (w x l), shape (n, 3)."""
         rates = self.linear("angular_rate_forward_rad_s")
-        pairs = zip(self.angles().tolist(), rates, strict=True)
-        return np.array([ned_from_body(*angles) @ (skew(rate) @ arm_b) for angles, rate in pairs]).reshape(-1, 3)
+        velocity: FloatArray = rotations(self.angles()).apply(np.cross(rates, arm_b))
+        return velocity
 
     def position_minus(self, geodetic: FloatArray) -> FloatArray:
         """Interpolated position of the track minus given positions [m, NED], shape (n, 3)."""

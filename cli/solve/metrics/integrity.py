@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
+from shared.maths.quantiles import circle_factor, line_factor
 
 from .errors import Errors
 
 AXES = ("horizontal", "vertical")
-REFERENCE_SDS = 3.72, 3.29  # quantiles of probability 1e-3 of a normal error: two-dimensional, one-dimensional
+# Quantiles of probability 0.001 of a normal error [standard deviations]: two-dimensional, one-dimensional.
+REFERENCE_SDS = circle_factor(1.0, 1e-3), line_factor(1e-3)
 # Names and meanings, for both axes.
 _MEANINGS = {
     "median_m": "{axis} protection level, median",

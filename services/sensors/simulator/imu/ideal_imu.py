@@ -11,7 +11,8 @@ from math import cos
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import Geodetic, curvature_radii, earth_rate_n, gravity, transport_rate_n
+from shared.maths.earth import Geodetic, earth_rate_n, gravity, transport_rate_n
+from shared.maths.ellipsoid import curvature_radii
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -3,6 +3,7 @@ from math import cos, radians
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from services.sensors.simulator.drive import simulate
 from services.sensors.simulator.imu.ideal_imu import attitude_matrices, integrate_position
@@ -12,7 +13,8 @@ from services.sensors.simulator.motion.trajectory import Trajectory
 from services.sensors.simulator.scenarios import BY_NAME, SCENARIOS, Scenario
 from services.sensors.simulator.vehicle import antenna_at
 from shared.maths.earth import Geodetic, earth_rate_n, gravity, ned_track, transport_rate_n
-from shared.maths.rotation import average_matrix_from_rotation_vector, matrix_from_rotation_vector, skew
+from shared.maths.rotation import skew
+from tests.support.rotations import mean_rotation
 
 STEP = 0.01
 
@@ -101,12 +103,16 @@ def test_integrating_the_ideal_measurements_reproduces_the_trajectory(name: str)
     for k in range(1, len(drive.t_ns)):
         turn = drive.ideal_rate_b[k] * STEP
         earth, transport = np.array(earth_rate_n(lat)), np.array(transport_rate_n(lat, h, tuple(v)))
-        mean = C @ average_matrix_from_rotation_vector(turn) - 0.5 * STEP * skew(earth + transport) @ C
+        mean = C @ mean_rotation(turn) - 0.5 * STEP * skew(earth + transport) @ C
         g = np.array([0.0, 0.0, gravity(lat, h)])
         new_v = v + STEP * (mean @ drive.ideal_force_b[k] + g - np.cross(transport + 2.0 * earth, v))
         lat, lon, h = integrate_position(Geodetic(lat, lon, h), np.array([v, new_v]), STEP).position[1]
         new_transport = np.array(transport_rate_n(lat, h, tuple(new_v)))
-        C = (np.eye(3) - STEP * skew(earth + 0.5 * (transport + new_transport))) @ C @ matrix_from_rotation_vector(turn)
+        C = (
+            (np.eye(3) - STEP * skew(earth + 0.5 * (transport + new_transport)))
+            @ C
+            @ Rotation.from_rotvec(turn).as_matrix()
+        )
         C = C @ (1.5 * np.eye(3) - 0.5 * C.T @ C)
         v = new_v
         worst = max(worst, float(np.abs(v - drive.velocity_n[k]).max()))

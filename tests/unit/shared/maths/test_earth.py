@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.maths import earth
+from shared.maths import earth, ellipsoid
 from shared.maths.earth import Geodetic
 
 LATITUDES = st.floats(-pi / 2, pi / 2)
@@ -14,16 +14,16 @@ HEIGHTS = st.floats(-500.0, 20000.0)
 
 
 def test_radii_at_the_reference_latitude() -> None:
-    meridian, transverse = earth.curvature_radii(radians(42.37))
+    meridian, transverse = ellipsoid.curvature_radii(radians(42.37))
     assert meridian == pytest.approx(6364442.31, rel=1e-6)
     assert transverse == pytest.approx(6387855.00, rel=1e-6)
 
 
 def test_radii_at_the_equator_and_at_the_poles() -> None:
-    polar = earth.SEMI_MAJOR_AXIS**2 / earth.SEMI_MINOR_AXIS
-    assert earth.curvature_radii(0.0) == pytest.approx((6335439.327, 6378137.0), rel=1e-9)
+    polar = ellipsoid.SEMI_MAJOR_AXIS**2 / ellipsoid.SEMI_MINOR_AXIS
+    assert ellipsoid.curvature_radii(0.0) == pytest.approx((6335439.327, 6378137.0), rel=1e-9)
     for pole in (-pi / 2, pi / 2):
-        assert earth.curvature_radii(pole) == pytest.approx((polar, polar), rel=1e-12)
+        assert ellipsoid.curvature_radii(pole) == pytest.approx((polar, polar), rel=1e-12)
 
 
 def test_gravity_at_the_reference_point() -> None:
@@ -63,11 +63,11 @@ def test_transport_rate_is_the_rate_of_the_ned_frame(latitude: float, longitude:
 @pytest.mark.parametrize(
     ("geodetic_deg", "ecef_m"),
     [
-        ((0.0, 0.0, 0.0), (earth.SEMI_MAJOR_AXIS, 0.0, 0.0)),
-        ((0.0, 90.0, 100.0), (0.0, earth.SEMI_MAJOR_AXIS + 100.0, 0.0)),
-        ((0.0, 180.0, -1.0), (-earth.SEMI_MAJOR_AXIS + 1.0, 0.0, 0.0)),
-        ((90.0, 0.0, 50.0), (0.0, 0.0, earth.SEMI_MINOR_AXIS + 50.0)),
-        ((-90.0, 0.0, 0.0), (0.0, 0.0, -earth.SEMI_MINOR_AXIS)),
+        ((0.0, 0.0, 0.0), (ellipsoid.SEMI_MAJOR_AXIS, 0.0, 0.0)),
+        ((0.0, 90.0, 100.0), (0.0, ellipsoid.SEMI_MAJOR_AXIS + 100.0, 0.0)),
+        ((0.0, 180.0, -1.0), (-ellipsoid.SEMI_MAJOR_AXIS + 1.0, 0.0, 0.0)),
+        ((90.0, 0.0, 50.0), (0.0, 0.0, ellipsoid.SEMI_MINOR_AXIS + 50.0)),
+        ((-90.0, 0.0, 0.0), (0.0, 0.0, -ellipsoid.SEMI_MINOR_AXIS)),
     ],
 )
 def test_ecef_conversion_on_the_axes(geodetic_deg: tuple[float, ...], ecef_m: tuple[float, float, float]) -> None:

@@ -317,3 +317,42 @@ def test_provenance_comes_back_as_it_was_given(tmp_path: Path) -> None:
         assert recording.metadata == {"obu": {"vehicle": "car"}, "provenance": provenance}
     with (tmp_path / "a.mcap").open("rb") as file:
         assert {record.name for record in make_reader(file).iter_metadata()} == {"obu", "provenance"}
+
+
+def test_what_a_full_disk_refused_is_written_as_soon_as_there_is_room(tmp_path: Path) -> None:
+    messages = envelopes(100)
+    disk: list[FullDisk] = []
+
+    def opened(path: Path) -> FullDisk:
+        disk.append(FullDisk(path, 2500))
+        return disk[0]
+
+    writer = RecordingWriter(tmp_path / "a.mcap", opener=opened)
+    for envelope in messages[:50]:
+        writer.write(envelope)
+    with pytest.raises(OSError, match="No space left"):
+        writer.flush()
+    assert (writer.messages, writer.pending) == (0, 50)
+    disk[0].room = 1_000_000
+    for envelope in messages[50:]:
+        writer.write(envelope)
+    writer.close()
+
+    assert (writer.messages, writer.pending) == (100, 0)
+    assert read(tmp_path / "a.mcap") == (messages, [])
+    chunk_ends((tmp_path / "a.mcap").read_bytes(), tmp_path / "a.mcap")
+
+
+def test_without_a_summary_a_lost_chunk_takes_the_channels_with_it_that_begin_in_it(tmp_path: Path) -> None:
+    """mcap's writer describes a channel once, and the summary, which does so again, is missing after a power cut."""
+    messages = envelopes(60)
+    other = [Envelope("mode/state", b"{}", {}, START_NS + k, "controller.mode", 1, k) for k in range(20)]
+    record(tmp_path / "closed.mcap", [*messages[:20], *other, *messages[20:]], every=20)
+    data = record(tmp_path / "a.mcap", [*messages[:20], *other, *messages[20:]], every=20, close=False)
+    end = chunk_ends((tmp_path / "closed.mcap").read_bytes(), tmp_path / "closed.mcap")[0]
+    (tmp_path / "a.mcap").write_bytes(data[: end - 40] + bytes(40) + data[end:])
+
+    found, problems = read(tmp_path / "a.mcap")
+
+    assert found == other
+    assert problems[-1] == "40 messages could not be rebuilt"
