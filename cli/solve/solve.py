@@ -201,10 +201,11 @@ def _check(path: Path, inputs: Inputs) -> None:
 
 def _check_start(drive: Drive, option: str, begins_s: float) -> None:
     """Raise UserError if an option begins after the end of the recording and would have no effect."""
-    lasts_s = (drive.last_ns - drive.first_ns) * 1e-9
-    if begins_s > lasts_s:
+    duration_s = (drive.last_ns - drive.first_ns) * 1e-9
+    if begins_s > duration_s:
         raise UserError(
-            f"{option} begins at {begins_s:g} s, but {drive.file} lasts {lasts_s:.0f} s; name an earlier time"
+            f"{option} begins at {begins_s:g} s, but the duration of {drive.file} is {duration_s:.0f} s; "
+            "use an earlier time"
         )
 
 

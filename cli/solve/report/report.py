@@ -116,13 +116,13 @@ def _protection(risk: float | None, metrics: dict[str, Value]) -> list[str]:
     """State how many errors exceeded their protection levels; empty without truth or protection levels."""
     shares = []
     for axis in ("horizontal", "vertical"):
-        above, share, judged = (
+        above, share, total = (
             metrics.get(f"protection_{axis}_{name}")
             for name in ("misleading_count", "misleading_fraction", "judged_count")
         )
         if above is None or share is None:
             return []
-        shares.append(f"{above} of {judged} {axis} errors ({100.0 * share:.3g} %)")
+        shares.append(f"{above} of {total} {axis} errors ({100.0 * share:.3g} %)")
     allowed = "" if risk is None else f"; the integrity risk allows {100.0 * risk:.3g} %"
     return [f"Above the protection level: {' and '.join(shares)}{allowed}."]
 

@@ -56,7 +56,7 @@ class Configurator:
             )
 
     def tick(self) -> Iterator[GnssConfiguration]:
-        """End a pending request after the timeout; called once a second."""
+        """End a pending request after the timeout; called every second."""
         self._ticks += 1
         if self._request and self._ticks >= TIMEOUT_TICKS:
             yield from self._result({}, "no response from the receiver: check that its RX line is connected")

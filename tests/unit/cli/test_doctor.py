@@ -1,4 +1,4 @@
-"""`obu doctor` finds what is wrong and says what to do."""
+"""`obu doctor` reports faults with their remedies."""
 
 from pathlib import Path
 

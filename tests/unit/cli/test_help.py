@@ -1,4 +1,4 @@
-"""The examples in the help of every command: they are there, and the command line takes them."""
+"""Every command's help has examples, and the command line accepts them."""
 
 import re
 import shlex

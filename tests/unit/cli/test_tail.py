@@ -1,4 +1,4 @@
-"""What `obu tail` makes of a topic's name."""
+"""Topic names of `obu tail`."""
 
 from pathlib import Path
 

@@ -13,12 +13,12 @@ S = 1_000_000_000
 
 
 def speed_at(time_s: float) -> float:
-    """A car that stands, drives, and stands again, never twice alike."""
+    """Speed of a car with standstill at both ends, without periodicity."""
     return max(0.0, 5.0 + 4.0 * np.sin(0.11 * time_s) + 2.0 * np.sin(0.043 * time_s + 1.0)) if time_s > 10.0 else 0.0
 
 
 def fixes(duration_s: float = 120.0, *, with_velocity: bool) -> list[GnssFix]:
-    """Five fixes a second on a way to the north, with noise of RTK."""
+    """Fixes at 5 Hz on a track to the north, with RTK noise."""
     rng, made, north = np.random.default_rng(1), [], 0.0
     for k in range(round(duration_s * 5)):
         time_s = 0.2 * k
@@ -34,7 +34,7 @@ def fixes(duration_s: float = 120.0, *, with_velocity: bool) -> list[GnssFix]:
 
 
 def speeds(offset_s: float, first_s: float, last_s: float) -> list[VehicleSpeed]:
-    """A wheel at 100 Hz whose clock is behind by the offset."""
+    """A wheel speed at 100 Hz with a clock offset."""
     times = np.arange(first_s, last_s, 0.01).tolist()
     stamps = [round((t - offset_s) * S) for t in times]
     return [

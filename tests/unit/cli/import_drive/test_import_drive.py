@@ -63,7 +63,7 @@ def test_a_folder_of_csv_files_is_imported_in_order_of_arrival(drive: Path, caps
     assert set(json.loads(provenance["files"])) == {"log.csv", "fix.csv"}
     printed = capsys.readouterr()
     assert "50" in printed.out and "obu solve" in printed.out
-    assert printed.err == "", "no progress bar where nobody watches"
+    assert printed.err == "", "no progress bar without a terminal"
 
 
 def test_the_same_folder_imported_twice_gives_the_same_bytes(drive: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a Stanford diagram counts, on errors and levels that are made by hand."""
+"""Counts of the Stanford diagram for given errors and protection levels."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -42,7 +42,7 @@ def test_an_error_equal_to_the_level_or_the_limit_is_not_misleading() -> None:
 
 
 def test_misleading_information_is_counted() -> None:
-    """Of 100 s, in 20 s the error is above its level, in 10 s of them above the alert limit as well."""
+    """Error above the level for 20 of 100 s, and for 10 of these above the alert limit."""
     rows = [promised(0.1 * k, 12.0 if k < 100 else 3.0 if k < 200 else 1.0, 2.0) for k in range(1001)]
     found = integrity_metrics(
         errors_against(reference(np.arange(0.05, 99.9, 0.1)), track(rows), lever_arm_b=NOWHERE), LIMITS
@@ -59,7 +59,7 @@ def test_misleading_information_is_counted() -> None:
 
 
 def test_misleading_information_is_proven_only_beyond_the_error_of_the_reference() -> None:
-    """Levels of 2 m, errors of 3 m and of 12 m beside a reference of 1 m."""
+    """Levels of 2 m, errors of 3 and 12 m, reference sd of 1 m."""
     rows = [promised(0.1 * k, 12.0 if k < 100 else 3.0, 2.0) for k in range(1001)]
     instants = np.arange(0.05, 99.9, 0.1)
     stated = replace(reference(instants), position_sd_n=np.ones((len(instants), 3)))

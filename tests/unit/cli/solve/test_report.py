@@ -13,7 +13,7 @@ S = 1_000_000_000
 
 
 class Checker(HTMLParser):
-    """Collects what a page would load, the ids in it, and tags that are not closed."""
+    """Collects the external resources, ids and unclosed tags of a page."""
 
     def __init__(self) -> None:
         super().__init__()

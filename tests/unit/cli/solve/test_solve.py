@@ -1,4 +1,4 @@
-"""From CSV files of a simulated drive to a judged solution: what was put in must come out."""
+"""End-to-end test: import of CSV files of a simulated drive, solution, comparison with the simulated truth."""
 
 import csv
 import json
@@ -76,7 +76,7 @@ def test_outages_remove_fixes_and_their_metrics_are_printed(
     printed = capsys.readouterr()
     whole, cut = metrics_in(solution), metrics_in(tmp_path)
     assert cut["outage_count"] == 3
-    assert 15 <= cut["fixes_removed"] <= 21, "1 Hz: five or six fixes in each gap, whether judged or not"
+    assert 15 <= cut["fixes_removed"] <= 21, "1 Hz: five or six fixes in each gap, evaluated or not"
     assert cut["fixes_used"] == pytest.approx(whole["fixes_used"] - cut["fixes_removed"], abs=2)
     # 10 s of inertial navigation with an MTi-630 end within 0.6 m of the error before (0.9 m for 95 %).
     assert cut["outage_end_error_max_m"] < whole["horizontal_max_m"] + 1.0
@@ -84,7 +84,7 @@ def test_outages_remove_fixes_and_their_metrics_are_printed(
     assert list(found) == [*METRICS, *TIMINGS]
     assert {name: found[name] for name in METRICS} == cut
     assert found["realtime_factor"] > 5.0
-    assert printed.err == "", "no progress bar where nobody watches"
+    assert printed.err == "", "no progress bar without a terminal"
 
 
 def test_outages_at_fixed_times_are_listed_and_settings_override_those_of_the_vehicle(
@@ -144,9 +144,9 @@ def test_an_unsolvable_recording_is_reported_in_one_sentence(recording: Path, tm
     RecordingWriter(tmp_path / "empty.mcap").close()
     with pytest.raises(UserError, match=r"empty\.mcap holds no messages of a unit"):
         solve(tmp_path / "empty.mcap", out=tmp_path)
-    with pytest.raises(UserError, match=r"--score-from begins at 1e\+06 s, but .* lasts \d+ s"):
+    with pytest.raises(UserError, match=r"--score-from begins at 1e\+06 s, but the duration of .* is \d+ s"):
         solve(recording, score_from=1e6, out=tmp_path)
-    with pytest.raises(UserError, match=r"--outage begins at 9000 s, but .* name an earlier time"):
+    with pytest.raises(UserError, match=r"--outage begins at 9000 s, but .* use an earlier time"):
         solve(recording, outage="60/180@9000", out=tmp_path)
     with pytest.raises(UserError, match="no fix of the recording has RTK quality"):
         solve(recording, truth="fixes", out=tmp_path)
@@ -211,7 +211,7 @@ def test_the_smoothed_drive_has_smaller_outage_errors_and_is_accepted_as_truth(r
     assert found["smoothed_outage_largest_error_rms_m"] < found["outage_largest_error_rms_m"]
     assert solve(recording, out=tmp_path / "reference", smooth=True) == 0
     truth = str(tmp_path / "reference" / "solution_smoothed.csv")
-    assert solve(recording, truth=truth, outage="5/15", out=tmp_path / "judged") == 0
-    judged = metrics_in(tmp_path / "judged")
-    assert judged["truth_count"] > 400
-    assert judged["outage_end_error_max_m"] == pytest.approx(found["outage_end_error_max_m"], abs=0.5)
+    assert solve(recording, truth=truth, outage="5/15", out=tmp_path / "compared") == 0
+    compared = metrics_in(tmp_path / "compared")
+    assert compared["truth_count"] > 400
+    assert compared["outage_end_error_max_m"] == pytest.approx(found["outage_end_error_max_m"], abs=0.5)

@@ -29,7 +29,7 @@ def ubx(kind: str, itow_ms: int, **fields: Any) -> bytes:
 
 
 def pvt(second: int = 0, **fields: Any) -> bytes:
-    """A good fix at the given second of 2026."""
+    """A valid fix at the given second of 2026."""
     values: dict[str, Any] = {
         "year": 2026, "month": 1, "day": 1, "hour": 0, "min": 0, "second": second, "validDate": 1, "validTime": 1,
         "fullyResolved": 1, "fixType": 3, "gnssFixOk": 1, "numSV": 12, "lat": 42.5, "lon": 13.25, "height": 700_000,
