@@ -84,6 +84,9 @@ class NavigationState(Message):
     odometer_delay_s: float | None = None
     odometer_delay_sd_s: float | None = None
     lever_arm_error_body_m: tuple[float, float] | None = None  # forward, right: true minus set, if that is wrong
+    # error up to which the position is of use, as configured; absent in recordings of older units
+    alert_limit_horizontal_m: Deviation | None = None
+    alert_limit_vertical_m: Deviation | None = None
 
 
 class AidingKind(StrEnum):

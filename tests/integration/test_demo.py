@@ -1,4 +1,4 @@
-"""The whole unit on this machine, as `make demo` starts it: what happens when its parts are killed and stopped."""
+"""The whole unit on this machine, as `make demo` starts it; `test_watchdog.py` kills and stops its parts."""
 
 import json
 import math
@@ -97,36 +97,6 @@ def demo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     yield running
     running.process.terminate()
     running.process.communicate(timeout=10.0)
-
-
-def test_a_killed_process_is_back_and_its_outage_is_told(demo: Demo) -> None:
-    before = demo.child("run core.fusion")
-    before.kill()
-    demo.wait(lambda: demo.statuses().get("core.fusion") != "ready", 5.0, "the loss is seen")
-    took = demo.wait(demo.all_ready, 10.0, "core.fusion is back")
-    assert took < 10.0
-    assert demo.child("run core.fusion").pid != before.pid
-    demo.wait(lambda: "core.fusion" in json.dumps(demo.get("/api/outages")["closed"]), 5.0, "the outage is listed")
-
-
-def test_a_stopped_process_is_shown_as_silent_within_its_deadline(demo: Demo) -> None:
-    stopped = demo.child("run parsers.gnss")
-    stopped.suspend()
-    try:
-        # 2 s of silence are its deadline; the page asks twice a second.
-        took = demo.wait(lambda: demo.statuses().get("parsers.gnss") == "silent", 4.0, "the silence is seen")
-        assert took > 0.5, "it was called silent before its deadline"
-    finally:
-        stopped.resume()
-    demo.wait(demo.all_ready, 10.0, "it goes on")
-
-
-def test_the_broker_is_killed_and_everything_comes_back(demo: Demo, request: pytest.FixtureRequest) -> None:
-    mark = "broker.simulated" if "simulated" in request.node.name else "mosquitto.conf"
-    demo.child(mark).kill()
-    demo.wait(lambda: demo.get("/api/health").get("broker") is False, 5.0, "the page says that the broker is lost")
-    demo.wait(demo.all_ready, 10.0, "every process is connected again")
-    demo.wait(lambda: "broker" in json.dumps(demo.get("/api/outages")["closed"]), 5.0, "the outage is listed")
 
 
 GARBAGE = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)

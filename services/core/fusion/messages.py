@@ -216,4 +216,6 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         odometer_delay_s=odometer[0],
         odometer_delay_sd_s=odometer[1],
         lever_arm_error_body_m=navigator.lever_arm_error,
+        alert_limit_horizontal_m=navigator.settings.integrity.alert_limit_horizontal_m,
+        alert_limit_vertical_m=navigator.settings.integrity.alert_limit_vertical_m,
     )

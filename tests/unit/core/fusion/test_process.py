@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from services.core.fusion.messages import measurements_from_fix
 from services.core.fusion.process import Config, Process
-from services.core.fusion.settings import GnssSettings, OdometerSettings
+from services.core.fusion.settings import GnssSettings, IntegritySettings, OdometerSettings
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message, Tick
@@ -119,6 +119,13 @@ def saved() -> LastPosition:
         position_sd_ned_m=(1.0, 1.0, 2.0),
         yaw_sd_rad=0.02,
     )
+
+
+def test_the_configured_alert_limits_are_part_of_the_state() -> None:
+    limits = IntegritySettings(alert_limit_horizontal_m=2.5, alert_limit_vertical_m=7.5)
+    out = run(samples()[:30], Process(Config(integrity=limits)))
+    [state, *_] = [m for m in out if isinstance(m, NavigationState)]
+    assert (state.alert_limit_horizontal_m, state.alert_limit_vertical_m) == (2.5, 7.5)
 
 
 def test_a_drive_is_followed_from_the_first_sample_to_the_last() -> None:

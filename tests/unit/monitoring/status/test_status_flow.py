@@ -7,7 +7,7 @@ from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind
-from tests.support.status_world import ALL, SECOND_NS, START_NS, World, aiding, fix, solution
+from tests.support.status_world import ALL, SECOND_NS, World, aiding, fix, solution
 
 
 def samples(now_ns: int) -> ImuSamples:
@@ -139,14 +139,6 @@ def test_load_and_rates_of_a_process_come_from_two_heartbeats() -> None:
     assert process.cpu_share == pytest.approx(0.4)
     assert process.in_hz == pytest.approx(200.0)
     assert process.out_hz == pytest.approx(10.0)
-
-
-def test_a_new_life_of_a_process_is_a_restart() -> None:
-    world = World()
-    for life in range(3):
-        world.beat("core.fusion", incarnation=START_NS + life)
-        world.beat("core.fusion", incarnation=START_NS + life)
-    assert world.state.processes["core.fusion"].restarts == 2
 
 
 def test_every_kind_of_measurement_is_kept_apart() -> None:
