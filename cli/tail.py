@@ -1,4 +1,4 @@
-"""`obu tail`: live messages of a running unit."""
+"""`obu tail`: prints the live messages of a running unit."""
 
 import difflib
 import json
@@ -10,11 +10,11 @@ from shared.errors import UserError
 from shared.runtime.config import VehicleFile, broker_address, state_dir
 from shared.topics import TOPICS, Topic, topic_of
 
-PATIENCE_S = 5.0
+TIMEOUT_S = 5.0
 
 
 def follow(name: str, vehicle: VehicleFile, count: int | None) -> int:
-    """Print messages of one topic, or of all, until Ctrl-C or until `count` of them have come."""
+    """Print the messages of one topic, or of all, until Ctrl-C or until `count` messages have been received."""
     topic = topic_of(name)
     if topic is None and name != "#":
         near = _near(name)
@@ -32,13 +32,13 @@ def follow(name: str, vehicle: VehicleFile, count: int | None) -> int:
                     seen += 1
                     if seen == count:
                         break
-            if bus.connected and not seen and not hinted and time.monotonic() - started > PATIENCE_S:
+            if bus.connected and not seen and not hinted and time.monotonic() - started > TIMEOUT_S:
                 hinted = True
-                print(f"connected, but nothing on {name} from vehicle {vehicle.name!r} yet; {_why(topic)}",
+                print(f"connected, but no message on {name} from vehicle {vehicle.name!r} yet; {_hint(topic)}",
                       file=sys.stderr)  # fmt: skip
-            if not bus.connected and time.monotonic() - started > PATIENCE_S:
+            if not bus.connected and time.monotonic() - started > TIMEOUT_S:
                 raise UserError(
-                    f"{bus.last_error or 'no broker answers'}; is the unit running? Set OBU_BROKER to its broker"
+                    f"{bus.last_error or 'no broker responds'}; is the unit running? Set OBU_BROKER to its broker"
                 )
     finally:
         bus.close()
@@ -46,18 +46,18 @@ def follow(name: str, vehicle: VehicleFile, count: int | None) -> int:
 
 
 def _near(name: str) -> str | None:
-    """Find the topic that was meant: one that holds the words or is held by them, else one that is spelt alike."""
+    """The most similar topic: one that contains the name or is contained in it, otherwise one of similar spelling."""
     names = [topic.name for topic in TOPICS]
-    holding = [known for known in names if name in known or known in name]
-    return next(iter(holding or difflib.get_close_matches(name, names, n=1)), None)
+    containing = [known for known in names if name in known or known in name]
+    return next(iter(containing or difflib.get_close_matches(name, names, n=1)), None)
 
 
-def _why(topic: Topic | None) -> str:
-    """Say why nothing may have come."""
-    wrong_name = "is that its name? OBU_VEHICLE or --vehicle says which"
+def _hint(topic: Topic | None) -> str:
+    """Possible reasons for missing messages."""
+    wrong_name = "check the vehicle's name (OBU_VEHICLE or --vehicle)"
     if topic is None or topic.rate_hz is not None:
         return wrong_name
-    return f"it speaks on events only; or {wrong_name}"
+    return f"it is published on events only; or {wrong_name}"
 
 
 def _line(envelope: Envelope) -> str:
@@ -67,6 +67,6 @@ def _line(envelope: Envelope) -> str:
     else:
         try:
             body = json.loads(envelope.payload)
-        except ValueError:  # broken messages are what one looks for with this command
+        except ValueError:  # invalid messages are printed as text, for diagnosis
             body = envelope.payload.decode(errors="replace")
     return json.dumps({"topic": envelope.topic, "from": envelope.producer, "seq": envelope.sequence, "message": body})
