@@ -1,4 +1,4 @@
-"""`obu tail`: live messages of a running unit."""
+"""`obu tail`: prints the live messages of a running unit."""
 
 import difflib
 import json
@@ -12,11 +12,11 @@ from shared.messages.base import RawBytes
 from shared.runtime.config import VehicleFile, broker_address, state_dir
 from shared.topics import TOPICS, Topic, topic_of
 
-PATIENCE_S = 5.0
+TIMEOUT_S = 5.0
 
 
 def follow(name: str, vehicle: VehicleFile, count: int | None, *, raw: bool = False) -> int:
-    """Print messages of one topic, or of all, until Ctrl-C or until `count` of them have come.
+    """Print the messages of one topic, or of all, until Ctrl-C or until `count` messages have been received.
 
     With `raw`, write the bytes that a device sent instead, as they are.
     """
@@ -40,13 +40,13 @@ def follow(name: str, vehicle: VehicleFile, count: int | None, *, raw: bool = Fa
                     seen += 1
                     if seen == count:
                         break
-            if bus.connected and not seen and not hinted and time.monotonic() - started > PATIENCE_S:
+            if bus.connected and not seen and not hinted and time.monotonic() - started > TIMEOUT_S:
                 hinted = True
-                print(f"connected, but nothing on {name} from vehicle {vehicle.name!r} yet; {_why(topic)}",
+                print(f"connected, but no message on {name} from vehicle {vehicle.name!r} yet; {_hint(topic)}",
                       file=sys.stderr)  # fmt: skip
-            if not bus.connected and time.monotonic() - started > PATIENCE_S:
+            if not bus.connected and time.monotonic() - started > TIMEOUT_S:
                 raise UserError(
-                    f"{bus.last_error or 'no broker answers'}; is the unit running? Set OBU_BROKER to its broker"
+                    f"{bus.last_error or 'no broker responds'}; is the unit running? Set OBU_BROKER to its broker"
                 )
     except BrokenPipeError:  # who read has seen enough; what is left unwritten shall not be tried again at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -56,18 +56,18 @@ def follow(name: str, vehicle: VehicleFile, count: int | None, *, raw: bool = Fa
 
 
 def _near(name: str) -> str | None:
-    """Find the topic that was meant: one that holds the words or is held by them, else one that is spelt alike."""
+    """The most similar topic: one that contains the name or is contained in it, otherwise one of similar spelling."""
     names = [topic.name for topic in TOPICS]
-    holding = [known for known in names if name in known or known in name]
-    return next(iter(holding or difflib.get_close_matches(name, names, n=1)), None)
+    containing = [known for known in names if name in known or known in name]
+    return next(iter(containing or difflib.get_close_matches(name, names, n=1)), None)
 
 
-def _why(topic: Topic | None) -> str:
-    """Say why nothing may have come."""
-    wrong_name = "is that its name? OBU_VEHICLE or --vehicle says which"
+def _hint(topic: Topic | None) -> str:
+    """Possible reasons for missing messages."""
+    wrong_name = "check the vehicle's name (OBU_VEHICLE or --vehicle)"
     if topic is None or topic.rate_hz is not None:
         return wrong_name
-    return f"it speaks on events only; or {wrong_name}"
+    return f"it is published on events only; or {wrong_name}"
 
 
 def _write(envelope: Envelope, *, raw: bool) -> None:

@@ -9,7 +9,14 @@ from functools import cached_property
 from .messages.base import Message, RawBytes
 from .messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssRaw, GnssSatellites, GnssWrite
 from .messages.imu import ImuRaw, ImuSamples
-from .messages.navigation import AidingUpdate, LastPosition, NavigationSolution, NavigationState, TruthState
+from .messages.navigation import (
+    AidingUpdate,
+    FilterState,
+    LastPosition,
+    NavigationSolution,
+    NavigationState,
+    TruthState,
+)
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
@@ -78,6 +85,8 @@ TOPICS = (
           rate_hz=10.0, silent_after_s=2.0),
     Topic("navigation/state", NavigationState, "what the navigation filter is doing and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("navigation/filter_state", FilterState, "state and covariance of the filter, for its next process",
+          qos=1, retain=True),
     Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it"),
     Topic("deadline/report", DeadlineReport, "age and status of every topic and process, and problems by root cause",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),

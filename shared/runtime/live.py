@@ -132,6 +132,8 @@ class LiveReactor:
         self._publish_journal(at_once=True)
 
     def _consume(self, envelope: Envelope) -> None:
+        if (envelope.producer, envelope.incarnation) == (self._bus.process, self._bus.incarnation):
+            return  # what it said itself, which the broker sends back where it is a consumer of its own topic
         try:
             message = envelope.decode()
         except BadPayload as error:
