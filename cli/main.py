@@ -149,6 +149,9 @@ def tail(
     topic: Annotated[str, typer.Argument(help="Short name such as navigation/solution, or '#' for all.")] = "#",
     vehicle: VehicleOption = None,
     count: Annotated[int | None, typer.Option(min=1, help="Stop after this many messages.")] = None,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="Write the device's own bytes instead, for a pipe or a file.")
+    ] = False,
 ) -> None:
     """Print the messages of a running unit as they are received, one per line.
 
@@ -157,11 +160,12 @@ def tail(
     Examples:
     [bold]obu tail navigation/solution --count 3[/]
     [bold]obu tail '#'[/]
+    [bold]obu tail --raw gnss/raw > receiver.ubx[/]
     """
     from .tail import follow
 
     _end_on_sigterm()
-    raise typer.Exit(follow(topic, load_vehicle(vehicle), count))
+    raise typer.Exit(follow(topic, load_vehicle(vehicle), count, raw=raw))
 
 
 @app.command()

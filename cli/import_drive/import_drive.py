@@ -21,9 +21,9 @@ from rich.progress import Progress
 from rich.table import Table as Printed
 
 from shared.bus.bus import Envelope
-from shared.bus.codec import encode, topic_name
+from shared.bus.codec import encode, signed, topic_name
 from shared.errors import UserError
-from shared.messages.base import Message
+from shared.messages.base import Message, Sender
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
@@ -211,9 +211,9 @@ def _write(
 def _envelope(message: Imported, sequence: dict[str, int]) -> Envelope:
     name = topic_name(message)
     producer = BY_MESSAGE[type(message)].producers[0]
-    payload, properties = encode(message)
     sequence[producer] = sequence.get(producer, 0) + 1
-    return Envelope(name, payload, properties, _arrival_ns(message), producer, 0, sequence[producer])
+    sender = Sender(process=producer, incarnation=0, sequence=sequence[producer])
+    return Envelope.of(name, signed(encode(message), sender), _arrival_ns(message))
 
 
 def _print_summary(output: Path, parts: list[Part]) -> None:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from shared.bus.bus import Envelope
@@ -10,8 +11,8 @@ from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import TruthState
 from shared.runtime.config import VehicleFile
-from shared.runtime.offline import OfflineUnit
-from shared.topics import measurements
+from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.topics import BY_NAME, measurements
 
 from ..recordings.replaying import inputs_among
 
@@ -75,8 +76,10 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
 
 def arrival_of(envelope: Envelope) -> int:
     """Arrival time [ns] of a device's bytes at the driver, or of a typed message at the recorder."""
-    stamp = envelope.properties.get("received_ns", "")
-    return int(stamp) if stamp.isascii() and stamp.isdecimal() else envelope.received_ns
+    if BY_NAME[envelope.topic].is_raw:
+        with suppress(BadPayload):
+            return arrival_ns(envelope.decode()) or envelope.received_ns
+    return envelope.received_ns
 
 
 def all_fixes(inputs: Inputs, vehicle: VehicleFile) -> list[GnssFix]:

@@ -79,7 +79,7 @@ def _no_imu(facts: Facts) -> str | None:
 
 
 def _no_fusion(facts: Facts) -> str | None:
-    age_s = facts.uptime_s if facts.fusion_age_s is None else facts.fusion_age_s
+    age_s = facts.uptime_s if facts.fusion_age_s is None else min(facts.fusion_age_s, facts.uptime_s)
     if _older(age_s, FUSION_SILENT_S):
         return f"no message from core.fusion{_for(age_s)}"
     if facts.has_measured and facts.phase in SOLVING and _older(facts.solution_age_s, SOLUTION_SILENT_S):

@@ -9,7 +9,7 @@ from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
 from shared.messages.vehicle import VehicleSpeed
 
-from .rules import GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT_S, Facts, decide
+from .rules import FUSION_SILENT_S, GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT_S, Facts, decide
 from .sources import Sources, age_s
 
 NS = 1_000_000_000
@@ -53,14 +53,16 @@ class Unit:
                 self.solution, self.solution_ns = message, self.now_ns
                 self.fusion_ns = self.now_ns
             case NavigationState():
-                self._advance(message.sampled_ns)
-                self.state, self.fusion_ns = message, self.now_ns
+                if self.started_ns is not None:  # one that the broker kept may be of yesterday: it starts no clock
+                    self._advance(message.sampled_ns)
+                self.state, self.fusion_ns = message, max(self.fusion_ns or message.sampled_ns, message.sampled_ns)
         return None
 
     def facts(self, configuring: str | None, configuration_fault: str | None) -> Facts:
         """Derive the facts at the current time."""
         solution_age_s, fusion_age_s = age_s(self.solution_ns, self.now_ns), age_s(self.fusion_ns, self.now_ns)
-        phase = self.state.phase if self.state else None
+        state = self.state if fusion_age_s is not None and fusion_age_s <= FUSION_SILENT_S else None
+        phase = state.phase if state else None
         if self.solution and solution_age_s is not None and solution_age_s <= SOLUTION_SILENT_S:
             phase = self.solution.phase  # published more often than the state
         return Facts(
@@ -71,7 +73,7 @@ class Unit:
             solution_age_s=solution_age_s,
             fusion_age_s=fusion_age_s,
             phase=phase,
-            phase_reason=self.state.reason if self.state else "",
+            phase_reason=state.reason if state else "",
             configuring=configuring,
             configuration_fault=configuration_fault,
             has_measured=self.has_measured,

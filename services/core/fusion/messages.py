@@ -160,7 +160,7 @@ def prior_from_last_position(last: LastPosition) -> Prior:
 def solution_message(solution: Solution) -> NavigationSolution:
     """Put a solution on the bus."""
     position_cov, velocity_cov, attitude_cov = solution.triangles
-    return NavigationSolution.unchecked(
+    return NavigationSolution(
         sampled_ns=solution.time_ns,
         phase=solution.phase,
         latitude_deg=degrees(solution.position.latitude),

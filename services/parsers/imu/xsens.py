@@ -114,7 +114,7 @@ class Tracker:
             except SampleError as fault:
                 self._rejects[str(fault)] += 1
                 field_sensor = None
-        return ImuSamples.unchecked(
+        return ImuSamples(
             received_ns=received_ns,
             source=self._source,
             sampled_ns=self._clock.stamp_all(batch.device_ns, received_ns),

@@ -50,4 +50,4 @@ class Process:
         run_driver(bus, link, config.device, self._raw, request_speed)
 
     def _raw(self, data: bytes, received_ns: int) -> CanRaw:
-        return CanRaw.unchecked(received_ns=received_ns, source=self._config.source, data=data)
+        return CanRaw(received_ns=received_ns, source=self._config.source, data=data)

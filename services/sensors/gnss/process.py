@@ -31,7 +31,7 @@ class Process:
         run_driver(bus, link, self._config.device, self._raw, lambda envelopes: self._write(bus, link, envelopes))
 
     def _raw(self, data: bytes, received_ns: int) -> GnssRaw:
-        return GnssRaw.unchecked(received_ns=received_ns, source=self._config.source, data=data)
+        return GnssRaw(received_ns=received_ns, source=self._config.source, data=data)
 
     def _write(self, bus: Bus, link: Link, envelopes: Sequence[Envelope]) -> None:
         for envelope in envelopes:

@@ -27,4 +27,4 @@ class Process:
         run_driver(bus, Link(lambda: open_device(self._config.device)), self._config.device, self._raw)
 
     def _raw(self, data: bytes, received_ns: int) -> ImuRaw:
-        return ImuRaw.unchecked(received_ns=received_ns, source=self._config.source, data=data)
+        return ImuRaw(received_ns=received_ns, source=self._config.source, data=data)

@@ -7,9 +7,8 @@ import pytest
 from cli.tail import follow
 from shared.bus.bus import Bus
 from shared.errors import UserError
-from shared.messages.operation import ProcessHealth, ProcessState
+from shared.messages.operation import ProcessState
 from shared.runtime.config import BrokerAddress, parse_vehicle
-from shared.topics import BY_NAME
 from tests.support import brokers
 
 CAR = parse_vehicle("[vehicle]\nname = 'car'\n")
@@ -40,8 +39,7 @@ def test_a_topic_of_one_process_prints_that_process_only(
         for bus in buses:
             while not bus.connected:
                 bus.receive(0.02)
-            state = ProcessHealth(process=bus.process, state=ProcessState.READY, incarnation=1, sent_ns=bus.now_ns())
-            bus.send(f"health/{bus.process}", state.model_dump_json().encode(), {}, BY_NAME["health/+"])
+            bus.publish(bus.health(ProcessState.READY))
             bus.receive(0.1)
         assert follow("health/core.fusion", CAR, 1) == 0
     finally:

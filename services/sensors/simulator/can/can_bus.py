@@ -93,6 +93,6 @@ class CanBus:
         ready = [row for row in self._lines if row[0] <= self._batch_ns]
         self._lines = self._lines[len(ready) :]
         data = b"".join(line(*row) for row in ready)
-        batch = CanRaw.unchecked(received_ns=self._batch_ns, source=SOURCE, data=data)
+        batch = CanRaw(received_ns=self._batch_ns, source=SOURCE, data=data)
         self._batch_ns += BATCH_NS
         return batch

@@ -106,5 +106,5 @@ class Receiver:
             chunk = data[position : position + size]
             position += len(chunk)
             self._free_ns = begin_ns + position * BYTE_NS
-            yield self._free_ns, GnssRaw.unchecked(received_ns=self._free_ns, source=SOURCE, data=chunk)
+            yield self._free_ns, GnssRaw(received_ns=self._free_ns, source=SOURCE, data=chunk)
             size = int(self._chunks.integers(*CHUNK_BYTES))

@@ -60,7 +60,7 @@ class Tracker:
             sampled_ns = (motion.first + i) * step_ns
             data = self._encode(sampled_ns, force, rate, field, pressure)
             received_ns = self._start_ns + self._delay.arrival_ns(sampled_ns)
-            yield received_ns, ImuRaw.unchecked(received_ns=received_ns, source=SOURCE, data=data)
+            yield received_ns, ImuRaw(received_ns=received_ns, source=SOURCE, data=data)
 
     def _encode(
         self, sampled_ns: int, force: list[float], rate: list[float], field: list[float], pressure: float

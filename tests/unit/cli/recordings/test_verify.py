@@ -5,7 +5,6 @@ import pytest
 
 from cli.recordings.verify import verify
 from cli.recordings.verifying import Repetition, Verdict
-from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.errors import UserError
 from shared.messages.base import Message, Tick
@@ -16,6 +15,7 @@ from shared.messages.vehicle import CanRaw, VehicleSpeed
 from shared.recording import RecordingWriter
 from shared.runtime.config import parse_vehicle
 from shared.runtime.live import Journal, Reactor, load_process
+from tests.support.envelopes import sent
 
 SECOND = 1_000_000_000
 START_NS = 1_790_000_000 * SECOND
@@ -83,12 +83,7 @@ class Recorded:
 
     def say(self, producer: str, message: Message) -> None:
         self._sequences[producer] = self._sequences.get(producer, 0) + 1
-        payload, properties = codec.encode(message)
-        self.envelopes.append(
-            Envelope(
-                codec.topic_name(message), payload, properties, self.now_ns, producer, LIFE, self._sequences[producer]
-            )
-        )
+        self.envelopes.append(sent(message, self.now_ns, producer, LIFE, self._sequences[producer]))
 
     def repeat(self, process: Reactor) -> Repetition:
         """Do the life again from what was recorded."""
@@ -153,9 +148,7 @@ def test_one_changed_byte_is_found_and_shown(topic: str) -> None:
     life = echo_life()
     at = life.index(topic, 7)
     old = life.envelopes[at]
-    life.envelopes[at] = Envelope(
-        old.topic, old.payload[:-3] + b"7" + old.payload[-2:], {}, old.received_ns, old.producer, LIFE, old.sequence
-    )
+    life.envelopes[at] = old._replace(payload=old.payload[:-3] + b"7" + old.payload[-2:])
     repetition = life.repeat(Echo())
 
     assert repetition.verdict is Verdict.DIFFERENT
@@ -303,8 +296,7 @@ def test_a_recording_with_a_changed_word_is_refused(tmp_path: Path, capsys: pyte
     def forge(envelopes: list[Envelope]) -> None:
         k = [n for n, e in enumerate(envelopes) if e.topic == "vehicle/speed"][10]
         old = envelopes[k]
-        payload = old.payload.replace(b'"speed_m_s":', b'"speed_m_s":1')
-        envelopes[k] = Envelope(old.topic, payload, {}, old.received_ns, old.producer, LIFE, old.sequence)
+        envelopes[k] = old._replace(payload=old.payload.replace(b'"speed_m_s":', b'"speed_m_s":1'))
 
     assert verify([can_recording(tmp_path / "a.mcap", forge)], "parsers.can", None) == 1
     captured = capsys.readouterr()

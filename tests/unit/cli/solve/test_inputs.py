@@ -1,16 +1,15 @@
 from cli.solve.inputs import inputs_of
 from shared.bus.bus import Envelope
-from shared.bus.codec import encode, topic_name
 from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import TruthState
+from tests.support.envelopes import sent
 from tests.support.tracks import solution
 
 
 def envelope(message: Message) -> Envelope:
-    payload, properties = encode(message)
-    return Envelope(topic_name(message), payload, properties, getattr(message, "received_ns", 0))
+    return sent(message, getattr(message, "received_ns", 0))
 
 
 def fix(stamp: int) -> GnssFix:
@@ -40,13 +39,12 @@ def test_raw_bytes_replace_the_derived_messages_of_each_sensor() -> None:
 
 def test_raw_bytes_are_ordered_by_their_arrival_at_the_driver() -> None:
     late = GnssRaw(received_ns=7, source="gnss", data=b"$")
-    payload, properties = encode(late)
-    found = inputs_of([envelope(samples(6)), envelope(samples(8)), Envelope("gnss/raw", payload, properties, 9)])
+    found = inputs_of([envelope(samples(6)), envelope(samples(8)), sent(late, 9)])
     assert list(found.messages()) == [samples(6), late, samples(8)]
 
 
 def test_an_undecodable_message_is_counted_once() -> None:
-    found = inputs_of([Envelope("gnss/fix", b"{", {}, 0), envelope(samples(1))])
+    found = inputs_of([Envelope("gnss/fix", b"{", 0), envelope(samples(1))])
     for _ in range(2):
         assert list(found.messages()) == [samples(1)]
     assert len(found.undecodable) == 1

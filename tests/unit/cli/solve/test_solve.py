@@ -14,14 +14,13 @@ from cli.solve.smoothing import SMOOTHED_METRICS
 from cli.solve.solve import solve
 from services.sensors.simulator.drive import simulate
 from services.sensors.simulator.world import messages
-from shared.bus.bus import Envelope
-from shared.bus.codec import encode, topic_name
 from shared.errors import UserError
 from shared.messages.base import RawBytes
 from shared.messages.imu import ImuSamples
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.offline import arrival_ns
 from tests.support.csv_drive import write_drive
+from tests.support.envelopes import sent
 
 Metrics = dict[str, float]
 
@@ -127,8 +126,7 @@ def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
     toml = '[vehicle]\nname = "raw"\n\n[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
     writer = RecordingWriter(tmp_path / "raw.mcap", vehicle="raw", vehicle_toml=toml)
     for message in messages("parking_lot", seed=3, duration_s=DURATION_S):
-        payload, properties = encode(message)
-        writer.write(Envelope(topic_name(message), payload, properties, arrival_ns(message) or 0))
+        writer.write(sent(message, arrival_ns(message) or 0))
         assert isinstance(message, RawBytes) or arrival_ns(message) is None
     writer.close()
     solve(tmp_path / "raw.mcap", outage="5/15", out=tmp_path / "out")

@@ -411,8 +411,8 @@ def test_without_a_saved_state_a_process_that_was_killed_has_to_align_anew() -> 
 
 
 def test_a_saved_state_is_the_same_after_the_bus() -> None:
-    payload, properties = encode(last_state())
-    again = decode("navigation/filter_state", payload, properties)
+    payload = encode(last_state())
+    again = decode("navigation/filter_state", payload)
     assert again == last_state() and len(payload) < 16_000
     assert isinstance(again, FilterState)
     assert restart(last_state())[1] == restart(again)[1]

@@ -11,9 +11,10 @@ from services.sensors.simulator.process import Config, Process
 from services.sensors.simulator.world import messages
 from shared.bus.bus import Envelope
 from shared.messages.base import Message, RawBytes
-from shared.messages.gnss import GnssRaw
+from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.messages.imu import ImuRaw
 from shared.runtime.config import load_vehicle
+from tests.support.envelopes import sent, sent_bytes
 from tests.support.fake_bus import FakeBus
 from tests.support.ublox import valset
 
@@ -35,7 +36,7 @@ def drive(tmp_path: Path, envelopes: dict[int, Envelope], calls: int = 600, conf
 
 
 def write(data: bytes, source: str = "gnss0") -> Envelope:
-    return Envelope("gnss/write", data, {"received_ns": "1", "source": source}, received_ns=1)
+    return sent(GnssWrite(received_ns=1, source=source, data=data), received_ns=1)
 
 
 def command(period_ms: int) -> bytes:
@@ -61,7 +62,7 @@ def test_a_command_to_the_receiver_is_acknowledged_and_one_to_another_source_is_
 
 
 def test_an_invalid_message_is_counted_and_the_drive_continues(tmp_path: Path) -> None:
-    bus = drive(tmp_path, {50: Envelope("gnss/write", b"", {}, received_ns=1)})
+    bus = drive(tmp_path, {50: sent_bytes("gnss/write", b'{"data":"x"}', received_ns=1)})
     assert bus.rejects["payload"] == 1
     assert sum(isinstance(message, ImuRaw) for message in bus.published) > 250
 

@@ -41,8 +41,7 @@ def stamp(message: Message) -> int:
 def fingerprint(stream: Iterable[Message]) -> str:
     digest = hashlib.sha256()
     for message in stream:
-        payload, properties = encode(message)
-        digest.update(repr((type(message).__name__, payload, properties)).encode())
+        digest.update(repr((type(message).__name__, encode(message))).encode())
     return digest.hexdigest()
 
 

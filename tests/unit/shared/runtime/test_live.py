@@ -25,8 +25,7 @@ def state(sampled_ns: int) -> FilterState:
 
 
 def envelope(message: FilterState, life: int, number: int) -> Envelope:
-    payload, properties = codec.encode(message)
-    return Envelope("navigation/filter_state", payload, properties, 0, "core.fusion", life, number)
+    return Envelope("navigation/filter_state", codec.encode(message), 0, "core.fusion", life, number)
 
 
 class Broker:
