@@ -18,7 +18,7 @@ TIMEOUT_S = 5.0
 def follow(name: str, vehicle: VehicleFile, count: int | None, *, raw: bool = False) -> int:
     """Print the messages of one topic, or of all, until Ctrl-C or until `count` messages have been received.
 
-    With `raw`, write the bytes that a device sent instead, as they are.
+    With `raw`, write the bytes of the device unchanged to standard output.
     """
     topic = topic_of(name)
     if topic is None and name != "#":

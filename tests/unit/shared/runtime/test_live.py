@@ -4,12 +4,12 @@ from collections import Counter
 from pathlib import Path
 from typing import cast
 
+from shared.bus import codec
 from shared.bus.bus import Bus, Envelope
 from shared.messages.base import Message, Tick
 from shared.messages.navigation import FilterState
 from shared.messages.operation import Consumed
 from shared.runtime.live import LiveReactor
-from tests.support.envelopes import sent
 
 OLD_LIFE, LIFE = 1_000, 2_000
 
@@ -25,7 +25,7 @@ def state(sampled_ns: int) -> FilterState:
 
 
 def envelope(message: FilterState, life: int, number: int) -> Envelope:
-    return sent(message, 0, "core.fusion", life, number)
+    return Envelope("navigation/filter_state", codec.encode(message), 0, "core.fusion", life, number)
 
 
 class Broker:
