@@ -34,7 +34,7 @@ $(VENV)/.dashboard: services/monitoring/status/dashboard/package-lock.json deplo
 	@$(PYTHON) deploy/install_dashboard.py
 	@touch $@
 
-$(VENV)/.testing: requirements-dev.lock | $(VENV)/.installed $(VENV)/.dashboard
+$(VENV)/.testing: requirements-dev.lock services/monitoring/status/dashboard/package-lock.json | $(VENV)/.installed $(VENV)/.dashboard
 	@echo "installing what the tests need"
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
 	@$(PYTHON) deploy/install_dashboard.py --testing
@@ -70,8 +70,8 @@ down: ## stop the containers
 containers: | $(VENV)/.testing ## test the containers for real, where there is an engine (three minutes)
 	@$(PYTHON) -m pytest -m container $(PYTEST_ARGS)
 
-docs: setup ## print docs/reference and broker/acl.conf from the code
-	@$(PYTHON) -m cli reference docs/reference
+docs: setup ## print docs/reference, broker/acl.conf, the README's diagram and obu.target from the code
+	@$(PYTHON) -m cli reference
 	@$(PYTHON) -m broker.acl > broker/acl.conf
 
 lock: | $(VENV)/.testing ## write the lock files anew from what is installed
@@ -80,7 +80,7 @@ lock: | $(VENV)/.testing ## write the lock files anew from what is installed
 papers: setup ## reproduce the papers' numbers (minutes)
 	@$(PYTHON) -m cli papers navigation
 
-bench: $(VENV)/.debian ## measure beside C and print the ratios (minutes)
+bench: $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks
 
 drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (half an hour)

@@ -1,39 +1,57 @@
-"""The pages of docs/reference that are printed from code."""
+"""What is printed from code: the pages of docs/reference, and parts of other files."""
 
 import importlib
 import inspect
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
-from shared.bus.contract import Json, asyncapi_json, processes_table, table, topics_table
-from shared.processes import PROCESSES
+from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
+from shared.processes import PROCESSES, Kind
 from shared.runtime.config import Section
 
 from .solve.metrics.metrics import METRICS, TIMINGS
 from .solve.smoothing import SMOOTHED_METRICS
 from .solve.track import COLUMNS
 
+BEGIN, END = "begin of what `make docs` prints", "end of what `make docs` prints"
 HEAD = "<!-- Printed from code by `make docs`; a test holds it to the code. -->\n\n"
 
 
 def configuration_pages() -> str:
     """Print every setting of every process."""
-    parts = []
+    parts: list[str] = []
     for row in PROCESSES:
         config = cast("type[Section]", importlib.import_module(f"services.{row.name}.process").Config)
-        schema = cast(Json, config.model_json_schema())
-        fields = cast("dict[str, Json]", schema.get("properties", {}))
-        comments = _comments(config)
-        meanings = {name: field.description or comments.get(name, "") for name, field in config.model_fields.items()}
-        rows = [
-            (f"`{name}`", _kind(field), f"`{json.dumps(field.get('default'))}`", meanings.get(name, ""))
-            for name, field in fields.items()
-        ]
-        body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
-        parts.append(f"## [{row.name}]\n\n{body}\n")
+        parts += _tables(row.name, config)
     return "\n".join(parts)
+
+
+def _tables(name: str, config: type[Section], said: str = "") -> Iterator[str]:
+    """Print one table for a section, below what it is about, then one for each section inside it."""
+    inner = {
+        key: field.annotation
+        for key, field in config.model_fields.items()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Section)
+    }
+    fields = cast("dict[str, Json]", config.model_json_schema().get("properties", {}))
+    comments = _comments(config)
+    rows = [
+        (
+            f"`{key}`",
+            _kind(field),
+            f"`{json.dumps(field.get('default'))}`",
+            str(field.get("description", comments.get(key, ""))),
+        )
+        for key, field in fields.items()
+        if key not in inner
+    ]
+    body = table(("setting", "type", "default", "meaning"), rows) if rows else "No settings."
+    yield f"## [{name}]\n\n{said}{body}\n"
+    for key, section in inner.items():
+        yield from _tables(f"{name}.{key}", section, f"{inspect.getdoc(section)}\n\n")
 
 
 def metrics_page() -> str:
@@ -42,28 +60,28 @@ def metrics_page() -> str:
     smoothed = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in SMOOTHED_METRICS.items()])
     timings = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in TIMINGS.items()])
     stamps = [
-        ("`sampled_ns`", "instant on the time line of the recording, ns"),
-        ("`time_s`", "since the first row"),
-        ("`phase`", "`navigating`, or `coasting` while no position was used lately"),
+        ("`sampled_ns`", "time of validity on the time line of the recording, ns"),
+        ("`time_s`", "time since the first row"),
+        ("`phase`", "`navigating`, or `coasting` if no position was used recently"),
     ]
     columns = table(("column", "meaning"), stamps + [(f"`{name}`", meaning) for name, meaning in COLUMNS.items()])
     return (
         "# What `obu solve` writes\n\n"
-        "Names end in their unit (see [conventions](conventions.md)). A metric that cannot be known is `null`.\n\n"
+        "Names end in their unit (see [conventions](conventions.md)). An unknown metric is `null`.\n\n"
         f"## metrics.json\n\n{metrics}\n\n"
-        "Root mean squares and percentiles are taken over the instants of the truth while the filter navigates or "
+        "Root mean squares and percentiles are computed over the times of the truth while the filter navigates or "
         "coasts, outages included.\n\n"
         f"`--smooth` adds:\n\n{smoothed}\n\n"
-        f"## Times, printed only\n\nThese differ from run to run, and so are in no file.\n\n{timings}\n\n"
-        f"## solution.csv\n\nOne row a solution while the filter navigates or coasts.\n\n{columns}\n\n"
-        "`solution_smoothed.csv`, of `--smooth`, has the same columns: a row a period of the solution, at a step of "
-        "the filter's covariance and so not at the very stamps of solution.csv; phase, standstill and age of GNSS are "
-        "the filter's, and what no smoother knows is empty.\n\n"
+        f"## Times, printed only\n\nThese differ from run to run and are not written to a file.\n\n{timings}\n\n"
+        f"## solution.csv\n\nOne row per solution while the filter navigates or coasts.\n\n{columns}\n\n"
+        "`solution_smoothed.csv`, of `--smooth`, has the same columns: one row per period of the solution, at the "
+        "steps of the covariance propagation and therefore not at the stamps of solution.csv; phase, standstill and "
+        "age of GNSS are those of the filter, and columns without a smoothed value are empty.\n\n"
         "## A truth of your own\n\n"
-        "`--truth FILE` takes a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970, "
+        "`--truth FILE` reads a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970, "
         "and any of position (`latitude_deg`, `longitude_deg`, `height_ellipsoid_m`), velocity (`velocity_north_m_s`, "
-        "`velocity_east_m_s`, `velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They are of "
-        "the IMU. Another solution.csv or solution_smoothed.csv is such a file.\n"
+        "`velocity_east_m_s`, `velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They refer "
+        "to the IMU. A solution.csv or solution_smoothed.csv of another run is such a file.\n"
     )
 
 
@@ -72,20 +90,40 @@ def pages() -> dict[str, str]:
     return {
         "topics.md": f"{HEAD}# Topics\n\nEach topic is `obu/<vehicle>/` and the name below.\n\n{topics_table()}\n",
         "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
-        "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file a vehicle, one section a process; "
+        "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file per vehicle, one section per process; "
         f"the section `[vehicle]` holds its `name`.\n\n{configuration_pages()}",
         "metrics.md": HEAD + metrics_page(),
         "asyncapi.json": asyncapi_json() + "\n",
     }
 
 
-def write_pages(folder: Path) -> list[Path]:
-    """Write the printed pages into docs/reference."""
-    written = []
-    for name, text in pages().items():
-        (folder / name).write_text(text, encoding="utf-8")
-        written.append(folder / name)
-    return written
+def blocks() -> dict[str, str]:
+    """Make what is printed between two markers of files that are otherwise written by hand: path and text."""
+    layers = ([row for row in PROCESSES if row.kind is Kind.STANDING and row.layer == n] for n in range(1, 6))
+    wants = [f"Wants={' '.join(f'obu@{row.name}.service' for row in rows)}\n" for rows in layers if rows]
+    return {
+        "README.md": f"```\n{diagram()}\n```\n",
+        "docs/explanation/architecture.md": f"```\n{diagram()}\n```\n",
+        "deploy/systemd/obu.target": "".join(wants),
+    }
+
+
+def printed(root: Path) -> dict[Path, str]:
+    """Make every file of the repository that is printed from code, wholly or between its markers."""
+    files = {root / "docs" / "reference" / name: text for name, text in pages().items()}
+    for name, text in blocks().items():
+        lines = (root / name).read_text(encoding="utf-8").splitlines(keepends=True)
+        begin, end = (next(n for n, line in enumerate(lines) if mark in line) for mark in (BEGIN, END))
+        files[root / name] = "".join([*lines[: begin + 1], text, *lines[end:]])
+    return files
+
+
+def write(root: Path) -> list[Path]:
+    """Write what is printed into the repository."""
+    files = printed(root)
+    for path, text in files.items():
+        path.write_text(text, encoding="utf-8")
+    return list(files)
 
 
 def _comments(config: type[Section]) -> dict[str, str]:

@@ -1,16 +1,29 @@
-"""The topics of the bus: one row an edge. Everything else about who may say what to whom is derived."""
+"""The topics of the bus: one row a topic. Who produces and consumes it follows from the table of processes."""
 
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 
 from .messages.base import Message, RawBytes
 from .messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssRaw, GnssSatellites, GnssWrite
 from .messages.imu import ImuRaw, ImuSamples
-from .messages.navigation import AidingUpdate, LastPosition, NavigationSolution, NavigationState, TruthState
+from .messages.navigation import (
+    AidingUpdate,
+    FilterState,
+    LastPosition,
+    NavigationSolution,
+    NavigationState,
+    TruthState,
+)
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
-from .processes import PROCESSES
+from .processes import LAYERS, PROCESSES, ProcessRow
+
+TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
+PROCESS_NAME = re.compile(rf"({'|'.join(LAYERS)})\.[a-z][a-z0-9_]*")
 
 
 @dataclass(frozen=True)
@@ -18,83 +31,75 @@ class Topic:
     """One kind of message on the bus.
 
     `rate_hz` is the expected rate (None: whenever it happens), `silent_after_s` the age after which
-    the newest message is stale, `expiry_s` how long the broker keeps a retained one, and `persist`
-    says that the newest message outlives a power-off.
+    the newest message is stale, and `persist` says that the newest message outlives a power-off.
     """
 
     name: str
     message: type[Message]
     purpose: str
-    producers: tuple[str, ...]
-    consumers: tuple[str, ...] = ()
     rate_hz: float | None = None
     silent_after_s: float | None = None
     qos: int = 0
     retain: bool = False
-    expiry_s: int | None = None
     persist: bool = False
 
     @cached_property
     def per_process(self) -> bool:
-        """Whether the producer's name is the last level of the topic."""
+        """Whether every process produces it, with its own name as the last level of the topic."""
         return self.name.endswith("/+")
 
     @cached_property
+    def producers(self) -> tuple[str, ...]:
+        """Processes that publish the topic."""
+        return tuple(row.name for row in PROCESSES if self.per_process or self.name in row.produces)
+
+    @cached_property
+    def consumers(self) -> tuple[str, ...]:
+        """Processes that subscribe to the topic by its name; those that observe every topic are not among them."""
+        return tuple(row.name for row in PROCESSES if self.name in row.consumes)
+
+    @cached_property
     def is_raw(self) -> bool:
-        """Whether the payload is what a device sent, and the rest of the message user properties."""
+        """Whether the message holds bytes of a device as they are."""
         return issubclass(self.message, RawBytes)
 
 
-EVERYONE = tuple(row.name for row in PROCESSES)
-
 TOPICS = (
-    Topic("gnss/raw", GnssRaw, "bytes from the GNSS receiver",
-          ("sensors.gnss", "sensors.simulator"), ("parsers.gnss",), rate_hz=1.0, silent_after_s=5.0),
-    Topic("imu/raw", ImuRaw, "bytes from the inertial measurement unit",
-          ("sensors.imu", "sensors.simulator"), ("parsers.imu",), rate_hz=100.0, silent_after_s=1.0),
-    Topic("can/raw", CanRaw, "frames from the vehicle's CAN bus",
-          ("sensors.can", "sensors.simulator"), ("parsers.can",), rate_hz=10.0, silent_after_s=5.0),
-    Topic("gnss/write", GnssWrite, "bytes to the GNSS receiver",
-          ("parsers.gnss",), ("sensors.gnss", "sensors.simulator"), qos=1),
+    Topic("gnss/raw", GnssRaw, "bytes from the GNSS receiver", rate_hz=1.0, silent_after_s=5.0),
+    Topic("imu/raw", ImuRaw, "bytes from the inertial measurement unit", rate_hz=100.0, silent_after_s=1.0),
+    Topic("can/raw", CanRaw, "frames from the vehicle's CAN bus", rate_hz=10.0, silent_after_s=5.0),
+    Topic("gnss/write", GnssWrite, "bytes to the GNSS receiver", qos=1),
     Topic("gnss/fix", GnssFix, "position and velocity of the antenna, one message an epoch",
-          ("parsers.gnss",), ("controller.mode", "core.fusion"), rate_hz=1.0, silent_after_s=5.0),
-    Topic("gnss/satellites", GnssSatellites, "satellites in view",
-          ("parsers.gnss",), (), rate_hz=1.0, silent_after_s=10.0),
-    Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to",
-          ("parsers.gnss",), ("controller.mode",), qos=1, retain=True),
-    Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes",
-          ("parsers.imu",), ("controller.mode", "core.fusion"), rate_hz=100.0, silent_after_s=1.0),
-    Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II",
-          ("parsers.can",), ("controller.mode", "core.fusion"), rate_hz=1.0, silent_after_s=5.0),
-    Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel",
-          ("parsers.can",), ("core.fusion",), rate_hz=10.0, silent_after_s=5.0),
-    Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to",
-          ("controller.mode",), ("parsers.gnss",), qos=1),
+          rate_hz=1.0, silent_after_s=5.0),
+    Topic("gnss/satellites", GnssSatellites, "satellites in view", rate_hz=1.0, silent_after_s=10.0),
+    Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to", qos=1, retain=True),
+    Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
+    Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
+    Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
+    Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to", qos=1),
     Topic("mode/state", ModeState, "what the unit is doing",
-          ("controller.mode",), (), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("navigation/last_position", LastPosition, "where the vehicle was last known to be",
-          ("controller.mode",), ("core.fusion",), qos=1, retain=True, persist=True),
+          qos=1, retain=True, persist=True),
     Topic("navigation/solution", NavigationSolution, "where the vehicle is, with covariance",
-          ("core.fusion",), ("controller.mode",), rate_hz=10.0, silent_after_s=2.0),
+          rate_hz=10.0, silent_after_s=2.0),
     Topic("navigation/state", NavigationState, "what the navigation filter is doing and why",
-          ("core.fusion",), ("controller.mode",), rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
-    Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it",
-          ("core.fusion",), ()),
-    Topic("deadline/report", DeadlineReport, "age and rate of every topic and process",
-          ("monitoring.health",), (), rate_hz=2.0, silent_after_s=5.0),
-    Topic("outage/event", Outage, "what was lost, and for how long",
-          ("monitoring.health",), (), qos=1),
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("navigation/filter_state", FilterState, "state and covariance of the filter, for its next process",
+          qos=1, retain=True),
+    Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it"),
+    Topic("deadline/report", DeadlineReport, "age and status of every topic and process, and problems by root cause",
+          rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
+    Topic("outage/event", Outage, "begin and end of an outage, with its root cause", qos=1),
     Topic("recording/state", RecordingState, "what is being recorded",
-          ("monitoring.recorder",), (), rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True, expiry_s=30),
+          rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
-          ("sensors.gnss", "sensors.imu", "sensors.can", "sensors.simulator"), (),
-          rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True, expiry_s=10),
-    Topic("truth/state", TruthState, "where the simulated vehicle really is",
-          ("sensors.simulator",), (), rate_hz=10.0, silent_after_s=5.0),
+          rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
+    Topic("truth/state", TruthState, "where the simulated vehicle really is", rate_hz=10.0, silent_after_s=5.0),
     Topic("health/+", ProcessHealth, "birth, heartbeat, farewell and last will of a process",
-          EVERYONE, (), rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
+          rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("consumed/+", Consumed, "the order in which a process consumed its messages",
-          EVERYONE, (), rate_hz=1.0, silent_after_s=10.0),
+          rate_hz=1.0, silent_after_s=10.0),
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_MESSAGE = {topic.message: topic for topic in TOPICS}
@@ -123,3 +128,57 @@ def measurements() -> tuple[Topic, ...]:
         if t.rate_hz is not None and not t.per_process and t.name != "origin/state"
         and any(PROCESS_ROWS[name].layer <= 2 for name in t.producers)
     )  # fmt: skip
+
+
+def hot_path() -> tuple[str, ...]:
+    """List the processes upstream of the navigation solution along topics with a rate: their delays are its own."""
+    found: set[str] = set()
+    waiting = [BY_NAME["navigation/solution"]]
+    while waiting:
+        new = set(waiting.pop().producers) - found
+        found |= new
+        waiting += [topic for name in new for topic in subscriptions(name) if topic.rate_hz is not None]
+    return tuple(row.name for row in PROCESSES if row.name in found)
+
+
+def contradictions(processes: Sequence[ProcessRow], topics: Sequence[Topic]) -> list[str]:
+    """Compare the two tables; give one sentence for each row that contradicts another, with what to change."""
+    found = [
+        f"{table}: {key} stands in {keys.count(key)} rows; keep one of them"
+        for table, keys in (
+            ("shared/processes.py", [row.name for row in processes]),
+            ("shared/topics.py", [topic.name for topic in topics]),
+            ("shared/topics.py", [topic.message.__name__ for topic in topics]),
+        )
+        for key in sorted({key for key in keys if keys.count(key) > 1})
+    ]
+    produced = {name for row in processes for name in row.produces}
+    for topic in topics:
+        if not TOPIC_NAME.fullmatch(topic.name):
+            found.append(f"shared/topics.py: {topic.name!r} is not two lower-case nouns such as 'gnss/fix'; rename it")
+        if not topic.per_process and topic.name not in produced:
+            found.append(f"shared/topics.py: no process produces {topic.name!r}; name it in `produces` of a process")
+    names = [topic.name for topic in topics]
+    return [*found, *(text for row in processes for text in _contradictions_of(row, names))]
+
+
+def _contradictions_of(row: ProcessRow, topics: Sequence[str]) -> Iterator[str]:
+    if not PROCESS_NAME.fullmatch(row.name):
+        yield f"shared/processes.py: {row.name!r} is not a layer ({', '.join(LAYERS)}), a dot and a noun; rename it"
+    for column, listed in (("consumes", row.consumes), ("produces", row.produces)):
+        where = f"shared/processes.py: {row.name}: `{column}`"
+        for name in dict.fromkeys(listed):
+            if name not in topics:
+                near = get_close_matches(name, topics, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else "add its row to shared/topics.py"
+                yield f"{where} names {name!r}, which is no topic; {hint}"
+            if listed.count(name) > 1:
+                yield f"{where} names {name!r} {listed.count(name)} times; once is enough"
+    if any(name.endswith("/+") for name in row.produces):
+        yield f"shared/processes.py: {row.name}: every process produces what ends in '/+'; do not list it"
+    if row.observes_all and row.consumes:
+        yield f"shared/processes.py: {row.name} observes every topic; leave `consumes` out"
+
+
+if found := contradictions(PROCESSES, TOPICS):
+    raise ValueError("\n".join(found))

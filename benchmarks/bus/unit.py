@@ -17,8 +17,9 @@ from cli.demo.supervisor import Supervisor
 from shared.bus.bus import Bus
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationPhase, NavigationSolution
+from shared.processes import PROCESSES, Kind
 from shared.runtime.config import BrokerAddress, parse_vehicle
-from shared.topics import BY_NAME
+from shared.topics import BY_NAME, hot_path
 
 from .hops import Ages, three_hops_c
 
@@ -31,13 +32,13 @@ name = "bench"
 scenario = "urban"
 seed = 1
 
-[core.fusion]
+[core.fusion.gnss]
 lever_arm_body_m = [0.3, 0.0, -1.2]
 
 [monitoring.status]
 port = 0
 """
-COLD = ("controller.mode", "monitoring.recorder", "monitoring.health", "monitoring.status")
+COLD = tuple(row.name for row in PROCESSES if row.kind is Kind.STANDING and row.name not in hot_path())
 READY_S = 60.0
 ROUNDS = 5  # beside the yardstick
 SETTLING_S = 10.0  # start-up costs more than running
@@ -120,7 +121,7 @@ def running_unit(folder: Path) -> Iterator[tuple[Supervisor, int]]:
         "OBU_VEHICLE": str(path), "OBU_BROKER": f"mqtt://127.0.0.1:{port}", "OBU_STATE": str(folder)
     }  # fmt: skip
     supervisor = unit(parse_vehicle(VEHICLE), environment, folder / "logs")
-    supervisor.add("sensors.simulator", [sys.executable, "-m", "benchmarks.bus.party", "drive"])
+    supervisor.add("sensors.simulator", [sys.executable, "-m", "benchmarks.bus.party"])
     supervisor.add("broker", broker_command(folder, port, "mosquitto"))
     supervisor.watch()
     for name in COLD:

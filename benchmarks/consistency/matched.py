@@ -17,7 +17,7 @@ from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.base import Measurement
 from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
 from services.core.fusion.measurements.gnss_error_model import UNKNOWN, Told
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.update.aiding import Aids
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
@@ -51,12 +51,12 @@ def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
     """Drive once, from `START` on."""
     drive = simulate(scenario, seed, duration_s)
     lasts = model.lasts or not model.told
-    settings = Settings(lever_arm_body_m=drive.lever_arm_b, gnss_lasting_errors=lasts)
+    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=lasts))
     rng = np.random.default_rng((seed, STREAM))
     first = START * EPOCH_NS // STEP_NS - 1
     navigation, bias = _started(model, drive, settings, first, rng)
     biases = bias + _walk(settings, len(drive.t_ns) - first, rng)
-    walks = settings.velocity_random_walk_m_s_sqrt_s, settings.angle_random_walk_rad_sqrt_s
+    walks = settings.imu.velocity_random_walk_m_s_sqrt_s, settings.imu.angle_random_walk_rad_sqrt_s
     sd = np.repeat(np.hypot(np.array(walks) / sqrt(STEP_S), SHAKING), 3)
     noise = rng.standard_normal(biases.shape) * sd
     ideal = np.hstack([drive.ideal_force_b, drive.ideal_rate_b])[first:]
@@ -80,7 +80,7 @@ def _started(
     model: Model, drive: Drive, settings: Settings, first: int, rng: np.random.Generator
 ) -> tuple[ErrorStateFilter, FloatArray]:
     """Filter at the end of a sample, and the true biases there: the errors are a draw from its covariance."""
-    bias_sd = settings.accelerometer_bias_sd_m_s2, settings.gyroscope_bias_sd_rad_s
+    bias_sd = settings.imu.accelerometer_bias_sd_m_s2, settings.imu.gyroscope_bias_sd_rad_s
     sd = np.zeros(em.SIZE)
     sd[STATES] = *START_SD, *np.repeat(bias_sd, 3)
     sd[em.GNSS_ERROR] = 1.0
@@ -100,7 +100,7 @@ def _started(
 
 def _walk(settings: Settings, n: int, rng: np.random.Generator) -> FloatArray:
     """Walk of accelerometer and gyroscope biases from zero, shape (n, 6)."""
-    psd = np.repeat([settings.accelerometer_bias_psd_m2_s5, settings.gyroscope_bias_psd_rad2_s3], 3)
+    psd = np.repeat([settings.imu.accelerometer_bias_psd_m2_s5, settings.imu.gyroscope_bias_psd_rad2_s3], 3)
     steps = rng.standard_normal((n, 6)) * np.sqrt(psd * STEP_S)
     steps[0] = 0.0
     walk: FloatArray = np.cumsum(steps, axis=0)
@@ -115,7 +115,7 @@ def _fixes(model: Model, drive: Drive, settings: Settings, rng: np.random.Genera
         kind = InjectedError(ErrorKind.GAUSS_MARKOV, (1.0, 1.0, 1.0), LASTING_S)
         lasting = position_errors(kind, n, EPOCH_NS * 1e-9, seed=(drive.seed, STREAM)).injected
         errors = sqrt(WHITE_SHARE) * errors + sqrt(1.0 - WHITE_SHARE) * lasting
-    late = settings.gnss_time_sd_s * rng.standard_normal((n, 1))
+    late = settings.gnss.time_sd_s * rng.standard_normal((n, 1))
     velocity_errors = VELOCITY_SD * rng.standard_normal((n, 3))
     stated = Reading((0.0, 0.0, 0.0), np.diag(POSITION_SD**2))
     fixes = []

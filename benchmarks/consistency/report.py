@@ -15,8 +15,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from services.core.fusion.filter.kalman import chi_square_limit
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
+from shared.maths.quantiles import chi_square_limit
 
 from . import matched, whole
 from .matched import LASTING_S, POSITION_SD, Model
@@ -28,10 +28,10 @@ SCENARIO, DURATION_S = "urban", 140.0
 BAND = 0.95
 RMSE = (float(POSITION_SD[0]), float(POSITION_SD[1]), float(POSITION_SD[2]))
 WHITE, LASTING = InjectedError(ErrorKind.WHITE, RMSE), InjectedError(ErrorKind.GAUSS_MARKOV, RMSE, LASTING_S)
-NO_LASTING = {"gnss_lasting_errors": False}
-FREE = {**NO_LASTING, "zero_velocity": False, "non_holonomic": False}
+NO_LASTING = {"gnss.time_correlated_errors": False}
+FREE = {**NO_LASTING, "standstill.enabled": False, "non_holonomic.enabled": False}
 # Biases at switch-on as the simulator draws them.
-NO_MARGINS = {**FREE, "accelerometer_bias_sd_m_s2": 0.0196, "gyroscope_bias_sd_rad_s": 0.00175}
+NO_MARGINS = {**FREE, "imu.accelerometer_bias_sd_m_s2": 0.0196, "imu.gyroscope_bias_sd_rad_s": 0.00175}
 CASES: dict[str, Model | Unit] = {
     "matched, white errors": Model(),
     "matched, errors of 60 s": Model(lasts=True),
@@ -70,13 +70,10 @@ def dimension(block: str) -> int:
 
 
 def band(runs: int, size: int) -> tuple[float, float]:
-    """Bounds between which the mean of chi-squares over their dimension lies with 95 % probability.
-
-    Wilson and Hilferty's cube, exact to 0.002 for the 150 degrees of freedom and more that a campaign has.
-    """
+    """Bounds between which the mean of chi-squares over their dimension lies with 95 % probability."""
     degrees = runs * size
-    spread = float(np.sqrt(chi_square_limit(1, 1.0 - BAND) * 2.0 / (9.0 * degrees)))
-    return (1.0 - 2.0 / (9.0 * degrees) - spread) ** 3, (1.0 - 2.0 / (9.0 * degrees) + spread) ** 3
+    low, high = (chi_square_limit(degrees, 0.5 * (1.0 + side * BAND)) / degrees for side in (1.0, -1.0))
+    return low, high
 
 
 def run(job: tuple[str, int]) -> tuple[str, Sizes]:

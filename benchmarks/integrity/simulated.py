@@ -14,7 +14,7 @@ from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.batch import solve
 from services.core.fusion.filter.fast import compiled_runner
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import GnssSettings, Settings
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error
@@ -71,9 +71,9 @@ def judge_run(job: tuple[Case, int]) -> Judged:
     scenario = scenario_of(case.scenario, seed)
     drive = simulate(with_error(scenario, case.error) if case.error else scenario, seed, DURATION_S)
     drive.fix_valid[_hidden(drive.fix_ns)] = False
-    settings = Settings(lever_arm_body_m=drive.lever_arm_b)
+    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
     rng = np.random.default_rng((seed, STREAM))
-    drive.fix_ns[:] += round(abs(settings.gnss_time_sd_s * rng.standard_normal()) * 1e9)
+    drive.fix_ns[:] += round(abs(settings.gnss.time_sd_s * rng.standard_normal()) * 1e9)
     base_sd = case.base_share * drive.fix_position_sd_n[0]
     _shift(drive, base_sd * rng.standard_normal(3))
     drive.fix_position_sd_n[:] = np.hypot(drive.fix_position_sd_n, base_sd)

@@ -166,10 +166,15 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
     from shared.maths.earth import Geodetic
 
     log, every = np.load(path), aiding == "all"
-    settings = Settings(
-        lever_arm_body_m=tuple(log["arm"].tolist()), levelling_s=2.0, merge_delay_s=0.0,
-        zero_velocity=every, non_holonomic=every,
-    )  # fmt: skip
+    settings = Settings().with_values(
+        {
+            "merge_delay_s": 0.0,
+            "gnss.lever_arm_body_m": tuple(log["arm"].tolist()),
+            "alignment.levelling_s": 2.0,
+            "standstill.enabled": every,
+            "non_holonomic.enabled": every,
+        }
+    )
     measurements: list[Measurement] = []
     for k, stamp_ns in enumerate((log["fix"] - 2_100_000).tolist()):
         reading = Reading((0.0, 0.0, 0.0), np.diag(log["position_sd"][k] ** 2))

@@ -1,9 +1,13 @@
 """The contract of the bus in print: tables for people, AsyncAPI 3.0 for machines."""
 
 import json
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
 from typing import cast
 
+from pydantic.json_schema import JsonSchemaMode, models_json_schema
+
+from ..messages.base import Message, Sender
 from ..processes import LAYERS, PROCESSES
 from ..topics import TOPICS, Topic, publications, subscriptions
 
@@ -20,11 +24,11 @@ def asyncapi() -> Json:
             "description": "MQTT contract of the on-board unit, derived from shared/topics.py and shared/processes.py.",
         },
         "servers": {
-            "vehicle": {"host": "127.0.0.1:1883", "protocol": "mqtt", "protocolVersion": "5.0"},
+            "vehicle": {"host": "127.0.0.1:1883", "protocol": "mqtt", "protocolVersion": "3.1.1"},
         },
         "channels": {_key(t): _channel(t) for t in TOPICS},
         "operations": _operations(),
-        "components": {"messages": {t.message.__name__: _message(t) for t in TOPICS}},
+        "components": {"messages": {t.message.__name__: _message(t) for t in TOPICS}, "schemas": _schemas()},
     }
 
 
@@ -42,29 +46,53 @@ def topics_table() -> str:
             t.purpose,
             f"{t.rate_hz:g}" if t.rate_hz else "on change",
             f"{t.silent_after_s:g}" if t.silent_after_s else "-",
-            str(t.qos) + (", retained" if t.retain else "") + (f" {t.expiry_s} s" if t.expiry_s else ""),
+            str(t.qos) + (", retained" if t.retain else ""),
             "every process" if t.per_process else ", ".join(t.producers),
             ", ".join(t.consumers) or "observers",
         )
         for t in TOPICS
     ]
-    return table(("topic", "message", "purpose", "rate [Hz]", "silent after [s]", "QoS", "from", "to"), rows)
+    return table(
+        ("topic", "message", "purpose", "rate [Hz]", "silent after [s]", "QoS", "producers", "consumers"), rows
+    )
 
 
 def processes_table() -> str:
     """Print the processes as a Markdown table."""
     rows = [
         (
-            f"{row.layer} {LAYERS[row.layer - 1]}",
+            f"{row.layer} {list(LAYERS)[row.layer - 1]}",
             f"`{row.name}`",
             row.purpose,
-            "where configured" if row.extra else "always",
+            row.kind.value,
             "everything" if row.observes_all else ", ".join(t.name for t in subscriptions(row.name)) or "-",
             ", ".join(t.name for t in publications(row.name) if not t.per_process) or "-",
         )
         for row in PROCESSES
     ]
-    return table(("layer", "process", "purpose", "runs", "listens to", "says"), rows)
+    return table(("layer", "process", "purpose", "kind", "consumes", "produces"), rows)
+
+
+def diagram() -> str:
+    """Draw the layers as text, the devices at the bottom: the processes of each, what they consume and produce."""
+    lines = []
+    for number, (layer, purpose) in reversed(list(enumerate(LAYERS.items(), 1))):
+        rows = [row for row in PROCESSES if row.layer == number]
+        consumed = (name for row in rows for name in (["every topic"] if row.observes_all else row.consumes))
+        produced = (name for row in rows for name in row.produces)
+        lines += [
+            f"{number} {layer}: {purpose}",
+            f"    {'   '.join(row.short for row in rows)}",
+            *_wrapped("consume  ", consumed),
+            *_wrapped("produce  ", produced),
+            "",
+        ]
+    return "\n".join(lines[:-1])
+
+
+def _wrapped(label: str, names: Iterable[str]) -> list[str]:
+    text, indent = ", ".join(dict.fromkeys(names)), 8 * " "
+    return textwrap.wrap(text, 110, initial_indent=indent + label, subsequent_indent=indent + len(label) * " ")
 
 
 def _key(topic: Topic) -> str:
@@ -90,8 +118,6 @@ def _operations() -> Json:
     operations: Json = {}
     for topic in TOPICS:
         binding: Json = {"mqtt": {"qos": topic.qos, "retain": topic.retain, "bindingVersion": "0.2.0"}}
-        if topic.expiry_s:
-            cast(Json, binding["mqtt"])["messageExpiryInterval"] = topic.expiry_s
         channel = {"$ref": f"#/channels/{_key(topic)}"}
         for name in topic.producers:
             operations[f"{name}.sends.{_key(topic)}"] = {"action": "send", "channel": channel, "bindings": binding}
@@ -107,18 +133,33 @@ def _operations() -> Json:
 def _message(topic: Topic) -> Json:
     message = topic.message
     described: Json = {"name": message.__name__, "summary": (message.__doc__ or "").strip().splitlines()[0]}
-    if topic.is_raw:
-        described["contentType"] = "application/octet-stream"
-        described["description"] = (
-            "The payload is what the device sent; `received_ns` and `source` are user properties."
-        )
-        return described
     described["contentType"] = "application/json"
     described["payload"] = {
         "schemaFormat": "application/schema+json;version=draft-2020-12",
-        "schema": message.model_json_schema(mode="serialization"),
+        "schema": {"$ref": f"#/components/schemas/{message.__name__}"},
     }
     return described
+
+
+def payload_schema(message: type[Message]) -> Json:
+    """Describe the payload of a message as JSON schema: its fields, and who sent it."""
+    return _with_sender(message.model_json_schema(mode="serialization"), Sender.model_json_schema())
+
+
+def _with_sender(schema: Json, sender: Json) -> Json:
+    properties, required = cast(Json, schema["properties"]), cast(list[str], schema.get("required", []))
+    return schema | {"properties": {"sender": sender, **properties}, "required": ["sender", *required]}
+
+
+def _schemas() -> Json:
+    """Describe the payloads, and what they hold, side by side: a reference is resolved from the document's root."""
+    mode: JsonSchemaMode = "serialization"
+    kinds: list[type[Message]] = [Sender, *(t.message for t in TOPICS)]
+    _, schemas = models_json_schema([(kind, mode) for kind in kinds], ref_template="#/components/schemas/{model}")
+    described = cast(Json, schemas["$defs"])
+    sender: Json = {"$ref": "#/components/schemas/Sender"}
+    payloads = {t.message.__name__: _with_sender(cast(Json, described[t.message.__name__]), sender) for t in TOPICS}
+    return described | payloads
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

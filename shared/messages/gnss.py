@@ -3,6 +3,7 @@
 from enum import StrEnum
 
 from .base import (
+    Count,
     Deviation,
     Deviation3,
     Height,
@@ -11,6 +12,7 @@ from .base import (
     Message,
     Name,
     Nanoseconds,
+    Ratio,
     RawBytes,
     Reason,
     Speed,
@@ -55,7 +57,7 @@ class GnssFix(Stamped):
     fix_type: FixType
     carrier_solution: CarrierSolution = CarrierSolution.NONE
     differential: bool = False
-    satellites_used: int | None = None
+    satellites_used: Count | None = None
     latitude_deg: Latitude | None = None
     longitude_deg: Longitude | None = None
     height_ellipsoid_m: Height | None = None
@@ -67,9 +69,9 @@ class GnssFix(Stamped):
     velocity_sd_ned_m_s: Deviation3 | None = None
     position_cov_ned_m2: Symmetric3 | None = None
     velocity_cov_ned_m2_s2: Symmetric3 | None = None
-    pdop: float | None = None
-    hdop: float | None = None
-    vdop: float | None = None
+    pdop: Ratio | None = None
+    hdop: Ratio | None = None
+    vdop: Ratio | None = None
     correction_age_s: float | None = None
     baseline_heading_rad: float | None = None  # from the first antenna to the second, clockwise from true north
     baseline_heading_sd_rad: Deviation | None = None
@@ -93,7 +95,7 @@ class Satellite(Message):
     """One satellite as the receiver sees it."""
 
     constellation: Constellation
-    number: int
+    number: Count
     cn0_db_hz: float | None = None
     elevation_rad: float | None = None
     azimuth_rad: float | None = None
@@ -110,7 +112,7 @@ class GnssSatellites(Stamped):
 class GnssConfigure(Message):
     """What the controller wants of a receiver."""
 
-    request_id: int
+    request_id: Count
     source: Name
     navigation_period_s: float
     messages: tuple[Name, ...]  # UBX names to be sent every epoch, such as NAV-PVT
@@ -119,7 +121,7 @@ class GnssConfigure(Message):
 class GnssConfiguration(Message):
     """What a receiver answered to a `GnssConfigure`, as read back from it."""
 
-    request_id: int
+    request_id: Count
     source: Name
     accepted: bool
     navigation_period_s: float | None = None

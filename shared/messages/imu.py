@@ -1,8 +1,12 @@
 """What inertial measurement units say."""
 
+from typing import Annotated
+
 from pydantic import model_validator
 
-from .base import Message, Name, Nanoseconds, RawBytes, Vector3
+from .base import Message, Name, Nanoseconds, RawBytes, Vector3, unit
+
+FieldShare = Annotated[float, unit("calibration field")]
 
 
 class ImuRaw(RawBytes):
@@ -20,7 +24,7 @@ class ImuSamples(Message):
     saturated: bool = False
     temperature_k: float | None = None
     pressure_pa: float | None = None
-    magnetic_field_body: Vector3 | None = None  # of the last sample, in units of the calibration field
+    magnetic_field_body: tuple[FieldShare, FieldShare, FieldShare] | None = None  # of the last sample
 
     @model_validator(mode="after")
     def _equal_lengths(self) -> "ImuSamples":

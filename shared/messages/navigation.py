@@ -1,8 +1,12 @@
 """What the fusion core says, and the truth that only the simulator knows."""
 
 from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
 
 from .base import (
+    Count,
     Deviation,
     Deviation3,
     Height,
@@ -11,11 +15,17 @@ from .base import (
     Message,
     Name,
     Nanoseconds,
+    Ratio,
     Reason,
     Symmetric3,
     Vector3,
     Velocity3,
+    unit,
 )
+
+Innovation = Annotated[float, unit("of the kind: m, m/s, rad/s or rad")]
+Parameter = Annotated[float, unit("of the parameter: 1, rad, s or m")]
+Covariance = Annotated[float, unit("of its two states: 1, rad, m, m/s, m/s2, rad/s or s")]
 
 
 class NavigationPhase(StrEnum):
@@ -52,7 +62,7 @@ class NavigationSolution(Message):
     # Error beyond which the position is with probability `integrity_risk` only; absent in recordings of older units.
     protection_level_horizontal_m: Deviation | None = None
     protection_level_vertical_m: Deviation | None = None
-    integrity_risk: float | None = None
+    integrity_risk: Ratio | None = None
 
 
 class NavigationState(Message):
@@ -62,14 +72,14 @@ class NavigationState(Message):
     phase: NavigationPhase
     since_ns: Nanoseconds
     reason: Reason
-    fixes_used: int
-    fixes_rejected: int
-    samples_used: int
-    samples_rejected: int
-    imu_gaps: int
-    resets: int
-    epochs_repeated: int = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
-    measurements_late: int = 0  # used at their own time after newer ones of the same device
+    fixes_used: Count
+    fixes_rejected: Count
+    samples_used: Count
+    samples_rejected: Count
+    imu_gaps: Count
+    resets: Count
+    epochs_repeated: Count = 0  # by a receiver that tells one twice, or holds a value while the vehicle drives
+    measurements_late: Count = 0  # used at their own time after newer ones of the same device
     # by how much measurements are older than their stamps and the settings say, each with its standard deviation
     gnss_delay_s: float | None = None  # None unless `estimate_delays` is set and the filter runs
     gnss_delay_sd_s: float | None = None
@@ -78,6 +88,9 @@ class NavigationState(Message):
     odometer_delay_s: float | None = None
     odometer_delay_sd_s: float | None = None
     lever_arm_error_body_m: tuple[float, float] | None = None  # forward, right: true minus set, if that is wrong
+    # error up to which the position is of use, as configured; absent in recordings of older units
+    alert_limit_horizontal_m: Deviation | None = None
+    alert_limit_vertical_m: Deviation | None = None
 
 
 class AidingKind(StrEnum):
@@ -100,11 +113,11 @@ class AidingUpdate(Message):
     sampled_ns: Nanoseconds
     source: Name
     kind: AidingKind
-    innovation: tuple[float, ...]  # measured - predicted, in the unit of the kind (m, m/s, rad/s, rad)
-    innovation_sd: tuple[float, ...]
-    test_ratio: float  # normalised innovation squared over its limit: above 1 the gate rejects
+    innovation: tuple[Innovation, ...]  # measured - predicted
+    innovation_sd: tuple[Innovation, ...]
+    test_ratio: Ratio  # normalised innovation squared over its limit: above 1 the gate rejects
     used: bool
-    weight_ratio: float = (
+    weight_ratio: Ratio = (
         1.0  # less than 1 of one that was used although it is beyond the gate, 0 of one that was not used
     )
     reason: Reason | None = None
@@ -121,6 +134,31 @@ class LastPosition(Message):
     yaw_rad: float
     position_sd_ned_m: Deviation3
     yaw_sd_rad: Deviation
+
+
+class FilterState(Message):
+    """State and covariance of the navigation filter, from which a restarted core.fusion goes on.
+
+    Errors, their order and their units are those of the filter; only a filter of the same `fingerprint` reads them.
+    """
+
+    sampled_ns: Nanoseconds  # stamp of the inertial sample of this state
+    fingerprint: Name  # of the settings and of the layout of the state
+    imu: Name  # source of the inertial samples
+    quaternion_ned_from_body: tuple[Ratio, Ratio, Ratio, Ratio]  # w, x, y, z
+    velocity_ned_m_s: Velocity3
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    height_ellipsoid_m: Height
+    accelerometer_bias_m_s2: Vector3
+    gyroscope_bias_rad_s: Vector3
+    accelerometer_scale: tuple[Ratio, Ratio, Ratio]
+    gyroscope_scale: tuple[Ratio, Ratio, Ratio]
+    parameters: Annotated[tuple[Parameter, ...], Field(max_length=64)]  # of the sensors that aid the filter
+    specific_force_body_m_s2: Vector3  # of the sample, as measured
+    angular_rate_body_rad_s: Vector3
+    covariance: Annotated[tuple[Covariance, ...], Field(max_length=2048)]  # upper triangle, row by row
+    position_used_ns: Nanoseconds | None = None  # stamp of the last GNSS position that was used
 
 
 class TruthState(Message):

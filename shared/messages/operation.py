@@ -1,10 +1,13 @@
 """What the unit says of itself: mode, health, ages, outages, recording, origin."""
 
 from enum import StrEnum
+from typing import Annotated
 
 from pydantic import Field
 
-from .base import Message, Name, Nanoseconds, Reason
+from .base import Count, Message, Name, Nanoseconds, Ratio, Reason, unit
+
+Incarnation = Annotated[Nanoseconds, unit("ns")]  # start of a life of a process on the OBU time line
 
 
 class Mode(StrEnum):
@@ -46,13 +49,13 @@ class ProcessHealth(Message):
 
     process: Name
     state: ProcessState
-    incarnation: Nanoseconds  # start of this life on the OBU time line [ns]
+    incarnation: Incarnation
     sent_ns: Nanoseconds
-    messages_in: int = 0
-    messages_out: int = 0
-    dropped: int = 0  # forgotten by a full queue
+    messages_in: Count = 0
+    messages_out: Count = 0
+    dropped: Count = 0  # forgotten by a full queue
     rejects: dict[str, int] = Field(default_factory=dict)  # bad input by kind
-    reconnections: int = 0
+    reconnections: Count = 0
     cpu_s: float = 0.0
     rss_bytes: int = 0
     last_error: Reason | None = None
@@ -68,6 +71,26 @@ class Freshness(StrEnum):
     QUIET = "quiet"  # a topic without a rate
 
 
+class ProcessStatus(StrEnum):
+    """How `monitoring.health` judges a process, by its heartbeats, its last will and the topics that it publishes."""
+
+    READY = "ready"
+    LATE = "late"  # its heartbeat is overdue, but within the deadline
+    RESTARTING = "restarting"  # it runs again, but a topic that it published before is still silent
+    STALE = "stale"  # connected, but no heartbeat within the deadline
+    LOST = "lost"  # last will
+    ENDED = "ended"  # stopped on request
+    WAITING = "waiting"  # not seen yet, and the unit has just started
+    MISSING = "missing"  # should run in this vehicle, but was never seen
+    ABSENT = "absent"  # the vehicle's file does not ask for it
+    UNKNOWN = "unknown"  # the broker or `monitoring.health` is not available
+
+    @property
+    def down(self) -> bool:
+        """Whether the process does no work."""
+        return self in (ProcessStatus.STALE, ProcessStatus.LOST, ProcessStatus.ENDED, ProcessStatus.MISSING)
+
+
 class TopicAge(Message):
     """Rate, age and latency of one topic."""
 
@@ -75,37 +98,51 @@ class TopicAge(Message):
     freshness: Freshness
     age_s: float | None = None
     rate_hz: float
-    count: int
+    count: Count
     latency_p50_s: float | None = None  # from `received_ns` or `sampled_ns` to the observer
     latency_p99_s: float | None = None
-    cause: Reason | None = None  # the process or device behind the silence
+    cause: Reason | None = None  # root cause of its silence
 
 
 class ProcessAge(Message):
-    """How a process looks from outside."""
+    """Status, age of the last heartbeat and number of restarts of one process."""
 
     process: Name
-    state: ProcessState | None = None
-    silent: bool
+    status: ProcessStatus
     heartbeat_age_s: float | None = None
-    restarts: int
+    restarts: Count
+
+
+class Outage(Message):
+    """One root cause and what it silenced, from the last message before it until all of that was published again.
+
+    `what` and `since_ns` identify it: an outage that goes on soon after its end is published again without an end.
+    """
+
+    what: Name  # the root cause: a process, a topic whose device or producer is silent, or "broker"
+    since_ns: Nanoseconds
+    until_ns: Nanoseconds | None = None
+    cause: Reason
+    affected: tuple[Name, ...] = ()  # topics that it silenced
+
+
+class Problem(Message):
+    """Something that is wrong now: the root cause, what it means at the moment, and the topics that are silent."""
+
+    what: Name  # as in `Outage`
+    text: Reason
+    since_ns: Nanoseconds | None = None
+    affected: tuple[Name, ...] = ()
+    outage: Outage | None = None  # None if nothing is silent because of it
 
 
 class DeadlineReport(Message):
-    """Every topic and every process against its deadline."""
+    """Every topic and every process against its deadline, and the root cause of all that is wrong."""
 
     now_ns: Nanoseconds
     topics: tuple[TopicAge, ...]
     processes: tuple[ProcessAge, ...]
-
-
-class Outage(Message):
-    """Something that was silent: what, since when, and, once it is over, for how long."""
-
-    what: Name  # a topic, a process, or "broker"
-    since_ns: Nanoseconds
-    until_ns: Nanoseconds | None = None
-    cause: Reason
+    problems: tuple[Problem, ...] = ()
 
 
 class RecordingState(Message):
@@ -114,9 +151,9 @@ class RecordingState(Message):
     now_ns: Nanoseconds
     recording: bool
     file: Name | None = None
-    bytes_written: int
-    messages: int
-    dropped: int
+    bytes_written: Annotated[int, unit("bytes")]
+    messages: Count
+    dropped: Count
     free_bytes: int
     reason: Reason | None = None
 
@@ -135,8 +172,8 @@ class Origin(Message):
     now_ns: Nanoseconds
     kind: OriginKind
     name: Name  # scenario, recording or vehicle
-    seed: int | None = None
-    speed: float = 1.0
+    seed: Count | None = None
+    speed: Ratio = 1.0
 
 
 class Consumed(Message):
@@ -147,5 +184,5 @@ class Consumed(Message):
     """
 
     process: Name
-    incarnation: Nanoseconds
+    incarnation: Incarnation
     runs: tuple[tuple[str, str, int, int, int], ...]

@@ -3,24 +3,30 @@
 import difflib
 import os
 import tomllib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import ClassVar, Self, TypeVar
 from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ConfigError, UserError
-from ..processes import BY_NAME, PROCESSES
+from ..processes import BY_NAME, PROCESSES, Kind
 
 S = TypeVar("S", bound="Section")
 Table = dict[str, object]
 
 
 class Section(BaseModel):
-    """Settings of one process; a key that it does not know is an error."""
+    """Settings of one process, or a group of them; a key that it does not know is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    renamed: ClassVar[Mapping[str, str]] = {}  # keys of earlier versions: their present dotted keys
+
+    def with_values(self, values: Mapping[str, object]) -> Self:
+        """Return these settings with others in place of some; keys may be dotted, as in `gnss.delay_s`."""
+        return type(self).model_validate(with_values(self.model_dump(), values))
 
 
 class VehicleSection(Section):
@@ -66,8 +72,8 @@ class VehicleFile:
 
     @property
     def processes(self) -> tuple[str, ...]:
-        """Processes that run in this vehicle: the standing ones, and each extra one that has a section."""
-        return tuple(row.name for row in PROCESSES if not row.extra or row.name in self.tables)
+        """Processes that run in this vehicle: the standing ones, and each other one that has a section."""
+        return tuple(row.name for row in PROCESSES if row.kind is Kind.STANDING or row.name in self.tables)
 
     def section(self, name: str, kind: type[S]) -> S:
         """Read the settings of one process, or its defaults where the file is silent."""
@@ -77,14 +83,39 @@ class VehicleFile:
             raise ConfigError(f"{self.path}: {_explain(name, kind, error)}") from error
 
 
+def with_values(table: Mapping[str, object], values: Mapping[str, object]) -> Table:
+    """Copy a table with other values in it; a dotted key names a value of a table inside it."""
+    made = dict(table)
+    for key, value in values.items():
+        head, _, rest = key.partition(".")
+        inner = made.get(head)
+        made[head] = with_values(inner if isinstance(inner, dict) else {}, {rest: value}) if rest else value
+    return made
+
+
+def dotted_keys(kind: type[Section]) -> Iterator[str]:
+    """Name every setting of a section, those of its sections with a dot."""
+    for name, info in kind.model_fields.items():
+        if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
+            yield from (f"{name}.{key}" for key in dotted_keys(info.annotation))
+        else:
+            yield name
+
+
 def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
     """Say in one sentence what is wrong with the first bad key, and what may have been meant."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
+    keys = list(dotted_keys(kind))
+    moved = [known for known in keys if known.endswith(f".{key}")]
+    if key not in keys and (new := kind.renamed.get(key) or (moved[0] if len(moved) == 1 else None)):
+        group, _, name = new.rpartition(".")
+        return f"[{section}] has no setting {key!r}; it is {name!r} in [{section}.{group}] now"
     if first["type"] != "extra_forbidden":
         return f"[{section}] {key} = {first['input']!r}: {first['msg']}"
-    near = difflib.get_close_matches(key, kind.model_fields, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(sorted(kind.model_fields)) or 'none'}"
+    names = {known.rpartition(".")[2]: known for known in keys} | {known: known for known in keys}
+    near = difflib.get_close_matches(key, names, n=1) or difflib.get_close_matches(key.rpartition(".")[2], names, n=1)
+    hint = f"did you mean {names[near[0]]!r}?" if near else f"known keys: {', '.join(sorted(keys)) or 'none'}"
     return f"[{section}] has no setting {key!r}; {hint}"
 
 

@@ -5,7 +5,9 @@ import json
 import pkgutil
 import re
 import typing
+from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import jsonschema
 import pytest
@@ -14,23 +16,16 @@ from pydantic import BaseModel
 from cli import reference
 from shared import messages
 from shared.bus.contract import asyncapi
-from shared.messages.base import Message, RawBytes, Stamped, Tick
-from shared.messages.gnss import Satellite
-from shared.messages.operation import ProcessAge, TopicAge
-from shared.processes import BY_NAME, PROCESSES
-from shared.topics import TOPICS, subscriptions
+from shared.messages.base import Message, RawBytes, Sender, Stamped, Tick
+from shared.messages.gnss import GnssFix, GnssRaw, GnssSatellites
+from shared.processes import BY_NAME, PROCESSES, Kind, ProcessRow
+from shared.topics import TOPICS, Topic, contradictions, subscriptions
 
 ROOT = Path(__file__).parents[2]
+PRINTED = reference.printed(ROOT)
+Schema = dict[str, object]
 # The closed list of units that end a field's name; docs/reference/conventions.md explains each.
 UNITS = ("m", "m_s", "m_s2", "m2", "m2_s2", "rad", "rad_s", "rad2", "deg", "s", "ns", "hz", "k", "pa", "db_hz", "bytes")
-# Numbers without a unit, each with its reason in the message's own comment or docstring.
-UNITLESS = {
-    "integrity_risk",
-    "pdop", "hdop", "vdop", "test_ratio", "seed", "speed", "incarnation", "satellites_used", "number", "request_id",
-    "count", "restarts", "messages", "messages_in", "messages_out", "dropped", "reconnections", "fixes_used",
-    "fixes_rejected", "samples_used", "samples_rejected", "imu_gaps", "resets", "bytes_written", "innovation",
-    "innovation_sd", "weight_ratio", "magnetic_field_body", "epochs_repeated", "measurements_late",
-}  # fmt: skip
 
 
 def all_messages() -> list[type[Message]]:
@@ -48,24 +43,58 @@ def all_messages() -> list[type[Message]]:
     )
 
 
-def test_every_producer_and_consumer_is_a_process() -> None:
-    named = {name for topic in TOPICS for name in (*topic.producers, *topic.consumers)}
-    assert named <= set(BY_NAME)
+GOOD = ProcessRow("core.example", Kind.STANDING, "computes", consumes=("gnss/fix",), produces=("v2x/raw",))
+FIX, RAW = Topic("gnss/fix", GnssFix, "fixes"), Topic("v2x/raw", GnssRaw, "bytes")
+SOURCE = ProcessRow("parsers.gnss", Kind.STANDING, "reads", produces=("gnss/fix",))
 
 
-def test_a_topic_has_one_message_and_a_message_one_topic() -> None:
-    assert len({topic.message for topic in TOPICS}) == len({topic.name for topic in TOPICS}) == len(TOPICS)
+def test_tables_that_agree_have_no_contradiction_and_a_topic_may_hold_digits() -> None:
+    assert contradictions((SOURCE, GOOD), (FIX, RAW)) == []
+
+
+@pytest.mark.parametrize(
+    ("processes", "topics", "text"),
+    [
+        (
+            (SOURCE, replace(GOOD, consumes=("gnss/fixes",))),
+            (FIX, RAW),
+            "'gnss/fixes', which is no topic; did you mean",
+        ),
+        (
+            (SOURCE, replace(GOOD, produces=("v2x/raw", "toll/x"))),
+            (FIX, RAW),
+            "'toll/x', which is no topic; add its row",
+        ),
+        ((GOOD,), (FIX, RAW), "no process produces 'gnss/fix'"),
+        ((SOURCE, GOOD, GOOD), (FIX, RAW), "core.example stands in 2 rows"),
+        ((SOURCE, GOOD), (FIX, RAW, replace(RAW, message=GnssSatellites)), "v2x/raw stands in 2 rows"),
+        ((SOURCE, GOOD), (FIX, replace(RAW, message=GnssFix)), "GnssFix stands in 2 rows"),
+        ((SOURCE, replace(GOOD, consumes=("gnss/fix", "gnss/fix"))), (FIX, RAW), "names 'gnss/fix' 2 times"),
+        ((SOURCE, replace(GOOD, produces=("v2x/raw", "x/+"))), (FIX, RAW, replace(RAW, name="x/+")), "do not list it"),
+        ((SOURCE, replace(GOOD, observes_all=True)), (FIX, RAW), "leave `consumes` out"),
+        ((SOURCE, replace(GOOD, name="brain.example")), (FIX, RAW), "'brain.example' is not a layer"),
+        ((SOURCE, replace(GOOD, produces=("2x",))), (FIX, replace(RAW, name="2x")), "'2x' is not two lower-case nouns"),
+    ],
+)
+def test_a_row_that_contradicts_another_is_named_with_what_to_change(
+    processes: tuple[ProcessRow, ...], topics: tuple[Topic, ...], text: str
+) -> None:
+    assert [found for found in contradictions(processes, topics) if text in found]
+
+
+def test_what_every_process_produces_is_derived() -> None:
+    assert {topic.name for topic in TOPICS if topic.producers == tuple(BY_NAME)} == {"health/+", "consumed/+"}
 
 
 def test_every_message_travels_on_a_topic_or_inside_one_that_does() -> None:
     on_topics = {topic.message for topic in TOPICS}
-    inside = {Satellite, TopicAge, ProcessAge}
-    assert set(all_messages()) - on_topics - inside - {Message, RawBytes, Stamped, Tick} == set()
+    inside = {part for kind in on_topics for field in kind.model_fields.values() for part in parts(field.annotation)}
+    assert set(all_messages()) - on_topics - inside - {Message, RawBytes, Sender, Stamped, Tick} == set()
 
 
-def test_topic_names_are_two_lower_case_nouns() -> None:
-    for topic in TOPICS:
-        assert re.fullmatch(r"[a-z_]+/([a-z_]+|\+)", topic.name), topic.name
+def parts(annotation: object) -> set[object]:
+    """List the types that an annotation is made of."""
+    return {annotation}.union(*(parts(part) for part in typing.get_args(annotation)))
 
 
 def test_no_process_of_layers_two_to_four_hears_the_truth() -> None:
@@ -81,23 +110,28 @@ def test_states_are_retained_and_samples_are_not() -> None:
 
 
 @pytest.mark.parametrize("kind", all_messages(), ids=lambda kind: kind.__name__)
-def test_numbers_of_a_message_carry_their_unit_in_the_name(kind: type[BaseModel]) -> None:
-    for name, field in kind.model_fields.items():
-        if is_number(field.annotation) and name not in UNITLESS:
-            assert name.endswith(tuple(f"_{unit}" for unit in UNITS)), f"{kind.__name__}.{name}"
+def test_numbers_of_a_message_carry_their_unit_in_the_name_or_in_the_field(kind: type[BaseModel]) -> None:
+    for name, schema in kind.model_json_schema().get("properties", {}).items():
+        if is_number_without_unit(schema):
+            assert name.endswith(tuple(f"_{unit}" for unit in UNITS)), (
+                f"{kind.__name__}.{name}: end its name in one of {', '.join(UNITS)}, or make it `Count`, `Ratio` or "
+                "what `unit` of shared/messages/base.py makes of it"
+            )
 
 
-def is_number(annotation: object) -> bool:
-    inner = [part for part in typing.get_args(annotation) if part is not type(None)]
-    if annotation in (int, float):
-        return True
-    return bool(inner) and typing.get_origin(annotation) is not dict and all(is_number(p) or p is ... for p in inner)
+def is_number_without_unit(schema: Schema) -> bool:
+    if schema.get("type") in ("integer", "number"):
+        return "unit" not in schema
+    inner = [part for key in ("anyOf", "prefixItems") for part in cast("list[Schema]", schema.get(key, []))]
+    inner += [cast(Schema, schema["items"])] if "items" in schema else []
+    numbers = [is_number_without_unit(part) for part in inner if part.get("type") != "null"]
+    return bool(numbers) and all(numbers)
 
 
 def test_the_asyncapi_document_refers_only_to_what_it_holds() -> None:
     document = asyncapi()
     text = json.dumps(document)
-    for reference_path in set(re.findall(r'"#/(?!\$defs)([^"]+)"', text)):
+    for reference_path in set(re.findall(r'"#/([^"]+)"', text)):
         node: object = document
         for part in reference_path.split("/"):
             assert isinstance(node, dict) and part in node, reference_path
@@ -110,10 +144,9 @@ def test_every_json_message_has_a_valid_schema() -> None:
             jsonschema.Draft202012Validator.check_schema(topic.message.model_json_schema())
 
 
-@pytest.mark.parametrize("name", ["topics.md", "processes.md", "configuration.md", "asyncapi.json"])
-def test_the_printed_reference_is_what_the_code_says(name: str) -> None:
-    page = ROOT / "docs" / "reference" / name
-    assert page.read_text(encoding="utf-8") == reference.pages()[name], "print it anew with `make docs`"
+@pytest.mark.parametrize("path", PRINTED, ids=lambda path: path.name)
+def test_what_is_printed_is_what_the_code_says(path: Path) -> None:
+    assert path.read_text(encoding="utf-8") == PRINTED[path], "print it anew with `make docs`"
 
 
 @pytest.mark.parametrize("kind", all_messages(), ids=lambda kind: kind.__name__)

@@ -8,14 +8,16 @@ from typing import cast
 import pytest
 import yaml
 
-from shared.processes import PROCESSES, ProcessRow
+from shared.processes import PROCESSES, Kind, ProcessRow
+from shared.topics import hot_path
 
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEMD = ROOT / "deploy" / "systemd"
-HOT_PATH = ("parsers.gnss", "parsers.imu", "parsers.can", "core.fusion")  # and whatever sensors there are
+SIMULATED, VEHICLE = "docker-compose.yml", "deploy/compose.vehicle.yml"
 
 Service = dict[str, object]
-DEVICES = [row for row in PROCESSES if row.extra and row.name != "sensors.simulator"]
+DEVICES = [row for row in PROCESSES if row.kind is Kind.DEVICE_DRIVER]
+OPTIONAL = [row for row in PROCESSES if row.kind in (Kind.DEVICE_DRIVER, Kind.ROLE)]  # where a profile asks for them
 
 
 class ComposeLoader(yaml.SafeLoader):
@@ -32,38 +34,56 @@ def services_of(name: str) -> dict[str, Service]:
 
 @pytest.fixture(scope="module")
 def simulated() -> dict[str, Service]:
-    return services_of("docker-compose.yml")
+    return services_of(SIMULATED)
 
 
 @pytest.fixture(scope="module")
 def vehicle() -> dict[str, Service]:
-    return services_of("deploy/compose.vehicle.yml")
+    return services_of(VEHICLE)
 
 
 def container(row: ProcessRow) -> str:
     return row.name.replace(".", "-")
 
 
-def test_every_process_has_a_container_that_runs_it(simulated: dict[str, Service], vehicle: dict[str, Service]) -> None:
-    for row in PROCESSES:
-        service = vehicle[container(row)] if row in DEVICES else simulated[container(row)]
-        assert service["command"] == ["run", row.name]
+def entry(row: ProcessRow) -> str:
+    """Write the container of a process as it stands in its Compose file."""
+    anchor = "serial" if row in DEVICES else "hot-path" if row.name in hot_path() else "process"
+    profiles = [f"    profiles: [{row.short}]"] if row in OPTIONAL else []
+    return "\n".join([f"  {container(row)}:", f"    <<: *{anchor}", *profiles, f"    command: [run, {row.name}]"])
+
+
+@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+def test_every_process_has_a_container_that_runs_it(row: ProcessRow) -> None:
+    file = VEHICLE if row in DEVICES else SIMULATED
+    service = services_of(file).get(container(row), {})
+    found = (service.get("command"), service.get("profiles"))
+    wanted = (["run", row.name], [row.short] if row in OPTIONAL else None)
+    assert found == wanted, f"paste into the services of {file}:\n\n{entry(row)}\n"
+
+
+@pytest.mark.parametrize("row", [row for row in PROCESSES if row not in DEVICES], ids=lambda row: row.name)
+def test_containers_of_the_hot_path_get_the_processor_first(row: ProcessRow, simulated: dict[str, Service]) -> None:
+    first = "cpu_shares" in simulated.get(container(row), {})
+    assert first is (row.name in hot_path()), f"in {SIMULATED}, write it as\n\n{entry(row)}\n"
 
 
 def test_there_is_no_container_besides_them_but_the_broker(
     simulated: dict[str, Service], vehicle: dict[str, Service]
 ) -> None:
-    assert simulated.keys() | vehicle.keys() == {"broker", *map(container, PROCESSES)}
+    spare = (simulated.keys() | vehicle.keys()) - {"broker", *map(container, PROCESSES)}
+    assert not spare, f"no process of shared/processes.py runs in {spare}: remove it from {SIMULATED} and {VEHICLE}"
 
 
 def test_on_a_desk_no_container_needs_a_device(simulated: dict[str, Service]) -> None:
     assert not simulated.keys() & {container(row) for row in DEVICES}
 
 
-def test_in_a_vehicle_a_device_is_read_only_if_asked_for_and_nothing_is_simulated(vehicle: dict[str, Service]) -> None:
-    for row in DEVICES:
-        assert vehicle[container(row)]["profiles"] == [row.name.removeprefix("sensors.")]
-    assert vehicle["sensors-simulator"]["profiles"] == ["simulator"]
+def test_in_a_vehicle_nothing_is_simulated_unless_asked_for(vehicle: dict[str, Service]) -> None:
+    for row in PROCESSES:
+        if row.kind is Kind.SIMULATOR:
+            wanted = f"  {container(row)}:\n    profiles: [{row.short}]\n"
+            assert vehicle.get(container(row)) == {"profiles": [row.short]}, f"paste into {VEHICLE}:\n\n{wanted}"
 
 
 def test_no_container_may_more_than_it_must(simulated: dict[str, Service], vehicle: dict[str, Service]) -> None:
@@ -117,19 +137,36 @@ def test_the_image_is_not_run_by_root_and_is_built_from_what_the_repository_has(
 
 
 def test_the_target_wants_every_standing_process_and_no_other() -> None:
+    """The rest is enabled by install.sh where the vehicle's file has a section for it."""
     text = (SYSTEMD / "obu.target").read_text()
     wanted = [word for line in text.splitlines() if line.startswith("Wants=") for word in line[6:].split()]
     units = [word.removeprefix("obu@").removesuffix(".service") for word in wanted if word.startswith("obu@")]
-    assert units == [row.name for row in PROCESSES if not row.extra]
+    assert units == [row.name for row in PROCESSES if row.kind is Kind.STANDING], "print it anew with `make docs`"
     assert "obu-broker.service" in wanted
 
 
-def test_drop_ins_belong_to_processes_and_the_hot_path_goes_first() -> None:
+def drop_in(name: str, file: str) -> Path:
+    return SYSTEMD / f"obu@{name}.service.d" / file
+
+
+def test_drop_ins_belong_to_processes() -> None:
     names = {folder.name.removeprefix("obu@").removesuffix(".service.d") for folder in SYSTEMD.glob("obu@*.d")}
-    assert names <= {row.name for row in PROCESSES}
-    hot = {path.parent.name.removeprefix("obu@").removesuffix(".service.d") for path in SYSTEMD.rglob("hot-path.conf")}
-    assert hot == {*HOT_PATH, *(row.name for row in PROCESSES if row.layer == 1)}
-    assert len({path.read_text() for path in SYSTEMD.rglob("hot-path.conf")}) == 1
+    spare = names - {row.name for row in PROCESSES}
+    assert not spare, f"no process of shared/processes.py has the drop-ins of {spare} in deploy/systemd: remove them"
+
+
+@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+def test_the_hot_path_goes_first_and_drivers_reach_their_devices(row: ProcessRow) -> None:
+    hot, model = drop_in(row.name, "hot-path.conf"), drop_in("core.fusion", "hot-path.conf")
+    if row.name in hot_path():
+        to_do = f"mkdir -p '{hot.parent.relative_to(ROOT)}' && cp '{model.relative_to(ROOT)}' '{hot.relative_to(ROOT)}'"
+        assert hot.is_file() and hot.read_text() == model.read_text(), (
+            f"it is upstream of the solution, so run: {to_do}"
+        )
+    else:
+        assert not hot.exists(), f"it is not upstream of the solution: git rm '{hot.relative_to(ROOT)}'"
+    device = drop_in(row.name, "device.conf")
+    assert device.exists() or row not in DEVICES, f"write {device.relative_to(ROOT)} after that of sensors.gnss"
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")

@@ -18,9 +18,9 @@ from tests.support.status_server import Running
 WORDS = {"normal": "CAUTION", "stale": "NO DATA", "alarm": "CAUTION", "empty": "NO DATA"}
 SENTENCES = {
     "normal": "Position not monitored: this version has no integrity monitor that could vouch for it.",
-    "stale": "The position is out of date: core.fusion is silent.",
-    "alarm": "the filter refuses its GNSS velocity measurements",
-    "empty": "No position yet: core.fusion has not been heard of yet.",
+    "stale": "The position is stale: core.fusion is stale: connected, but without heartbeat",
+    "alarm": "the filter rejects its GNSS velocity measurements",
+    "empty": "No position yet: monitoring.health has not reported yet.",
 }
 FIRST_PAINT_BYTES, FIRST_PAINT_REQUESTS = 80_000, 15
 
@@ -115,6 +115,36 @@ def test_the_unsafe_state_is_shouted_once(units: dict[str, Running], open_page: 
     expect(page.get_by_role("alert")).to_have_text("UNSAFE. Position must not be used: GNSS and odometer disagree.")
     keep_picture(page, "unsafe")
     assert faults(page) == []
+
+
+def test_a_topic_between_neighbours_of_a_layer_is_a_line_below_them(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page("about:blank")
+
+    def connect(route: Any) -> None:
+        def pass_on(text: str) -> None:
+            frame = json.loads(text)
+            if frame["kind"] == "snapshot":
+                frame["contract"]["topics"]["imu/sample"]["consumers"].append("parsers.gnss")
+            route.send(json.dumps(frame))
+
+        route.connect_to_server().on_message(pass_on)
+
+    page.route_web_socket("**/ws", connect)
+    page.goto(f"{units['normal'].address}/#/system")
+    consumer = page.locator("[id='node-parsers.gnss']")
+    consumer.hover()
+    line = page.locator(".edges g.edge", has_text="imu/sample").locator("path")
+    expect(line).to_have_count(1)
+    keep_picture(page, "neighbours")
+    nodes = [consumer, *(page.locator(f"[id='node-{name}']") for name in ("parsers.imu", "sensors.simulator"))]
+    box, left, right, below = (locator.bounding_box() for locator in (line, *nodes))
+    assert box and left and right and below
+    assert left["y"] + left["height"] == pytest.approx(box["y"], abs=12), "it leaves at the lower edge"
+    assert box["y"] + box["height"] < below["y"] + 6, "it stays above the layer below"
+    assert left["x"] < box["x"] < left["x"] + left["width"]
+    assert right["x"] < box["x"] + box["width"] < right["x"] + right["width"]
 
 
 def test_a_narrow_window_and_large_text_do_not_scroll_sideways(

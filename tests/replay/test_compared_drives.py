@@ -64,7 +64,7 @@ def test_gnss_that_is_a_second_late_and_a_tilted_sensor_need_no_special_case(tmp
     found = solved(imported("balzer82_car", tmp_path, tmp_path))
     assert found["duration_s"] == pytest.approx(60.0, abs=0.1) and found["alignment_s"] < 10.0
     # The receiver smooths: its speed is 0.35 s older than its position, metres at the speed of this car. Measured were
-    # 64 refused fixes and one reset, and none of either without `gnss_lasting_errors`.
+    # 64 refused fixes and one reset, and none of either without `gnss.time_correlated_errors`.
     assert found["fixes_used"] > 450 and found["fixes_rejected"] < 100 and found["filter_resets"] <= 1
     assert found["innovation_horizontal_rms_m"] < 8.0
 
@@ -100,4 +100,4 @@ def test_a_mounting_is_estimated_and_makes_long_outages_far_better(tmp_path: Pat
     with (drive.parent / "solution-nhc-60-180@240" / "outages.csv").open(newline="") as file:
         assert [float(row["start_s"]) for row in csv.DictReader(file)] == [240.0, 420.0, 600.0, 780.0]
     report = (drive.parent / "solution-nhc-60-180@240" / "report.html").read_text()
-    assert "The speed was measured by no sensor" in report
+    assert "The speed is not measured" in report

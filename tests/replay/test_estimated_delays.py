@@ -38,7 +38,7 @@ def as_recorded(name: str, folder: Path, out: Path) -> Path:
 
 
 def last_state(drive: Path, until_s: float, **settings: object) -> NavigationState:
-    process = Process(Config.model_validate({"estimate_delays": True, **settings}))
+    process = Process(Config().with_values({"estimate_delays": True, **settings}))
     with Recording(drive) as recorded:
         messages = list(inputs_of(recorded).messages())
     states: list[NavigationState] = []
@@ -51,7 +51,7 @@ def last_state(drive: Path, until_s: float, **settings: object) -> NavigationSta
 
 def test_gnss_that_is_a_second_late_is_found_and_its_velocity_is_later_still(tmp_path: Path) -> None:
     drive = as_recorded("balzer82_car", recording("balzer82_car"), tmp_path)
-    found = last_state(drive, 110.0, gyroscope_bias_sd_rad_s=0.05, mounting_sd_rad=0.17)
+    found = last_state(drive, 110.0, **{"imu.gyroscope_bias_sd_rad_s": 0.05, "non_holonomic.mounting_sd_rad": 0.17})
     assert found.gnss_delay_s is not None and found.gnss_velocity_delay_s is not None
     assert found.gnss_delay_s + found.gnss_velocity_delay_s == pytest.approx(1.1, abs=0.12)
     assert 0.05 < found.gnss_velocity_delay_s < 0.45, "0.16 s were measured after 90 s, 0.39 s at the end"
@@ -59,6 +59,6 @@ def test_gnss_that_is_a_second_late_is_found_and_its_velocity_is_later_still(tmp
 
 def test_a_velocity_that_is_the_mean_of_its_epoch_is_half_an_epoch_old(tmp_path: Path) -> None:
     drive = as_recorded("rtkexp_drive", recording("rtkexp_drive"), tmp_path)
-    found = last_state(drive, 150.0, lever_arm_body_m=(0.0, -0.05, 0.0))
+    found = last_state(drive, 150.0, **{"gnss.lever_arm_body_m": (0.0, -0.05, 0.0)})
     assert found.gnss_velocity_delay_s == pytest.approx(0.125, abs=0.03)
     assert found.gnss_delay_s == pytest.approx(-0.09, abs=0.05), "the clock of the IMU drifts"

@@ -11,7 +11,7 @@ from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.batch import solve
 from services.core.fusion.measurements.base import Counts
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import GnssSettings, Settings
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import FloatArray, Geodetic, geodetic_from_ned_difference, ned_track
 
@@ -33,7 +33,7 @@ def drive_with(wrong: Wrong, scenario: str = "urban", seed: int = 3) -> Seen:
     drive = simulate(scenario, seed, DURATION_S)
     for k in np.flatnonzero((drive.fix_ns > BEGIN_S * 10**9) & (drive.fix_ns <= END_S * 10**9)).tolist():
         wrong(drive, k)
-    settings = Settings(lever_arm_body_m=drive.lever_arm_b)
+    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
     navigator = Navigator(settings)
     navigator.remember(saved_heading(drive, YAW_SD))
     readings, before, rows = np.hstack([drive.force_b, drive.rate_b]), Counts(), []

@@ -1,6 +1,6 @@
 """The navigator: inertial samples and fixes in, solutions out, with no bus and no messages.
 
-navigator = Navigator(Settings(lever_arm_body_m=(0.3, 0.0, -1.2)))
+navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=(0.3, 0.0, -1.2))))
 navigator.fix(t_ns, position=Geodetic(...), velocity=(...))
 navigator.imu(t_ns, force, rate)
 solution = navigator.solution()
@@ -19,6 +19,7 @@ from shared.maths.rotation import Vector
 from shared.messages.navigation import NavigationPhase
 
 from .alignment.heading import Prior
+from .alignment.warm_start import SavedState, fault, saved_state
 from .filter.imu_step import credible, usual
 from .filter.runner import Runner
 from .measurements import barometer, magnetometer
@@ -183,7 +184,7 @@ class Navigator:
 
         It is `exact` if it is that of both rear wheels, and its resolution [m/s] is the step in which it comes.
         """
-        if not self.settings.odometer or not self._devices.is_due(source, "speed", time_ns, SPEED_PERIOD_NS):
+        if not self.settings.odometer.enabled or not self._devices.is_due(source, "speed", time_ns, SPEED_PERIOD_NS):
             return
         arrival_ns = time_ns if received_ns is None else received_ns
         self.measure(WheelSpeed(time_ns, arrival_ns, source, speed, resolution, of_wheels, exact, self.settings))
@@ -192,7 +193,9 @@ class Navigator:
         self, time_ns: int, pressure_pa: float, *, received_ns: int | None = None, source: str = "barometer"
     ) -> None:
         """Take a static pressure [Pa] at a stamp; one a second is used."""
-        if not self.settings.barometer or not self._devices.is_due(source, "pressure", time_ns, barometer.PERIOD_NS):
+        if not self.settings.barometer.enabled or not self._devices.is_due(
+            source, "pressure", time_ns, barometer.PERIOD_NS
+        ):
             return
         if not barometer.LOWEST_PA <= pressure_pa <= barometer.HIGHEST_PA:
             self.rejects["pressure of no road"] += 1
@@ -205,10 +208,12 @@ class Navigator:
         self, time_ns: int, field_b: Vector, *, received_ns: int | None = None, source: str = "compass"
     ) -> None:
         """Take a magnetic field [body, 1 where it was calibrated] at a stamp; one a second is used."""
-        if not self.settings.compass or not self._devices.is_due(source, "field", time_ns, magnetometer.PERIOD_NS):
+        if not self.settings.magnetometer.enabled or not self._devices.is_due(
+            source, "field", time_ns, magnetometer.PERIOD_NS
+        ):
             return
         arrival_ns = time_ns if received_ns is None else received_ns
-        declination = self.settings.magnetic_declination_rad
+        declination = self.settings.magnetometer.declination_rad
         self.measure(magnetometer.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
 
     def leave(self, trail: Trail) -> None:
@@ -218,6 +223,20 @@ class Navigator:
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
         self._delayed.remember(prior)
+
+    def restore(self, saved: SavedState, time_ns: int) -> None:
+        """Go on from the state of an earlier process if it is sound and fresh at the stamp of the first sample."""
+        if reason := fault(saved, time_ns):
+            self.rejects[reason] += 1
+        else:
+            self._delayed.restore(saved)
+
+    def saved_state(self) -> SavedState | None:
+        """Take out what a later process can go on from; None while no filter runs."""
+        engine = self._delayed.engine
+        if engine.filter is None or engine.last is None:
+            return None
+        return saved_state(engine.filter, engine.last, engine.accepted_ns)
 
     @property
     def engine(self) -> Engine:

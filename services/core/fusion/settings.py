@@ -1,6 +1,8 @@
-"""Settings of the navigation filter; the defaults suit an MTi-630 in a car."""
+"""Settings of the navigation filter in sections; the defaults suit an MTi-630 in a car."""
 
+from collections.abc import Mapping
 from math import pi, radians
+from typing import ClassVar
 
 from pydantic import Field
 
@@ -12,147 +14,314 @@ _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet
 _CORRELATION_S = 200.0
 
 
-class Settings(Section):
-    """Lever arm, noise, start, gates and switches."""
+class ImuSettings(Section):
+    """Noise, biases and scale errors of the inertial sensors."""
+
+    angle_random_walk_rad_sqrt_s: float = Field(
+        default=1.222e-4, gt=0.0, description="angle random walk: root of the PSD of the gyroscopes' white noise"
+    )
+    velocity_random_walk_m_s_sqrt_s: float = Field(
+        default=5.884e-4, gt=0.0, description="velocity random walk: root of the PSD of the accelerometers' white noise"
+    )
+    vibration_factor: float = Field(
+        default=1.0, ge=0.0, description="share of the measured vibration of the samples that counts as white noise"
+    )
+    gyroscope_bias_psd_rad2_s3: float = Field(
+        default=2.0 * _GYROSCOPE_INSTABILITY**2 / _CORRELATION_S,
+        ge=0.0,
+        description="PSD of the white noise that drives the random walk of the gyroscope biases",
+    )
+    accelerometer_bias_psd_m2_s5: float = Field(
+        default=2.0 * _ACCELEROMETER_INSTABILITY**2 / _CORRELATION_S,
+        ge=0.0,
+        description="PSD of the white noise that drives the random walk of the accelerometer biases",
+    )
+    gyroscope_bias_sd_rad_s: float = Field(
+        default=radians(0.2), gt=0.0, description="standard deviation of the gyroscope biases at switch-on"
+    )
+    accelerometer_bias_sd_m_s2: float = Field(
+        default=0.03, gt=0.0, description="standard deviation of the accelerometer biases at switch-on"
+    )
+    gyroscope_scale_sd: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.1,
+        description="standard deviation of the scale error of each gyroscope at switch-on; 0: not estimated",
+    )
+    accelerometer_scale_sd: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.1,
+        description="standard deviation of the scale error of each accelerometer at switch-on; 0: not estimated",
+    )
+
+
+class GnssSettings(Section):
+    """Antenna, delays and error model of the GNSS receiver."""
 
     lever_arm_body_m: Vector3 = Field(
-        default=(0.0, 0.0, 0.0), description="from the IMU to the GNSS antenna: forward, right, down"
+        default=(0.0, 0.0, 0.0), description="lever arm from the IMU to the GNSS antenna: forward, right, down"
     )
-    gnss_delay_s: float = Field(
+    delay_s: float = Field(
         default=0.0,
         ge=-2.0,
         le=2.0,
-        description="how much older a fix is, on the clock of the IMU, than its stamp says",
+        description="age of a fix beyond what its stamp says, on the clock of the IMU",
     )
-    gnss_velocity_delay_s: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="how much older still its velocity is: some receivers smooth it"
+    velocity_delay_s: float = Field(
+        default=0.0,
+        ge=-1.0,
+        le=1.0,
+        description="age of the velocity beyond that of the position of the same fix: some receivers smooth it",
     )
-    gnss_time_sd_s: float = Field(
-        default=0.002, ge=0.0, le=1.0, description="error of the stamps, which at speed is an error of position"
+    time_sd_s: float = Field(
+        default=0.002,
+        ge=0.0,
+        le=1.0,
+        description="standard deviation of the stamps of fixes; times the speed it is an error of position",
     )
-    estimate_delays: bool = Field(
-        default=False,
-        description="estimate how much older GNSS, its velocity and the odometer are than the settings say",
+    position_only: bool = Field(default=False, description="do not use the velocity that the receiver measures")
+    coasting_after_s: float = Field(
+        default=3.0, gt=0.0, description="time without an accepted position after which the phase is `coasting`"
     )
-    merge_delay_s: float = Field(
-        default=0.2, ge=0.0, le=1.0, description="how long a measurement waits for what the bus may have delayed"
+    position_sd_ned_m: Vector3 = Field(
+        default=(2.5, 2.5, 5.0), description="standard deviation of positions, NED, of a receiver that states none"
     )
-    history_s: float = Field(default=2.5, ge=0.2, le=10.0, description="how late a measurement may be")
-    solution_period_s: float = Field(default=0.1, gt=0.0, le=10.0, description="between two solutions on the bus")
-    covariance_period_s: float = Field(default=0.05, gt=0.0, le=1.0, description="between two steps of the covariance")
-
-    angle_random_walk_rad_sqrt_s: float = Field(default=1.222e-4, gt=0.0, description="white noise of the gyroscope")
-    velocity_random_walk_m_s_sqrt_s: float = Field(
-        default=5.884e-4, gt=0.0, description="white noise of the accelerometer"
+    velocity_sd_ned_m_s: Vector3 = Field(
+        default=(0.2, 0.2, 0.4), description="standard deviation of velocities, NED, of a receiver that states none"
     )
-    vibration_factor: float = Field(
-        default=1.0, ge=0.0, description="share of the measured shaking of samples that counts as white noise"
+    position_sd_floor_m: float = Field(
+        default=0.01, gt=0.0, description="least standard deviation of a position, whatever the receiver states"
     )
-    gyroscope_bias_psd_rad2_s3: float = Field(
-        default=2.0 * _GYROSCOPE_INSTABILITY**2 / _CORRELATION_S, ge=0.0, description="how the bias wanders"
+    velocity_sd_floor_m_s: float = Field(
+        default=0.03, gt=0.0, description="least standard deviation of a velocity, whatever the receiver states"
     )
-    accelerometer_bias_psd_m2_s5: float = Field(
-        default=2.0 * _ACCELEROMETER_INSTABILITY**2 / _CORRELATION_S, ge=0.0, description="how the bias wanders"
+    position_sd_factor: float = Field(
+        default=1.0, gt=0.0, description="factor on the standard deviation that the receiver states of positions"
     )
-    gyroscope_bias_sd_rad_s: float = Field(default=radians(0.2), gt=0.0, description="of the bias at switch-on")
-    accelerometer_bias_sd_m_s2: float = Field(default=0.03, gt=0.0, description="of the bias at switch-on")
-    gyroscope_scale_sd: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="of the scale of each axis at switch-on; 0: it is not estimated"
-    )
-    accelerometer_scale_sd: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="of the scale of each axis at switch-on; 0: it is not estimated"
-    )
-
-    levelling_s: float = Field(
-        default=15.0, ge=1.0, description="standstill for levelling; a vehicle that drives off is not waited for"
-    )
-    course_speed_m_s: float = Field(default=2.0, gt=0.0, description="above it a velocity gives the heading")
-    course_yaw_sd_rad: float = Field(
-        default=radians(5.0), gt=0.0, description="of heading against course: sideslip and mounting"
-    )
-    coasting_after_s: float = Field(default=3.0, gt=0.0, description="without an accepted position")
-
-    position_only: bool = Field(default=False, description="leave the receiver's velocity unused")
-    zero_velocity: bool = Field(default=True, description="aid the filter at standstill")
-    odometer: bool = Field(default=True, description="aid the filter by the speed of the wheels")
-    non_holonomic: bool = Field(default=True, description="wheels neither slide sideways nor leave the road")
-    rear_axle_body_m: Vector3 | None = Field(
-        default=None,
-        description="from the IMU to the middle of the rear axle; unknown, the wheels are trusted less in bends",
-    )
-    odometer_sd_m_s: float = Field(default=0.05, gt=0.0, description="of a speed, apart from its resolution")
-    odometer_scale_sd: float = Field(default=0.02, gt=0.0, description="of the scale at switch-on, which is estimated")
-    non_holonomic_sd_m_s: float = Field(default=0.05, gt=0.0, description="of sideways speed, apart from slip in bends")
-    non_holonomic_vertical_sd_m_s: float = Field(
-        default=0.1, gt=0.0, description="of vertical speed: on its springs a body pitches and heaves"
-    )
-    mounting_sd_rad: float = Field(
-        default=radians(3.0), gt=0.0, description="of the IMU against the vehicle: pitch and yaw, which are estimated"
-    )
-    barometer: bool = Field(default=True, description="aid the filter by the pressure, if the IMU tells it")
-    barometer_sd_m: float = Field(default=0.5, gt=0.0, description="of barometric height, apart from its offset")
-    barometer_walk_m_sqrt_s: float = Field(default=0.1, gt=0.0, description="how its offset wanders: weather, windows")
-    baseline_yaw_body_rad: float = Field(
-        default=0.0, ge=-pi, le=pi, description="direction from the first to the second antenna, clockwise from forward"
-    )
-    compass: bool = Field(
-        default=False, description="aid the filter by the magnetometer as far as it agrees with headings that are known"
-    )
-    magnetic_declination_rad: float = Field(
-        default=0.0, ge=-pi, le=pi, description="of magnetic north from true north, positive to the east"
-    )
-    gnss_position_sd_m: Vector3 = Field(default=(2.5, 2.5, 5.0), description="NED, of a receiver that states none")
-    gnss_velocity_sd_m_s: Vector3 = Field(default=(0.2, 0.2, 0.4), description="NED, of a receiver that states none")
-    gnss_position_sd_floor_m: float = Field(default=0.01, gt=0.0, description="least that is believed of a receiver")
-    gnss_velocity_sd_floor_m_s: float = Field(default=0.03, gt=0.0, description="least that is believed of a receiver")
-    gnss_sd_factor: float = Field(
-        default=1.0, gt=0.0, description="on what a receiver states of positions, against correlated errors"
-    )
-    gnss_lasting_errors: bool = Field(
+    time_correlated_errors: bool = Field(
         default=True,
-        description="estimate the part of GNSS position errors that lasts, where corrections leave more than 0.1 m",
+        description="estimate the time-correlated part of position errors where the receiver states more than 0.1 m",
     )
-    gnss_error_correlation_s: float | None = Field(
+    correlation_time_s: float | None = Field(
         default=None,
         ge=0.1,
         le=1e6,
-        description="correlation time of that part, if it is known, as from an Allan plot; learned if not given",
+        description="correlation time of that part if it is known, as from an Allan plot; estimated if not given",
     )
-    gnss_error_white_share: float = Field(
-        default=0.01, ge=1e-6, lt=1.0, description="of the variance, where that time is given; the rest lasts"
+    white_noise_share: float = Field(
+        default=0.01,
+        ge=1e-6,
+        lt=1.0,
+        description="share of white noise in the variance of positions, used where `correlation_time_s` is given",
     )
-    gnss_error_from_zero: bool = Field(
+    zero_error_at_start: bool = Field(
         default=False,
-        description="at the first fix nothing lasts yet: it is a known point, or positions count from there",
+        description="the time-correlated error is zero at the first fix: the start is a known point or the origin",
     )
-    gate_false_alarm: float = Field(
-        default=0.001, gt=0.0, lt=0.5, description="probability with which a good measurement is refused"
+
+
+class OdometerSettings(Section):
+    """Speed of the wheels."""
+
+    enabled: bool = Field(default=True, description="aid the filter by the speed of the wheels")
+    speed_sd_m_s: float = Field(
+        default=0.05, gt=0.0, description="standard deviation of a wheel speed, apart from its resolution"
+    )
+    scale_sd: float = Field(
+        default=0.02, gt=0.0, description="standard deviation of the scale error at switch-on, which is estimated"
+    )
+
+
+class NonHolonomicSettings(Section):
+    """Non-holonomic constraint (NHC): the rear axle moves neither sideways nor vertically."""
+
+    enabled: bool = Field(default=True, description="aid the filter by the non-holonomic constraint")
+    lateral_sd_m_s: float = Field(
+        default=0.05, gt=0.0, description="standard deviation of the lateral speed, apart from slip in bends"
+    )
+    vertical_sd_m_s: float = Field(
+        default=0.1,
+        gt=0.0,
+        description="standard deviation of the vertical speed: a body on springs pitches and heaves",
+    )
+    mounting_sd_rad: float = Field(
+        default=radians(3.0),
+        gt=0.0,
+        description="standard deviation of the mounting angles (pitch and yaw of the IMU in the vehicle), "
+        "which are estimated",
+    )
+    rear_axle_body_m: Vector3 | None = Field(
+        default=None,
+        description="lever arm from the IMU to the middle of the rear axle; if not given, the constraint and the wheel "
+        "speed are weighted less in bends",
+    )
+
+
+class StandstillSettings(Section):
+    """Zero-velocity and zero-angular-rate updates (ZUPT, ZARU)."""
+
+    enabled: bool = Field(default=True, description="aid the filter by zero velocity and zero rate at standstill")
+
+
+class BarometerSettings(Section):
+    """Height from the air pressure that some IMUs measure."""
+
+    enabled: bool = Field(default=True, description="aid the filter by the barometric height, if the IMU measures it")
+    height_sd_m: float = Field(
+        default=0.5, gt=0.0, description="standard deviation of the barometric height, apart from its offset"
+    )
+    offset_random_walk_m_sqrt_s: float = Field(
+        default=0.1, gt=0.0, description="random walk of the offset of the barometric height: weather, windows"
+    )
+
+
+class MagnetometerSettings(Section):
+    """Heading from the magnetic field."""
+
+    enabled: bool = Field(
+        default=False, description="aid the filter by the magnetic heading where it has agreed with known headings"
+    )
+    declination_rad: float = Field(
+        default=0.0, ge=-pi, le=pi, description="declination of magnetic north from true north, positive to the east"
+    )
+
+
+class DualAntennaSettings(Section):
+    """Heading from the baseline between two GNSS antennas."""
+
+    baseline_yaw_body_rad: float = Field(
+        default=0.0,
+        ge=-pi,
+        le=pi,
+        description="direction from the first to the second antenna in body axes, clockwise from forward",
+    )
+
+
+class AlignmentSettings(Section):
+    """Start of the filter: levelling and heading."""
+
+    levelling_s: float = Field(
+        default=15.0, ge=1.0, description="longest standstill that levelling uses; it ends early when the vehicle moves"
+    )
+    course_speed_m_s: float = Field(
+        default=2.0, gt=0.0, description="speed above which the course over ground gives the heading"
+    )
+    course_yaw_sd_rad: float = Field(
+        default=radians(5.0),
+        gt=0.0,
+        description="standard deviation of the heading against the course over ground: sideslip and mounting",
+    )
+
+
+class GatingSettings(Section):
+    """Acceptance of measurements by the normalised innovation squared (NIS), and faults of GNSS."""
+
+    false_alarm_probability: float = Field(
+        default=0.001, gt=0.0, lt=0.5, description="probability that the chi-square gate rejects a valid measurement"
     )
     robust_limit: float = Field(
         default=2.0,
         ge=1.0,
-        description="times the gate, in d²: up to it GNSS is used with less weight",
+        description="multiple of the gate's NIS up to which a GNSS measurement is still used, with less weight",
     )
     fault_after_s: float = Field(
-        default=2.0,
+        default=2.0, ge=0.0, description="time of continued rejection after which GNSS is excluded as faulty"
+    )
+    readmission_s: float = Field(
+        default=1.0,
         ge=0.0,
-        description="GNSS that is refused for so long is at fault and has to prove itself",
+        description="time for which all measurements of an excluded receiver must pass the gate before it is used "
+        "again; doubled by each further fault",
     )
-    healthy_s: float = Field(
-        default=1.0, ge=0.0, description="how long all that it says must agree again; doubled by each further fault"
+    readmission_max_s: float = Field(default=8.0, ge=0.0, description="upper limit of the time until readmission")
+    reset_after_rejections: int = Field(
+        default=10, ge=1, description="number of successive rejected positions that a reset of the filter requires"
     )
-    healthy_max_s: float = Field(default=8.0, ge=0.0, description="longest time of that kind")
-    reset_after_rejections: int = Field(default=10, ge=1, description="successive refused positions, and")
-    reset_after_s: float = Field(default=5.0, ge=0.0, description="so long without an accepted one, begin again")
-    integrity_risk: float = Field(
-        default=1e-3, ge=1e-9, le=0.1, description="probability with which the error is beyond a protection level"
+    reset_after_s: float = Field(
+        default=5.0, ge=0.0, description="time without an accepted position that a reset of the filter requires"
+    )
+
+
+class IntegritySettings(Section):
+    """Protection levels and the limits that reports compare them with."""
+
+    risk: float = Field(
+        default=1e-3, ge=1e-9, le=0.1, description="probability that the position error exceeds a protection level"
     )
     alert_limit_horizontal_m: float = Field(
-        default=10.0, gt=0.0, description="horizontal error up to which a position is of use; reports judge by it"
+        default=10.0, gt=0.0, description="largest horizontal error with which a position is usable; used by reports"
     )
-    alert_limit_vertical_m: float = Field(default=20.0, gt=0.0, description="the same of the height")
+    alert_limit_vertical_m: float = Field(
+        default=20.0, gt=0.0, description="largest vertical error with which a position is usable; used by reports"
+    )
+
+
+class Settings(Section):
+    """Settings of the filter as a whole, and one section for each sensor or function."""
+
+    solution_period_s: float = Field(default=0.1, gt=0.0, le=10.0, description="time between two published solutions")
+    covariance_period_s: float = Field(
+        default=0.05, gt=0.0, le=1.0, description="longest time between two propagations of the covariance"
+    )
+    merge_delay_s: float = Field(
+        default=0.2,
+        ge=0.0,
+        le=1.0,
+        description="time for which a measurement is held back so that delayed samples and measurements overtake it",
+    )
+    history_s: float = Field(
+        default=2.5, ge=0.2, le=10.0, description="largest age at which an out-of-sequence measurement is still used"
+    )
+    estimate_delays: bool = Field(
+        default=False,
+        description="estimate the delays of GNSS position, GNSS velocity and odometer beyond those of the settings",
+    )
     machine_code: bool = Field(
         default=False,
         description="compile what runs for every sample, where Numba is installed: a third of the time without wheels, "
         "two thirds with them, 50 MB more memory, and results that agree to 1e-9 but not to the byte",
     )
+    imu: ImuSettings = ImuSettings()
+    gnss: GnssSettings = GnssSettings()
+    odometer: OdometerSettings = OdometerSettings()
+    non_holonomic: NonHolonomicSettings = NonHolonomicSettings()
+    standstill: StandstillSettings = StandstillSettings()
+    barometer: BarometerSettings = BarometerSettings()
+    magnetometer: MagnetometerSettings = MagnetometerSettings()
+    dual_antenna: DualAntennaSettings = DualAntennaSettings()
+    alignment: AlignmentSettings = AlignmentSettings()
+    gating: GatingSettings = GatingSettings()
+    integrity: IntegritySettings = IntegritySettings()
+
+    # Keys of vehicle files of earlier versions that have another name now.
+    renamed: ClassVar[Mapping[str, str]] = {
+        "gnss_delay_s": "gnss.delay_s",
+        "gnss_velocity_delay_s": "gnss.velocity_delay_s",
+        "gnss_time_sd_s": "gnss.time_sd_s",
+        "gnss_position_sd_m": "gnss.position_sd_ned_m",
+        "gnss_velocity_sd_m_s": "gnss.velocity_sd_ned_m_s",
+        "gnss_position_sd_floor_m": "gnss.position_sd_floor_m",
+        "gnss_velocity_sd_floor_m_s": "gnss.velocity_sd_floor_m_s",
+        "gnss_sd_factor": "gnss.position_sd_factor",
+        "gnss_lasting_errors": "gnss.time_correlated_errors",
+        "gnss_error_correlation_s": "gnss.correlation_time_s",
+        "gnss_error_white_share": "gnss.white_noise_share",
+        "gnss_error_from_zero": "gnss.zero_error_at_start",
+        "odometer": "odometer.enabled",
+        "odometer_sd_m_s": "odometer.speed_sd_m_s",
+        "odometer_scale_sd": "odometer.scale_sd",
+        "non_holonomic": "non_holonomic.enabled",
+        "non_holonomic_sd_m_s": "non_holonomic.lateral_sd_m_s",
+        "non_holonomic_vertical_sd_m_s": "non_holonomic.vertical_sd_m_s",
+        "zero_velocity": "standstill.enabled",
+        "barometer": "barometer.enabled",
+        "barometer_sd_m": "barometer.height_sd_m",
+        "barometer_walk_m_sqrt_s": "barometer.offset_random_walk_m_sqrt_s",
+        "compass": "magnetometer.enabled",
+        "magnetic_declination_rad": "magnetometer.declination_rad",
+        "gate_false_alarm": "gating.false_alarm_probability",
+        "healthy_s": "gating.readmission_s",
+        "healthy_max_s": "gating.readmission_max_s",
+        "integrity_risk": "integrity.risk",
+    }

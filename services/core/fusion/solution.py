@@ -72,8 +72,8 @@ class Bounds:
                 velocity,
                 time_ns,
                 watch,
-                risk=self._settings.integrity_risk,
-                time_sd_s=self._settings.gnss_time_sd_s,
+                risk=self._settings.integrity.risk,
+                time_sd_s=self._settings.gnss.time_sd_s,
             )
             self._spread = Spread(levels, covariances, (_upper(rows[0]), _upper(rows[1]), _upper(rows[2])))
             self._made_of = P, watch

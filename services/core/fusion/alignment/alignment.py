@@ -78,7 +78,7 @@ class Alignment:
             Levelling(settings, lost.inertial.quaternion, lost.gyroscope_bias) if lost and kept else Levelling(settings)
         )
         self.comparison = Comparison()
-        self._from_zero = first and settings.gnss_error_from_zero
+        self._from_zero = first and settings.gnss.zero_error_at_start
         self._zero_ns: int | None = None  # stamp of a fix without lasting error
         self._has_velocity = False
         self._motion: Motion | None = None
@@ -110,11 +110,11 @@ class Alignment:
         """The same in words."""
         match self.phase:
             case NavigationPhase.LEVELLING:
-                return f"levelling, up to {self._settings.levelling_s:g} s at rest"
+                return f"levelling, up to {self._settings.alignment.levelling_s:g} s at rest"
             case NavigationPhase.WAITING_FOR_GNSS:
                 return "level, no position yet"
             case _:
-                return f"no heading yet: drive at more than {self._settings.course_speed_m_s:g} m/s"
+                return f"no heading yet: drive at more than {self._settings.alignment.course_speed_m_s:g} m/s"
 
     def see_velocity(self, seen: GnssVelocity) -> None:
         """Take a velocity in, and the heading that it gives."""
@@ -174,7 +174,7 @@ class Alignment:
     def _follow(self, fix: GnssPosition) -> None:
         """Follow the track, and for want of a velocity tell the levelling of a motion that it shows."""
         level, now_ns = self.levelling, fix.time_ns
-        x, y, _ = rotate(level.quaternion, self._settings.lever_arm_body_m)
+        x, y, _ = rotate(level.quaternion, self._settings.gnss.lever_arm_body_m)
         recent = (point for point in self._track if now_ns - TRACK_S * 1e9 <= point.fix.time_ns < now_ns)
         self._track = (*tuple(recent)[-99:], Point(fix, level.ahead, level.way, complex(x, y)))
         if self._has_velocity:
@@ -191,7 +191,7 @@ class Alignment:
 
     def _swing(self) -> Vector:
         """Velocity of the antenna against the IMU [m/s, level frame]."""
-        x, y, z = np.cross(self.levelling.rate, self._settings.lever_arm_body_m).tolist()
+        x, y, z = np.cross(self.levelling.rate, self._settings.gnss.lever_arm_body_m).tolist()
         return rotate(self.levelling.quaternion, (x, y, z))
 
     def _move_without_velocity(self, fix: GnssPosition) -> None:
@@ -204,7 +204,7 @@ class Alignment:
     def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
         """Make the filter at the instant of the fix."""
         self.how, self.comparison = heading.how, self.comparison.turned(heading.turn).interrupted()
-        settings, arm = self._settings, self._settings.lever_arm_body_m
+        settings, arm = self._settings, self._settings.gnss.lever_arm_body_m
         north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
         quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
         arm_n = rotate(quaternion, arm)
@@ -247,29 +247,29 @@ class Alignment:
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weigh the fixes of a rest, or take the one fix of a vehicle that drives."""
         rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
-        colour = self._lost.colour.at_start() if self._lost else _told(self._settings)
+        colour = self._lost.colour.at_start() if self._lost else gnss_error_model(self._settings)
         return first_place(rest or [fix], colour, self._zero_ns)
 
     def _scales_cov(self) -> FloatArray:
         if self._lost is not None:
             return self._lost.P[em.SCALES, em.SCALES]
-        sd = self._settings.accelerometer_scale_sd, self._settings.gyroscope_scale_sd
+        sd = self._settings.imu.accelerometer_scale_sd, self._settings.imu.gyroscope_scale_sd
         return np.diag(np.repeat(np.square(sd), 3))
 
     def _parameters_cov(self) -> FloatArray:
         if self._lost is not None:
             return self._lost.P[em.PARAMETERS, em.PARAMETERS]
         sd = np.zeros(em.SIZE)
-        sd[em.ODOMETER_SCALE] = self._settings.odometer_scale_sd
-        sd[em.MOUNTING] = self._settings.mounting_sd_rad
-        sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer else 0.0
+        sd[em.ODOMETER_SCALE] = self._settings.odometer.scale_sd
+        sd[em.MOUNTING] = self._settings.non_holonomic.mounting_sd_rad
+        sd[em.BAROMETER_OFFSET] = UNKNOWN_OFFSET_SD if self._settings.barometer.enabled else 0.0
         sd[em.DELAYS] = DELAY_SD if self._settings.estimate_delays else 0.0
         return np.diag(np.square(sd[em.PARAMETERS]))
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:
         if self._lost is not None:
             return self._lost.accelerometer_bias, self._lost.P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS]
-        return (0.0, 0.0, 0.0), np.eye(3) * self._settings.accelerometer_bias_sd_m_s2**2
+        return (0.0, 0.0, 0.0), np.eye(3) * self._settings.imu.accelerometer_bias_sd_m_s2**2
 
     def _gyroscope_bias(self, north_from_level: Quaternion, latitude: float) -> tuple[Vector, FloatArray]:
         at_rest = self.levelling.quaternion_at_rest
@@ -279,13 +279,13 @@ class Alignment:
             return bias, np.eye(3) * REST_RATE_SD**2
         if self._lost is not None:
             return self._lost.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
-        return self.levelling.rate_bias, np.eye(3) * self._settings.gyroscope_bias_sd_rad_s**2
+        return self.levelling.rate_bias, np.eye(3) * self._settings.imu.gyroscope_bias_sd_rad_s**2
 
 
-def _told(settings: Settings) -> Colour | Told:
-    """Run of GNSS errors before any fix: as the settings say, or still unknown."""
-    correlation_s = settings.gnss_error_correlation_s
-    return Told(correlation_s, 1.0 - settings.gnss_error_white_share) if correlation_s else UNKNOWN
+def gnss_error_model(settings: Settings) -> Colour | Told:
+    """Make the model of GNSS errors before any fix: as the settings say, or unknown."""
+    correlation_s = settings.gnss.correlation_time_s
+    return Told(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
 
 
 def _tilt_by_bias(ned_from_body: FloatArray) -> FloatArray:

@@ -76,7 +76,7 @@ def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) 
     """
     north, east, _ = motion.velocity
     speed, course = hypot(north, east), atan2(east, north)
-    if speed < settings.course_speed_m_s:
+    if speed < settings.alignment.course_speed_m_s:
         return None
     noise = max(motion.sd[0], motion.sd[1]) / speed
     gained_x, gained_y = levelling.velocity[0] + motion.swing[0], levelling.velocity[1] + motion.swing[1]
@@ -87,7 +87,7 @@ def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) 
     yaw = levelling.yaw
     sideways = motion.swing[1] * cos(yaw) - motion.swing[0] * sin(yaw)
     turn = wrap_angle(course - atan2(sideways, speed) - yaw)
-    return Heading(turn, hypot(noise, settings.course_yaw_sd_rad), COURSE)
+    return Heading(turn, hypot(noise, settings.alignment.course_yaw_sd_rad), COURSE)
 
 
 def heading_of_accelerations(comparison: Comparison) -> Heading | None:

@@ -125,7 +125,7 @@ class Levelling:
         self._fast_s = 0.0
         self._rest = _Rest()
         self._block = _Block()
-        self._levelling_s = settings.levelling_s
+        self._levelling_s = settings.alignment.levelling_s
 
     def fork(self) -> "Levelling":
         """Copy that goes its own way."""

@@ -86,7 +86,11 @@ def moved_m_s(points: Sequence[Point]) -> float:
 def _after_rest(points: Sequence[Point], levelling: Levelling, settings: Settings) -> tuple[Motion, Heading] | None:
     fit = _fit(points, [point.way + point.arm for point in points])
     gained = complex(*levelling.velocity)
-    if fit is None or not GAIN[0] < abs(fit.w) < GAIN[1] or not settings.course_speed_m_s <= abs(gained) < FASTEST_M_S:
+    if (
+        fit is None
+        or not GAIN[0] < abs(fit.w) < GAIN[1]
+        or not settings.alignment.course_speed_m_s <= abs(gained) < FASTEST_M_S
+    ):
         return None
     turn, drift = phase(fit.w), MATCH_ACCELERATION_SD * levelling.moving_s
     turn_sd = hypot(fit.turn_sd, drift / abs(gained))
@@ -97,12 +101,14 @@ def _after_rest(points: Sequence[Point], levelling: Levelling, settings: Setting
 def _forwards(points: Sequence[Point], levelling: Levelling, settings: Settings) -> tuple[Motion, Heading] | None:
     rough = _fit(points, [point.ahead for point in points])
     fit = rough and _fit(points, [abs(rough.w) * point.ahead + point.arm for point in points])
-    if rough is None or fit is None or not settings.course_speed_m_s <= abs(rough.w) < FASTEST_M_S:
+    if rough is None or fit is None or not settings.alignment.course_speed_m_s <= abs(rough.w) < FASTEST_M_S:
         return None
     turn, span_s = phase(fit.w), (points[-1].fix.time_ns - points[0].fix.time_ns) * 1e-9
     sd = sqrt(2.0) * fit.position_sd / span_s + 0.5 * span_s  # of an acceleration of 1 m/s²
     velocity = rect(abs(rough.w), levelling.yaw + turn)
-    return _motion(points, velocity, sd), Heading(turn, hypot(fit.turn_sd, settings.course_yaw_sd_rad), COURSE)
+    return _motion(points, velocity, sd), Heading(
+        turn, hypot(fit.turn_sd, settings.alignment.course_yaw_sd_rad), COURSE
+    )
 
 
 def _fit(points: Sequence[Point], ways: Sequence[complex]) -> Fit | None:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic
+from shared.maths.kalman import Correction
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
 from ..measurements.gnss_error_model import UNKNOWN, Colour, Told
@@ -15,7 +16,7 @@ from ..settings import Settings
 from ..smoothing.history import Trail
 from . import error_model as em
 from .imu_step import NO_SUMS, STEADY, SWAY_S, Shaking, means, take_sample
-from .kalman import Correction, resized, variances
+from .kalman import resized, variances
 from .propagation import EARLY_S, NEVER, PLAIN, Arithmetic, Beside, Departure, Moment, sound, unsoundness
 from .strapdown import InertialState, motion_of, without
 
@@ -78,14 +79,17 @@ class ErrorStateFilter:
         self._shaking: Shaking = STEADY  # of samples: power spectral densities, and what is left of acceleration
         self._sums = NO_SUMS  # since the covariance was brought up
         self._walks = em.noise_density(
-            (em.ATTITUDE, settings.angle_random_walk_rad_sqrt_s**2),
-            (em.VELOCITY, settings.velocity_random_walk_m_s_sqrt_s**2),
-            (em.ACCELEROMETER_BIAS, settings.accelerometer_bias_psd_m2_s5),
-            (em.GYROSCOPE_BIAS, settings.gyroscope_bias_psd_rad2_s3),
+            (em.ATTITUDE, settings.imu.angle_random_walk_rad_sqrt_s**2),
+            (em.VELOCITY, settings.imu.velocity_random_walk_m_s_sqrt_s**2),
+            (em.ACCELEROMETER_BIAS, settings.imu.accelerometer_bias_psd_m2_s5),
+            (em.GYROSCOPE_BIAS, settings.imu.gyroscope_bias_psd_rad2_s3),
             (em.ODOMETER_SCALE, SCALE_PSD),
             (em.MOUNTING, MOUNTING_PSD),
             (em.DELAYS, DELAY_PSD if settings.estimate_delays else 0.0),
-            (em.BAROMETER_OFFSET, settings.barometer_walk_m_sqrt_s**2 if settings.barometer else 0.0),
+            (
+                em.BAROMETER_OFFSET,
+                settings.barometer.offset_random_walk_m_sqrt_s**2 if settings.barometer.enabled else 0.0,
+            ),
         )
 
     def fork(self) -> "ErrorStateFilter":
@@ -172,7 +176,7 @@ class ErrorStateFilter:
             (first, second, third),
             beside,
         )
-        limits = self._period_s, self._settings.vibration_factor, self._memory_s, *dues
+        limits = self._period_s, self._settings.imu.vibration_factor, self._memory_s, *dues
         return moment, self.P, errors, self._walks, limits
 
     def resume(self, moment: Moment, P: FloatArray, time_ns: int) -> Beside:
@@ -198,7 +202,7 @@ class ErrorStateFilter:
         since_s = self._sums[0]
         if since_s == 0.0:
             return
-        memory_s, sums, factor = self._memory_s, self._sums, self._settings.vibration_factor
+        memory_s, sums, factor = self._memory_s, self._sums, self._settings.imu.vibration_factor
         remains = exp(-since_s / memory_s) if memory_s < NEVER else 1.0
         self.P, fine = self.arithmetic.grow(self.P, self._motion, sums, self._walks, self._shaking, factor, remains)
         self._sums = NO_SUMS
@@ -254,7 +258,7 @@ class ErrorStateFilter:
 
     def forget_odometer(self) -> None:
         """Take the scale of the odometer for unknown: it is another one."""
-        self.set_parameter(em.ODOMETER_SCALE, 0.0, self._settings.odometer_scale_sd)
+        self.set_parameter(em.ODOMETER_SCALE, 0.0, self._settings.odometer.scale_sd)
 
     def forget_gnss_error(self) -> None:
         """Take the lasting error of GNSS for unknown: it is another one."""

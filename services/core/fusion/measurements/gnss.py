@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.maths.kalman import root_of
 from shared.maths.rotation import Quaternion, Vector, cross
 from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..filter.kalman import root_of
 from ..filter.strapdown import rotate
 from ..settings import Settings
 from .base import Measurement, Observation
@@ -77,7 +77,7 @@ class GnssPosition:
         cov = navigation.colour.scaled(self.cov) if self.lasts else self.cov
         R = (1.0 - lasting) * cov + along * along[:, np.newaxis]
         if lasting > 0.0:
-            root = sqrt(lasting) * root_of(cov)
+            root = sqrt(lasting) * root_of(cov, "a measurement")
             z -= root @ navigation.gnss_error
             H[:, em.GNSS_ERROR] = -root
         n = self.axes
@@ -147,7 +147,7 @@ def _swing(quaternion: Quaternion, latitude: float, rate: Vector, lever_arm: Vec
 
 def true_time_ns(settings: Settings, sampled_ns: int) -> int:
     """When an epoch of this stamp was true, on the clock of the inertial samples."""
-    return sampled_ns - round(settings.gnss_delay_s * 1e9)
+    return sampled_ns - round(settings.gnss.delay_s * 1e9)
 
 
 def gnss_measurements(
@@ -179,25 +179,25 @@ def gnss_measurements(
     Returns
     -------
     list of Measurement
-        Velocity, if there is one, before position. A stated covariance is scaled by `gnss_sd_factor` (positions
-        only) and its diagonal kept between a floor, for some receivers say zero, and a ceiling.
+        Velocity, if there is one, before position. A stated covariance is scaled by `gnss.position_sd_factor`
+        (positions only) and its diagonal kept between a floor, for some receivers say zero, and a ceiling.
     """
     true_ns = true_time_ns(settings, stamp.sampled_ns)
     measurements: list[Measurement] = []
-    if velocity is not None and not settings.position_only:
+    if velocity is not None and not settings.gnss.position_only:
         measurements.append(
             GnssVelocity(
-                time_ns=true_ns - round(settings.gnss_velocity_delay_s * 1e9),
+                time_ns=true_ns - round(settings.gnss.velocity_delay_s * 1e9),
                 received_ns=stamp.received_ns,
                 source=stamp.source,
                 velocity=velocity.vector,
-                cov=_trusted(velocity.cov, settings.gnss_velocity_sd_m_s, settings.gnss_velocity_sd_floor_m_s, 1.0),
+                cov=_trusted(velocity.cov, settings.gnss.velocity_sd_ned_m_s, settings.gnss.velocity_sd_floor_m_s, 1.0),
                 axes=velocity.axes,
-                lever_arm=settings.lever_arm_body_m,
+                lever_arm=settings.gnss.lever_arm_body_m,
             )
         )
-    floor, factor = settings.gnss_position_sd_floor_m, settings.gnss_sd_factor
-    cov = _trusted(reading.cov, settings.gnss_position_sd_m, floor, factor)
+    floor, factor = settings.gnss.position_sd_floor_m, settings.gnss.position_sd_factor
+    cov = _trusted(reading.cov, settings.gnss.position_sd_ned_m, floor, factor)
     measurements.append(
         GnssPosition(
             time_ns=true_ns,
@@ -206,9 +206,9 @@ def gnss_measurements(
             position=position,
             cov=cov,
             axes=reading.axes,
-            lever_arm=settings.lever_arm_body_m,
-            time_sd_s=settings.gnss_time_sd_s,
-            lasts=settings.gnss_lasting_errors and not fixed and bool(cov[:2, :2].max() > LASTING_ABOVE_M**2),
+            lever_arm=settings.gnss.lever_arm_body_m,
+            time_sd_s=settings.gnss.time_sd_s,
+            lasts=settings.gnss.time_correlated_errors and not fixed and bool(cov[:2, :2].max() > LASTING_ABOVE_M**2),
         )
     )
     return measurements

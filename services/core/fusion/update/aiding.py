@@ -53,8 +53,8 @@ class Aids:
         The last of the `Limits` of `ordinary`.
         """
         return (
-            zupt.PERIOD_S - 1e-3 if self._settings.zero_velocity else NEVER,
-            odometer.PERIOD_S - 1e-3 if self._settings.non_holonomic else NEVER,
+            zupt.PERIOD_S - 1e-3 if self._settings.standstill.enabled else NEVER,
+            odometer.PERIOD_S - 1e-3 if self._settings.non_holonomic.enabled else NEVER,
             SPEED_LIMIT if self.wheels_stand else NEVER,
         )
 
@@ -89,7 +89,7 @@ class Aids:
             outcome = self.judge.judge(navigation, measurement, observe(navigation))
             estimated = isinstance(measurement, GnssPosition) and measurement.lasts
             self.watch = self.watch.after(
-                outcome, before, navigation, self._settings.gate_false_alarm, estimated=estimated
+                outcome, before, navigation, self._settings.gating.false_alarm_probability, estimated=estimated
             )
             yield outcome
             if isinstance(measurement, GnssPosition) and outcome.used:

@@ -3,13 +3,15 @@
 from math import radians
 from typing import NamedTuple
 
+from shared.maths.kalman import Correction
+from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import AidingKind
 
 from ..alignment.heading import Heading
 from ..alignment.velocity_matching import Comparison, Corrections
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..filter.kalman import Correction, FloatArray, chi_square_limit
+from ..filter.kalman import FloatArray
 from ..measurements.base import Height, Measurement, Observation, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from ..settings import Settings
@@ -40,19 +42,20 @@ class Standing(NamedTuple):
     def after(self, time_ns: int, agrees: bool, settings: Settings) -> "Standing":
         """Take in whether an observation was near enough to be used.
 
-        What is refused for `fault_after_s` is a fault, which excludes the device until all that it says has agreed for
-        `healthy_s`, twice as long after each further fault within a minute, but not longer than `healthy_max_s`.
+        What is refused for `gating.fault_after_s` is a fault, which excludes the device until all that it says has
+        agreed for `gating.readmission_s`, twice as long after each further fault within a minute, but not longer than
+        `gating.readmission_max_s`.
         """
         if not agrees:
             since = time_ns if self.wrong_ns is None else self.wrong_ns
-            if self.excluded or time_ns - since < settings.fault_after_s * 1e9:
+            if self.excluded or time_ns - since < settings.gating.fault_after_s * 1e9:
                 return self._replace(wrong_ns=since, sound_ns=None)
             recent = time_ns - self.fault_ns < FORGIVEN_S * 1e9
             return Standing(since, None, 1 + (self.faults if recent else 0), time_ns, excluded=True)
         if not self.excluded:
             return self if self.wrong_ns is None else self._replace(wrong_ns=None)
         since = time_ns if self.sound_ns is None else self.sound_ns
-        needed_s = min(settings.healthy_s * 2.0 ** (self.faults - 1), settings.healthy_max_s)
+        needed_s = min(settings.gating.readmission_s * 2.0 ** (self.faults - 1), settings.gating.readmission_max_s)
         if time_ns - since >= needed_s * 1e9:
             return Standing(faults=self.faults, fault_ns=time_ns)
         return self._replace(wrong_ns=None, sound_ns=since)
@@ -94,13 +97,13 @@ class Judge:
         return Heading(turn, max(sd, TURNED_SD), "matched accelerations")
 
     def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
-        """Use an observation if its d² is within the limit of d², with less weight up to `robust_limit` times it.
+        """Use an observation if its d² is within the limit, with less weight up to `gating.robust_limit` times it.
 
         A position that is beyond it, but not beyond what the receiver states, has another lasting error than the ones
         before it. One whose height alone is beyond it is used without its height.
         """
         correction, ratio = self._weigh(navigation, seen)
-        limit = self._settings.robust_limit if seen.kind in WIDENING else 1.0
+        limit = self._settings.gating.robust_limit if seen.kind in WIDENING else 1.0
         if ratio > limit and isinstance(measurement, GnssPosition) and seen.H[:, em.GNSS_ERROR].any():
             other = navigation.fork()
             other.trail = None
@@ -116,13 +119,14 @@ class Judge:
             if flat_ratio <= 1.0:
                 told = self._judge(navigation, measurement, level, flat, flat_ratio, self._height(seen))
                 taken_over = self._follow_height(navigation, seen, measurement.time_ns)
-                height = Height(float(seen.z[2]), correction.innovation_sd[2], taken_over)
+                height = Height(float(seen.z[2]), float(correction.innovation_sd[2]), taken_over)
                 return told._replace(height=height)
         return self._judge(navigation, measurement, seen, correction, ratio, None)
 
     def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:
         correction = navigation.weigh(seen.z, seen.H, seen.R)
-        return correction, correction.distance2 / chi_square_limit(len(seen.z), self._settings.gate_false_alarm)
+        limit = chi_square_limit(len(seen.z), self._settings.gating.false_alarm_probability)
+        return correction, float(correction.distance2) / limit
 
     def _height(self, seen: Observation) -> str:
         return f"height beyond the gate by {-float(seen.z[2]):.0f} m: used without it"
@@ -130,7 +134,7 @@ class Judge:
     def _follow_height(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int) -> bool:
         """Take a height over that has been refused for as long as a reset needs, and say whether."""
         self._height_ns = time_ns if self._height_ns is None else self._height_ns
-        if time_ns - self._height_ns < self._settings.reset_after_s * 1e9:
+        if time_ns - self._height_ns < self._settings.gating.reset_after_s * 1e9:
             return False
         self._height_ns = None
         navigation.widen(height_sd=abs(float(seen.z[2])))
@@ -159,7 +163,7 @@ class Judge:
         gnss = seen.kind in WIDENING
         if gnss and ratio < TOLD_LIMIT:
             self._watch_arm(navigation, measurement, seen, correction.S)
-        limit = self._settings.robust_limit if gnss else 1.0
+        limit = self._settings.gating.robust_limit if gnss else 1.0
         excluded = gnss and self._is_excluded(measurement, seen.kind, ratio <= limit)
         refused = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
         refused = seen.unfit or refused
@@ -179,7 +183,7 @@ class Judge:
             measurement.source,
             seen.kind,
             tuple(seen.z.tolist()),
-            correction.innovation_sd,
+            tuple(correction.innovation_sd.tolist()),
             ratio,
             refused is None,
             refused or remark,

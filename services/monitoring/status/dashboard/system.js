@@ -8,6 +8,7 @@ import { TopicDrawer } from "./inspector.js";
 import { words } from "./words.js";
 
 const w = words.system;
+const DIP = 26; // how far a line between neighbours hangs down, in px
 const short = (name) => name.split(".")[1];
 const statusOf = (name) => (brokerAnswers() ? state.value.processes[name].status : "unknown");
 
@@ -23,23 +24,23 @@ function Node({ name, onHover }) {
   </a></li>`;
 }
 
-// One line a topic and consumer; what observes everything is drawn once, as a rail.
+// One line a topic and consumer; those that observe every topic are no consumers of one, and are drawn once, as a rail.
 function edgesOf(rows) {
-  const observers = new Set(Object.keys(rows.processes).filter((name) => rows.processes[name].layer === 5));
   const edges = [];
   for (const [topic, row] of Object.entries(rows.topics)) {
     for (const from of row.producers) {
       for (const to of row.consumers) {
         const heard = state.value.topics[topic]?.updated_ns != null;
         const fitted = state.value.processes[from].status !== "absent" && state.value.processes[to].status !== "absent";
-        if (heard && fitted && !observers.has(to) && from !== to) edges.push({ topic, from, to });
+        if (heard && fitted && from !== to) edges.push({ topic, from, to });
       }
     }
   }
   return edges;
 }
 
-function layOut(box, edges, layers) {
+// A line leaves towards its consumer: upwards, downwards, or from below to a neighbour in the same row.
+function layOut(box, edges) {
   const frame = box.getBoundingClientRect();
   const ports = new Map();
   const middle = (name) => {
@@ -47,42 +48,45 @@ function layOut(box, edges, layers) {
     return { left: r.left - frame.left, width: r.width, top: r.top - frame.top, bottom: r.bottom - frame.top, x: r.left - frame.left + r.width / 2 };
   };
   const ends = edges.map((edge) => {
-    const up = layers[edge.to].layer > layers[edge.from].layer;
     const a = middle(edge.from);
     const b = middle(edge.to);
-    const keys = [`${edge.from} ${up ? "top" : "bottom"}`, `${edge.to} ${up ? "bottom" : "top"}`];
+    const sides = b.bottom <= a.top ? ["top", "bottom"] : b.top >= a.bottom ? ["bottom", "top"] : ["bottom", "bottom"];
+    const keys = [`${edge.from} ${sides[0]}`, `${edge.to} ${sides[1]}`];
     keys.forEach((key, i) => ports.set(key, [...(ports.get(key) ?? []), { edge, x: i ? a.x : b.x }]));
-    return { edge, up, a, b, keys };
+    return { edge, sides, a, b, keys };
   });
   for (const list of ports.values()) list.sort((p, q) => p.x - q.x);
   const at = (box2, key, edge) => {
     const list = ports.get(key);
     return box2.left + (box2.width * (list.findIndex((p) => p.edge === edge) + 1)) / (list.length + 1);
   };
-  return ends.map(({ edge, up, a, b, keys }) => {
+  return ends.map(({ edge, sides, a, b, keys }) => {
     const x1 = at(a, keys[0], edge);
     const x2 = at(b, keys[1], edge);
-    const [y1, y2] = up ? [a.top, b.bottom] : [a.bottom, b.top];
-    const bend = (y2 - y1) / 2;
-    return { ...edge, x1, y1, x2, y2, d: `M${x1} ${y1}C${x1} ${y1 + bend} ${x2} ${y2 - bend} ${x2} ${y2}` };
+    const y1 = a[sides[0]];
+    const y2 = b[sides[1]];
+    const beside = sides[0] === sides[1];
+    const c1 = beside ? y1 + DIP : (y1 + y2) / 2;
+    const c2 = beside ? y2 + DIP : (y1 + y2) / 2;
+    return { ...edge, x1, y1, c1, x2, y2, c2, d: `M${x1} ${y1}C${x1} ${c1} ${x2} ${c2} ${x2} ${y2}` };
   });
 }
 
 // Where on its curve a line is named: neighbours take turns, so that their names do not cover each other.
 function nameAt(line, turn) {
   const t = [0.5, 0.28, 0.72, 0.4, 0.6][turn % 5];
-  const s = 3 * t * t - 2 * t * t * t;
-  const y = 1.5 * t * (1 - t) * (1 - t) + 1.5 * t * t * (1 - t) + t * t * t;
-  return { x: line.x1 + s * (line.x2 - line.x1), y: line.y1 + y * (line.y2 - line.y1) + 4 };
+  const u = 1 - t;
+  const on = (p1, p2, p3, p4) => u * u * u * p1 + 3 * u * u * t * p2 + 3 * u * t * t * p3 + t * t * t * p4;
+  return { x: on(line.x1, line.x1, line.x2, line.x2), y: on(line.y1, line.c1, line.c2, line.y2) + 4 };
 }
 
 function Edges({ box, hovered }) {
   clock.value;
   const [lines, setLines] = useState([]);
   const edges = edgesOf(contract.value);
-  const key = edges.map((e) => `${e.topic}${e.to}`).join();
+  const key = edges.map((e) => `${e.topic} ${e.from} ${e.to}`).join();
   useLayoutEffect(() => {
-    const draw = () => box.current && setLines(layOut(box.current, edges, contract.value.processes));
+    const draw = () => box.current && setLines(layOut(box.current, edges));
     draw();
     const observer = new ResizeObserver(draw);
     observer.observe(box.current);
@@ -164,7 +168,7 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.reconnections} value=${p.reconnections ?? 0} />
     </dl>
     <h3>${w.says}</h3>${list([...says, `health/${name}`])}
-    <h3>${w.hears}</h3>${row.layer === 5 ? html`<p>${w.everything}</p>` : list(hears)}
+    <h3>${w.hears}</h3>${row.observes_all ? html`<p>${w.everything}</p>` : list(hears)}
   </${Drawer}>`;
 }
 
@@ -204,7 +208,7 @@ function OutagesCard() {
       return html`<li key=${`${o.what}${o.since_ns}`} class=${open ? "open" : ""}>
         <span><${StateIcon} state=${open ? "stale" : "info"} word="" /><strong>${o.what}</strong>${open && html` <em>${t.open}</em>`}</span>
         <span class="number">${fixed(span, span < 10 ? 1 : 0)} s</span>
-        <span class="dim">${timeOfDay(o.since_ns / 1e6)} ${words.utc} · ${o.cause}</span>
+        <span class="dim">${timeOfDay(o.since_ns / 1e6)} ${words.utc} · ${o.cause}${o.affected.length > 0 && html` · ${t.affected(o.affected)}`}</span>
       </li>`;
     })}</ul>`}
   </${Card}>`;
@@ -222,8 +226,8 @@ function UnitCard() {
     ${mode && html`<${Row} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} />
     <${Row} label=${t.sources} value=${sources || t.none} />`}
     <${Row} dim=${old("navigation/state", navigation)} label=${t.filter} value=${navigation ? words.position.phases[navigation.phase] ?? navigation.phase : words.topics.never} extra=${navigation?.reason} />
-    ${navigation && html`<${Row} label=${t.fixes} value=${t.usedRefused(navigation.fixes_used, navigation.fixes_rejected)} />
-    <${Row} label=${t.samples} value=${t.usedRefused(navigation.samples_used, navigation.samples_rejected)} />
+    ${navigation && html`<${Row} label=${t.fixes} value=${t.usedRejected(navigation.fixes_used, navigation.fixes_rejected)} />
+    <${Row} label=${t.samples} value=${t.usedRejected(navigation.samples_used, navigation.samples_rejected)} />
     <${Row} label=${t.gaps} value=${t.gapsResets(navigation.imu_gaps, navigation.resets)} />`}
     <${Row} dim=${old("recording/state", recording)} label=${t.recording} value=${recording?.file ?? (recording ? words.footer.notRecording : words.topics.never)} extra=${recording?.reason ?? (recording && t.written(bytes(recording.bytes_written), recording.dropped))} />
   </dl></${Card}>`;

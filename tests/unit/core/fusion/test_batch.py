@@ -12,7 +12,6 @@ from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.batch import solve
 from services.core.fusion.filter.error_model import SIZE
 from services.core.fusion.filter.fast import compiled_runner
-from services.core.fusion.filter.kalman import correct
 from services.core.fusion.filter.machine import Machine
 from services.core.fusion.filter.runner import Runner
 from services.core.fusion.measurements.base import Measurement
@@ -24,6 +23,7 @@ from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.kalman import correct
 from shared.messages.navigation import NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]
@@ -47,7 +47,9 @@ def drive() -> Drive:
 
 
 def settings(**changes: object) -> Settings:
-    return Settings.model_validate({"lever_arm_body_m": drive().lever_arm_b, "levelling_s": 2.0, **changes})
+    return Settings().with_values(
+        {"gnss.lever_arm_body_m": drive().lever_arm_b, "alignment.levelling_s": 2.0, **changes}
+    )
 
 
 def fresh(runner: Runner | None = None, **changes: object) -> Navigator:
@@ -117,7 +119,7 @@ def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
 @pytest.mark.parametrize("aided", [True, False])
 def test_a_log_solved_at_once_is_to_the_last_bit_what_its_samples_are_one_by_one(aided: bool) -> None:
     """Stops, turns, an outage, gaps and samples that are refused: nothing makes a difference."""
-    switches = {"zero_velocity": aided, "non_holonomic": aided}
+    switches = {"standstill.enabled": aided, "non_holonomic.enabled": aided}
     whole, solutions = at_once(None, **switches)
     single, expected = one_by_one(**switches)
     assert len(solutions) > 1100
@@ -169,7 +171,7 @@ def as_they_come(
 
 @pytest.mark.parametrize("aided", [True, False])
 def test_a_compiler_changes_nothing(aided: bool) -> None:
-    switches = {"zero_velocity": aided, "non_holonomic": aided}
+    switches = {"standstill.enabled": aided, "non_holonomic.enabled": aided}
     fast, solutions = at_once(machine(), **switches)
     plain, expected = at_once(None, **switches)
     assert len(solutions) == len(expected) > 1100
@@ -187,7 +189,7 @@ def test_a_compiler_changes_nothing(aided: bool) -> None:
 @pytest.mark.parametrize("aided", [True, False])
 def test_samples_as_they_come_are_to_the_last_bit_what_they_are_at_once(aided: bool, compiled: bool) -> None:
     """Whoever looks every tenth of a second, or never, and whenever a measurement arrives: all is the same."""
-    switches, runner = {"zero_velocity": aided, "non_holonomic": aided}, machine() if compiled else None
+    switches, runner = {"standstill.enabled": aided, "non_holonomic.enabled": aided}, machine() if compiled else None
     whole, expected = at_once(runner, **switches)
     single, solutions = as_they_come(runner, measurements(), **switches)
     assert len(solutions) == len(expected) > 1100

@@ -32,7 +32,9 @@ def drive() -> Drive:
 def navigator(**changes: object) -> Navigator:
     """Navigator that is level after two seconds and knows its heading."""
     d = drive()
-    made = Navigator(Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0, **changes}))
+    made = Navigator(
+        Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
+    )
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     return made
 
@@ -190,7 +192,7 @@ def test_a_fix_that_is_waited_for_leads_back_to_the_sample_before_it(monkeypatch
 
 def test_a_fix_stamped_ahead_of_the_samples_waits_for_them() -> None:
     """A receiver whose clock is ahead by 0.1 s, and the setting that says so."""
-    ahead = feed(navigator(gnss_delay_s=0.1), samples() + fixes(delay_ns=0), stamp_offset_ns=100_000_000)
+    ahead = feed(navigator(**{"gnss.delay_s": 0.1}), samples() + fixes(delay_ns=0), stamp_offset_ns=100_000_000)
     level = feed(navigator(), samples() + fixes(delay_ns=0))
     assert ahead.error_m() == pytest.approx(level.error_m(), abs=1e-3)
 
@@ -325,7 +327,7 @@ def test_a_receiver_without_velocity_is_enough() -> None:
 
 
 def test_positions_alone_are_used_if_the_settings_say_so() -> None:
-    run = feed(navigator(position_only=True), samples() + fixes())
+    run = feed(navigator(**{"gnss.position_only": True}), samples() + fixes())
     assert AidingKind.GNSS_VELOCITY not in {o.kind for o in run.outcomes}
 
 
@@ -390,7 +392,7 @@ def test_a_standstill_pins_velocity_and_learns_the_gyroscope() -> None:
 
 
 def test_standstill_aiding_can_be_switched_off() -> None:
-    run = feed(navigator(zero_velocity=False), samples(15.0) + fixes(15.0))
+    run = feed(navigator(**{"standstill.enabled": False}), samples(15.0) + fixes(15.0))
     assert {o.kind for o in run.outcomes} == {AidingKind.GNSS_POSITION, AidingKind.GNSS_VELOCITY}
 
 

@@ -9,11 +9,13 @@ from services.sensors.simulator.world import Equipment, World
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FixType, GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
-from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState, TruthState
+from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution, NavigationState, TruthState
 from shared.messages.vehicle import CanRaw
+from shared.processes import PROCESSES, Kind
 from shared.runtime import offline
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
+from shared.topics import BY_MESSAGE
 
 
 class Echo:
@@ -58,6 +60,20 @@ def test_a_message_reaches_each_of_its_consumers_and_so_do_the_answers(echoes: d
     assert echoes["parsers.imu"].given == []
 
 
+def test_a_process_is_not_given_what_it_said_itself(echoes: dict[str, Echo]) -> None:
+    row = BY_MESSAGE[FilterState]
+    assert row.producers == row.consumers == ("core.fusion",)
+    zero = (0.0, 0.0, 0.0)
+    state = FilterState(
+        sampled_ns=1, fingerprint="", imu="i", quaternion_ned_from_body=(1.0, *zero), velocity_ned_m_s=zero,
+        latitude_deg=0.0, longitude_deg=0.0, height_ellipsoid_m=0.0, accelerometer_bias_m_s2=zero,
+        gyroscope_bias_rad_s=zero, accelerometer_scale=zero, gyroscope_scale=zero, parameters=(),
+        specific_force_body_m_s2=zero, angular_rate_body_rad_s=zero, covariance=(),
+    )  # fmt: skip
+    assert list(OfflineUnit(parse_vehicle("")).run([state])) == [state]
+    assert echoes["core.fusion"].given == []
+
+
 def test_time_passes_once_a_second_before_what_comes_later(echoes: dict[str, Echo]) -> None:
     list(OfflineUnit(parse_vehicle(""), ["core.fusion"]).run([fix(10**9 - 1), fix(10**9 + 5), fix(5 * 10**9)]))
     kinds = [m.now_ns if isinstance(m, Tick) else type(m) for m in echoes["core.fusion"].given]
@@ -77,4 +93,4 @@ def test_what_is_said_unchecked_passes_every_check() -> None:
 
 def test_only_layers_two_to_four_are_made(echoes: dict[str, Echo]) -> None:
     OfflineUnit(parse_vehicle("[sensors.simulator]"))
-    assert set(echoes) == {"parsers.gnss", "parsers.imu", "parsers.can", "controller.mode", "core.fusion"}
+    assert set(echoes) == {row.name for row in PROCESSES if row.kind is Kind.STANDING and 2 <= row.layer <= 4}

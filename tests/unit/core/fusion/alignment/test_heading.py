@@ -54,7 +54,7 @@ def test_without_a_rest_the_nose_is_taken_to_point_where_the_vehicle_goes() -> N
     found = heading(levelled(0.0, rest_s=0.0), (3.0, 0.0, 0.0))
     assert found.how == "course over ground"
     assert found.turn == pytest.approx(0.0, abs=1e-9)
-    assert found.sd >= Settings().course_yaw_sd_rad
+    assert found.sd >= Settings().alignment.course_yaw_sd_rad
 
 
 def test_the_swing_of_the_lever_arm_is_no_course() -> None:

@@ -83,7 +83,7 @@ def test_its_standard_deviation_is_that_of_its_errors() -> None:
         result, _, _, turn = found(speed=8.0, noise=0.5, sd=0.5, seed=seed)
         assert result is not None
         errors.append(wrap_angle(result[1].turn - turn))
-        ratios.append(errors[-1] / sqrt(result[1].sd ** 2 - Settings().course_yaw_sd_rad ** 2))
+        ratios.append(errors[-1] / sqrt(result[1].sd ** 2 - Settings().alignment.course_yaw_sd_rad ** 2))
     # Residuals of five positions make it larger at times, and never smaller than what is stated.
     assert 0.65 < np.sqrt(np.mean(np.square(ratios))) < 1.1
     # Five positions 8 m apart: the sum of squares about their mean is 10 times 64 m².
@@ -92,7 +92,7 @@ def test_its_standard_deviation_is_that_of_its_errors() -> None:
 
 def test_noise_above_what_is_stated_is_seen_in_the_residuals() -> None:
     sds = [result[1].sd for seed in range(20) if (result := found(speed=8.0, noise=1.5, sd=0.1, seed=seed)[0])]
-    assert np.median(sds) > Settings().course_yaw_sd_rad * 1.15
+    assert np.median(sds) > Settings().alignment.course_yaw_sd_rad * 1.15
 
 
 @pytest.mark.parametrize(

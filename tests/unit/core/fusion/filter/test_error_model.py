@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter import strapdown
@@ -15,25 +16,22 @@ from services.core.fusion.filter.kalman import predict
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import NonHolonomicSettings, Settings
 from shared.maths.earth import (
     EARTH_RATE,
-    ECCENTRICITY_SQUARED,
     Geodetic,
-    curvature_radii,
     earth_rate_n,
     geodetic_from_ned_difference,
     gravity,
     ned_from_geodetic_difference,
     transport_rate_n,
 )
+from shared.maths.ellipsoid import ECCENTRICITY_SQUARED, curvature_radii
 from shared.maths.rotation import (
     Vector,
     matrix_from_quaternion,
-    matrix_from_rotation_vector,
     ned_from_body,
     quaternion_from_matrix,
-    rotation_vector_from_matrix,
     skew,
 )
 
@@ -58,7 +56,7 @@ def vector(array: FloatArray) -> Vector:
 
 def disturbed(state: InertialState, error: FloatArray) -> InertialState:
     """What an estimate looks like whose error, estimated minus true, is given."""
-    matrix = matrix_from_rotation_vector(error[em.ATTITUDE]) @ matrix_from_quaternion(state.quaternion)
+    matrix = Rotation.from_rotvec(error[em.ATTITUDE]).as_matrix() @ matrix_from_quaternion(state.quaternion)
     return InertialState(
         state.time_ns,
         quaternion_from_matrix(matrix),
@@ -72,7 +70,7 @@ def error_of(estimate: InertialState, truth: InertialState) -> FloatArray:
     turned = matrix_from_quaternion(estimate.quaternion) @ matrix_from_quaternion(truth.quaternion).T
     return np.concatenate(
         [
-            rotation_vector_from_matrix(turned),
+            Rotation.from_matrix(turned).as_rotvec(),
             np.subtract(estimate.velocity, truth.velocity),
             ned_from_geodetic_difference(estimate.position, truth.position),
         ]
@@ -241,8 +239,13 @@ AXLE = vector(
 @pytest.mark.parametrize(
     ("measurement", "predicted"),
     [
-        (WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(rear_axle_body_m=ARM)), [1.03 * AXLE[0]]),
-        (NonHolonomic(0, Settings(rear_axle_body_m=ARM)), AXLE[1:]),
+        (
+            WheelSpeed(
+                0, 0, "", 0.0, 0.0, True, True, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))
+            ),
+            [1.03 * AXLE[0]],
+        ),
+        (NonHolonomic(0, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))), AXLE[1:]),
     ],
     ids=["odometer", "non-holonomic"],
 )
@@ -266,8 +269,8 @@ def test_the_noise_goes_where_its_name_says() -> None:
 
 def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:
     defaults = Settings()
-    assert defaults.angle_random_walk_rad_sqrt_s**2 == pytest.approx(1.493e-8, rel=1e-3)
-    assert defaults.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)
+    assert defaults.imu.angle_random_walk_rad_sqrt_s**2 == pytest.approx(1.493e-8, rel=1e-3)
+    assert defaults.imu.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)
 
 
 LEFT_S = 0.03  # of a delay, that no stamp was moved by
@@ -278,7 +281,17 @@ LEFT_S = 0.03  # of a delay, that no stamp was moved by
     [
         GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=-LEFT_S),
         GnssVelocity(0, 0, "", VELOCITY, np.eye(3), 3, ARM, removed_s=-LEFT_S),
-        WheelSpeed(0, 0, "", 0.0, 0.0, True, True, Settings(rear_axle_body_m=ARM), removed_s=-LEFT_S),
+        WheelSpeed(
+            0,
+            0,
+            "",
+            0.0,
+            0.0,
+            True,
+            True,
+            Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM)),
+            removed_s=-LEFT_S,
+        ),
     ],
     ids=["position", "velocity", "odometer"],
 )

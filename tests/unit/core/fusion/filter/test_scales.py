@@ -19,7 +19,7 @@ def drive() -> Drive:
 
 def led(drive: Drive, **settings: float) -> Navigator:
     """Lead a navigator whose gyroscope reads too much or too little; it is told the velocity as RTK tells it."""
-    made = Navigator(Settings.model_validate({"lever_arm_body_m": drive.lever_arm_b, **settings}))
+    made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
     rate_b = drive.rate_b * (1.0 + SCALE)
     for i, time_ns in enumerate(drive.t_ns.tolist()):
         if i % 100 == 99:
@@ -32,7 +32,7 @@ def led(drive: Drive, **settings: float) -> Navigator:
 
 
 def test_the_scale_of_the_gyroscope_about_the_vertical_is_found(drive: Drive) -> None:
-    navigation = led(drive, gyroscope_scale_sd=0.01).engine.filter
+    navigation = led(drive, **{"imu.gyroscope_scale_sd": 0.01}).engine.filter
     assert navigation is not None
     sd = np.sqrt(np.diag(navigation.P)[em.GYROSCOPE_SCALE])
     truth = 1.0 - 1.0 / (1.0 + SCALE)  # what is to be taken from a reading, as a share of it

@@ -5,17 +5,18 @@ from math import radians
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from cli.papers.navigation import navigate, position_errors, saved_heading
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
-from shared.maths.rotation import ned_from_body, rotation_vector_from_matrix
+from shared.maths.rotation import ned_from_body
 
 FloatArray = npt.NDArray[np.float64]
 RUNS = 8
@@ -25,7 +26,7 @@ LASTING = InjectedError(ErrorKind.GAUSS_MARKOV, (3.07, 1.99, 1.56), correlation_
 
 def follow(drive: Drive, instants_s: tuple[float, ...], covariance_period_s: float = 0.05) -> list[Solution]:
     """Solutions at given instants."""
-    settings = Settings(lever_arm_body_m=drive.lever_arm_b, covariance_period_s=covariance_period_s)
+    settings = Settings(covariance_period_s=covariance_period_s, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
     navigator = Navigator(settings)
     navigator.remember(saved_heading(drive, radians(1.5)))
     times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
@@ -52,7 +53,7 @@ def errors(drive: Drive, solution: Solution) -> tuple[FloatArray, FloatArray, Fl
     return (
         np.array(ned_from_geodetic_difference(solution.position, truth)),
         np.array(solution.velocity) - drive.velocity_n[i],
-        rotation_vector_from_matrix(turned),
+        Rotation.from_matrix(turned).as_rotvec(),
     )
 
 
@@ -118,8 +119,8 @@ def test_how_often_the_covariance_is_brought_up_hardly_matters() -> None:
 def test_a_perfect_receiver_leaves_millimetres() -> None:
     """Positions to 1 mm and velocities to 0.1 mm/s, ideal inertial readings: at most 5 mm."""
     drive, rng = simulate("parking_lot", seed=5, duration_s=60.0), np.random.default_rng(1)
-    precise = {"gnss_position_sd_floor_m": 1e-3, "gnss_velocity_sd_floor_m_s": 1e-4, "gnss_time_sd_s": 0.0}
-    navigator = Navigator(Settings.model_validate(precise))
+    precise = {"gnss.position_sd_floor_m": 1e-3, "gnss.velocity_sd_floor_m_s": 1e-4, "gnss.time_sd_s": 0.0}
+    navigator = Navigator(Settings().with_values(precise))
     navigator.remember(saved_heading(drive, radians(0.1)))
     found = []
     for i, time_ns in enumerate(drive.t_ns.tolist()):
@@ -144,7 +145,7 @@ def test_an_outage_of_ten_seconds_costs_less_than_a_metre_or_two() -> None:
         drive = simulate("parking_lot", seed, duration_s=95.0)
         hidden = (drive.fix_ns > 80e9) & (drive.fix_ns <= 90e9)
         drive.fix_valid[hidden] = False
-        navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b))
+        navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
         navigator.remember(saved_heading(drive, radians(1.5)))
         track = navigate(drive, navigator)
         at_end = np.argmin(np.abs(drive.t_ns[track.index] - 90e9))

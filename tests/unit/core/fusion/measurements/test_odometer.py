@@ -42,7 +42,11 @@ def drive() -> Drive:
 
 def navigator(**changes: object) -> Navigator:
     d = drive()
-    made = Navigator(Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "rear_axle_body_m": ARM_B, **changes}))
+    made = Navigator(
+        Settings().with_values(
+            {"gnss.lever_arm_body_m": d.lever_arm_b, "non_holonomic.rear_axle_body_m": ARM_B, **changes}
+        )
+    )
     yaw = float(d.attitude[0, 2]) + MOUNTING[2]
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), yaw, radians(1.0)))
     return made
@@ -82,7 +86,7 @@ def aided() -> tuple[Navigator, list[Outcome]]:
 
 def test_wheels_hold_the_position_without_gnss() -> None:
     """Half a minute without GNSS."""
-    without = navigator(odometer=False, non_holonomic=False)
+    without = navigator(**{"odometer.enabled": False, "non_holonomic.enabled": False})
     feed(without, drive().odometer)
     assert error_m(aided()[0]) < min(0.3, 0.5 * error_m(without))
 
@@ -108,7 +112,7 @@ def test_both_aids_are_told() -> None:
 
 
 def test_neither_aid_is_used_if_the_settings_say_so() -> None:
-    made = navigator(odometer=False, non_holonomic=False)
+    made = navigator(**{"odometer.enabled": False, "non_holonomic.enabled": False})
     kinds = {o.kind for o in feed(made, drive().odometer)}
     assert not kinds & {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
     assert filter_of(made).parameters[:3] == (0.0, 0.0, 0.0)
@@ -118,7 +122,7 @@ def test_neither_aid_is_used_if_the_settings_say_so() -> None:
 
 def test_springs_give_way_more_than_tyres_do_but_in_bends() -> None:
     """Straight on, the two standard deviations count; a bend at 10 m/s adds slip sideways, and nothing vertically."""
-    settings = Settings.model_validate({"rear_axle_body_m": ARM_B})
+    settings = Settings().with_values({"non_holonomic.rear_axle_body_m": ARM_B})
     twin = backing(-10.0, 0.1)
     twin.rate = (0.0, 0.0, 0.0)
     straight = NonHolonomic(0, settings).observe(twin).R

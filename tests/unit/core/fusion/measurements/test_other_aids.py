@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from cli.papers.navigation import give_fix
 from services.core.fusion.filter import error_model as em
@@ -18,10 +19,18 @@ from services.core.fusion.measurements.base import Outcome
 from services.core.fusion.measurements.dual_antenna import BaselineHeading
 from services.core.fusion.measurements.magnetometer import SECTORS, WORST, CompassCheck, MagneticHeading
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import (
+    AlignmentSettings,
+    GnssSettings,
+    MagnetometerSettings,
+    NonHolonomicSettings,
+    OdometerSettings,
+    Settings,
+    StandstillSettings,
+)
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
-from shared.maths.rotation import Vector, matrix_from_rotation_vector, ned_from_body, quaternion_from_matrix
+from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
 from shared.messages.navigation import AidingKind, NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]
@@ -36,7 +45,7 @@ OUTAGE_S = (60.0, 110.0)
 
 def wrong_by(error: FloatArray) -> ErrorStateFilter:
     """Filter whose estimate minus the truth is given."""
-    C = matrix_from_rotation_vector(error[em.ATTITUDE]) @ ned_from_body(0.1, -0.2, 0.7)
+    C = Rotation.from_rotvec(error[em.ATTITUDE]).as_matrix() @ ned_from_body(0.1, -0.2, 0.7)
     north, east, down = error[em.POSITION].tolist()
     state = STATE._replace(
         quaternion=quaternion_from_matrix(C), position=geodetic_from_ned_difference((north, east, down), STATE.position)
@@ -103,12 +112,11 @@ def led(
     d = drive()
     made = Navigator(
         Settings(
-            lever_arm_body_m=d.lever_arm_b,
-            compass=iron is not None,
-            magnetic_declination_rad=DECLINATION,
-            odometer=False,
-            non_holonomic=False,
-            zero_velocity=False,
+            gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b),
+            magnetometer=MagnetometerSettings(enabled=iron is not None, declination_rad=DECLINATION),
+            odometer=OdometerSettings(enabled=False),
+            non_holonomic=NonHolonomicSettings(enabled=False),
+            standstill=StandstillSettings(enabled=False),
         )
     )
     outcomes: list[Outcome] = []
@@ -169,7 +177,9 @@ def test_a_pressure_of_no_road_is_counted(pressure_pa: float) -> None:
 
 def test_two_antennas_give_the_heading_at_rest() -> None:
     d, yaw_body, sd = drive(), radians(90.0), radians(0.3)
-    made = Navigator(Settings(lever_arm_body_m=d.lever_arm_b, levelling_s=5.0))
+    made = Navigator(
+        Settings(gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b), alignment=AlignmentSettings(levelling_s=5.0))
+    )
     started_ns = None
     for i, time_ns in enumerate(d.t_ns[:1600].tolist()):
         if i % 100 == 99:

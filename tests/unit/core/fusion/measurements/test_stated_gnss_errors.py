@@ -15,7 +15,7 @@ from services.core.fusion.alignment.initial_position import first_place
 from services.core.fusion.measurements.gnss import GnssPosition
 from services.core.fusion.measurements.gnss_error_model import HYPOTHESES, SCALES, UNKNOWN, Colour, Told, mean_at_rest
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import GnssSettings, Settings
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
@@ -27,7 +27,7 @@ SD = np.array(RMSE)
 DURATION_S, RUNS = 60.0, 6
 PERIOD_S = scenario_of("parking_lot").duration_s  # over which a simulated walk has the mean square that is stated
 TIME_S, SHARE = 5.0, 0.01  # as one of the hypotheses
-GIVEN: dict[str, float | bool] = {"gnss_error_correlation_s": TIME_S, "gnss_error_white_share": SHARE}
+GIVEN: dict[str, float | bool] = {"gnss.correlation_time_s": TIME_S, "gnss.white_noise_share": SHARE}
 ORIGIN = Geodetic(0.74, 0.23, 700.0)
 
 
@@ -45,7 +45,7 @@ def drive_of(kind: ErrorKind, seed: int) -> Drive:
 
 def led(drive: Drive, **settings: float | bool) -> Navigator:
     """Navigator at the end of a drive."""
-    navigator = Navigator(Settings.model_validate({"lever_arm_body_m": drive.lever_arm_b, **settings}))
+    navigator = Navigator(Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
     navigator.remember(saved_heading(drive, radians(1.5)))
     navigate(drive, navigator)
     return navigator
@@ -122,7 +122,7 @@ def test_a_start_from_zero_is_where_its_first_fix_is() -> None:
 
 def test_only_the_first_alignment_starts_from_zero() -> None:
     """When a solution was lost, errors have walked for as long as it ran."""
-    settings = Settings(gnss_error_correlation_s=240.0, gnss_error_from_zero=True)
+    settings = Settings(gnss=GnssSettings(correlation_time_s=240.0, zero_error_at_start=True))
     first, second = Alignment(settings), Alignment(settings, first=False)
     fix = fixes_at_rest()[0]
     for one in (first, second):
@@ -135,7 +135,7 @@ def test_only_the_first_alignment_starts_from_zero() -> None:
     ("kind", "given"),
     [
         (ErrorKind.GAUSS_MARKOV, GIVEN),
-        (ErrorKind.WIENER, {"gnss_error_correlation_s": PERIOD_S, "gnss_error_from_zero": True}),
+        (ErrorKind.WIENER, {"gnss.correlation_time_s": PERIOD_S, "gnss.zero_error_at_start": True}),
     ],
     ids=["5 s", "walk"],
 )

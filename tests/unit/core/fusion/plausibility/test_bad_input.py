@@ -13,7 +13,7 @@ from services.core.fusion.measurements.base import Outcome
 from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.plausibility.imu_faults import Repeats
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import AlignmentSettings, GnssSettings, Settings
 from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
@@ -77,7 +77,7 @@ def run(
     Arrivals are offset for samples and fixes.
     """
     d = drive()
-    made = Navigator(Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0}))
+    made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0}))
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     found, k = Run(made), 0
     for i, time_ns in enumerate(d.t_ns.tolist()):
@@ -196,14 +196,14 @@ def test_a_receiver_that_says_zero_does_not_know() -> None:
 @pytest.mark.parametrize("odd", [0.0, -1.0, 1e-300, 5e-324])
 @pytest.mark.parametrize("axis", range(3))
 def test_an_axis_of_which_a_receiver_states_nothing_has_the_default(axis: int, odd: float) -> None:
-    settings, stated = Settings(gnss_sd_factor=2.0), np.full((3, 3), 0.1) + 0.9 * np.eye(3)
+    settings, stated = Settings(gnss=GnssSettings(position_sd_factor=2.0)), np.full((3, 3), 0.1) + 0.9 * np.eye(3)
     stated[axis, axis] = odd
     place, stamp = Geodetic(*drive().position[0].tolist()), Stamp(0, 0, "gnss")
     reading = Reading((0.0, 0.0, 0.0), stated)
     velocity, position = (m.cov for m in gnss_measurements(settings, stamp, place, reading, reading))  # type: ignore[attr-defined]
     for cov, default, factor in (
-        (position, settings.gnss_position_sd_m, 2.0),
-        (velocity, settings.gnss_velocity_sd_m_s, 1.0),
+        (position, settings.gnss.position_sd_ned_m, 2.0),
+        (velocity, settings.gnss.velocity_sd_ned_m_s, 1.0),
     ):
         others = [place for place in range(3) if place != axis]
         assert cov[axis, axis] == pytest.approx(default[axis] ** 2) and not cov[axis, others].any()
@@ -308,7 +308,9 @@ def test_a_receiver_whose_clock_jumps_by_an_hour_is_left_out(step_s: float, reje
 def test_of_two_receivers_that_disagree_the_one_that_agreed_so_far_is_followed(north_m: float) -> None:
     """Both five times a second; from 30 s on the second is off, and keeps to it."""
     d = drive()
-    made = Navigator(Settings(lever_arm_body_m=d.lever_arm_b, levelling_s=2.0))
+    made = Navigator(
+        Settings(gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b), alignment=AlignmentSettings(levelling_s=2.0))
+    )
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     found = Run(made)
     for i, time_ns in enumerate(d.t_ns.tolist()):
@@ -355,7 +357,7 @@ def test_a_receiver_whose_clock_jumps_by_a_second_contradicts_itself_and_is_refu
 def test_a_lever_arm_that_is_wrong_by_two_metres_is_told_and_no_other(wrong: tuple[float, float], told: bool) -> None:
     d = drive()
     x, y, z = d.lever_arm_b
-    made = Navigator(Settings(lever_arm_body_m=(x + wrong[0], y + wrong[1], z)))
+    made = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=(x + wrong[0], y + wrong[1], z))))
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     for i, time_ns in enumerate(d.t_ns.tolist()):
         if i % 20 == 19:

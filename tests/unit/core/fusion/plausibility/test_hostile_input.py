@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from services.core.fusion.navigator import HELD_LIMIT
 from services.core.fusion.plausibility.measurements import DEVICES, SILENT_NS, Devices
 from services.core.fusion.process import Config, In, Process
+from services.core.fusion.settings import AlignmentSettings, ImuSettings, MagnetometerSettings
 from services.core.fusion.timing.out_of_sequence import COPIES, EXPECTED
 from shared.maths.earth import Geodetic
 from shared.messages.base import Tick
@@ -153,7 +154,13 @@ def fix(time_ns: int, source: str = "gnss") -> GnssFix:
 
 
 def fresh() -> Process:
-    return Process(Config(levelling_s=1.0, compass=True, accelerometer_scale_sd=0.01))
+    return Process(
+        Config(
+            alignment=AlignmentSettings(levelling_s=1.0),
+            magnetometer=MagnetometerSettings(enabled=True),
+            imu=ImuSettings(accelerometer_scale_sd=0.01),
+        )
+    )
 
 
 @cache

@@ -6,22 +6,24 @@ from math import radians
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from cli.papers.navigation import saved_heading
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
-from services.core.fusion.filter.kalman import correct, predict, resized
+from services.core.fusion.filter.kalman import predict, resized
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.smoothing.history import Corrected, Knot, Start, Step, Trail
 from services.core.fusion.smoothing.rts import Backwards, smoothed_filters
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.maths.rotation import ned_from_body, quaternion_from_matrix, rotation_vector_from_matrix
+from shared.maths.kalman import correct
+from shared.maths.rotation import ned_from_body, quaternion_from_matrix
 from tests.support.trails import Records
 
 FloatArray = npt.NDArray[np.float64]
@@ -162,7 +164,9 @@ def follow(
 ) -> Records:
     """Drive through; fixes may come late, and GNSS or the IMU be away for a while."""
     records = Records()
-    settings = Settings(lever_arm_body_m=drive.lever_arm_b, merge_delay_s=0.0, gnss_lasting_errors=lasting)
+    settings = Settings(
+        merge_delay_s=0.0, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=lasting)
+    )
     navigator = Navigator(settings)
     navigator.leave(Trail(records, PERIOD_NS))
     navigator.remember(saved_heading(drive, radians(1.5)))
@@ -202,7 +206,7 @@ def errors(drive: Drive, state: ErrorStateFilter) -> FloatArray:
     i = round(state.inertial.time_ns / 1e7) - 1
     truth = Geodetic(*drive.position[i].tolist())
     return np.concatenate([
-        rotation_vector_from_matrix(state.ned_from_body @ ned_from_body(*drive.attitude[i]).T),
+        Rotation.from_matrix(state.ned_from_body @ ned_from_body(*drive.attitude[i]).T).as_rotvec(),
         np.array(state.inertial.velocity) - drive.velocity_n[i],
         np.array(ned_from_geodetic_difference(state.inertial.position, truth)),
     ])  # fmt: skip
@@ -248,7 +252,7 @@ def test_filtering_is_the_same_with_and_without_a_trail() -> None:
     drive = drive_of(1, 60.0)
     states = []
     for store in (Records(), None):
-        navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b))
+        navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
         if store is not None:
             navigator.leave(Trail(store, PERIOD_NS))
         navigator.remember(saved_heading(drive, radians(1.5)))
@@ -287,7 +291,7 @@ def test_a_trail_that_goes_back_keeps_starts_steps_and_corrections_in_order() ->
 def test_a_way_back_over_a_gap_writes_no_step_twice(begin: int) -> None:
     """The step before a gap is made when it is bridged, and has the stamp of the sample before it."""
     drive, records = drive_of(2, 60.0), Records()
-    navigator = Navigator(Settings(lever_arm_body_m=drive.lever_arm_b, merge_delay_s=0.0))
+    navigator = Navigator(Settings(merge_delay_s=0.0, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
     navigator.leave(Trail(records, PERIOD_NS))
     navigator.remember(saved_heading(drive, radians(1.5)))
     for i in (*range(begin), *range(begin + 30, begin + 80)):
@@ -397,7 +401,7 @@ def matched(seed: int) -> World:
     """Drive for 40 s with nothing but the noise that the filter knows, from a state as uncertain as it thinks."""
     rng, first = np.random.default_rng(seed), 2499
     drive = simulate("parking_lot", seed=7, duration_s=65.0)
-    settings = Settings.model_validate({"vibration_factor": 0.0})
+    settings = Settings().with_values({"imu.vibration_factor": 0.0})
     sd = np.zeros(em.SIZE)
     sd[:15] = np.repeat([0.005, 0.1, 1.0, 0.03, 1e-3], 3)
     attitude = quaternion_from_matrix(ned_from_body(*drive.attitude[first]))
@@ -409,8 +413,10 @@ def matched(seed: int) -> World:
     force_bias, rate_bias = np.zeros(3), np.zeros(3)
     records = Records()
     Trail(records, PERIOD_NS).follow(navigation)
-    noise = np.array([settings.velocity_random_walk_m_s_sqrt_s, settings.angle_random_walk_rad_sqrt_s]) * 10.0
-    walk = np.sqrt(np.array([settings.accelerometer_bias_psd_m2_s5, settings.gyroscope_bias_psd_rad2_s3]) * 0.01)
+    noise = np.array([settings.imu.velocity_random_walk_m_s_sqrt_s, settings.imu.angle_random_walk_rad_sqrt_s]) * 10.0
+    walk = np.sqrt(
+        np.array([settings.imu.accelerometer_bias_psd_m2_s5, settings.imu.gyroscope_bias_psd_rad2_s3]) * 0.01
+    )
     sd_of_fix, H = np.array([0.5, 0.5, 1.0]), em.antenna_position_matrix((0.0, 0.0, 0.0))
     biases = force_bias, rate_bias
     for k in range(1, 4001):

@@ -31,8 +31,13 @@ def follow(d: Drive, delay_s: float, *, late_s: float = 0.0, quiet_s: float = 0.
 
     `late_s` is how much later than its stamp a fix arrives, `quiet_s` for how long in the end none is true.
     """
-    settings = {"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0, "estimate_delays": True, **changes}
-    made = Navigator(Settings.model_validate(settings))
+    settings = {
+        "gnss.lever_arm_body_m": d.lever_arm_b,
+        "alignment.levelling_s": 2.0,
+        "estimate_delays": True,
+        **changes,
+    }
+    made = Navigator(Settings().with_values(settings))
     made.remember(saved_heading(d, radians(1.5)))
     fixes = [k for k in range(len(d.fix_ns)) if d.fix_valid[k] and d.fix_ns[k] < d.t_ns[-1] - quiet_s * 1e9]
     speeds = list(range(len(d.odometer_ns)))

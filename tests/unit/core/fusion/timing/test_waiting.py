@@ -75,7 +75,7 @@ def followed(seed: int, look: Look, hurry: Look, **changes: object) -> Iterator[
     But for its levels: they are of when the covariance was seen first, up to a period ago.
     """
     d = drive()
-    made = Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0, **changes})
+    made = Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
     navigator = Navigator(made, compiled_runner() if changes.get("machine_code") else None)
     navigator.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), d.attitude[0, 2], radians(1.0)))
     outcomes: list[Outcome] = []

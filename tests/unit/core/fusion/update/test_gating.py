@@ -15,7 +15,7 @@ from services.core.fusion.measurements.base import Height, Outcome
 from services.core.fusion.measurements.gnss import GnssPosition
 from services.core.fusion.measurements.gnss_error_model import HYPOTHESES, SCALES, UNKNOWN
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.settings import Settings
+from services.core.fusion.settings import AlignmentSettings, GatingSettings, GnssSettings, Settings
 from services.core.fusion.update.gating import Judge, Standing
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
@@ -51,7 +51,9 @@ class Run:
 def run(shift: "Fault", **changes: object) -> Run:
     """Lead a navigator through the drive, with positions (and not velocities) moved by a fault."""
     d = drive()
-    made = Navigator(Settings.model_validate({"lever_arm_body_m": d.lever_arm_b, "levelling_s": 2.0, **changes}))
+    made = Navigator(
+        Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
+    )
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     result, k = Run(made, [], {}, {}), 0
     for i, time_ns in enumerate(d.t_ns.tolist()):
@@ -139,7 +141,11 @@ def test_a_receiver_on_probation_that_errs_again_begins_its_time_anew() -> None:
 def test_bursts_of_any_size_do_less_harm_than_with_a_hard_gate_or_without_any() -> None:
     """Multipath of 1.5 and 2.5 m for 3 s. The worst costs 1.0 m, with a hard gate 1.2 m, and more with full weight."""
     sizes = (1.5, 2.5)
-    choices: list[dict[str, float]] = [{}, {"robust_limit": 1.0}, {"robust_limit": 1.0, "gate_false_alarm": 1e-12}]
+    choices: list[dict[str, float]] = [
+        {},
+        {"gating.robust_limit": 1.0},
+        {"gating.robust_limit": 1.0, "gating.false_alarm_probability": 1e-12},
+    ]
     robust, hard, trusting = (
         max(run(Fault(3.0, size), **choice).worst_m(FAULT_S, END_S) for size in sizes) for choice in choices
     )
@@ -219,7 +225,7 @@ def test_only_a_height_that_is_used_ends_the_dispute_about_heights() -> None:
     assert given_way.yielded == (0.0, 47.0) and given_way.contested[1] == 0.0
 
 
-@pytest.mark.parametrize("seed_settings", [{}, {"position_only": True}], ids=["velocity", "positions only"])
+@pytest.mark.parametrize("seed_settings", [{}, {"gnss.position_only": True}], ids=["velocity", "positions only"])
 def test_a_sound_receiver_is_hardly_ever_refused(seed_settings: dict[str, object]) -> None:
     found = run(Fault(0.0), **seed_settings)
     positions = found.positions(0.0, END_S)
@@ -271,7 +277,7 @@ def test_healthy_time_is_not_doubled_for_ever() -> None:
     while standing.excluded:
         standing = standing.after(time_ns, agrees=True, settings=SETTINGS)
         time_ns += 100_000_000
-    assert time_ns * 1e-9 == pytest.approx(SETTINGS.healthy_max_s + 0.1)
+    assert time_ns * 1e-9 == pytest.approx(SETTINGS.gating.readmission_max_s + 0.1)
 
 
 def test_positions_at_fault_leave_velocities_in_use() -> None:
@@ -292,7 +298,13 @@ def test_a_refused_position_widens_what_the_filter_believes() -> None:
 def sd_at_end(fault: Fault | None) -> float:
     """Standard deviation of the position [m] after four seconds of positions that are refused, or that do not come."""
     d = drive()
-    made = Navigator(Settings(lever_arm_body_m=d.lever_arm_b, levelling_s=2.0, reset_after_s=60.0))
+    made = Navigator(
+        Settings(
+            gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b),
+            alignment=AlignmentSettings(levelling_s=2.0),
+            gating=GatingSettings(reset_after_s=60.0),
+        )
+    )
     made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     for i, time_ns in enumerate(d.t_ns.tolist()[: round((FAULT_S + 4.0) * 100)]):
         faulty = time_ns >= FAULT_S * 1e9

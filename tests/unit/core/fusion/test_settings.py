@@ -1,0 +1,64 @@
+"""Sections of the settings of core.fusion, and what is said of the keys of earlier versions."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from services.core.fusion.settings import Settings
+from shared.errors import ConfigError
+from shared.runtime.config import Section, dotted_keys, load_vehicle, parse_vehicle, with_values
+
+
+@pytest.mark.parametrize("old", Settings.renamed)
+def test_an_old_key_is_refused_with_a_sentence_that_names_the_new_one(old: str) -> None:
+    section, _, key = Settings.renamed[old].rpartition(".")
+    with pytest.raises(ConfigError, match=rf"'{old}'; it is '{key}' in \[core\.fusion\.{section}\] now$"):
+        parse_vehicle(f"[core.fusion]\n{old} = 1").section("core.fusion", Settings)
+
+
+def test_a_key_that_moved_into_a_section_under_its_own_name_is_found_there() -> None:
+    with pytest.raises(ConfigError, match=r"'lever_arm_body_m' in \[core\.fusion\.gnss\] now$"):
+        parse_vehicle("[core.fusion]\nlever_arm_body_m = [0, 0, 0]").section("core.fusion", Settings)
+
+
+def test_new_names_of_old_keys_are_settings_and_old_names_are_not() -> None:
+    keys = set(dotted_keys(Settings))
+    assert set(Settings.renamed.values()) <= keys
+    assert not set(Settings.renamed) & keys
+
+
+def test_a_mistyped_key_in_a_section_is_an_error_that_names_the_right_one() -> None:
+    with pytest.raises(ConfigError, match=r"no setting 'gnss\.dely_s'; did you mean 'gnss\.delay_s'"):
+        parse_vehicle("[core.fusion.gnss]\ndely_s = 0.1").section("core.fusion", Settings)
+
+
+def test_a_wrong_value_in_a_section_is_named_with_its_section() -> None:
+    with pytest.raises(ConfigError, match=r"\[core\.fusion\] gnss\.delay_s = 9\.0"):
+        parse_vehicle("[core.fusion.gnss]\ndelay_s = 9.0").section("core.fusion", Settings)
+
+
+def test_dotted_values_change_what_they_name_and_nothing_else() -> None:
+    changed = Settings().with_values({"gnss.delay_s": 0.1, "odometer.enabled": False, "history_s": 1.0})
+    assert changed.gnss.delay_s == 0.1 and not changed.odometer.enabled and changed.history_s == 1.0
+    assert changed.with_values({"gnss.delay_s": 0.0, "odometer.enabled": True, "history_s": 2.5}) == Settings()
+    table = {"gnss": {"delay_s": 0.2, "time_sd_s": 0.0}}
+    assert with_values(table, {"gnss.delay_s": 0.1}) == {"gnss": {"delay_s": 0.1, "time_sd_s": 0.0}}
+    assert table == {"gnss": {"delay_s": 0.2, "time_sd_s": 0.0}}, "the table itself is as it was"
+
+
+def test_every_setting_has_a_description() -> None:
+    bare = []
+    for name, info in Settings.model_fields.items():
+        section = info.annotation
+        if isinstance(section, type) and issubclass(section, Section):
+            bare += [f"{name}.{key}" for key, inner in section.model_fields.items() if not inner.description]
+        elif not info.description:
+            bare.append(name)
+    assert bare == []
+
+
+@pytest.mark.parametrize("path", sorted(Path().glob("*/vehicles/*.toml")) + sorted(Path().glob("*/*/vehicles/*.toml")))
+def test_the_files_of_vehicles_are_read(path: Path) -> None:
+    assert load_vehicle(path).section("core.fusion", Settings)
+    assert tomllib.loads(path.read_text(encoding="utf-8"))["vehicle"]["name"]
