@@ -6,12 +6,11 @@ program: the filter amplifies the last bits of its inputs to some 1e-9 of its ou
 
 from math import isclose
 
-import pynmea2
 import pytest
-from pyubx2 import UBXReader
 
 from services.parsers.gnss.framer import Framer, Protocol
 from tests.support.golden import FILES, FOLDER, Row, device_bytes, results, rows, stored_rows
+from tests.support.ublox import parse_nmea, parse_ubx
 
 RELATIVE = 1e-6
 # [unit of the field] below which two values are the same, by the end of the field's name.
@@ -62,8 +61,8 @@ def test_as_many_messages_of_each_type_are_published_as_stored(computed: list[Ro
 
 def test_independent_readers_find_as_many_epochs_in_the_stored_bytes_as_the_unit() -> None:
     frames = list(Framer().feed((FOLDER / "gnss.ubx").read_bytes()))
-    ubx = [UBXReader.parse(frame.data) for frame in frames if frame.protocol is Protocol.UBX]
-    nmea = [pynmea2.parse(frame.data.decode()) for frame in frames if frame.protocol is Protocol.NMEA]
+    ubx = [parse_ubx(frame.data) for frame in frames if frame.protocol is Protocol.UBX]
+    nmea = [parse_nmea(frame.data) for frame in frames if frame.protocol is Protocol.NMEA]
     epochs = sum(message.identity == "NAV-PVT" for message in ubx)
     assert epochs == sum(sentence.sentence_type == "RMC" for sentence in nmea) == 29
     assert epochs == sum(row["type"] == "GnssFix" for row in stored_rows())
