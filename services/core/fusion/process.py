@@ -83,9 +83,10 @@ class Process:
         return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS
 
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
-        """Say by the stamps of fixes that there are no inertial samples."""
+        """Publish, by the arrival of fixes, that there are no inertial samples; an earlier fix is no evidence of that."""
         current = (NavigationPhase.WAITING_FOR_IMU, "", received_ns // STATE_PERIOD_NS)
-        if self._is_silent(received_ns) and current != self._last_state:
+        silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
+        if silent and current != self._last_state:
             self._last_state = current
             yield messages.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
 

@@ -432,3 +432,11 @@ def test_a_running_process_takes_no_state() -> None:
         for said in run([message], process):
             out += [said, *(run([said], process) if isinstance(said, FilterState) else ())]
     assert out == run(messages)
+
+
+def test_a_fix_that_arrived_before_the_newest_samples_does_not_report_a_silent_imu() -> None:
+    process = Process(Config())
+    newest = samples()[100]
+    early = fix(0, received_ns=newest.received_ns - 40_000_000)
+    reports = [m for message in (newest, early) for m in process.handle(message) if isinstance(m, NavigationState)]
+    assert NavigationPhase.WAITING_FOR_IMU not in [report.phase for report in reports]
