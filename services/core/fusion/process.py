@@ -5,17 +5,23 @@ from collections.abc import Iterator
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import AidingUpdate, LastPosition, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.navigation import (
+    AidingUpdate,
+    FilterState,
+    LastPosition,
+    NavigationPhase,
+    NavigationSolution,
+    NavigationState,
+)
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import messages
-from .filter.fast import compiled_runner
 from .navigator import Navigator
 from .settings import Settings
 
 STATE_PERIOD_NS, SILENT_NS = 1_000_000_000, 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
-In = ImuSamples | GnssFix | LastPosition | VehicleSpeed | WheelSpeeds | Tick
-Out = NavigationSolution | NavigationState | AidingUpdate
+In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | Tick
+Out = NavigationSolution | NavigationState | FilterState | AidingUpdate
 
 
 class Config(Settings):
@@ -26,11 +32,12 @@ class Process:
     """Feeds the navigator from the bus, and the bus from the navigator."""
 
     def __init__(self, config: Config) -> None:
-        self._navigator = Navigator(config, compiled_runner() if config.machine_code else None)
+        self._navigator = Navigator(config)
         self.rejects, self.leave = self._navigator.rejects, self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, int] | None = None
+        self._saved: FilterState | None = None  # of an earlier process, until the first sample
         self._imu: str | None = None  # the one that is listened to
         self._imu_received_ns: int | None = None
 
@@ -44,22 +51,27 @@ class Process:
                     self.rejects["fix without position"] += 1
                 if isinstance(message, GnssFix):
                     yield from self._silence(message.received_ns)
+            case FilterState() if self._imu is None:  # later ones are its own
+                self._saved = message
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
         if batch.source != self._imu and not self._is_silent(batch.received_ns):
             self.rejects["samples of a second imu"] += 1
             return
+        if self._saved is not None:
+            messages.give_filter_state(self._navigator, self._saved, batch)
+            self._saved = None
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in messages.samples_of(batch):
             due = self._is_due(sampled_ns)
-            self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated, hurried=due)
+            self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated)
             if due:  # first: whoever needs it shall not wait for what is late anyway
                 yield from self._solution(sampled_ns)
             yield from map(messages.aiding_message, self._navigator.release(batch.received_ns))
             if due or sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._state(sampled_ns)
-            if self._is_due(2 * sampled_ns - self._sampled_ns):  # with the next sample
-                self._navigator.foresee()
+            if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
+                yield from messages.filter_states(self._navigator, batch.source)
             self._sampled_ns = sampled_ns
         messages.give_environment(self._navigator, batch)
 
@@ -71,9 +83,10 @@ class Process:
         return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS
 
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
-        """Say by the stamps of fixes that there are no inertial samples."""
+        """Publish that there are no inertial samples, by fixes that arrived long after the last of them."""
         current = (NavigationPhase.WAITING_FOR_IMU, "", received_ns // STATE_PERIOD_NS)
-        if self._is_silent(received_ns) and current != self._last_state:
+        silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
+        if silent and current != self._last_state:
             self._last_state = current
             yield messages.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
 

@@ -1,4 +1,4 @@
-"""Everything that is remembered of one receiver between two chunks of its bytes."""
+"""Decoding state of one GNSS receiver."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from .gnss_time import DAY_NS, MS, NS, WEEK_NS, Unwrapper
 from .nmea_epoch import NmeaAssembler, NmeaEpoch, NmeaError, fix_from_sentences
 from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
-NMEA_WAITS_NS = 5 * NS  # NMEA counts only while UBX has sent no fix for so long
+NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are published
 
 SAME_EPOCH_MS = 12  # times of week of one epoch are closer: RXM-RAWX has the receiver's own clock
 
@@ -28,7 +28,7 @@ Output = GnssFix | GnssSatellites | GnssRawEpoch | GnssNavigationBits | GnssConf
 
 
 class Receiver:
-    """Turns the bytes of one receiver into fixes, satellites and answers to its configuration."""
+    """Decodes the bytes of one receiver to fixes, satellites and configuration results."""
 
     def __init__(self, source: str, *, minimum_delay_s: float, rejects: Counter[str]) -> None:
         self.configurator = Configurator(source)
@@ -38,13 +38,13 @@ class Receiver:
         self._ubx, self._nmea = EpochAssembler(rejects), NmeaAssembler()
         self._week, self._day = Unwrapper(WEEK_NS), Unwrapper(DAY_NS)
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
-        # Time of week [ms] and message, waiting for the stamp of their epoch; at most one of each kind.
+        # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
         self._waiting: dict[type[GnssSatellites | GnssRawEpoch], tuple[int, GnssSatellites | GnssRawEpoch]] = {}
-        self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and stamp of the newest fix
+        self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and time stamp [ns] of the newest fix
         self._ubx_fix_ns: int | None = None
 
     def take(self, raw: GnssRaw) -> Iterator[Output]:
-        """Take the next bytes; yield what they complete."""
+        """Process the next bytes; yield the completed messages."""
         for frame in self._framer.feed(raw.data):
             try:
                 if frame.protocol is Protocol.NMEA:
@@ -108,7 +108,7 @@ class Receiver:
             )  # fmt: skip
 
     def _stamped(self, itow: int, message: GnssSatellites | GnssRawEpoch) -> Iterator[Output]:
-        """Stamp a message as the fix of its epoch, whichever comes first; at once where there are no fixes."""
+        """Stamp a message with the time of its epoch's fix; without fixes, with its arrival time."""
         if self._last_stamp and _same_epoch(self._last_stamp[0], itow):
             yield message.model_copy(update={"sampled_ns": self._last_stamp[1]})
             return

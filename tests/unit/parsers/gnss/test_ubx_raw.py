@@ -55,10 +55,21 @@ def independently(kind: str, payload: bytes) -> Any:
 
 
 rows = st.tuples(
-    st.floats(1e7, 5e7), st.floats(-1e9, 1e9), st.floats(-9e4, 9e4, width=32), st.integers(0, 7), st.integers(1, 255),
-    st.integers(0, 9), st.integers(0, 13), st.integers(0, 64500), st.integers(1, 60), st.integers(0, 15),
-    st.integers(0, 14), st.integers(0, 15), st.integers(0, 15), st.just(0),
-)  # fmt: skip
+    st.floats(1e7, 5e7),
+    st.floats(-1e9, 1e9),
+    st.floats(-9e4, 9e4, width=32),
+    st.integers(0, 7),
+    st.integers(1, 255),
+    st.integers(0, 9),
+    st.integers(0, 13),
+    st.integers(0, 64500),
+    st.integers(1, 60),
+    st.integers(0, 15),
+    st.integers(0, 14),
+    st.integers(0, 15),
+    st.integers(0, 15),
+    st.just(0),
+)
 
 
 @given(st.lists(rows, max_size=40))
@@ -69,10 +80,23 @@ def test_every_field_is_what_pyubx2_reads(measurements: list[tuple[float, ...]])
     assert (found.gps_time_ns, found.leap_seconds) == (read.week * 604_800 * NS + round(read.rcvTow * NS), read.leapS)
     assert len(found.measurements) == read.numMeas and not rejects
     for k, one in enumerate(found.measurements, 1):
-        field = {name: getattr(read, f"{name}_{k:02d}") for name in (
-            "prMes", "cpMes", "doMes", "svId", "cno", "locktime", "prStd", "cpStd", "doStd", "prValid", "cpValid",
-            "halfCyc",
-        )}  # fmt: skip
+        field = {
+            name: getattr(read, f"{name}_{k:02d}")
+            for name in (
+                "prMes",
+                "cpMes",
+                "doMes",
+                "svId",
+                "cno",
+                "locktime",
+                "prStd",
+                "cpStd",
+                "doStd",
+                "prValid",
+                "cpValid",
+                "halfCyc",
+            )
+        }
         assert one.pseudorange_m == (field["prMes"] if field["prValid"] else None)
         assert one.carrier_phase_cycles == (field["cpMes"] if field["cpValid"] else None)
         assert one.half_cycle_resolved == bool(field["halfCyc"])
@@ -140,11 +164,16 @@ def test_what_the_receiver_does_not_call_valid_is_missing_and_not_counted() -> N
 @pytest.mark.parametrize(
     ("payload", "reason"),
     [
-        (rawx(GOOD)[:-1], "short"), (b"", "short"), (rawx(GOOD) + b"\0", "short"),
-        (rawx(GOOD, tow_s=604_800.0), "time_of_week"), (rawx(GOOD, tow_s=math.nan), "time_of_week"),
-        (rawx(GOOD, tow_s=-1.0), "time_of_week"), (rawx(GOOD, week=0), "week"), (rawx(GOOD, week=65535), "week"),
+        (rawx(GOOD)[:-1], "short"),
+        (b"", "short"),
+        (rawx(GOOD) + b"\0", "short"),
+        (rawx(GOOD, tow_s=604_800.0), "time_of_week"),
+        (rawx(GOOD, tow_s=math.nan), "time_of_week"),
+        (rawx(GOOD, tow_s=-1.0), "time_of_week"),
+        (rawx(GOOD, week=0), "week"),
+        (rawx(GOOD, week=65535), "week"),
     ],
-)  # fmt: skip
+)
 def test_an_epoch_that_cannot_be_is_refused(payload: bytes, reason: str) -> None:
     with pytest.raises(UbxError, match=reason):
         ubx_raw.decode_raw(payload, Counter())
@@ -199,7 +228,15 @@ def test_measurements_of_any_content_are_decoded_or_refused(parts: list[bytes], 
 @pytest.mark.parametrize("first", [True, False])
 def test_raw_measurements_have_the_stamp_of_their_epoch_whichever_comes_first(first: bool) -> None:
     itow_ms = round(TOW_S * 1000)
-    pvt: dict[str, Any] = {"year": 2026, "month": 9, "day": 21, "validDate": 1, "validTime": 1, "fixType": 3, "gnssFixOk": 1}
+    pvt: dict[str, Any] = {
+        "year": 2026,
+        "month": 9,
+        "day": 21,
+        "validDate": 1,
+        "validTime": 1,
+        "fixType": 3,
+        "gnssFixOk": 1,
+    }
     fix = bytes(UBXMessage("NAV", "NAV-PVT", 0, iTOW=itow_ms, **pvt).serialize())
     fix += bytes(UBXMessage("NAV", "NAV-EOE", 0, iTOW=itow_ms).serialize())
     raw = frame(0x15, rawx(GOOD))
