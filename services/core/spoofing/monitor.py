@@ -169,7 +169,7 @@ class InertialMonitor:
         newest_ns = self._fixes[-1].time_ns
         if self.window is not None and newest_ns // SECOND_NS == self.window.end_ns // SECOND_NS:
             return
-        chosen = window_of_fixes(self._fixes)
+        chosen = window_of_fixes(list(self._fixes))
         if isinstance(chosen, str):
             self._no_window(chosen)
             return
