@@ -1,6 +1,6 @@
 """Simulated drives as messages through core.fusion and core.spoofing, with GNSS velocities and positions changed."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import degrees, pi
 
@@ -120,7 +120,7 @@ def monitored(
     """Run a drive through both processes."""
     lever_arm = tuple(drive.lever_arm_b)
     config = config or Config()
-    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": lever_arm}))  # type: ignore[arg-type]
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": lever_arm}))
     process = Process(config.with_values({"gnss.lever_arm_body_m": lever_arm}))
     return run(fusion, process, inputs(drive, odometer=odometer, resolution_m_s=resolution_m_s))
 

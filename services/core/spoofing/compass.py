@@ -90,9 +90,9 @@ def barometric_height(pressure_pa: float) -> float:
 
     T_b is the standard temperature of 288.15 K.
     """
-    return STANDARD_TEMPERATURE / LAPSE_RATE * (float(pressure_pa / STANDARD_PRESSURE) ** EXPONENT - 1.0)
+    return STANDARD_TEMPERATURE / LAPSE_RATE * (float((pressure_pa / STANDARD_PRESSURE) ** EXPONENT) - 1.0)
 
 
 def barometric_pressure(height_m: float) -> float:
     """Pressure [Pa] in the standard atmosphere: the inverse of `barometric_height`."""
-    return STANDARD_PRESSURE * float(1.0 + LAPSE_RATE * height_m / STANDARD_TEMPERATURE) ** (1.0 / EXPONENT)
+    return STANDARD_PRESSURE * float((1.0 + LAPSE_RATE * height_m / STANDARD_TEMPERATURE) ** (1.0 / EXPONENT))

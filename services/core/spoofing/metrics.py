@@ -22,7 +22,7 @@ class Metric(StrEnum):
     ALTITUDE_RATE = "altitude_rate"
 
 
-UNITS = {metric: "m/s2" for metric in Metric} | {Metric.HEADING_RATE: "rad/s", Metric.ALTITUDE_RATE: "m/s"}
+UNITS = dict.fromkeys(Metric, "m/s2") | {Metric.HEADING_RATE: "rad/s", Metric.ALTITUDE_RATE: "m/s"}
 
 
 def acceleration_differences(gnss: FloatArray, inertial: FloatArray) -> dict[Metric, float]:

@@ -2,17 +2,19 @@
 
 from collections import Counter, deque
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.rotation import Vector
 from shared.messages.trust import MonitorOutcome
 
 from .long_window import LENGTHS_S, LongWindow
 from .metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
 from .settings import Settings
 from .short_window import Window, compare, window_of_fixes
-from .strapdown import SECOND_NS, Anchor, Decimator, Increment, Vector
+from .strapdown import SECOND_NS, Anchor, Decimator, Increment
 from .tracks import Heights, OdometerSpeed, Series, VelocityFix
 from .verdicts import Verdict, dated
 
@@ -217,30 +219,31 @@ class InertialMonitor:
         return {metric.value: self._metric(metric, missing) for metric in Metric}
 
     def _metric(self, metric: Metric, missing: str | None) -> Verdict:
-        profile, window = self.settings.profile, self.window
-        base = {"unit": UNITS[metric], "false_alarm_rate": profile.false_alarm_rate, "window_s": WINDOW_S}
+        profile, window, unit = self.settings.profile, self.window, UNITS[metric]
+        base = Verdict(
+            MonitorOutcome.NOT_EVALUATED, missing or "", unit,
+            false_alarm_rate=profile.false_alarm_rate, window_s=WINDOW_S,
+        )  # fmt: skip
         if missing is not None or window is None:
-            return Verdict(MonitorOutcome.NOT_EVALUATED, missing or "no window", **base)  # type: ignore[arg-type]
+            return base
         sigma, difference = profile.sigma_of(metric, window), window.difference.get(metric)
         if difference is None or sigma is None:
             reason = window.missing.get(metric, "the profile has no standard deviation of this metric")
-            return Verdict(MonitorOutcome.NOT_EVALUATED, reason, **base)  # type: ignore[arg-type]
-        accuses = self._exceeded[metric] >= CONSECUTIVE
+            return replace(base, reason=reason)
         limit = profile.threshold * sigma
-        reason = f"GNSS minus inertial {difference:+.3f} {UNITS[metric]} over 5 s, limit {limit:.3f}"
-        return Verdict(
-            MonitorOutcome.ACCUSES if accuses else MonitorOutcome.PASS, reason, statistic=abs(difference),
-            threshold=limit, suspect_since_ns=window.start_ns - SECOND_NS if accuses else None, **base,
-        )  # type: ignore[arg-type]  # fmt: skip
+        reason = f"GNSS minus inertial {difference:+.3f} {unit} over 5 s, limit {limit:.3f}"
+        suspect_ns = window.start_ns - (CONSECUTIVE - 1) * SECOND_NS
+        return judged(replace(base, reason=reason), abs(difference), limit, self._exceeded[metric], suspect_ns)
 
     def _long(self, time_ns: int, length: int) -> Verdict:
-        base = {"false_alarm_rate": self.settings.long.false_alarm_rate, "window_s": float(length)}
-        missing = self._missing(time_ns)
-        result = None if missing is not None else self.long.result(length)
+        missing, rate = self._missing(time_ns), self.settings.long.false_alarm_rate
+        base = Verdict(MonitorOutcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
+        if missing is not None:
+            return base
+        result = self.long.result(length)
         if result is None:
-            age = f"free propagation is {self.long.oldest_s:.0f} s old, {length} s are needed"
-            return Verdict(MonitorOutcome.NOT_EVALUATED, missing or age, **base)  # type: ignore[arg-type]
-        accuses = self._exceeded[length] >= CONSECUTIVE
+            reason = f"free propagation is {self.long.oldest_s:.0f} s old, {length} s are needed"
+            return replace(base, reason=reason)
         north, east, down = result.difference_n.tolist()
         reason = (
             f"GNSS minus free propagation of {length} s: {north:+.2f} north, {east:+.2f} east, {down:+.2f} down m/s; "
@@ -248,7 +251,14 @@ class InertialMonitor:
         )
         if self.long.odometer_rejected:
             reason += "; the odometer contradicts the inertial sensors and is not used"
-        return Verdict(
-            MonitorOutcome.ACCUSES if accuses else MonitorOutcome.PASS, reason, statistic=result.statistic,
-            threshold=self.long.threshold, suspect_since_ns=result.anchor_ns if accuses else None, **base,
-        )  # type: ignore[arg-type]  # fmt: skip
+        base = replace(base, reason=reason)
+        return judged(base, result.statistic, self.long.threshold, self._exceeded[length], result.anchor_ns)
+
+
+def judged(base: Verdict, statistic: float, threshold: float, exceeded: int, suspect_since_ns: int) -> Verdict:
+    """Accuse after two successive evaluations above the threshold, and while they last; else pass."""
+    if exceeded >= CONSECUTIVE:
+        base = replace(base, outcome=MonitorOutcome.ACCUSES, suspect_since_ns=suspect_since_ns)
+    else:
+        base = replace(base, outcome=MonitorOutcome.PASS)
+    return replace(base, statistic=statistic, threshold=threshold)

@@ -5,6 +5,7 @@ axes are the device's own; gravity and field give them in east, north, up.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +45,9 @@ def low_pass(values: FloatArray, rate_hz: float, *, cut_off_hz: float = GRAVITY_
     return _filtered(values, "lowpass", rate_hz, cut_off_hz)
 
 
-def _filtered(values: FloatArray, kind: str, rate_hz: float, cut_off_hz: float) -> FloatArray:
+def _filtered(
+    values: FloatArray, kind: Literal["lowpass", "highpass"], rate_hz: float, cut_off_hz: float
+) -> FloatArray:
     sections = butter(2, cut_off_hz, kind, fs=rate_hz, output="sos")
     zi = np.multiply.outer(sosfilt_zi(sections), values[0])
     filtered: FloatArray = sosfilt(sections, values, axis=0, zi=zi)[0]

@@ -23,6 +23,7 @@ from .strapdown import Anchor
 In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | Tick
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
+RESTART_NS = 5_000_000_000  # by which a stamp is earlier than the newest one where a time line starts again
 SILENT_NS = 5_000_000_000  # after which another source takes the place of one that is silent
 
 
@@ -34,6 +35,7 @@ class Process:
     """Publishes the statements `inertial_short` and `inertial_long` once a second."""
 
     def __init__(self, config: Config) -> None:
+        self._config = config
         self.monitor = InertialMonitor(config)
         self._newest_ns = 0
         self._sources: dict[type, tuple[str, int]] = {}  # one of each kind, with the last time of arrival
@@ -72,12 +74,23 @@ class Process:
     def _use_samples(self, batch: ImuSamples) -> None:
         if batch.saturated:
             self.rejects["imu: saturated"] += 1
+            return
+        if self._newest_ns - batch.sampled_ns[-1] > RESTART_NS:
+            self._restart(batch.sampled_ns[-1])
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
         for time_ns, force, rate in samples:
             self.monitor.inertial(time_ns, force, rate)
         self._newest_ns = max(self._newest_ns, batch.sampled_ns[-1])
         if batch.pressure_pa is not None:
             self.monitor.pressure(batch.sampled_ns[-1], batch.pressure_pa)
+
+    def _restart(self, time_ns: int) -> None:
+        """Start again with what was counted, because the time line has started again earlier."""
+        rejected = self.rejects
+        self.monitor = InertialMonitor(self._config)
+        self.rejects.update(rejected)
+        self.rejects["time line started again"] += 1
+        self._newest_ns = time_ns
 
 
 def anchor_of(solution: NavigationSolution) -> Anchor:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -43,7 +44,7 @@ def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | str:
     if begin is None or fixes[-1].time_ns - fixes[begin].time_ns > LONGEST_S * SECOND_NS:
         return "fewer than 5 s of GNSS velocities"
     chosen = list(fixes[begin:])
-    if any(b.time_ns - a.time_ns > GAP_S * SECOND_NS for a, b in zip(chosen, chosen[1:], strict=False)):
+    if any(b.time_ns - a.time_ns > GAP_S * SECOND_NS for a, b in pairwise(chosen)):
         return f"more than {GAP_S} s between two GNSS velocities"
     return chosen
 
@@ -142,7 +143,7 @@ def _yaw(free: Strapdown) -> float:
 def _course_change(fixes: Sequence[VelocityFix]) -> float:
     """Change of course [rad], turn by turn; 0 while GNSS stands, where its course is noise."""
     change = 0.0
-    for before, after in zip(fixes, fixes[1:], strict=False):
+    for before, after in pairwise(fixes):
         if min(before.speed, after.speed) > LEAST_SPEED:
             courses = [float(np.arctan2(fix.velocity_n[1], fix.velocity_n[0])) for fix in (before, after)]
             change += wrap_angle(courses[1] - courses[0])
