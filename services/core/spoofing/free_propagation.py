@@ -54,7 +54,7 @@ class FreePropagation:
         self._angle += increment.rate_b * increment.duration
         self._elapsed += increment.duration
 
-    def close_second(self) -> None:
+    def predict(self) -> None:
         """Propagate the covariance over the increments since the last call: P+ = Phi P Phi' + Q.
 
         Notes

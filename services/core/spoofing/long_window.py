@@ -22,7 +22,8 @@ FloatArray = npt.NDArray[np.float64]
 
 LENGTHS_S = (30, 60)
 SPACING_S = 5  # between anchors, so that a window is at most this much longer than its name says
-FROZEN_S = 180  # age up to which propagations are kept while GNSS is accused
+FROZEN_S = 180  # age up to which a propagation is kept, if none younger takes its place
+RELEASE_RATE = 0.01  # of fault-free evaluations above the threshold of release
 LEAST_FIXES = 4  # of a mean over 5 s
 DIMENSIONS = 3
 
@@ -43,6 +44,13 @@ class _Node:
     velocity_n: FloatArray  # of the antenna
 
 
+@dataclass(frozen=True)
+class _Comparison:
+    fix: VelocityFix
+    free_n: FloatArray  # shape (3,) [m/s, NED] free velocity of the antenna at the fix
+    P: FloatArray  # shape (3, 3) [m²/s²] its covariance, at most 1 s older
+
+
 class FreeRun:
     """One free propagation with its velocities of the last seconds and what GNSS differs from them."""
 
@@ -51,7 +59,7 @@ class FreeRun:
         self._lever_arm = np.array(settings.gnss.lever_arm_body_m)
         self._settings = settings
         self._nodes: list[_Node] = []
-        self._compared: list[tuple[VelocityFix, FloatArray]] = []
+        self._compared: list[_Comparison] = []
 
     @property
     def anchor_ns(self) -> int:
@@ -73,32 +81,34 @@ class FreeRun:
         times = [node.time_ns - fix.time_ns for node in self._nodes]
         velocities = np.array([node.velocity_n for node in self._nodes])
         free = np.array([np.interp(0.0, times, velocities[:, axis]) for axis in range(DIMENSIONS)])
-        self._compared.append((fix, free))
+        self._compared.append(_Comparison(fix, free, self.free.P[:3, :3].copy()))
         limit_ns = fix.time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
-        self._compared = [pair for pair in self._compared if pair[0].time_ns > limit_ns]
+        self._compared = [compared for compared in self._compared if compared.fix.time_ns > limit_ns]
 
     def result(self) -> LongResult | None:
         """Test the mean difference over the last 5 s; None with too few fixes.
 
         Notes
         -----
-        With d the mean difference, P the covariance of the free velocity, R that of the mean of n fixes whose errors
-        are correlated over time, a the mean acceleration over the window and s_t the standard deviation of stamps::
+        With d the mean difference, P_k the covariance of the free velocity at fix k, R that of the mean of n fixes
+        whose errors are correlated over time, a the mean acceleration and s_t the standard deviation of stamps::
 
-            T = d' S^-1 d,    S = P + R + s_t² a a'
+            T = d' S^-1 d,    S = 1/n sum P_k + R + s_t² a a'
 
-        P is not divided by n: its errors are common to the window. Its newest value is taken for all of it.
+        The covariance of a mean is at most the mean of the covariances, whatever the correlation of the errors.
         """
         if len(self._compared) < LEAST_FIXES:
             return None
         gnss = self._settings.gnss
-        times = np.array([(fix.time_ns - self._compared[0][0].time_ns) / SECOND_NS for fix, _ in self._compared])
-        free = np.array([velocity for _, velocity in self._compared])
-        sd = np.array([fix.sd for fix, _ in self._compared])
-        d = np.mean([fix.velocity_n - velocity for fix, velocity in self._compared], axis=0)
+        fixes = [compared.fix for compared in self._compared]
+        times = np.array([(fix.time_ns - fixes[0].time_ns) / SECOND_NS for fix in fixes])
+        free = np.array([compared.free_n for compared in self._compared])
+        sd = np.array([fix.sd for fix in fixes])
+        d = np.mean(np.array([fix.velocity_n for fix in fixes]) - free, axis=0)
         R = np.diag([mean_variance(times, sd[:, axis], gnss.velocity_correlation_s) for axis in range(DIMENSIONS)])
         acceleration = (free[-1] - free[0]) / times[-1]
-        S = self.free.P[:3, :3] + R + gnss.time_sd_s**2 * np.outer(acceleration, acceleration)
+        P = np.mean([compared.P for compared in self._compared], axis=0)
+        S = P + R + gnss.time_sd_s**2 * np.outer(acceleration, acceleration)
         return LongResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), self.anchor_ns)
 
 
@@ -109,6 +119,7 @@ class LongWindow:
         self._settings = settings
         self._runs: list[FreeRun] = []  # oldest anchor first
         self.threshold = float(chdtri(DIMENSIONS, settings.long.false_alarm_rate))
+        self.release_threshold = float(chdtri(DIMENSIONS, RELEASE_RATE))
         self.suspect_since_ns: int | None = None  # while GNSS is accused
 
     @property
@@ -151,16 +162,22 @@ class LongWindow:
             if run.free.nominal.time_ns < increment.end_ns:
                 run.advance(increment)
 
-    def close_second(self, odometer: OdometerSpeed | None, yaw_rate: float, *, stationary: bool) -> None:
-        """Propagate the covariances, and aid by odometer, non-holonomic constraint and standstill."""
+    def predict(self) -> None:
+        """Propagate the covariances over the second that has ended, and drop what is too old."""
         for run in self._runs:
-            run.free.close_second()
+            run.free.predict()
+        ages = [run.free.age_s(run.free.nominal.time_ns) for run in self._runs]
+        newest_whole = max((i for i, age in enumerate(ages) if age >= LENGTHS_S[-1]), default=0)
+        oldest = 0 if self.suspect_since_ns is not None else newest_whole
+        self._runs = [run for run, age in zip(self._runs[oldest:], ages[oldest:], strict=True) if age <= FROZEN_S]
+
+    def aid(self, odometer: OdometerSpeed | None, yaw_rate: float, *, stationary: bool) -> None:
+        """Aid by odometer, non-holonomic constraint and standstill."""
+        for run in self._runs:
             if stationary:
                 run.free.stand()
             else:
                 self._aid(run.free, odometer, yaw_rate)
-        limit_s = FROZEN_S if self.suspect_since_ns is not None else LENGTHS_S[-1] + SPACING_S
-        self._runs = [run for run in self._runs if run.free.age_s(run.free.nominal.time_ns) <= limit_s]
 
     def _aid(self, free: FreePropagation, odometer: OdometerSpeed | None, yaw_rate: float) -> None:
         s = self._settings.long

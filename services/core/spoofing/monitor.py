@@ -10,7 +10,7 @@ import numpy.typing as npt
 from shared.maths.rotation import Vector
 from shared.messages.trust import MonitorOutcome
 
-from .long_window import LENGTHS_S, LongWindow
+from .long_window import LENGTHS_S, LongResult, LongWindow
 from .metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
 from .settings import Settings
 from .short_window import Window, compare, window_of_fixes
@@ -22,6 +22,7 @@ FloatArray = npt.NDArray[np.float64]
 
 MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
 ODOMETER_GAP_S = 2.5
+RELEASE = 10  # evaluations below the release threshold that end an accusation of a long window
 KEPT_S = 10  # of increments, fixes and solutions
 
 
@@ -46,6 +47,7 @@ class InertialMonitor:
         self._window_missing = ""
         self._fix_ns: int | None = None  # newest stamp, before the delay
         self._exceeded: Counter[Metric | int] = Counter()  # successive evaluations above the threshold
+        self._accusing = dict.fromkeys(LENGTHS_S, False)
         self._known: dict[str, Verdict] = {}
 
     def inertial(self, time_ns: int, force_b: Vector, rate_b: Vector) -> None:
@@ -140,23 +142,26 @@ class InertialMonitor:
             if anchor is not None:
                 self.long.anchor(anchor)
             self.long.advance(increment)
+            second_ends = increment.end_ns // SECOND_NS != increment.start_ns // SECOND_NS
+            if second_ends:
+                self.long.predict()
             fresh = []
             while self._pending and self._pending[0].time_ns <= increment.end_ns:
                 fresh.append(self._pending.popleft())
             for fix in fresh:
                 self._fixes.append(fix)
                 self.long.compare(fix)
-            if increment.end_ns // SECOND_NS != increment.start_ns // SECOND_NS:
-                self._close_second(increment)
+            if second_ends:
+                self._aid(increment)
             if fresh:
                 self._evaluate()
 
-    def _close_second(self, increment: Increment) -> None:
+    def _aid(self, increment: Increment) -> None:
         speed = self._odometer.at(increment.end_ns)
         odometer = None if speed is None else OdometerSpeed(increment.end_ns, speed, self._resolution)
         solution = self._solution_at(increment.end_ns)
         stationary = solution is not None and solution.stationary
-        self.long.close_second(odometer, float(increment.rate_b[2]), stationary=stationary)
+        self.long.aid(odometer, float(increment.rate_b[2]), stationary=stationary)
 
     def _solution_at(self, time_ns: int) -> Anchor | None:
         for solution in reversed(self._solutions):
@@ -191,9 +196,19 @@ class InertialMonitor:
             above = sigma is not None and difference is not None and abs(difference) > profile.threshold * sigma
             self._exceeded[metric] = self._exceeded[metric] + 1 if above else 0
         for length in LENGTHS_S:
-            result = self.long.result(length)
-            above = result is not None and result.statistic > self.long.threshold
-            self._exceeded[length] = self._exceeded[length] + 1 if above else 0
+            self._decide(length, self.long.result(length))
+
+    def _decide(self, length: int, result: LongResult | None) -> None:
+        """Accuse after two evaluations above the threshold; release after ten below a lower one."""
+        if result is None:
+            self._accusing[length] = False
+            return
+        accusing = self._accusing[length]
+        counts = result.statistic < self.long.release_threshold if accusing else result.statistic > self.long.threshold
+        self._exceeded[length] = self._exceeded[length] + 1 if counts else 0
+        if self._exceeded[length] >= (RELEASE if accusing else CONSECUTIVE):
+            self._accusing[length] = not accusing
+            self._exceeded[length] = 0
 
     def _no_window(self, reason: str) -> None:
         self.window, self._window_missing = None, reason
@@ -233,7 +248,13 @@ class InertialMonitor:
         limit = profile.threshold * sigma
         reason = f"GNSS minus inertial {difference:+.3f} {unit} over 5 s, limit {limit:.3f}"
         suspect_ns = window.start_ns - (CONSECUTIVE - 1) * SECOND_NS
-        return judged(replace(base, reason=reason), abs(difference), limit, self._exceeded[metric], suspect_ns)
+        return judged(
+            replace(base, reason=reason),
+            abs(difference),
+            limit,
+            accuses=self._exceeded[metric] >= CONSECUTIVE,
+            suspect_since_ns=suspect_ns,
+        )
 
     def _long(self, time_ns: int, length: int) -> Verdict:
         missing, rate = self._missing(time_ns), self.settings.long.false_alarm_rate
@@ -252,12 +273,18 @@ class InertialMonitor:
         if self.long.odometer_rejected:
             reason += "; the odometer contradicts the inertial sensors and is not used"
         base = replace(base, reason=reason)
-        return judged(base, result.statistic, self.long.threshold, self._exceeded[length], result.anchor_ns)
+        return judged(
+            base,
+            result.statistic,
+            self.long.threshold,
+            accuses=self._accusing[length],
+            suspect_since_ns=result.anchor_ns,
+        )
 
 
-def judged(base: Verdict, statistic: float, threshold: float, exceeded: int, suspect_since_ns: int) -> Verdict:
-    """Accuse after two successive evaluations above the threshold, and while they last; else pass."""
-    if exceeded >= CONSECUTIVE:
+def judged(base: Verdict, statistic: float, threshold: float, *, accuses: bool, suspect_since_ns: int) -> Verdict:
+    """Complete a verdict that has been evaluated."""
+    if accuses:
         base = replace(base, outcome=MonitorOutcome.ACCUSES, suspect_since_ns=suspect_since_ns)
     else:
         base = replace(base, outcome=MonitorOutcome.PASS)
