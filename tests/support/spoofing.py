@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
+from services.core.spoofing.compass import barometric_pressure
 from services.core.spoofing.process import Config, Process
 from services.core.spoofing.short_window import Window
 from services.sensors.simulator.drive import Drive
@@ -22,6 +23,7 @@ from shared.messages.vehicle import VehicleSpeed
 
 FloatArray = npt.NDArray[np.float64]
 SECOND_NS = 1_000_000_000
+BAROMETER_SD = 0.12  # [m]
 BATCH = 10  # inertial samples a message
 Input = ImuSamples | GnssFix | VehicleSpeed | Tick
 
@@ -70,6 +72,7 @@ def drag_off(drive: Drive, begin_s: float, acceleration: float, speed: float, *,
 def inputs(drive: Drive, *, odometer: bool = True, resolution_m_s: float = 0.0) -> Iterator[Input]:
     """Messages of a drive in order of time, with a tick a second."""
     k = j = 0
+    rng = np.random.default_rng((drive.seed, 99))
     for i in range(0, len(drive.t_ns) - BATCH + 1, BATCH):
         now_ns = int(drive.t_ns[i + BATCH - 1])
         yield ImuSamples(
@@ -78,6 +81,7 @@ def inputs(drive: Drive, *, odometer: bool = True, resolution_m_s: float = 0.0) 
             sampled_ns=tuple(drive.t_ns[i : i + BATCH].tolist()),
             specific_force_body_m_s2=tuple(map(tuple, drive.force_b[i : i + BATCH].tolist())),
             angular_rate_body_rad_s=tuple(map(tuple, drive.rate_b[i : i + BATCH].tolist())),
+            pressure_pa=barometric_pressure(float(drive.position[i + BATCH - 1, 2]) + BAROMETER_SD * rng.normal()),
         )
         while odometer and j < len(drive.odometer_ns) and drive.odometer_ns[j] <= now_ns:
             speed = max(0.0, float(drive.odometer[j]))

@@ -38,7 +38,7 @@ class GnssSettings(Section):
 class LongSettings(Section):
     """Free propagation over 30 and 60 s."""
 
-    false_alarm_rate: float = Field(default=1e-6, gt=0.0, lt=0.5, description="of each window, per evaluation")
+    false_alarm_rate: float = Field(default=1e-5, gt=0.0, lt=0.5, description="of each window, per evaluation")
     velocity_random_walk_m_s_sqrt_s: float = Field(
         default=0.006, gt=0.0, description="root of the PSD of the accelerometers' noise, vibration included"
     )
@@ -46,16 +46,16 @@ class LongSettings(Section):
         default=2e-4, gt=0.0, description="root of the PSD of the gyroscopes' noise, vibration included"
     )
     accelerometer_bias_sd_m_s2: float = Field(
-        default=0.02, gt=0.0, description="standard deviation of the accelerometer biases in fusion's solution"
+        default=0.01, gt=0.0, description="standard deviation of the accelerometer biases in fusion's solution"
     )
     gyroscope_bias_sd_rad_s: float = Field(
-        default=radians(0.01), gt=0.0, description="standard deviation of the gyroscope biases in fusion's solution"
+        default=radians(0.005), gt=0.0, description="standard deviation of the gyroscope biases in fusion's solution"
     )
     scale_sd: float = Field(
-        default=0.003, ge=0.0, description="standard deviation of scale and cross-axis errors of the inertial sensors"
+        default=0.002, ge=0.0, description="standard deviation of scale and cross-axis errors of the inertial sensors"
     )
     attitude_sd_floor_rad: float = Field(
-        default=radians(0.1), ge=0.0, description="added to the attitude's covariance in fusion's solution, per axis"
+        default=radians(0.05), ge=0.0, description="added to the attitude's covariance in fusion's solution, per axis"
     )
     velocity_sd_floor_m_s: float = Field(
         default=0.03, ge=0.0, description="added to the velocity's covariance in fusion's solution, per axis"
