@@ -122,16 +122,20 @@ def _sigma(pairs: list[tuple[float, float]], floor: float) -> float:
     return float(np.sqrt(max(np.mean(difference**2) - np.mean(noise**2), floor**2)))
 
 
+# Learned values are 0.001 to 0.004 rad/s, 0.006 to 0.012 m/s² and 0.02 m/s; a real vehicle bends and shakes more.
 UNIT_IMU = Profile(
     sigma={
-        Metric.HEADING_RATE: (0.01, 0.005, 0.003, 0.003),
-        Metric.ACCELERATION_EAST: (0.03, 0.03, 0.03, 0.03),
-        Metric.ACCELERATION_NORTH: (0.03, 0.03, 0.03, 0.03),
-        Metric.ACCELERATION_UP: (0.02, 0.02, 0.02, 0.02),
-        Metric.ACCELERATION: (0.03, 0.03, 0.03, 0.03),
-        Metric.ALTITUDE_RATE: (0.1, 0.1, 0.1, 0.1),
+        Metric.HEADING_RATE: (0.006, 0.004, 0.003, 0.003),
+        Metric.ACCELERATION_EAST: (0.015, 0.015, 0.02, 0.02),
+        Metric.ACCELERATION_NORTH: (0.015, 0.015, 0.02, 0.02),
+        Metric.ACCELERATION_UP: (0.01, 0.015, 0.02, 0.02),
+        Metric.ACCELERATION: (0.015, 0.015, 0.02, 0.02),
+        Metric.ALTITUDE_RATE: (0.03, 0.03, 0.03, 0.03),
     },
-    threshold=6.5,
-    false_alarm_rate=1e-3,
-    provenance="placeholder",
+    threshold=5.0,
+    false_alarm_rate=5e-4,
+    provenance=(
+        "simulated drives parking_lot 6, urban 5, highway 4 and tunnel 3, 2340 s with an IMU of MTi-630 grade and GNSS "
+        "at 1 Hz: learned standard deviations, rounded up by 1.3 to 3; no alarm in 2021 windows"
+    ),
 )

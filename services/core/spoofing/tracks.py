@@ -13,6 +13,8 @@ from .strapdown import SECOND_NS
 
 FloatArray = npt.NDArray[np.float64]
 
+BIN_NS = 200_000_000  # of heights, whose newest mean is complete that much later
+
 
 @dataclass(frozen=True)
 class VelocityFix:
@@ -70,27 +72,27 @@ class Series:
 
 
 class Heights:
-    """Barometric heights, as means over 1 s."""
+    """Barometric heights, as means over 200 ms."""
 
     def __init__(self) -> None:
         self.rejected: Counter[str] = Counter()
-        self._means = Series(20, 3.0)
-        self._sum, self._count, self._second = 0.0, 0, 0
+        self._means = Series(100, 3.0)
+        self._sum, self._count, self._bin = 0.0, 0, 0
 
     def pressure(self, time_ns: int, pressure_pa: float) -> None:
         """Use a pressure."""
         if not (isfinite(pressure_pa) and 30_000.0 <= pressure_pa <= 115_000.0):
             self.rejected["imu: pressure is not within 300 to 1150 hPa"] += 1
             return
-        second = time_ns // SECOND_NS
-        if second > self._second and self._count:
-            self._means.add(self._second * SECOND_NS + SECOND_NS // 2, self._sum / self._count)
+        number = time_ns // BIN_NS
+        if number > self._bin and self._count:
+            self._means.add(self._bin * BIN_NS + BIN_NS // 2, self._sum / self._count)
             self._sum, self._count = 0.0, 0
-        if second >= self._second:
-            self._second = second
+        if number >= self._bin:
+            self._bin = number
             self._sum, self._count = self._sum + barometric_height(pressure_pa), self._count + 1
 
     def rate(self, start_ns: int, end_ns: int) -> float | None:
-        """Mean rate of the height [m/s] between two times; None where it is not known."""
-        start, end = self._means.at(start_ns), self._means.at(end_ns)
+        """Mean rate of the height [m/s] between two times, both 200 ms ago; None where it is not known."""
+        start, end = self._means.at(start_ns - BIN_NS), self._means.at(end_ns - BIN_NS)
         return None if start is None or end is None else (end - start) * SECOND_NS / (end_ns - start_ns)
