@@ -15,8 +15,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from services.core.fusion.filter.kalman import chi_square_limit
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
+from shared.maths.quantiles import chi_square_limit
 
 from . import matched, whole
 from .matched import LASTING_S, POSITION_SD, Model
@@ -70,13 +70,10 @@ def dimension(block: str) -> int:
 
 
 def band(runs: int, size: int) -> tuple[float, float]:
-    """Bounds between which the mean of chi-squares over their dimension lies with 95 % probability.
-
-    Wilson and Hilferty's cube, exact to 0.002 for the 150 degrees of freedom and more that a campaign has.
-    """
+    """Bounds between which the mean of chi-squares over their dimension lies with 95 % probability."""
     degrees = runs * size
-    spread = float(np.sqrt(chi_square_limit(1, 1.0 - BAND) * 2.0 / (9.0 * degrees)))
-    return (1.0 - 2.0 / (9.0 * degrees) - spread) ** 3, (1.0 - 2.0 / (9.0 * degrees) + spread) ** 3
+    low, high = (chi_square_limit(degrees, 0.5 * (1.0 + side * BAND)) / degrees for side in (1.0, -1.0))
+    return low, high
 
 
 def run(job: tuple[str, int]) -> tuple[str, Sizes]:

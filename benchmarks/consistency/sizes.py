@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
 from services.core.fusion.measurements.base import Outcome
 from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.maths.rotation import ned_from_body, rotation_vector_from_matrix
+from shared.maths.rotation import ned_from_body
 from shared.messages.navigation import AidingKind
 
 FloatArray = npt.NDArray[np.float64]
@@ -45,7 +46,7 @@ def error_of(navigation: ErrorStateFilter, drive: Drive, i: int, bias: FloatArra
     known = (*navigation.accelerometer_bias, *navigation.gyroscope_bias)
     return np.concatenate(
         [
-            rotation_vector_from_matrix(turned),
+            Rotation.from_matrix(turned).as_rotvec(),
             velocity - drive.velocity_n[i],
             ned_from_geodetic_difference(position, true),
             bias - known,

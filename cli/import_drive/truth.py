@@ -1,12 +1,12 @@
-"""Rows of a reference system become true states."""
+"""Converts rows of a reference system to true states."""
 
 from collections.abc import Iterator
 from math import degrees
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from shared.maths.earth import FloatArray, geodetic_from_ecef
-from shared.maths.rotation import ned_from_body
 from shared.messages.navigation import TruthState
 
 from . import units
@@ -17,7 +17,7 @@ from .table import Table
 
 
 def true_states(spec: Truth, table: Table, sampled: Stamps) -> Iterator[TruthState]:
-    """Give one true state a row."""
+    """Yield one true state per row."""
     positions = _positions(spec, table)
     attitude = table.many(spec.attitude.columns) * units.ANGLE[spec.attitude.unit]
     rates = _rates(spec.angular_rate, table)
@@ -45,7 +45,8 @@ def _velocity_ned(spec: Truth, table: Table, attitude: FloatArray) -> FloatArray
     velocity = table.many(spec.velocity.columns) * units.SPEED[spec.velocity.unit]
     if spec.velocity.axes != "body":
         return as_ned(velocity, spec.velocity.axes)
-    return np.array([ned_from_body(*angles) @ v for angles, v in zip(attitude.tolist(), velocity, strict=True)])
+    turned: FloatArray = Rotation.from_euler("ZYX", attitude[:, ::-1]).apply(velocity)
+    return turned
 
 
 def _positions(spec: Truth, table: Table) -> Rows:
@@ -55,6 +56,6 @@ def _positions(spec: Truth, table: Table) -> Rows:
         points = [geodetic_from_ecef((x, y, z)) for x, y, z in ecef.tolist()]
         return [(degrees(p.latitude), degrees(p.longitude), p.height) for p in points]
     if spec.latitude is None or spec.longitude is None or spec.height is None:
-        raise ValueError("a truth without a position")
+        raise ValueError("truth without a position")
     height = np.array(heights(spec.height, table)[0])
     return triples(np.column_stack([degrees_of(spec.latitude, table), degrees_of(spec.longitude, table), height]))

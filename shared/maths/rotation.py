@@ -1,7 +1,8 @@
-"""Rotations in three dimensions: vectors, matrices, quaternions, and roll, pitch and yaw.
+"""Rotations in three dimensions: rotation vectors, matrices, quaternions, and roll, pitch and yaw.
 
-Matrices are named to_from_from, so that products read: `v_n = ned_from_body @ v_b`. Quaternions are Hamilton's,
-(w, x, y, z), of unit length and with w >= 0, and turn as their matrix does.
+Matrices are named `to_from_from`: `v_n = ned_from_body @ v_b`. Quaternions are Hamilton quaternions (w, x, y, z) of
+unit norm with w >= 0, and represent the same rotation as their matrix. These functions are for live processes;
+offline tools use `scipy.spatial.transform.Rotation`.
 """
 
 from math import asin, atan2, cos, sin, sqrt
@@ -17,7 +18,7 @@ _SMALL_ANGLE = 1e-4  # [rad] below it, three terms of the series are exact to ro
 
 
 def skew(vector: npt.ArrayLike) -> FloatArray:
-    """Matrix sk(a), shape (3, 3), of the vector product: sk(a) b = a x b."""
+    """Skew-symmetric matrix sk(a), shape (3, 3), of the vector product: sk(a) b = a x b."""
     x, y, z = vector if isinstance(vector, tuple) else np.asarray(vector, dtype=np.float64).tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -27,84 +28,14 @@ def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def matrix_from_rotation_vector(rotation_vector: npt.ArrayLike) -> FloatArray:
-    """Rotation matrix of a turn about an axis: the matrix exponential of sk(a).
-
-    Parameters
-    ----------
-    rotation_vector : array_like, shape (3,)
-        [rad] Direction is the axis, length the angle.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        The rotation that takes a vector along with the turn.
-
-    Notes
-    -----
-    Rodrigues' formula, which is exact::
-
-        exp(sk(a)) = I + sin|a|/|a| sk(a) + (1 - cos|a|)/|a|² sk(a)²
-    """
-    S = skew(rotation_vector)
-    angle2 = 0.5 * float((S * S).sum())
-    angle = sqrt(angle2)
-    if angle < _SMALL_ANGLE:
-        first, second = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
-    else:
-        first, second = sin(angle) / angle, (1.0 - cos(angle)) / angle2
-    return np.eye(3) + first * S + second * (S @ S)
-
-
-def average_matrix_from_rotation_vector(rotation_vector: npt.ArrayLike) -> FloatArray:
-    """Mean of the rotation matrix while a body turns evenly by a rotation vector.
-
-    Parameters
-    ----------
-    rotation_vector : array_like, shape (3,)
-        [rad] The whole turn.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        Not a rotation matrix itself; the unit matrix for no turn.
-
-    Notes
-    -----
-    ::
-
-        mean of exp(s sk(a)), s = 0..1  =  I + (1 - cos|a|)/|a|² sk(a) + (1 - sin|a|/|a|)/|a|² sk(a)²
-
-    References
-    ----------
-    P. Groves, 2nd ed., eq. 5.84.
-    """
-    S = skew(rotation_vector)
-    angle2 = 0.5 * float((S * S).sum())
-    angle = sqrt(angle2)
-    if angle < _SMALL_ANGLE:
-        first, second = 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
-    else:
-        first, second = (1.0 - cos(angle)) / angle2, (1.0 - sin(angle) / angle) / angle2
-    return np.eye(3) + first * S + second * (S @ S)
-
-
-def rotation_vector_from_matrix(matrix: npt.ArrayLike) -> FloatArray:
-    """Rotation vector [rad], shape (3,), of a rotation matrix; its length is at most pi."""
-    w, x, y, z = quaternion_from_matrix(matrix)
-    sine = sqrt(x * x + y * y + z * z)
-    scale = 2.0 if sine < 1e-12 else 2.0 * atan2(sine, w) / sine
-    return scale * np.array([x, y, z])
-
-
 def ned_from_body(roll: float, pitch: float, yaw: float) -> FloatArray:
     """Rotation matrix from body axes (forward, right, down) to north, east and down.
 
     Parameters
     ----------
     roll, pitch, yaw : float
-        [rad] Applied in the order yaw, pitch, roll from NED to body: right side down, nose up, nose clockwise
-        from north are positive.
+        [rad] Applied in the order yaw, pitch, roll from NED to body. Positive: right side down, nose up, heading
+        clockwise from north.
 
     Returns
     -------
@@ -121,17 +52,8 @@ def ned_from_body(roll: float, pitch: float, yaw: float) -> FloatArray:
     )
 
 
-def roll_pitch_yaw(matrix: npt.ArrayLike) -> Vector:
-    """Roll, pitch and yaw [rad] of the rotation matrix NED from body; at pitch ±90° roll is 0."""
-    C = np.asarray(matrix, dtype=np.float64)
-    pitch = asin(max(-1.0, min(1.0, -float(C[2, 0]))))
-    if abs(C[2, 0]) > 1.0 - 1e-12:
-        return 0.0, pitch, atan2(-float(C[0, 1]), float(C[1, 1]))
-    return atan2(float(C[2, 1]), float(C[2, 2])), pitch, atan2(float(C[1, 0]), float(C[0, 0]))
-
-
 def roll_pitch_yaw_of_quaternion(quaternion: Quaternion) -> Vector:
-    """Roll, pitch and yaw [rad] of the unit quaternion NED from body, without arrays; at pitch ±90° roll is 0."""
+    """Roll, pitch and yaw [rad] of a unit quaternion NED from body; at pitch ±90° the roll is 0."""
     w, x, y, z = quaternion
     sine = 2.0 * (w * y - x * z)
     pitch = asin(max(-1.0, min(1.0, sine)))
@@ -158,7 +80,7 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> Quaternion:
 
     Notes
     -----
-    Divides by the largest of the four components, so that no rotation is near a singularity.
+    Divides by the largest of the four components, which avoids singularities.
 
     References
     ----------
@@ -178,7 +100,7 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> Quaternion:
 
 
 def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
-    """Hamilton's product: the turn `right` followed by the turn `left`."""
+    """Hamilton product: the rotation `right` followed by the rotation `left`."""
     a, b, c, d = left
     e, f, g, h = right
     return (
@@ -190,7 +112,7 @@ def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
 
 
 def quaternion_from_rotation_vector(rotation_vector: Vector) -> Quaternion:
-    """Unit quaternion of a turn about an axis [rad]; w < 0 for turns of more than pi."""
+    """Unit quaternion of a rotation vector [rad]; w < 0 for angles above pi."""
     x, y, z = rotation_vector
     angle2 = x * x + y * y + z * z
     if angle2 < _SMALL_ANGLE**2:

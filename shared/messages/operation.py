@@ -71,6 +71,26 @@ class Freshness(StrEnum):
     QUIET = "quiet"  # a topic without a rate
 
 
+class ProcessStatus(StrEnum):
+    """How `monitoring.health` judges a process, by its heartbeats, its last will and the topics that it publishes."""
+
+    READY = "ready"
+    LATE = "late"  # its heartbeat is overdue, but within the deadline
+    RESTARTING = "restarting"  # it runs again, but a topic that it published before is still silent
+    STALE = "stale"  # connected, but no heartbeat within the deadline
+    LOST = "lost"  # last will
+    ENDED = "ended"  # stopped on request
+    WAITING = "waiting"  # not seen yet, and the unit has just started
+    MISSING = "missing"  # should run in this vehicle, but was never seen
+    ABSENT = "absent"  # the vehicle's file does not ask for it
+    UNKNOWN = "unknown"  # the broker or `monitoring.health` is not available
+
+    @property
+    def down(self) -> bool:
+        """Whether the process does no work."""
+        return self in (ProcessStatus.STALE, ProcessStatus.LOST, ProcessStatus.ENDED, ProcessStatus.MISSING)
+
+
 class TopicAge(Message):
     """Rate, age and latency of one topic."""
 
@@ -81,34 +101,48 @@ class TopicAge(Message):
     count: Count
     latency_p50_s: float | None = None  # from `received_ns` or `sampled_ns` to the observer
     latency_p99_s: float | None = None
-    cause: Reason | None = None  # the process or device behind the silence
+    cause: Reason | None = None  # root cause of its silence
 
 
 class ProcessAge(Message):
-    """How a process looks from outside."""
+    """Status, age of the last heartbeat and number of restarts of one process."""
 
     process: Name
-    state: ProcessState | None = None
-    silent: bool
+    status: ProcessStatus
     heartbeat_age_s: float | None = None
     restarts: Count
 
 
+class Outage(Message):
+    """One root cause and what it silenced, from the last message before it until all of that was published again.
+
+    `what` and `since_ns` identify it: an outage that goes on soon after its end is published again without an end.
+    """
+
+    what: Name  # the root cause: a process, a topic whose device or producer is silent, or "broker"
+    since_ns: Nanoseconds
+    until_ns: Nanoseconds | None = None
+    cause: Reason
+    affected: tuple[Name, ...] = ()  # topics that it silenced
+
+
+class Problem(Message):
+    """Something that is wrong now: the root cause, what it means at the moment, and the topics that are silent."""
+
+    what: Name  # as in `Outage`
+    text: Reason
+    since_ns: Nanoseconds | None = None
+    affected: tuple[Name, ...] = ()
+    outage: Outage | None = None  # None if nothing is silent because of it
+
+
 class DeadlineReport(Message):
-    """Every topic and every process against its deadline."""
+    """Every topic and every process against its deadline, and the root cause of all that is wrong."""
 
     now_ns: Nanoseconds
     topics: tuple[TopicAge, ...]
     processes: tuple[ProcessAge, ...]
-
-
-class Outage(Message):
-    """Something that was silent: what, since when, and, once it is over, for how long."""
-
-    what: Name  # a topic, a process, or "broker"
-    since_ns: Nanoseconds
-    until_ns: Nanoseconds | None = None
-    cause: Reason
+    problems: tuple[Problem, ...] = ()
 
 
 class RecordingState(Message):

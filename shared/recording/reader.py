@@ -17,12 +17,13 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata
 
 from ..bus.envelope import Envelope
-from ..errors import BadRecording
-from .channels import Fields, envelope_of
-from .writer import MAGIC
+from ..errors import BadPayload, BadRecording
+from .channels import envelope_of
 
+MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last log time, raw size, checksum, length of the next word
+FOOTER = struct.Struct("<BQQQI")  # opcode, length, begin of the summary and of its offsets, checksum of all that
 MESSAGE_FIELDS = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 OPCODES = frozenset(int(opcode) for opcode in Opcode)
 CHUNK_START = re.compile(rb"\x06(?=[\s\S]{4}\0{4})")  # opcode, and a length below 4 GiB
@@ -94,7 +95,7 @@ class Recording:
 
     def __iter__(self) -> Iterator[Envelope]:
         self.problems.clear()
-        channels: dict[int, Channel] = {}
+        channels = self._summary_channels()
         lost = 0
         for data in self._chunks():
             for envelope in _messages(data, channels):
@@ -119,6 +120,19 @@ class Recording:
                     self.attachments[attached.name] = attached.data
             except MALFORMED:
                 break
+
+    def _summary_channels(self) -> dict[int, Channel]:
+        """Read the channels of the summary, so that none is lost with the chunk in which it first occurs.
+
+        None of a recording that was not closed, or whose summary is damaged.
+        """
+        channels: dict[int, Channel] = {}
+        end = self.size - len(MAGIC) - FOOTER.size
+        if end >= 0 and self._buffer[-len(MAGIC) :] == MAGIC:
+            _, _, start, _, checksum = FOOTER.unpack(self._buffer[end : end + FOOTER.size])
+            if zlib.crc32(self._buffer[start : end + FOOTER.size - 4]) == checksum:
+                list(_messages(self._buffer[start:end], channels))  # it holds no messages
+        return channels
 
     def _chunks(self) -> Iterator[bytes]:
         """Yield the raw data of each chunk; a record outside chunks comes as a chunk of its own.
@@ -219,8 +233,8 @@ def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | 
             elif opcode == Opcode.MESSAGE:
                 id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(data, start)
                 content = data[start + MESSAGE_FIELDS.size : position]
-                yield envelope_of(channels[id_], Fields(sequence, publish_time, content), log_time)
-        except (*MALFORMED, KeyError):
+                yield envelope_of(channels[id_], content, log_time, sequence, publish_time)
+        except (*MALFORMED, BadPayload, KeyError):
             yield None
 
 

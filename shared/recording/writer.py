@@ -1,44 +1,16 @@
 """Writes a recording: MCAP in compressed chunks, each written in one go."""
 
-import struct
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol, cast
 
-import zstandard
-from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.writer import Writer
 
 from ..bus.envelope import Envelope
-from .channels import IRREGULAR, MAXIMUM_CHANNELS, Key, encoding_of, fields_of, key_of, metadata_of, schema_of
-from .chunk import ChunkInProgress, packed
+from .channels import schema_of
 
-MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 256 * 1024
 VEHICLE_FILE = "vehicle.toml"
-SUMMARY_ORDER = (
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.STATISTICS,
-    Opcode.CHUNK_INDEX,
-    Opcode.ATTACHMENT_INDEX,
-    Opcode.METADATA_INDEX,
-)
 
 
 class Output(Protocol):
@@ -73,14 +45,48 @@ def open_new(path: Path) -> Output:
     return path.open("xb", buffering=0)
 
 
+class _WholeChunks:
+    """What `mcap` writes, kept until it is whole, and then written to the file in one go or not at all."""
+
+    def __init__(self, file: Output) -> None:
+        self.file = file
+        self.bytes_written = 0  # that are in the file
+        self._waiting = bytearray()
+
+    def write(self, data: bytes) -> int:
+        """Add to what waits."""
+        self._waiting += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Give the length that the file will have."""
+        return self.bytes_written + len(self._waiting)
+
+    def flush(self) -> None:
+        """Do nothing: `commit` writes."""
+
+    def commit(self) -> bool:
+        """Write all that waits and say whether there was any; after `OSError` the file is as before, and it waits."""
+        data = bytes(self._waiting)
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self.file.write(rest) or 0 :]
+        except OSError:
+            self.file.truncate(self.bytes_written)
+            self.file.seek(self.bytes_written)
+            raise
+        self.bytes_written += len(data)
+        self._waiting.clear()
+        return bool(data)
+
+
 class RecordingWriter:
     """One recording in the making.
 
-    Each chunk repeats the channels that it uses, so that `Recording` needs none of the chunks before
-    it. A schema, which only describes payloads to other tools, stands in the first chunk that needs
-    it and in the summary: all of them in each chunk would be 4.7 kB, compressed, every half second.
-    A write that fails (a full disk) raises `OSError`, loses that chunk, and leaves the file as it
-    was after the chunk before.
+    Channels and schemas stand in the chunk in which they first occur, and in the summary. A write that fails (a full
+    disk) raises `OSError`, leaves the file as it was after the chunk before, and is tried once more by whatever writes
+    next: at the latest by `close`.
     """
 
     def __init__(
@@ -95,107 +101,64 @@ class RecordingWriter:
     ) -> None:
         self.path = path
         self.messages = 0  # that are in the file
-        self.bytes_written = 0
-        self._chunk_bytes = chunk_bytes
-        self._file = opener(path)
-        self._compressor = zstandard.ZstdCompressor()
-        self._channels: dict[Key | None, Channel] = {}
-        self._schemas: dict[str, Schema] = {}
-        self._summary = {opcode: bytearray() for opcode in SUMMARY_ORDER}
-        self._counts: dict[int, int] = {}
-        self._span = (1 << 64) - 1, 0
-        self._chunks = 0
-        self._chunk = ChunkInProgress()
-        self._metadata = {"obu": {"vehicle": vehicle}}
-        if provenance is not None:
-            self._metadata["provenance"] = dict(provenance)
+        self.pending = 0  # that are not in it yet
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._chunks = _WholeChunks(opener(path))
+        self._mcap = Writer(cast(IO[bytes], self._chunks), chunk_size=chunk_bytes)
         try:
-            self._start(vehicle_toml)
+            self._mcap.start(library="obu")
+            self._mcap.add_metadata("obu", {"vehicle": vehicle})
+            if provenance is not None:
+                self._mcap.add_metadata("provenance", dict(provenance))
+            self._mcap.add_attachment(0, 0, VEHICLE_FILE, "application/toml", vehicle_toml.encode())
+            self._commit()
         except OSError:
             self.abandon()
             path.unlink(missing_ok=True)
             raise
 
     @property
-    def pending(self) -> int:
-        """Messages that are not in the file yet."""
-        return self._chunk.messages
+    def bytes_written(self) -> int:
+        """Size of the file."""
+        return self._chunks.bytes_written
 
     def write(self, envelope: Envelope) -> None:
         """Add a message; once the chunk is full it goes to the file."""
-        key = key_of(envelope)
-        if key not in self._channels and len(self._channels) >= MAXIMUM_CHANNELS:
-            key = None
-        channel = self._channels.get(key) or self._new_channel(key)
-        fields = fields_of(envelope, key)
-        self._chunk.add(channel, (fields.sequence, max(envelope.received_ns, 0), fields.publish_time), fields.data)
-        if len(self._chunk.data) >= self._chunk_bytes:
-            self.flush()
+        topic, arrival_ns = envelope.topic, max(envelope.received_ns, 0)
+        if topic not in self._channels:
+            self._channels[topic] = self._mcap.register_channel(topic, "json", self._schema_id(topic))
+            self._commit()  # a chunk that this has made full
+        self.pending += 1
+        self._mcap.add_message(self._channels[topic], arrival_ns, envelope.payload, arrival_ns)
+        self._commit()
 
     def flush(self) -> None:
         """Write the chunk in progress to the file; what was flushed outlives this process."""
-        if not self._chunk.stamps:
-            return
-        chunk, self._chunk = self._chunk, ChunkInProgress()
-        data, (first, last) = bytes(chunk.data), chunk.span
-        record = Chunk(
-            compression="zstd",
-            data=self._compressor.compress(data),
-            message_start_time=first,
-            message_end_time=last,
-            uncompressed_crc=zlib.crc32(data),
-            uncompressed_size=len(data),
-        )
-        start, head, indexes = self.bytes_written, packed(record), chunk.indexes()
-        self._append(head, *indexes.values())
-        self._summary[Opcode.CHUNK_INDEX] += _chunk_index(record, start, len(head), indexes)
-        self._span = min(self._span[0], first), max(self._span[1], last)
-        self._chunks += 1
-        self.messages += chunk.messages
-        for id_, entries in chunk.stamps.items():
-            self._counts[id_] = self._counts.get(id_, 0) + len(entries) // 2
+        self._mcap.flush()  # type: ignore[no-untyped-call]  # mcap annotates it by half
+        self._commit()
 
     def fileno(self) -> int:
         """Give the number of the open file, for `os.fdatasync`."""
-        return self._file.fileno()
+        return self._chunks.file.fileno()
 
     def abandon(self) -> None:
         """Close the file as it is, as a crash would leave it."""
-        self._file.close()
+        self._chunks.file.close()
 
     def close(self) -> None:
         """Finish the file with its summary, so that every MCAP tool opens it."""
         try:
             self.flush()
-            self._append(self._ending())
+            self._mcap.finish()  # type: ignore[no-untyped-call]
+            self._commit()
         finally:
-            self._file.close()
+            self.abandon()
 
-    def _start(self, vehicle_toml: str) -> None:
-        self._append(MAGIC, packed(Header("", "obu")))
-        for name, described in self._metadata.items():
-            position = self.bytes_written
-            self._append(packed(Metadata(name, described)))
-            self._summary[Opcode.METADATA_INDEX] += packed(MetadataIndex(position, self.bytes_written - position, name))
-        text = vehicle_toml.encode()
-        position = self.bytes_written
-        self._append(packed(Attachment(0, 0, VEHICLE_FILE, "application/toml", text)))
-        self._summary[Opcode.ATTACHMENT_INDEX] += packed(
-            AttachmentIndex(position, self.bytes_written - position, 0, 0, len(text), VEHICLE_FILE, "application/toml")
-        )
-
-    def _new_channel(self, key: Key | None) -> Channel:
-        topic = IRREGULAR if key is None else key[0]
-        channel = Channel(
-            id=len(self._channels) + 1,
-            topic=topic,
-            message_encoding=encoding_of(topic),
-            metadata={} if key is None else metadata_of(key),
-            schema_id=self._schema_id(topic),
-        )
-        self._channels[key] = channel
-        self._summary[Opcode.CHANNEL] += packed(channel)
-        return channel
+    def _commit(self) -> None:
+        """Write what `mcap` has finished: it finishes a chunk with the message that makes it full."""
+        if self._chunks.commit():
+            self.messages, self.pending = self.messages + self.pending, 0
 
     def _schema_id(self, topic: str) -> int:
         described = schema_of(topic)
@@ -203,68 +166,5 @@ class RecordingWriter:
             return 0
         name, text = described
         if name not in self._schemas:
-            schema = Schema(id=len(self._schemas) + 1, name=name, encoding="jsonschema", data=text)
-            self._schemas[name] = schema
-            self._chunk.data += packed(schema)
-            self._summary[Opcode.SCHEMA] += packed(schema)
-        return self._schemas[name].id
-
-    def _append(self, *parts: bytes) -> None:
-        data = memoryview(b"".join(parts))
-        rest = data
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) or 0 :]
-        except OSError:
-            self._file.truncate(self.bytes_written)
-            self._file.seek(self.bytes_written)
-            raise
-        self.bytes_written += len(data)
-
-    def _ending(self) -> bytes:
-        """Pack the end of the data, the summary, its offsets, the footer and the closing magic."""
-        self._summary[Opcode.STATISTICS] += packed(self._statistics())
-        data_end = packed(DataEnd(0))
-        start = position = self.bytes_written + len(data_end)
-        body, offsets = b"", b""
-        for opcode, group in self._summary.items():
-            if group:
-                offsets += packed(SummaryOffset(opcode, position, len(group)))
-            body += group
-            position += len(group)
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, position)
-        crc = zlib.crc32(body + offsets + head)
-        return data_end + body + offsets + packed(Footer(start, position, crc)) + MAGIC
-
-    def _statistics(self) -> Statistics:
-        return Statistics(
-            attachment_count=1,
-            channel_count=len(self._channels),
-            channel_message_counts=self._counts,
-            chunk_count=self._chunks,
-            message_count=self.messages,
-            message_end_time=self._span[1],
-            message_start_time=self._span[0] if self.messages else 0,
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
-        )
-
-
-def _chunk_index(record: Chunk, start: int, length: int, indexes: dict[int, bytes]) -> bytes:
-    offsets, position = {}, start + length
-    for id_, index in indexes.items():
-        offsets[id_] = position
-        position += len(index)
-    return packed(
-        ChunkIndex(
-            chunk_length=length,
-            chunk_start_offset=start,
-            compression=record.compression,
-            compressed_size=len(record.data),
-            message_end_time=record.message_end_time,
-            message_index_length=position - start - length,
-            message_index_offsets=offsets,
-            message_start_time=record.message_start_time,
-            uncompressed_size=record.uncompressed_size,
-        )
-    )
+            self._schemas[name] = self._mcap.register_schema(name, "jsonschema", text)
+        return self._schemas[name]

@@ -13,7 +13,8 @@ PURE = {
     "bisect", "cantools", "collections", "cmath", "dataclasses", "datetime", "difflib", "enum", "fractions",
     "functools", "hashlib", "heapq",
     "html", "ipaddress", "itertools", "json", "math", "operator", "random", "re", "statistics", "string", "struct",
-    "types", "typing", "collections.abc", "numpy", "numpy.typing", "pydantic", "pyubx2", "pynmea2", "prometheus_client",
+    "types", "typing", "collections.abc", "numpy", "numpy.typing", "scipy.linalg", "scipy.special",
+    "pydantic", "pyubx2", "pynmea2", "prometheus_client",
 }  # fmt: skip
 PURE_SHARED = {
     "shared.maths",
@@ -86,3 +87,9 @@ def test_every_process_of_the_table_has_a_folder_and_every_folder_a_row() -> Non
         for path in (ROOT / "services").glob("*/*/process.py")
     }
     assert folders == {row.name for row in PROCESSES}
+
+
+def test_what_runs_live_loads_of_scipy_only_its_special_functions_and_linear_algebra() -> None:
+    for path in (path for folder in ("broker", "services", "shared") for path in (ROOT / folder).rglob("*.py")):
+        heavy = {n for n in imports_of(path) if n.split(".")[0] == "scipy"} - {"scipy.special", "scipy.linalg"}
+        assert not heavy, f"{path.relative_to(ROOT)} imports {heavy}: tens of MB in a process; see docs/decisions/0012"

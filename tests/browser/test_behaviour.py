@@ -54,7 +54,7 @@ def test_a_position_is_not_shown_as_live_after_its_deadline(tmp_path: Path, open
         page.locator("svg.closeup .vehicle.old").wait_for(state="attached", timeout=6000)
         assert time.monotonic() - silent < DEADLINE_S + 1.5, "deadline, two frames, and the time to look"
         position = page.get_by_role("region", name="Position", exact=True)
-        expect(position.locator(".age.stale").first).to_have_text(re.compile(r"last \d\d:\d\d:\d\d, \d s ago"))
+        expect(position.locator(".age.stale").first).to_have_text(re.compile(r"last message \d\d:\d\d:\d\d, \d s ago"))
         expect(position).to_contain_text("by now")
         first = page.locator("svg.closeup").get_attribute("aria-label")
         page.wait_for_timeout(1500)
@@ -91,7 +91,7 @@ def test_the_reasons_of_the_banner_are_listed_with_what_is_not_monitored(
     page.get_by_role("button", name="Why?").click()
     drawer = page.get_by_role("dialog", name="Why CAUTION?")
     expect(drawer).to_contain_text("What to do")
-    expect(drawer.locator("li", has_text="Fit of GNSS velocity")).to_contain_text("4.70 of the limit, refused")
+    expect(drawer.locator("li", has_text="Fit of GNSS velocity")).to_contain_text("4.70 of the limit, rejected")
     assert drawer.locator("li", has_text="NOT MONITORED").count() == 3
     drawer.get_by_role("link", name="GNSS fix").click()
     expect(page.get_by_role("dialog", name="Topic gnss/fix")).to_be_visible()
@@ -163,7 +163,7 @@ def test_bytes_of_a_device_are_shown_as_hexadecimal(units: dict[str, Running], o
 def test_a_topic_that_never_spoke_says_who_would(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
     page = open_page(units["empty"].address, path="system?topic=gnss/fix")
     expect(page.get_by_role("dialog")).to_contain_text("Nothing has come on this topic yet.")
-    expect(page.get_by_role("dialog")).to_contain_text("It is said by parsers.gnss.")
+    expect(page.get_by_role("dialog")).to_contain_text("It is published by parsers.gnss")
 
 
 def test_a_process_shows_its_life_and_its_topics(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
@@ -176,14 +176,14 @@ def test_a_process_shows_its_life_and_its_topics(units: dict[str, Running], open
     expect(drawer.get_by_role("link", name="recording/state")).to_be_visible()
     page.keyboard.press("Escape")
     outages = page.get_by_role("region", name="Outages")
-    expect(outages.locator("li", has_text="monitoring.recorder")).to_contain_text("still lost")
+    expect(outages.locator("li", has_text="monitoring.recorder")).to_contain_text("open")
     expect(outages.locator("li", has_text="imu/raw")).to_contain_text("its device sends nothing")
 
 
 def test_problems_in_the_footer_lead_to_their_place(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
     page = open_page(units["stale"].address)
-    page.get_by_role("link", name="1 problem: core.fusion is silent").click(timeout=8000)
-    expect(page.get_by_role("dialog", name="Process core.fusion")).to_contain_text("No heartbeat within its deadline")
+    page.get_by_role("link", name="1 problem: core.fusion is stale").click(timeout=8000)
+    expect(page.get_by_role("dialog", name="Process core.fusion")).to_contain_text("no heartbeat within the deadline")
 
 
 def test_pictures_have_a_table_that_says_the_same(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
@@ -246,13 +246,57 @@ def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Cal
     with status_server(tmp_path) as server:
         server.bus.connected = False
         page = open_page(server.address)
-        expect(page.locator(".banner .sentence")).to_contain_text("the message broker does not answer", timeout=6000)
+        expect(page.locator(".banner .sentence")).to_contain_text(
+            "Nothing is known: the broker is not reachable", timeout=6000
+        )
         expect(page.locator(".chain .worst")).to_have_text("Broker does not answer")
         services = page.get_by_role("region", name="Services")
         expect(services).to_contain_text("not known")
-        expect(services.get_by_text(re.compile("silent|running"))).to_have_count(0)
+        expect(services.get_by_text(re.compile("stale|running"))).to_have_count(0)
         page.keyboard.type("gs")
         expect(page.locator("[id='node-core.fusion']")).to_contain_text("not known")
+        expect(page.locator(".foot .problems")).to_contain_text("1 problem: the broker is not reachable")
+        expect(page.get_by_role("region", name="Outages").locator("li")).to_have_count(1)
+
+
+def test_without_monitoring_health_the_position_stays_and_the_rest_is_not_known(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path) as server:
+        assert server.unit is not None
+        page = open_page(server.address)
+        expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
+        server.unit.kill("monitoring.health")
+        expect(page.locator(".banner .sentence")).to_contain_text("monitoring.health does not report", timeout=6000)
+        expect(page.locator(".banner .word")).to_have_text("CAUTION")
+        expect(page.locator(".foot .problems")).to_contain_text("1 problem: monitoring.health does not report")
+        expect(page.locator(".chain li", has_text="Services")).to_have_class("unknown")
+        server.unit.revive("monitoring.health")
+        expect(page.locator(".foot")).to_contain_text("No problems", timeout=6000)
+
+
+def test_a_process_that_was_killed_is_the_cause_until_its_topics_are_back(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path) as server:
+        assert server.unit is not None
+        page = open_page(server.address)
+        expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
+        server.unit.kill("core.fusion")
+        banner = page.locator(".banner .sentence")
+        expect(banner).to_contain_text("The position is stale: core.fusion was lost", timeout=6000)
+        server.unit.aligning = True
+        server.unit.revive("core.fusion")
+        expect(banner).to_contain_text("core.fusion was restarted and is starting again", timeout=6000)
+        page.keyboard.type("gs")
+        expect(page.locator("[id='node-core.fusion']")).to_contain_text("restarting")
+        outages = page.get_by_role("region", name="Outages").locator("li")
+        expect(outages).to_have_count(1)
+        expect(outages).to_contain_text("core.fusion was lost")
+        expect(outages).to_contain_text("affected: navigation/solution, navigation/state")
+        server.unit.aligning = False
+        expect(page.locator(".foot")).to_contain_text("No problems", timeout=6000)
+        expect(outages).to_have_count(1)
 
 
 def test_a_browser_that_is_one_too_many_is_told(tmp_path: Path, open_page: Callable[..., Page]) -> None:
@@ -300,12 +344,12 @@ def test_figures_lines_and_states_of_the_system_page_are_explained(
 ) -> None:
     page = open_page(units["normal"].address, path="system")
     layers = page.get_by_role("region", name="Processes by layer")
-    expect(layers.locator(".key-card")).to_contain_text("37/s messages said a second")
+    expect(layers.locator(".key-card")).to_contain_text("37/s messages published a second")
     expect(layers.locator(".key-card .lines li")).to_have_text(
-        ["flows; thicker is faster", "late", "silent", "speaks on events only"]
+        ["fresh; thicker is faster", "late", "stale", "on events only"]
     )
     topics = page.get_by_role("region", name="Topics").first
-    expect(topics.locator(".legend")).to_contain_text("speaks on events only: silence is no fault")
+    expect(topics.locator(".legend")).to_contain_text("published on events only: silence is no fault")
     event = topics.locator("tr", has_text="outage/event")
     expect(event).to_contain_text("no event yet")
     expect(event.locator(".state.info")).to_be_visible()

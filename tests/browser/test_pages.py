@@ -18,9 +18,9 @@ from tests.support.status_server import Running
 WORDS = {"normal": "CAUTION", "stale": "NO DATA", "alarm": "CAUTION", "empty": "NO DATA"}
 SENTENCES = {
     "normal": "Position not monitored: this version has no integrity monitor that could vouch for it.",
-    "stale": "The position is out of date: core.fusion is silent.",
-    "alarm": "the filter refuses its GNSS velocity measurements",
-    "empty": "No position yet: core.fusion has not been heard of yet.",
+    "stale": "The position is stale: core.fusion is stale: connected, but without heartbeat",
+    "alarm": "the filter rejects its GNSS velocity measurements",
+    "empty": "No position yet: monitoring.health has not reported yet.",
 }
 FIRST_PAINT_BYTES, FIRST_PAINT_REQUESTS = 80_000, 15
 

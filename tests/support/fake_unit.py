@@ -27,6 +27,8 @@ from shared.messages.navigation import (
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
+from tests.support.envelopes import sent_bytes
+from tests.support.watchdog import Watchdog
 
 RADIUS_M, SPEED_M_S = 60.0, 9.0
 LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
@@ -48,6 +50,7 @@ class FakeBus:
         self.unit: FakeUnit | None = None
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
+        self._next_heartbeat_ns = 0
         self._lock = threading.Lock()
 
     def now_ns(self) -> int:
@@ -56,27 +59,36 @@ class FakeBus:
 
     def feed(self, message: Message, producer: str, *, delay_s: float = 0.0008) -> None:
         """Put a message onto the bus as that process."""
-        payload, properties = codec.encode(message)
-        self.feed_bytes(codec.topic_name(message), payload, producer, properties, delay_s=delay_s)
+        envelope = self.feed_bytes(codec.topic_name(message), codec.encode(message), producer, delay_s=delay_s)
+        if self.unit is not None:
+            self.unit.watchdog.take(envelope, message)
 
-    def feed_bytes(
-        self, topic: str, payload: bytes, producer: str, properties: dict[str, str] | None = None, *, delay_s: float = 0
-    ) -> None:
+    def feed_bytes(self, topic: str, body: bytes, producer: str, *, delay_s: float = 0) -> Envelope:
         """Put any payload onto the bus, a bad one as well."""
         with self._lock:
             self._sequence += 1
             now_ns = self.now_ns() + int(delay_s * 1e9)
-            self._fed.append(Envelope(topic, payload, properties or {}, now_ns, producer, LIFE, self._sequence))
+            envelope = sent_bytes(topic, body, now_ns, producer, LIFE, self._sequence)
+            self._fed.append(envelope)
+            return envelope
 
     def receive(self, timeout_s: float) -> list[Envelope]:
         """Hand over what is due."""
         time.sleep(min(timeout_s, 0.01))
         if self.unit is not None:
             self.unit.step()
+        elif self.now_ns() >= self._next_heartbeat_ns:  # the process itself is alone on the bus
+            self._next_heartbeat_ns = self.now_ns() + 500_000_000
+            self.feed(heartbeat("monitoring.status", self.now_ns()), "monitoring.status")
         with self._lock:
             due = list(self._fed)
             self._fed.clear()
         return due if self.connected else []
+
+
+def heartbeat(process: str, now_ns: int) -> ProcessHealth:
+    """Make the heartbeat of a process that has just started."""
+    return ProcessHealth(process=process, state=ProcessState.READY, incarnation=LIFE, sent_ns=now_ns)
 
 
 class FakeUnit:
@@ -88,7 +100,9 @@ class FakeUnit:
         self.lost: set[str] = set()  # processes that were killed
         self.rejecting = False
         self.coasting = False
+        self.aligning = False  # core.fusion runs, but has no solution yet
         self.lives: Counter[str] = Counter()
+        self.watchdog = Watchdog(SIMULATED, self.started_ns)
         self._due: dict[str, int] = {}
         self._plans: list[tuple[int, Callable[[], object]]] = []
         bus.unit = self
@@ -113,6 +127,9 @@ class FakeUnit:
             for producer, message in make(now_ns):
                 if producer not in self.silent | self.lost:
                     self.bus.feed(message, producer)
+        if "monitoring.health" not in self.silent | self.lost:
+            for message in self.watchdog.step(now_ns, connected=self.bus.connected):
+                self.bus.feed(message, "monitoring.health")
 
     def fall_silent_after(self, seconds: float, name: str) -> None:
         """Stop a process, or the IMU alone, after a while."""
@@ -198,6 +215,8 @@ class FakeUnit:
                 angular_rate_body_rad_s=(0.0, 0.0, 0.15),
             ),
         )
+        if self.aligning:
+            return
         latitude, longitude = self._place(now_ns, 0.5 + 10 * wobble, -0.4)
         yield (
             "core.fusion",
@@ -226,6 +245,8 @@ class FakeUnit:
         )
 
     def _phase(self) -> NavigationPhase:
+        if self.aligning:
+            return NavigationPhase.WAITING_FOR_GNSS
         return NavigationPhase.COASTING if self.coasting else NavigationPhase.NAVIGATING
 
     def _slow(self, now_ns: int) -> Iterator[tuple[str, Message]]:
@@ -283,6 +304,8 @@ class FakeUnit:
                 samples_rejected=0,
                 imu_gaps=0,
                 resets=0,
+                alert_limit_horizontal_m=10.0,
+                alert_limit_vertical_m=20.0,
             ),
         )
         mode = Mode.DEGRADED if self.rejecting or self.coasting else Mode.MEASURING

@@ -4,12 +4,13 @@ from dataclasses import dataclass, field
 
 from services.monitoring.status.state import State
 from shared.bus import codec
-from shared.bus.bus import Envelope
 from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import ProcessHealth, ProcessState
 from shared.runtime.config import parse_vehicle
+from tests.support.envelopes import sent_bytes
+from tests.support.watchdog import Watchdog
 
 START_NS = 1_795_000_000 * 10**9
 SECOND_NS = 10**9
@@ -25,33 +26,42 @@ class World:
     broker: bool = True
     state: State = field(init=False)
     sequence: int = 0
+    watchdog: Watchdog | None = field(init=False)  # None: monitoring.health does not run
 
     def __post_init__(self) -> None:
-        self.state = State("truck-07", parse_vehicle(self.toml).processes, self.now_ns, 900.0)
+        expected = parse_vehicle(self.toml).processes
+        self.state = State("truck-07", expected, self.now_ns, 900.0)
+        self.watchdog = Watchdog(expected, self.now_ns)
 
     def hear(self, message: Message, producer: str, *, delay_s: float = 0.0, retained: bool = False) -> None:
-        payload, properties = codec.encode(message)
-        self.hear_bytes(codec.topic_name(message), payload, producer, properties, delay_s=delay_s, retained=retained)
+        name, body = codec.topic_name(message), codec.encode(message)
+        self.hear_bytes(name, body, producer, delay_s=delay_s, retained=retained, message=message)
 
     def hear_bytes(
         self,
         topic: str,
-        payload: bytes,
+        body: bytes,
         producer: str,
-        properties: dict[str, str] | None = None,
         *,
         delay_s: float = 0.0,
         retained: bool = False,
+        message: Message | None = None,
     ) -> None:
         self.sequence += 1
         received_ns = self.now_ns + int(delay_s * 1e9)
-        self.state.receive(
-            Envelope(topic, payload, properties or {}, received_ns, producer, 1, self.sequence, retained)
-        )
+        envelope = sent_bytes(topic, body, received_ns, producer, 1, self.sequence, retained=retained)
+        if self.watchdog:
+            self.watchdog.take(envelope, message)
+        self.state.receive(envelope)
 
     def pass_time(self, seconds: float, step_s: float = 0.1) -> None:
+        """Let time pass; meanwhile only the two observers themselves publish, as long as the broker works."""
         for _ in range(round(seconds / step_s)):
             self.now_ns += int(step_s * 1e9)
+            if self.broker:
+                self.beat("monitoring.status", *(["monitoring.health"] if self.watchdog else []))
+            for message in self.watchdog.step(self.now_ns, connected=self.broker) if self.watchdog else []:
+                self.hear(message, "monitoring.health")
             self.state.tick(self.now_ns, broker=self.broker)
 
     def beat(self, *processes: str, incarnation: int = START_NS, **changes: object) -> None:

@@ -1,60 +1,38 @@
-"""The rotation by which an IMU sits askew in the axes of its reference, which is no error of a solution."""
+"""Estimates the constant mounting rotation between the IMU and the reference, which is not a solution error."""
 
 import numpy as np
-import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
-from shared.maths.rotation import roll_pitch_yaw
+
+from ..attitude import angles_of, rotations
 
 
 def without_mounting(angles: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Estimate the mounting as one constant rotation, and give the errors of attitude that are left without it.
+    """Estimate the mounting as one constant rotation, and compute the attitude errors after its removal.
 
     Parameters
     ----------
     angles, reference : ndarray, shape (n, 3)
-        [rad] Roll, pitch and yaw of the solution and of the reference at the same instants.
+        [rad] Roll, pitch and yaw of the solution and of the reference at equal times.
 
     Returns
     -------
     mounting : ndarray, shape (3,)
-        [rad] Roll, pitch and yaw of the solution's axes in those of the reference.
+        [rad] Roll, pitch and yaw of the solution's axes relative to those of the reference.
     errors : ndarray, shape (n, 3)
-        [rad] Roll, pitch and yaw of the solution, turned back by the mounting, minus the reference's, in (-pi, pi].
+        [rad] Roll, pitch and yaw of the solution, corrected by the mounting, minus those of the reference, in
+        (-pi, pi].
 
     Notes
     -----
-    With C the rotations body to NED of the solution (s) and of the reference (r), the mounting M is the rotation that
-    is nearest to the mean of the differences, which a singular value decomposition gives::
-
-        U S V^T = mean( C_r^T C_s ),    M = U diag(1, 1, det(U V^T)) V^T
+    With C the rotations body to NED of the solution (s) and of the reference (r), the mounting is the mean of
+    C_r^T C_s, the rotation with the least sum of squared chordal distances.
 
     References
     ----------
-    F. L. Markley et al., "Averaging quaternions", J. Guid. Control Dyn. 30(4), 2007 (the same mean, in matrices).
+    F. L. Markley et al., "Averaging quaternions", J. Guid. Control Dyn. 30(4), 2007.
     """
-    solved, true = _matrices(angles), _matrices(reference)
-    left, _, right = np.linalg.svd(np.einsum("nji,njk->ik", true, solved))
-    mounting = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    turned = solved @ mounting.T
-    back = np.column_stack(
-        [
-            np.arctan2(turned[:, 2, 1], turned[:, 2, 2]),
-            -np.arcsin(np.clip(turned[:, 2, 0], -1.0, 1.0)),
-            np.arctan2(turned[:, 1, 0], turned[:, 0, 0]),
-        ]
-    )
-    errors: FloatArray = (back - reference + np.pi) % (2.0 * np.pi) - np.pi
-    return np.array(roll_pitch_yaw(mounting)), errors
-
-
-def _matrices(angles: FloatArray) -> npt.NDArray[np.float64]:
-    """Rotations body to NED, shape (n, 3, 3); `shared.maths.rotation.ned_from_body` for many at once."""
-    sines, cosines = np.sin(angles).T, np.cos(angles).T
-    (sr, sp, sy), (cr, cp, cy) = sines, cosines
-    rows = [
-        [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
-        [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
-        [-sp, sr * cp, cr * cp],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    solved, true = rotations(angles), rotations(reference)
+    mounting = (true.inv() * solved).mean()
+    errors: FloatArray = (angles_of(solved * mounting.inv()) - reference + np.pi) % (2.0 * np.pi) - np.pi
+    return angles_of(mounting), errors

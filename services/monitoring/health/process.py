@@ -1,8 +1,8 @@
-"""The watchdog: every topic and process against its deadline, and outages with their cause."""
+"""The watchdog: judges every topic and process by its deadline, and publishes problems and outages by root cause."""
 
 from shared.bus.bus import Bus, Envelope
 from shared.errors import BadPayload
-from shared.messages.operation import ProcessHealth
+from shared.messages.operation import DeadlineReport, ProcessHealth, RecordingState
 from shared.runtime.config import Section, parse_vehicle
 
 from .watch import Watch
@@ -10,14 +10,15 @@ from .watch import Watch
 REPORT_NS = 500_000_000
 STEP_NS = 40_000_000
 WILL_NS = 10_000_000  # a broker that shuts down sends everybody's last will before it closes the connections
+DECODED = ("health/", "recording/state", "deadline/report")
 
 
 class Config(Section):
-    """It has no settings: deadlines stand in the contract."""
+    """It has no settings: deadlines stand in the topic table."""
 
 
 class Process:
-    """Reports ages twice a second, and outages as they begin and end."""
+    """Publishes a report twice a second, and outages as they begin and end."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -33,11 +34,12 @@ class Process:
                 if envelope.topic.startswith("health/"):
                     step_ns = min(step_ns, bus.now_ns() + WILL_NS)
             now_ns = bus.now_ns()
-            if now_ns >= step_ns and bus.sequence:  # before its first word it never met the broker
+            if now_ns >= step_ns and bus.sequence:  # it has been connected at least once
                 step_ns = now_ns + STEP_NS
                 for outage in watch.step(now_ns, connected=bus.connected):
                     bus.publish(outage)
-            if now_ns >= report_ns and bus.connected:
+                    report_ns = now_ns  # with a report at once
+            if now_ns >= report_ns and bus.connected and watch.answering:
                 report_ns = now_ns + REPORT_NS
                 bus.publish(watch.report(now_ns))
 
@@ -46,18 +48,22 @@ def _take(watch: Watch, envelope: Envelope, bus: Bus) -> None:
     watch.take(
         envelope.topic,
         envelope.payload,
-        envelope.properties,
         producer=envelope.producer,
         received_ns=envelope.received_ns,
         retained=envelope.retained,
     )
-    if not envelope.topic.startswith("health/"):
+    if not envelope.topic.startswith(DECODED) or (envelope.topic == "deadline/report" and not envelope.retained):
         return
     try:
-        health = envelope.decode()
+        message = envelope.decode()
     except BadPayload as error:
         bus.rejects["payload"] += 1
         bus.last_error = str(error)[:400]
         return
-    if isinstance(health, ProcessHealth):
-        watch.take_health(health, envelope.received_ns, retained=envelope.retained)
+    match message:
+        case ProcessHealth():
+            watch.take_health(message, envelope.received_ns, retained=envelope.retained)
+        case RecordingState():
+            watch.take_recording(message)
+        case DeadlineReport():
+            watch.resume(message)

@@ -1,33 +1,15 @@
-"""One process as it looks from outside: its heartbeat, its will, its lives."""
+"""Status of one process from its heartbeats, farewell and last will."""
 
-from enum import StrEnum
-
-from shared.messages.operation import ProcessHealth, ProcessState
+from shared.messages.operation import Freshness, ProcessHealth, ProcessState, ProcessStatus
+from shared.runtime.freshness import freshness_of, limits_of
 from shared.topics import BY_NAME
 
-SILENT_AFTER_S = BY_NAME["health/+"].silent_after_s or 2.0
-SUSPECT_AFTER_S = 1.2  # two heartbeats are missing: too early to call it silent, too late to call it running
-
-
-class Condition(StrEnum):
-    """What can be said of a process; the words complete "core.fusion is ..."."""
-
-    RUNNING = "running"
-    SUSPECT = "late with its heartbeat"
-    SILENT = "silent"
-    LOST = "lost"
-    ENDED = "ended"
-    MISSING = "missing"  # was never seen although it should run
-    WAITED_FOR = "not there yet"
-
-    @property
-    def down(self) -> bool:
-        """Whether it does no work."""
-        return self not in (Condition.RUNNING, Condition.SUSPECT, Condition.WAITED_FOR)
+LIMITS = limits_of(BY_NAME["health/+"])
+OVER = {ProcessState.LOST: ProcessStatus.LOST, ProcessState.DISCONNECTED: ProcessStatus.ENDED}
 
 
 class ProcessWatch:
-    """Follows one process through its lives."""
+    """Follows one process through its restarts."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -35,20 +17,16 @@ class ProcessWatch:
         self.incarnation = 0
         self.restarts = 0
         self.heartbeat_ns: int | None = None
-        self.back_ns: int | None = None  # when it was last heard again after it was down
-        self.seen_ns: int | None = None  # its last word, or the broker's word that it was lost
-        self.kept = False  # what is known of it was kept by the broker, and may be of a former life of the unit
+        self.seen_ns: int | None = None  # its last message, or its last will
+        self.retained = False  # only retained messages came, which may be older than this run of the unit
 
     def take(self, health: ProcessHealth, received_ns: int, *, retained: bool) -> None:
-        """Note a birth, heartbeat, farewell or last will; the will of a former life says nothing of this one."""
-        if health.incarnation < self.incarnation:
+        """Note a birth, heartbeat, farewell or last will; one older than what is known is ignored."""
+        known = self.heartbeat_ns is not None and retained and health.sent_ns <= self.heartbeat_ns
+        if known or health.incarnation < self.incarnation:
             return
-        if health.incarnation > self.incarnation and self.incarnation:
-            self.restarts += 1
-            self.back_ns = received_ns
-        elif (self.age_s(received_ns) or 0.0) >= SILENT_AFTER_S:
-            self.back_ns = received_ns
-        self.kept = retained
+        self.restarts += health.incarnation > self.incarnation > 0
+        self.retained = retained
         self.incarnation, self.state = health.incarnation, health.state
         self.seen_ns = min(health.sent_ns, received_ns) if retained else received_ns
         if health.state is not ProcessState.LOST or self.heartbeat_ns is None:
@@ -58,15 +36,15 @@ class ProcessWatch:
         """Give the age of the last heartbeat."""
         return None if self.heartbeat_ns is None else max(now_ns - self.heartbeat_ns, 0) * 1e-9
 
-    def condition(self, now_ns: int, judged_from_ns: int, *, grace_over: bool) -> Condition:
-        """Judge the process; silence counts only from `judged_from_ns`, before which nobody could be heard."""
+    def status(self, now_ns: int, judged_from_ns: int, *, grace_over: bool) -> ProcessStatus:
+        """Judge the process; silence counts only from `judged_from_ns`, before which nothing could be received."""
         if self.state is None or self.heartbeat_ns is None:
-            return Condition.MISSING if grace_over else Condition.WAITED_FOR
+            return ProcessStatus.MISSING if grace_over else ProcessStatus.WAITING
         if self.state is ProcessState.LOST:
-            return Condition.LOST
-        silence_s = (now_ns - max(self.heartbeat_ns, judged_from_ns)) * 1e-9
-        if self.state is ProcessState.DISCONNECTED:
-            return Condition.ENDED if silence_s >= SILENT_AFTER_S else Condition.SUSPECT
-        if silence_s >= SILENT_AFTER_S:
-            return Condition.SILENT
-        return Condition.SUSPECT if silence_s >= SUSPECT_AFTER_S else Condition.RUNNING
+            return ProcessStatus.LOST
+        silence_s = max(now_ns - max(self.heartbeat_ns, judged_from_ns), 0) * 1e-9
+        freshness = freshness_of(silence_s, LIMITS)
+        if freshness is Freshness.STALE:
+            return OVER.get(self.state, ProcessStatus.STALE)
+        late = freshness is Freshness.LATE or self.state is ProcessState.DISCONNECTED
+        return ProcessStatus.LATE if late else ProcessStatus.READY

@@ -1,75 +1,109 @@
-"""The whole unit against its deadlines: ages, and outages with the cause at their root."""
+"""Judges every topic and process of a vehicle against its deadline, and attributes what is wrong to its root cause.
 
-from collections.abc import Collection, Mapping
+An outage is one root cause: a process that is down, the broker, or a topic that is silent although its producer runs.
+It begins with the last message before the silence. It affects the topics of that process at once, and further topics as
+they pass their deadlines. It ends when the cause is over and every affected topic was published again: a process that
+was killed remains the cause while it starts again.
+"""
+
+from dataclasses import dataclass, field
 
 from shared.messages.operation import (
     DeadlineReport,
     Freshness,
     Outage,
+    Problem,
     ProcessAge,
     ProcessHealth,
     ProcessState,
+    ProcessStatus,
+    RecordingState,
     TopicAge,
 )
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S
-from shared.topics import TOPICS, Topic, topic_of
+from shared.topics import BY_NAME, TOPICS, Topic, topic_of
 
-from .causes import Upstream, expected_topics, producers_of
-from .process_watch import Condition, ProcessWatch
+from .causes import expected_topics, inputs_of, producers_of, upstream_of
+from .process_watch import ProcessWatch
 from .topic_watch import TopicWatch
 
 GRACE_NS = round(STARTUP_GRACE_S * 1e9)
-START_NS = 10_000_000_000  # what the broker kept from a former life of the unit counts only after this
-RETURN_NS = 2_000_000_000  # what everybody gets to come back after the broker did
-RECOVERY_NS = 8_000_000_000  # what a process that was down gets to say something again
-MUTE_NS = 1_200_000_000  # a broker from which not even our own heartbeat returns is not working
-STALL_NS = 1_000_000_000  # an observer that slept longer cannot tell who else was silent
-BROKER = "broker"
-GONE = (ProcessState.DISCONNECTED, ProcessState.LOST)
+START_NS = 10_000_000_000  # retained messages, which may be older than this run of the unit, count only after this
+RETURN_NS = 3_000_000_000  # time for processes to reconnect after the broker is back
+RECOVERY_NS = 60_000_000_000  # after it, topics that are still silent are no longer attributed to the broker
+SETTLE_NS = 10_000_000_000  # a relapse within this time continues the same outage
+MUTE_NS = 1_200_000_000  # a broker that does not even return our own heartbeat does not work
+STALL_NS = 1_000_000_000  # an observer that was suspended for longer cannot judge the others
+RESUME_NS = 60_000_000_000  # outages in a report of a former life count up to this age
+DISK_LOW_BYTES = 1_000_000_000
+BROKER, SELF = "broker", "monitoring.health"
+WHY_DOWN = {
+    ProcessStatus.LOST: "was lost: it crashed, was killed or lost its connection",
+    ProcessStatus.STALE: "is stale: connected, but without heartbeat; it hangs or is overloaded",
+    ProcessStatus.ENDED: "has ended: it was stopped on request",
+    ProcessStatus.MISSING: "is missing: it should run in this vehicle, but was never seen",
+}
+RESTARTED = "was restarted and is starting again"
+
+
+@dataclass
+class _Open:
+    """An outage, and the topics that were not published since: each with the stamp of its last message before."""
+
+    outage: Outage
+    life: int = 0  # incarnation of the process that is the root cause
+    silent_ns: dict[str, int] = field(default_factory=dict)
+    recovered_ns: int = 0  # when the last of them was published again
 
 
 class Watch:
     """Follows every topic and process of one vehicle.
 
-    `configured` are the processes that should run here. Nothing but what it is told moves it:
-    messages by `take` and `take_health`, time by `step`.
+    `configured` are the processes that should run here. Its only inputs are messages (`take...`) and
+    the passage of time (`step`).
     """
 
-    def __init__(self, configured: Collection[str], now_ns: int) -> None:
-        self._started_ns = self._judged_from_ns = self._now_ns = self._heard_ns = now_ns
+    def __init__(self, configured: tuple[str, ...] | frozenset[str], now_ns: int) -> None:
+        self._started_ns = self._judged_from_ns = self._now_ns = self._received_ns = now_ns
         self._configured = frozenset(configured)
         self._topics = {topic.name: TopicWatch(topic) for topic in TOPICS}
         self._processes = {name: ProcessWatch(name) for name in PROCESS_ROWS if name in self._configured}
         self._expected = expected_topics(self._configured)
-        self._open: dict[str, Outage] = {}
-        self._answering = True
-        self._broker_outage: Outage | None = None
+        self._recording: RecordingState | None = None
+        self._open: dict[str, _Open] = {}
+        self._settling: dict[str, _Open] = {}  # ended less than SETTLE_NS ago
+        self._events: list[Outage] = []
+        self.answering = True  # whether the broker works
+        self._back_ns = now_ns  # since when it does
 
     def take(
         self,
         name: str,
         payload: bytes,
-        properties: Mapping[str, str],
         *,
         producer: str,
         received_ns: int,
         retained: bool = False,
     ) -> None:
         """Note that a message came, without decoding it."""
-        self._heard_ns = max(self._heard_ns, received_ns)
+        self._received_ns = max(self._received_ns, received_ns)
         topic = topic_of(name)
         if topic is not None:
-            self._topics[topic.name].take(producer, payload, properties, received_ns, retained=retained)
+            self._topics[topic.name].take(producer, payload, received_ns, retained=retained)
 
     def take_health(self, health: ProcessHealth, received_ns: int, *, retained: bool = False) -> None:
-        """Note what a process says of itself, or the broker of a process that it lost.
+        """Note a heartbeat, farewell or last will.
 
-        A process that nobody configured is watched from its birth to its farewell.
+        A process that is not configured is watched from its birth to its farewell. Last wills count for nothing
+        around an outage of the broker: it publishes them for connections that it dropped itself.
         """
         name = health.process
+        over = health.state in (ProcessState.LOST, ProcessState.DISCONNECTED)
+        if health.state is ProcessState.LOST and (not self.answering or received_ns < self._judged_from_ns):
+            return
         if name not in self._processes:
-            if name not in PROCESS_ROWS or retained or health.state in GONE:
+            if name not in PROCESS_ROWS or retained or over:
                 return
             self._processes[name] = ProcessWatch(name)
         before = self._processes[name].state
@@ -77,27 +111,55 @@ class Watch:
         if before is not self._processes[name].state:
             self._expected = expected_topics(self._present())
 
-    def step(self, now_ns: int, *, connected: bool) -> list[Outage]:
-        """Compare everything with its deadline; return the outages that began, ended or have another cause.
+    def take_recording(self, state: RecordingState) -> None:
+        """Note whether the recorder records, and on how full a disk."""
+        self._recording = state
 
-        An outage of the broker is told once it is over and the others are back to hear of it.
+    def resume(self, report: DeadlineReport) -> None:
+        """Continue the outages that were open in the last report of a former life, and add the interruption itself."""
+        starting = self._now_ns < self._started_ns + START_NS
+        if not starting or not self._started_ns - RESUME_NS < report.now_ns < self._started_ns:
+            return
+        for age in report.processes:
+            if age.process in self._processes:
+                self._processes[age.process].restarts += age.restarts
+        for problem in report.problems:
+            if (outage := problem.outage) is not None and outage.what not in self._open:
+                silent_ns = {name: report.now_ns for name in problem.affected if name in self._topics}
+                self._open[outage.what] = _Open(outage, silent_ns=silent_ns)
+        cause = f"{SELF} was restarted; nothing was monitored in between"
+        self._events.append(Outage(what=SELF, since_ns=report.now_ns, until_ns=self._started_ns, cause=cause))
+
+    def step(self, now_ns: int, *, connected: bool) -> list[Outage]:
+        """Compare everything with its deadline; return the outages that began or ended.
+
+        An outage of the broker is published when it is back.
         """
         slept = now_ns - self._now_ns > STALL_NS
         if slept:
-            self._heard_ns = now_ns
-        answering = connected and now_ns - self._heard_ns < MUTE_NS
-        if slept or (answering and not self._answering):
-            self._judged_from_ns = now_ns + RETURN_NS
-        self._now_ns, self._answering = now_ns, answering
+            self._received_ns = now_ns
+        answering = connected and now_ns - self._received_ns < MUTE_NS
+        if slept or (answering and not self.answering):
+            self._judged_from_ns, self._back_ns = now_ns + RETURN_NS, now_ns
+        self._now_ns, self.answering = now_ns, answering
         if not answering:
-            cause = "the broker is connected but delivers nothing" if connected else "the connection to it broke"
-            self._broker_outage = self._broker_outage or Outage(what=BROKER, since_ns=self._heard_ns, cause=cause)
+            if BROKER not in self._open:
+                cause = (
+                    "the broker hangs: it is connected, but delivers nothing"
+                    if connected
+                    else "the broker is not reachable"
+                )
+                self._begin(BROKER, self._received_ns, cause, self._flowing())
             return []
-        wrong = {**self._silent_processes(), **self._silent_topics()}
-        return [*self._broker_events(), *self._end(wrong), *self._begin(wrong)]
+        if now_ns >= self._judged_from_ns:
+            self._judge_processes()
+            self._judge_topics()
+        self._recover()
+        events, self._events = self._events, []
+        return events
 
     def report(self, now_ns: int) -> DeadlineReport:
-        """Give the age of every topic that this vehicle has or should have, and of every process."""
+        """Give the age of every topic that this vehicle has or should have, of every process, and all problems."""
         return DeadlineReport(
             now_ns=now_ns,
             topics=tuple(
@@ -106,124 +168,279 @@ class Watch:
                 if watch.count or name in self._expected
             ),
             processes=tuple(self._process_age(watch, now_ns) for watch in self._processes.values()),
+            problems=(*(self._problem(entry) for entry in self._open.values()), *self._recording_problems()),
         )
 
-    def _broker_events(self) -> list[Outage]:
-        if self._broker_outage is None or self._now_ns < self._judged_from_ns:
-            return []
-        outage, self._broker_outage = self._broker_outage, None
-        return [outage.model_copy(update={"until_ns": self._judged_from_ns - RETURN_NS})]
-
-    def _begin(self, wrong: Mapping[str, str | None]) -> list[Outage]:
-        """Open outages, or give open ones another cause; None holds one back until its cause is known."""
-        events = []
-        for what, cause in wrong.items():
-            known = self._open.get(what)
-            if cause is None or (known is not None and known.cause == cause):
-                continue
-            since_ns = known.since_ns if known else self._last_seen_ns(what)
-            self._open[what] = Outage(what=what, since_ns=since_ns, until_ns=None, cause=cause)
-            events.append(self._open[what])
-        return events
-
-    def _end(self, wrong: Collection[str]) -> list[Outage]:
-        """Close the outages of what was heard again."""
-        events = []
-        for what, outage in list(self._open.items()):
-            until_ns = self._last_seen_ns(what)
-            if what not in wrong and until_ns > outage.since_ns:
-                events.append(outage.model_copy(update={"until_ns": until_ns}))
-                del self._open[what]
-        return events
+    # --- processes
 
     def _present(self) -> frozenset[str]:
-        """Name the processes that should run: those configured, and guests until their farewell."""
-        guests = {name for name, watch in self._processes.items() if watch.state is not ProcessState.DISCONNECTED}
-        return self._configured | guests
+        """Name the processes that should run: those configured, and others until their farewell."""
+        others = {name for name, watch in self._processes.items() if watch.state is not ProcessState.DISCONNECTED}
+        return self._configured | others
 
-    def _silent_processes(self) -> dict[str, str | None]:
-        conditions = {name: self._condition(name) for name in self._present()}
-        words = {
-            Condition.LOST: "was lost: it crashed, was killed, or its connection broke",
-            Condition.SILENT: "is connected but silent: it hangs or is overloaded",
-            Condition.ENDED: "ended as asked",
-            Condition.MISSING: "should run here but was never seen",
-        }
-        return {name: f"{name} {words[condition]}" for name, condition in conditions.items() if condition.down}
-
-    def _silent_topics(self) -> dict[str, str | None]:
-        upstream = Upstream(
-            self._present(),
-            condition=self._condition_to_blame,
-            stopped_ns=self._stopped_ns,
-            last_ns=self._late_since_ns,
-            producer=lambda topic: self._topics[topic.name].producer,
-        )
-        return {
-            name: upstream.cause(watch.topic)
-            for name, watch in self._topics.items()
-            if not watch.topic.per_process and self._stopped_ns(watch.topic) is not None
-        }
-
-    def _condition(self, name: str) -> Condition:
+    def _status(self, name: str) -> ProcessStatus:
         if name not in self._processes:
-            return Condition.RUNNING  # not ours to watch, and it did speak
+            return ProcessStatus.READY  # it has published, and is not one of ours
         watch, uptime_ns = self._processes[name], self._now_ns - self._started_ns
-        if watch.kept and uptime_ns < START_NS:
-            return Condition.WAITED_FOR
-        return watch.condition(self._now_ns, self._judged_from_ns, grace_over=uptime_ns >= GRACE_NS)
+        if name not in self._configured and watch.state is ProcessState.DISCONNECTED:
+            return ProcessStatus.ABSENT
+        if watch.retained and uptime_ns < START_NS:
+            return ProcessStatus.WAITING
+        status = watch.status(self._now_ns, self._judged_from_ns, grace_over=uptime_ns >= GRACE_NS)
+        return ProcessStatus.RESTARTING if name in self._open and not status.down else status
 
-    def _condition_to_blame(self, name: str) -> Condition:
-        """Judge a process; one that is just back is not to blame for what it did not say while it was down."""
-        condition = self._condition(name)
-        back_ns = self._processes[name].back_ns if name in self._processes else None
-        recovering = back_ns is not None and self._now_ns - back_ns < RECOVERY_NS
-        return Condition.WAITED_FOR if recovering and condition is Condition.RUNNING else condition
+    def _judge_processes(self) -> None:
+        for name in self._present():
+            status = self._status(name)
+            if not status.down or name in self._open:
+                continue
+            watch = self._processes[name]
+            since_ns = self._started_ns if watch.seen_ns is None else max(watch.seen_ns, self._started_ns)
+            self._begin(name, since_ns, f"{name} {WHY_DOWN[status]}", self._flowing(name))
+            self._open[name].life = watch.incarnation
 
-    def _stopped_ns(self, topic: Topic) -> int | None:
-        """Say when a topic fell silent, 0 if it never spoke and should; None while it is well."""
+    # --- topics
+
+    def _flowing(self, producer: str | None = None) -> list[str]:
+        """Name the topics with a rate that are published at present, by one process or by all."""
+        live = (Freshness.FRESH, Freshness.LATE)
+        return [
+            name
+            for name, watch in self._topics.items()
+            if producer in (None, watch.producer)
+            and not watch.topic.per_process
+            and not watch.kept
+            and watch.freshness(self._received_ns if producer is None else self._now_ns) in live
+        ]
+
+    def _judge_topics(self) -> None:
+        """Attribute every silent topic to its root cause."""
+        for name, watch in self._topics.items():
+            if watch.topic.per_process or self._silent_since_ns(watch.topic) is None:
+                continue
+            root = self._root(watch.topic)
+            if root is None or (name in self._silenced() and not self._is_down(root)):
+                continue
+            for entry in self._open.values():
+                entry.silent_ns.pop(name, None)
+            if root in self._settling:
+                self._continue(root)
+            if root in self._open:
+                self._affect(self._open[root], [name])
+            else:
+                since_ns = self._topics.get(root, watch).newest_ns or self._started_ns
+                self._begin(root, since_ns, self._why_silent(root), [name])
+
+    def _silenced(self) -> set[str]:
+        return {name for entry in self._open.values() for name in entry.silent_ns}
+
+    def _root(self, topic: Topic, seen: tuple[str, ...] = ()) -> str | None:
+        """Find the root cause of the silence of a topic; None while it cannot be told yet.
+
+        It is, in this order: a producer that is down, or was restarted since the last message; what silenced the input
+        that ended last, as soon as no other is late; an outage upstream that is not over for good; the topic itself.
+        """
+        if failed := self._failed_producer(topic):
+            return failed
+        silent = self._ended_inputs(topic, seen, stale=True)
+        root = self._root(silent[0], (*seen, topic.name)) if silent else None
+        if root is not None and self._is_down(root):
+            return root
+        if self._ended_inputs(topic, seen, stale=False):
+            return None
+        return root if silent else self._recent_root(topic) or self._own_root(topic)
+
+    def _failed_producer(self, topic: Topic) -> str | None:
+        """Name the producer that is down, or was restarted since the last message of the topic."""
+        producers, newest_ns = self._producers(topic), self._topics[topic.name].newest_ns
+        failed = [name for name in producers if self._is_down(name)]
+        restarted = [
+            name
+            for name in producers
+            if newest_ns and name in self._processes and self._processes[name].incarnation > newest_ns
+        ]
+        return next(iter(failed + restarted), None)
+
+    def _recent_root(self, topic: Topic) -> str | None:
+        """Name the latest outage upstream of a topic that is open, or ended a short while ago."""
+        recent = {**self._settling, **self._open}
+        upstream = [name for name in recent if name == BROKER or name in upstream_of(topic)]
+        return max(upstream, key=lambda name: recent[name].outage.since_ns, default=None)
+
+    def _own_root(self, topic: Topic) -> str | None:
+        """Name the topic itself, once its producer has sent a heartbeat since the topic's deadline."""
+        due_ns = (self._silent_since_ns(topic) or 0) + round((topic.silent_after_s or 0.0) * 1e9)
+        ours = [self._processes[name] for name in self._producers(topic) if name in self._processes]
+        return topic.name if all((watch.heartbeat_ns or 0) >= due_ns for watch in ours) else None
+
+    def _producers(self, topic: Topic) -> tuple[str, ...]:
+        newest = self._topics[topic.name].producer
+        return (newest,) if newest else producers_of(topic, self._present())
+
+    def _is_down(self, name: str) -> bool:
+        return name in self._processes and self._status(name).down
+
+    def _ended_inputs(self, topic: Topic, seen: tuple[str, ...], *, stale: bool) -> list[Topic]:
+        """List the inputs, stale or only late, that came to an end before the topic did, the last to end first.
+
+        An input that has been silent while the topic was still published is less likely the cause than a later one.
+        """
+        end_ns = self._silent_since_ns(topic) or 0
+        before = [
+            (input_end_ns, need)
+            for producer in self._producers(topic)
+            for need in inputs_of(producer)
+            if need.name not in (*seen, topic.name)
+            and (input_end_ns := self._silent_since_ns(need) if stale else self._late_since_ns(need)) is not None
+            and input_end_ns <= end_ns + _slack_ns(need, topic)
+        ]
+        return [need for _, need in sorted(before, key=lambda item: -item[0])]
+
+    def _silent_since_ns(self, topic: Topic) -> int | None:
+        """Give the stamp of the last message of a stale topic, 0 if it never came but should; None while it is well."""
         watch = self._topics[topic.name]
         if watch.newest_ns is None or watch.kept:
             return 0 if self._is_missing(topic) else None
         if topic.silent_after_s is None or watch.freshness(self._now_ns) is not Freshness.STALE:
             return None
-        heard_ns = max(watch.newest_ns, self._judged_from_ns)
-        return watch.newest_ns if (self._now_ns - heard_ns) * 1e-9 >= topic.silent_after_s else None
+        judged_ns = max(watch.newest_ns, self._judged_from_ns)
+        return watch.newest_ns if (self._now_ns - judged_ns) * 1e-9 >= topic.silent_after_s else None
 
     def _late_since_ns(self, topic: Topic) -> int | None:
         watch = self._topics[topic.name]
         return watch.newest_ns if watch.freshness(self._now_ns) is Freshness.LATE else None
 
     def _is_missing(self, topic: Topic) -> bool:
-        """Whether a topic never came although its producers say nothing else either: not every device has all."""
+        """Whether an expected topic never came, nor any other of its producers: not every device has all."""
         if topic.name not in self._expected or self._now_ns - self._started_ns < GRACE_NS:
             return False
-        spoken = {watch.producer for watch in self._topics.values() if watch.topic.rate_hz and watch.topic.consumers}
-        return not spoken.intersection(producers_of(topic, self._present()))
+        published = {watch.producer for watch in self._topics.values() if watch.topic.rate_hz and watch.topic.consumers}
+        return not published.intersection(producers_of(topic, self._present()))
 
-    def _last_seen_ns(self, what: str) -> int:
-        seen_ns = self._processes[what].seen_ns if what in self._processes else self._topics[what].newest_ns
-        return self._started_ns if seen_ns is None else seen_ns
+    def _why_silent(self, root: str) -> str:
+        """Say what is wrong with a root cause that is no process that is down."""
+        if root not in self._topics:
+            return f"{root} {RESTARTED}"
+        producers = self._producers(BY_NAME[root])
+        if not producers:
+            return f"no process of this vehicle publishes {root}"
+        if producers[0] not in PROCESS_ROWS:
+            return f"{producers[0]}, which published {root}, has ended"
+        if PROCESS_ROWS[producers[0]].layer == 1:
+            return f"{producers[0]} runs, but its device sends nothing ({root})"
+        return f"{producers[0]} runs, but does not publish {root}"
+
+    # --- outages
+
+    def _begin(self, what: str, since_ns: int, cause: str, topics: list[str]) -> None:
+        self._settling.pop(what, None)
+        self._open[what] = entry = _Open(Outage(what=what, since_ns=since_ns, cause=cause))
+        self._affect(entry, topics)
+        self._events.append(entry.outage)
+
+    def _continue(self, what: str) -> None:
+        """Open an outage again whose topics fell silent once more soon after its end."""
+        self._open[what] = entry = self._settling.pop(what)
+        entry.outage = entry.outage.model_copy(update={"until_ns": None})
+        self._events.append(entry.outage)
+
+    def _affect(self, entry: _Open, topics: list[str]) -> None:
+        entry.silent_ns |= {name: self._topics[name].newest_ns or 0 for name in topics}
+        affected = (*entry.outage.affected, *(name for name in topics if name not in entry.outage.affected))
+        entry.outage = entry.outage.model_copy(update={"affected": affected})
+
+    def _recover(self) -> None:
+        """Note the topics that are published again, and end the outages of which nothing is left."""
+        self._settling = {
+            what: entry for what, entry in self._settling.items() if self._now_ns < entry.recovered_ns + SETTLE_NS
+        }
+        for what, entry in list(self._open.items()):
+            for name, end_ns in list(entry.silent_ns.items()):
+                watch = self._topics[name]
+                if watch.newest_ns is not None and watch.newest_ns > end_ns and not watch.kept:
+                    del entry.silent_ns[name]
+                    entry.recovered_ns = self._now_ns
+            if self._is_over(what, entry):
+                del self._open[what]
+                until_ns = max(entry.recovered_ns, self._cause_end_ns(what))
+                entry.outage, entry.recovered_ns = entry.outage.model_copy(update={"until_ns": until_ns}), self._now_ns
+                self._events.append(entry.outage)
+                if not entry.silent_ns:
+                    self._settling[what] = entry
+
+    def _is_over(self, what: str, entry: _Open) -> bool:
+        if what == BROKER:
+            silent = bool(entry.silent_ns) and self._now_ns < self._back_ns + RECOVERY_NS
+            return self._now_ns >= self._judged_from_ns and not silent
+        if what in self._processes:
+            running = (ProcessStatus.RESTARTING, ProcessStatus.READY, ProcessStatus.ABSENT)
+            return not entry.silent_ns and self._status(what) in running
+        return not entry.silent_ns
+
+    def _cause_end_ns(self, what: str) -> int:
+        """Say when a root cause that had silenced no topic was over."""
+        if what == BROKER:
+            return self._back_ns
+        return (self._processes[what].heartbeat_ns or 0) if what in self._processes else 0
+
+    def _problem(self, entry: _Open) -> Problem:
+        outage = entry.outage
+        silent = tuple(entry.silent_ns)
+        return Problem(
+            what=outage.what, text=self._text(entry), since_ns=outage.since_ns, affected=silent, outage=outage
+        )
+
+    def _text(self, entry: _Open) -> str:
+        """Say what an outage means at the moment."""
+        what, waiting = entry.outage.what, ", ".join(entry.silent_ns)
+        if what == BROKER and self.answering:
+            return "the broker is back" + (f"; not yet published again: {waiting}" if waiting else "")
+        if what in self._processes:
+            status = self._status(what)
+            if status.down:
+                return f"{what} {WHY_DOWN[status]}"
+            again = RESTARTED if self._processes[what].incarnation > entry.life else "runs again"
+            return f"{what} {again}" + (f"; not yet published again: {waiting}" if waiting else "")
+        if what in self._topics and what not in entry.silent_ns:
+            return f"{what} is published again; not yet: {waiting}"
+        return entry.outage.cause
+
+    def _recording_problems(self) -> list[Problem]:
+        state, fresh = self._recording, self._topics["recording/state"].freshness(self._now_ns) is not Freshness.STALE
+        if state is None or not fresh:
+            return []
+        if not state.recording and state.reason:
+            return [Problem(what="monitoring.recorder", text=f"not recording: {state.reason}")]
+        if state.free_bytes < DISK_LOW_BYTES:
+            text = f"only {state.free_bytes / 1e6:.0f} MB of disk left"
+            return [Problem(what="monitoring.recorder", text=text)]
+        return []
+
+    # --- rows of the report
 
     def _topic_age(self, watch: TopicWatch, now_ns: int) -> TopicAge:
         median_s, p99_s = watch.latencies_s()
-        outage = self._open.get(watch.topic.name)
+        name = watch.topic.name
         return TopicAge(
-            topic=watch.topic.name,
+            topic=name,
             freshness=watch.freshness(now_ns),
             age_s=watch.age_s(now_ns),
             rate_hz=watch.rate_hz(now_ns),
             count=watch.count,
             latency_p50_s=median_s,
             latency_p99_s=p99_s,
-            cause=outage.cause if outage else None,
+            cause=next((self._text(entry) for entry in self._open.values() if name in entry.silent_ns), None),
         )
 
     def _process_age(self, watch: ProcessWatch, now_ns: int) -> ProcessAge:
         return ProcessAge(
             process=watch.name,
-            state=watch.state,
-            silent=self._condition(watch.name).down,
+            status=self._status(watch.name),
             heartbeat_age_s=watch.age_s(now_ns),
             restarts=watch.restarts,
         )
+
+
+def _slack_ns(*topics: Topic) -> int:
+    """Two periods of each: by how much the last message of one topic may be newer than that of another."""
+    return sum(round(2e9 / (topic.rate_hz or 1.0)) for topic in topics)

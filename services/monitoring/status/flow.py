@@ -105,13 +105,12 @@ class TopicFlow:
 
 
 class ProcessFlow:
-    """The life of one process as its health messages tell it."""
+    """Load and counters of one process, from its health messages."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.health: ProcessHealth | None = None
         self.heartbeat_ns: int | None = None
-        self.restarts = 0
         self.cpu_share: float | None = None  # of one core
         self.in_hz: float | None = None
         self.out_hz: float | None = None
@@ -122,7 +121,6 @@ class ProcessFlow:
         """Take one health message."""
         before = self.health
         same_life = before is not None and before.incarnation == health.incarnation
-        self.restarts += before is not None and health.incarnation > before.incarnation
         self.last_error = health.last_error or (self.last_error if same_life else None)
         self.heartbeat_ns = heartbeat_ns
         if health.state in (ProcessState.LOST, ProcessState.DISCONNECTED) and before is not None:

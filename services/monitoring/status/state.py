@@ -11,23 +11,30 @@ from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState, TruthState
-from shared.messages.operation import DeadlineReport, Freshness, Origin, Outage, ProcessHealth
+from shared.messages.operation import DeadlineReport, Origin, Outage, ProcessHealth
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
-from shared.runtime.freshness import percentile
-from shared.topics import BY_NAME, TOPICS, topic_of
+from shared.runtime.freshness import STARTUP_GRACE_S, percentile
+from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
 from .history import History
-from .outages import OutageBook
-from .problems import DOWN, Problem, Status, find_problems, root_cause, status_of
+from .judgement import (
+    BROKER_SILENT_NS,
+    REPORT_DEADLINE_NS,
+    Judgement,
+    OutageList,
+    broker_problem,
+    from_report,
+    unavailable,
+    watchdog_problem,
+)
 from .views.banner import Evidence, Trust, Verdict, judge
 from .views.geometry import ellipse_95, offset_m
 
 M = TypeVar("M", bound=Message)
 SAMPLE_NS = 200_000_000
-SECOND_NS = 1_000_000_000
-BROKER_LOST_AFTER_NS = 2 * SECOND_NS  # shorter breaks heal unseen
+SECOND_NS = STALL_NS = 1_000_000_000
 WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
 
 
@@ -38,13 +45,14 @@ class State:
         self.vehicle, self.expected, self.started_ns = vehicle, frozenset(expected), started_ns
         self.topics = {t.name: TopicFlow(t.name, t) for t in TOPICS if not t.per_process}
         self.processes = {name: ProcessFlow(name) for name in PROCESS_ROWS}
-        self.statuses = dict.fromkeys(PROCESS_ROWS, Status.WAITING)
+        self.judgement: Judgement = unavailable(self.expected, None)
         self.origins: dict[str, tuple[Origin, int]] = {}
         self.aiding: dict[AidingKind, tuple[AidingUpdate, int]] = {}
         self.rejections: dict[AidingKind, int] = {}
-        self.history, self.outages = History(history_s), OutageBook()
-        self.problems: list[Problem] = []
-        self.broker, self.broker_seen_ns = False, started_ns
+        self.history, self.outages = History(history_s), OutageList()
+        self.broker = False  # whether it is connected and delivers
+        self._ticked_ns = self._received_ns = started_ns  # newest message
+        self._broker_back_ns = started_ns  # first message after the last outage of the broker
         self.verdict: Verdict = judge(Evidence(broker=True))
         self.verdict_since_ns = started_ns
         self.timeline: deque[tuple[int, Trust]] = deque([(started_ns, Trust.STALE)], maxlen=200)
@@ -61,6 +69,9 @@ class State:
             if topic is None or not topic.per_process or name.rsplit("/", 1)[1] not in PROCESS_ROWS:
                 return
             flow = self.topics[name] = TopicFlow(name, topic)
+        if self._broker_lost(envelope.received_ns):
+            self._broker_back_ns = envelope.received_ns
+        self._received_ns = max(self._received_ns, envelope.received_ns)
         message = flow.note(envelope)
         match message:
             case ProcessHealth():
@@ -72,13 +83,14 @@ class State:
             case Origin():
                 self.origins[envelope.producer] = (message, flow.updated_ns or 0)
             case Outage():
-                self.outages.report(message)
+                self.outages.note(message)
 
     def tick(self, now_ns: int, *, broker: bool) -> None:
         """Let time pass: renew rates once a second, verdict and history five times."""
-        self.broker = broker
-        if broker:
-            self.broker_seen_ns = now_ns
+        if now_ns - self._ticked_ns > STALL_NS:
+            self._received_ns = self._broker_back_ns = now_ns  # this process did not run: no silence of the broker
+        self._ticked_ns = now_ns
+        self.broker = broker and not self._broker_lost(now_ns)
         if now_ns >= self._next_second_ns:
             self._next_second_ns = now_ns + SECOND_NS
             for flow in self.topics.values():
@@ -86,7 +98,7 @@ class State:
             self.bus_delay_p95_s = percentile(self._delays_s, 0.95)
         if now_ns >= self._next_sample_ns:
             self._next_sample_ns = now_ns + SAMPLE_NS - SAMPLE_NS // 20  # late calls must not lower the rate
-            self._judge(now_ns)
+            self._judge(now_ns, connected=broker)
             self.history.add(now_ns, self._sample(now_ns))
 
     def newest(self, kind: type[M], name: str, now_ns: int, *, live: bool = False) -> M | None:
@@ -100,16 +112,6 @@ class State:
         """Age of the newest message of a topic."""
         return self.topics[name].age_s(now_ns)
 
-    def restarts(self, name: str, now_ns: int) -> int:
-        """Count the restarts of a process, seen here or by `monitoring.health`."""
-        report = self.newest(DeadlineReport, "deadline/report", now_ns, live=True)
-        reported = [row.restarts for row in report.processes if row.process == name] if report else []
-        return max([self.processes[name].restarts, *reported])
-
-    def broker_lost(self, now_ns: int) -> bool:
-        """Tell whether the broker has been away for longer than a reconnection takes."""
-        return not self.broker and now_ns - self.broker_seen_ns > BROKER_LOST_AFTER_NS
-
     def odometer(self, now_ns: int) -> tuple[float, str] | None:
         """Speed by the vehicle's own sensors [m/s] and the topic it is from, while it is live."""
         wheels = self.newest(WheelSpeeds, "vehicle/wheel_speed", now_ns, live=True)
@@ -119,14 +121,6 @@ class State:
         speed = self.newest(VehicleSpeed, "vehicle/speed", now_ns, live=True)
         return (speed.speed_m_s, "vehicle/speed") if speed else None
 
-    def cause(self, name: str, now_ns: int) -> str:
-        """Say what is behind the silence of a topic: by `monitoring.health`, or by our own search if that is dead."""
-        report = self.newest(DeadlineReport, "deadline/report", now_ns, live=True)
-        for row in report.topics if report else ():
-            if row.topic == name and row.cause:
-                return row.cause
-        return root_cause(BY_NAME[name], self.statuses, lambda other: self.topics[other].freshness(now_ns))
-
     def _note_health(self, health: ProcessHealth, envelope: Envelope, flow: TopicFlow) -> None:
         process = self.processes.get(health.process)
         if process is None:
@@ -135,16 +129,12 @@ class State:
             self._delays_s.append(flow.latencies_s[-1])
         process.note(health, flow.updated_ns or envelope.received_ns)
 
-    def _judge(self, now_ns: int) -> None:
-        uptime_s = (now_ns - self.started_ns) * 1e-9
-        for name, flow in self.processes.items():
-            self.statuses[name] = status_of(flow, now_ns, expected=name in self.expected, uptime_s=uptime_s)
-        if self.broker_lost(now_ns):
-            self.problems = [Problem("broker", "the message broker does not answer", self.broker_seen_ns)]
-        elif self.broker:
-            self.problems = find_problems(self.topics, self.processes, self.statuses, now_ns)
-        found = {p.what: (p.since_ns, p.text) for p in self.problems if p.lost and p.since_ns is not None}
-        self.outages.observe(now_ns, found, self._lost(now_ns))
+    def _broker_lost(self, now_ns: int) -> bool:
+        """Whether nothing is delivered any more, not even our own heartbeat."""
+        return now_ns - self._received_ns >= BROKER_SILENT_NS
+
+    def _judge(self, now_ns: int, *, connected: bool) -> None:
+        self.judgement = self._find_judgement(now_ns, connected=connected)
         verdict = judge(self.evidence(now_ns))
         if verdict.code != self.verdict.code:
             self.verdict_since_ns = now_ns
@@ -152,26 +142,31 @@ class State:
             self.timeline.append((now_ns, verdict.state))
         self.verdict = verdict
 
-    def _lost(self, now_ns: int) -> dict[str, str]:
-        """Name everything that is lost now, and why: the broker, processes that are down, topics that are stale."""
-        if not self.broker:
-            unknown = dict.fromkeys((*self.statuses, *self.topics), "the message broker does not answer")
-            return {"broker": "it does not answer", **unknown}
-        processes = {name: f"{name} is {status}" for name, status in self.statuses.items() if status in DOWN}
-        topics = {
-            name: self.cause(name, now_ns)
-            for name, flow in self.topics.items()
-            if not flow.topic.per_process and flow.freshness(now_ns) is Freshness.STALE
-        }
-        return processes | topics
+    def _find_judgement(self, now_ns: int, *, connected: bool) -> Judgement:
+        """Take the judgement of `monitoring.health`, unless the broker is lost or the report is overdue.
+
+        The age of the report is that at the newest message of all: while nothing is delivered it says nothing.
+        """
+        report = self.newest(DeadlineReport, "deadline/report", now_ns)
+        reported_ns = self.topics["deadline/report"].updated_ns or 0
+        overdue = self._received_ns - max(reported_ns, self._broker_back_ns) >= REPORT_DEADLINE_NS
+        if self._broker_lost(now_ns):
+            return unavailable(self.expected, broker_problem(self._received_ns, connected=connected))
+        if report is not None and reported_ns >= self._broker_back_ns and not overdue:
+            return from_report(report)
+        if reported_ns < self.started_ns and (now_ns - self.started_ns) * 1e-9 < STARTUP_GRACE_S:
+            return unavailable(self.expected, None)
+        if not overdue:
+            return self.judgement  # the broker is back, and the first report is to come
+        return unavailable(self.expected, watchdog_problem(max(reported_ns, self.started_ns)))
 
     def evidence(self, now_ns: int) -> Evidence:
         """Collect what the verdict rests on."""
         solution = self.newest(NavigationSolution, "navigation/solution", now_ns)
         navigation = self.newest(NavigationState, "navigation/state", now_ns, live=True)
-        stale = self.topics["navigation/solution"].freshness(now_ns) in ("stale", "never")
         return Evidence(
-            broker=not self.broker_lost(now_ns),
+            broker=not self._broker_lost(now_ns),
+            monitored=self.judgement.complete or not self.judgement.problems,
             solution=solution,
             solution_age_s=self.age_s("navigation/solution", now_ns),
             filter_says=navigation.reason if navigation else None,
@@ -181,8 +176,10 @@ class State:
             imu_age_s=self.age_s("imu/sample", now_ns),
             odometer_age_s=_least(self.age_s(name, now_ns) for name in ("vehicle/wheel_speed", "vehicle/speed")),
             aiding={kind: (u, (now_ns - ns) * 1e-9) for kind, (u, ns) in self.aiding.items()},
-            down=tuple(name for name, status in self.statuses.items() if status in DOWN),
-            cause=self.cause("navigation/solution", now_ns) if stale else None,
+            alert_limit_horizontal_m=navigation.alert_limit_horizontal_m if navigation else None,
+            alert_limit_vertical_m=navigation.alert_limit_vertical_m if navigation else None,
+            down=self.judgement.down,
+            cause=self.judgement.cause("navigation/solution"),
         )
 
     def _sample(self, now_ns: int) -> dict[str, float | None]:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic
+from shared.maths.kalman import Correction
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
 from ..measurements.gnss_error_model import UNKNOWN, Colour, Told
@@ -15,7 +16,7 @@ from ..settings import Settings
 from ..smoothing.history import Trail
 from . import error_model as em
 from .imu_step import NO_SUMS, STEADY, SWAY_S, Shaking, means, take_sample
-from .kalman import Correction, resized, variances
+from .kalman import resized, variances
 from .propagation import EARLY_S, NEVER, PLAIN, Arithmetic, Beside, Departure, Moment, sound, unsoundness
 from .strapdown import InertialState, motion_of, without
 

@@ -5,9 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from shared.maths.kalman import Correction, correct
+
 from .error_model import SIZE
 from .imu_step import Shaking, Sums
-from .kalman import Correction, FloatArray, correct
+from .kalman import FloatArray
 from .propagation import Arithmetic, Departure, Moment, Rows, Stamps
 from .runner import Runner
 from .strapdown import Motion

@@ -11,12 +11,13 @@ from math import exp, isfinite, pi
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.kalman import correct
 from shared.maths.rotation import Vector
 
 from ..update.standstill_detector import QUIET_S, STILL, SURE, Rest, at_rest, doubt_of, length
 from .error_model import ACCELEROMETER_SCALE, added_variances, error_rates, transition_matrix
 from .imu_step import NO_SUMS, Errors, Shaking, Sums, means, take_sample
-from .kalman import correct, predict, variances
+from .kalman import predict, variances
 from .strapdown import Motion
 
 FloatArray = npt.NDArray[np.float64]

@@ -12,15 +12,13 @@ from typing import NamedTuple
 
 from shared.maths.earth import (
     EARTH_RATE,
-    ECCENTRICITY_SQUARED,
     EQUATORIAL_GRAVITY,
-    FLATTENING,
     GRAVITY_RATIO,
-    SEMI_MAJOR_AXIS,
     SOMIGLIANA_CONSTANT,
     Geodetic,
     geodetic_from_ned_difference,
 )
+from shared.maths.ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS
 from shared.maths.rotation import Quaternion, Vector, quaternion_from_rotation_vector, quaternion_product
 
 SMALL_ANGLE2 = 1e-8  # [rad²] below it, two terms of the series are exact to rounding
@@ -83,7 +81,7 @@ def turn_terms(angle2: float) -> tuple[float, float, float, float]:
     -------
     tuple of float
         cos(|a|/2) and sin(|a|/2)/|a|, which make its quaternion; (1 - cos|a|)/|a|² and (1 - sin|a|/|a|)/|a|², which
-        make the average rotation of `shared.maths.rotation.average_matrix_from_rotation_vector`.
+        make the mean of the rotation while it happens.
     """
     if angle2 < SMALL_ANGLE2:
         return 1.0 - angle2 / 8.0, 0.5 - angle2 / 48.0, 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import exp, hypot, sqrt
 
+from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..filter.kalman import chi_square_limit
 from ..measurements.base import Outcome
 from .innovation_statistics import ESTIMATED, MEMORY_S, UNKNOWN, Evidence
 

@@ -8,29 +8,21 @@ with n a normal number (vertical) or a normal pair (horizontal), σ² the inflat
 one wrong fix can have done without the gate seeing it. docs/explanation/protection-levels.md has every term.
 """
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
-from math import erfc, exp, hypot, isfinite, log, pi, sqrt
+from collections.abc import Sequence
+from math import erfc, exp, hypot, isfinite, sqrt
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from shared.maths.quantiles import circle_factor, line_factor
 from shared.maths.rotation import Vector
 
 from .error_monitor import Watch
 
-FloatArray = npt.NDArray[np.float64]
-
-NODES = 64  # of the mean over a quarter turn
-COSINES2 = np.cos((np.arange(NODES) + 0.5) * (pi / (2 * NODES))) ** 2
-STEPS = 32  # of the table of factors, from a line to a circle
 SPLITS = (0.5, 0.75, 0.95)  # [-] shares of the risk that horizontal errors without a fault may have
 FAULT_PROBABILITY = 0.01  # that one fix is wrong by as much as the gate lets pass
 OUTAGE_FACTOR = 3.0  # [-] on the variance that an outage adds, for errors of sensors that no state stands for
 OUTAGE_S = 10.0  # time in which these have come to bear
 LARGEST_M = 1e9
-NEAR = 1e-9  # standard deviations, by which a factor may be too large
+NEAR = 1e-4  # [-] of a vertical level, by which it may be too large
 
 
 class Levels(NamedTuple):
@@ -39,90 +31,6 @@ class Levels(NamedTuple):
     horizontal: float
     vertical: float
     risk: float
-
-
-def probability_outside(radius: FloatArray, sd_minor: FloatArray) -> FloatArray:
-    """Find the probability that a normal pair lies outside a circle about its mean.
-
-    Parameters
-    ----------
-    radius : ndarray, shape (n,)
-        [-] Of circles, over the larger standard deviation along the axes of the pair's ellipse.
-    sd_minor : ndarray, shape (n,)
-        [-] The smaller one over it; not zero.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [-] To a millionth of itself for an ellipse that is not narrower than 1 to `STEPS`.
-
-    Notes
-    -----
-    With x = ρ cos φ and y = b ρ sin φ, ρ is Rayleigh's and φ even, so that the tail in each direction is closed::
-
-        P = 2/π ∫₀^{π/2} exp( -R² / (2 (cos² φ + b² sin² φ)) ) dφ
-
-    Midpoints give the integral of a smooth periodic function fast.
-
-    References
-    ----------
-    R. S. Hoyt, "Probability functions for the modulus of the angular vector", Bell System Technical Journal 26, 1947.
-    """
-    b2, half = (sd_minor**2)[:, np.newaxis], (0.5 * radius**2)[:, np.newaxis]
-    mean: FloatArray = np.exp(-half / (b2 + (1.0 - b2) * COSINES2)).mean(axis=1)
-    return mean
-
-
-@lru_cache(maxsize=64)
-def line_factor(risk: float) -> float:
-    """Find the number of standard deviations that a normal number is off, on either side, with a probability."""
-    return _where(lambda x: erfc(x / sqrt(2.0)), risk, 0.0, 40.0) if risk < 1.0 else 0.0
-
-
-def circle_factor(ratio: float, risk: float) -> float:
-    """Find the radius outside which a normal pair lies with a probability, over its larger standard deviation.
-
-    Parameters
-    ----------
-    ratio : float
-        [-] Of the smaller standard deviation to the larger, 0 to 1.
-    risk : float
-        [-] The probability.
-
-    Returns
-    -------
-    float
-        [-] From `line_factor` for a line to sqrt(-2 ln risk) for a circle; interpolated, which is
-        never too little, and too much by 0.003 at most.
-    """
-    return _interpolated(_factors(risk), ratio)
-
-
-def _interpolated(table: tuple[float, ...], ratio: float) -> float:
-    place = ratio * STEPS
-    k = min(int(place), STEPS - 1)
-    return table[k] + (place - k) * (table[k + 1] - table[k])
-
-
-@lru_cache(maxsize=64)
-def _factors(risk: float) -> tuple[float, ...]:
-    if risk >= 1.0:
-        return (0.0,) * (STEPS + 1)
-    line, circle, sd_minor = line_factor(risk), sqrt(-2.0 * log(risk)), np.arange(1, STEPS) / STEPS
-    low, high = np.full(STEPS - 1, line), np.full(STEPS - 1, circle)
-    while high[0] - low[0] > NEAR:  # as `_where` does it, but of all at once: a process waits for its first levels
-        middle = 0.5 * (low + high)
-        farther = probability_outside(middle, sd_minor) > risk
-        low, high = np.where(farther, middle, low), np.where(farther, high, middle)
-    return (line, *high.tolist(), circle)
-
-
-def _where(tail: Callable[[float], float], probability: float, low: float, high: float, near: float = NEAR) -> float:
-    """Find where a tail has fallen to a probability, on the safe side by as much as is `near`."""
-    while high - low > near:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if tail(middle) > probability else (low, middle)
-    return high
 
 
 def horizontal_level(nn: float, ne: float, ee: float, risk: float) -> float:
@@ -143,14 +51,6 @@ def vertical_level(variance: float, risk: float) -> float:
     return sqrt(max(variance, 0.0)) * line_factor(risk)
 
 
-@lru_cache(maxsize=64)
-def _split(risk: float) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
-    """Tables of factors without and with a fault, for every share of the risk."""
-    return tuple(
-        (_factors(share * risk), _factors(min(1.0, (1.0 - share) * risk / FAULT_PROBABILITY))) for share in SPLITS
-    )
-
-
 def horizontal_level_with_fault(cov: tuple[float, float, float], fault: float, risk: float) -> float:
     """Radius [m] that holds a horizontal error of a covariance [m²: NN, NE, EE], moved by a fault [m] or not.
 
@@ -164,25 +64,32 @@ def horizontal_level_with_fault(cov: tuple[float, float, float], fault: float, r
     """
     major, ratio = _ellipse(*cov)
     return min(
-        [
-            max(major * _interpolated(without, ratio), fault + major * _interpolated(with_one, ratio))
-            for without, with_one in _split(risk)
-        ]
+        max(
+            major * circle_factor(ratio, share * risk),
+            fault + major * circle_factor(ratio, (1.0 - share) * risk / FAULT_PROBABILITY),
+        )
+        for share in SPLITS
     )
 
 
 def vertical_level_with_fault(variance: float, fault: float, risk: float) -> float:
-    """Half height [m] that holds a vertical error of a variance [m²], moved by a fault [m] or not: exactly."""
+    """Half height [m] that holds a vertical error of a variance [m²], moved by a fault [m] or not: exactly.
+
+    Notes
+    -----
+    No quantile function inverts a sum of tails. The root is bisected here, because `scipy.optimize` would add 24 MB to
+    a live process.
+    """
     low = vertical_level(variance, risk)
     if fault <= 0.0 or variance <= 0.0:
         return low + max(0.0, fault)
-    per_m = sqrt(0.5 / variance)
-
-    def outside(level: float) -> float:
-        moved = 0.5 * (erfc((level - fault) * per_m) + erfc((level + fault) * per_m))
-        return (1.0 - FAULT_PROBABILITY) * erfc(level * per_m) + FAULT_PROBABILITY * moved
-
-    return _where(outside, risk, low, low + fault, 1e-4 * low)
+    per_m, near, high = sqrt(0.5 / variance), NEAR * low, low + fault
+    while high - low > near:
+        middle = 0.5 * (low + high)
+        moved = 0.5 * (erfc((middle - fault) * per_m) + erfc((middle + fault) * per_m))
+        outside = (1.0 - FAULT_PROBABILITY) * erfc(middle * per_m) + FAULT_PROBABILITY * moved
+        low, high = (middle, high) if outside > risk else (low, middle)
+    return high
 
 
 def protection_levels(

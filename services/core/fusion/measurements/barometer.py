@@ -6,6 +6,7 @@ from math import exp, hypot, log
 
 import numpy as np
 
+from shared.maths.earth import STANDARD_GRAVITY
 from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
@@ -18,7 +19,7 @@ CORRELATION_S = 10.0  # of the pressure of the wind: successive readings are no 
 WIND = 0.002  # [m per (m/s)²] by which the air stream shifts the height: 2 % of its stagnation pressure
 LOWEST_PA, HIGHEST_PA = 40_000.0, 115_000.0  # no road is higher or lower
 STANDARD_PA, STANDARD_K, LAPSE_K_M = 101_325.0, 288.15, -0.0065
-EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)
+EXPONENT = 8.31432 * 0.0065 / (STANDARD_GRAVITY * 0.0289644)
 
 
 def pressure_height(pressure_pa: float) -> float:

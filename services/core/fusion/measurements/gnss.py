@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import Geodetic, earth_rate_n, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.maths.kalman import root_of
 from shared.maths.rotation import Quaternion, Vector, cross
 from shared.messages.navigation import AidingKind
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..filter.kalman import root_of
 from ..filter.strapdown import rotate
 from ..settings import Settings
 from .base import Measurement, Observation
@@ -77,7 +77,7 @@ class GnssPosition:
         cov = navigation.colour.scaled(self.cov) if self.lasts else self.cov
         R = (1.0 - lasting) * cov + along * along[:, np.newaxis]
         if lasting > 0.0:
-            root = sqrt(lasting) * root_of(cov)
+            root = sqrt(lasting) * root_of(cov, "a measurement")
             z -= root @ navigation.gnss_error
             H[:, em.GNSS_ERROR] = -root
         n = self.axes

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..filter.kalman import Correction
+from shared.maths.kalman import Correction
 
 if TYPE_CHECKING:
     from ..filter.eskf import ErrorStateFilter

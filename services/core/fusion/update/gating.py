@@ -3,13 +3,15 @@
 from math import radians
 from typing import NamedTuple
 
+from shared.maths.kalman import Correction
+from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import AidingKind
 
 from ..alignment.heading import Heading
 from ..alignment.velocity_matching import Comparison, Corrections
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..filter.kalman import Correction, FloatArray, chi_square_limit
+from ..filter.kalman import FloatArray
 from ..measurements.base import Height, Measurement, Observation, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from ..settings import Settings
@@ -117,15 +119,14 @@ class Judge:
             if flat_ratio <= 1.0:
                 told = self._judge(navigation, measurement, level, flat, flat_ratio, self._height(seen))
                 taken_over = self._follow_height(navigation, seen, measurement.time_ns)
-                height = Height(float(seen.z[2]), correction.innovation_sd[2], taken_over)
+                height = Height(float(seen.z[2]), float(correction.innovation_sd[2]), taken_over)
                 return told._replace(height=height)
         return self._judge(navigation, measurement, seen, correction, ratio, None)
 
     def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:
         correction = navigation.weigh(seen.z, seen.H, seen.R)
-        return correction, correction.distance2 / chi_square_limit(
-            len(seen.z), self._settings.gating.false_alarm_probability
-        )
+        limit = chi_square_limit(len(seen.z), self._settings.gating.false_alarm_probability)
+        return correction, float(correction.distance2) / limit
 
     def _height(self, seen: Observation) -> str:
         return f"height beyond the gate by {-float(seen.z[2]):.0f} m: used without it"
@@ -182,7 +183,7 @@ class Judge:
             measurement.source,
             seen.kind,
             tuple(seen.z.tolist()),
-            correction.innovation_sd,
+            tuple(correction.innovation_sd.tolist()),
             ratio,
             refused is None,
             refused or remark,

@@ -46,7 +46,7 @@ class ArmWatch(NamedTuple):
         keep = exp(-max(0, time_ns - self.time_ns) * 1e-9 / MEMORY_S) if self.time_ns else 1.0
         (nn, ne), (_, ee) = S[:2, :2].tolist()
         share, (north, east) = ne / nn, z[:2].tolist()
-        left = ee - share * ne  # of the variance, positive as in `inverse_of`
+        left = ee - share * ne  # of the variance, positive because S is positive definite
         q, s = (c - share * a) / left, (d - share * b) / left  # rows of S^-1 A: the lower one first
         p, r = a / nn - share * q, b / nn - share * s
         (ff, fr, rr), (forward, right) = self.information, self.weighted

@@ -33,7 +33,7 @@ function Origin() {
 }
 
 // While some have not been heard of since the start, that nothing is down says little.
-const servicesOk = ({ ok, up, of }) => (ok && up < of ? null : ok);
+const servicesOk = ({ ok, up, of }) => (ok && up < of ? null : ok); // null: not known
 
 function links() {
   const c = state.value?.chain;
@@ -179,7 +179,7 @@ function Footer() {
     ${bus.rss_bytes > 0 && html`<span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>`}
     ${heard && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
     <span class=${heard && recording.recording ? "rec" : ""}>${!heard ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
-    ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text)}</a>`
+    ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text, first.since_ns && nowMs() ? duration(Math.max(0, (nowMs() - first.since_ns / 1e6) / 1000)) : null)}</a>`
       : html`<span class="push dim">${!live ? words.status.unknown : toCome > 0 ? t.toCome(toCome) : t.noProblems}</span>`}
   </footer>`;
 }

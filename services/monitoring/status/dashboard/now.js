@@ -108,7 +108,7 @@ function ServicesCard() {
   const live = isLive() && brokerAnswers();
   const shown = Object.entries(processes).filter(([, p]) => p.status !== "absent")
     .map(([name, p]) => [name, live ? p : { ...p, status: "unknown" }]);
-  const order = ["lost", "missing", "silent", "ended", "alert", "waiting", "starting", "ready"];
+  const order = ["lost", "missing", "stale", "ended", "restarting", "waiting", "unknown", "late", "ready"];
   shown.sort((a, b) => order.indexOf(a[1].status) - order.indexOf(b[1].status));
   return html`<${Card} title=${words.services.title} id="services" note=${live ? words.services.running(chain.services.up, chain.services.of) : words.status.unknown}
     aside=${html`<a href="#/system">${words.services.details}</a>`}>

@@ -35,7 +35,7 @@ export const StateIcon = ({ state, word }) =>
   html`<span class="state ${state}"><${Icon} name=${state} />${word !== "" && html`<span class="sr">${word ?? words.trust[state]}: </span>`}</span>`;
 
 export const STATUS_STATE = {
-  ready: "safe", starting: "info", alert: "caution", silent: "stale", lost: "unsafe", ended: "off",
+  ready: "safe", late: "caution", restarting: "caution", stale: "stale", lost: "unsafe", ended: "off",
   waiting: "info", missing: "unsafe", absent: "off", unknown: "stale",
 };
 export const FRESH_STATE = { fresh: "safe", late: "caution", stale: "stale", never: "off", quiet: "info" };

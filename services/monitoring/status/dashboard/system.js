@@ -208,7 +208,7 @@ function OutagesCard() {
       return html`<li key=${`${o.what}${o.since_ns}`} class=${open ? "open" : ""}>
         <span><${StateIcon} state=${open ? "stale" : "info"} word="" /><strong>${o.what}</strong>${open && html` <em>${t.open}</em>`}</span>
         <span class="number">${fixed(span, span < 10 ? 1 : 0)} s</span>
-        <span class="dim">${timeOfDay(o.since_ns / 1e6)} ${words.utc} · ${o.cause}</span>
+        <span class="dim">${timeOfDay(o.since_ns / 1e6)} ${words.utc} · ${o.cause}${o.affected.length > 0 && html` · ${t.affected(o.affected)}`}</span>
       </li>`;
     })}</ul>`}
   </${Card}>`;
@@ -226,8 +226,8 @@ function UnitCard() {
     ${mode && html`<${Row} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} />
     <${Row} label=${t.sources} value=${sources || t.none} />`}
     <${Row} dim=${old("navigation/state", navigation)} label=${t.filter} value=${navigation ? words.position.phases[navigation.phase] ?? navigation.phase : words.topics.never} extra=${navigation?.reason} />
-    ${navigation && html`<${Row} label=${t.fixes} value=${t.usedRefused(navigation.fixes_used, navigation.fixes_rejected)} />
-    <${Row} label=${t.samples} value=${t.usedRefused(navigation.samples_used, navigation.samples_rejected)} />
+    ${navigation && html`<${Row} label=${t.fixes} value=${t.usedRejected(navigation.fixes_used, navigation.fixes_rejected)} />
+    <${Row} label=${t.samples} value=${t.usedRejected(navigation.samples_used, navigation.samples_rejected)} />
     <${Row} label=${t.gaps} value=${t.gapsResets(navigation.imu_gaps, navigation.resets)} />`}
     <${Row} dim=${old("recording/state", recording)} label=${t.recording} value=${recording?.file ?? (recording ? words.footer.notRecording : words.topics.never)} extra=${recording?.reason ?? (recording && t.written(bytes(recording.bytes_written), recording.dropped))} />
   </dl></${Card}>`;

@@ -17,7 +17,6 @@ from shared.topics import BY_NAME
 from .geometry import vertical_sd
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
-ALERT_LIMIT_M = 10.0  # of the horizontal protection level
 FITS = {AidingKind.NON_HOLONOMIC: "non-holonomic constraint"}
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
@@ -56,8 +55,11 @@ class Evidence:
     imu_age_s: float | None = None
     odometer_age_s: float | None = None
     aiding: Mapping[AidingKind, tuple[AidingUpdate, float]] | None = None  # newest of each kind, and its age
+    alert_limit_horizontal_m: float | None = None  # as configured, from `navigation/state`
+    alert_limit_vertical_m: float | None = None
+    monitored: bool = True  # False: monitoring.health does not report
     down: tuple[str, ...] = ()  # processes that should run and do not
-    cause: str | None = None  # why the solution is missing or old
+    cause: str | None = None  # root cause of a missing or old solution
 
 
 @dataclass(frozen=True)
@@ -85,9 +87,9 @@ class Verdict:
 
 
 WAITING = {
-    NavigationPhase.WAITING_FOR_IMU: "no inertial data have come",
-    NavigationPhase.LEVELLING: "the filter is finding out what is level, which needs the vehicle to stand still",
-    NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix has come",
+    NavigationPhase.WAITING_FOR_IMU: "no inertial data are received",
+    NavigationPhase.LEVELLING: "the filter is levelling, which needs the vehicle to stand still",
+    NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix is received",
     NavigationPhase.WAITING_FOR_HEADING: "the heading is not known, which needs the vehicle to drive a little",
 }
 NOT_MONITORED = (
@@ -109,8 +111,8 @@ def _sentence(e: Evidence) -> tuple[Trust, str, str, str]:
         return (
             Trust.STALE,
             "broker",
-            "Nothing is known: the message broker does not answer.",
-            "Start the broker or read its log. Every process talks through it and comes back by itself.",
+            f"Nothing is known: {e.cause or 'the broker is not reachable'}.",
+            "Start the broker or read its log. All messages pass through it; processes reconnect by themselves.",
         )
     if e.solution is None:
         return (
@@ -123,7 +125,7 @@ def _sentence(e: Evidence) -> tuple[Trust, str, str, str]:
         return (
             Trust.STALE,
             "stale",
-            f"The position is out of date: {e.cause or 'the reason is not known'}.",
+            f"The position is stale: {_why_stale(e)}.",
             "Do not use the position shown. It is the last one known, and the circle grows with time.",
         )
     return _sentence_while_navigating(e, e.solution)
@@ -142,7 +144,7 @@ def _sentence_while_navigating(e: Evidence, solution: NavigationSolution) -> tup
         return (
             Trust.CAUTION,
             f"rejected {kinds}",
-            f"Position not monitored, and the filter refuses its {kinds} measurements: they do not fit the motion.",
+            f"Position not monitored, and the filter rejects its {kinds} measurements: they contradict the motion.",
             "GNSS or the inertial unit is wrong. Keep away from reflecting walls and check the antenna.",
         )
     if _heading_sd_deg(solution) > HEADING_SD_LIMIT_DEG:
@@ -151,6 +153,13 @@ def _sentence_while_navigating(e: Evidence, solution: NavigationSolution) -> tup
             "heading",
             "Position not monitored, and the heading is not yet known well.",
             "Drive a little, straight and with a turn: the heading is found from the motion.",
+        )
+    if not e.monitored:
+        return (
+            Trust.CAUTION,
+            "unwatched",
+            "Position not monitored, and monitoring.health does not report: the state of all processes is unknown.",
+            "Start monitoring.health or read its log. Until then faults of other processes are not shown.",
         )
     if e.down:
         return (
@@ -168,10 +177,16 @@ def _sentence_while_navigating(e: Evidence, solution: NavigationSolution) -> tup
 
 
 def _why_none(e: Evidence) -> str:
-    """Prefer what the filter is waiting for over what can be seen from outside."""
+    """Prefer what the filter is waiting for over what monitoring.health sees."""
     if e.phase in WAITING:
         return WAITING[e.phase]
-    return e.cause or "nothing has been received from the navigation filter"
+    return e.cause or "nothing has been received from core.fusion"
+
+
+def _why_stale(e: Evidence) -> str:
+    """Name the root cause, and what a filter that starts again is waiting for."""
+    waiting = f" ({WAITING[e.phase]})" if e.phase in WAITING and e.cause else ""
+    return (e.cause or "the root cause is not known yet") + waiting
 
 
 def _checks(e: Evidence) -> list[Check]:
@@ -215,7 +230,7 @@ def _age_check(name: str, label: str, age_s: float | None, topic: str, what: str
 def _phase_check(e: Evidence) -> Check:
     link = "topic=navigation/state"
     if e.phase is None:
-        return Check("phase", "Filter", Trust.STALE, "says nothing", link=link)
+        return Check("phase", "Filter", Trust.STALE, "does not publish its state", link=link)
     text = e.phase.replace("_", " ").replace("imu", "IMU").replace("gnss", "GNSS")
     if e.phase is NavigationPhase.NAVIGATING:
         return Check("phase", "Filter", Trust.SAFE, text, link=link)
@@ -234,15 +249,26 @@ def _heading_check(e: Evidence) -> Check:
 
 
 def _protection_check(e: Evidence) -> Check:
+    """Compare the protection levels with the alert limits of the vehicle's configuration; the worse axis counts."""
     name, label, link = "protection", "Protection level", "topic=navigation/solution"
     if e.solution is None or _is_old(e):
         return Check(name, label, Trust.STALE, "unknown", link=link)
-    level_m = e.solution.protection_level_horizontal_m
-    if level_m is None:
-        return Check(name, label, Trust.OFF, "the filter states none", link=link, fitted=False)
-    state = Trust.SAFE if level_m <= ALERT_LIMIT_M else Trust.CAUTION
-    text = f"{level_m:.1f} m on the ground, limit {ALERT_LIMIT_M:g} m"
-    return Check(name, label, state, text, min(level_m / ALERT_LIMIT_M, 9.99), link)
+    axes = [
+        ("horizontal", e.solution.protection_level_horizontal_m, e.alert_limit_horizontal_m),
+        ("vertical", e.solution.protection_level_vertical_m, e.alert_limit_vertical_m),
+    ]
+    levels = [(axis, level_m, limit_m) for axis, level_m, limit_m in axes if level_m is not None]
+    if not levels:
+        return Check(name, label, Trust.OFF, "not published by the filter", link=link, fitted=False)
+    text = ", ".join(
+        f"{level_m:.1f} m {axis}" + ("" if limit_m is None else f" (limit {limit_m:g} m)")
+        for axis, level_m, limit_m in levels
+    )
+    ratios = [level_m / limit_m for _, level_m, limit_m in levels if limit_m is not None]
+    if not ratios:
+        return Check(name, label, Trust.STALE, f"{text}; alert limits not received", link=link)
+    state = Trust.SAFE if max(ratios) <= 1.0 else Trust.CAUTION
+    return Check(name, label, state, text, min(max(ratios), 9.99), link)
 
 
 def _gate_checks(e: Evidence) -> list[Check]:
@@ -250,7 +276,7 @@ def _gate_checks(e: Evidence) -> list[Check]:
     checks = []
     for kind, update, _ in _recent(e):
         good = update.used and update.test_ratio <= GATE_LIMIT
-        text = f"{update.test_ratio:.2f} of the limit" + ("" if update.used else ", refused")
+        text = f"{update.test_ratio:.2f} of the limit" + ("" if update.used else ", rejected")
         label = f"Fit of {FITS.get(kind) or kind.replace('_', ' ').replace('gnss', 'GNSS')}"
         state = Trust.SAFE if good else Trust.CAUTION
         checks.append(

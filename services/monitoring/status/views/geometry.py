@@ -1,15 +1,14 @@
 """What the close-up view draws: the 95 % error ellipse of a covariance, and offsets on the ground."""
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, radians, sin, sqrt
+from math import atan2, cos, hypot, log, radians, sqrt
 
+from shared.maths.ellipsoid import curvature_radii
 from shared.messages.base import Symmetric3
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution, TruthState
 
-CHI_SQUARE_95_TWO = 5.991464547107979  # 95 % quantile with two degrees of freedom: -2 ln 0.05
-WGS84_A = 6378137.0  # [m] semi-major axis, by definition
-WGS84_E2 = 6.69437999014e-3  # [-] first eccentricity squared
+CHI_SQUARE_95_TWO = -2.0 * log(0.05)  # 95 % quantile: with two degrees of freedom it is closed
 
 
 @dataclass(frozen=True)
@@ -75,9 +74,7 @@ def offset_m(solution: NavigationSolution, reference: TruthState | GnssFix) -> t
         return None
     delay_s = (solution.sampled_ns - reference.sampled_ns) * 1e-9
     latitude = radians(reference.latitude_deg)
-    curvature = 1.0 - WGS84_E2 * sin(latitude) ** 2
-    meridian = WGS84_A * (1.0 - WGS84_E2) / curvature**1.5
-    normal = WGS84_A / sqrt(curvature)
+    meridian, transverse = curvature_radii(latitude)
     north = radians(solution.latitude_deg - reference.latitude_deg) * meridian
-    east = radians(solution.longitude_deg - reference.longitude_deg) * normal * cos(latitude)
+    east = radians(solution.longitude_deg - reference.longitude_deg) * transverse * cos(latitude)
     return north - velocity[0] * delay_s, east - velocity[1] * delay_s

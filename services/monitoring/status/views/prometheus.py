@@ -15,6 +15,7 @@ from shared.messages.operation import RecordingState
 from ..state import State
 from .banner import Trust
 from .geometry import ellipse_95
+from .snapshot import RUNNING
 
 # As NMEA and gpsd count: 1 no fix, 2 two dimensions, 3 three.
 FIX_MODES = {FixType.TWO_D: 2, FixType.THREE_D: 3, FixType.GNSS_DEAD_RECKONING: 3}
@@ -85,7 +86,7 @@ def _trust(state: State) -> Iterator[Metric]:
     statistic = GaugeMetricFamily(
         "obu_monitor_statistic", "Newest statistic over its limit; above 1 it alarms.", labels=["monitor"]
     )
-    alarms = CounterMetricFamily("obu_monitor_alarms", "Times that a monitor has alarmed.", labels=["monitor"])
+    alarms = CounterMetricFamily("obu_monitor_alarms", "Alarms of a monitor.", labels=["monitor"])
     for kind, (update, _) in state.aiding.items():
         statistic.add_metric([f"innovation_{kind}"], update.test_ratio)
         alarms.add_metric([f"innovation_{kind}"], state.rejections.get(kind, 0))
@@ -101,12 +102,12 @@ def _traffic(state: State, now_ns: int) -> Iterator[Metric]:
             count.add_metric([name], flow.count)
     up = GaugeMetricFamily("obu_process_up", "1 while its heartbeat is in time.", labels=["process"])
     restarts = CounterMetricFamily("obu_process_restarts", "Restarts seen.", labels=["process"])
-    rejects = CounterMetricFamily("obu_parser_rejects", "Refused input.", labels=["proto", "reason"])
+    rejects = CounterMetricFamily("obu_parser_rejects", "Rejected input.", labels=["proto", "reason"])
     for name, process in state.processes.items():
         if process.health is None:
             continue
-        up.add_metric([name], 1.0 if state.statuses[name] in ("ready", "starting", "alert") else 0.0)
-        restarts.add_metric([name], process.restarts)
+        up.add_metric([name], 1.0 if state.judgement.statuses[name] in RUNNING else 0.0)
+        restarts.add_metric([name], state.judgement.restarts.get(name, 0))
         for reason, number in process.health.rejects.items():
             rejects.add_metric([name, reason], number)
     yield from (age, count, up, restarts, rejects)

@@ -2,39 +2,39 @@
 
 from shared.errors import BadPayload
 from shared.messages.base import Message, RawBytes
+from shared.messages.operation import ProcessStatus
 
 from ..flow import TopicFlow
-from ..problems import DOWN, Status
 from ..state import State
+from . import snapshot as views
 from .snapshot import Json, dashboard, rounded, traffic
 
 BYTES_SHOWN = 512
 
 
 def health(state: State, now_ns: int) -> Json:
-    """Hold every topic and process against its deadline."""
-    if state.broker_lost(now_ns):
-        overall = "failed"
-    else:
-        overall = "degraded" if state.problems or state.verdict.state == "stale" else "ok"
+    """Give the judgement of `monitoring.health`, or why there is none."""
+    judgement = state.judgement
+    lost = any(problem.what == "broker" for problem in judgement.problems) and not judgement.complete
+    degraded = judgement.problems or state.verdict.state == "stale"
     return {
-        "state": overall,
+        "state": "failed" if lost else "degraded" if degraded else "ok",
         "now_ns": now_ns,
         "broker": state.broker,
         "position": {"state": state.verdict.state, "sentence": state.verdict.sentence},
-        "problems": [{"what": p.what, "text": p.text, "since_ns": p.since_ns} for p in state.problems],
+        "problems": views.problems(state),
         "processes": {
             name: {
                 "status": status,
-                "ok": status not in DOWN,
+                "ok": not status.down and status is not ProcessStatus.UNKNOWN,
                 "heartbeat_age_s": rounded(_age_s(state.processes[name].heartbeat_ns, now_ns), 3),
             }
-            for name, status in state.statuses.items()
-            if status is not Status.ABSENT
+            for name, status in judgement.statuses.items()
+            if status is not ProcessStatus.ABSENT
         },
         "topics": {
-            name: {"freshness": flow.freshness(now_ns), "age_s": rounded(flow.age_s(now_ns), 3)}
-            for name, flow in state.topics.items()
+            name: {"freshness": row.freshness, "age_s": rounded(row.age_s, 3), "cause": row.cause}
+            for name, row in judgement.topics.items()
         },
     }
 
@@ -85,11 +85,9 @@ def _readable(message: Message) -> Json:
 
 
 def outages(state: State) -> Json:
-    """List what is lost now, and what was lost and is back."""
-    return {
-        "open": [outage.model_dump(mode="json") for outage in state.outages.open()],
-        "closed": [outage.model_dump(mode="json") for outage in state.outages.closed()],
-    }
+    """List the outages that are open, and those that are over."""
+    rows = [(outage.until_ns is None, outage.model_dump(mode="json")) for outage in views.outages(state)]
+    return {"open": [row for is_open, row in rows if is_open], "closed": [row for is_open, row in rows if not is_open]}
 
 
 def _age_s(stamp_ns: int | None, now_ns: int) -> float | None:

@@ -5,20 +5,27 @@ from math import hypot
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix, GnssSatellites
 from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
-from shared.messages.operation import Freshness, ModeState, Origin, OriginKind, RecordingState
+from shared.messages.operation import (
+    Freshness,
+    ModeState,
+    Origin,
+    OriginKind,
+    Outage,
+    ProcessStatus,
+    RecordingState,
+)
 from shared.processes import LAYERS, PROCESSES
 from shared.runtime.freshness import freshness_of, limits_of
 from shared.topics import TOPICS
 
 from ..flow import TopicFlow
-from ..problems import DOWN, Status
 from ..state import State
 from .banner import WORDS
 from .geometry import ellipse_95, horizontal_sd, offset_m, vertical_sd
 
 Json = dict[str, object]
 SENSORS = tuple(topic.name for topic in TOPICS if topic.name.endswith("/raw"))
-RUNNING = (Status.READY, Status.ALERT, Status.STARTING)
+RUNNING = (ProcessStatus.READY, ProcessStatus.LATE, ProcessStatus.RESTARTING)
 OUTAGES_SHOWN = 50
 
 
@@ -64,8 +71,8 @@ def dashboard(state: State, now_ns: int) -> Json:
         "recording": _dated(state, "recording/state", RecordingState, now_ns),
         "topics": {name: traffic(flow) for name, flow in state.topics.items()},
         "processes": processes(state, now_ns),
-        "problems": [{"what": p.what, "text": p.text, "since_ns": p.since_ns} for p in state.problems],
-        "outages": outages(state),
+        "problems": problems(state),
+        "outages": [outage.model_dump(mode="json") for outage in outages(state)[:OUTAGES_SHOWN]],
         "bus": {
             "messages_hz": round(sum(flow.rate_hz for flow in state.topics.values()), 1),
             "delay_p95_s": rounded(state.bus_delay_p95_s, 5),
@@ -115,20 +122,26 @@ def origin(state: State, now_ns: int) -> Json | None:
 
 
 def chain(state: State, now_ns: int) -> Json:
-    """Show the links behind the server, each with how much of it works: broker, services, sensors."""
-    expected = [name for name, status in state.statuses.items() if status is not Status.ABSENT]
-    up = [name for name in expected if state.statuses[name] in RUNNING]
-    down = [name for name in expected if state.statuses[name] in DOWN]
-    seen = [name for name in SENSORS if state.topics[name].count]
-    flowing = [name for name in seen if state.topics[name].freshness(now_ns) in (Freshness.FRESH, Freshness.LATE)]
-    silent = [name for name in seen if name not in flowing]
+    """Show the links behind the server, each with how much of it works: broker, services, sensors; None is unknown."""
+    judgement = state.judgement
+    expected = [name for name, status in judgement.statuses.items() if status is not ProcessStatus.ABSENT]
+    up = [name for name in expected if judgement.statuses[name] in RUNNING]
+    sensors = {name: judgement.topics[name].freshness for name in SENSORS if name in judgement.topics}
+    flowing = [name for name, freshness in sensors.items() if freshness in (Freshness.FRESH, Freshness.LATE)]
+    silent = [name for name, freshness in sensors.items() if freshness is Freshness.STALE]
+    known = judgement.complete or not judgement.problems
     return {
         "broker": {"ok": state.broker, "text": "connected" if state.broker else "does not answer"},
-        "services": {"ok": not down, "up": len(up), "of": len(expected), "worst": down[0] if down else None},
+        "services": {
+            "ok": not judgement.down if known else None,
+            "up": len(up),
+            "of": len(expected),
+            "worst": judgement.down[0] if judgement.down else None,
+        },
         "sensors": {
-            "ok": bool(seen) and not silent,
+            "ok": bool(flowing) and not silent if known else None,
             "up": len(flowing),
-            "of": len(seen),
+            "of": len(flowing) + len(silent),
             "worst": silent[0].removesuffix("/raw") if silent else None,
         },
     }
@@ -145,10 +158,10 @@ def processes(state: State, now_ns: int) -> Json:
         main = max(said, key=lambda t: (t.limits is not None, t.rate_hz), default=None)
         health = flow.health
         rows[name] = {
-            "status": state.statuses[name],
+            "status": state.judgement.statuses[name],
             "heartbeat_ns": flow.heartbeat_ns,
             "since_ns": health.incarnation if health else None,
-            "restarts": state.restarts(name, now_ns),
+            "restarts": state.judgement.restarts.get(name, 0),
             "in_hz": rounded(flow.in_hz, 1),
             "out_hz": rounded(flow.out_hz, 1),
             "latency_of": main.name if main else None,
@@ -164,10 +177,15 @@ def processes(state: State, now_ns: int) -> Json:
     return rows
 
 
-def outages(state: State) -> list[Json]:
-    """List what was lost: open ones first, then the newest."""
-    shown = [*state.outages.open(), *state.outages.closed()][:OUTAGES_SHOWN]
-    return [{"what": o.what, "since_ns": o.since_ns, "until_ns": o.until_ns, "cause": o.cause} for o in shown]
+def problems(state: State) -> list[Json]:
+    """List what is wrong now, each with the topics that it silences."""
+    return [problem.model_dump(mode="json", exclude={"outage"}) for problem in state.judgement.problems]
+
+
+def outages(state: State) -> list[Outage]:
+    """List the outages: open ones first, then the newest."""
+    open_ = [problem.outage for problem in state.judgement.problems if problem.outage is not None]
+    return [*open_, *(outage for outage in state.outages.closed() if not _same(outage, open_))]
 
 
 def traffic(flow: TopicFlow) -> Json:
@@ -265,6 +283,10 @@ def _truth(state: State, now_ns: int) -> Json | None:
         "error_north_m": round(error[0], 3) if error else None,
         "error_east_m": round(error[1], 3) if error else None,
     }
+
+
+def _same(outage: Outage, others: list[Outage]) -> bool:
+    return any((outage.what, outage.since_ns) == (other.what, other.since_ns) for other in others)
 
 
 def rounded(value: float | None, digits: int) -> float | None:

@@ -12,7 +12,6 @@ from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.batch import solve
 from services.core.fusion.filter.error_model import SIZE
 from services.core.fusion.filter.fast import compiled_runner
-from services.core.fusion.filter.kalman import correct
 from services.core.fusion.filter.machine import Machine
 from services.core.fusion.filter.runner import Runner
 from services.core.fusion.measurements.base import Measurement
@@ -24,6 +23,7 @@ from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.kalman import correct
 from shared.messages.navigation import NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]

@@ -22,6 +22,8 @@ GOOD = Evidence(
     imu_age_s=0.01,
     odometer_age_s=0.1,
     aiding={AidingKind.GNSS_POSITION: (aiding(AidingKind.GNSS_POSITION, 0.3), 0.4)},
+    alert_limit_horizontal_m=10.0,
+    alert_limit_vertical_m=20.0,
 )
 
 
@@ -74,7 +76,20 @@ def test_nothing_that_can_be_known_here_makes_it_safe(
 
 def test_a_lost_broker_leaves_nothing_known() -> None:
     assert judge(changed(broker=False)).state is Trust.STALE
-    assert "broker" in judge(changed(broker=False)).sentence
+    sentence = judge(changed(broker=False, cause="the broker hangs: it is connected, but delivers nothing")).sentence
+    assert sentence == "Nothing is known: the broker hangs: it is connected, but delivers nothing."
+
+
+def test_a_watchdog_that_does_not_report_leaves_the_position_but_says_so() -> None:
+    verdict = judge(changed(monitored=False))
+    assert (verdict.state, verdict.code) == (Trust.CAUTION, "unwatched")
+    assert "monitoring.health does not report" in verdict.sentence
+
+
+def test_a_stale_position_of_a_filter_that_starts_again_says_what_it_waits_for() -> None:
+    cause = "core.fusion was restarted and is starting again; not yet published again: navigation/solution"
+    verdict = judge(changed(solution_age_s=9.0, cause=cause, phase=NavigationPhase.WAITING_FOR_GNSS))
+    assert verdict.sentence == f"The position is stale: {cause} (no usable GNSS fix is received)."
 
 
 def test_what_the_filter_waits_for_is_said_before_what_is_seen_from_outside() -> None:
@@ -84,7 +99,7 @@ def test_what_the_filter_waits_for_is_said_before_what_is_seen_from_outside() ->
         filter_says="17 fixes without a position",
         cause="core.fusion runs, but says nothing on navigation/solution",
     )
-    assert judge(evidence).sentence == "No position yet: no usable GNSS fix has come."
+    assert judge(evidence).sentence == "No position yet: no usable GNSS fix is received."
     assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS: 17 fixes without a position")
 
 
@@ -100,7 +115,7 @@ def test_a_position_is_no_data_from_its_deadline_on(age_s: float, state: Trust) 
 
 def test_an_old_position_is_explained_by_its_root_cause() -> None:
     verdict = judge(changed(solution_age_s=9.0, cause="sensors.imu is silent"))
-    assert verdict.sentence == "The position is out of date: sensors.imu is silent."
+    assert verdict.sentence == "The position is stale: sensors.imu is silent."
 
 
 def test_dead_reckoning_is_said_before_anything_else() -> None:
@@ -111,8 +126,8 @@ def test_dead_reckoning_is_said_before_anything_else() -> None:
 def test_refused_measurements_are_named() -> None:
     kind = AidingKind.GNSS_VELOCITY
     evidence = changed(aiding={kind: (aiding(kind, 4.7, used=False), 0.5)})
-    assert "refuses its GNSS velocity measurements" in judge(evidence).sentence
-    assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "4.70 of the limit, refused")
+    assert "rejects its GNSS velocity measurements" in judge(evidence).sentence
+    assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "4.70 of the limit, rejected")
 
 
 def test_a_refusal_of_long_ago_is_not_held_against_the_position() -> None:
@@ -166,11 +181,15 @@ def test_sensors_that_never_spoke_are_not_green() -> None:
     }
 
 
-def test_the_protection_level_is_held_against_the_alert_limit() -> None:
-    assert check(GOOD, "protection") == (Trust.SAFE, "3.1 m on the ground, limit 10 m")
-    wide = changed(solution=solution(START_NS, **(LEVELS | {"protection_level_horizontal_m": 12.0})))
-    assert check(wide, "protection") == (Trust.CAUTION, "12.0 m on the ground, limit 10 m")
-    assert check(changed(solution=solution(START_NS)), "protection") == (Trust.OFF, "the filter states none")
+def test_protection_levels_are_compared_with_the_configured_alert_limits() -> None:
+    assert check(GOOD, "protection") == (Trust.SAFE, "3.1 m horizontal (limit 10 m), 4.2 m vertical (limit 20 m)")
+    assert check(changed(alert_limit_horizontal_m=3.0), "protection")[0] is Trust.CAUTION
+    assert check(changed(alert_limit_vertical_m=4.0), "protection")[0] is Trust.CAUTION
+    unknown = changed(alert_limit_horizontal_m=None, alert_limit_vertical_m=None)
+    assert check(unknown, "protection") == (
+        Trust.STALE, "3.1 m horizontal, 4.2 m vertical; alert limits not received",
+    )  # fmt: skip
+    assert check(changed(solution=solution(START_NS)), "protection") == (Trust.OFF, "not published by the filter")
     assert check(changed(solution_age_s=60.0), "protection") == (Trust.STALE, "unknown")
 
 

@@ -45,7 +45,8 @@ def test_names_follow_the_conventions_of_prometheus(world: World) -> None:
     assert found["obu_monitor_statistic"] == {("innovation_gnss_position",): 0.4, ("innovation_gnss_velocity",): 2.5}
     assert found["obu_monitor_alarms_total"][("innovation_gnss_velocity",)] == 1.0
     assert found["obu_topic_age_seconds"][("gnss/fix",)] == pytest.approx(0.5)
-    assert found["obu_process_restarts_total"] == {("parsers.gnss",): 0.0}
+    assert found["obu_process_restarts_total"][("parsers.gnss",)] == 0.0
+    assert found["obu_process_up"][("parsers.gnss",)] == 1.0
     assert found["obu_parser_rejects_total"] == {("parsers.gnss", "checksum"): 3.0}
     assert found["obu_recorder_bytes_total"] == {(): 12_000.0}
     assert found["obu_disk_free_bytes"] == {(): 41_000.0}

@@ -1,8 +1,9 @@
 """What the status process makes of the messages of a whole unit."""
 
+from typing import Any
+
 import pytest
 
-from services.monitoring.status.problems import Status
 from services.monitoring.status.views import reports, snapshot
 from services.monitoring.status.views.banner import Trust
 from shared.bus.codec import encode
@@ -16,10 +17,11 @@ from shared.messages.operation import (
     Origin,
     OriginKind,
     Outage,
+    Problem,
     ProcessAge,
     ProcessHealth,
     ProcessState,
-    RecordingState,
+    ProcessStatus,
     TopicAge,
 )
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
@@ -45,7 +47,7 @@ def drive(world: World, seconds: float, *, without: tuple[str, ...] = ()) -> Non
             if producer not in without and type(message).__name__ not in without:
                 world.hear(message, producer)
         if i % 5 == 0:
-            world.beat(*(name for name in ALL if name not in without))
+            world.beat(*(name for name in ALL if name not in (*without, "monitoring.health", "monitoring.status")))
         world.pass_time(0.1)
 
 
@@ -56,31 +58,49 @@ def driving() -> World:
     return world
 
 
+def status(world: World, process: str) -> ProcessStatus:
+    return world.state.judgement.statuses[process]
+
+
+def rows(found: object) -> list[dict[str, Any]]:
+    assert isinstance(found, list)
+    return found
+
+
+def problems(world: World) -> list[str]:
+    return [problem.text for problem in world.state.judgement.problems]
+
+
+STALE = "core.fusion is stale: connected, but without heartbeat; it hangs or is overloaded"
+
+
 def test_a_unit_that_works_has_no_problems(driving: World) -> None:
-    assert driving.state.problems == []
+    assert problems(driving) == []
     assert driving.state.verdict.code == "unmonitored"
     assert reports.health(driving.state, driving.now_ns)["state"] == "ok"
 
 
-def test_a_stopped_process_is_silent_within_its_deadline_of_two_seconds(driving: World) -> None:
+def test_a_stopped_process_is_stale_within_its_deadline_of_two_seconds(driving: World) -> None:
     stopped_ns = driving.now_ns
-    while driving.state.statuses["core.fusion"] is not Status.SILENT:
+    while status(driving, "core.fusion") is not ProcessStatus.STALE:
         drive(driving, 0.1, without=("core.fusion",))
-        assert driving.now_ns - stopped_ns < 2.7 * SECOND_NS, "deadline, half a heartbeat and the period of judging"
+        assert driving.now_ns - stopped_ns < 3.0 * SECOND_NS, "deadline, heartbeat, report and the period of judging"
     drive(driving, 0.7, without=("core.fusion",))
-    assert driving.state.verdict.sentence == "The position is out of date: core.fusion is silent."
+    assert driving.state.verdict.sentence == f"The position is stale: {STALE}."
 
 
 def test_everything_that_fell_silent_with_a_process_is_one_problem(driving: World) -> None:
     drive(driving, 8.0, without=("core.fusion",))
-    assert [problem.text for problem in driving.state.problems] == ["core.fusion is silent"]
+    assert problems(driving) == [STALE]
+    [shown] = rows(reports.health(driving.state, driving.now_ns)["problems"])
+    assert shown["affected"] == ["navigation/solution", "navigation/state"]
 
 
-def test_a_last_will_shows_a_process_as_lost_at_once(driving: World) -> None:
+def test_a_last_will_shows_a_process_as_lost_with_the_next_report(driving: World) -> None:
     will = ProcessHealth(process="parsers.gnss", state=ProcessState.LOST, incarnation=START_NS, sent_ns=driving.now_ns)
     driving.hear(will, "parsers.gnss")
-    driving.pass_time(0.3)
-    assert driving.state.statuses["parsers.gnss"] is Status.LOST
+    driving.pass_time(0.8)
+    assert status(driving, "parsers.gnss") is ProcessStatus.LOST
     assert "parsers.gnss is not running" in driving.state.verdict.sentence
 
 
@@ -94,97 +114,149 @@ def test_what_was_known_of_a_process_outlives_its_will(driving: World) -> None:
     assert (row["last_error"], row["rss_bytes"]) == ("checksum of UBX-NAV-PVT", 31_000_000)
 
 
-def test_a_process_that_ended_as_asked_is_ended_and_not_silent(driving: World) -> None:
+def test_a_process_that_ended_as_asked_is_ended_and_not_stale(driving: World) -> None:
     farewell = ProcessHealth(
         process="parsers.can", state=ProcessState.DISCONNECTED, incarnation=START_NS, sent_ns=driving.now_ns
     )
     driving.hear(farewell, "parsers.can")
     drive(driving, 5.0, without=("parsers.can",))
-    assert driving.state.statuses["parsers.can"] is Status.ENDED
+    assert status(driving, "parsers.can") is ProcessStatus.ENDED
 
 
 def test_a_sensor_that_falls_silent_is_named_while_its_driver_runs(driving: World) -> None:
     drive(driving, 3.0, without=("ImuRaw",))
-    assert [problem.what for problem in driving.state.problems] == ["imu/raw"]
-    assert driving.state.problems[0].text.endswith("sensors.simulator runs, but its device sends nothing")
+    assert problems(driving) == ["sensors.simulator runs, but its device sends nothing (imu/raw)"]
 
 
-def test_a_device_that_has_yet_to_speak_is_not_blamed_for_silence() -> None:
+def test_a_unit_that_has_just_started_has_no_root_cause_yet() -> None:
     starting = World()
     starting.beat(*ALL)
-    starting.pass_time(0.3)
-    assert starting.state.verdict.sentence.endswith("sensors.simulator runs, but its device has sent nothing yet.")
+    starting.pass_time(0.8)
+    assert starting.state.verdict.sentence == "No position yet: nothing has been received from core.fusion."
 
 
-def test_an_outage_is_noted_from_the_last_message_to_the_return(driving: World) -> None:
+def test_an_outage_lasts_from_the_last_message_to_the_first_after_it(driving: World) -> None:
     lost_ns = driving.now_ns
     drive(driving, 6.0, without=("core.fusion",))
-    (open_,) = driving.state.outages.open()
-    assert open_.what == "core.fusion"
-    assert abs(open_.since_ns - lost_ns) < 0.6 * SECOND_NS
+    (open_,) = rows(reports.outages(driving.state)["open"])
+    assert open_["what"] == "core.fusion"
+    assert abs(open_["since_ns"] - lost_ns) < 0.6 * SECOND_NS
+    assert reports.outages(driving.state)["closed"] == []
     drive(driving, 2.0)
-    (closed,) = driving.state.outages.closed()
-    assert closed.until_ns is not None
-    assert (closed.until_ns - closed.since_ns) * 1e-9 == pytest.approx(6.2, abs=0.6)
+    (closed,) = rows(reports.outages(driving.state)["closed"])
+    assert (closed["until_ns"] - closed["since_ns"]) * 1e-9 == pytest.approx(6.2, abs=0.6)
+    assert reports.outages(driving.state)["open"] == []
 
 
-def test_an_outage_that_the_health_process_reports_is_shown_in_its_words(driving: World) -> None:
-    outage = Outage(what="gnss/raw", since_ns=driving.now_ns, until_ns=driving.now_ns + SECOND_NS, cause="unplugged")
-    driving.hear(outage, "monitoring.health")
-    assert reports.outages(driving.state)["closed"] == [outage.model_dump(mode="json")]
+def test_an_outage_that_goes_on_is_open_again_and_not_a_second_one(driving: World) -> None:
+    over = Outage(what="gnss/raw", since_ns=driving.now_ns, until_ns=driving.now_ns + SECOND_NS, cause="unplugged")
+    driving.hear(over, "monitoring.health")
+    assert reports.outages(driving.state)["closed"] == [over.model_dump(mode="json")]
+    driving.hear(over.model_copy(update={"until_ns": None}), "monitoring.health")
+    assert reports.outages(driving.state)["closed"] == []
 
 
-def test_processes_are_waited_for_and_after_two_minutes_missed() -> None:
+def test_processes_are_waited_for_and_after_two_minutes_missing() -> None:
     world = World()
-    statuses = []
-    for seconds in (119.0, 2.0):
-        world.pass_time(seconds, 1.0)
-        statuses.append((world.state.statuses["core.fusion"], world.state.verdict.sentence))
-    assert statuses == [
-        (Status.WAITING, "No position yet: core.fusion has not been heard of yet."),
-        (Status.MISSING, "No position yet: core.fusion is missing."),
-    ]
+    world.pass_time(119.0, 0.5)
+    assert status(world, "core.fusion") is ProcessStatus.WAITING
+    world.pass_time(2.0, 0.5)
+    assert status(world, "core.fusion") is ProcessStatus.MISSING
+    cause = "core.fusion is missing: it should run in this vehicle, but was never seen"
+    assert world.state.verdict.sentence == f"No position yet: {cause}."
 
 
 def test_a_process_that_the_vehicle_does_not_have_is_absent_and_no_problem(driving: World) -> None:
-    assert driving.state.statuses["sensors.gnss"] is Status.ABSENT
-    assert driving.state.statuses["sensors.simulator"] is Status.READY
+    assert status(driving, "sensors.gnss") is ProcessStatus.ABSENT
+    assert status(driving, "sensors.simulator") is ProcessStatus.READY
 
 
-def test_a_retained_health_message_of_an_earlier_life_does_not_count_as_alive() -> None:
-    world = World()
-    old = ProcessHealth(
-        process="core.fusion", state=ProcessState.READY, incarnation=1, sent_ns=world.now_ns - 3600 * SECOND_NS
-    )
-    world.hear(old, "core.fusion", retained=True)
-    world.pass_time(0.5)
-    assert world.state.statuses["core.fusion"] is Status.SILENT
-
-
-def test_a_health_message_in_the_name_of_a_stranger_is_refused(driving: World) -> None:
+def test_a_health_message_in_the_name_of_a_stranger_is_rejected(driving: World) -> None:
     forged = ProcessHealth(process="stranger", state=ProcessState.LOST, incarnation=START_NS, sent_ns=driving.now_ns)
-    payload, _ = encode(forged)
+    payload = encode(forged)
     with pytest.raises(BadPayload):
         driving.hear_bytes("health/core.fusion", payload, "core.fusion")
     driving.pass_time(0.3)
-    assert driving.state.problems == []
+    assert problems(driving) == []
 
 
-def test_a_lost_broker_is_the_only_problem(driving: World) -> None:
+@pytest.mark.parametrize(
+    ("connected", "text"),
+    [(False, "the broker is not reachable"), (True, "the broker hangs: it is connected, but delivers nothing")],
+)
+def test_a_lost_or_hung_broker_is_the_only_problem_and_all_else_is_unknown(
+    driving: World, connected: bool, text: str
+) -> None:
+    for _ in range(60):
+        driving.now_ns += SECOND_NS // 10
+        driving.state.tick(driving.now_ns, broker=connected)
+        assert problems(driving) in ([], [text])
+    assert status(driving, "core.fusion") is ProcessStatus.UNKNOWN
+    assert driving.state.verdict.state is Trust.STALE
+    assert driving.state.verdict.sentence == f"Nothing is known: {text}."
+    assert reports.health(driving.state, driving.now_ns)["state"] == "failed"
+    [outage] = rows(reports.outages(driving.state)["open"])
+    assert (outage["what"], outage["cause"]) == ("broker", text)
+
+
+def test_a_broker_that_is_back_accuses_nobody(driving: World) -> None:
     driving.broker = False
     driving.pass_time(6.0)
-    assert [problem.what for problem in driving.state.problems] == ["broker"]
-    assert driving.state.verdict.state is Trust.STALE
-    assert reports.health(driving.state, driving.now_ns)["state"] == "failed"
+    driving.broker = True
+    seen = set()
+    for _ in range(80):
+        drive(driving, 0.1)
+        seen |= {problem.what for problem in driving.state.judgement.problems}
+    assert seen == {"broker"}
+    assert [outage.what for outage in snapshot.outages(driving.state)] == ["broker"]
+    assert reports.health(driving.state, driving.now_ns)["state"] == "ok"
 
 
-def test_a_short_break_of_the_broker_heals_unseen(driving: World) -> None:
+def test_a_stall_of_the_status_process_itself_is_no_loss_of_the_broker(driving: World) -> None:
+    driving.now_ns += 4 * SECOND_NS
+    driving.state.tick(driving.now_ns, broker=True)
+    assert problems(driving) == []
+    drive(driving, 3.0)
+    assert problems(driving) == []
+
+
+def test_a_short_break_of_the_broker_is_one_outage_of_its_duration(driving: World) -> None:
     driving.broker = False
     driving.pass_time(1.0)
+    assert reports.health(driving.state, driving.now_ns)["broker"] is False
     driving.broker = True
-    drive(driving, 1.0)
-    assert driving.state.outages.closed() == []
+    drive(driving, 5.0)
+    [outage] = snapshot.outages(driving.state)
+    assert outage.until_ns is not None
+    assert (outage.until_ns - outage.since_ns) * 1e-9 == pytest.approx(1.0, abs=0.5)
     assert reports.health(driving.state, driving.now_ns)["state"] == "ok"
+
+
+def test_a_silent_watchdog_is_the_only_problem_and_all_else_is_unknown(driving: World) -> None:
+    before, driving.watchdog = driving.watchdog, None
+    drive(driving, 1.5)
+    assert problems(driving) == []
+    drive(driving, 1.5)
+    text = "monitoring.health does not report, so the state of processes and topics is unknown"
+    assert problems(driving) == [text]
+    assert {status(driving, name) for name in ALL} == {ProcessStatus.UNKNOWN}
+    assert driving.state.verdict.sentence.startswith("Position not monitored, and monitoring.health does not report")
+    assert reports.health(driving.state, driving.now_ns)["topics"] == {}
+    driving.watchdog = before
+    drive(driving, 5.0)
+    assert problems(driving) == []
+
+
+def test_the_report_that_the_broker_retained_of_a_former_life_says_nothing_of_now() -> None:
+    world = World()
+    row = ProcessAge(process="core.fusion", status=ProcessStatus.LOST, restarts=9)
+    old = DeadlineReport(now_ns=world.now_ns - 3600 * SECOND_NS, topics=(), processes=(row,))
+    world.watchdog = None
+    world.hear(old, "monitoring.health", retained=True)
+    world.pass_time(5.0)
+    assert status(world, "core.fusion") is ProcessStatus.WAITING
+    world.pass_time(120.0, 0.5)
+    assert status(world, "core.fusion") is ProcessStatus.UNKNOWN
 
 
 def test_the_banner_keeps_since_when_it_holds(driving: World) -> None:
@@ -196,23 +268,26 @@ def test_the_banner_keeps_since_when_it_holds(driving: World) -> None:
     assert [trust for _, trust in driving.state.timeline] == [Trust.STALE, Trust.CAUTION, Trust.STALE]
 
 
-def test_the_cause_that_the_health_process_found_is_preferred(driving: World) -> None:
+def test_what_the_watchdog_reports_is_shown_as_it_is(driving: World) -> None:
     drive(driving, 3.0, without=("NavigationSolution",))
     row = TopicAge(
-        topic="navigation/solution",
-        freshness=Freshness.STALE,
-        age_s=3.0,
-        rate_hz=0.0,
-        count=30,
-        cause="the IMU is unplugged",
+        topic="navigation/solution", freshness=Freshness.STALE, age_s=3.0, rate_hz=0.0, count=30, cause="unplugged"
     )
-    restarts = ProcessAge(
-        process="core.fusion", state=ProcessState.READY, silent=False, heartbeat_age_s=0.1, restarts=4
-    )
-    driving.hear(DeadlineReport(now_ns=driving.now_ns, topics=(row,), processes=(restarts,)), "monitoring.health")
+    process = ProcessAge(process="core.fusion", status=ProcessStatus.RESTARTING, heartbeat_age_s=0.1, restarts=4)
+    problem = Problem(what="imu/raw", text="the IMU is unplugged", since_ns=START_NS, affected=("imu/raw",))
+    driving.watchdog = None
+    report = DeadlineReport(now_ns=driving.now_ns, topics=(row,), processes=(process,), problems=(problem,))
+    driving.hear(report, "monitoring.health")
     driving.pass_time(0.3)
-    assert driving.state.verdict.sentence == "The position is out of date: the IMU is unplugged."
-    assert driving.state.restarts("core.fusion", driving.now_ns) == 4
+    assert driving.state.verdict.sentence == "The position is stale: unplugged."
+    health = reports.health(driving.state, driving.now_ns)
+    assert health["topics"] == {"navigation/solution": {"freshness": "stale", "age_s": 3.0, "cause": "unplugged"}}
+    assert health["problems"] == [
+        {"what": "imu/raw", "text": "the IMU is unplugged", "since_ns": START_NS, "affected": ["imu/raw"]}
+    ]
+    shown = snapshot.processes(driving.state, driving.now_ns)["core.fusion"]
+    assert isinstance(shown, dict)
+    assert (shown["status"], shown["restarts"]) == ("restarting", 4)
 
 
 def test_one_simulated_source_among_live_ones_makes_the_whole_simulated(driving: World) -> None:
@@ -225,7 +300,7 @@ def test_one_simulated_source_among_live_ones_makes_the_whole_simulated(driving:
     }
 
 
-def test_an_origin_that_is_no_longer_repeated_is_not_believed(driving: World) -> None:
+def test_an_origin_that_is_no_longer_repeated_is_not_shown(driving: World) -> None:
     driving.pass_time(11.0)
     assert snapshot.origin(driving.state, driving.now_ns) is None
 
@@ -269,31 +344,6 @@ def test_the_chain_names_how_many_links_work(driving: World) -> None:
     chain = snapshot.chain(driving.state, driving.now_ns)
     assert chain["services"] == {"ok": False, "up": len(ALL) - 1, "of": len(ALL), "worst": "parsers.can"}
     assert chain["sensors"] == {"ok": False, "up": 1, "of": 2, "worst": "gnss"}
-
-
-def test_a_disk_that_fills_is_a_problem_before_it_is_full(driving: World) -> None:
-    recording = RecordingState(
-        now_ns=driving.now_ns,
-        recording=True,
-        file="x.mcap",
-        bytes_written=1,
-        messages=1,
-        dropped=0,
-        free_bytes=300_000_000,
-    )
-    driving.hear(recording, "monitoring.recorder")
-    driving.pass_time(0.3)
-    assert [problem.text for problem in driving.state.problems] == ["only 300 MB of disk left"]
-    assert driving.state.outages.open() == [], "nothing was lost by it"
-
-
-def test_a_recorder_that_does_not_record_is_told_before_the_room_on_its_disk(driving: World) -> None:
-    recording = RecordingState(
-        now_ns=driving.now_ns, recording=False, bytes_written=0, messages=0, dropped=9, free_bytes=0, reason="no disk"
-    )
-    driving.hear(recording, "monitoring.recorder")
-    driving.pass_time(0.3)
-    assert [problem.text for problem in driving.state.problems] == ["not recording: no disk"]
 
 
 def test_a_snapshot_shows_every_topic_with_its_newest_message(driving: World) -> None:

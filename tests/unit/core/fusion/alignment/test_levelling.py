@@ -2,11 +2,12 @@ from math import degrees, radians
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from services.core.fusion.alignment.levelling import Levelling, level, rest_gyroscope_bias
 from services.core.fusion.settings import Settings
 from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n
-from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body, roll_pitch_yaw
+from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body
 
 STEP_S = 0.01
 UP: Vector = (0.0, 0.0, -STANDARD_GRAVITY)
@@ -64,7 +65,7 @@ def test_a_vehicle_in_motion_is_levelled_while_it_drives() -> None:
         feed(levelling, 1.0, (forward, right, -STANDARD_GRAVITY))
     assert levelling.ready
     assert levelling.quaternion_at_rest is None
-    roll, pitch, _ = roll_pitch_yaw(matrix_from_quaternion(levelling.quaternion))
+    roll, pitch, _ = Rotation.from_matrix(matrix_from_quaternion(levelling.quaternion)).as_euler("ZYX")[::-1]
     assert max(abs(degrees(roll)), abs(degrees(pitch))) < 2.0
     assert levelling.tilt_sd > radians(2.0)
 
@@ -120,7 +121,7 @@ def test_waiting_at_rest_for_hours_does_not_tilt_the_level_frame() -> None:
     levelling = Levelling(Settings())
     for hour in range(72):
         feed(levelling, 0.5, UP, (radians(0.01 * hour / 72), 0.0, 0.0))
-    roll, pitch, _ = roll_pitch_yaw(matrix_from_quaternion(levelling.quaternion))
+    roll, pitch, _ = Rotation.from_matrix(matrix_from_quaternion(levelling.quaternion)).as_euler("ZYX")[::-1]
     assert (roll, pitch) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 

@@ -40,4 +40,4 @@ def test_a_filter_that_is_too_sure_of_itself_is_found_out(runs: list[Sizes]) -> 
 def test_the_band_is_that_of_chi_square(block: str) -> None:
     degrees = 50 * dimension(block)
     exact = np.array([chi2.ppf(0.025, degrees), chi2.isf(0.025, degrees)]) / degrees
-    assert band(50, dimension(block)) == pytest.approx(exact, abs=1e-3)
+    assert band(50, dimension(block)) == pytest.approx(exact, rel=1e-12)

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter import strapdown
@@ -18,22 +19,19 @@ from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
 from services.core.fusion.settings import NonHolonomicSettings, Settings
 from shared.maths.earth import (
     EARTH_RATE,
-    ECCENTRICITY_SQUARED,
     Geodetic,
-    curvature_radii,
     earth_rate_n,
     geodetic_from_ned_difference,
     gravity,
     ned_from_geodetic_difference,
     transport_rate_n,
 )
+from shared.maths.ellipsoid import ECCENTRICITY_SQUARED, curvature_radii
 from shared.maths.rotation import (
     Vector,
     matrix_from_quaternion,
-    matrix_from_rotation_vector,
     ned_from_body,
     quaternion_from_matrix,
-    rotation_vector_from_matrix,
     skew,
 )
 
@@ -58,7 +56,7 @@ def vector(array: FloatArray) -> Vector:
 
 def disturbed(state: InertialState, error: FloatArray) -> InertialState:
     """What an estimate looks like whose error, estimated minus true, is given."""
-    matrix = matrix_from_rotation_vector(error[em.ATTITUDE]) @ matrix_from_quaternion(state.quaternion)
+    matrix = Rotation.from_rotvec(error[em.ATTITUDE]).as_matrix() @ matrix_from_quaternion(state.quaternion)
     return InertialState(
         state.time_ns,
         quaternion_from_matrix(matrix),
@@ -72,7 +70,7 @@ def error_of(estimate: InertialState, truth: InertialState) -> FloatArray:
     turned = matrix_from_quaternion(estimate.quaternion) @ matrix_from_quaternion(truth.quaternion).T
     return np.concatenate(
         [
-            rotation_vector_from_matrix(turned),
+            Rotation.from_matrix(turned).as_rotvec(),
             np.subtract(estimate.velocity, truth.velocity),
             ned_from_geodetic_difference(estimate.position, truth.position),
         ]

@@ -12,20 +12,19 @@ from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import (
     EARTH_RATE,
     Geodetic,
-    curvature_radii,
     earth_rate_n,
     gravity,
     ned_from_geodetic_difference,
 )
+from shared.maths.ellipsoid import curvature_radii
 from shared.maths.rotation import (
-    average_matrix_from_rotation_vector,
     matrix_from_quaternion,
     ned_from_body,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,
-    rotation_vector_from_matrix,
     skew,
 )
+from tests.support.rotations import mean_rotation
 
 STEP_NS = 10_000_000
 COMPONENT = st.floats(-2.0, 2.0)
@@ -45,7 +44,7 @@ def test_the_factors_of_a_turn_make_its_quaternion_and_its_average_rotation(turn
     quaternion = (half_cosine, *(scale * component for component in turn))
     assert quaternion == pytest.approx(quaternion_from_rotation_vector(turn), abs=1e-15)
     average = np.eye(3) + first * skew(turn) + second * skew(turn) @ skew(turn)
-    assert average == pytest.approx(average_matrix_from_rotation_vector(turn), abs=1e-12)
+    assert average == pytest.approx(mean_rotation(turn), abs=1e-12)
 
 
 @given(st.floats(-1.57, 1.57), st.floats(-500.0, 9000.0))
@@ -72,7 +71,7 @@ def test_the_mechanisation_undoes_its_inverse_over_four_minutes(drive: Drive) ->
         state, _ = strapdown.propagate(state, tuple(forces[i]), tuple(rates[i]), time_ns)
         if i % 100 == 99:
             true = ned_from_body(*drive.attitude[i])
-            turned = rotation_vector_from_matrix(matrix_from_quaternion(state.quaternion) @ true.T)
+            turned = Rotation.from_matrix(matrix_from_quaternion(state.quaternion) @ true.T).as_rotvec()
             worst_attitude = max(worst_attitude, float(np.abs(turned).max()))
             worst_velocity = max(worst_velocity, float(np.abs(np.subtract(state.velocity, drive.velocity_n[i])).max()))
     assert len(drive.t_ns) == 24_000
@@ -101,7 +100,7 @@ def test_a_gyroscope_that_ignores_the_earth_turns_with_it() -> None:
     state = InertialState(0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), Geodetic(pi / 4, 0.0, 0.0))
     for k in range(1, 101):
         state, _ = strapdown.propagate(state, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0), k * STEP_NS)
-    turned = rotation_vector_from_matrix(matrix_from_quaternion(state.quaternion))
+    turned = Rotation.from_matrix(matrix_from_quaternion(state.quaternion)).as_rotvec()
     assert turned == pytest.approx(-EARTH_RATE * np.array([0.5**0.5, 0.0, -(0.5**0.5)]), abs=1e-9)
 
 

@@ -5,6 +5,7 @@ from math import radians
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from cli.papers.navigation import navigate, position_errors, saved_heading
@@ -15,7 +16,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
-from shared.maths.rotation import ned_from_body, rotation_vector_from_matrix
+from shared.maths.rotation import ned_from_body
 
 FloatArray = npt.NDArray[np.float64]
 RUNS = 8
@@ -52,7 +53,7 @@ def errors(drive: Drive, solution: Solution) -> tuple[FloatArray, FloatArray, Fl
     return (
         np.array(ned_from_geodetic_difference(solution.position, truth)),
         np.array(solution.velocity) - drive.velocity_n[i],
-        rotation_vector_from_matrix(turned),
+        Rotation.from_matrix(turned).as_rotvec(),
     )
 
 

@@ -1,69 +1,32 @@
-"""Protection levels: the exact radius, and that nothing makes a level smaller than the covariance says."""
+"""Protection levels: that nothing makes a level smaller than the covariance says."""
 
 from dataclasses import replace
-from math import cos, exp, hypot, log, pi, sin, sqrt
+from math import exp, hypot, sqrt
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.integrate import quad
 from scipy.stats import norm
 
-from services.core.fusion.filter.kalman import chi_square_limit, correct
 from services.core.fusion.integrity.error_monitor import Watch
 from services.core.fusion.integrity.innovation_statistics import ESTIMATED, RARE, Evidence
 from services.core.fusion.integrity.protection_levels import (
     FAULT_PROBABILITY,
     LARGEST_M,
-    circle_factor,
     horizontal_level,
     horizontal_level_with_fault,
-    line_factor,
-    probability_outside,
     protection_levels,
     vertical_level,
     vertical_level_with_fault,
 )
+from shared.maths.kalman import correct
+from shared.maths.quantiles import chi_square_limit, circle_factor, line_factor
 
 SECOND_NS = 1_000_000_000
-RISKS = (1e-1, 1e-3, 1e-5, 1e-7)
 FloatArray = npt.NDArray[np.float64]
 COV = ((4.0, 1.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 9.0))
-
-
-def outside_by_integration(radius: float, sd_major: float, sd_minor: float) -> float:
-    """Integrate the density over chords: another way than that of the code."""
-
-    def chord(angle: float) -> float:
-        x, reach = radius * sin(angle), radius * cos(angle)
-        return float(norm.pdf(x, scale=sd_major) * 2.0 * norm.sf(reach, scale=sd_minor) * reach)
-
-    inside, _ = quad(chord, 0.0, pi / 2.0, epsabs=0.0, epsrel=1e-11, limit=400)
-    return float(2.0 * inside + 2.0 * norm.sf(radius, scale=sd_major))
-
-
-@pytest.mark.parametrize("sd_minor", [1.0, 0.7, 0.3, 0.1, 1.0 / 32.0])
-@pytest.mark.parametrize("radius", [0.5, 2.0, 3.7, 5.5])
-def test_the_probability_outside_a_circle_is_that_of_the_integral(radius: float, sd_minor: float) -> None:
-    found = probability_outside(np.array([radius]), np.array([sd_minor]))
-    assert found == pytest.approx(outside_by_integration(radius, 1.0, sd_minor), rel=1e-6)
-
-
-def test_the_limits_are_rayleigh_and_normal() -> None:
-    for risk in RISKS:
-        assert circle_factor(1.0, risk) == pytest.approx(sqrt(-2.0 * log(risk)), rel=1e-9)
-        assert circle_factor(0.0, risk) == pytest.approx(norm.isf(risk / 2.0), rel=1e-8)
-        assert line_factor(risk) == pytest.approx(norm.isf(risk / 2.0), rel=1e-8)
-
-
-@pytest.mark.parametrize("risk", RISKS)
-def test_between_the_limits_the_factor_is_exact_to_its_tolerance(risk: float) -> None:
-    for ratio in np.linspace(0.03, 0.99, 25).tolist():
-        factor = circle_factor(ratio, risk)
-        assert outside_by_integration(factor, 1.0, ratio) <= risk * (1.0 + 1e-5), "never too little"
-        assert outside_by_integration(factor - 3e-3, 1.0, ratio) >= risk
 
 
 def test_of_a_million_draws_a_thousandth_lies_outside() -> None:

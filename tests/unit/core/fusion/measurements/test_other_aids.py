@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from cli.papers.navigation import give_fix
 from services.core.fusion.filter import error_model as em
@@ -29,7 +30,7 @@ from services.core.fusion.settings import (
 )
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
-from shared.maths.rotation import Vector, matrix_from_rotation_vector, ned_from_body, quaternion_from_matrix
+from shared.maths.rotation import Vector, ned_from_body, quaternion_from_matrix
 from shared.messages.navigation import AidingKind, NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]
@@ -44,7 +45,7 @@ OUTAGE_S = (60.0, 110.0)
 
 def wrong_by(error: FloatArray) -> ErrorStateFilter:
     """Filter whose estimate minus the truth is given."""
-    C = matrix_from_rotation_vector(error[em.ATTITUDE]) @ ned_from_body(0.1, -0.2, 0.7)
+    C = Rotation.from_rotvec(error[em.ATTITUDE]).as_matrix() @ ned_from_body(0.1, -0.2, 0.7)
     north, east, down = error[em.POSITION].tolist()
     state = STATE._replace(
         quaternion=quaternion_from_matrix(C), position=geodetic_from_ned_difference((north, east, down), STATE.position)

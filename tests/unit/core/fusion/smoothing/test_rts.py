@@ -6,12 +6,13 @@ from math import radians
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from cli.papers.navigation import saved_heading
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
-from services.core.fusion.filter.kalman import correct, predict, resized
+from services.core.fusion.filter.kalman import predict, resized
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
@@ -21,7 +22,8 @@ from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.maths.rotation import ned_from_body, quaternion_from_matrix, rotation_vector_from_matrix
+from shared.maths.kalman import correct
+from shared.maths.rotation import ned_from_body, quaternion_from_matrix
 from tests.support.trails import Records
 
 FloatArray = npt.NDArray[np.float64]
@@ -204,7 +206,7 @@ def errors(drive: Drive, state: ErrorStateFilter) -> FloatArray:
     i = round(state.inertial.time_ns / 1e7) - 1
     truth = Geodetic(*drive.position[i].tolist())
     return np.concatenate([
-        rotation_vector_from_matrix(state.ned_from_body @ ned_from_body(*drive.attitude[i]).T),
+        Rotation.from_matrix(state.ned_from_body @ ned_from_body(*drive.attitude[i]).T).as_rotvec(),
         np.array(state.inertial.velocity) - drive.velocity_n[i],
         np.array(ned_from_geodetic_difference(state.inertial.position, truth)),
     ])  # fmt: skip

@@ -1,0 +1,124 @@
+"""The Kalman filter's prediction and correction, for one filter or for a stack of filters of one size.
+
+All arrays may have the same leading axes, as in NumPy's linear algebra: a covariance is then of shape (..., n, n).
+The state is the caller's: a correction estimates the state's errors, which the caller adds to it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import FilterDiverged
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Correction(NamedTuple):
+    """What one measurement says about the errors, with everything that a gate and a smoother need."""
+
+    x: FloatArray  # shape (..., n), estimate of the errors
+    P: FloatArray  # shape (..., n, n), covariance after
+    distance2: FloatArray | float  # shape (...), normalised innovation squared, d²: see `quantiles.chi_square_limit`
+    z: FloatArray  # shape (..., m), innovation
+    H: FloatArray  # shape (..., m, n)
+    K: FloatArray  # shape (..., n, m), gain
+    S: FloatArray  # shape (..., m, m), covariance of z
+    S_inverse: FloatArray  # shape (..., m, m)
+
+    @property
+    def innovation_sd(self) -> FloatArray:
+        """Standard deviations of z, shape (..., m)."""
+        return np.sqrt(np.diagonal(self.S, axis1=-2, axis2=-1))
+
+
+def predict(P: FloatArray, Phi: FloatArray, Q: FloatArray) -> FloatArray:
+    """Covariance after a step: Phi P Phi^T + Q.
+
+    Parameters
+    ----------
+    P : ndarray, shape (..., n, n)
+        Covariance before.
+    Phi : ndarray, shape (..., n, n)
+        Transition matrix.
+    Q : ndarray, shape (..., n, n)
+        Covariance of the noise that the step adds.
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+        Exactly symmetric.
+    """
+    return _symmetric(Phi @ P @ Phi.mT + Q)
+
+
+def correct(P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
+    """Estimate the errors from one measurement.
+
+    Parameters
+    ----------
+    P : ndarray, shape (..., n, n)
+        Covariance before.
+    z : ndarray, shape (..., m)
+        Measured minus predicted.
+    H : ndarray, shape (..., m, n)
+        z = H x + noise.
+    R : ndarray, shape (..., m, m)
+        Covariance of that noise.
+
+    Returns
+    -------
+    Correction
+        Computed whether or not the innovation is credible; the caller compares `distance2` with its limit.
+
+    Raises
+    ------
+    FilterDiverged
+        The innovation's covariance, one of those of a stack, is not positive definite or not finite.
+
+    Notes
+    -----
+    Joseph's form keeps P symmetric and positive::
+
+        S = H P H^T + R,  K = P H^T S^-1,  x = K z,  P+ = (I - K H) P (I - K H)^T + K R K^T
+
+    Its products are taken as A = P - K (H P) and A - (A H^T - K R) K^T, which are m columns wide.
+
+    References
+    ----------
+    R. Bucy, P. Joseph, Filtering for Stochastic Processes with Applications to Guidance, 1968, ch. 16.
+    """
+    PHt = P @ H.mT
+    S = H @ PHt + R
+    root_of(S, "an innovation")
+    S_inverse: FloatArray = np.asarray(np.linalg.inv(S), dtype=np.float64)
+    K = PHt @ S_inverse
+    x = np.matvec(K, z)
+    distance2 = np.vecdot(z, np.matvec(S_inverse, z))
+    if not np.isfinite(distance2).all():
+        raise FilterDiverged("an innovation is not finite")
+    A = P - K @ PHt.mT
+    return Correction(x, _symmetric(A - (A @ H.mT - K @ R) @ K.mT), distance2, z, H, K, S, S_inverse)
+
+
+def root_of(cov: FloatArray, what: str) -> FloatArray:
+    """Cholesky's root L, L L^T = cov, of the covariance of what an error message names, shape (..., m, m).
+
+    Raises
+    ------
+    FilterDiverged
+        It is not positive definite, or not finite.
+    """
+    problem = FilterDiverged(f"the covariance of {what} is not positive definite")
+    try:
+        root: FloatArray = np.asarray(np.linalg.cholesky(cov), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise problem from None
+    if not np.isfinite(root).all():
+        raise problem
+    return root
+
+
+def _symmetric(A: FloatArray) -> FloatArray:
+    half: FloatArray = 0.5 * A
+    return half + half.mT

@@ -1,0 +1,225 @@
+"""One watchdog: what `monitoring.health` finds and `monitoring.status` shows when parts of a whole unit fail.
+
+A unit on each broker runs as `make demo` starts it, under its supervisor. Every failure is one outage with one root
+cause, and nothing else is accused. Both units fail at the same time, which halves the time of these tests.
+"""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import psutil
+import pytest
+
+from tests.integration.test_demo import KINDS, Demo, start_demo
+
+pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
+
+BROKER_PROCESS = {"mosquitto": "mosquitto.conf", "simulated": "broker.simulated"}
+SHOWN_S = 15.0  # deadlines are 2 s, but a busy machine answers late
+RECOVERY_S = 40.0  # the filter needs up to 19 s to align anew
+Outage = dict[str, Any]
+
+
+@dataclass
+class Unit:
+    """A unit on one kind of broker, with all that its API has shown since the last failure."""
+
+    kind: str
+    demo: Demo
+    before: set[tuple[str, int]] = field(default_factory=set)  # outages before the last failure
+    sentences: set[str] = field(default_factory=set)
+    problems: set[str] = field(default_factory=set)
+    causes: set[str] = field(default_factory=set)
+
+    def look(self) -> dict[str, object]:
+        """Ask the API once, and remember what it says."""
+        health = self.demo.get("/api/health")
+        if health:
+            self.sentences.add(str(health["position"]["sentence"]))  # type: ignore[index]
+            new = [p for p in listed(health["problems"]) if (p["what"], p["since_ns"]) not in self.before]
+            self.problems |= {problem["text"] for problem in new}
+            self.causes |= {problem["what"] for problem in new}
+        return health
+
+    def fail(self, mark: str, number: signal.Signals) -> psutil.Process:
+        """Send a signal to one of the unit's processes, and forget what was shown before."""
+        child = self.demo.child(mark)
+        self.sentences, self.problems, self.causes = set(), set(), set()
+        self.before |= {(outage["what"], outage["since_ns"]) for outage in self.outages()}
+        child.send_signal(number)
+        return child
+
+    @contextmanager
+    def suspend(self, mark: str) -> Iterator[None]:
+        """Suspend one of the unit's processes for the length of a block."""
+        child = self.fail(mark, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            child.send_signal(signal.SIGCONT)
+
+    def until(self, condition: Callable[[dict[str, object]], bool], what: str, limit_s: float = SHOWN_S) -> None:
+        """Look five times a second until something is shown."""
+        deadline = time.monotonic() + limit_s
+        while not condition(self.look()):
+            late = time.monotonic() > deadline
+            assert not late, f"{self.kind}: not within {limit_s} s: {what}; {self.problems} {self.outages()}"
+            time.sleep(0.2)
+
+    def until_well(self) -> None:
+        """Wait until everything is ready and no outage is open."""
+
+        def over(health: dict[str, object]) -> bool:
+            return is_well(health) and all(outage["until_ns"] is not None for outage in self.outages())
+
+        self.until(over, "everything is ready again", RECOVERY_S)
+
+    def outages(self) -> list[Outage]:
+        """List the outages since the last failure, open ones as well."""
+        while not (found := self.demo.get("/api/outages")):
+            time.sleep(0.1)
+        every = [*listed(found["open"]), *listed(found["closed"])]
+        return [outage for outage in every if (outage["what"], outage["since_ns"]) not in self.before]
+
+    def assert_one_outage(self, what: str, cause: str, *affected: str) -> None:
+        """Assert that the failure is one outage, over by now, and that no other root cause was ever shown."""
+        outages = self.outages()
+        assert [(outage["what"], outage["cause"]) for outage in outages] == [(what, cause)], self.kind
+        [outage] = outages
+        assert outage["until_ns"] is not None
+        assert set(affected) <= {str(topic) for topic in listed(outage["affected"])}
+        assert self.causes <= {what}, f"{self.kind}: {self.problems}"
+
+
+def listed(found: object) -> list[Outage]:
+    assert isinstance(found, list)
+    return found
+
+
+def is_well(health: dict[str, object]) -> bool:
+    processes = health.get("processes")
+    ready = isinstance(processes, dict) and all(entry["status"] == "ready" for entry in processes.values())
+    return ready and health["state"] == "ok"
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Unit]]:
+    made = [Unit(kind, start_demo(tmp_path_factory.mktemp(kind), "--broker", kind)) for kind in KINDS]
+    try:
+        for unit in made:
+            unit.until(is_well, "the unit navigates", 60.0)
+        yield made
+    finally:
+        for unit in made:
+            unit.demo.process.terminate()
+        for unit in made:
+            unit.demo.process.communicate(timeout=10.0)
+
+
+def on_each(units: list[Unit], test: Callable[[Unit], None]) -> None:
+    """Carry out a test on all units at the same time."""
+    with ThreadPoolExecutor(len(units)) as pool:
+        list(pool.map(test, units))
+
+
+def test_a_killed_broker_is_one_outage(units: list[Unit]) -> None:
+    def test(unit: Unit) -> None:
+        unit.fail(BROKER_PROCESS[unit.kind], signal.SIGKILL)
+        unit.until(lambda _: "broker" in unit.causes, "the loss is shown")
+        unit.until_well()
+        unit.assert_one_outage("broker", "the broker is not reachable", "imu/raw", "navigation/solution")
+
+    on_each(units, test)
+
+
+def test_a_killed_filter_is_the_cause_until_it_publishes_again(units: list[Unit]) -> None:
+    def test(unit: Unit) -> None:
+        unit.fail("run core.fusion", signal.SIGKILL)
+        lost = "core.fusion was lost: it crashed, was killed or lost its connection"
+        unit.until(lambda _: bool(unit.problems), "the loss is shown")
+        unit.until_well()
+        unit.assert_one_outage("core.fusion", lost, "navigation/solution", "navigation/state")
+        again = {text for text in unit.problems if text.startswith("core.fusion was restarted and is starting again")}
+        assert again, unit.problems
+        assert unit.problems <= {lost, *again}
+        stale = [sentence for sentence in unit.sentences if sentence.startswith("The position is stale: ")]
+        assert all("core.fusion was" in sentence for sentence in stale), stale
+
+    on_each(units, test)
+
+
+def test_a_killed_parser_is_the_cause_of_its_topics_and_of_what_depends_on_them(units: list[Unit]) -> None:
+    def test(unit: Unit) -> None:
+        unit.fail("run parsers.imu", signal.SIGKILL)
+        unit.until(lambda _: "parsers.imu" in unit.causes, "the loss is shown")
+        unit.until_well()
+        unit.assert_one_outage(
+            "parsers.imu", "parsers.imu was lost: it crashed, was killed or lost its connection", "imu/sample"
+        )
+
+    on_each(units, test)
+
+
+def test_a_simulator_that_hangs_is_the_cause_of_everything_downstream(units: list[Unit]) -> None:
+    def test(unit: Unit) -> None:
+        cause = "sensors.simulator is stale: connected, but without heartbeat; it hangs or is overloaded"
+        with unit.suspend("run sensors.simulator"):
+            unit.until(lambda _: f"The position is stale: {cause}." in unit.sentences, "the banner names the cause")
+        unit.until_well()
+        unit.assert_one_outage("sensors.simulator", cause, "imu/raw", "imu/sample", "navigation/solution")
+
+    on_each(units, test)
+
+
+def test_a_hung_broker_is_one_outage(units: list[Unit]) -> None:
+    def test(unit: Unit) -> None:
+        hangs = "the broker hangs: it is connected, but delivers nothing"
+        with unit.suspend(BROKER_PROCESS[unit.kind]):
+            stopped = time.monotonic()
+            unit.until(lambda _: f"Nothing is known: {hangs}." in unit.sentences, "the banner names the broker")
+            health = unit.look()
+            assert (health["state"], health["topics"]) == ("failed", {})
+            assert {entry["status"] for entry in health["processes"].values()} == {"unknown"}  # type: ignore[attr-defined]
+            time.sleep(max(0.0, stopped + 8.0 - time.monotonic()))
+        unit.until_well()
+        unit.assert_one_outage("broker", hangs, "imu/raw")
+        [outage] = unit.outages()
+        assert outage["until_ns"] - outage["since_ns"] > 7 * 10**9
+
+    on_each(units, test)
+
+
+def test_a_killed_watchdog_ends_the_outage_that_it_interrupted(units: list[Unit]) -> None:
+    def test(unit: Unit) -> None:
+        with unit.suspend("run parsers.can"):
+            unit.until(lambda _: "parsers.can" in unit.causes, "the suspended parser is shown")
+            [before] = unit.outages()
+            unit.demo.child("run monitoring.health").kill()
+        unit.until(lambda _: len(unit.outages()) == 2, "the interruption is listed")
+        unit.until_well()
+        after = {outage["what"]: outage for outage in unit.outages()}
+        assert set(after) == {"parsers.can", "monitoring.health"}
+        assert after["monitoring.health"]["cause"] == (
+            "monitoring.health was restarted; nothing was monitored in between"
+        )
+        assert after["parsers.can"]["since_ns"] == before["since_ns"]
+        assert all(outage["until_ns"] is not None for outage in after.values())
+
+    on_each(units, test)
+
+
+def test_a_hung_watchdog_leaves_the_rest_unknown_and_the_position_shown(units: list[Unit]) -> None:
+    def test(unit: Unit) -> None:
+        text = "monitoring.health does not report, so the state of processes and topics is unknown"
+        with unit.suspend("run monitoring.health"):
+            unit.until(lambda _: text in unit.problems, "the page says that the watchdog is silent")
+            assert unit.look()["position"]["state"] == "caution"  # type: ignore[index]
+        unit.until_well()
+        assert unit.causes == {"monitoring.health"}
+
+    on_each(units, test)

@@ -1,0 +1,61 @@
+from math import cos, log, pi, sin, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.stats import chi2, norm
+
+from shared.maths.quantiles import RATIOS, chi_square_limit, circle_factor, line_factor, probability_outside
+
+RISKS = (1e-1, 1e-3, 1e-5, 1e-7)
+
+
+@given(st.integers(1, 200), st.floats(1e-9, 0.999))
+def test_the_limits_of_chi_square_are_its_quantiles(dimension: int, false_alarm: float) -> None:
+    assert chi_square_limit(dimension, false_alarm) == pytest.approx(chi2.isf(false_alarm, dimension), rel=1e-9)
+
+
+def outside_by_integration(radius: float, sd_major: float, sd_minor: float) -> float:
+    """Integrate the density over chords: another way than that of the code."""
+
+    def chord(angle: float) -> float:
+        x, reach = radius * sin(angle), radius * cos(angle)
+        return float(norm.pdf(x, scale=sd_major) * 2.0 * norm.sf(reach, scale=sd_minor) * reach)
+
+    inside, _ = quad(chord, 0.0, pi / 2.0, epsabs=0.0, epsrel=1e-11, limit=400)
+    return float(2.0 * inside + 2.0 * norm.sf(radius, scale=sd_major))
+
+
+@pytest.mark.parametrize("sd_minor", [1.0, 0.7, 0.3, 0.1, 1.0 / 32.0])
+@pytest.mark.parametrize("radius", [0.5, 2.0, 3.7, 5.5])
+def test_the_probability_outside_a_circle_is_that_of_the_integral(radius: float, sd_minor: float) -> None:
+    found = probability_outside(np.array([radius]), np.array([sd_minor]))
+    assert found == pytest.approx(outside_by_integration(radius, 1.0, sd_minor), rel=1e-6)
+
+
+def test_the_limits_are_rayleigh_and_normal() -> None:
+    for risk in RISKS:
+        assert circle_factor(1.0, risk) == pytest.approx(sqrt(-2.0 * log(risk)), rel=1e-12)
+        assert circle_factor(0.0, risk) == pytest.approx(norm.isf(risk / 2.0), rel=1e-12)
+        assert line_factor(risk) == pytest.approx(norm.isf(risk / 2.0), rel=1e-12)
+
+
+@pytest.mark.parametrize("risk", RISKS)
+def test_between_the_limits_the_factor_is_exact_to_its_tolerance(risk: float) -> None:
+    for ratio in np.linspace(0.03, 0.99, 25).tolist():
+        factor = circle_factor(ratio, risk)
+        assert outside_by_integration(factor, 1.0, ratio) <= risk * (1.0 + 1e-5), "never too little"
+        assert outside_by_integration(factor - 3e-3, 1.0, ratio) >= risk
+
+
+@pytest.mark.parametrize("risk", [0.9, *RISKS, 1e-9])
+def test_at_the_nodes_of_the_table_the_risk_is_met_to_rounding(risk: float) -> None:
+    inner = RATIOS[1:-1]
+    radii = np.array([circle_factor(ratio, risk) for ratio in inner.tolist()])
+    assert probability_outside(radii, inner) == pytest.approx(risk, rel=1e-12)
+
+
+def test_of_a_risk_of_one_nothing_has_to_be_covered() -> None:
+    assert line_factor(1.0) == circle_factor(0.5, 1.0) == 0.0
