@@ -7,9 +7,10 @@ the attitude C_true = (I + sk(psi)) C.
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri
 
-from shared.maths.rotation import matrix_from_rotation_vector, skew
+from shared.maths.kalman import Correction, correct, predict
+from shared.maths.quantiles import chi_square_limit
+from shared.maths.rotation import matrix_from_quaternion, quaternion_from_rotation_vector, skew
 
 from .settings import LongSettings
 from .strapdown import SECOND_NS, Anchor, Increment, Strapdown
@@ -40,7 +41,7 @@ class FreePropagation:
         self.P[GYROSCOPE, GYROSCOPE] = np.eye(3) * s.gyroscope_bias_sd_rad_s**2
         self.P[SCALE, SCALE] = s.odometer_scale_sd**2
         self.P[YAW, YAW] = self.P[PITCH, PITCH] = s.mounting_sd_rad**2
-        self._gate = float(chdtri(1, s.odometer_gate))
+        self._gate = chi_square_limit(1, s.odometer_gate)
         self._begin()
 
     def age_s(self, time_ns: int) -> float:
@@ -68,12 +69,12 @@ class FreePropagation:
         F[VELOCITY, ATTITUDE] = -skew(self._force)
         F[VELOCITY, ACCELEROMETER] = F[ATTITUDE, GYROSCOPE] = -self._attitude
         Phi = np.eye(SIZE) + F + 0.5 * F @ F
-        self.P = Phi @ self.P @ Phi.T
         level = self._force + np.array([0.0, 0.0, 9.80665 * T])
         force_variance = s.velocity_random_walk_m_s_sqrt_s**2 * T + (s.scale_sd**2) * float(level @ level)
         angle_variance = s.angle_random_walk_rad_sqrt_s**2 * T + (s.scale_sd**2) * float(self._angle @ self._angle)
-        self.P[VELOCITY, VELOCITY] += np.eye(3) * force_variance
-        self.P[ATTITUDE, ATTITUDE] += np.eye(3) * angle_variance
+        Q = np.zeros((SIZE, SIZE))
+        Q[VELOCITY, VELOCITY], Q[ATTITUDE, ATTITUDE] = np.eye(3) * force_variance, np.eye(3) * angle_variance
+        self.P = predict(self.P, Phi, Q)
         self.acceleration = level / T
         self._begin()
 
@@ -104,24 +105,26 @@ class FreePropagation:
         if speed is not None and self.odometer_rejections < ODOMETER_REJECTIONS:
             forward, H = self._body_row(0)
             H[SCALE] = -speed
-            used = self._update(self.scale * speed - forward, H, speed_sd**2 * s.correlation_s, gate=self._gate)
+            variance = np.array([[speed_sd**2 * s.correlation_s]])
+            found = correct(self.P, np.array([self.scale * speed - forward]), H[None], variance)
+            used = bool(found.distance2 <= self._gate)
             self.odometer_rejections = 0 if used else self.odometer_rejections + 1
+            if used:
+                self._apply(found)
         if s.non_holonomic:
-            lateral_variance = s.lateral_sd_m_s**2 + (s.rear_axle_distance_m * yaw_rate) ** 2
             forward = self._body_row(0)[0]
-            lateral, H = self._body_row(1)
-            H[YAW] = -forward
-            self._update(self.yaw * forward - lateral, H, lateral_variance * s.correlation_s)
-            vertical, H = self._body_row(2)
-            H[PITCH] = forward
-            self._update(-self.pitch * forward - vertical, H, s.vertical_sd_m_s**2 * s.correlation_s)
+            lateral, H_lateral = self._body_row(1)
+            vertical, H_vertical = self._body_row(2)
+            H_lateral[YAW], H_vertical[PITCH] = -forward, forward
+            z = np.array([self.yaw * forward - lateral, -self.pitch * forward - vertical])
+            variances = [s.lateral_sd_m_s**2 + (s.rear_axle_distance_m * yaw_rate) ** 2, s.vertical_sd_m_s**2]
+            R = np.diag(variances) * s.correlation_s
+            self._apply(correct(self.P, z, np.stack([H_lateral, H_vertical]), R))
 
     def stand(self) -> None:
         """Use zero velocity at a standstill that the inertial samples show."""
-        for axis in range(3):
-            H = np.zeros(SIZE)
-            H[axis] = 1.0
-            self._update(-float(self.nominal.velocity[axis]), H, STANDSTILL_SD**2)
+        H = np.eye(3, SIZE)
+        self._apply(correct(self.P, -self.nominal.velocity, H, np.eye(3) * STANDSTILL_SD**2))
 
     def _body_row(self, axis: int) -> tuple[float, FloatArray]:
         """Velocity [m/s] along a body axis, and its derivatives by the error state, shape (15,)."""
@@ -131,20 +134,16 @@ class FreePropagation:
         H[ATTITUDE] = C[:, axis] @ skew(v)
         return float(C[:, axis] @ v), H
 
-    def _update(self, residual: float, H: FloatArray, variance: float, *, gate: float | None = None) -> bool:
-        """Update by a scalar residual; False if the gate on r²/S rejects it."""
-        PH = self.P @ H
-        S = float(H @ PH) + variance
-        if gate is not None and residual**2 / S > gate:
-            return False
-        error = PH * (residual / S)
-        self.P = self.P - np.outer(PH, PH) / S
-        nominal = self.nominal
+    def _apply(self, correction: Correction) -> None:
+        """Add the estimated errors to the nominal values."""
+        error, nominal = correction.x, self.nominal
+        self.P = correction.P
         nominal.velocity = nominal.velocity + error[VELOCITY]
-        nominal.ned_from_body = matrix_from_rotation_vector(error[ATTITUDE]) @ nominal.ned_from_body
+        north, east, down = error[ATTITUDE].tolist()
+        turn = matrix_from_quaternion(quaternion_from_rotation_vector((north, east, down)))
+        nominal.ned_from_body = turn @ nominal.ned_from_body
         nominal.accelerometer_bias = nominal.accelerometer_bias + error[ACCELEROMETER]
         nominal.gyroscope_bias = nominal.gyroscope_bias + error[GYROSCOPE]
         self.scale += float(error[SCALE])
         self.yaw += float(error[YAW])
         self.pitch += float(error[PITCH])
-        return True

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri
 
 from shared.maths.correlated_noise import mean_variance
+from shared.maths.quantiles import chi_square_limit
 
 from .free_propagation import FreePropagation
 from .metrics import WINDOW_S
@@ -56,7 +56,6 @@ class FreeRun:
 
     def __init__(self, anchor: Anchor, settings: Settings) -> None:
         self.free = FreePropagation(anchor, settings.long)
-        self._lever_arm = np.array(settings.gnss.lever_arm_body_m)
         self._settings = settings
         self._nodes: list[_Node] = []
         self._compared: list[_Comparison] = []
@@ -66,12 +65,11 @@ class FreeRun:
         """Start of the propagation."""
         return self.free.anchor.time_ns
 
-    def advance(self, increment: Increment) -> None:
-        """Propagate by one increment."""
+    def advance(self, increment: Increment, lever_velocity_b: FloatArray) -> None:
+        """Propagate by one increment; the antenna moves against the IMU by a velocity [m/s, body]."""
         self.free.advance(increment)
-        self._nodes.append(
-            _Node(increment.end_ns, self.free.nominal.antenna_velocity(increment.rate_b, self._lever_arm))
-        )
+        nominal = self.free.nominal
+        self._nodes.append(_Node(increment.end_ns, nominal.velocity + nominal.ned_from_body @ lever_velocity_b))
         del self._nodes[:-20]
 
     def compare(self, fix: VelocityFix) -> None:
@@ -118,8 +116,8 @@ class LongWindow:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._runs: list[FreeRun] = []  # oldest anchor first
-        self.threshold = float(chdtri(DIMENSIONS, settings.long.false_alarm_rate))
-        self.release_threshold = float(chdtri(DIMENSIONS, RELEASE_RATE))
+        self.threshold = chi_square_limit(DIMENSIONS, settings.long.false_alarm_rate)
+        self.release_threshold = chi_square_limit(DIMENSIONS, RELEASE_RATE)
         self.suspect_since_ns: int | None = None  # while GNSS is accused
 
     @property
@@ -158,9 +156,10 @@ class LongWindow:
 
     def advance(self, increment: Increment) -> None:
         """Propagate by one increment."""
+        lever_velocity_b = np.cross(increment.rate_b, self._settings.gnss.lever_arm_body_m)
         for run in self._runs:
             if run.free.nominal.time_ns < increment.end_ns:
-                run.advance(increment)
+                run.advance(increment, lever_velocity_b)
 
     def predict(self) -> None:
         """Propagate the covariances over the second that has ended, and drop what is too old."""

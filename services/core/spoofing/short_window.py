@@ -127,10 +127,11 @@ def _propagated(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times since the anchor [s], velocity of the antenna [m/s, NED] and continuous yaw [rad] after each increment."""
     free = Strapdown(anchor)
-    velocity, yaw = [free.antenna_velocity(increments[0].rate_b, lever_arm_b)], [_yaw(free)]
-    for increment in increments:
+    lever_velocity_b = np.cross([increment.rate_b for increment in increments], lever_arm_b)
+    velocity, yaw = [free.velocity + free.ned_from_body @ lever_velocity_b[0]], [_yaw(free)]
+    for increment, lever_velocity in zip(increments, lever_velocity_b, strict=True):
         free.advance(increment)
-        velocity.append(free.antenna_velocity(increment.rate_b, lever_arm_b))
+        velocity.append(free.velocity + free.ned_from_body @ lever_velocity)
         yaw.append(_yaw(free))
     times = [0.0] + [(increment.end_ns - anchor.time_ns) / SECOND_NS for increment in increments]
     return np.array(times), np.array(velocity), np.unwrap(yaw)

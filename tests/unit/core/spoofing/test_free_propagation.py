@@ -6,12 +6,13 @@ from math import radians
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 
 from services.core.spoofing.free_propagation import ATTITUDE, SIZE, VELOCITY, FreePropagation
 from services.core.spoofing.settings import LongSettings
 from services.core.spoofing.strapdown import SECOND_NS, Anchor, Decimator, Increment, Strapdown
 from services.sensors.simulator.drive import Drive, simulate
-from shared.maths.rotation import matrix_from_rotation_vector, ned_from_body, rotation_vector_from_matrix
+from shared.maths.rotation import ned_from_body
 
 FloatArray = npt.NDArray[np.float64]
 START_S, LENGTH_S = 30, 60
@@ -59,7 +60,7 @@ def test_ideal_increments_lead_to_the_true_velocity_and_attitude_after_a_minute(
     assert free.time_ns == (START_S + LENGTH_S) * SECOND_NS
     np.testing.assert_allclose(free.velocity, drive.velocity_n[k], atol=0.02)
     attitude = ned_from_body(*drive.attitude[k].tolist())
-    assert np.linalg.norm(rotation_vector_from_matrix(free.ned_from_body @ attitude.T)) < radians(0.01)
+    assert Rotation.from_matrix(free.ned_from_body @ attitude.T).magnitude() < radians(0.01)
 
 
 def test_increments_end_at_multiples_of_100_ms_and_a_gap_starts_a_new_run(drive: Drive) -> None:
@@ -83,7 +84,7 @@ def test_derivatives_of_the_body_velocity_agree_with_finite_differences(drive: D
         for element in range(6):
             psi, dv = np.zeros(3), np.zeros(3)
             (dv if element < 3 else psi)[element % 3] = step
-            C = matrix_from_rotation_vector(psi) @ free.nominal.ned_from_body
+            C = Rotation.from_rotvec(psi).as_matrix() @ free.nominal.ned_from_body
             changed = float(C[:, axis] @ (free.nominal.velocity + dv))
             assert (changed - value) / step == pytest.approx(H[element], abs=1e-4)
     assert len(H) == SIZE and not H[6:].any()
@@ -120,7 +121,7 @@ def test_errors_of_aided_runs_are_within_their_covariance() -> None:
         tilt = rng.normal(0.0, s.attitude_sd_floor_rad, 3)
         anchor = replace(
             truth,
-            ned_from_body=matrix_from_rotation_vector(tilt) @ truth.ned_from_body,
+            ned_from_body=Rotation.from_rotvec(tilt).as_matrix() @ truth.ned_from_body,
             velocity_n=truth.velocity_n + rng.normal(0.0, s.velocity_sd_floor_m_s, 3),
             accelerometer_bias=np.mean(drive.force_b - drive.ideal_force_b, axis=0),
             gyroscope_bias=np.mean(drive.rate_b - drive.ideal_rate_b, axis=0),
