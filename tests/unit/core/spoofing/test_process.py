@@ -136,7 +136,7 @@ def test_without_a_heading_nothing_is_evaluated() -> None:
     standing = simulate("urban", 1, 15.0)  # fusion gets its heading when the vehicle drives
     last = monitored(standing).statements
     assert all(last[m][-1].reason == "no solution with attitude and heading received yet" for m in (SHORT, LONG))
-    waiting = NavigationSolution.unchecked(phase=NavigationPhase.WAITING_FOR_HEADING)
+    waiting = NavigationSolution.model_construct(phase=NavigationPhase.WAITING_FOR_HEADING)
     assert list(process.handle(waiting)) == []
 
 
