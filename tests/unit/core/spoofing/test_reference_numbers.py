@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import butter, freqz_sos
 from scipy.special import ndtr
 
+from cli.papers.spoofing_method import CUT_OFF_HZ, high_pass
 from services.core.spoofing.compass import (
     barometric_height,
     barometric_pressure,
@@ -14,7 +15,6 @@ from services.core.spoofing.compass import (
     magnetic_heading,
     roll_pitch,
 )
-from services.core.spoofing.paper import CUT_OFF_HZ, high_pass
 from shared.maths.earth import wrap_angle
 from shared.maths.rotation import ned_from_body
 

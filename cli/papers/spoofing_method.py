@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
-from .compass import device_from_enu
-from .metrics import Metric
+from services.core.spoofing.compass import device_from_enu
+from services.core.spoofing.metrics import Metric
 
 FloatArray = npt.NDArray[np.float64]
 
