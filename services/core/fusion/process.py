@@ -83,7 +83,7 @@ class Process:
         return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS
 
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
-        """Publish, by the arrival of fixes, that there are no inertial samples; an earlier fix is no evidence of that."""
+        """Publish that there are no inertial samples, by fixes that arrived long after the last of them."""
         current = (NavigationPhase.WAITING_FOR_IMU, "", received_ns // STATE_PERIOD_NS)
         silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
         if silent and current != self._last_state:
