@@ -1,0 +1,61 @@
+"""Compares the speeds of GNSS and odometer as the smart tachograph does, and faster."""
+
+from collections import Counter
+from collections.abc import Iterator
+from math import hypot
+
+from shared.messages.base import Tick
+from shared.messages.gnss import GnssFix
+from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
+from shared.messages.vehicle import VehicleSpeed
+
+from .monitor import MotionMonitor
+from .settings import Settings
+from .statements import statements
+
+In = GnssFix | VehicleSpeed | TrustState | Tick
+# Learning stops while the position is in doubt: a spoofed speed must not become the odometer's scale.
+NO_LEARNING = (TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING, TrustLevel.NO_FIX)
+
+
+class Config(Settings):
+    """Settings of core.motion_conflict."""
+
+
+class Process:
+    """Publishes the statements `motion` and `motion_fast` once a second."""
+
+    def __init__(self, config: Config) -> None:
+        self._monitor = MotionMonitor(config)
+        self._newest_ns = 0
+
+    @property
+    def rejects(self) -> Counter[str]:
+        """Rejected speeds by reason."""
+        return self._monitor.rejected
+
+    def handle(self, message: In) -> Iterator[TrustMonitor]:
+        """Use a speed; publish with each tick."""
+        match message:
+            case GnssFix():
+                self._newest_ns = max(self._newest_ns, message.sampled_ns)
+                self._use_fix(message)
+            case VehicleSpeed():
+                self._newest_ns = max(self._newest_ns, message.sampled_ns)
+                self._monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
+            case TrustState():
+                self._monitor.calibration.frozen = message.state in NO_LEARNING
+            case Tick():
+                time_ns = max(self._newest_ns, message.now_ns)
+                yield from statements(self._monitor.verdicts(time_ns), time_ns)
+
+    def _use_fix(self, fix: GnssFix) -> None:
+        """Use the horizontal speed; a fix without velocity is no speed, not standstill."""
+        speed, sd = fix.ground_speed_m_s, None
+        if fix.velocity_ned_m_s is not None:
+            speed = hypot(*fix.velocity_ned_m_s[:2])
+        if fix.velocity_sd_ned_m_s is not None:
+            sd = max(fix.velocity_sd_ned_m_s[:2]) or None
+        self._monitor.gnss(fix.sampled_ns, speed, sd)
+        if fix.latitude_deg is not None and fix.longitude_deg is not None:
+            self._monitor.position(fix.sampled_ns, fix.latitude_deg, fix.longitude_deg)

@@ -1,0 +1,1 @@
+"""One verdict on the position, from the monitors' statements and fusion's protection levels."""

@@ -1,0 +1,137 @@
+"""What the verdict is made of: the monitors' latest statements, fusion's state, and the limits."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+SECOND_NS = 1_000_000_000
+CLOCK_TOLERANCE_NS = SECOND_NS  # by which a stamp may be ahead; one further ahead could never become stale
+
+
+class Monitor(StrEnum):
+    """Source of a statement."""
+
+    MOTION = "motion"  # tachograph's tests
+    MOTION_FAST = "motion_fast"  # difference of speeds over 5 s
+    INERTIAL_SHORT = "inertial_short"  # 5 s windows
+    INERTIAL_LONG = "inertial_long"  # 30 to 60 s of free propagation
+    SATELLITES = "satellites"
+    EVIDENCE = "evidence"  # the receiver's own flags, C/N0, AGC, clock
+
+
+MOTION = (Monitor.MOTION, Monitor.MOTION_FAST)
+INERTIAL = (Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG)
+GNSS, ODOMETER = "gnss", "odometer"  # accused by name; satellites and neighbours by their IDs
+
+
+class Outcome(StrEnum):
+    """Outcome of a monitor."""
+
+    PASS = "pass"
+    ACCUSES = "accuses"
+    NOT_EVALUATED = "not_evaluated"
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What a monitor has published last."""
+
+    monitor: Monitor
+    outcome: Outcome
+    stated_ns: int
+    reason: str
+    accused: tuple[str, ...] = ()
+    statistic: float | None = None
+    threshold: float | None = None
+    false_alarm_rate: float | None = None
+    window_s: float | None = None
+    since_ns: int | None = None
+    suspect_since_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Newest solution of fusion."""
+
+    sampled_ns: int
+    navigating: bool  # phase is navigating or coasting
+    phase: str
+    protection_level_horizontal_m: float | None
+    protection_level_vertical_m: float | None
+    gnss_age_s: float | None  # since the last fix that was used
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Alert limits, deadlines, and the monitors whose absence lowers the verdict."""
+
+    horizontal_m: float = 10.0
+    vertical_m: float = 20.0
+    near_share: float = 0.8  # of the alert limit, above which the verdict is CAUTION
+    solution_silent_after_s: float = 2.0
+    coasting_after_s: float = 3.0
+    silent_after_s: Mapping[Monitor, float] = field(
+        default_factory=lambda: {
+            Monitor.MOTION: 5.0,
+            Monitor.MOTION_FAST: 5.0,
+            Monitor.INERTIAL_SHORT: 5.0,
+            Monitor.INERTIAL_LONG: 5.0,
+            Monitor.SATELLITES: 5.0,
+            Monitor.EVIDENCE: 5.0,
+        }
+    )
+    required: frozenset[Monitor] = frozenset(Monitor)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Everything that the verdict depends on, at one time."""
+
+    time_ns: int
+    solution: Solution | None = None
+    statements: Mapping[Monitor, Statement] = field(default_factory=dict)
+    gnss_excluded: bool = False  # trust has excluded it
+    exclusion_confirmed: bool = False  # and fusion has confirmed that it no longer uses it
+    satellites_left_out: frozenset[str] = frozenset()  # of the position in use
+    limits: Limits = field(default_factory=Limits)
+
+    def is_silent(self, monitor: Monitor) -> bool:
+        """Whether a monitor has not published within its deadline, or never."""
+        statement = self.statements.get(monitor)
+        if statement is None:
+            return True
+        age_ns = self.time_ns - statement.stated_ns
+        return not -CLOCK_TOLERANCE_NS <= age_ns <= self.limits.silent_after_s[monitor] * SECOND_NS
+
+    def statement(self, monitor: Monitor) -> Statement:
+        """Latest statement of a monitor; a silent one has not evaluated anything since its last message.
+
+        An accusation by a monitor that has died is no longer one. What has been excluded on it stays excluded, because
+        readmission takes statements that pass.
+        """
+        last = self.statements.get(monitor)
+        if last is None:
+            return Statement(monitor, Outcome.NOT_EVALUATED, self.time_ns, "has not published yet")
+        if not self.is_silent(monitor):
+            return last
+        age_s = (self.time_ns - last.stated_ns) / SECOND_NS
+        stated_s = last.stated_ns / SECOND_NS
+        late = f"no message for {age_s:.1f} s" if age_s > 0.0 else f"stamp is {-age_s:.1f} s ahead"
+        since = f"{late}, not evaluated since {stated_s:.1f} s"
+        return replace(
+            last, outcome=Outcome.NOT_EVALUATED, reason=since, accused=(), statistic=None, suspect_since_ns=None,
+            since_ns=last.stated_ns,
+        )  # fmt: skip
+
+    def outcome(self, monitor: Monitor) -> Outcome:
+        """Outcome of a monitor, `not_evaluated` if it is silent."""
+        return self.statement(monitor).outcome
+
+    def accusing(self, monitors: tuple[Monitor, ...], accused: str | None = None) -> list[Statement]:
+        """Statements of these monitors that accuse (somebody, or the one named)."""
+        found = (self.statement(monitor) for monitor in monitors)
+        return [
+            statement
+            for statement in found
+            if statement.outcome is Outcome.ACCUSES and (accused is None or accused in statement.accused)
+        ]

@@ -1,0 +1,167 @@
+"""Makes one verdict on the position of what fusion and the monitors publish."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+from pydantic import Field
+
+from shared.messages.base import Tick
+from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
+from shared.runtime.config import Section
+
+from .facts import Facts, Limits, Monitor, Outcome, Solution, Statement
+from .readmission import Readmission, judge_gnss
+from .verdict import odometer_accused, verdict
+
+In = TrustMonitor | NavigationSolution | NavigationState | Tick
+Out = TrustState | TrustEvent
+WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
+REASON_LENGTH = 400  # of a message
+
+
+class Config(Section):
+    """Deadlines of the monitors and thresholds of the verdict; the alert limits are those of core.fusion."""
+
+    near_share: float = Field(
+        default=0.8, gt=0.0, le=1.0, description="share of the alert limit above which a protection level means CAUTION"
+    )
+    solution_silent_after_s: float = Field(
+        default=2.0, gt=0.0, description="age of the navigation solution from which the verdict is NO_FIX"
+    )
+    coasting_after_s: float = Field(
+        default=3.0, gt=0.0, description="time without a used GNSS fix from which the verdict is DEAD_RECKONING"
+    )
+    monitor_silent_after_s: float = Field(
+        default=5.0, gt=0.0, description="age of a monitor's statement from which it counts as not evaluated"
+    )
+    required_monitors: tuple[Monitor, ...] = Field(
+        default=tuple(Monitor), description="monitors without which the verdict is at best CAUTION"
+    )
+
+
+class Process:
+    """Publishes the verdict once a second and when it changes, and each change as an event."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self.rejects: Counter[str] = Counter()
+        self._time_ns = 0
+        self._solution: NavigationSolution | None = None
+        self._navigation: NavigationState | None = None
+        self._monitors: dict[Monitor, TrustMonitor] = {}
+        self._gnss = Readmission()
+        self._published: TrustState | None = None
+
+    def handle(self, message: In) -> Iterator[Out]:
+        """Use a message, and publish what follows from it."""
+        match message:
+            case TrustMonitor():
+                if message.monitor not in list(Monitor):
+                    self.rejects["unknown monitor"] += 1
+                    return
+                self._monitors[Monitor(message.monitor)] = message
+                self._time_ns = max(self._time_ns, message.sampled_ns)
+            case NavigationSolution():
+                self._solution = message
+                self._time_ns = max(self._time_ns, message.sampled_ns)
+            case NavigationState():
+                self._navigation = message
+                return
+            case Tick():
+                self._time_ns = message.now_ns
+        yield from self._judge(at_once=isinstance(message, Tick))
+
+    def _judge(self, *, at_once: bool) -> Iterator[Out]:
+        facts = self._facts()
+        accused, agrees, suspect_ns = judge_gnss(facts)
+        admission = self._gnss.update(facts.time_ns, accused=accused, agrees=agrees, suspect_since_ns=suspect_ns)
+        facts = self._facts(gnss_excluded=admission.excluded)
+        found = verdict(facts)
+        before = self._published
+        level = TrustLevel(found.state.value)
+        changed = before is None or before.state is not level
+        if not (changed or at_once):
+            return
+        state = TrustState(
+            sampled_ns=facts.time_ns,
+            state=level,
+            since_ns=facts.time_ns if before is None or changed else before.since_ns,
+            row=found.row,
+            reasons=tuple(reason[:REASON_LENGTH] for reason in found.reasons),
+            findings=tuple(finding[:REASON_LENGTH] for finding in found.findings),
+            gnss_excluded=admission.excluded,
+            suspect_since_ns=admission.suspect_since_ns,
+            odometer_excluded=odometer_accused(facts),
+            protection_level_horizontal_m=facts.solution and facts.solution.protection_level_horizontal_m,
+            protection_level_vertical_m=facts.solution and facts.solution.protection_level_vertical_m,
+            alert_limit_horizontal_m=facts.limits.horizontal_m,
+            alert_limit_vertical_m=facts.limits.vertical_m,
+            monitors=tuple(self._current(facts, monitor) for monitor in Monitor),
+        )
+        self._published = state
+        yield state
+        if changed:
+            earlier = before.state if before is not None else TrustLevel.INITIALISING
+            if before is not None or level is not TrustLevel.INITIALISING:
+                yield TrustEvent(
+                    sampled_ns=state.sampled_ns, before=earlier, after=level, reasons=state.reasons,
+                    monitors=state.monitors,
+                )  # fmt: skip
+
+    def _current(self, facts: Facts, monitor: Monitor) -> TrustMonitor:
+        """Statement of a monitor as the verdict uses it: a silent one is not evaluated."""
+        used, last = facts.statement(monitor), self._monitors.get(monitor)
+        if last is not None and used.outcome.value == last.outcome.value and used.reason == last.reason:
+            return last
+        return TrustMonitor(
+            sampled_ns=facts.time_ns if last is None else last.sampled_ns, monitor=monitor.value,
+            outcome=MonitorOutcome(used.outcome.value), reason=used.reason[:REASON_LENGTH],
+            accused=used.accused, since_ns=used.since_ns, suspect_since_ns=used.suspect_since_ns,
+            statistic=used.statistic, threshold=used.threshold, false_alarm_rate=used.false_alarm_rate,
+            window_s=used.window_s,
+        )  # fmt: skip
+
+    def _facts(self, *, gnss_excluded: bool = False) -> Facts:
+        return Facts(
+            self._time_ns,
+            _solution(self._solution),
+            {monitor: _statement(monitor, message) for monitor, message in self._monitors.items()},
+            gnss_excluded=gnss_excluded,
+            limits=self._limits(),
+        )
+
+    def _limits(self) -> Limits:
+        config, state = self._config, self._navigation
+        limits = Limits(
+            near_share=config.near_share,
+            solution_silent_after_s=config.solution_silent_after_s,
+            coasting_after_s=config.coasting_after_s,
+            silent_after_s=dict.fromkeys(Monitor, config.monitor_silent_after_s),
+            required=frozenset(config.required_monitors),
+        )
+        if state is None or state.alert_limit_horizontal_m is None or state.alert_limit_vertical_m is None:
+            return limits
+        return replace(limits, horizontal_m=state.alert_limit_horizontal_m, vertical_m=state.alert_limit_vertical_m)
+
+
+def _solution(message: NavigationSolution | None) -> Solution | None:
+    if message is None:
+        return None
+    return Solution(
+        message.sampled_ns,
+        message.phase in WITH_POSITION,
+        message.phase.value,
+        message.protection_level_horizontal_m,
+        message.protection_level_vertical_m,
+        message.gnss_age_s,
+    )
+
+
+def _statement(monitor: Monitor, message: TrustMonitor) -> Statement:
+    return Statement(
+        monitor, Outcome(message.outcome.value), message.sampled_ns, message.reason, message.accused,
+        message.statistic, message.threshold, message.false_alarm_rate, message.window_s, message.since_ns,
+        message.suspect_since_ns,
+    )  # fmt: skip

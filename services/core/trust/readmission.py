@@ -1,0 +1,101 @@
+"""Excludes a source when it is accused, and readmits it after it has agreed for a minimum time.
+
+The minimum healthy time is 2 s after a first fault of under 10 s and grows for longer faults in proportion to their
+duration; each further fault within 10 minutes doubles it; it is at most 60 s.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+from .facts import GNSS, INERTIAL, SECOND_NS, Facts, Monitor, Outcome
+
+HEALTHY_S = 2.0
+SHORT_FAULT_S = 10.0
+REPEATED_WITHIN_S = 600.0
+LONGEST_HEALTHY_S = 60.0
+
+
+def healthy_time(fault_s: float, earlier_faults: int) -> float:
+    """Minimum healthy time [s] after a fault.
+
+    Notes
+    -----
+    min(60 s, 2 s · max(1, fault / 10 s) · 2^n) with n faults before within 10 minutes.
+    """
+    doublings = min(earlier_faults, 10)  # far beyond the maximum
+    return float(min(LONGEST_HEALTHY_S, HEALTHY_S * max(1.0, fault_s / SHORT_FAULT_S) * 2**doublings))
+
+
+@dataclass(frozen=True)
+class Admission:
+    """Whether a source is excluded, from when it is suspect, and how long it must still agree."""
+
+    excluded: bool
+    suspect_since_ns: int | None = None
+    healthy_for_s: float = 0.0
+    required_s: float = 0.0
+
+
+class Readmission:
+    """State of one source: admitted, excluded while accused, excluded until it has agreed for long enough."""
+
+    def __init__(self) -> None:
+        self._faults: deque[int] = deque(maxlen=16)  # ends of earlier faults
+        self._began_ns: int | None = None  # of the present exclusion
+        self._accused_ns = 0  # last accusation of it
+        self._suspect_ns: int | None = None
+        self._healthy_ns: int | None = None  # since when it agrees
+
+    def update(self, time_ns: int, *, accused: bool, agrees: bool, suspect_since_ns: int | None = None) -> Admission:
+        """Use the monitors' judgement of one time.
+
+        Parameters
+        ----------
+        time_ns : int
+            Stamp; not before the one of the last call.
+        accused : bool
+            A monitor accuses the source.
+        agrees : bool
+            Every monitor that can judge the source passes it; "not evaluated" does not agree.
+        suspect_since_ns : int, optional
+            Earliest time from which the evidence of the accusation may be wrong.
+        """
+        if accused:
+            self._accuse(time_ns, suspect_since_ns)
+        if self._began_ns is None:
+            return Admission(excluded=False)
+        if accused or not agrees:
+            self._healthy_ns = None
+        elif self._healthy_ns is None:
+            self._healthy_ns = time_ns
+        healthy_s = 0.0 if self._healthy_ns is None else (time_ns - self._healthy_ns) / SECOND_NS
+        required_s = self._required_s()
+        if self._healthy_ns is not None and healthy_s >= required_s:
+            self._faults.append(self._accused_ns)
+            self._began_ns = self._suspect_ns = self._healthy_ns = None
+            return Admission(excluded=False)
+        return Admission(True, self._suspect_ns, healthy_s, required_s)
+
+    def _accuse(self, time_ns: int, suspect_since_ns: int | None) -> None:
+        suspect_ns = time_ns if suspect_since_ns is None else suspect_since_ns
+        if self._began_ns is None:
+            self._began_ns, self._suspect_ns = time_ns, suspect_ns
+        self._suspect_ns = suspect_ns if self._suspect_ns is None else min(self._suspect_ns, suspect_ns)
+        self._accused_ns = time_ns
+
+    def _required_s(self) -> float:
+        began_ns = self._began_ns or 0
+        earlier = sum(began_ns - fault_ns <= REPEATED_WITHIN_S * SECOND_NS for fault_ns in self._faults)
+        return healthy_time((self._accused_ns - began_ns) / SECOND_NS, earlier)
+
+
+def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
+    """Say whether GNSS is accused, whether the monitors agree with it, and since when it is suspect.
+
+    Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite. Agreement takes
+    both inertial windows; the satellite monitor must not accuse.
+    """
+    accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
+    agrees = not accusing and all(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
+    suspect = [s.suspect_since_ns for s in accusing if s.suspect_since_ns is not None]
+    return bool(accusing), agrees, min(suspect) if suspect else None

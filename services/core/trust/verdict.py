@@ -1,0 +1,235 @@
+"""The verdict: whether the position can be used now, and why. The first row of the table that matches decides.
+
+====  ==================================================================================  ==============
+row   condition                                                                           state
+====  ==================================================================================  ==============
+1     no solution yet                                                                     INITIALISING
+2     solution lost or stale                                                              NO_FIX
+3     protection level above the alert limit, horizontal or vertical                      UNSAFE
+4     an inertial monitor accuses GNSS, and fusion has not confirmed the exclusion        UNSAFE
+5     a satellite fault inside the position in use                                        UNSAFE
+6     motion conflict, inertial monitors not wholly evaluated, GNSS not excluded          UNSAFE
+7     GNSS excluded and confirmed by fusion                                               DEAD_RECKONING
+8     no GNSS used for longer than `coasting_after_s`                                     DEAD_RECKONING
+9     motion conflict while both inertial windows pass: the odometer is accused           CAUTION
+10    evidence alone                                                                      CAUTION
+11    a required monitor is silent                                                        CAUTION
+12    satellites not evaluated, or neither inertial nor motion evaluated                  CAUTION
+13    protection level above 0.8 of the alert limit                                       CAUTION
+14    otherwise                                                                           SAFE
+====  ==================================================================================  ==============
+
+Row 4 matches too while trust keeps GNSS excluded after an accusation: until fusion confirms, GNSS may be in use.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from .facts import GNSS, INERTIAL, MOTION, ODOMETER, SECOND_NS, Facts, Monitor, Outcome, Statement
+
+
+class TrustState(StrEnum):
+    """Whether the position can be used."""
+
+    SAFE = "safe"
+    CAUTION = "caution"
+    UNSAFE = "unsafe"
+    DEAD_RECKONING = "dead_reckoning"
+    NO_FIX = "no_fix"
+    INITIALISING = "initialising"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """State, the row that decided, and why.
+
+    `reasons` begins with that of the deciding row; those of later rows that match too follow. `findings` are sensors,
+    satellites and neighbours that are accused or left out without lowering the verdict.
+    """
+
+    state: TrustState
+    row: int
+    reasons: tuple[str, ...]
+    findings: tuple[str, ...]
+
+
+Row = Callable[[Facts], str | None]
+
+
+def _no_solution(facts: Facts) -> str | None:
+    return "no navigation solution yet" if facts.solution is None else None
+
+
+def _solution_lost(facts: Facts) -> str | None:
+    solution = facts.solution
+    if solution is None:
+        return None
+    age_s, limit_s = (facts.time_ns - solution.sampled_ns) / SECOND_NS, facts.limits.solution_silent_after_s
+    if not -1.0 <= age_s <= limit_s:
+        return f"navigation solution is {age_s:.1f} s old, limit {limit_s:.1f} s"
+    return None if solution.navigating else f"navigation solution is lost: fusion's phase is {solution.phase}"
+
+
+def _levels(facts: Facts, share: float) -> str | None:
+    """Say which protection level exceeds a share of its alert limit; one that is missing does."""
+    if facts.solution is None:
+        return None
+    found = []
+    for name, level, limit in (
+        ("horizontal", facts.solution.protection_level_horizontal_m, facts.limits.horizontal_m),
+        ("vertical", facts.solution.protection_level_vertical_m, facts.limits.vertical_m),
+    ):
+        if level is None:
+            found.append(f"{name} protection level is missing")
+        elif not level <= share * limit:
+            of_limit = "" if share == 1.0 else f"{100.0 * share:.0f} % of "
+            found.append(f"{name} protection level {level:.1f} m is above {of_limit}the alert limit of {limit:.1f} m")
+    return "; ".join(found) or None
+
+
+def _above_alert_limit(facts: Facts) -> str | None:
+    return _levels(facts, 1.0)
+
+
+def _gnss_accused(facts: Facts) -> str | None:
+    accusing = facts.accusing(INERTIAL, GNSS)
+    if _excluded(facts) or not (accusing or facts.gnss_excluded):
+        return None
+    why = _sentences(facts, accusing) if accusing else "GNSS stays excluded until it has agreed for long enough"
+    return f"{why}; fusion has not confirmed the exclusion of GNSS"
+
+
+def _satellite_fault(facts: Facts) -> str | None:
+    if _excluded(facts):
+        return None
+    inside = [
+        accused
+        for statement in facts.accusing((Monitor.SATELLITES,))
+        for accused in statement.accused
+        if accused not in facts.satellites_left_out and not accused.startswith("neighbour")
+    ]
+    if not inside:
+        return None
+    return f"{_sentences(facts, facts.accusing((Monitor.SATELLITES,)))}; the position in use contains the fault"
+
+
+def _unresolved_motion_conflict(facts: Facts) -> str | None:
+    conflict = facts.accusing(MOTION)
+    open_ones = [monitor for monitor in INERTIAL if facts.outcome(monitor) is Outcome.NOT_EVALUATED]
+    if not conflict or not open_ones or facts.gnss_excluded:
+        return None
+    reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in open_ones)
+    return f"{_sentences(facts, conflict)}; GNSS or odometer is wrong, and inertial monitors cannot tell ({reasons})"
+
+
+def _gnss_excluded(facts: Facts) -> str | None:
+    if not _excluded(facts):
+        return None
+    accusing = facts.accusing(INERTIAL, GNSS)
+    why = f": {_sentences(facts, accusing)}" if accusing else " until it has agreed for the minimum healthy time"
+    return f"GNSS is excluded, position by dead reckoning{why}"
+
+
+def _coasting(facts: Facts) -> str | None:
+    if facts.solution is None:
+        return None
+    age_s, limit_s = facts.solution.gnss_age_s, facts.limits.coasting_after_s
+    if age_s is None:
+        return "no GNSS fix has been used"
+    return None if age_s <= limit_s else f"no GNSS fix used for {age_s:.1f} s, limit {limit_s:.1f} s"
+
+
+def _odometer_accused(facts: Facts) -> str | None:
+    conflict = facts.accusing(MOTION)
+    if not conflict or any(facts.outcome(monitor) is not Outcome.PASS for monitor in INERTIAL):
+        return None
+    return f"{_sentences(facts, conflict)}; inertial monitors agree with GNSS, the odometer is no longer used"
+
+
+def _evidence(facts: Facts) -> str | None:
+    accusing = facts.accusing((Monitor.EVIDENCE,))
+    return _sentences(facts, accusing) if accusing else None
+
+
+def _silent(facts: Facts) -> str | None:
+    silent = [monitor for monitor in Monitor if monitor in facts.limits.required and facts.is_silent(monitor)]
+    return "; ".join(f"monitor {monitor}: {facts.statement(monitor).reason}" for monitor in silent) or None
+
+
+def _not_evaluated(facts: Facts) -> str | None:
+    def none_of(monitors: tuple[Monitor, ...]) -> bool:
+        return all(facts.outcome(monitor) is Outcome.NOT_EVALUATED for monitor in monitors)
+
+    if none_of((Monitor.SATELLITES,)):
+        return f"satellites not evaluated: {facts.statement(Monitor.SATELLITES).reason}"
+    if not none_of(INERTIAL + MOTION):
+        return None
+    reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in INERTIAL + MOTION)
+    return f"neither inertial nor motion monitors evaluated: {reasons}"
+
+
+def _near_alert_limit(facts: Facts) -> str | None:
+    return _levels(facts, facts.limits.near_share)
+
+
+def _excluded(facts: Facts) -> bool:
+    return facts.gnss_excluded and facts.exclusion_confirmed
+
+
+def _sentences(facts: Facts, statements: list[Statement]) -> str:
+    return "; ".join(_sentence(facts, statement) for statement in statements)
+
+
+def _sentence(facts: Facts, statement: Statement) -> str:
+    who = " or ".join(statement.accused) or "nobody"
+    text = f"monitor {statement.monitor} accuses {who}: {statement.reason}"
+    if statement.statistic is not None and statement.threshold is not None:
+        text += f" (statistic {statement.statistic:.3g}, threshold {statement.threshold:.3g})"
+    if statement.suspect_since_ns is not None:
+        text += f", suspect for {(facts.time_ns - statement.suspect_since_ns) / SECOND_NS:.0f} s"
+    return text
+
+
+ROWS: tuple[tuple[TrustState, Row], ...] = (
+    (TrustState.INITIALISING, _no_solution),
+    (TrustState.NO_FIX, _solution_lost),
+    (TrustState.UNSAFE, _above_alert_limit),
+    (TrustState.UNSAFE, _gnss_accused),
+    (TrustState.UNSAFE, _satellite_fault),
+    (TrustState.UNSAFE, _unresolved_motion_conflict),
+    (TrustState.DEAD_RECKONING, _gnss_excluded),
+    (TrustState.DEAD_RECKONING, _coasting),
+    (TrustState.CAUTION, _odometer_accused),
+    (TrustState.CAUTION, _evidence),
+    (TrustState.CAUTION, _silent),
+    (TrustState.CAUTION, _not_evaluated),
+    (TrustState.CAUTION, _near_alert_limit),
+)
+
+
+def findings(facts: Facts) -> tuple[str, ...]:
+    """Sensors, satellites and neighbours that are accused, by any monitor, and satellites that are left out."""
+    accused = {name for statement in facts.accusing(tuple(Monitor)) for name in statement.accused}
+    named = [f"{name} is accused" for name in sorted(accused)]
+    return tuple(named + [f"satellite {name} is excluded" for name in sorted(facts.satellites_left_out)])
+
+
+def odometer_accused(facts: Facts) -> bool:
+    """Whether fusion must not use the odometer: a motion monitor accuses it and both inertial windows pass."""
+    return _odometer_accused(facts) is not None and bool(facts.accusing(MOTION, ODOMETER))
+
+
+def verdict(facts: Facts) -> Verdict:
+    """Apply the table of this module to the facts."""
+    matching = [(row, state, reason) for row, (state, find) in enumerate(ROWS, 1) if (reason := find(facts))]
+    if matching:
+        row, state, _ = matching[0]
+        return Verdict(state, row, tuple(reason for _, _, reason in matching), findings(facts))
+    limits, solution = facts.limits, facts.solution
+    levels = (solution.protection_level_horizontal_m, solution.protection_level_vertical_m) if solution else (0.0, 0.0)
+    reason = (
+        f"protection levels {levels[0]:.1f} m horizontal and {levels[1]:.1f} m vertical, "
+        f"alert limits {limits.horizontal_m:.1f} m and {limits.vertical_m:.1f} m; no monitor accuses GNSS"
+    )
+    return Verdict(TrustState.SAFE, len(ROWS) + 1, (reason,), findings(facts))

@@ -1,0 +1,145 @@
+"""Exclusion and readmission: minimum healthy time, doubled for each further fault, at most a minute."""
+
+from dataclasses import replace
+
+import pytest
+
+from services.core.trust.facts import SECOND_NS, Facts, Monitor, Outcome, Statement
+from services.core.trust.readmission import Admission, Readmission, healthy_time, judge_gnss
+
+
+class Source:
+    """A source that is judged ten times a second."""
+
+    def __init__(self) -> None:
+        self.readmission, self.time_s = Readmission(), 0.0
+
+    def update(self, duration_s: float, *, accused: bool = False, agrees: bool = True) -> Admission:
+        last = Admission(excluded=False)
+        for _ in range(round(10.0 * duration_s)):
+            self.time_s += 0.1
+            time_ns = round(self.time_s * SECOND_NS)
+            last = self.readmission.update(
+                time_ns, accused=accused, agrees=agrees, suspect_since_ns=time_ns - 5 * SECOND_NS if accused else None
+            )
+        return last
+
+    def readmitted_after(self) -> float:
+        """Time [s] of agreement until it is admitted again."""
+        start_s = self.time_s
+        while self.update(0.1).excluded:
+            pass
+        return self.time_s - start_s
+
+
+@pytest.mark.parametrize(
+    ("fault_s", "earlier", "required_s"),
+    [(1.0, 0, 2.0), (9.9, 0, 2.0), (50.0, 0, 10.0), (1e6, 0, 60.0), (5.0, 1, 4.0), (5.0, 2, 8.0), (5.0, 5, 60.0),
+     (20.0, 1, 8.0), (5.0, 10**6, 60.0)],
+)  # fmt: skip
+def test_minimum_healthy_time(fault_s: float, earlier: int, required_s: float) -> None:
+    assert healthy_time(fault_s, earlier) == pytest.approx(required_s)
+
+
+def test_a_source_that_is_not_accused_is_admitted_whether_it_can_be_judged_or_not() -> None:
+    source = Source()
+    assert source.update(10.0) == Admission(excluded=False)
+    assert source.update(10.0, agrees=False) == Admission(excluded=False)
+
+
+def test_a_short_fault_excludes_at_once_and_is_over_after_two_seconds_of_agreement() -> None:
+    source = Source()
+    source.update(10.0)
+    assert source.update(0.1, accused=True).excluded
+    source.update(5.0, accused=True)
+    assert source.readmitted_after() == pytest.approx(2.1, abs=0.11)
+
+
+def test_each_further_fault_within_ten_minutes_doubles_the_time_up_to_a_minute() -> None:
+    source, found = Source(), []
+    for _ in range(7):
+        source.update(3.0, accused=True)
+        found.append(source.readmitted_after())
+        source.update(5.0)
+    assert found == pytest.approx([2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0], abs=0.21)
+
+
+def test_faults_of_more_than_ten_minutes_ago_are_forgotten() -> None:
+    source = Source()
+    for _ in range(2):
+        source.update(3.0, accused=True)
+        source.readmitted_after()
+    source.update(620.0)
+    source.update(3.0, accused=True)
+    assert source.readmitted_after() == pytest.approx(2.0, abs=0.21)
+
+
+def test_a_long_fault_takes_a_fifth_of_its_duration() -> None:
+    source = Source()
+    source.update(100.0, accused=True)
+    assert source.readmitted_after() == pytest.approx(20.0, abs=0.21)
+
+
+def test_what_is_not_evaluated_does_not_agree_and_begins_the_healthy_time_anew() -> None:
+    source = Source()
+    source.update(3.0, accused=True)
+    assert source.update(1.8).excluded
+    assert source.update(100.0, agrees=False).excluded
+    assert source.update(1.8).excluded
+    assert not source.update(0.5).excluded
+
+
+def test_an_accusation_during_the_healthy_time_continues_the_same_fault() -> None:
+    source = Source()
+    source.update(3.0, accused=True)
+    first = source.update(1.0)
+    again = source.update(1.0, accused=True)
+    assert again.suspect_since_ns == first.suspect_since_ns
+    assert source.readmitted_after() == pytest.approx(2.0, abs=0.21)
+
+
+def test_the_suspect_time_is_the_earliest_one_stated() -> None:
+    readmission = Readmission()
+    readmission.update(100, accused=True, agrees=False, suspect_since_ns=50)
+    assert readmission.update(200, accused=True, agrees=False, suspect_since_ns=20).suspect_since_ns == 20
+    assert readmission.update(300, accused=True, agrees=False, suspect_since_ns=90).suspect_since_ns == 20
+
+
+def facts(**outcomes: tuple[Outcome, tuple[str, ...]]) -> Facts:
+    statements = {}
+    for monitor in Monitor:
+        outcome, accused = outcomes.get(monitor.value, (Outcome.PASS, ()))
+        statements[monitor] = Statement(monitor, outcome, 0, "", accused, suspect_since_ns=len(monitor))
+    return Facts(0, None, statements)
+
+
+ACCUSED = (Outcome.ACCUSES, ("gnss",))
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (facts(), (False, True, None)),
+        (facts(inertial_short=ACCUSED), (True, False, 14)),
+        (facts(inertial_short=ACCUSED, inertial_long=ACCUSED), (True, False, 13)),
+        (facts(satellites=ACCUSED), (True, False, 10)),
+        (facts(satellites=(Outcome.ACCUSES, ("G05",))), (False, True, None)),
+        (facts(motion=(Outcome.ACCUSES, ("gnss", "odometer"))), (False, True, None)),
+        (facts(evidence=ACCUSED), (False, True, None)),
+        (facts(inertial_long=(Outcome.NOT_EVALUATED, ())), (False, False, None)),
+    ],
+)
+def test_gnss_is_excluded_by_inertial_monitors_and_by_unidentified_satellite_faults_alone(
+    given: Facts, expected: tuple[bool, bool, int | None]
+) -> None:
+    assert judge_gnss(given) == expected
+
+
+def test_a_dead_inertial_monitor_keeps_gnss_excluded() -> None:
+    dead = replace(facts(inertial_long=ACCUSED), time_ns=100 * SECOND_NS)
+    readmission = Readmission()
+    readmission.update(0, accused=True, agrees=False)
+    for time_s in range(1, 100):
+        accused, agrees, suspect = judge_gnss(dead)
+        admission = readmission.update(time_s * SECOND_NS, accused=accused, agrees=agrees, suspect_since_ns=suspect)
+        assert admission.excluded
