@@ -19,7 +19,7 @@ WORDS = {"normal": "SAFE", "stale": "NO FIX", "alarm": "UNSAFE", "empty": "NO DA
 SENTENCES = {
     "normal": "The position can be used: protection levels 3.1 m horizontal and 4.3 m vertical",
     "stale": "(core.fusion is stale: connected, but without heartbeat",
-    "alarm": "The position must not be used: Inertial, short window accuses gnss",
+    "alarm": "The position must not be used: Short inertial window accuses GNSS",
     "empty": "Trust is not evaluated: core.trust has not published a verdict yet",
 }
 FIRST_PAINT_BYTES, FIRST_PAINT_REQUESTS = 80_000, 15

@@ -16,7 +16,7 @@ const figure = (value) => (value == null ? words.age.bar : Number(value.toPrecis
 const chance = (value) => (value == null ? words.age.bar : value < 0.001 ? value.toExponential(0).replace("e-", " × 10⁻").replace(/⁻(\d+)/, (_, n) => `⁻${[...n].map((d) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[d]).join("")}`) : String(value));
 const sinceText = (ns) => {
   const age = ns == null || nowMs() === null ? null : (nowMs() - ns / 1e6) / 1000;
-  return age === null ? words.age.bar : w.sinceAt(timeOfDay(ns / 1e6), duration(Math.max(0, age)));
+  return age === null ? words.age.bar : w.at(timeOfDay(ns / 1e6), duration(Math.max(0, age)));
 };
 const monitorsNow = () => Object.entries(state.value.trust.monitors).filter(([, m]) => m);
 
@@ -27,7 +27,7 @@ function outcomeOf(shown) {
 
 function Outcome({ shown }) {
   const [icon, word] = outcomeOf(shown);
-  const who = verdictStands() ? shown.accused?.join(" or ") : "";
+  const who = verdictStands() && shown.accused;
   return html`<span class="with-icon outcome ${icon}"><${StateIcon} state=${icon} word="" /><strong>${word}${who && ` ${who}`}</strong></span>
     <span class="reason dim">${shown.reason}</span>`;
 }
@@ -93,7 +93,7 @@ function VerdictCard() {
   const stands = verdictStands() && t;
   const limits = stands ? [["horizontal", t.protection_level_horizontal_m, t.alert_limit_horizontal_m], ["vertical", t.protection_level_vertical_m, t.alert_limit_vertical_m]] : [];
   return html`<${Card} title=${w.verdictTitle} id="verdict" class="verdict-card" aside=${stands && html`<span class="note">${w.row(t.row)}</span>`}>
-    <p class="chip ${v.state}"><${Icon} name=${v.state} /><strong>${v.word}</strong>${stands && html`<span>${w.sinceAt(timeOfDay(t.since_ns / 1e6), duration(Math.max(0, (nowMs() - t.since_ns / 1e6) / 1000)))}</span>`}</p>
+    <p class="chip ${v.state}"><${Icon} name=${v.state} /><strong>${v.word}</strong>${stands && html`<span>${w.since(sinceText(t.since_ns))}</span>`}</p>
     <h3>${words.banner.why}</h3>
     ${stands ? html`<ol class="reasons">${t.reasons.map((reason) => html`<li>${reason}</li>`)}</ol>` : html`<p class="lead-text">${v.sentence}</p>`}
     ${stands && t.findings.length > 0 && html`<h3>${w.findings}</h3><ul class="reasons">${t.findings.map((finding) => html`<li>${finding}</li>`)}</ul>`}
@@ -112,7 +112,7 @@ function EventsCard() {
     ${!events.length ? html`<p class="note block">${w.noEvents}</p>` : html`<ol class="outages events scroll" tabindex="0" aria-label=${w.eventsTitle}>${events.map((e) => html`<li key=${e.sampled_ns}>
       <span><${StateIcon} state=${e.before} /> <span class="sr">${w.to}</span><${Icon} name="next" /> <${StateIcon} state=${e.after} word="" /><strong>${words.trust[e.after]}</strong></span>
       <time>${timeOfDay(e.sampled_ns / 1e6)}</time>
-      <span class="dim">${e.reasons[0]}${e.accusing.map((m) => html`<br />${w.evidence(m.monitor, m.accused.join(" or "), figure(m.statistic), figure(m.threshold))}`)}</span>
+      <span class="dim">${e.reasons[0]}${e.accusing.map((m) => html`<br />${w.evidence(m.monitor, m.accused, figure(m.statistic), figure(m.threshold))}`)}</span>
     </li>`)}</ol>`}
   </${Card}>`;
 }

@@ -16,7 +16,7 @@ from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 
 from .geometry import vertical_sd
-from .plain_words import label_of, plain, sentence
+from .plain_words import label_of, plain, sentence, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 FITS = {AidingKind.NON_HOLONOMIC: "non-holonomic constraint"}
@@ -125,7 +125,7 @@ SENTENCES = {
     TrustLevel.INITIALISING: "No position yet",
 }
 ACTIONS = {
-    TrustLevel.SAFE: "Nothing: the error is within the protection level. The Trust page shows every monitor.",
+    TrustLevel.SAFE: "Use the position within its protection level. The Trust page shows every monitor.",
     TrustLevel.CAUTION: (
         "Use it to find your way, not where a wrong position does harm. The Trust page shows what is not evaluated."
     ),
@@ -175,7 +175,8 @@ def no_verdict(age_s: float | None) -> str | None:
 def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
     reason = plain(trust.reasons[0]) if trust.reasons else f"row {trust.row} of the verdict table"
     waiting = WAITING.get(e.phase) if e.phase else None
-    detail = {TrustLevel.NO_FIX: e.cause or waiting, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
+    lost = "; ".join(why for why in (e.cause, waiting) if why)
+    detail = {TrustLevel.NO_FIX: lost, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
     return Verdict(
         Trust(trust.state.value),
         sentence(f"{SENTENCES[trust.state]}: {reason}", detail),
@@ -207,9 +208,11 @@ def _monitor_checks(e: Evidence) -> list[Check]:
     checks = []
     for statement in e.trust.monitors[:MONITORS_MAXIMUM]:
         text = plain(statement.reason)
-        if statement.accused:
-            text = f"accuses {' or '.join(statement.accused)}: {text}"
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
+        if statement.accused:
+            text = f"accuses {who(statement.accused)}: {text}"
+        elif statement.outcome is MonitorOutcome.PASS and ratio is not None:
+            text = f"{ratio:.2f} of the threshold"
         checks.append(
             Check(
                 statement.monitor,

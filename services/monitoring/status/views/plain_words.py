@@ -6,14 +6,15 @@ from datetime import UTC, datetime
 
 LABELS = {
     "motion": "Motion conflict",
-    "motion_fast": "Motion, fast test",
-    "inertial_short": "Inertial, short window",
-    "inertial_long": "Inertial, long window",
+    "motion_fast": "Fast motion test",
+    "inertial_short": "Short inertial window",
+    "inertial_long": "Long inertial window",
     "satellites": "Satellites",
-    "evidence": "Receiver's evidence",
+    "evidence": "Receiver evidence",
 }
 STATED = re.compile(r"(?:monitor )?([a-z_]+): (.+)", re.DOTALL)
 ACCUSES = re.compile(r"\bmonitor ([a-z_]+) accuses\b")
+GNSS = re.compile(r"\bgnss\b")
 SINCE = re.compile(r"since (\d{9,10}\.\d) s")  # on the OBU time line, which is UTC
 
 
@@ -26,7 +27,7 @@ def plain(reason: str) -> str:
     """Put a reason of `trust/state` into the words of the page: monitors by label, instants as time of day.
 
     Successive statements of the form "monitor: text" with the same text are joined: "Satellites and Motion conflict:
-    text".
+    have not published yet".
     """
     said: list[tuple[list[str], str]] = []
     for part in reason.split("; "):
@@ -36,15 +37,27 @@ def plain(reason: str) -> str:
             said[-1][0].extend(names)
         else:
             said.append((names, text))
-    joined = "; ".join(f"{_and([LABELS[n] for n in names])}: {text}" if names else text for names, text in said)
+    joined = "; ".join(_stated(names, text) for names, text in said)
     joined = ACCUSES.sub(lambda found: f"{label_of(found[1])} accuses", joined)
     joined = SINCE.sub(lambda found: f"since {datetime.fromtimestamp(float(found[1]), UTC):%H:%M:%S} UTC", joined)
-    return joined.replace("_", " ")
+    return GNSS.sub("GNSS", joined.replace("_", " "))
+
+
+def who(accused: Sequence[str]) -> str:
+    """Name the accused: sensors, satellites, neighbours."""
+    return plain(" or ".join(accused))
 
 
 def sentence(text: str, detail: str | None = None) -> str:
     """End a sentence, with a detail in parentheses if there is one."""
     return f"{text}{f' ({detail})' if detail else ''}."
+
+
+def _stated(names: Sequence[str], text: str) -> str:
+    if not names:
+        return text
+    verb = text if len(names) == 1 else text.replace("has ", "have ", 1) if text.startswith("has ") else text
+    return f"{_and([LABELS[name] for name in names])}: {verb}"
 
 
 def _and(names: Sequence[str]) -> str:

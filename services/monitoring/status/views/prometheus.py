@@ -94,8 +94,8 @@ def _trust(state: State, now_ns: int) -> Iterator[Metric]:
     outcomes = GaugeMetricFamily(
         "obu_monitor_outcome", "1 for the outcome that holds of an integrity monitor.", labels=["monitor", "outcome"]
     )
-    trust = state.newest(TrustState, "trust/state", now_ns, live=True)
-    for m in trust.monitors[:MONITORS_MAXIMUM] if trust else ():
+    newest = state.newest(TrustState, "trust/state", now_ns, live=True)
+    for m in newest.monitors[:MONITORS_MAXIMUM] if newest else ():
         if (ratio := ratio_of(m.outcome, m.statistic, m.threshold)) is not None:
             statistic.add_metric([m.monitor], ratio)
         for outcome in MonitorOutcome:

@@ -3,7 +3,7 @@
 from shared.messages.trust import MonitorTest, TrustEvent, TrustMonitor, TrustState
 
 from .banner import MONITORS_MAXIMUM, ratio_of
-from .plain_words import label_of, plain
+from .plain_words import label_of, plain, who
 
 Json = dict[str, object]
 TESTS_MAXIMUM = 32  # shown of one monitor
@@ -29,7 +29,12 @@ def event(change: TrustEvent) -> Json:
         "after": change.after,
         "reasons": [plain(text) for text in change.reasons],
         "accusing": [
-            {"monitor": label_of(m.monitor), "accused": m.accused, "statistic": m.statistic, "threshold": m.threshold}
+            {
+                "monitor": label_of(m.monitor),
+                "accused": who(m.accused),
+                "statistic": m.statistic,
+                "threshold": m.threshold,
+            }
             for m in change.monitors[:MONITORS_MAXIMUM]
             if m.accused
         ],
@@ -38,7 +43,12 @@ def event(change: TrustEvent) -> Json:
 
 def _monitor(m: TrustMonitor) -> Json:
     shown = m.model_dump(mode="json", exclude={"tests", "monitor"})
-    return {**shown, **_common(m, m.monitor), "tests": {t.name: _test(t) for t in m.tests[:TESTS_MAXIMUM]}}
+    return {
+        **shown,
+        **_common(m, m.monitor),
+        "accused": who(m.accused),
+        "tests": {t.name: _test(t) for t in m.tests[:TESTS_MAXIMUM]},
+    }
 
 
 def _test(test: MonitorTest) -> Json:

@@ -113,7 +113,7 @@ def test_a_lost_position_is_explained_by_its_root_cause_and_a_missing_one_by_wha
     cause = "core.fusion was restarted and is starting again"
     evidence = changed(phase=NavigationPhase.WAITING_FOR_GNSS, cause=cause)
     lost = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.NO_FIX, reasons=("solution is old",)))
-    assert show(lost).sentence == f"No position: solution is old ({cause})."
+    assert show(lost).sentence == f"No position: solution is old ({cause}; no usable GNSS fix is received)."
     missing = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.INITIALISING, reasons=("none yet",)))
     assert show(missing).sentence == "No position yet: none yet (no usable GNSS fix is received)."
 
@@ -125,8 +125,8 @@ def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
         monitor(START_NS, "satellites", outcome=MonitorOutcome.NOT_EVALUATED, reason="4 satellites"),
     )
     evidence = changed(trust=trust(START_NS, TrustLevel.UNSAFE, monitors=monitors))
-    assert check(evidence, "motion") == (Trust.SAFE, "statistic below the threshold")
-    assert check(evidence, "inertial_short") == (Trust.UNSAFE, "accuses gnss: statistic below the threshold")
+    assert check(evidence, "motion") == (Trust.SAFE, "0.50 of the threshold")
+    assert check(evidence, "inertial_short") == (Trust.UNSAFE, "accuses GNSS: statistic below the threshold")
     assert check(evidence, "satellites") == (Trust.OFF, "4 satellites")
     ratios = {c.name: c.ratio for c in show(evidence).checks if c.kind is Kind.MONITOR}
     assert ratios == {"motion": 0.5, "inertial_short": 1.125, "satellites": None}
@@ -153,13 +153,13 @@ def test_a_ratio_is_statistic_over_threshold_and_none_where_nothing_was_evaluate
     ("reason", "words"),
     [
         ("monitor motion: has not published yet; monitor satellites: has not published yet",
-         "Motion conflict and Satellites: has not published yet"),
+         "Motion conflict and Satellites: have not published yet"),
         ("monitor inertial_short accuses gnss: too large (statistic 9, threshold 8); fusion has not confirmed",
-         "Inertial, short window accuses gnss: too large (statistic 9, threshold 8); fusion has not confirmed"),
+         "Short inertial window accuses GNSS: too large (statistic 9, threshold 8); fusion has not confirmed"),
         ("monitor evidence: no message for 6.0 s, not evaluated since 1795000000.5 s",
-         "Receiver's evidence: no message for 6.0 s, not evaluated since 11:06:40 UTC"),
+         "Receiver evidence: no message for 6.0 s, not evaluated since 11:06:40 UTC"),
         ("navigation solution is lost: fusion's phase is waiting_for_gnss",
-         "navigation solution is lost: fusion's phase is waiting for gnss"),
+         "navigation solution is lost: fusion's phase is waiting for GNSS"),
     ],
 )  # fmt: skip
 def test_reasons_are_put_into_the_words_of_the_page(reason: str, words: str) -> None:

@@ -332,8 +332,8 @@ def test_trust_events_are_listed_newest_first_with_who_accused_and_are_bounded(d
     events = snapshot.trust(driving.state, driving.now_ns)["events"]
     assert isinstance(events, list) and len(events) == 50
     assert [event["sampled_ns"] - driving.now_ns for event in events[:2]] == [59, 58]
-    assert events[0]["reasons"] == ["Inertial, short window accuses gnss"]
-    assert [who["monitor"] for who in events[0]["accusing"]] == ["Inertial, short window"]
+    assert events[0]["reasons"] == ["Short inertial window accuses GNSS"]
+    assert [who["monitor"] for who in events[0]["accusing"]] == ["Short inertial window"]
 
 
 def test_what_the_watchdog_reports_is_shown_as_it_is(driving: World) -> None:
