@@ -392,7 +392,7 @@ def test_the_page_trust_shows_statistics_against_thresholds_and_unfolds_the_test
     units: dict[str, Running], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["alarm"].address, path="trust")
-    verdict = page.get_by_role("region", name="Verdict")
+    verdict = page.get_by_role("region", name="Verdict", exact=True)
     expect(verdict.locator(".chip")).to_contain_text("UNSAFE")
     expect(verdict.locator(".reasons li").first).to_contain_text("Short inertial window accuses GNSS")
     monitors = page.get_by_role("region", name="Monitors", exact=True)
@@ -436,7 +436,7 @@ def test_without_core_trust_the_page_says_that_trust_is_not_evaluated(
             re.compile(r"Trust is not evaluated: no verdict for \d+ s \(core.trust was lost"), timeout=9000
         )
         expect(page.locator(".banner .word")).to_have_text("NO DATA")
-        expect(page.get_by_role("region", name="Verdict")).to_contain_text("Trust is not evaluated")
+        expect(page.get_by_role("region", name="Verdict", exact=True)).to_contain_text("Trust is not evaluated")
         expect(monitors.locator("tr.old")).to_have_count(6)
         expect(monitors.locator(".state.safe, .state.unsafe, .state.off")).to_have_count(0)
         keep_picture(page, f"without-trust-{theme}")
