@@ -80,7 +80,7 @@ lock: | $(VENV)/.testing ## write the lock files anew from what is installed
 papers: setup ## reproduce the papers' numbers (minutes)
 	@$(PYTHON) -m cli papers navigation
 
-bench: $(VENV)/.debian ## measure beside C and print the ratios (minutes)
+bench: $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks
 
 drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (half an hour)

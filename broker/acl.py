@@ -8,13 +8,13 @@ from shared.processes import PROCESSES, ProcessRow
 from shared.topics import BY_NAME, Topic, measurements, publications, subscriptions
 
 ANY_VEHICLE = "+"
-OBSERVER = "observer"  # whoever only looks: `obu tail`, the demo's balance
-REPLAY = "replay"  # who stands in for the sensors: `obu replay`
+OBSERVER = "observer"  # read-only clients: `obu tail`, the balance of the demo
+REPLAY = "replay"  # publishes the messages of a recording in place of the sensors: `obu replay`
 HEAD = """\
-# Who may say what to whom: printed by `python -m broker.acl`, never edited by hand.
-# A process logs in with its own name, whoever only looks as `observer`, and who plays a recording as `replay`.
+# Access list: rights to read and write topics. Printed by `python -m broker.acl`; do not edit.
+# The user name of a process is its own name; read-only clients use `observer`, the replay of a recording `replay`.
 """
-NOBODY_ELSE = "# Anyone else may neither read nor write.\n"
+NOBODY_ELSE = "# Other users may neither read nor write.\n"
 
 
 def access_list(vehicle: str = ANY_VEHICLE, *, nameless_read: bool = False) -> str:

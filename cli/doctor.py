@@ -1,4 +1,4 @@
-"""`obu doctor`: what is wrong, and how to mend it."""
+"""`obu doctor`: checks the installation, the configuration and a running unit, and names the remedy of each fault."""
 
 import os
 import shutil
@@ -25,21 +25,21 @@ LIBRARIES = Path(__file__).parents[1] / "services" / "monitoring" / "status" / "
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at: fine or not, and what to do."""
+    """The result of one check, and the remedy if it failed."""
 
-    fine: bool
+    ok: bool
     what: str
-    mend: str = ""
+    remedy: str = ""
 
 
 def examine(vehicle_path: Path | None) -> int:
-    """Print every finding; 0 if all is well, 1 otherwise."""
+    """Print every finding; return 0 if all checks passed, otherwise 1."""
     findings = list(_findings(vehicle_path))
     for finding in findings:
-        print(f"{'ok ' if finding.fine else 'NO '} {finding.what}")
-        if not finding.fine:
-            print(f"    -> {finding.mend}")
-    return 0 if all(finding.fine for finding in findings) else 1
+        print(f"{'ok ' if finding.ok else 'NO '} {finding.what}")
+        if not finding.ok:
+            print(f"    -> {finding.remedy}")
+    return 0 if all(finding.ok for finding in findings) else 1
 
 
 def _findings(vehicle_path: Path | None) -> Iterator[Finding]:
@@ -62,7 +62,7 @@ def _findings(vehicle_path: Path | None) -> Iterator[Finding]:
     yield from _devices(vehicle)
     broker = _broker()
     yield broker
-    if broker.fine:
+    if broker.ok:
         yield from _unit(vehicle)
 
 
@@ -81,13 +81,13 @@ def _devices(vehicle: VehicleFile) -> Iterator[Finding]:
         device = str(vehicle.tables.get(name, {}).get("device", ""))
         path = device.removeprefix("serial://").split("?")[0]
         if path.startswith("/dev/"):
-            there = os.access(path, os.R_OK | os.W_OK)
-            mend = "plug it in" if not Path(path).exists() else "add yourself to the group `dialout` and log in again"
-            yield Finding(there, f"{name}: {path}", mend)
+            accessible = os.access(path, os.R_OK | os.W_OK)
+            remedy = "connect it" if not Path(path).exists() else "add your user to the group `dialout`, log in again"
+            yield Finding(accessible, f"{name}: {path}", remedy)
 
 
 def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
-    """Listen for a moment to the processes of a running unit."""
+    """Check the health messages that the processes of a running unit publish within `LISTEN_S`."""
     topics = [topic for topic in TOPICS if topic.name == "health/+"]
     bus = Bus("observer", vehicle.name, broker_address(), topics, state_dir(), observer=True)
     newest: dict[str, ProcessHealth] = {}
@@ -97,23 +97,23 @@ def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
             try:
                 message = envelope.decode()
             except BadPayload:
-                continue  # who speaks so is not heard, and is told as such
+                continue  # a process without a valid health message is reported as not running
             if isinstance(message, ProcessHealth):
                 newest[message.process] = message
     now_ns = bus.now_ns()
     bus.close()
     if not newest:
-        yield Finding(False, f"processes of {vehicle.name!r}", "start them, or name the vehicle that runs: OBU_VEHICLE")
+        yield Finding(False, f"processes of {vehicle.name!r}", "start them, or set OBU_VEHICLE to the running vehicle")
         return
     for name in vehicle.processes:
         health = newest.get(name)
         if health is None:
-            yield Finding(False, f"{name} runs", "it was never heard; its log says why")
+            yield Finding(False, f"{name} runs", "no health message received; see its log")
         elif health.state is not ProcessState.READY or now_ns - health.sent_ns > SILENT_NS:
-            how = "silent" if health.state is ProcessState.READY else health.state
-            yield Finding(False, f"{name} runs", f"it is {how}; its log says why")
+            state = "silent" if health.state is ProcessState.READY else health.state
+            yield Finding(False, f"{name} runs", f"state: {state}; see its log")
         else:
-            yield Finding(not health.last_error, f"{name} runs", f"its last error: {health.last_error}")
+            yield Finding(not health.last_error, f"{name} runs", f"last error: {health.last_error}")
 
 
 def _broker() -> Finding:

@@ -24,7 +24,7 @@ from .recordings.verify import verify
 from .solve.solve import solve
 
 app = typer.Typer(
-    help="A vehicle on-board unit that says where the vehicle is, and whether to believe it.",
+    help="A vehicle on-board unit: position, velocity and attitude of the vehicle, with their integrity.",
     epilog="Begin with [bold]obu demo[/]. The help of each command has examples, such as [bold]obu solve --help[/].",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -149,24 +149,28 @@ def tail(
     topic: Annotated[str, typer.Argument(help="Short name such as navigation/solution, or '#' for all.")] = "#",
     vehicle: VehicleOption = None,
     count: Annotated[int | None, typer.Option(min=1, help="Stop after this many messages.")] = None,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="Write the device's own bytes instead, for a pipe or a file.")
+    ] = False,
 ) -> None:
-    """Print messages of a running unit as they come, one a line.
+    """Print the messages of a running unit as they are received, one per line.
 
     The broker is that of OBU_BROKER; a demo prints the line to copy.
 
     Examples:
     [bold]obu tail navigation/solution --count 3[/]
     [bold]obu tail '#'[/]
+    [bold]obu tail --raw gnss/raw > receiver.ubx[/]
     """
     from .tail import follow
 
     _end_on_sigterm()
-    raise typer.Exit(follow(topic, load_vehicle(vehicle), count))
+    raise typer.Exit(follow(topic, load_vehicle(vehicle), count, raw=raw))
 
 
 @app.command()
 def doctor(vehicle: VehicleOption = None) -> None:
-    """Say what is wrong with this machine, its configuration and a running unit, and how to mend it.
+    """Check this machine, its configuration and a running unit, and name the remedy of each fault.
 
     Examples:
     [bold]obu doctor[/]
@@ -208,10 +212,10 @@ def _end_on_sigterm() -> None:
 
 @papers.command()
 def navigation(
-    runs: Annotated[int, typer.Option(min=1, help="Seeds for each row.")] = 10,
+    runs: Annotated[int, typer.Option(min=1, help="Number of seeds per row.")] = 10,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the table.")] = False,
 ) -> None:
-    """Repeat the degraded scenarios of the EMERGE paper beside its table 2, and outages.
+    """Simulate the degraded scenarios of the EMERGE paper, compare with its table 2, and simulate outages.
 
     Ends with 1 if a number is not reproduced. A goal that only the filter as delivered misses is named, and is no
     failure.

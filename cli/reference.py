@@ -60,28 +60,28 @@ def metrics_page() -> str:
     smoothed = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in SMOOTHED_METRICS.items()])
     timings = table(("name", "meaning"), [(f"`{name}`", meaning) for name, meaning in TIMINGS.items()])
     stamps = [
-        ("`sampled_ns`", "instant on the time line of the recording, ns"),
-        ("`time_s`", "since the first row"),
-        ("`phase`", "`navigating`, or `coasting` while no position was used lately"),
+        ("`sampled_ns`", "time of validity on the time line of the recording, ns"),
+        ("`time_s`", "time since the first row"),
+        ("`phase`", "`navigating`, or `coasting` if no position was used recently"),
     ]
     columns = table(("column", "meaning"), stamps + [(f"`{name}`", meaning) for name, meaning in COLUMNS.items()])
     return (
         "# What `obu solve` writes\n\n"
-        "Names end in their unit (see [conventions](conventions.md)). A metric that cannot be known is `null`.\n\n"
+        "Names end in their unit (see [conventions](conventions.md)). An unknown metric is `null`.\n\n"
         f"## metrics.json\n\n{metrics}\n\n"
-        "Root mean squares and percentiles are taken over the instants of the truth while the filter navigates or "
+        "Root mean squares and percentiles are computed over the times of the truth while the filter navigates or "
         "coasts, outages included.\n\n"
         f"`--smooth` adds:\n\n{smoothed}\n\n"
-        f"## Times, printed only\n\nThese differ from run to run, and so are in no file.\n\n{timings}\n\n"
-        f"## solution.csv\n\nOne row a solution while the filter navigates or coasts.\n\n{columns}\n\n"
-        "`solution_smoothed.csv`, of `--smooth`, has the same columns: a row a period of the solution, at a step of "
-        "the filter's covariance and so not at the very stamps of solution.csv; phase, standstill and age of GNSS are "
-        "the filter's, and what no smoother knows is empty.\n\n"
+        f"## Times, printed only\n\nThese differ from run to run and are not written to a file.\n\n{timings}\n\n"
+        f"## solution.csv\n\nOne row per solution while the filter navigates or coasts.\n\n{columns}\n\n"
+        "`solution_smoothed.csv`, of `--smooth`, has the same columns: one row per period of the solution, at the "
+        "steps of the covariance propagation and therefore not at the stamps of solution.csv; phase, standstill and "
+        "age of GNSS are those of the filter, and columns without a smoothed value are empty.\n\n"
         "## A truth of your own\n\n"
-        "`--truth FILE` takes a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970, "
+        "`--truth FILE` reads a CSV file with columns of these names: `sampled_ns`, or `utc_s` in seconds since 1970, "
         "and any of position (`latitude_deg`, `longitude_deg`, `height_ellipsoid_m`), velocity (`velocity_north_m_s`, "
-        "`velocity_east_m_s`, `velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They are of "
-        "the IMU. Another solution.csv or solution_smoothed.csv is such a file.\n"
+        "`velocity_east_m_s`, `velocity_down_m_s`) and attitude (`roll_rad`, `pitch_rad`, `yaw_rad`). They refer "
+        "to the IMU. A solution.csv or solution_smoothed.csv of another run is such a file.\n"
     )
 
 
@@ -90,7 +90,7 @@ def pages() -> dict[str, str]:
     return {
         "topics.md": f"{HEAD}# Topics\n\nEach topic is `obu/<vehicle>/` and the name below.\n\n{topics_table()}\n",
         "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
-        "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file a vehicle, one section a process; "
+        "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file per vehicle, one section per process; "
         f"the section `[vehicle]` holds its `name`.\n\n{configuration_pages()}",
         "metrics.md": HEAD + metrics_page(),
         "asyncapi.json": asyncapi_json() + "\n",

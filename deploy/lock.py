@@ -1,7 +1,7 @@
-"""Write the lock files: what this environment has of all that pyproject.toml asks for, by version.
+"""Writes the lock files: the installed versions of all dependencies of pyproject.toml.
 
-Run by `make lock` in a fresh environment. `requirements.lock` is what runs in the vehicle, `requirements-fast.lock`
-what the extra [fast] adds to it, and `requirements-dev.lock` holds these and the tools of the tests.
+Run by `make lock` in a fresh environment. `requirements.lock` holds the packages of the vehicle,
+`requirements-fast.lock` those of the extra [fast], and `requirements-dev.lock` the former and the test tools.
 """
 
 import tomllib
@@ -16,13 +16,13 @@ AARCH64 = {"platform_machine": "aarch64"}
 
 
 def needed_here(requirement: Requirement, extra: str) -> bool:
-    """Say whether a requirement holds on the machines that we support: this one, and a Raspberry Pi."""
+    """Whether a requirement applies to this machine or to a Raspberry Pi (aarch64)."""
     marker = requirement.marker
     return marker is None or marker.evaluate({"extra": extra}) or marker.evaluate({"extra": extra, **AARCH64})
 
 
 def closure(wanted: list[str]) -> dict[str, str]:
-    """Follow requirements to the end: canonical name -> installed version."""
+    """Transitive closure of requirements: canonical name -> installed version."""
     versions: dict[str, str] = {}
     done: set[tuple[str, str]] = set()
     todo = [(Requirement(text), extra) for text in wanted for extra in ["", *sorted(Requirement(text).extras)]]
@@ -41,7 +41,7 @@ def closure(wanted: list[str]) -> dict[str, str]:
 
 
 def lock_text(wanted: list[str]) -> str:
-    """Print one `name==version` a line, sorted."""
+    """Sorted lines `name==version`."""
     return "".join(f"{name}=={version}\n" for name, version in sorted(closure(wanted).items()))
 
 

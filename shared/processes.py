@@ -90,8 +90,11 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
-        consumes=("gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position"),
-        produces=("navigation/solution", "navigation/state", "navigation/aiding"),
+        consumes=(
+            "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
+            "navigation/filter_state",
+        ),
+        produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
     ),
     ProcessRow(
         "core.motion_conflict", Kind.STANDING, "compares the speeds of GNSS and odometer as the smart tachograph does",

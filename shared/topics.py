@@ -9,7 +9,14 @@ from functools import cached_property
 from .messages.base import Message, RawBytes
 from .messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssRaw, GnssSatellites, GnssWrite
 from .messages.imu import ImuRaw, ImuSamples
-from .messages.navigation import AidingUpdate, LastPosition, NavigationSolution, NavigationState, TruthState
+from .messages.navigation import (
+    AidingUpdate,
+    FilterState,
+    LastPosition,
+    NavigationSolution,
+    NavigationState,
+    TruthState,
+)
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
 from .messages.trust import TrustEvent, TrustMonitor, TrustState
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
@@ -25,8 +32,7 @@ class Topic:
     """One kind of message on the bus.
 
     `rate_hz` is the expected rate (None: whenever it happens), `silent_after_s` the age after which
-    the newest message is stale, `expiry_s` how long the broker keeps a retained one, and `persist`
-    says that the newest message outlives a power-off.
+    the newest message is stale, and `persist` says that the newest message outlives a power-off.
     """
 
     name: str
@@ -36,7 +42,6 @@ class Topic:
     silent_after_s: float | None = None
     qos: int = 0
     retain: bool = False
-    expiry_s: int | None = None
     persist: bool = False
 
     @cached_property
@@ -56,7 +61,7 @@ class Topic:
 
     @cached_property
     def is_raw(self) -> bool:
-        """Whether the payload is what a device sent, and the rest of the message user properties."""
+        """Whether the message holds bytes of a device as they are."""
         return issubclass(self.message, RawBytes)
 
 
@@ -74,13 +79,15 @@ TOPICS = (
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
     Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to", qos=1),
     Topic("mode/state", ModeState, "what the unit is doing",
-          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("navigation/last_position", LastPosition, "where the vehicle was last known to be",
           qos=1, retain=True, persist=True),
     Topic("navigation/solution", NavigationSolution, "where the vehicle is, with covariance",
           rate_hz=10.0, silent_after_s=2.0),
     Topic("navigation/state", NavigationState, "what the navigation filter is doing and why",
-          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True, expiry_s=30),
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("navigation/filter_state", FilterState, "state and covariance of the filter, for its next process",
+          qos=1, retain=True),
     Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it"),
     Topic("trust/monitor", TrustMonitor, "result of one integrity monitor", rate_hz=1.0, silent_after_s=5.0),
     Topic("trust/state", TrustState, "whether the position can be used, and why",
@@ -90,9 +97,9 @@ TOPICS = (
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("outage/event", Outage, "begin and end of an outage, with its root cause", qos=1),
     Topic("recording/state", RecordingState, "what is being recorded",
-          rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True, expiry_s=30),
+          rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
-          rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True, expiry_s=10),
+          rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
     Topic("truth/state", TruthState, "where the simulated vehicle really is", rate_hz=10.0, silent_after_s=5.0),
     Topic("health/+", ProcessHealth, "birth, heartbeat, farewell and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),

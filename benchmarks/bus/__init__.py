@@ -1,1 +1,1 @@
-"""The bus beside the same thing in C: one hop, three hops, and what the whole unit costs."""
+"""What the whole unit costs on its bus, and how long an inertial sample takes from the driver to the solution."""

@@ -4,7 +4,7 @@
  *   hop relay PORT USER FROM TO                     passes each payload on
  *   hop sub   PORT USER TOPIC COUNT                 prints the age of each payload in nanoseconds
  *
- * It does the least that a program on the bus can do: MQTT 5, QoS 0, TCP_NODELAY, no thread, no decoding.
+ * It does the least that a program on the bus can do: MQTT 3.1.1, QoS 0, TCP_NODELAY, no thread, no decoding.
  */
 #define _GNU_SOURCE
 #include <mosquitto.h>
@@ -95,7 +95,7 @@ static struct mosquitto *join(const char *port, const char *user, const char *to
     struct mosquitto *client = mosquitto_new(NULL, 1, NULL);
     int code;
     subscription = topic;
-    mosquitto_int_option(client, MOSQ_OPT_PROTOCOL_VERSION, MQTT_PROTOCOL_V5);
+    mosquitto_int_option(client, MOSQ_OPT_PROTOCOL_VERSION, MQTT_PROTOCOL_V311);
     mosquitto_int_option(client, MOSQ_OPT_TCP_NODELAY, 1);
     mosquitto_username_pw_set(client, user, NULL);
     mosquitto_connect_callback_set(client, on_connect);

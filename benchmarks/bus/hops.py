@@ -1,8 +1,6 @@
-"""Ages of messages over one hop and three hops, in C and in ours, on one broker."""
+"""Ages of messages over three hops in C, on the broker of the unit that is measured."""
 
-import os
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,7 +10,6 @@ import numpy as np
 
 HERE = Path(__file__).parent
 HOP = HERE / "build" / "hop"
-RATE_HZ = 400
 PAYLOAD_BYTES = 300
 SETTLING = 100  # first messages that are not counted: buffers and caches are cold
 START_S = 20.0
@@ -41,14 +38,6 @@ class Ages:
         return cls(round(p50, 4), round(p99, 4), sum(r.messages for r in rounds))
 
 
-def one_hop_c(port: int, seconds: float) -> Ages:
-    """Measure a C publisher and a C subscriber."""
-    count = round(RATE_HZ * seconds) + SETTLING
-    with _subscriber([str(HOP), "sub", str(port), "parsers.imu", RAW, str(count)]) as subscriber:
-        _publish_c(port, RATE_HZ, count)
-        return _ages(subscriber)
-
-
 def three_hops_c(port: int, rate_hz: float, seconds: float) -> Ages:
     """Measure C along the way of an inertial sample: driver, parser, fusion, listener."""
     count = round(rate_hz * seconds) + SETTLING
@@ -68,26 +57,14 @@ def three_hops_c(port: int, rate_hz: float, seconds: float) -> Ages:
             relay.communicate()
 
 
-def one_hop_ours(port: int, folder: Path, seconds: float) -> Ages:
-    """Measure our bus: stamp, encode, send; receive, decode."""
-    count = round(RATE_HZ * seconds) + SETTLING
-    environment = {**os.environ, "OBU_BROKER": f"mqtt://127.0.0.1:{port}", "OBU_STATE": str(folder)}
-    party = [sys.executable, "-m", "benchmarks.bus.party"]
-    with _subscriber([*party, "sub", str(count)], environment) as subscriber:
-        subprocess.run([*party, "pub", str(RATE_HZ), str(count), str(PAYLOAD_BYTES)], env=environment, check=True)
-        return _ages(subscriber)
-
-
 def _publish_c(port: int, rate_hz: float, count: int) -> None:
     numbers = (str(rate_hz), str(count), str(PAYLOAD_BYTES))
     subprocess.run([HOP, "pub", str(port), "sensors.imu", RAW, *numbers], check=True)
 
 
 @contextmanager
-def _subscriber(
-    command: Sequence[str], environment: dict[str, str] | None = None
-) -> Iterator["subprocess.Popen[bytes]"]:
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
+def _subscriber(command: Sequence[str]) -> Iterator["subprocess.Popen[bytes]"]:
+    process = subprocess.Popen(command, stdout=subprocess.PIPE)
     try:
         _await_ready(process)
         yield process

@@ -121,7 +121,7 @@ def running_unit(folder: Path) -> Iterator[tuple[Supervisor, int]]:
         "OBU_VEHICLE": str(path), "OBU_BROKER": f"mqtt://127.0.0.1:{port}", "OBU_STATE": str(folder)
     }  # fmt: skip
     supervisor = unit(parse_vehicle(VEHICLE), environment, folder / "logs")
-    supervisor.add("sensors.simulator", [sys.executable, "-m", "benchmarks.bus.party", "drive"])
+    supervisor.add("sensors.simulator", [sys.executable, "-m", "benchmarks.bus.party"])
     supervisor.add("broker", broker_command(folder, port, "mosquitto"))
     supervisor.watch()
     for name in COLD:

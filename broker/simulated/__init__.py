@@ -1,11 +1,8 @@
-"""A small MQTT 5 broker for a first run without Mosquitto, and for tests; never for a vehicle.
+"""A small MQTT 3.1.1 broker for a first run without Mosquitto, and for tests; never for a vehicle.
 
-QoS 0 and 1, retained messages, message and session expiry, wills, keep-alive, take-over, user
-properties, + and #, no-local, retain handling, an access list. Simpler than the specification allows,
-and said so to the client: no QoS 2, no topic aliases, no subscription identifiers, no shared
-subscriptions, no authentication. A will is sent at once: its delay is not waited for. Sessions are
-kept in memory, for an hour at most. Where several filters of a client take a message, it comes once,
-with the highest QoS of them.
+QoS 0 and 1, retained messages, wills, keep-alive, session take-over, + and #, an access list, bounded queues.
+Simpler than the specification allows: no QoS 2, and no session that outlives its connection (CONNACK says so).
+Where several filters of a client take a message, it comes once, with the highest QoS of them.
 """
 
 from .acl import Acl, AclError, parse

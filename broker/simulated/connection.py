@@ -5,31 +5,26 @@ import logging
 import socket
 from typing import cast
 
-from shared.bus.mqtt.framing import Framer
-from shared.bus.mqtt.packets import (
+from .broker import Broker
+from .packets import (
     PINGRESP,
     Acknowledge,
+    Answer,
     Connect,
     Disconnect,
+    Framer,
     Kind,
     Packet,
     Ping,
+    ProtocolError,
     Publish,
     Subscribe,
     Unsubscribe,
-    UnsupportedVersion,
     decode,
+    encode_acknowledgement,
     encode_connack,
-    encode_disconnect,
-    encode_puback,
-    encode_refusal,
-    encode_suback,
 )
-from shared.bus.mqtt.properties import Properties, Property
-from shared.bus.mqtt.wire import ProtocolError, Reason
-
-from .broker import Broker
-from .session import Delivery, Session
+from .session import Session
 
 log = logging.getLogger(__name__)
 UNSENT_BYTES = 262_144  # beyond it, messages wait in the session's bounded queue
@@ -74,14 +69,12 @@ class Connection(asyncio.Protocol):
                     self._greet(packet)
                 else:
                     self._handle(packet, self._session)
-        except UnsupportedVersion as refused:
-            self._broker.tally.note("refused version", f"MQTT protocol level {refused.level}, wants 5")
-            self.write(encode_refusal(refused.level))
-            self._close(will=False)
         except ProtocolError as refused:
             who = self._session.client_id if self._session else "a newcomer"
             self._broker.tally.note("protocol error", f"{who}: {refused}")
-            self.end(refused.reason)
+            if refused.answer is not None and self._session is None:
+                self.write(encode_connack(refused.answer))
+            self.end()
 
     def pause_writing(self) -> None:
         """Note that the client reads slower than it is written to."""
@@ -91,12 +84,12 @@ class Connection(asyncio.Protocol):
         """Send what waited while the client was slow."""
         self.writable = True
         self._unread_bytes = 0
-        if self._session is not None and self._session.writer is self:
-            self._session.pump(self._broker.now_s())
+        if self._session is not None:
+            self._session.pump()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End with the will: the client took no leave."""
-        self._close(will=True)
+        self.end()
         self._connections.discard(self)
 
     def write(self, frame: bytes) -> None:
@@ -118,7 +111,7 @@ class Connection(asyncio.Protocol):
             self._broker.tally.note(
                 "unread", f"{self._session.client_id if self._session else 'a newcomer'} does not read"
             )
-            self._close(will=True)
+            self.end()
             self.abort()
 
     def _flush(self) -> None:
@@ -126,90 +119,64 @@ class Connection(asyncio.Protocol):
         if frames and not self._transport.is_closing():
             self._transport.write(b"".join(frames))
 
-    def end(self, reason: Reason, *, will: bool = True) -> None:
-        """Close the connection, with a farewell that says why."""
-        if not self._ended:
-            self.write(encode_disconnect(reason) if self._session else encode_connack(reason))
-        self._close(will=will)
-
-    def abort(self) -> None:
-        """Close without waiting for what is unsent."""
-        self._transport.abort()
-
-    def _close(self, *, will: bool) -> None:
+    def end(self, *, will: bool = True) -> None:
+        """Close the connection when what is unsent was sent; the client gets a second to read it."""
         if self._ended:
             return
         self._ended = True
         if self._timer is not None:
             self._timer.cancel()
         self._flush()
-        self._loop.call_later(1.0, self.abort)  # for one who does not read the farewell
+        self._loop.call_later(1.0, self.abort)
         self._transport.close()
         if self._session is not None:
             self._broker.leave(self._session, will=will)
+
+    def abort(self) -> None:
+        """Close without waiting for what is unsent."""
+        self._transport.abort()
 
     def _watch(self) -> None:
         """End a connection that has been silent for too long; looks once per period, not once per packet."""
         silent_s = self._loop.time() - self._heard_s
         if silent_s >= self._silent_after_s:
             self._broker.tally.note("silent", self._session.client_id if self._session else "a newcomer")
-            self.end(Reason.KEEP_ALIVE_TIMEOUT)
+            self.end()
         else:
             self._timer = self._loop.call_later(self._silent_after_s - silent_s, self._watch)
 
     def _handle(self, packet: Packet, session: Session) -> None:
         match packet:
             case Publish():
-                reason = self._broker.receive(packet, session)
+                self._broker.receive(packet, session)
                 if packet.qos:
-                    self._answer(encode_puback(packet.packet_id, reason))
+                    self._answer(encode_acknowledgement(Kind.PUBACK, packet.packet_id))
             case Acknowledge():
-                session.acknowledge(packet.packet_id, self._broker.now_s())
+                session.acknowledge(packet.packet_id)
             case Ping():
                 self._answer(PINGRESP)
             case Subscribe():
-                self._subscribe(packet, session)
+                granted, kept = self._broker.subscribe(packet, session)
+                self._answer(encode_acknowledgement(Kind.SUBACK, packet.packet_id, granted))
+                for message in kept:
+                    session.send(message)
             case Unsubscribe():
-                self._answer(encode_suback(Kind.UNSUBACK, packet.packet_id, self._broker.unsubscribe(packet, session)))
+                self._broker.unsubscribe(packet, session)
+                self._answer(encode_acknowledgement(Kind.UNSUBACK, packet.packet_id))
             case Disconnect():
-                self._take_leave(packet, session)
+                log.info("client %s disconnected", session.client_id)
+                self.end(will=False)
             case Connect():
-                raise ProtocolError(Reason.PROTOCOL_ERROR, "a second CONNECT")
+                raise ProtocolError("a second CONNECT")
 
     def _greet(self, request: Packet) -> None:
         if not isinstance(request, Connect):
-            raise ProtocolError(Reason.PROTOCOL_ERROR, "the first packet is not CONNECT")
-        limits = self._broker.limits
-        session, present = self._broker.connect(request, self)
-        numbers = {
-            Property.MAXIMUM_QOS: 1,
-            Property.MAXIMUM_PACKET_SIZE: limits.packet_bytes,
-            Property.SUBSCRIPTION_IDENTIFIER_AVAILABLE: 0,
-            Property.SHARED_AVAILABLE: 0,
-        }
-        if request.properties.numbers.get(Property.SESSION_EXPIRY_S, 0) != session.expiry_s:
-            numbers[Property.SESSION_EXPIRY_S] = session.expiry_s
-        texts = {} if request.client_id else {Property.ASSIGNED_CLIENT_ID: session.client_id}
-        self.write(encode_connack(Reason.SUCCESS, session_present=present, properties=Properties(numbers, texts)))
-        self._session = session
+            raise ProtocolError("the first packet is not CONNECT")
+        self._session = self._broker.connect(request, self)
+        self.write(encode_connack(Answer.ACCEPTED))
         if self._timer is not None:
             self._timer.cancel()
         if request.keep_alive_s:
             self._silent_after_s = 1.5 * request.keep_alive_s
             self._watch()
-        log.info("client %s connected as %s", session.client_id, session.user)
-        session.resume(self._broker.now_s())
-
-    def _subscribe(self, request: Subscribe, session: Session) -> None:
-        reasons, kept = self._broker.subscribe(request, session)
-        self._answer(encode_suback(Kind.SUBACK, request.packet_id, reasons))
-        for message, deadline_s, _ in kept:
-            session.send(Delivery(message, deadline_s), self._broker.now_s())
-
-    def _take_leave(self, packet: Disconnect, session: Session) -> None:
-        expiry_s = packet.properties.numbers.get(Property.SESSION_EXPIRY_S, session.expiry_s)
-        if expiry_s and not session.expiry_s:
-            raise ProtocolError(Reason.PROTOCOL_ERROR, "a session that was to end with the connection")
-        session.expiry_s = min(expiry_s, self._broker.limits.session_expiry_s)
-        log.info("client %s took leave with reason %#x", session.client_id, packet.reason)
-        self._close(will=packet.reason != Reason.SUCCESS)
+        log.info("client %s connected as %s", self._session.client_id, self._session.user)

@@ -1,15 +1,11 @@
 """Listens for clients and ends on request."""
 
 import asyncio
-import contextlib
-
-from shared.bus.mqtt.wire import Reason
 
 from .broker import Broker
 from .connection import Connection
 
-SWEEP_PERIOD_S = 1.0
-FAREWELL_S = 0.05  # for clients to read why the connection ends
+FLUSH_S = 0.05  # for what was written to reach the clients
 
 
 class Server:
@@ -34,20 +30,17 @@ class Server:
         self._stopping.set()
 
     async def serve(self) -> None:
-        """Sweep once a second until told to stop, then bid every client farewell; no wills, as Mosquitto."""
+        """Serve until told to stop, then end every connection; no wills, as Mosquitto."""
         try:
-            while not self._stopping.is_set():
-                self.broker.sweep()
-                with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._stopping.wait(), SWEEP_PERIOD_S)
+            await self._stopping.wait()
         finally:
             await self._close()
 
     async def _close(self) -> None:
         self._server.close()
         for connection in tuple(self._connections):
-            connection.end(Reason.SERVER_SHUTTING_DOWN, will=False)
-        await asyncio.sleep(FAREWELL_S)
+            connection.end(will=False)
+        await asyncio.sleep(FLUSH_S)
         for connection in tuple(self._connections):
             connection.abort()
         await asyncio.sleep(0)  # an aborted transport reports it in the next round of the loop

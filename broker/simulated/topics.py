@@ -1,4 +1,4 @@
-"""Topic names and filters (OASIS MQTT 5.0, section 4.7)."""
+"""Topic names and filters (OASIS MQTT 3.1.1, section 4.7)."""
 
 MOST_LEVELS = 200  # as Mosquitto: matching takes time with each level
 

@@ -1,1 +1,1 @@
-"""CSV files of a drive become typed messages: the mapping says how, and nothing here touches a file."""
+"""Converts files of a drive to typed messages as defined by a mapping."""

@@ -1,4 +1,4 @@
-"""A clock that has nothing to do with the others is put onto them by what both files saw: the speed."""
+"""Estimates the offset of an independent clock by correlating the speeds of two files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,44 +11,44 @@ from shared.messages.gnss import GnssFix
 from shared.messages.vehicle import VehicleSpeed
 
 COARSE_S, FINE_S = 0.2, 0.005
-LONGEST_STEP_S = 2.0  # between fixes whose distance says something of the speed
-LEAST_OVERLAP = 0.5  # of the shorter of the two
-SMALLEST_SPREAD_M_S = 0.5  # a speed that hardly changes fits everywhere
+LONGEST_STEP_S = 2.0  # longest time between two fixes whose distance gives a speed
+LEAST_OVERLAP = 0.5  # fraction of the shorter series
+SMALLEST_SPREAD_M_S = 0.5  # standard deviation of the speed below which the offset is not observable
 
 
 @dataclass(frozen=True)
 class Offset:
-    """What to add to a clock, and how well the speeds then agree."""
+    """Offset to add to a clock, and the RMS difference of the speeds with it."""
 
     seconds: float
     rms_m_s: float
 
 
 def offset_of(speeds: Sequence[VehicleSpeed], fixes: Sequence[GnssFix]) -> Offset:
-    """Find the offset of a clock at which its speeds agree best with those of the fixes.
+    """Estimate the clock offset at which the speeds agree best with those of the fixes.
 
     Parameters
     ----------
     speeds : sequence of VehicleSpeed
-        Stamped by the clock in question.
+        Stamped by the clock whose offset is estimated.
     fixes : sequence of GnssFix
-        Stamped by the clock that counts.
+        Stamped by the reference clock.
 
     Returns
     -------
     Offset
-        The smallest root mean square difference over all shifts in which at least half of the shorter series lies in
-        the other: first in steps of 0.2 s, then of 5 ms.
+        The offset of the least root mean square difference, over all offsets at which at least half of the shorter
+        series overlaps the other: first in steps of 0.2 s, then of 5 ms.
 
     Raises
     ------
     UserError
-        One of the two says too little.
+        One of the speeds is known too rarely or is nearly constant.
     """
     time, speed = _arrays([s.sampled_ns for s in speeds], [abs(s.speed_m_s) for s in speeds])
     true_time, true_speed = _speeds_of(fixes)
     if len(time) < 2 or len(true_time) < 2 or min(np.std(speed), np.std(true_speed)) < SMALLEST_SPREAD_M_S:
-        raise UserError("the clocks cannot be put together by the speed, which is known too seldom or hardly changes")
+        raise UserError("the clocks cannot be aligned by the speed: it is known too rarely or nearly constant")
     start = true_time[0] - time[0]
     span, true_span = time[-1] - time[0], true_time[-1] - true_time[0]
     shifts = start + np.arange(-span, true_span, COARSE_S)
@@ -68,7 +68,7 @@ def offset_of(speeds: Sequence[VehicleSpeed], fixes: Sequence[GnssFix]) -> Offse
 
 
 def shifted(speeds: Sequence[VehicleSpeed], seconds: float) -> list[VehicleSpeed]:
-    """Give the same speeds by another clock."""
+    """Copy the speeds with their stamps shifted."""
     step_ns = round(seconds * 1e9)
     return [
         speed.model_copy(update={"sampled_ns": speed.sampled_ns + step_ns, "received_ns": speed.received_ns + step_ns})
@@ -81,18 +81,18 @@ def _arrays(stamps_ns: Sequence[int], values: Sequence[float]) -> tuple[FloatArr
 
 
 def _speeds_of(fixes: Sequence[GnssFix]) -> tuple[FloatArray, FloatArray]:
-    """Speed over ground [m/s] with its time [s]: as told, or between successive positions."""
-    told = [(f.sampled_ns, np.hypot(*f.velocity_ned_m_s[:2])) for f in fixes if f.velocity_ned_m_s is not None]
-    if told:
-        return _arrays([stamp for stamp, _ in told], [speed for _, speed in told])
+    """Time [s] and speed over ground [m/s]: measured, otherwise from successive positions."""
+    measured = [(f.sampled_ns, np.hypot(*f.velocity_ned_m_s[:2])) for f in fixes if f.velocity_ned_m_s is not None]
+    if measured:
+        return _arrays([stamp for stamp, _ in measured], [speed for _, speed in measured])
     places = np.array([[f.latitude_deg, f.longitude_deg, 0.0] for f in fixes], dtype=float).reshape(-1, 3)
     places[:, :2] = np.radians(places[:, :2])
     stamps = np.array([f.sampled_ns for f in fixes], dtype=float) * 1e-9
     if len(fixes) < 2:
         return stamps, stamps
-    way = np.hypot(*np.diff(ned_track(places, Geodetic(*places[0].tolist()))[:, :2], axis=0).T)
+    distance = np.hypot(*np.diff(ned_track(places, Geodetic(*places[0].tolist()))[:, :2], axis=0).T)
     steps = np.diff(stamps)
     near = steps < LONGEST_STEP_S
     middle: FloatArray = 0.5 * (stamps[1:] + stamps[:-1])
-    speed: FloatArray = way / steps
+    speed: FloatArray = distance / steps
     return middle[near], speed[near]

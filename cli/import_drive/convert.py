@@ -1,4 +1,4 @@
-"""The table of a file becomes messages: SI units, body axes, stamps on one time line."""
+"""Converts the table of a file to messages: SI units, body axes, stamps on one time line."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,8 +22,8 @@ from .stamps import Stamps, stamped
 from .table import Table
 from .truth import true_states
 
-MAXIMUM_IMU_MESSAGES_HZ = 100.0  # faster sensors travel in batches, as they do on the bus
-GRAVITY_SEEN_M_S2 = (7.0, 13.0)  # what the specific force of a vehicle comes to, whatever it does most of the time
+MAXIMUM_IMU_MESSAGES_HZ = 100.0  # samples at higher rates are batched, as on the bus
+GRAVITY_RANGE_M_S2 = (7.0, 13.0)  # plausible median magnitude of a vehicle's specific force
 SCALARS = ("column", "arrival_column", "satellites_used", "front_left", "front_right", "rear_left", "rear_right",
            "hdop", "vdop")  # fmt: skip
 Imported: TypeAlias = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds | TruthState
@@ -31,7 +31,7 @@ Imported: TypeAlias = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds | TruthS
 
 @dataclass(frozen=True)
 class Converted:
-    """The messages of one file, in the order of their arrival, and what became of its rows."""
+    """The messages of one file in the order of arrival, and the numbers of read and rejected rows."""
 
     messages: Sequence[Imported]
     rows: int
@@ -39,7 +39,7 @@ class Converted:
 
 
 def wanted_columns(spec: TableFile) -> list[str]:
-    """List every column that a table of the mapping names."""
+    """All columns used by a table of the mapping."""
     return list(dict.fromkeys(_columns(spec.model_dump(exclude_none=True))))
 
 
@@ -54,7 +54,7 @@ def _columns(document: dict[str, object]) -> Iterator[str]:
 
 
 def convert(spec: TableFile, table: Table, *, start_s: float = 0.0) -> Converted:
-    """Turn the rows of one file into messages.
+    """Convert the rows of one file to messages.
 
     Parameters
     ----------
@@ -63,13 +63,13 @@ def convert(spec: TableFile, table: Table, *, start_s: float = 0.0) -> Converted
     table : Table
         Its columns.
     start_s : float
-        [s] Unix time at which the clock of the file shows zero.
+        [s] Unix time of zero of the file's clock.
 
     Returns
     -------
     Converted
-        Rows that say nothing (repeated, of no listed quality, not later than the row before) are left
-        out and counted.
+        Rows without information (repeated, of an unlisted quality, not later than the previous row) are
+        omitted and counted.
     """
     rows = len(table) + table.rejects.total()
     table = _changes(spec, table)
@@ -80,11 +80,11 @@ def convert(spec: TableFile, table: Table, *, start_s: float = 0.0) -> Converted
 
 
 def _changes(spec: TableFile, table: Table) -> Table:
-    """Leave out rows that repeat the one before in every column that is watched."""
+    """Omit rows that equal the previous row in all columns of `only_changes_of`."""
     if not spec.only_changes_of:
         return table
     watched = table.many(spec.only_changes_of)
-    # The first row may repeat a value from before the file began: its age is unknown.
+    # The first row is omitted: its value may be older than the file, so its time is unknown.
     return table.keep(np.r_[False, np.any(np.diff(watched, axis=0) != 0.0, axis=1)], "unchanged")
 
 
@@ -126,7 +126,7 @@ def _imu(spec: Imu, table: Table, sampled: Stamps, received: Stamps) -> Iterator
 def _means(
     spec: Force | Rate, means: Mapping[str, float], increments: Mapping[str, float], table: Table, sampled: Stamps
 ) -> FloatArray:
-    """Mean over each sample, shape (rows, 3): what the sensor says, or its increment over the length of the sample."""
+    """Mean over each sample, shape (rows, 3): the measured value, or the increment divided by the sample interval."""
     values = table.many(spec.columns)
     if spec.unit in means:
         return values * means[spec.unit]
@@ -134,9 +134,9 @@ def _means(
 
 
 def _lengths_s(sampled: Stamps) -> FloatArray:
-    """How long each sample lasted; after lost ones, and for the first, as long as they usually do."""
+    """Interval of each sample [s]; for the first, and after lost samples, the median interval."""
     if len(sampled) < 2:
-        raise UserError("one inertial sample alone has no length, so that its increments say nothing; add rows")
+        raise UserError("the interval of a single inertial sample is unknown, so increments are unusable; add rows")
     steps = np.diff(sampled) * 1e-9
     usual = float(np.median(steps))
     lengths: FloatArray = np.r_[usual, np.where(steps > 1.5 * usual, usual, steps)]
@@ -144,18 +144,18 @@ def _lengths_s(sampled: Stamps) -> FloatArray:
 
 
 def _check_gravity(spec: Imu, force: FloatArray) -> None:
-    """Refuse a unit that cannot be: gravity is in every specific force, and the same everywhere."""
-    least, most = GRAVITY_SEEN_M_S2
+    """Raise UserError for an implausible unit: the median specific force must be close to gravity."""
+    least, most = GRAVITY_RANGE_M_S2
     found = float(np.median(np.linalg.norm(force, axis=1)))
     if not least < found < most:
         raise UserError(
-            f"{spec.file}: specific forces of {found:.3g} m/s2 (median) cannot be, where gravity alone is 9.8; check "
+            f"{spec.file}: a median specific force of {found:.3g} m/s2 is implausible (gravity is 9.8); check "
             f"the unit {spec.specific_force.unit!r} (means: {', '.join(units.FORCE)}; increments: m/s)"
         )
 
 
 def _batch(sampled: Stamps) -> int:
-    """How many samples one message holds."""
+    """Number of samples per message."""
     if len(sampled) < 2:
         return 1
     return max(1, round(1e9 / float(np.median(np.diff(sampled))) / MAXIMUM_IMU_MESSAGES_HZ))
@@ -178,7 +178,7 @@ def _speeds(spec: Speed, table: Table, sampled: Stamps, received: Stamps) -> Ite
 
 
 def _made_speeds(spec: Speed, velocity: Velocity, table: Table) -> list[float]:
-    """Length of the velocity of a reference [m/s], with white noise."""
+    """Speed [m/s] computed from the velocity of a reference, with added white noise."""
     exact = np.linalg.norm(table.many(velocity.columns) * units.SPEED[velocity.unit], axis=1)
     noise = np.random.default_rng(spec.noise_seed).normal(0.0, spec.noise_sd_m_s, len(exact))
     speeds: list[float] = (exact + noise).tolist()

@@ -1,4 +1,4 @@
-"""Rows of a GNSS receiver become fixes."""
+"""Converts rows of a GNSS receiver to fixes."""
 
 from collections.abc import Iterator
 
@@ -21,9 +21,9 @@ QUALITIES = {
 
 
 def usable_fixes(spec: Gnss, table: Table) -> Table:
-    """Leave out impossible positions and qualities that the mapping does not list."""
+    """Omit rows with an invalid position or a quality that the mapping does not list."""
     latitude, longitude = degrees_of(spec.latitude, table), degrees_of(spec.longitude, table)
-    table = table.keep((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0), "off the Earth")
+    table = table.keep((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0), "invalid position")
     if isinstance(spec.quality, Quality):
         listed = [float(number) for number in spec.quality.values]
         table = table.keep(np.isin(table[spec.quality.column], listed), "quality not listed")
@@ -31,7 +31,7 @@ def usable_fixes(spec: Gnss, table: Table) -> Table:
 
 
 def fixes(spec: Gnss, table: Table, sampled: Stamps, received: Stamps) -> Iterator[GnssFix]:
-    """Give one fix a row."""
+    """Yield one fix per row."""
     latitude, longitude = degrees_of(spec.latitude, table).tolist(), degrees_of(spec.longitude, table).tolist()
     ellipsoid, msl = heights(spec.height, table)
     velocity = _velocity(spec.velocity, table) if spec.velocity else None

@@ -1,4 +1,4 @@
-"""`obu import`: a folder of tables (CSV, text, NumPy arrays) becomes a recording of typed messages."""
+"""`obu import`: converts a folder of tables (CSV, text, NumPy arrays) to a recording of typed messages."""
 
 import csv
 import hashlib
@@ -21,9 +21,9 @@ from rich.progress import Progress
 from rich.table import Table as Printed
 
 from shared.bus.bus import Envelope
-from shared.bus.codec import encode, topic_name
+from shared.bus.codec import encode, signed, topic_name
 from shared.errors import UserError
-from shared.messages.base import Message
+from shared.messages.base import Message, Sender
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
@@ -41,14 +41,14 @@ from .table import Table, arrays_table, read_table
 
 
 def import_drive(
-    mapping: Annotated[Path, typer.Argument(help="TOML file that says what the columns mean.")],
-    folder: Annotated[Path, typer.Argument(help="Folder with the files that the mapping names.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write.")] = Path("drive.mcap"),
+    mapping: Annotated[Path, typer.Argument(help="TOML file that defines the meaning of the columns.")],
+    folder: Annotated[Path, typer.Argument(help="Folder with the files named in the mapping.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Output recording.")] = Path("drive.mcap"),
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the one the mapping names.")
+        Path | None, typer.Option("--vehicle", help="Vehicle TOML file; default: the one named in the mapping.")
     ] = None,
 ) -> int:
-    """Turn a folder of files (IMU, GNSS, speed, truth; CSV, text or .npz) into a recording.
+    """Convert a folder of files (IMU, GNSS, speed, truth; CSV, text or .npz) to a recording.
 
     Example: [bold]obu import benchmarks/recordings/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
     """
@@ -58,9 +58,9 @@ def import_drive(
     tables = [table for table in spec.files() if not table.optional or (folder / table.file).is_file()]
     for table in tables:
         if not (folder / table.file).is_file():
-            raise UserError(f"{folder} holds no file {table.file!r}; give the folder that holds it, or mend {mapping}")
+            raise UserError(f"{folder} holds no file {table.file!r}; give the folder that holds it, or edit {mapping}")
     if output.exists():
-        raise UserError(f"{output} exists already; name another file with --output, or remove it")
+        raise UserError(f"{output} already exists; choose another file with --output, or remove it")
     console = Console(stderr=True)
     with progress_on(console) as progress:
         parts = _on_one_clock(tables, [_read(table, folder, spec.start_utc_s, progress) for table in tables])
@@ -73,16 +73,16 @@ def import_drive(
 
 @dataclass(frozen=True)
 class Part:
-    """One file of the drive and what became of it."""
+    """One converted file of the drive."""
 
     name: str
     sha256: str
     converted: Converted
-    clock: str = ""  # how it was put onto that of the others, where it had to be
+    clock: str = ""  # description of the clock alignment, if one was made
 
 
 def _on_one_clock(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
-    """Shift the speeds whose clock has nothing to do with the others."""
+    """Align the speeds of independent clocks with the fixes."""
     fixes = [message for part in parts for message in part.converted.messages if isinstance(message, GnssFix)]
     return [
         _shifted(part, fixes) if isinstance(table, Speed) and table.clock_by_speed else part
@@ -94,8 +94,8 @@ def _shifted(part: Part, fixes: Sequence[GnssFix]) -> Part:
     speeds = [message for message in part.converted.messages if isinstance(message, VehicleSpeed)]
     offset = offset_of(speeds, fixes)
     clock = (
-        f"The clock of {part.name} was put {offset.seconds:+.3f} s further, where its speed agrees best with that of "
-        f"the fixes: to {offset.rms_m_s:.3f} m/s (RMS)."
+        f"The clock of {part.name} was shifted by {offset.seconds:+.3f} s, estimated from the speeds of both files: "
+        f"they agree to {offset.rms_m_s:.3f} m/s (RMS)."
     )
     return replace(part, converted=replace(part.converted, messages=shifted(speeds, offset.seconds)), clock=clock)
 
@@ -104,14 +104,14 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise UserError(
             f"cannot read the mapping {path}: {reason}; see benchmarks/recordings/mappings/ for examples"
         ) from error
 
 
 def _vehicle(spec: Mapping, mapping: Path, vehicle: Path | None) -> VehicleFile:
-    """Read the vehicle's file, which goes into the recording."""
+    """Read the vehicle file, which is stored in the recording."""
     if vehicle is not None:
         return load_vehicle(vehicle)
     if spec.vehicle_file is not None:
@@ -146,18 +146,20 @@ def _arrays(data: bytes, name: str) -> dict[str, npt.NDArray[np.generic]]:
         with np.lib.npyio.NpzFile(BytesIO(data), allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files}
     except (OSError, ValueError, EOFError, BadZipFile, zlib.error) as error:
-        raise UserError(f"{name} is no archive of NumPy arrays ({error}); write it with numpy.savez") from error
+        raise UserError(f"{name} is not an archive of NumPy arrays ({error}); write it with numpy.savez") from error
 
 
 def _table(spec: TableFile, lines: Iterator[str]) -> Table:
     skipped = islice(lines, spec.skip_rows, None)
     rows = _rows(spec, skipped)
     try:
-        # A byte order mark, as spreadsheets write it, is no part of the first name.
+        # Spreadsheets write a byte order mark, which is not part of the first name.
         header = list(spec.header) or [name.strip().lstrip("\ufeff") for name in next(rows, [])]
         return read_table(rows, header, wanted_columns(spec), spec.file)
     except csv.Error as error:
-        raise UserError(f"{spec.file} is no CSV file ({error}); check `file` and `separator` in the mapping") from error
+        raise UserError(
+            f"{spec.file} is not a CSV file ({error}); check `file` and `separator` of the mapping"
+        ) from error
 
 
 def _rows(spec: TableFile, lines: Iterator[str]) -> Iterator[list[str]]:
@@ -171,7 +173,7 @@ def _arrival_ns(message: Imported) -> int:
 
 
 def _provenance(spec: Mapping, text: str, parts: list[Part]) -> dict[str, str]:
-    """Say where the messages come from, and what `obu solve` may take for the truth."""
+    """Origin of the messages, and the reference that `obu solve` uses as truth."""
     return {
         "name": spec.name,
         "mapping": text,
@@ -187,7 +189,7 @@ def _write(
 ) -> None:
     firsts = [_arrival_ns(part.converted.messages[0]) for part in parts if part.converted.messages]
     if min(firsts, default=0) < 0:
-        raise UserError("the clocks of the files begin before 1970; add `start_utc_s = 1e9` or later to the mapping")
+        raise UserError("the times of the files are before 1970; add `start_utc_s = 1e9` or later to the mapping")
     messages = heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns)
     task = progress.add_task(f"writing {output.name}", total=sum(len(part.converted.messages) for part in parts))
     draft = output.with_name(output.name + ".part")
@@ -201,7 +203,7 @@ def _write(
         writer.close()
         draft.rename(output)
     except OSError as error:
-        raise UserError(f"cannot write {output}: {error.strerror}; choose another place with --output") from error
+        raise UserError(f"cannot write {output}: {error.strerror}; choose another path with --output") from error
     finally:
         draft.unlink(missing_ok=True)  # after an error, or Ctrl-C
 
@@ -209,21 +211,21 @@ def _write(
 def _envelope(message: Imported, sequence: dict[str, int]) -> Envelope:
     name = topic_name(message)
     producer = BY_MESSAGE[type(message)].producers[0]
-    payload, properties = encode(message)
     sequence[producer] = sequence.get(producer, 0) + 1
-    return Envelope(name, payload, properties, _arrival_ns(message), producer, 0, sequence[producer])
+    sender = Sender(process=producer, incarnation=0, sequence=sequence[producer])
+    return Envelope.of(name, signed(encode(message), sender), _arrival_ns(message))
 
 
 def _print_summary(output: Path, parts: list[Part]) -> None:
     table = Printed(box=None, pad_edge=False)
-    for title in ("file", "rows", "samples", "rate", "span", "left out"):
-        table.add_column(title, justify="left" if title in ("file", "left out") else "right")
+    for title in ("file", "rows", "samples", "rate", "span", "rejected"):
+        table.add_column(title, justify="left" if title in ("file", "rejected") else "right")
     for part in parts:
         stamps = [stamp for message in part.converted.messages for stamp in _stamps(message)]
         span_s = (stamps[-1] - stamps[0]) * 1e-9 if stamps else 0.0
         rate = f"{(len(stamps) - 1) / span_s:.2f} Hz" if span_s > 0.0 else "-"
-        left_out = ", ".join(f"{count} {reason}" for reason, count in part.converted.rejects.items()) or "none"
-        table.add_row(part.name, str(part.converted.rows), str(len(stamps)), rate, f"{span_s:.1f} s", left_out)
+        rejected = ", ".join(f"{count} {reason}" for reason, count in part.converted.rejects.items()) or "none"
+        table.add_row(part.name, str(part.converted.rows), str(len(stamps)), rate, f"{span_s:.1f} s", rejected)
     console = Console()
     console.print(table)
     console.print(f"wrote {output} ({output.stat().st_size / 1e6:.1f} MB); next: obu solve {output}", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""The mapping of a drive: a TOML document that says what the columns of its files mean."""
+"""The mapping of a drive: a TOML document that defines the meaning of the columns of its files."""
 
 import difflib
 import tomllib
@@ -36,12 +36,12 @@ TrustedQuantity = Literal["position", "velocity", "attitude"]
 
 
 class Mapping(Section):
-    """All of a drive: what each file of its folder means."""
+    """The mapping of a drive: one table for each file of its folder."""
 
     name: str = Field(min_length=1, max_length=64)
-    vehicle_file: str | None = None  # from the folder of the mapping
-    start_utc_s: float = 0.0  # Unix time at which the clocks of the files show zero
-    truth_is: TruthKind = "none"  # what `obu solve` takes for the truth unless told otherwise
+    vehicle_file: str | None = None  # path relative to the folder of the mapping
+    start_utc_s: float = 0.0  # Unix time of zero of the files' clocks
+    truth_is: TruthKind = "none"  # default of the option --truth of `obu solve`
     truth_quantities: tuple[TrustedQuantity, ...] = ("position", "velocity", "attitude")
     imu: Imu | None = None
     gnss: Gnss | None = None
@@ -52,38 +52,38 @@ class Mapping(Section):
     @model_validator(mode="after")
     def _something(self) -> Self:
         if not any((self.imu, self.gnss, self.speed, self.wheels)):
-            raise ValueError("there is nothing to import: add [imu], [gnss], [speed] or [wheels]")
+            raise ValueError("nothing to import: add [imu], [gnss], [speed] or [wheels]")
         if self.truth_is == "recorded" and self.truth is None:
-            raise ValueError('truth_is = "recorded" needs a [truth] table')
+            raise ValueError('truth_is = "recorded" requires a [truth] table')
         if self.speed is not None and self.speed.clock_by_speed and self.gnss is None:
-            raise ValueError("`clock_by_speed` needs a [gnss] table")
+            raise ValueError("`clock_by_speed` requires a [gnss] table")
         if self.truth_is == "fixes" and self.gnss is None:
-            raise ValueError('truth_is = "fixes" needs a [gnss] table')
+            raise ValueError('truth_is = "fixes" requires a [gnss] table')
         return self
 
     def files(self) -> Iterator[TableFile]:
-        """Give the tables that name a file, in the order in which rows of one instant are delivered."""
+        """Yield the tables of files, in the order in which rows of equal time are delivered."""
         for table in (self.imu, self.speed, self.wheels, self.gnss, self.truth):
             if table is not None:
                 yield table
 
     def made(self) -> list[str]:
-        """Say of each table that no sensor measured how it was made."""
+        """One sentence for each table whose data are computed instead of measured."""
         return [sentence for sentence in (self.speed.made() if self.speed else None,) if sentence]
 
 
 def parse_mapping(text: str, path: str) -> Mapping:
-    """Read a mapping, or raise `UserError` with one sentence on the first thing that is wrong."""
+    """Parse a mapping; raises `UserError` with one sentence on the first fault."""
     try:
         return Mapping.model_validate(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path} is not valid TOML: {error}; mend that line") from error
+        raise UserError(f"{path} is not valid TOML: {error}; correct that line") from error
     except ValidationError as error:
         raise UserError(f"{path}: {_explain(error)}; docs/how-to/import-a-drive.md explains the keys") from error
 
 
 def _explain(error: ValidationError) -> str:
-    """Say what is wrong with one bad key, and what may have been meant; a misspelt one explains a missing one."""
+    """Describe the first fault, with a suggestion for an unknown key; unknown keys are reported before missing ones."""
     first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
     path = ".".join(str(part) for part in first["loc"]) or "mapping"
     if first["type"] == "missing":

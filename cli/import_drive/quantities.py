@@ -1,4 +1,4 @@
-"""Columns with units and axes become vectors of the messages."""
+"""Converts columns with units and axes to the vectors of messages."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ def degrees_of(spec: Coordinate, table: Table) -> FloatArray:
 
 
 def heights(spec: Height, table: Table) -> tuple[list[float] | None, list[float] | None]:
-    """Heights above the ellipsoid and above mean sea level [m]; None for what is not known."""
+    """Heights above the ellipsoid and above mean sea level [m]; None if unknown."""
     height = table[spec.column] * units.LENGTH[spec.unit]
     separation = spec.geoid_separation_m
     if spec.kind == "ellipsoid":
@@ -28,7 +28,7 @@ def heights(spec: Height, table: Table) -> tuple[list[float] | None, list[float]
 
 
 def as_ned(values: FloatArray, axes: str, *, signed: bool = True) -> FloatArray:
-    """Put columns into the order north, east, down; standard deviations (not signed) have no direction."""
+    """Reorder columns to north, east, down; `signed=False` for standard deviations."""
     ned = np.empty_like(values)
     for column, letter in enumerate(axes):
         place, sign = AXES[letter]

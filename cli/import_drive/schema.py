@@ -1,4 +1,4 @@
-"""The tables of a mapping: each says what the columns of one file mean."""
+"""The tables of a mapping: each defines the columns of one file."""
 
 from typing import Annotated, Literal, Self
 
@@ -27,10 +27,10 @@ DIRECTIONS: dict[str, Vector3] = {
 
 
 class Time(Section):
-    """When a row was sampled: a column plus an offset, or the number of the row times a period.
+    """Sampling time of a row: a column plus an offset, or the row number times a period.
 
-    With `arrival_column` the column is the device's own clock, which is put onto the clock of the arrival
-    by the smallest difference of the two; `least_latency_s` is what even the quickest row took.
+    With `arrival_column`, `column` is the device clock; its offset to the clock of the arrivals is the smallest
+    difference of the two, less the minimum latency `least_latency_s`.
     """
 
     column: str | None = None
@@ -43,34 +43,34 @@ class Time(Section):
     @model_validator(mode="after")
     def _one_clock(self) -> Self:
         if (self.column is None) == (self.period_s is None):
-            raise ValueError("time is either a `column` or `period_s` times the number of the row")
+            raise ValueError("time is either a `column` or `period_s` times the row number")
         if self.arrival_column is not None and self.column is None:
-            raise ValueError("`arrival_column` needs a `column` with the device's own clock")
+            raise ValueError("`arrival_column` requires a `column` with the device clock")
         return self
 
 
 class TableFile(Section):
-    """One file of rows; without `header` its first line after `skip_rows` names the columns.
+    """One file of rows; without `header`, the first line after `skip_rows` names the columns.
 
-    A file whose name ends in .npz holds NumPy arrays instead: `name`, or `name[0]`, `name[1]`... of one with columns.
+    A .npz file holds NumPy arrays: the columns are `name`, or `name[0]`, `name[1]`... of a two-dimensional array.
     """
 
     file: str
-    optional: bool = False  # a file that not every drive of the kind has
+    optional: bool = False  # whether the file may be missing
     separator: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
     skip_rows: int = Field(default=0, ge=0)
     header: tuple[str, ...] = ()
     source: str = Field(default="file", max_length=64)
     time: Time
-    stamps_late_s: float = 0.0  # how much later than the truth of its row a stamp is
-    latency_s: float = Field(default=0.0, ge=0.0)  # of the arrival, to be simulated
-    only_changes_of: tuple[str, ...] = ()  # keep a row only if one of these columns changed
+    stamps_late_s: float = 0.0  # delay of the stamp relative to the time of validity of its row
+    latency_s: float = Field(default=0.0, ge=0.0)  # simulated delay of the arrival
+    only_changes_of: tuple[str, ...] = ()  # a row is used only if one of these columns changed
 
 
 class Force(Section):
-    """Specific force along the sensor's x, y and z axes, or what it adds to the velocity over each sample.
+    """Specific force along the sensor's x, y and z axes, or its velocity increments (delta-v).
 
-    With `opposite` the file holds what gravity does to the sensor: at rest -1 g along the axis that points up.
+    With `opposite` the sign is reversed: -1 g at standstill along the axis that points up.
     """
 
     columns: Columns
@@ -79,14 +79,14 @@ class Force(Section):
 
 
 class Rate(Section):
-    """Angular rate about three axes, or the angle by which each sample turns."""
+    """Angular rate about three axes, or its angle increments (delta-theta)."""
 
     columns: Columns
     unit: units.RateUnit
 
 
 class Angles(Section):
-    """Roll, pitch and yaw of the body against north, east and down."""
+    """Roll, pitch and yaw of the body relative to NED."""
 
     columns: Columns
     unit: units.AngleUnit
@@ -114,7 +114,7 @@ class Coordinate(Section):
 
 
 class Height(Section):
-    """Height above the ellipsoid or above mean sea level; the separation turns the latter into the former."""
+    """Height above the ellipsoid or above mean sea level, and the geoid separation (their difference)."""
 
     column: str
     unit: units.LengthUnit = "m"
@@ -123,14 +123,14 @@ class Height(Section):
 
 
 class Ecef(Section):
-    """Cartesian position in Earth-fixed axes."""
+    """Cartesian ECEF position."""
 
     columns: Columns
     unit: units.LengthUnit = "m"
 
 
 class Velocity(Section):
-    """Velocity over ground; `axes` says what the three columns are."""
+    """Velocity over ground; `axes` defines the frame and order of the three columns."""
 
     columns: Columns
     unit: units.SpeedUnit
@@ -138,7 +138,7 @@ class Velocity(Section):
 
 
 class Accuracy(Section):
-    """One standard deviation on each axis: from columns, or the same for all rows."""
+    """Standard deviation of each axis: from columns, or constant."""
 
     columns: Columns | None = None
     axes: Literal["ned", "enu", "neu"] = "ned"
@@ -152,7 +152,7 @@ class Accuracy(Section):
 
 
 class Quality(Section):
-    """What the numbers of a column say of a fix; a row with any other number is skipped."""
+    """Fix quality by the value of a column; rows with other values are omitted."""
 
     column: str
     values: dict[str, QualityWord]
@@ -165,10 +165,10 @@ class Quality(Section):
 
 
 class Imu(TableFile):
-    """The inertial measurement unit, and how it sits in the vehicle.
+    """The inertial measurement unit and its mounting in the vehicle.
 
-    Either `axes` says where the sensor's x, y and z axes point, or `body_from_sensor` is the rotation matrix.
-    `mounting_rpy_deg` is the attitude that the sensor, so turned, still has in the vehicle.
+    Either `axes` gives the directions of the sensor's x, y and z axes, or `body_from_sensor` the rotation matrix.
+    `mounting_rpy_deg` is an additional rotation of the sensor in the vehicle.
     """
 
     source: str = "imu"
@@ -181,15 +181,15 @@ class Imu(TableFile):
     @model_validator(mode="after")
     def _rotation(self) -> Self:
         if (self.axes is None) == (self.body_from_sensor is None):
-            raise ValueError("the sensor's axes are given either by `axes` or by `body_from_sensor`")
+            raise ValueError("the sensor axes are given either by `axes` or by `body_from_sensor`")
         matrix = self._turned()
         if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) or np.linalg.det(matrix) < 0.0:
-            raise ValueError("the sensor's axes are no right-handed set; check which way each points")
+            raise ValueError("the sensor axes are not a right-handed set; check the direction of each")
         return self
 
     def matrix(self) -> FloatArray:
-        """Rotation matrix from the sensor's axes to the body's: forward, right, down."""
-        nearest, _ = polar(self._turned())  # a matrix typed to four digits is not quite a rotation
+        """Rotation matrix from sensor axes to body axes (forward, right, down)."""
+        nearest, _ = polar(self._turned())  # orthonormalises a matrix given with a few digits
         rotation: FloatArray = ned_from_body(*np.radians(self.mounting_rpy_deg)) @ nearest
         return rotation
 
@@ -208,7 +208,7 @@ class Gnss(TableFile):
     height: Height
     velocity: Velocity | None = None
     ground_speed: Scalar | None = None
-    course: Angle | None = None  # clockwise from north
+    course: Angle | None = None  # course over ground, clockwise from north
     hdop: str | None = None
     vdop: str | None = None
     position_sd: Accuracy | None = None  # [m]
@@ -219,24 +219,24 @@ class Gnss(TableFile):
     @model_validator(mode="after")
     def _earth_axes(self) -> Self:
         if self.velocity is not None and self.velocity.axes == "body":
-            raise ValueError("a receiver knows no body axes: velocity.axes is ned, enu or neu")
+            raise ValueError("velocity.axes of a receiver must be ned, enu or neu")
         if (self.ground_speed is None) != (self.course is None):
-            raise ValueError("`ground_speed` says nothing without `course`, nor the other way round")
+            raise ValueError("`ground_speed` and `course` must be given together")
         return self
 
 
 class Speed(TableFile):
-    """Speed of the vehicle as one number: from a sensor's column, or made from the velocity of a reference."""
+    """Speed of the vehicle: from a sensor's column, or computed from the velocity of a reference."""
 
     source: str = "speed"
     column: str | None = None
     unit: units.SpeedUnit | units.RateUnit = "m/s"
-    wheel_radius_m: float | None = Field(default=None, gt=0.0)  # of a wheel whose turning is the column
-    opposite: bool = False  # it is below zero while the vehicle drives forward
-    clock_by_speed: bool = False  # the file's clock is its own; where it is, the speed of the fixes says
+    wheel_radius_m: float | None = Field(default=None, gt=0.0)  # radius of the wheel if the column is its rotation rate
+    opposite: bool = False  # whether the column is negative while the vehicle drives forward
+    clock_by_speed: bool = False  # whether the clock offset of the file is estimated from the speed of the fixes
     resolution_m_s: float | None = Field(default=None, gt=0.0)
     made_from: Velocity | None = None
-    noise_sd_m_s: float = Field(default=0.0, ge=0.0)  # white, added to a speed that is made
+    noise_sd_m_s: float = Field(default=0.0, ge=0.0)  # white noise added to a computed speed
     noise_seed: int = Field(default=1, ge=0)
 
     @model_validator(mode="after")
@@ -244,25 +244,25 @@ class Speed(TableFile):
         if (self.column is None) == (self.made_from is None):
             raise ValueError("a speed is either a `column` or `made_from` the velocity of a reference")
         if (self.unit in units.RATE) != (self.wheel_radius_m is not None):
-            raise ValueError("a wheel's turning needs `wheel_radius_m`, and a speed has none")
+            raise ValueError("`wheel_radius_m` is required for a wheel's rotation rate, and not allowed for a speed")
         if self.unit not in units.RATE and self.unit not in units.SPEED:
-            raise ValueError(f"{self.unit!r} is no unit of a speed, nor of a wheel's turning")
+            raise ValueError(f"{self.unit!r} is neither a unit of speed nor of rotation rate")
         if self.column is not None and self.noise_sd_m_s:
-            raise ValueError("`noise_sd_m_s` is for a speed that is made; what a sensor measured has its own noise")
+            raise ValueError("`noise_sd_m_s` is allowed with `made_from` only: a measured speed has its own noise")
         return self
 
     def made(self) -> str | None:
-        """Say in a sentence that no sensor measured this speed, if none did."""
+        """A sentence that states how the speed was computed; None for a measured one."""
         if self.made_from is None:
             return None
         return (
-            f"The speed was measured by no sensor: it is that of the reference in {self.file} with "
+            f"The speed is not measured: it is that of the reference in {self.file} with "
             f"{self.noise_sd_m_s:g} m/s of white noise (seed {self.noise_seed})."
         )
 
 
 class Wheels(TableFile):
-    """Speed of each wheel; a wheel without a column is missing."""
+    """Speed of each wheel; wheels may be omitted."""
 
     source: str = "wheels"
     unit: units.SpeedUnit
@@ -296,5 +296,5 @@ class Truth(TableFile):
         if any(geodetic) != all(geodetic) or all(geodetic) == (self.position_ecef is not None):
             raise ValueError("the true position is `position_ecef`, or `latitude`, `longitude` and `height`")
         if self.height is not None and self.height.kind == "msl" and self.height.geoid_separation_m is None:
-            raise ValueError("a true height above sea level needs its `geoid_separation_m`")
+            raise ValueError("a true height above sea level requires `geoid_separation_m`")
         return self

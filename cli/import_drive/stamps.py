@@ -1,4 +1,4 @@
-"""When each row was true and when it arrived, on one time line."""
+"""Computes the time of validity and the arrival time of each row, on one time line."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,27 +13,27 @@ Stamps = npt.NDArray[np.int64]
 
 
 def stamped(spec: TableFile, table: Table, start_s: float) -> tuple[Table, Stamps, Stamps]:
-    """Put each row on the time line, and leave out rows that are not later than the one before.
+    """Compute the stamps of each row, and omit rows that are not later than the previous one.
 
     Parameters
     ----------
     spec : TableFile
-        Which columns are clocks, and what is known of their delays.
+        Clock columns and their delays.
     table : Table
         The columns of the file.
     start_s : float
-        [s] Unix time at which the clock of the file shows zero.
+        [s] Unix time of zero of the file's clock.
 
     Returns
     -------
     table : Table
-        The rows that are left.
+        The remaining rows.
     sampled, received : ndarray of int64, shape (rows,)
-        [ns] When each row was true, and when it arrived.
+        [ns] Time of validity and arrival time of each row.
 
     Notes
     -----
-    With an arrival column a, the device's own clock c is put onto the host's by the row that took least::
+    With an arrival column a, the device clock c is mapped to the host clock by the row with the least latency::
 
         sampled = c + min(a - c) - least_latency
     """
@@ -49,11 +49,11 @@ def stamped(spec: TableFile, table: Table, start_s: float) -> tuple[Table, Stamp
         sampled = clock + np.min(arrival - clock) - time.least_latency_s - spec.stamps_late_s
         received = np.maximum.accumulate(np.maximum(arrival, sampled)) + spec.latency_s
     later = np.r_[True, sampled[1:] > np.maximum.accumulate(sampled)[:-1]]
-    table = table.keep(later, "not later than the row before")
+    table = table.keep(later, "not later than the previous row")
     return table, _nanoseconds(sampled[later], start_s), _nanoseconds(received[later], start_s)
 
 
 def _nanoseconds(seconds: FloatArray, start_s: float) -> Stamps:
-    """Whole microseconds: what a double that counts seconds of Unix time can still tell apart."""
+    """Nanoseconds, rounded to microseconds: the resolution of Unix time in seconds as a double."""
     stamps: Stamps = (np.round(seconds * 1e6).astype(np.int64) + round(start_s * 1e6)) * 1000
     return stamps

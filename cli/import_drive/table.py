@@ -1,4 +1,4 @@
-"""Rows of text become columns of numbers; what is no number is counted and left out."""
+"""Parses rows of text to columns of numbers; rows with invalid numbers are counted and omitted."""
 
 import difflib
 import math
@@ -15,11 +15,11 @@ from shared.maths.earth import FloatArray
 
 @dataclass
 class Table:
-    """The wanted columns of a file, and how many rows were left out for which reason."""
+    """The wanted columns of a file, and the number of omitted rows by reason."""
 
     columns: tuple[str, ...]
     values: FloatArray  # shape (rows, columns)
-    row_numbers: FloatArray  # shape (rows,): of each row in its file, from 0, rejected ones counted
+    row_numbers: FloatArray  # shape (rows,): number of each row in its file, from 0, omitted rows included
     rejects: Counter[str] = field(default_factory=Counter)
 
     def __len__(self) -> int:
@@ -34,7 +34,7 @@ class Table:
         return np.column_stack([self[column] for column in columns])
 
     def keep(self, wanted: npt.NDArray[np.bool_], reason: str) -> "Table":
-        """Leave out the rows that are not wanted, and count them under a reason."""
+        """Keep the wanted rows, and count the others under a reason."""
         rejects = Counter(self.rejects)
         if dropped := int(len(wanted) - wanted.sum()):
             rejects[reason] += dropped
@@ -42,29 +42,29 @@ class Table:
 
 
 def read_table(lines: Iterable[list[str]], header: Sequence[str], wanted: Sequence[str], where: str) -> Table:
-    """Take the wanted columns out of the rows of a CSV file.
+    """Extract the wanted columns of a CSV file.
 
     Parameters
     ----------
     lines : iterable of list of str
-        The rows behind the header, cut into fields.
+        The rows after the header, split into fields.
     header : sequence of str
         The name of each column, in the order of the file.
     wanted : sequence of str
         The columns to keep; each must be in the header.
     where : str
-        The file's name, for the error.
+        File name for error messages.
 
     Returns
     -------
     Table
-        Rows whose wanted fields are all finite numbers; the others are in its `rejects` as
+        Rows whose wanted fields are all finite numbers; the others are counted in `rejects` as
         "not a number", "not finite" (inf, nan) or "too short".
 
     Raises
     ------
     UserError
-        A wanted column is not in the header, or no row is left.
+        A wanted column is missing in the header, or no valid row remains.
     """
     columns = tuple(dict.fromkeys(wanted))
     places = [_place(column, header, where) for column in columns]
@@ -79,21 +79,21 @@ def read_table(lines: Iterable[list[str]], header: Sequence[str], wanted: Sequen
         values.append(row)
         numbers.append(number)
     if not values:
-        raise UserError(f"{where} holds no row of numbers; check `separator` and `skip_rows` in the mapping")
+        raise UserError(f"{where} holds no valid row of numbers; check `separator` and `skip_rows` of the mapping")
     return Table(columns, np.array(values), np.array(numbers, dtype=float), rejects)
 
 
 def arrays_table(arrays: Mapping[str, npt.NDArray[np.generic]], wanted: Sequence[str], where: str) -> Table:
-    """Take the wanted columns out of arrays.
+    """Extract the wanted columns of arrays.
 
     Parameters
     ----------
     arrays : mapping of str to ndarray, shape (rows,) or (rows, k)
-        What the file holds; those that are not wanted may have other lengths.
+        The arrays of the file; unused ones may have other lengths.
     wanted : sequence of str
-        `name` of an array of one column, `name[0]`, `name[1]`... of one with several.
+        `name` of a one-dimensional array; `name[0]`, `name[1]`... of a two-dimensional one.
     where : str
-        The file's name, for the error.
+        File name for error messages.
 
     Returns
     -------
@@ -103,23 +103,23 @@ def arrays_table(arrays: Mapping[str, npt.NDArray[np.generic]], wanted: Sequence
     Raises
     ------
     UserError
-        A wanted column is not there, or the columns differ in length.
+        A wanted column is missing, or the columns differ in length.
     """
     header = [name for key, array in arrays.items() for name in _names(key, array)]
     columns = tuple(dict.fromkeys(wanted))
     found = [_column(arrays, header[_place(column, header, where)]) for column in columns]
     if len({len(column) for column in found}) > 1:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, found, strict=True))
-        raise UserError(f"{where}: the arrays differ in length ({lengths}); one table takes arrays of one length")
+        raise UserError(f"{where}: the arrays differ in length ({lengths}); a table requires arrays of equal length")
     values = np.column_stack(found)
     if not len(values):
-        raise UserError(f"{where} holds empty arrays; nothing can be imported from it")
+        raise UserError(f"{where} holds empty arrays: nothing to import")
     table = Table(columns, values, np.arange(len(values), dtype=float))
     return table.keep(np.isfinite(values.sum(axis=1)), "not finite")
 
 
 def _names(key: str, array: npt.NDArray[np.generic]) -> list[str]:
-    """Name the columns of an array; what is no table of numbers has none."""
+    """Column names of an array; empty unless it is a table of numbers."""
     if not np.issubdtype(array.dtype, np.number) or array.ndim not in (1, 2):
         return []
     return [key] if array.ndim == 1 else [f"{key}[{k}]" for k in range(array.shape[1])]
@@ -132,7 +132,7 @@ def _column(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> FloatAr
 
 
 def _numbers(fields: list[str], places: list[int]) -> list[float] | str:
-    """The numbers at these places, or the reason why there are none."""
+    """The numbers of these fields, or the reason why the row is invalid."""
     try:
         row = [float(fields[place]) for place in places]
     except IndexError:

@@ -1,4 +1,4 @@
-"""Rows of a reference system become true states."""
+"""Converts rows of a reference system to true states."""
 
 from collections.abc import Iterator
 from math import degrees
@@ -17,7 +17,7 @@ from .table import Table
 
 
 def true_states(spec: Truth, table: Table, sampled: Stamps) -> Iterator[TruthState]:
-    """Give one true state a row."""
+    """Yield one true state per row."""
     positions = _positions(spec, table)
     attitude = table.many(spec.attitude.columns) * units.ANGLE[spec.attitude.unit]
     rates = _rates(spec.angular_rate, table)
@@ -56,6 +56,6 @@ def _positions(spec: Truth, table: Table) -> Rows:
         points = [geodetic_from_ecef((x, y, z)) for x, y, z in ecef.tolist()]
         return [(degrees(p.latitude), degrees(p.longitude), p.height) for p in points]
     if spec.latitude is None or spec.longitude is None or spec.height is None:
-        raise ValueError("a truth without a position")
+        raise ValueError("truth without a position")
     height = np.array(heights(spec.height, table)[0])
     return triples(np.column_stack([degrees_of(spec.latitude, table), degrees_of(spec.longitude, table), height]))

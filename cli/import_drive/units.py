@@ -1,4 +1,4 @@
-"""The units in which CSV files are written, each with its factor to the unit of our messages."""
+"""The units allowed in mappings, each with its factor to the unit of the messages."""
 
 import difflib
 from collections.abc import Callable, Mapping
@@ -12,7 +12,7 @@ from shared.maths.earth import STANDARD_GRAVITY
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 FORCE = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}
 RATE = {"rad/s": 1.0, "deg/s": radians(1.0), "mdeg/s": radians(1e-3)}
-# Some sensors add up over each sample what others give as a mean: the change of velocity, and of angle.
+# Some sensors output increments over each sample (delta-v, delta-theta) instead of means.
 FORCE_INCREMENT = {"m/s": 1.0}
 RATE_INCREMENT = {"rad": 1.0, "deg": radians(1.0)}
 ANGLE = {"rad": 1.0, "deg": radians(1.0)}
@@ -26,7 +26,7 @@ def _known(units: Mapping[str, float]) -> Callable[[str], str]:
         if unit not in units:
             near = difflib.get_close_matches(unit, units, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(units)}"
-            raise ValueError(f"{unit!r} is no unit here; {hint}")
+            raise ValueError(f"unknown unit {unit!r}; {hint}")
         return unit
 
     return check

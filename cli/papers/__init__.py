@@ -1,1 +1,1 @@
-"""`obu papers`: published results reproduced."""
+"""`obu papers`: reproduces published results."""

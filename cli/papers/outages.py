@@ -1,4 +1,4 @@
-"""Outages in the car park of the OBU paper's simulation: how far off the position is once GNSS has been away."""
+"""Horizontal position error after GNSS outages in the simulated car park of the OBU paper."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,15 +19,15 @@ from .navigation import YAW_SD, in_parallel, navigate, position_errors, saved_he
 FloatArray = npt.NDArray[np.float64]
 
 LENGTHS_S = (10, 30, 60)
-STARTS_S = (90, 160)  # of the outages, one a run, in turn
+STARTS_S = (90, 160)  # start of the outage, alternating between runs
 GNSS = InjectedError(ErrorKind.WHITE, (1.0, 1.0, 1.0), exact=True)
 FIRST_SEED = 20_000
-GOALS_M = (0.35, 0.35, 0.5)  # medians with wheels and odometer
+GOALS_M = (0.35, 0.35, 0.5)  # median errors with NHC and odometer
 
 
 @dataclass(frozen=True)
 class Aids:
-    """What helps while there is no GNSS: a row of the table."""
+    """Aiding during the outage: a row of the table."""
 
     name: str
     zero_velocity: bool = False
@@ -52,13 +52,13 @@ class Outages:
 
     @property
     def p95(self) -> list[float]:
-        """95 % of the errors [m] are below."""
+        """95th percentiles [m]."""
         found: list[float] = np.percentile(self.errors, 95.0, axis=0).tolist()
         return found
 
 
 def measure(job: tuple[Aids, int]) -> tuple[str, list[float]]:
-    """Horizontal errors [m] in one outage, which lasts as long as the longest."""
+    """Horizontal errors [m] after each of `LENGTHS_S` in one outage of the longest duration."""
     aids, run = job
     start_s = STARTS_S[run % len(STARTS_S)]
     scenario = with_error(scenario_of("parking_lot"), GNSS)
@@ -83,9 +83,9 @@ def measure_all(rows: Sequence[Aids], runs: int, workers: int, progress: bool) -
 
 
 def shortcomings(rows: Sequence[Outages]) -> list[str]:
-    """What wheels and odometer are to hold and did not; empty if all is well."""
+    """Limits with NHC and odometer that were exceeded; empty if none."""
     return [
-        f"after {length} s without GNSS the position is off by {median:.2f} m, above {goal} m"
+        f"after {length} s without GNSS the median position error is {median:.2f} m, above {goal} m"
         for row in rows
         if row.aids.wheels
         for length, median, goal in zip(LENGTHS_S, row.median, GOALS_M, strict=True)
@@ -99,9 +99,9 @@ def document(rows: Sequence[Outages]) -> list[dict[str, object]]:
 
 
 def print_table(rows: Sequence[Outages], runs: int, console: Console) -> None:
-    """Print median and 95 % of the errors after each length."""
-    each = f"{runs} simulated run{'s' if runs > 1 else ''} each"
-    title = f"Horizontal error in metres at the end of an outage, median and 95 %; {each}"
+    """Print median and 95th percentile of the errors after each outage length."""
+    each = f"{runs} simulated run{'s' if runs > 1 else ''} per row"
+    title = f"Horizontal error in metres at the end of an outage, median and 95th percentile; {each}"
     table = Table(title=title, box=SIMPLE_HEAD)
     table.add_column("")
     for length in LENGTHS_S:

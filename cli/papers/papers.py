@@ -1,4 +1,4 @@
-"""`obu papers navigation`: simulated drives and outages beside what the OBU paper and a correct filter reach."""
+"""`obu papers navigation`: compares simulated drives and outages with the OBU paper and with a correct filter."""
 
 import json as json_module
 import sys
@@ -12,9 +12,9 @@ from . import outages as outages_table
 
 
 def navigation(runs: int, json: bool) -> int:
-    """Print drives, then outages; 1 if a number is not reproduced. A goal missed as delivered is named only."""
+    """Print drives and outages; return 1 if a limit is exceeded. Goals missed with default settings are only named."""
     if runs < 1:
-        raise UserError(f"{runs} runs measure nothing: try `obu papers navigation --runs 10`")
+        raise UserError(f"{runs} runs: at least 1 is required: try `obu papers navigation --runs 10`")
     workers, progress = drives_table.WORKERS, sys.stderr.isatty()
     drives = drives_table.measure_all(drives_table.CASES, runs, workers, progress)
     outages = outages_table.measure_all(outages_table.AIDS, runs, workers, progress)
@@ -28,9 +28,9 @@ def navigation(runs: int, json: bool) -> int:
     drives_table.print_table(drives, runs, console)
     outages_table.print_table(outages, runs, console)
     for fault in faults:
-        console.print(f"[red]not reached:[/] {fault}")
+        console.print(f"[red]limit exceeded:[/] {fault}")
     for goal in missed:
         console.print(f"[yellow]goal missed:[/] {goal}")
     if not faults:
-        console.print(f"[green]{'all others' if missed else 'all'} as small as they must be[/]")
+        console.print("[green]all limits met[/]")
     return 1 if faults else 0

@@ -2,9 +2,11 @@
 
 import re
 from collections.abc import Collection
+from typing import Any
 
-from shared.bus import codec
 from shared.bus.bus import Envelope
+from shared.messages.base import Message
+from shared.messages.vehicle import CanRaw
 from shared.topics import Topic, measurements, publications, topic_of
 
 CANDUMP_TIME = re.compile(rb"\((\d{1,10})\.(\d{1,9})\)")
@@ -19,16 +21,17 @@ def inputs_among(recorded: Collection[str]) -> frozenset[str]:
     return frozenset(topic.name for topic in present if topic.name not in derived)
 
 
-def shifted(envelope: Envelope, shift_ns: int) -> tuple[bytes, dict[str, str]]:
-    """Move the stamps of a message; returns its payload and user properties."""
+def shifted(envelope: Envelope, shift_ns: int) -> Message:
+    """Give a message with its stamps moved."""
     message = envelope.decode()
-    values = {name: getattr(message, name) for name in STAMPS if hasattr(message, name)}
+    values: dict[str, Any] = {name: getattr(message, name) for name in STAMPS if hasattr(message, name)}
     moved = {
         name: tuple(stamp + shift_ns for stamp in value) if isinstance(value, tuple) else value + shift_ns
         for name, value in values.items()
     }
-    payload, properties = codec.encode(message.model_copy(update=moved))
-    return (_shifted_candump(payload, shift_ns) if envelope.topic == "can/raw" else payload), properties
+    if isinstance(message, CanRaw):
+        moved["data"] = _shifted_candump(message.data, shift_ns)
+    return message.model_copy(update=moved)
 
 
 def _shifted_candump(lines: bytes, shift_ns: int) -> bytes:

@@ -76,7 +76,7 @@ class Audit:
         self._lives: dict[tuple[str, int], Repetition] = {}
         self._recent: dict[Key, Envelope] = {}
         self._arrivals: deque[tuple[int, Key]] = deque()
-        self._retained: dict[Key, Envelope] = {}
+        self._retained: dict[tuple[str, str], Envelope] = {}  # the newest of each topic and producer
         self._now_ns = 0
 
     def read(self, recording: Recording, tell: Callable[[int], None]) -> None:
@@ -120,19 +120,25 @@ class Audit:
             life.advance(self._now_ns)
 
     def _remember(self, envelope: Envelope) -> None:
-        """Keep what may still be named in a journal: the last minute, and whatever the broker keeps as well."""
+        """Keep what may still be named in a journal: the last minute, and what the broker keeps, a minute longer."""
         row = topic_of(envelope.topic)
-        key = (envelope.topic, envelope.producer, envelope.incarnation, envelope.sequence)
+        old: Envelope | None = envelope
         if row is not None and row.retain:
-            self._retained[key] = envelope
-        else:
-            self._recent[key] = envelope
-            self._arrivals.append((envelope.received_ns, key))
+            place = envelope.topic, envelope.producer
+            old, self._retained[place] = self._retained.get(place), envelope
+        if old is not None:
+            self._recent[_key(old)] = old
+            self._arrivals.append((self._now_ns, _key(old)))
         while self._arrivals and self._arrivals[0][0] < self._now_ns - KEPT_NS:
             self._recent.pop(self._arrivals.popleft()[1], None)
 
     def _find(self, key: Key) -> Envelope | None:
-        return self._recent.get(key) or self._retained.get(key)
+        kept = self._retained.get(key[:2])
+        return kept if kept is not None and _key(kept) == key else self._recent.get(key)
+
+
+def _key(envelope: Envelope) -> Key:
+    return envelope.topic, envelope.producer, envelope.incarnation, envelope.sequence
 
 
 def _show(progress: Progress, task: TaskID, done: int) -> None:

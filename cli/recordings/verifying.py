@@ -10,7 +10,7 @@ from functools import partial
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
-from shared.messages.base import Message, Tick
+from shared.messages.base import Message, Sender, Tick
 from shared.messages.operation import Consumed
 from shared.runtime.live import Reactor
 from shared.topics import topic_of
@@ -18,7 +18,7 @@ from shared.topics import topic_of
 PATIENCE_NS = 5_000_000_000  # QoS 1 may overtake QoS 0 on the way to the recorder by less than this
 
 Key = tuple[str, str, int, int]  # topic, producer, life, running number
-Output = tuple[str, bytes, dict[str, str]]
+Output = tuple[str, bytes]  # topic, and payload without sender
 
 
 class Verdict(StrEnum):
@@ -137,7 +137,7 @@ class Repetition:
         """Let the process work, and keep what it says."""
         try:
             for message in work():
-                self._rebuilt.append((codec.topic_name(message), *codec.encode(message)))
+                self._rebuilt.append((codec.topic_name(message), codec.encode(message)))
         except Exception as error:  # noqa: BLE001  # what a process dies of is what we are here to tell
             self._failed, self.reason = True, f"now it ends by {type(error).__name__}: {error}"
             self._runs.clear()
@@ -150,12 +150,13 @@ class Repetition:
         self._last_sequence = sequence
         if envelope is None or sequence in self._restored:
             return
-        word = (envelope.topic, envelope.payload, envelope.properties)
-        while self._rebuilt and self._rebuilt[0] != word and self._gap:
+        word = (envelope.topic, envelope.payload)
+        sender = Sender(process=self.name, incarnation=self.life, sequence=sequence)
+        while self._rebuilt and _sent(self._rebuilt[0], sender) != word and self._gap:
             self._gap -= 1
             self.unrecorded += 1
             self._rebuilt.popleft()
-        now = self._rebuilt.popleft() if self._rebuilt else None
+        now = _sent(self._rebuilt.popleft(), sender) if self._rebuilt else None
         if now == word:
             self.compared += 1
         elif now is not None or received_ns <= self._journal_ns:
@@ -169,14 +170,16 @@ class Repetition:
         self.reason = f"{lost} of its words are not recorded, then {reason}" if lost else reason
 
 
+def _sent(word: Output, sender: Sender) -> Output:
+    return word[0], codec.signed(word[1], sender)
+
+
 def _difference(recorded: Output, repeated: Output | None) -> str:
     """Say where two words part."""
     if repeated is None:
         return f"said {recorded[0]}, now nothing"
     if recorded[0] != repeated[0]:
         return f"said {recorded[0]}, now {repeated[0]}"
-    if recorded[2] != repeated[2]:
-        return f"{recorded[0]} with {recorded[2]}, now {repeated[2]}"
     old, new = recorded[1], repeated[1]
     at = next((k for k, pair in enumerate(zip(old, new, strict=False)) if pair[0] != pair[1]), min(len(old), len(new)))
     start = max(at - 30, 0)

@@ -1,1 +1,1 @@
-"""What `obu solve` makes of a solution: errors, metrics, tables, plots. Nothing here touches a file or a clock."""
+"""Evaluates a solution for `obu solve`: errors, metrics, tables, plots."""

@@ -1,4 +1,4 @@
-"""The files that `obu solve` leaves."""
+"""Writes the output files of `obu solve`."""
 
 import json
 from pathlib import Path
@@ -15,8 +15,8 @@ from .report.report import Heading, page
 def write(
     folder: Path, runs: tuple[Run, Run | None], reference: Reference | None, heading: Heading, metrics: dict[str, Value]
 ) -> None:
-    """Write tracks, metrics and report of a drive, filtered and perhaps smoothed."""
-    from .report.plots import figures_of  # matplotlib costs half a second: only once there is something to draw
+    """Write tracks, metrics and report of a drive, filtered and optionally smoothed."""
+    from .report.plots import figures_of  # matplotlib takes 0.5 s to import
     from .report.plots_smoothed import figures_of_both
 
     run, smoothed = runs

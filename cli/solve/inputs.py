@@ -1,7 +1,8 @@
-"""Which messages of a recording a unit is fed with: what the devices said, and nothing that was made of it."""
+"""Selects the inputs of a solution from a recording: the messages of the devices, not those derived from them."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from shared.bus.bus import Envelope
@@ -10,8 +11,8 @@ from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import TruthState
 from shared.runtime.config import VehicleFile
-from shared.runtime.offline import OfflineUnit
-from shared.topics import measurements
+from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.topics import BY_NAME, measurements
 
 from ..recordings.replaying import inputs_among
 
@@ -22,18 +23,18 @@ CONSUMED = tuple(topic.name for topic in measurements() if topic.consumers)
 
 @dataclass
 class Inputs:
-    """What a solution starts from, in the order of arrival; encoded, because an hour of it decoded is a gigabyte."""
+    """The inputs of a solution in the order of arrival, encoded (one hour of decoded messages takes 1 GB)."""
 
     envelopes: list[Envelope] = field(default_factory=list)
     truth: list[TruthState] = field(default_factory=list)
     topics: Counter[str] = field(default_factory=Counter)  # of the whole recording
-    undecodable: set[int] = field(default_factory=set)  # places of envelopes that hold no message
+    undecodable: set[int] = field(default_factory=set)  # indices of envelopes that cannot be decoded
 
     def __len__(self) -> int:
         return len(self.envelopes)
 
     def messages(self, topics: Iterable[str] = (*CONSUMED, TRUTH)) -> Iterator[Message]:
-        """Decode one message after the other."""
+        """Decode the messages of the given topics one by one."""
         chosen = frozenset(topics)
         for place, envelope in enumerate(self.envelopes):
             if envelope.topic in chosen:
@@ -44,18 +45,18 @@ class Inputs:
 
 
 def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
-    """Pick the inputs out of everything that was recorded.
+    """Select the inputs from all recorded messages.
 
     Parameters
     ----------
     envelopes : iterable of Envelope
-        All of a recording.
+        All messages of a recording.
 
     Returns
     -------
     Inputs
-        Raw bytes where there are some, and else the typed messages of the same sensors; never what layers 2
-        to 4 said when it was recorded.
+        Raw bytes if recorded, otherwise the typed messages of the same sensors; the outputs of layers 2 to 4 at the
+        time of recording are not used.
     """
     found = Inputs()
     kept: dict[str, list[Envelope]] = {topic: [] for topic in (*CONSUMED, TRUTH)}
@@ -74,13 +75,15 @@ def inputs_of(envelopes: Iterable[Envelope]) -> Inputs:
 
 
 def arrival_of(envelope: Envelope) -> int:
-    """When the bytes of a device arrived at the driver, or a typed message at the recorder."""
-    stamp = envelope.properties.get("received_ns", "")
-    return int(stamp) if stamp.isascii() and stamp.isdecimal() else envelope.received_ns
+    """Arrival time [ns] of a device's bytes at the driver, or of a typed message at the recorder."""
+    if BY_NAME[envelope.topic].is_raw:
+        with suppress(BadPayload):
+            return arrival_ns(envelope.decode()) or envelope.received_ns
+    return envelope.received_ns
 
 
 def all_fixes(inputs: Inputs, vehicle: VehicleFile) -> list[GnssFix]:
-    """List every fix with a position, whether it was recorded as such or is still in the receiver's bytes."""
+    """All fixes with a position, recorded as such or decoded from the receiver's bytes."""
     unit = OfflineUnit(vehicle, ["parsers.gnss"])
     made = unit.run(inputs.messages(RECEIVER))
     return [message for message in made if isinstance(message, GnssFix) and message.latitude_deg is not None]

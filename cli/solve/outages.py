@@ -1,4 +1,4 @@
-"""Outages made on purpose: GNSS is taken away at fixed intervals, to see how far the solution drifts."""
+"""Simulated GNSS outages at fixed intervals, to evaluate the drift of the solution."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ Gap = tuple[int, int]  # first and last instant [ns], half open
 
 @dataclass
 class Outages:
-    """GNSS is missing for `gap_ns` of every `period_ns`.
+    """GNSS is removed for `gap_ns` of every `period_ns`.
 
-    Without a start the first gap ends a period after the filter is aligned. With one, which is how comparisons with
-    others are agreed upon, it begins `start_ns` after the recording does, whatever the filter is doing then.
+    Without `start_ns` the first gap ends one period after the filter is aligned. With it, as in comparisons with other
+    filters, the first gap begins `start_ns` after the start of the recording.
     """
 
     gap_ns: int
@@ -23,36 +23,36 @@ class Outages:
 
     @classmethod
     def parse(cls, text: str) -> "Outages":
-        """Read "10/30", which is 10 s of every 30 s, or "60/180@650", where the first gap begins after 650 s."""
+        """Parse "10/30" (10 s of every 30 s), or "60/180@650" (the first gap begins after 650 s)."""
         lengths, at, start = text.partition("@")
         try:
             gap_s, period_s = (float(part) for part in lengths.split("/"))
             start_s = float(start) if at else None
         except ValueError as error:
             raise UserError(
-                f"--outage {text} is not understood; write seconds as GAP/PERIOD, such as 10/30, or with the start of "
+                f"--outage {text} is invalid; write seconds as GAP/PERIOD, such as 10/30, or with the start of "
                 "the first gap, such as 60/180@650"
             ) from error
         if not 0.0 < gap_s < period_s < 1e6:
             raise UserError(f"--outage {text}: the gap must be longer than 0 s and shorter than the period")
         if start_s is not None and not 0.0 <= start_s < 1e7:
-            raise UserError(f"--outage {text}: the first gap begins at a time from 0 s on")
+            raise UserError(f"--outage {text}: the start of the first gap must be 0 s or later")
         return cls(round(gap_s * 1e9), round(period_s * 1e9), None if start_s is None else round(start_s * 1e9))
 
     @property
     def first_ns(self) -> int | None:
-        """When the first gap begins, if that is known yet."""
+        """Start of the first gap; None until the filter is aligned."""
         if self.start_ns is not None:
             return self.recording_ns + self.start_ns
         return None if self.aligned_ns is None else self.aligned_ns + self.period_ns - self.gap_ns
 
     def hides(self, stamp_ns: int) -> bool:
-        """Whether GNSS is missing at an instant."""
+        """Whether GNSS is removed at a time."""
         first = self.first_ns
         return first is not None and stamp_ns >= first and (stamp_ns - first) % self.period_ns < self.gap_ns
 
     def gaps(self, until_ns: int) -> list[Gap]:
-        """List the gaps that end before an instant."""
+        """The gaps that end before a time."""
         first = self.first_ns
         if first is None:
             return []

@@ -1,4 +1,4 @@
-"""Settings that the command line puts in the place of those of the vehicle's file."""
+"""Command-line overrides of the settings of a vehicle file."""
 
 import difflib
 import tomllib
@@ -12,7 +12,7 @@ from shared.runtime.config import VehicleFile, with_values
 
 
 class Aiding(StrEnum):
-    """What helps the filter besides GNSS and standstill, as comparisons of filters are made."""
+    """Aiding of the filter in addition to GNSS and standstill."""
 
     FREE = "free"
     NHC = "nhc"
@@ -28,25 +28,25 @@ SWITCHES = {
 
 
 def with_settings(vehicle: VehicleFile, settings: Sequence[str]) -> VehicleFile:
-    """Put settings in place of those of the vehicle's file.
+    """Override settings of a vehicle file.
 
     Parameters
     ----------
     vehicle : VehicleFile
-        It is left as it is.
+        The original, which is not modified.
     settings : sequence of str
-        Each `process.setting=value` or `process.section.setting=value`, the value as TOML writes it; without a process
-        it is a setting of core.fusion. Of two the later counts.
+        Each `process.setting=value` or `process.section.setting=value`, the value in TOML syntax; without a process it
+        is a setting of core.fusion. Later ones override earlier ones.
 
     Returns
     -------
     VehicleFile
-        The file with its tables changed.
+        A copy with changed tables.
 
     Raises
     ------
     UserError
-        A setting is not understood, or names no process.
+        A setting has an invalid syntax or an unknown process.
     """
     tables = dict(vehicle.tables)
     for text in settings:
@@ -62,14 +62,14 @@ def _parsed(text: str) -> tuple[str, str, object]:
         parts = ["core", "fusion", *parts]
     name, key = ".".join(parts[:2]), ".".join(parts[2:])
     if not (equals and key and all(parts)):
-        raise UserError(f"--set {text} is not understood; write it as --set core.fusion.odometer.enabled=false")
+        raise UserError(f"--set {text} is invalid; write it as --set core.fusion.odometer.enabled=false")
     if name not in BY_NAME:
         near = difflib.get_close_matches(name, BY_NAME, n=1)
         hint = f"did you mean {near[0]}?" if near else "`obu topics --processes` lists them"
-        raise UserError(f"--set {text}: there is no process {name!r}; {hint}")
+        raise UserError(f"--set {text}: unknown process {name!r}; {hint}")
     try:
         return name, key, tomllib.loads(f"value = {value.strip()}")["value"]
     except tomllib.TOMLDecodeError as error:
         raise UserError(
-            f'--set {text}: {value.strip()!r} is no value; write true, 0.5, [1.0, 0.0, 0.0] or "word"'
+            f'--set {text}: {value.strip()!r} is not a value; write true, 0.5, [1.0, 0.0, 0.0] or "word"'
         ) from error

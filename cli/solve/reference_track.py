@@ -1,4 +1,4 @@
-"""What a solution is compared with: fixes at the antenna, true states, or a table of another system."""
+"""The reference of a solution: fixes at the antenna, true states, or the table of another system."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
 
 @dataclass(frozen=True)
 class Reference:
-    """The truth, or what stands in for it; each quantity that it does not know is None."""
+    """The truth or its substitute; unknown quantities are None."""
 
     description: str
     stamps_ns: npt.NDArray[np.int64]
-    at_antenna: bool  # else at the IMU
+    at_antenna: bool  # otherwise at the IMU
     geodetic: FloatArray | None = None  # [rad, rad, m], shape (n, 3)
     velocity_n: FloatArray | None = None  # [m/s, NED], shape (n, 3)
     attitude: FloatArray | None = None  # [rad] roll, pitch, yaw, shape (n, 3)
     position_sd_n: FloatArray | None = None  # [m, NED], shape (n, 3)
-    velocity_delay_ns: int = 0  # how much older than its stamp a velocity is
+    velocity_delay_ns: int = 0  # delay of the velocities relative to the stamps
 
     def only(self, quantities: Sequence[str]) -> "Reference":
-        """Forget the quantities that are not to be trusted."""
+        """Keep only the given quantities."""
         return replace(
             self,
             geodetic=self.geodetic if "position" in quantities else None,
@@ -41,9 +41,9 @@ class Reference:
 
 
 def from_fixes(fixes: Sequence[GnssFix], *, delay_s: float = 0.0, velocity_delay_s: float = 0.0) -> Reference:
-    """Take the fixes with integer ambiguities for the truth, as they were before anything was taken away.
+    """Use the RTK-fixed positions and velocities as truth, those removed by an outage included.
 
-    A fix is older than its stamp by the delay, its velocity by the velocity's delay more, as the vehicle's file says.
+    `delay_s` is the delay of a fix, `velocity_delay_s` the additional delay of its velocity, as in the vehicle file.
     """
     found: Counter[str] = Counter()
     kept = []
@@ -55,7 +55,7 @@ def from_fixes(fixes: Sequence[GnssFix], *, delay_s: float = 0.0, velocity_delay
         words = ", ".join(f"{count} {word}" for word, count in found.items()) or "no fix at all"
         raise UserError(
             f"no fix of the recording has RTK quality and a height above the ellipsoid ({words}); "
-            "give the truth as a CSV file with --truth FILE, or go without it: --truth none"
+            "give the truth as a CSV file with --truth FILE, or solve without: --truth none"
         )
     velocities = [fix.velocity_ned_m_s for fix in kept]
     deviations = [fix.position_sd_ned_m for fix in kept]
@@ -71,7 +71,7 @@ def from_fixes(fixes: Sequence[GnssFix], *, delay_s: float = 0.0, velocity_delay
 
 
 def from_states(states: Sequence[TruthState]) -> Reference:
-    """Take recorded true states."""
+    """Use recorded true states as truth."""
     if not states:
         raise UserError("the recording holds no truth/state; try --truth fixes, or a CSV file with --truth FILE")
     return Reference(
@@ -85,7 +85,7 @@ def from_states(states: Sequence[TruthState]) -> Reference:
 
 
 def from_columns(name: str, stamps_ns: npt.NDArray[np.int64], columns: dict[str, FloatArray]) -> Reference:
-    """Take the columns of a CSV file, which are named as those of `solution.csv`."""
+    """Use the columns of a CSV file, named as those of `solution.csv`, as truth."""
 
     def together(names: tuple[str, ...]) -> FloatArray | None:
         return np.column_stack([columns[n] for n in names]) if all(n in columns for n in names) else None

@@ -1,4 +1,4 @@
-"""The smoothed drive beside the filtered one: its track and its metrics."""
+"""Track and metrics of the smoothed drive."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -17,10 +17,10 @@ from .track import FRD, NAMES, NED, Track
 PREFIX = "smoothed_"
 KINDS = ("horizontal_", "vertical_", "velocity_", "roll_", "pitch_", "yaw_", "mounting_", "within_", "outage_")
 INSIDE = {
-    "outage_inside_median_m": "horizontal error at each truth within an outage, median",
-    "outage_inside_max_m": "the same, the largest",
+    "outage_inside_median_m": "horizontal error within the outages, median",
+    "outage_inside_max_m": "horizontal error within the outages, maximum",
 }
-# What --smooth adds: the filter's errors within outages, and all metrics of errors for the smoothed drive.
+# Metrics added by --smooth: the filter's errors within outages, and all error metrics of the smoothed drive.
 SMOOTHED_METRICS: dict[str, str] = INSIDE | {
     PREFIX + name: f"`{name}` of the smoothed drive" for name in (*METRICS, *INSIDE) if name.startswith(KINDS)
 }
@@ -35,23 +35,23 @@ STATE = (
     *(f"accelerometer_bias_{axis}_m_s2" for axis in FRD),
     *(f"gyroscope_bias_{axis}_rad_s" for axis in FRD),
 )
-KEPT = ("stationary", "gnss_age_s")  # what was found on the way, and no smoother changes
+KEPT = ("stationary", "gnss_age_s")  # copied from the filtered track
 
 
 def smoothed_track(newest_first: Iterable[ErrorStateFilter], filtered: Track) -> Track:
-    """Put smoothed states into a track.
+    """Collect smoothed states in a track.
 
     Parameters
     ----------
     newest_first : iterable of ErrorStateFilter
-        Smoothed, from the end of the drive.
+        Smoothed states, newest first.
     filtered : Track
-        The valid part of the filter's own, of which phase, standstill and age of GNSS are taken.
+        Valid part of the filtered track, source of phase, standstill and age of GNSS.
 
     Returns
     -------
     Track
-        Stamps are those of the smoothed states; columns that a smoother does not know are NaN.
+        Stamps are those of the smoothed states; columns without a smoothed value are NaN.
     """
     stamps, rows = [], []
     for state in newest_first:
@@ -83,13 +83,13 @@ def _row(state: ErrorStateFilter) -> list[float]:
 
 
 def smoothed_run(run: Run, track: Track, reference: Reference | None, lever_arm_b: tuple[float, float, float]) -> Run:
-    """Judge a smoothed track as the filter's was."""
+    """Evaluate a smoothed track like the filtered one."""
     errors = errors_against(reference, track, lever_arm_b=lever_arm_b) if reference else None
     return replace(run, track=track, errors=errors)
 
 
 def smoothed_metrics(filtered: Run, smoothed: Run) -> dict[str, Value]:
-    """Compute what `SMOOTHED_METRICS` names, in its order."""
+    """Compute the metrics of `SMOOTHED_METRICS`, in its order."""
     found = _inside(filtered) | {
         PREFIX + name: value for name, value in (metrics_of(smoothed) | _inside(smoothed)).items()
     }
@@ -97,7 +97,7 @@ def smoothed_metrics(filtered: Run, smoothed: Run) -> dict[str, Value]:
 
 
 def _inside(run: Run) -> dict[str, Value]:
-    """Judge the errors at every instant of the truth without GNSS."""
+    """Statistics of the errors at all times of the truth within outages."""
     errors = run.errors
     if errors is None or errors.position_n is None or not run.gaps:
         return dict.fromkeys(INSIDE)

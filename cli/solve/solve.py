@@ -1,4 +1,4 @@
-"""`obu solve`: layers 2 to 4 over a whole recording, and what came out of it."""
+"""`obu solve`: processes a whole recording with layers 2 to 4, and evaluates the solution."""
 
 import csv
 import json
@@ -27,9 +27,9 @@ from shared.runtime.offline import OfflineUnit
 from ..import_drive.table import read_table
 from ..recordings.common import open_recording, progress_on, tell_problems, vehicle_of
 from .files import write
-from .history_file import Spool
+from .history_file import HistoryFile
 from .inputs import Inputs, all_fixes, arrival_of, inputs_of
-from .metrics.counters import Tally
+from .metrics.counters import Counters
 from .metrics.errors import errors_against
 from .metrics.metrics import Run, Value, metrics_of
 from .outages import Outages
@@ -41,45 +41,45 @@ from .track import Track, TrackBuilder
 
 
 def solve(  # noqa: PLR0913  # one argument an option
-    recording: Annotated[Path, typer.Argument(help="A recording, from `obu record` or `obu import`.")],
+    recording: Annotated[Path, typer.Argument(help="Recording of `obu record` or `obu import`.")],
     *,
     truth: Annotated[
         str | None,
-        typer.Option(help="fixes, recorded, none, or a CSV file; without it what the recording says of itself."),
+        typer.Option(help="Truth: fixes, recorded, none, or a CSV file; default: as stated in the recording."),
     ] = None,
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the recorded one.")
+        Path | None, typer.Option("--vehicle", help="Vehicle TOML file; default: the recorded one.")
     ] = None,
     outage: Annotated[
         str | None,
         typer.Option(
-            help="Take GNSS away: 10/30 is for 10 s of every 30 s once the filter is aligned, 60/180@650 for 60 s of "
-            "every 180 s from 650 s after the first input on."
+            help="Simulate GNSS outages: 10/30 is 10 s of every 30 s after the alignment, 60/180@650 is 60 s of every "
+            "180 s from 650 s after the first input on."
         ),
     ] = None,
     score_from: Annotated[
-        float, typer.Option(min=0.0, help="Seconds after the first input whose errors are not judged, but in outages.")
+        float, typer.Option(min=0.0, help="Seconds after the first input that are excluded from the errors.")
     ] = 0.0,
     aiding: Annotated[
         Aiding | None,
         typer.Option(
-            help="What helps besides GNSS: free is nothing but standstill, nhc wheels that do not slide, odometer "
-            "those and the speed; without it what the vehicle's file says."
+            help="Aiding besides GNSS and standstill: free (none), nhc (non-holonomic constraint), odometer (NHC and "
+            "speed); default: as in the vehicle file."
         ),
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="A setting in place of the vehicle's, as in the last example; may be repeated."),
+        typer.Option("--set", help="Override a setting of the vehicle, as in the last example; may be repeated."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the results; without it the recording's name and -solution.")
+        Path | None, typer.Option(help="Output folder; default: name of the recording with -solution.")
     ] = None,
     smooth: Annotated[
-        bool, typer.Option(help="Go back over the drive as well: solution_smoothed.csv, for maps and as a reference.")
+        bool, typer.Option(help="Run the Rauch-Tung-Striebel smoother as well: solution_smoothed.csv.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as one JSON object.")] = False,
 ) -> int:
-    """Run the whole unit over a recording, and write solution.csv, solution.kml, metrics.json and report.html.
+    """Process a recording with the whole unit; write solution.csv, solution.kml, metrics.json and report.html.
 
     Examples:
     [bold]obu solve drive.mcap[/]
@@ -92,31 +92,31 @@ def solve(  # noqa: PLR0913  # one argument an option
     console = Console(stderr=True)
     changes = (*(SWITCHES[aiding] if aiding else ()), *(settings or ()))
     drive = _changed(_read(recording, vehicle, console), changes)
-    _insist_on_time(drive, "--score-from", score_from)
+    _check_start(drive, "--score-from", score_from)
     if outages is not None:
         outages.recording_ns = drive.first_ns
-        _insist_on_time(drive, "--outage", (outages.start_ns or 0) * 1e-9)
+        _check_start(drive, "--outage", (outages.start_ns or 0) * 1e-9)
     given, by_fixes = _given_truth(drive, truth)
     folder = _folder(out or Path(f"{recording.stem}-solution"))
     with ExitStack() as stack:
         progress = stack.enter_context(progress_on(console))
-        spool = stack.enter_context(Spool(folder)) if smooth else None
-        solved = _run(drive, outages, progress, spool)
-        smoothed = _smooth(drive, solved, spool, progress) if spool is not None else None
+        history = stack.enter_context(HistoryFile(folder)) if smooth else None
+        solved = _run(drive, outages, progress, history)
+        smoothed = _smooth(drive, solved, history, progress) if history is not None else None
     if count := len(drive.inputs.undecodable):
-        console.print(f"{recording.name}: {count} messages could not be decoded and were left out", markup=False)
-    # All fixes of the recording, those that an outage took away as well.
+        console.print(f"{recording.name}: {count} messages could not be decoded and were skipped", markup=False)
+    # All fixes of the recording, those removed by an outage included.
     fixes = solved.fixes if outages is None else all_fixes(drive.inputs, drive.vehicle)
     reference = (
         _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
     )
-    run = replace(_judged(drive, solved, reference, fixes), scored_from_ns=drive.first_ns + round(score_from * 1e9))
+    run = replace(_compared(drive, solved, reference, fixes), scored_from_ns=drive.first_ns + round(score_from * 1e9))
     metrics = metrics_of(run)
     again = None
     if smoothed is not None:
         again = smoothed_run(run, smoothed, reference, _fusion(drive.vehicle).gnss.lever_arm_body_m)
         metrics |= smoothed_metrics(run, again)
-    truth_is = reference.description if reference else "none was given"
+    truth_is = reference.description if reference else "none"
     risk, made = _fusion(drive.vehicle).integrity.risk, drive.provenance.get("made", "")
     heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), risk, made)
     write(folder, (run, again), reference, heading, metrics)
@@ -129,17 +129,15 @@ def solve(  # noqa: PLR0913  # one argument an option
     else:
         for sentence in summary(heading, metrics):
             print(sentence)
-        print(f"Solved in {solved.seconds:.1f} s, {timings['realtime_factor']} times as fast as driven.")
-        smoothed_too = ", both also as solution_smoothed" if smooth else ""
-        print(
-            f"Wrote {folder / 'report.html'} and beside it metrics.json, solution.csv and solution.kml{smoothed_too}."
-        )
+        print(f"Solved in {solved.seconds:.1f} s, {timings['realtime_factor']} times real time.")
+        smoothed_too = ", solution_smoothed.csv, solution_smoothed.kml" if smooth else ""
+        print(f"Wrote {folder / 'report.html'}, metrics.json, solution.csv, solution.kml{smoothed_too}.")
     return 0
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A recording as far as a solution needs it."""
+    """The inputs and the vehicle of a recording."""
 
     name: str
     file: str
@@ -149,23 +147,23 @@ class Drive:
 
     @property
     def first_ns(self) -> int:
-        """Arrival of the first input."""
+        """Arrival time of the first input."""
         return arrival_of(self.inputs.envelopes[0])
 
     @property
     def last_ns(self) -> int:
-        """Arrival of the last input."""
+        """Arrival time of the last input."""
         return arrival_of(self.inputs.envelopes[-1])
 
 
 @dataclass(frozen=True)
 class Solved:
-    """What the unit said over the whole recording."""
+    """The outputs of the unit over the whole recording."""
 
     builder: TrackBuilder
-    tally: Tally
+    counters: Counters
     outages: Outages | None
-    fixes: list[GnssFix]  # that reached the filter
+    fixes: list[GnssFix]  # inputs of the filter
     seconds: float
 
 
@@ -179,20 +177,20 @@ def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
 
 
 def _changed(drive: Drive, changes: tuple[str, ...]) -> Drive:
-    """Put settings of the command line in the place of the vehicle's, and fail at once if they are wrong."""
-    OfflineUnit(drive.vehicle)  # so that what is wrong from here on is of the command line
+    """Apply the settings of the command line; raises UserError for invalid ones."""
+    OfflineUnit(drive.vehicle)  # faults of the vehicle file itself are raised here
     changed = replace(drive, vehicle=with_settings(drive.vehicle, changes))
     try:
         OfflineUnit(changed.vehicle)
     except ConfigError as error:
-        reason, said = str(error).partition(": ")[2].partition("; known keys: ")[0], " --set ".join(changes)
-        raise UserError(f"--set {said}: {reason}; docs/reference/configuration.md lists all keys") from error
+        reason, given = str(error).partition(": ")[2].partition("; known keys: ")[0], " --set ".join(changes)
+        raise UserError(f"--set {given}: {reason}; docs/reference/configuration.md lists all keys") from error
     return changed
 
 
 def _check(path: Path, inputs: Inputs) -> None:
     if not inputs.topics:
-        raise UserError(f"{path} holds no message of a unit; was anything running when it was recorded?")
+        raise UserError(f"{path} holds no messages of a unit; was the unit running during the recording?")
     for sensor, topics in (("IMU", ("imu/raw", "imu/sample")), ("GNSS", ("gnss/raw", "gnss/fix"))):
         if not any(inputs.topics[topic] for topic in topics):
             held = ", ".join(sorted(inputs.topics))
@@ -201,59 +199,61 @@ def _check(path: Path, inputs: Inputs) -> None:
             )
 
 
-def _insist_on_time(drive: Drive, option: str, begins_s: float) -> None:
-    """Refuse what would begin when the recording is over, and so would do nothing."""
-    lasts_s = (drive.last_ns - drive.first_ns) * 1e-9
-    if begins_s > lasts_s:
+def _check_start(drive: Drive, option: str, begins_s: float) -> None:
+    """Raise UserError if an option begins after the end of the recording and would have no effect."""
+    duration_s = (drive.last_ns - drive.first_ns) * 1e-9
+    if begins_s > duration_s:
         raise UserError(
-            f"{option} begins at {begins_s:g} s, but {drive.file} lasts {lasts_s:.0f} s; name an earlier time"
+            f"{option} begins at {begins_s:g} s, but the duration of {drive.file} is {duration_s:.0f} s; "
+            "use an earlier time"
         )
 
 
-def _run(drive: Drive, outages: Outages | None, progress: Progress, spool: Spool | None = None) -> Solved:
-    """Run layers 2 to 4 over all inputs, in the order of their arrival."""
-    unit, builder, tally = OfflineUnit(drive.vehicle), TrackBuilder(), Tally()
-    if spool is not None:
+def _run(drive: Drive, outages: Outages | None, progress: Progress, history: HistoryFile | None = None) -> Solved:
+    """Run layers 2 to 4 over all inputs, in the order of arrival."""
+    unit, builder, counters = OfflineUnit(drive.vehicle), TrackBuilder(), Counters()
+    if history is not None:
         period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
-        cast(Process, unit.process("core.fusion")).leave(Trail(spool, period_ns))
+        cast(Process, unit.process("core.fusion")).leave(Trail(history, period_ns))
     fixes: list[GnssFix] = []
     started = time.perf_counter()
-    for message in unit.run(_fed(drive.inputs, outages, tally, progress)):
+    for message in unit.run(_fed(drive.inputs, outages, counters, progress)):
         match message:
             case NavigationSolution():
                 builder.add(message)
             case AidingUpdate():
-                tally.add_update(message)
+                counters.add_update(message)
             case NavigationState():
-                tally.add_state(message)
+                counters.add_state(message)
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
-    return Solved(builder, tally, outages, fixes, time.perf_counter() - started)
+    return Solved(builder, counters, outages, fixes, time.perf_counter() - started)
 
 
-def _smooth(drive: Drive, solved: Solved, spool: Spool, progress: Progress) -> Track:
-    """Go back over what the filter did."""
-    records = progress.track(spool.newest_first(), total=len(spool), description="smoothing")
+def _smooth(drive: Drive, solved: Solved, history: HistoryFile, progress: Progress) -> Track:
+    """Smooth the filter's history backwards in time."""
+    records = progress.track(history.newest_first(), total=len(history), description="smoothing")
     return smoothed_track(smoothed_filters(records), solved.builder.track().valid())
 
 
-def _fed(inputs: Inputs, outages: Outages | None, tally: Tally, progress: Progress) -> Iterator[Message]:
-    """Give the inputs one by one, but for the GNSS that an outage takes away."""
+def _fed(inputs: Inputs, outages: Outages | None, counters: Counters, progress: Progress) -> Iterator[Message]:
+    """Yield the inputs one by one, without the GNSS messages within outages."""
     task = progress.add_task("solving", total=len(inputs))
     for number, message in enumerate(inputs.messages()):
         if number % 1000 == 0:
             progress.update(task, completed=number)
         if outages is not None and isinstance(message, GnssFix | GnssRaw):
-            outages.aligned_ns = tally.aligned_ns
+            outages.aligned_ns = counters.aligned_ns
             if outages.hides(message.sampled_ns if isinstance(message, GnssFix) else message.received_ns):
                 continue
         yield message
 
 
 def _given_truth(drive: Drive, truth: str | None) -> tuple[Reference | None, str]:
-    """Find the truth that was asked for, or the one that the recording promises or holds.
+    """Select the truth: the requested one, otherwise the one stated or held by the recording.
 
-    The second is "fixes" where the GNSS fixes are to be the truth, and "perhaps" where they may if they are good.
+    The second item is "fixes" if the GNSS fixes are the truth, "perhaps" if they are used when RTK-fixed, and "none"
+    otherwise.
     """
     word = truth or drive.provenance.get("truth_is") or ("recorded" if drive.inputs.truth else "perhaps")
     if word in ("none", "fixes", "perhaps"):
@@ -270,7 +270,7 @@ def _any_fixed(fixes: list[GnssFix]) -> bool:
 
 
 def _truth_file(path: Path) -> Reference:
-    """Read a CSV file whose columns are named as those of solution.csv."""
+    """Read a CSV file with columns named as in solution.csv."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = csv.reader(file)
@@ -279,7 +279,7 @@ def _truth_file(path: Path) -> Reference:
             known = [name for name in (*POSITION, *VELOCITY, *ATTITUDE) if name in header]
             table = read_table(rows, header, [clock, *known], path.name)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no CSV file"
+        reason = error.strerror if isinstance(error, OSError) else "not a CSV file"
         raise UserError(
             f"cannot read the truth {path}: {reason}; --truth is fixes, recorded, none or a CSV file"
         ) from error
@@ -290,21 +290,21 @@ def _truth_file(path: Path) -> Reference:
     return from_columns(path.name, stamps[order], {name: table[name][order] for name in known})
 
 
-def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: list[GnssFix]) -> Run:
-    """Put the solution beside the truth."""
+def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: list[GnssFix]) -> Run:
+    """Compare the solution with the truth."""
     track = solved.builder.track().valid()
     if not len(track):
-        state = solved.tally.state
-        reason = f"its last word was {state.phase.value}: {state.reason}" if state else "it heard no inertial sample"
+        state = solved.counters.state
+        reason = f"last state: {state.phase.value}, {state.reason}" if state else "no inertial samples received"
         raise UserError(
-            f"the filter never began to navigate ({reason}); check lever arm, axes and stamps, or drive further"
+            f"the filter was never aligned ({reason}); check lever arm, axes and stamps, or use a longer drive"
         )
     config = _fusion(drive.vehicle)
     lever_arm = config.gnss.lever_arm_body_m
     outages = solved.outages
     return Run(
         track,
-        solved.tally,
+        solved.counters,
         errors_against(reference, track, lever_arm_b=lever_arm) if reference else None,
         outages.gaps(drive.last_ns) if outages else [],
         drive.first_ns,
@@ -316,11 +316,11 @@ def _judged(drive: Drive, solved: Solved, reference: Reference | None, fixes: li
 
 
 def _folder(path: Path) -> Path:
-    """Make the folder for the results before minutes are spent on them."""
+    """Create the output folder before the processing."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"cannot make the folder {path}: {error.strerror}; choose another one with --out") from error
+        raise UserError(f"cannot create the folder {path}: {error.strerror}; choose another one with --out") from error
     return path
 
 

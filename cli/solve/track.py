@@ -1,4 +1,4 @@
-"""A solution as columns of numbers: one row a `NavigationSolution`."""
+"""A solution as a table: one row per `NavigationSolution`."""
 
 from array import array
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ from shared.maths.earth import FloatArray
 from shared.messages.navigation import NavigationPhase, NavigationSolution
 
 NED, FRD = ("north", "east", "down"), ("forward", "right", "down")
-# The columns of `solution.csv` behind stamp, time and phase: name and meaning.
+# The columns of `solution.csv` after stamp, time and phase: name and meaning.
 COLUMNS: dict[str, str] = {
     "latitude_deg": "WGS-84 latitude of the IMU",
     "longitude_deg": "WGS-84 longitude of the IMU",
     "height_ellipsoid_m": "height of the IMU above the WGS-84 ellipsoid",
     **{f"velocity_{axis}_m_s": f"velocity of the IMU over ground, {axis}" for axis in NED},
-    "roll_rad": "roll, positive to the right",
+    "roll_rad": "roll, positive right side down",
     "pitch_rad": "pitch, positive nose up",
     "yaw_rad": "heading, clockwise from north",
     **{f"position_sd_{axis}_m": f"standard deviation of the position, {axis}" for axis in NED},
@@ -25,18 +25,19 @@ COLUMNS: dict[str, str] = {
     **{f"angular_rate_{axis}_rad_s": f"angular rate about {axis}, bias removed" for axis in FRD},
     **{f"accelerometer_bias_{axis}_m_s2": f"estimated bias of the accelerometer, {axis}" for axis in FRD},
     **{f"gyroscope_bias_{axis}_rad_s": f"estimated bias of the gyroscope about {axis}" for axis in FRD},
-    "protection_level_horizontal_m": "horizontal error beyond which the position is with the integrity risk only",
-    "protection_level_vertical_m": "the same of the height",
-    "stationary": "1 where the vehicle was found to stand still",
-    "gnss_age_s": "since the last fix that was used; empty before the first",
+    "protection_level_horizontal_m": "horizontal protection level: exceeded by the position error with the integrity "
+    "risk",
+    "protection_level_vertical_m": "vertical protection level",
+    "stationary": "1 while standstill is detected",
+    "gnss_age_s": "time since the last used fix; empty before the first",
 }
 NAMES = tuple(COLUMNS)
 VALID = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
-DIAGONAL = (0, 3, 5)  # of an upper triangle, row by row
+DIAGONAL = (0, 3, 5)  # indices in an upper triangle stored row by row
 
 
 class TrackBuilder:
-    """Collects solutions without keeping the messages: an hour at 100 Hz is 130 MB rather than 1 GB."""
+    """Collects solutions as arrays: one hour at 100 Hz takes 130 MB (as messages 1 GB)."""
 
     def __init__(self) -> None:
         self._stamps, self._values = array("q"), array("d")
@@ -57,11 +58,11 @@ class TrackBuilder:
         values.extend((float(s.stationary), float("nan") if s.gnss_age_s is None else s.gnss_age_s))
 
     def track(self) -> "Track":
-        """Give what was collected, in order of its stamps."""
+        """The collected solutions, sorted by their stamps."""
         stamps = np.array(self._stamps, dtype=np.int64)
         values = np.array(self._values, dtype=float).reshape(-1, len(NAMES))
         order = np.argsort(stamps, kind="stable")
-        order = order[np.r_[np.diff(stamps[order]) > 0, True][: len(order)]]  # of one stamp the last word counts
+        order = order[np.r_[np.diff(stamps[order]) > 0, True][: len(order)]]  # of equal stamps the last is kept
         return Track(stamps[order], [self._phases[k] for k in order.tolist()], values[order])
 
 
@@ -77,7 +78,7 @@ class Track:
         return len(self.stamps_ns)
 
     def columns(self, first: str, count: int = 3) -> FloatArray:
-        """Neighbouring columns from a name on, shape (rows, count)."""
+        """Adjacent columns from a name on, shape (rows, count)."""
         start = NAMES.index(first)
         found: FloatArray = self.values[:, start : start + count]
         return found
@@ -89,6 +90,6 @@ class Track:
         return np.column_stack([np.radians(position[:, :2]), position[:, 2]])
 
     def valid(self) -> "Track":
-        """Give the part in which the filter navigates or coasts."""
+        """The part in which the filter navigates or coasts."""
         mask = np.array([phase in VALID for phase in self.phases], dtype=bool)
         return Track(self.stamps_ns[mask], [phase for phase in self.phases if phase in VALID], self.values[mask])

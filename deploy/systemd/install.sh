@@ -4,8 +4,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
-[ "$(id -u)" = 0 ] || { echo "this installs services: run it with sudo"; exit 1; }
-[ "$PWD" = /opt/obu ] || { echo "the services expect the repository at /opt/obu, this is $PWD: move it there"; exit 1; }
+[ "$(id -u)" = 0 ] || { echo "root rights are required: run it with sudo"; exit 1; }
+[ "$PWD" = /opt/obu ] || { echo "the repository must be at /opt/obu, not at $PWD: move it there"; exit 1; }
 [ -x .venv/bin/python ] || { echo "the Python packages are missing: run make setup first"; exit 1; }
 [ -x /usr/sbin/mosquitto ] || { echo "the broker is missing: apt install mosquitto"; exit 1; }
 
@@ -17,9 +17,9 @@ install -d -m 755 /etc/obu
 .venv/bin/python -m broker.local_config --store /var/lib/obu-broker --acl /opt/obu/broker/acl.conf >/etc/obu/mosquitto.conf
 
 cp -r deploy/systemd/obu.target deploy/systemd/obu-broker.service deploy/systemd/obu@* /etc/systemd/system/
-# Some kernels give no real-time priority to services (CONFIG_RT_GROUP_SCHED): there a high ordinary one has to do.
+# Some kernels give no real-time priority to services (CONFIG_RT_GROUP_SCHED): Nice=-10 is used instead.
 if ! chrt --rr 1 true 2>/dev/null; then
-    echo "this kernel grants services no real-time priority: the hot path gets Nice=-10"
+    echo "no real-time priority for services with this kernel: the hot path gets Nice=-10"
     grep -rl '^CPUSchedulingPolicy=rr$' /etc/systemd/system/obu* |
         xargs sed -i -e 's/^CPUSchedulingPolicy=rr$/Nice=-10/' -e '/^CPUSchedulingPriority=/d'
 fi
@@ -28,7 +28,7 @@ if command -v udevadm >/dev/null; then udevadm control --reload && udevadm trigg
 
 systemctl daemon-reload
 systemctl disable --quiet --now mosquitto.service
-# Besides those that obu.target wants, the processes run that have a section in the vehicle's file.
+# In addition to those of obu.target, processes with a section in the vehicle file are enabled.
 optional='from shared.processes import *; print(*(row.name for row in PROCESSES if row.kind is not Kind.STANDING))'
 for name in $(.venv/bin/python -c "$optional"); do
     if grep -q "^\[${name//./\\.}[].]" /etc/obu/vehicle.toml; then
@@ -39,4 +39,4 @@ for name in $(.venv/bin/python -c "$optional"); do
 done
 systemctl enable --quiet obu.target
 systemctl restart obu.target
-echo "the unit runs; 'systemctl list-dependencies obu.target' shows it, and 'journalctl -fu \"obu@*\"' what it says"
+echo "the unit runs; status: 'systemctl list-dependencies obu.target', logs: 'journalctl -fu \"obu@*\"'"

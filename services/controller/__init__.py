@@ -1,1 +1,1 @@
-"""Layer 3: what the unit should be doing now."""
+"""Layer 3: operating mode and configuration of the unit."""

@@ -1,1 +1,1 @@
-"""Layer 2: bytes to typed messages in SI units, and back."""
+"""Layer 2: decodes bytes to typed messages in SI units, and encodes commands."""

@@ -1,1 +1,1 @@
-"""Layer 1: devices to raw bytes, stamped."""
+"""Layer 1: device drivers, which publish stamped raw bytes."""

@@ -1,30 +1,34 @@
-"""The door of a process to the bus: MQTT 5 by a client of our own, its loop in our own hands.
+"""The connection of a process to the bus: a paho-mqtt client (MQTT 3.1.1), its loop in our own hands.
 
-Nothing runs in a thread or a callback: the process's own loop decodes, and the heartbeat is sent from that loop, so
-that a process that hangs goes silent.
+Nothing runs in a thread, and callbacks only queue: the process's own loop decodes, and the heartbeat is sent from that
+loop, so that a process that hangs goes silent.
 """
 
 import faulthandler
 import logging
 import os
+import select
+import socket
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
-from ..messages.base import Message
+import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from ..errors import BadPayload
+from ..messages.base import Message, Sender
 from ..messages.operation import ProcessHealth, ProcessState
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
 from ..runtime.usage import resident_bytes
 from ..topics import BY_MESSAGE, TOPICS, Topic
 from . import codec
-from .envelope import Envelope, Opener
-from .mqtt.client import Client, Lost, Outgoing, Refused
-from .mqtt.client_packets import MESSAGE_EXPIRY, user_property
-from .mqtt.packets import Connect, Publish, Subscription
-from .mqtt.properties import NONE
-from .mqtt.wire import text, varint
+from .envelope import Envelope
 
 __all__ = ["Bus", "Envelope"]
 
@@ -33,11 +37,12 @@ log = logging.getLogger(__name__)
 HEARTBEAT_S = 0.5
 HUNG_S = 20.0  # without a heartbeat: longer than a slow disk takes, and whoever restarts it should get to know
 KEEP_ALIVE_S = 5
+CONNECT_S = 1.0  # a host that does not answer shall not use up the time that SIGTERM leaves
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 STEADY_S = 3.0  # a connection that lasts less is no success: two of one name would take it from each other for ever
 QUEUE_LENGTH = 2000
-GATHERED_BYTES = 65_536  # that one write may hold
-PACKET_BYTES = codec.MAXIMUM_PAYLOAD + 65_536  # the largest payload, and the rest of its packet
+IN_FLIGHT = 100  # messages of QoS 1 that the broker has not acknowledged yet
+MOST_READS = 64  # in one go: a broker that sends without end shall not keep us from everything else
 
 
 class Bus:
@@ -45,8 +50,9 @@ class Bus:
 
     `receive` must be called at least every 0.2 s: it runs the network, the heartbeat and the
     reconnection. QoS 0 messages published while the broker is away are lost and counted, QoS 1
-    messages wait for it in a bounded queue. An observer only listens: it has no last will and no
-    heartbeat, and there may be several of one name.
+    messages wait for it in a bounded queue; what the broker is too slow to read waits there as
+    well. A full queue forgets the oldest, and `dropped` counts it. An observer only listens: it has
+    no last will and no heartbeat, and there may be several of one name.
     """
 
     def __init__(
@@ -65,55 +71,58 @@ class Bus:
         self.connected = False
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
-        self.reconnections = self.messages_in = self.messages_out = 0
+        self.reconnections = self.messages_in = self.messages_out = self.dropped = 0
         self._clock = Clock(state_dir)
         self.incarnation = self.now_ns()
+        self.sequence = 0  # running number of the last message sent
         self._prefix = f"obu/{vehicle}/"
-        self._heads: dict[str, bytes] = {}  # topics, encoded
-        # The properties of every message, up to its running number. They go first, for `Opener`.
-        origin = user_property("from", process) + user_property("life", str(self.incarnation))
-        self._signature = origin + user_property("seq", "")[:-2]
-        self._sequence = 0
+        self._inbox: deque[tuple[mqtt.MQTTMessage, int]] = deque(maxlen=QUEUE_LENGTH)
+        self._waiting: deque[tuple[str, bytes, Topic]] = deque()
+        self._last: mqtt.MQTTMessageInfo | None = None  # of QoS 1
         self._next_heartbeat = self._next_attempt = 0.0
-        self._attempts = self._refusals = self._brief = 0
+        self._attempts = self._brief = 0
         self._connected_s = 0.0
         self._alive_file = os.environ.get("OBU_ALIVE")  # touched with each heartbeat, for a container's health check
         self._observer, self._guarded = observer, False
-        filters = [Subscription(self._prefix + topic.name, topic.qos) for topic in subscriptions]
+        self._filters = [(self._prefix + topic.name, topic.qos) for topic in subscriptions]
         if len(subscriptions) == len(TOPICS):
             # Mosquitto serves those who name a topic before those who take everything: the hot path before observers.
-            filters = [Subscription(self._prefix + "#", 1)]
-        self._client = Client(
-            self._request(), address.password, filters, Opener(self._prefix, self._clock.now_ns),
-            queue=QUEUE_LENGTH, packet_bytes=PACKET_BYTES,
-        )  # fmt: skip
+            self._filters = [(self._prefix + "#", 1)]
+        self._client = self._make_client()
+
+    def _make_client(self) -> mqtt.Client:
+        identity = f"{self.process}-{self.incarnation:x}" if self._observer else self.process
+        client = mqtt.Client(CallbackAPIVersion.VERSION2, identity, protocol=mqtt.MQTTv311, reconnect_on_failure=False)
+        client.username_pw_set(self.address.username or self.process, self.address.password)
+        client.connect_timeout = CONNECT_S
+        client.max_inflight_messages_set(IN_FLIGHT)
+        client.max_queued_messages_set(QUEUE_LENGTH)
+        client.on_socket_open = _send_at_once
+        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.on_subscribe, client.on_message = self._on_subscribe, self._on_message
+        if not self._observer:
+            will = ProcessHealth(
+                process=self.process, state=ProcessState.LOST, incarnation=self.incarnation, sent_ns=self.incarnation
+            )
+            client.will_set(self._prefix + codec.topic_name(will), self._sign(will), qos=1, retain=True)
+        return client
 
     def now_ns(self) -> int:
         """Read the OBU time line."""
         return self._clock.now_ns()
 
-    def publish(self, message: Message, *, at_once: bool = True) -> None:
-        """Send a message on the topic of its type, at once or with the next `flush` or `receive`."""
+    def publish(self, message: Message) -> None:
+        """Send a message on the topic of its type, signed with who we are and a running number."""
         topic = BY_MESSAGE[type(message)]
-        payload, properties = codec.encode(message)
-        self._gather(codec.topic_name(message, topic), payload, properties, topic)
-        if at_once or self._client.gathered_bytes > GATHERED_BYTES:
-            self.flush()
-
-    def send(self, name: str, payload: bytes, properties: dict[str, str], topic: Topic) -> None:
-        """Send bytes on a topic by its short name, stamped with who we are and a running number."""
-        self._gather(name, payload, properties, topic)
-        self.flush()
-
-    @property
-    def sequence(self) -> int:
-        """Running number of the last message sent."""
-        return self._sequence
-
-    @property
-    def dropped(self) -> int:
-        """Messages that full queues forgot, and those of QoS 0 that found no broker."""
-        return self._client.dropped
+        self.sequence += 1
+        self.messages_out += 1
+        name, payload = self._prefix + codec.topic_name(message, topic), self._sign(message)
+        if len(payload) > codec.MAXIMUM_PAYLOAD or not (self.connected or topic.qos):
+            self.dropped += 1
+        elif self._waiting or not self._ready():
+            self._wait(name, payload, topic)
+        else:
+            self._send(name, payload, topic)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
         """Run the network for up to `timeout_s` and return what came, oldest first.
@@ -121,21 +130,21 @@ class Bus:
         Returns at once when something is there. After SIGTERM `stopping` is set and the call returns.
         """
         self._heartbeat()  # before the wait: what comes shall not wait for it
-        if self._client.is_open or self._connect(timeout_s):
+        if self._client.socket() is not None or self._connect(timeout_s):
             self._exchange(timeout_s)
         return self._take()
 
     def close(self) -> None:
-        """Say farewell and disconnect; the last will is not sent."""
+        """Publish the farewell and disconnect; the last will is not sent."""
         self.stopping = True
         if self._guarded:
             faulthandler.cancel_dump_traceback_later()
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.DISCONNECTED))
         deadline = time.monotonic() + 0.5
-        while self.connected and not self._client.is_idle and time.monotonic() < deadline:
+        while self.connected and self._is_owed() and time.monotonic() < deadline:
             self._exchange(0.05)
-        self._client.leave()
+        self._client.disconnect()
         self.connected = False
 
     def health(self, state: ProcessState) -> ProcessHealth:
@@ -155,38 +164,35 @@ class Bus:
             last_error=self.last_error,
         )
 
-    def _request(self) -> Connect:
-        identity = f"{self.process}-{self.incarnation:x}" if self._observer else self.process
-        user = self.address.username or self.process
-        return Connect(identity, True, KEEP_ALIVE_S, user, None if self._observer else self._will(), NONE)
+    def guard(self) -> None:
+        """From now on end the program, with a traceback on standard error, when `receive` is not called any more."""
+        self._guarded = True
 
-    def _will(self) -> Publish:
-        will = ProcessHealth(
-            process=self.process, state=ProcessState.LOST, incarnation=self.incarnation, sent_ns=self.incarnation
-        )
-        topic, properties = self._prefix + codec.topic_name(will), self._signature + text("0")
-        return Publish(topic, codec.encode(will)[0], qos=1, retain=True, properties=properties)
+    def _sign(self, message: Message) -> bytes:
+        sender = Sender(process=self.process, incarnation=self.incarnation, sequence=self.sequence)
+        return codec.signed(codec.encode(message), sender)
 
-    def _gather(self, name: str, payload: bytes, properties: dict[str, str], topic: Topic) -> None:
-        self._sequence += 1
-        self.messages_out += 1
-        head = self._heads.get(name)
-        if head is None:
-            head = self._heads[name] = text(self._prefix + name)
-        number = b"%d" % self._sequence
-        packed = self._signature + len(number).to_bytes(2) + number
-        for key, value in properties.items():
-            packed += user_property(key, value)
-        if topic.retain and topic.expiry_s:
-            packed += bytes((MESSAGE_EXPIRY,)) + topic.expiry_s.to_bytes(4)
-        self._client.publish(Outgoing(head, varint(len(packed)) + packed, payload, topic.qos, topic.retain))
+    def _ready(self) -> bool:
+        """Whether the broker reads as fast as it is written to."""
+        return self.connected and not self._client.want_write()
 
-    def flush(self) -> None:
-        """Write what was published to be sent later."""
-        try:
-            self._client.flush()
-        except Lost as error:
-            self._lose(error)
+    def _is_owed(self) -> bool:
+        """Whether a message waits, or for its acknowledgement."""
+        last = self._last
+        return bool(self._waiting) or (last is not None and not last.rc and not last.is_published())
+
+    def _send(self, name: str, payload: bytes, topic: Topic) -> None:
+        info = self._client.publish(name, payload, topic.qos, topic.retain)
+        if info.rc == mqtt.MQTT_ERR_QUEUE_SIZE:  # so many of QoS 1 were not acknowledged
+            self.dropped += 1
+        elif topic.qos:
+            self._last = info
+
+    def _wait(self, name: str, payload: bytes, topic: Topic) -> None:
+        self._waiting.append((name, payload, topic))
+        if len(self._waiting) > QUEUE_LENGTH:
+            self._waiting.popleft()
+            self.dropped += 1
 
     def _connect(self, timeout_s: float) -> bool:
         wait = self._next_attempt - time.monotonic()
@@ -196,72 +202,106 @@ class Bus:
         self._next_attempt = time.monotonic() + RECONNECT_S[min(self._attempts, len(RECONNECT_S) - 1)]
         self._attempts += 1
         try:
-            self._client.open(self.address.host, self.address.port)
+            self._client.connect(self.address.host, self.address.port, KEEP_ALIVE_S)
         except OSError as error:
             self.last_error = f"no broker at {self.address.host}:{self.address.port}: {error.strerror or error}"
             if self._attempts == 1:
                 log.warning("%s, trying again until it is there", self.last_error)
-            return False
-        return True
+        return self._client.socket() is not None
 
     def _exchange(self, timeout_s: float) -> None:
-        try:
-            self._client.exchange(timeout_s)
-        except Lost as error:
-            self._lose(error)
-        if self._client.up and not self.connected:
-            self.connected, self.last_error = True, None
-            self._connected_s, self._next_heartbeat = time.monotonic(), 0.0
-            log.info("connected to %s:%d", self.address.host, self.address.port)
-        if self._client.refusals > self._refusals:
-            self._refusals = self._client.refusals
-            self.rejects["refused"], self.last_error = self._refusals, self._client.complaint
+        """Wait until the broker sends, or reads again; take in what came, and send what waited."""
+        client, sock = self._client, [cast(socket.socket, self._client.socket())]
+        readable, writable, _ = select.select(sock, sock if client.want_write() else [], [], timeout_s)
+        if writable:
+            client.loop_write()
+        for _ in range(MOST_READS):
+            if not readable:
+                break
+            client.loop_read()
+            readable = [] if client.socket() is None else select.select(sock, [], [], 0.0)[0]
+        if client.want_write():
+            client.loop_write()
+        while self._waiting and self._ready():
+            self._send(*self._waiting.popleft())
 
-    def _lose(self, error: Lost) -> None:
-        if isinstance(error, Refused):
-            complaint = f"the broker refuses {self.process}: {error}"
+    def _on_connect(
+        self, client: mqtt.Client, _u: object, _f: mqtt.ConnectFlags, reason: ReasonCode, _p: Properties | None
+    ) -> None:
+        if reason.is_failure:
+            complaint = f"the broker refuses {self.process}: {reason}"
             if complaint != self.last_error:
                 log.error("%s; check the credentials in OBU_BROKER", complaint)
             self.last_error = complaint
-        else:
-            if self.connected and not self.stopping:
-                self._note_loss(error)
-            self.last_error = f"connection to the broker lost: {error}"
-            self._next_attempt = time.monotonic() + RECONNECT_S[min(self._attempts, len(RECONNECT_S) - 1)]
-        self.connected = False
+            return
+        self.connected, self.last_error = True, None
+        self._connected_s, self._next_heartbeat = time.monotonic(), 0.0
+        log.info("connected to %s:%d", self.address.host, self.address.port)
+        if self._filters:
+            client.subscribe(self._filters)  # anew: the broker keeps no session of ours
 
-    def _note_loss(self, error: Lost) -> None:
+    def _on_subscribe(
+        self, _c: mqtt.Client, _u: object, _mid: int, granted: list[ReasonCode], _p: Properties | None
+    ) -> None:
+        refused = [code for code in granted if code.is_failure]
+        if refused:
+            self.rejects["refused"] += len(refused)
+            self.last_error = f"the broker refuses a subscription: {refused[0]}"
+            log.error("%s", self.last_error)
+
+    def _on_message(self, _c: mqtt.Client, _u: object, message: mqtt.MQTTMessage) -> None:
+        self.messages_in += 1
+        self.dropped += len(self._inbox) == QUEUE_LENGTH
+        self._inbox.append((message, self.now_ns()))
+
+    def _on_disconnect(
+        self, _c: mqtt.Client, _u: object, _f: mqtt.DisconnectFlags, reason: ReasonCode, _p: Properties | None
+    ) -> None:
+        if not self.connected:
+            return
+        self.connected = False
+        lost = [entry for entry in self._waiting if not entry[2].qos]
+        self.dropped += len(lost)
+        self._waiting = deque(entry for entry in self._waiting if entry[2].qos)
+        if self.stopping:
+            return
         self.reconnections += 1
         if time.monotonic() - self._connected_s < STEADY_S:
             self._brief += 1
         else:
             self._attempts = self._brief = 0
+        self.last_error = f"connection to the broker lost: {reason}"
+        self._next_attempt = time.monotonic() + RECONNECT_S[min(self._attempts, len(RECONNECT_S) - 1)]
         hint = f"; does another {self.process} run on this broker?" if self._brief > 1 and not self._observer else ""
-        log.warning("connection to the broker lost: %s%s", error, hint)
-
-    def guard(self) -> None:
-        """From now on end the program, with a traceback on standard error, when `receive` is not called any more."""
-        self._guarded = True
+        log.warning("%s%s", self.last_error, hint)
 
     def _heartbeat(self) -> None:
         now = time.monotonic()
-        if self._observer or now < self._next_heartbeat:
+        if now < self._next_heartbeat:
             return
         self._next_heartbeat = now + HEARTBEAT_S
+        self._client.loop_misc()  # keep-alive
         if self._guarded:
             faulthandler.dump_traceback_later(HUNG_S, exit=True)
-        if self.connected:
+        if self.connected and not self._observer:
             self.publish(self.health(ProcessState.READY))
             if self._alive_file:
                 Path(self._alive_file).touch()
 
     def _take(self) -> list[Envelope]:
-        inbox = self._client.inbox
-        if not inbox:
-            return []
-        self.messages_in += len(inbox)
-        envelopes = [envelope for envelope in inbox if envelope is not None]
-        if len(envelopes) != len(inbox):
-            self.rejects["envelope"] += len(inbox) - len(envelopes)
-        inbox.clear()
+        envelopes = []
+        while self._inbox:
+            message, received_ns = self._inbox.popleft()
+            try:
+                name = message.topic.removeprefix(self._prefix)
+                envelopes.append(Envelope.of(name, bytes(message.payload), received_ns, retained=message.retain))
+            except (BadPayload, UnicodeDecodeError) as error:
+                self.rejects["envelope"] += 1
+                self.last_error = str(error)[:400]
         return envelopes
+
+
+def _send_at_once(_client: mqtt.Client, _userdata: object, sock: object) -> None:
+    """Without TCP_NODELAY bursts of small messages wait for the peer's delayed acknowledgement: 20 to 40 ms."""
+    if isinstance(sock, socket.socket):
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

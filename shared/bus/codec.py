@@ -1,14 +1,13 @@
-"""Messages to and from what travels on the bus: short topic name, payload, user properties."""
-
-from collections.abc import Mapping
+"""Messages to and from what travels on the bus: short topic name, and JSON that begins with who sent it."""
 
 from pydantic import ValidationError
 
 from ..errors import BadPayload
-from ..messages.base import DEVICE_NAME_LENGTH, LARGEST_NS, Message, RawBytes
+from ..messages.base import Message, Sender
 from ..topics import BY_MESSAGE, Topic, topic_of
 
 MAXIMUM_PAYLOAD = 1 << 20  # a hostile sender shall not fill the memory
+SENDER = b'{"sender":'
 
 
 def topic_name(message: Message, topic: Topic | None = None) -> str:
@@ -19,16 +18,29 @@ def topic_name(message: Message, topic: Topic | None = None) -> str:
     return topic.name[:-1] + str(message.process)  # type: ignore[attr-defined]  # the contract test holds it
 
 
-def encode(message: Message) -> tuple[bytes, dict[str, str]]:
-    """Encode a message as payload and user properties."""
-    if BY_MESSAGE[type(message)].is_raw:  # asking pydantic whose child it is takes far longer
-        raw: RawBytes = message  # type: ignore[assignment]
-        return raw.data, {"received_ns": str(raw.received_ns), "source": raw.source}
+def encode(message: Message) -> bytes:
+    """Encode a message as JSON; what is missing is left out."""
     # What `model_dump_json` does behind its long signature, and the bytes themselves.
-    return message.__pydantic_serializer__.to_json(message, exclude_none=True), {}
+    return message.__pydantic_serializer__.to_json(message, exclude_none=True)
 
 
-def decode(name: str, payload: bytes, properties: Mapping[str, str]) -> Message:
+def signed(body: bytes, sender: Sender) -> bytes:
+    """Put the sender in front of the fields of an encoded message, of which there is at least one."""
+    return SENDER + encode(sender) + b"," + body[1:]
+
+
+def sender_of(payload: bytes) -> Sender:
+    """Read who sent a payload, which is its first field, or raise `BadPayload`."""
+    if len(payload) > MAXIMUM_PAYLOAD or not payload.startswith(SENDER):
+        raise BadPayload(f"{len(payload)} bytes that do not begin with their sender")
+    try:
+        sender: Sender = Sender.__pydantic_validator__.validate_json(payload[len(SENDER) : payload.find(b"}") + 1])
+    except ValidationError as error:
+        raise BadPayload(f"sender: {error.errors()[0]['msg']}") from error
+    return sender
+
+
+def decode(name: str, payload: bytes) -> Message:
     """Decode what came on a topic, or raise `BadPayload` with the reason."""
     topic = topic_of(name)
     if topic is None:
@@ -36,18 +48,9 @@ def decode(name: str, payload: bytes, properties: Mapping[str, str]) -> Message:
     if len(payload) > MAXIMUM_PAYLOAD:
         raise BadPayload(f"{len(payload)} bytes on {name}")
     try:
-        if topic.is_raw:
-            stamp, source = int(properties["received_ns"]), properties["source"]
-            if not -LARGEST_NS <= stamp < LARGEST_NS or len(source) > DEVICE_NAME_LENGTH:
-                raise ValueError("a stamp beyond 64 bits, or a device with a name of more letters than any has")
-            return topic.message.unchecked(received_ns=stamp, source=source, data=payload)
         message: Message = topic.message.__pydantic_validator__.validate_json(payload)
-    except KeyError as error:
-        raise BadPayload(f"{name} without the user property {error}") from error
     except ValidationError as error:
         raise BadPayload(f"{name}: {error.errors()[0]['msg']}") from error
-    except ValueError as error:
-        raise BadPayload(f"{name}: {error}") from error
     if topic.per_process and name != topic_name(message):
         raise BadPayload(f"{name} speaks for {topic_name(message)}")
     return message

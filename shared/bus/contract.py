@@ -7,6 +7,7 @@ from typing import cast
 
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
+from ..messages.base import Message, Sender
 from ..processes import LAYERS, PROCESSES
 from ..topics import TOPICS, Topic, publications, subscriptions
 
@@ -23,7 +24,7 @@ def asyncapi() -> Json:
             "description": "MQTT contract of the on-board unit, derived from shared/topics.py and shared/processes.py.",
         },
         "servers": {
-            "vehicle": {"host": "127.0.0.1:1883", "protocol": "mqtt", "protocolVersion": "5.0"},
+            "vehicle": {"host": "127.0.0.1:1883", "protocol": "mqtt", "protocolVersion": "3.1.1"},
         },
         "channels": {_key(t): _channel(t) for t in TOPICS},
         "operations": _operations(),
@@ -45,7 +46,7 @@ def topics_table() -> str:
             t.purpose,
             f"{t.rate_hz:g}" if t.rate_hz else "on change",
             f"{t.silent_after_s:g}" if t.silent_after_s else "-",
-            str(t.qos) + (", retained" if t.retain else "") + (f" {t.expiry_s} s" if t.expiry_s else ""),
+            str(t.qos) + (", retained" if t.retain else ""),
             "every process" if t.per_process else ", ".join(t.producers),
             ", ".join(t.consumers) or "observers",
         )
@@ -117,8 +118,6 @@ def _operations() -> Json:
     operations: Json = {}
     for topic in TOPICS:
         binding: Json = {"mqtt": {"qos": topic.qos, "retain": topic.retain, "bindingVersion": "0.2.0"}}
-        if topic.expiry_s:
-            cast(Json, binding["mqtt"])["messageExpiryInterval"] = topic.expiry_s
         channel = {"$ref": f"#/channels/{_key(topic)}"}
         for name in topic.producers:
             operations[f"{name}.sends.{_key(topic)}"] = {"action": "send", "channel": channel, "bindings": binding}
@@ -134,12 +133,6 @@ def _operations() -> Json:
 def _message(topic: Topic) -> Json:
     message = topic.message
     described: Json = {"name": message.__name__, "summary": (message.__doc__ or "").strip().splitlines()[0]}
-    if topic.is_raw:
-        described["contentType"] = "application/octet-stream"
-        described["description"] = (
-            "The payload is what the device sent; `received_ns` and `source` are user properties."
-        )
-        return described
     described["contentType"] = "application/json"
     described["payload"] = {
         "schemaFormat": "application/schema+json;version=draft-2020-12",
@@ -148,13 +141,25 @@ def _message(topic: Topic) -> Json:
     return described
 
 
+def payload_schema(message: type[Message]) -> Json:
+    """Describe the payload of a message as JSON schema: its fields, and who sent it."""
+    return _with_sender(message.model_json_schema(mode="serialization"), Sender.model_json_schema())
+
+
+def _with_sender(schema: Json, sender: Json) -> Json:
+    properties, required = cast(Json, schema["properties"]), cast(list[str], schema.get("required", []))
+    return schema | {"properties": {"sender": sender, **properties}, "required": ["sender", *required]}
+
+
 def _schemas() -> Json:
     """Describe the payloads, and what they hold, side by side: a reference is resolved from the document's root."""
     mode: JsonSchemaMode = "serialization"
-    _, schemas = models_json_schema(
-        [(t.message, mode) for t in TOPICS if not t.is_raw], ref_template="#/components/schemas/{model}"
-    )
-    return cast(Json, schemas["$defs"])
+    kinds: list[type[Message]] = [Sender, *(t.message for t in TOPICS)]
+    _, schemas = models_json_schema([(kind, mode) for kind in kinds], ref_template="#/components/schemas/{model}")
+    described = cast(Json, schemas["$defs"])
+    sender: Json = {"$ref": "#/components/schemas/Sender"}
+    payloads = {t.message.__name__: _with_sender(cast(Json, described[t.message.__name__]), sender) for t in TOPICS}
+    return described | payloads
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

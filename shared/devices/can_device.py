@@ -1,8 +1,8 @@
-"""CAN interfaces behind the door of `device.py`: what they read are the lines of a candump log.
+"""CAN interfaces as devices of `device.py`; their bytes are the lines of a candump log.
 
 socketcan://can0                            a network interface of the kernel
-slcan:///dev/ttyACM1?bitrate=500000         a serial adapter that speaks Lawicel's protocol
-file:///drive.log                           a candump log, at the pace at which it was recorded
+slcan:///dev/ttyACM1?bitrate=500000         a serial adapter with the Lawicel (SLCAN) protocol
+file:///drive.log                           a candump log, replayed at its recorded rate
 """
 
 import re
@@ -23,12 +23,12 @@ Clock = Callable[[], int]
 
 
 def check_can_url(url: str) -> None:
-    """Raise `UserError` for a URL that is not understood."""
+    """Raise `UserError` for an invalid URL."""
     split_url(url, KNOWN, EXAMPLES)
 
 
 def open_can(url: str, request_identifier: int, now_ns: Clock) -> Device:
-    """Open a CAN interface or a log; raises `DeviceLost` if it is not there, `UserError` if the URL is wrong."""
+    """Open a CAN interface or a log; raises `DeviceLost` if it is not available, `UserError` if the URL is invalid."""
     parts, options = split_url(url, KNOWN, EXAMPLES)
     name = parts.netloc + parts.path
     try:
@@ -39,18 +39,18 @@ def open_can(url: str, request_identifier: int, now_ns: Clock) -> Device:
         else:
             bus = can.Bus(name, parts.scheme)
     except (can.CanError, OSError) as error:
-        raise DeviceLost(f"cannot open {url}: {error}; check that the interface or the adapter is there") from error
+        raise DeviceLost(f"cannot open {url}: {error}; check that the interface or the adapter exists") from error
     return CanDevice(bus, name, request_identifier, now_ns)
 
 
 class CanDevice:
-    """A CAN interface; what it is given to write is the data of one request."""
+    """A CAN interface; `write` transmits the data of one request."""
 
     def __init__(self, bus: can.BusABC, channel: str, request_identifier: int, now_ns: Clock) -> None:
         self._bus, self._channel, self._identifier, self._now_ns = bus, channel, request_identifier, now_ns
 
     def read(self, wait_s: float) -> bytes:
-        """Return the frames that are there as candump lines."""
+        """Return the received frames as candump lines."""
         lines: list[bytes] = []
         try:
             while len(lines) < MOST_FRAMES and (frame := self._bus.recv(0 if lines else wait_s)) is not None:
@@ -61,31 +61,31 @@ class CanDevice:
         return b"".join(lines)
 
     def write(self, data: bytes) -> None:
-        """Send one request; where nobody acknowledges, the queue fills up: the vehicle may be switched off."""
+        """Transmit one request; raises `DeviceBusy` if the queue is full, as without an acknowledging node."""
         message = can.Message(arbitration_id=self._identifier, is_extended_id=self._identifier > 0x7FF, data=data)
         try:
             self._bus.send(message, timeout=0.01)
         except can.CanError as error:
-            raise DeviceBusy(f"{self._channel} takes no frames: {error}") from error
+            raise DeviceBusy(f"{self._channel} accepts no frames: {error}") from error
         except OSError as error:
             raise DeviceLost(f"lost {self._channel}: {error}; check its cable") from error
 
     def close(self) -> None:
-        """Let go of the interface."""
+        """Close the interface."""
         try:
             self._bus.shutdown()
-        except (can.CanError, OSError):  # the adapter is gone, and with it what there was to close
+        except (can.CanError, OSError):  # the adapter is already disconnected
             return
 
     def _line(self, frame: can.Message) -> bytes:
-        # The kernel stamps in its wall clock, which may be set: only the age is used, and only if it is plausible.
+        # The kernel stamps in wall-clock time, which may be adjusted: only the age is used, if it is plausible.
         age_ns = round((time.time() - frame.timestamp) * NS)
         stamp_ns = self._now_ns() - (age_ns if 0 <= age_ns < NS else 0)
         return candump_line(stamp_ns, Path(self._channel).name, frame)
 
 
 class LogDevice:
-    """A candump log, sent at the pace at which it was recorded; silent at its end."""
+    """A candump log, replayed at its recorded rate; no bytes after its end."""
 
     def __init__(self, path: Path, now_ns: Clock) -> None:
         self._file, self._now_ns = path.open(encoding="ascii", errors="replace"), now_ns
@@ -93,7 +93,7 @@ class LogDevice:
         self._offset_ns = now_ns() - (self._next[0] if self._next else 0)
 
     def read(self, wait_s: float) -> bytes:
-        """Return the lines that are due, stamped with the time at which they are."""
+        """Return the lines that are due, with their time stamps shifted to the present."""
         lines: list[bytes] = []
         until_s = (self._next[0] + self._offset_ns - self._now_ns()) / NS if self._next else wait_s
         time.sleep(min(max(until_s, 0.0), wait_s))
@@ -103,14 +103,14 @@ class LogDevice:
         return b"".join(lines)
 
     def write(self, data: bytes) -> None:
-        """A recording does not listen."""
+        """Ignored: a recording has no input."""
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
     def _scan(self) -> tuple[int, str] | None:
-        """Find the next line that is one: its stamp and the rest."""
+        """Time stamp [ns] and remainder of the next valid line; None at the end."""
         for line in self._file:
             if match := _LINE.match(line):
                 seconds, fraction, rest = match.groups()
@@ -119,7 +119,7 @@ class LogDevice:
 
 
 def candump_line(time_ns: int, channel: str, frame: can.Message) -> bytes:
-    """Write a frame as candump does with the option -L."""
+    """Format a frame as a line of `candump -L`."""
     name = f"{frame.arbitration_id:08X}" if frame.is_extended_id else f"{frame.arbitration_id:03X}"
     data = frame.data.hex().upper()
     if frame.is_remote_frame:

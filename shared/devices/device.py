@@ -1,9 +1,9 @@
-"""Devices that send bytes: a serial port, a TCP socket or a recorded file behind one door, named by a URL.
+"""Byte-stream devices with one interface: a serial port, a TCP socket or a recorded file, selected by a URL.
 
-serial:///dev/ttyACM0?baud=115200   a port by its path (best: one of /dev/serial/by-id)
-serial://1546:01a9?baud=115200      the first port of that USB vendor and product
-tcp://host:port                     a socket that sends raw bytes
-file:///path?rate=11520             a recorded file, at so many bytes a second
+serial:///dev/ttyACM0?baud=115200   a port by its path (recommended: one of /dev/serial/by-id)
+serial://1546:01a9?baud=115200      the first port of a USB vendor and product
+tcp://host:port                     a TCP server that sends raw bytes
+file:///path?rate=11520             a recorded file, replayed at a rate in bytes per second
 """
 
 import contextlib
@@ -30,48 +30,48 @@ _EXAMPLES = "serial:///dev/ttyACM0?baud=115200 or tcp://host:port"
 
 
 class DeviceLost(ObuError):
-    """The device is not there, or no longer; the text says which and what to check."""
+    """The device is missing or was disconnected; the text names it and what to check."""
 
 
 class DeviceBusy(ObuError):
-    """The device did not take what was to be written; it is still there."""
+    """The device is connected but did not accept the written bytes."""
 
 
 class Device(Protocol):
-    """An open device; every method raises `DeviceLost` when it has gone."""
+    """An open device; every method raises `DeviceLost` when it is disconnected."""
 
     def read(self, wait_s: float) -> bytes:
-        """Return what is there, or wait for the first of it; empty if nothing came in time."""
+        """Return the received bytes, waiting up to `wait_s` for the first; empty after the timeout."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the device; raises `DeviceBusy` if it does not take them."""
+        """Send bytes to the device; raises `DeviceBusy` if it does not accept them."""
         ...
 
     def close(self) -> None:
-        """Let go of the device; may be called twice."""
+        """Close the device; may be called twice."""
         ...
 
 
 def split_url(
     url: str, known: Mapping[str, Set[str]] = _KNOWN, examples: str = _EXAMPLES
 ) -> tuple[SplitResult, dict[str, int]]:
-    """Split the URL of a device into its parts and options; raises `UserError` for one that is not understood."""
+    """Split the URL of a device into its parts and options; raises `UserError` for an invalid one."""
     parts = urlsplit(url)
     options = dict(parse_qsl(parts.query))
     if parts.scheme not in known:
-        raise UserError(f"the device {url!r} is not understood: try {examples}")
+        raise UserError(f"unknown device {url!r}: try {examples}")
     if unknown := options.keys() - known[parts.scheme]:
         names = ", ".join(sorted(known[parts.scheme])) or "none"
-        raise UserError(f"the device {url!r} has no option {min(unknown)!r}; known options: {names}")
+        raise UserError(f"device {url!r}: unknown option {min(unknown)!r}; known options: {names}")
     for name, value in options.items():
         if not value.isdecimal() or int(value) == 0:
-            raise UserError(f"the device {url!r}: {name} = {value!r} is no positive whole number; mend it")
+            raise UserError(f"device {url!r}: {name} = {value!r} must be a positive integer")
     return parts, {name: int(value) for name, value in options.items()}
 
 
 def open_device(url: str) -> Device:
-    """Open the device of a URL; raises `DeviceLost` if it is not there, `UserError` if the URL is wrong."""
+    """Open the device of a URL; raises `DeviceLost` if it is not available, `UserError` if the URL is invalid."""
     parts, options = split_url(url)
     try:
         if parts.scheme == "serial":
@@ -89,11 +89,11 @@ def _hint(error: OSError) -> str:
         return f"{what}; add the user to the group dialout"
     if error.errno in (errno.EAGAIN, errno.EBUSY):
         return f"{what}; another program has it open"
-    return f"{what}; check the cable and the device in the vehicle's file"
+    return f"{what}; check the cable and the device in the vehicle file"
 
 
 class SerialDevice:
-    """A serial port, claimed for this process alone; pyserial sets it up, the kernel does the rest."""
+    """A serial port with exclusive access; pyserial configures it, reads and writes are system calls."""
 
     def __init__(self, name: str, baud: int) -> None:
         from serial.serialposix import Serial
@@ -102,10 +102,10 @@ class SerialDevice:
         self._port = Serial(self._name, baud, timeout=0, exclusive=True)  # type: ignore[no-untyped-call]  # no types
         self._descriptor = int(self._port.fd or 0)
         with contextlib.suppress(termios.error):
-            termios.tcflush(self._descriptor, termios.TCIFLUSH)  # what waited there has lost the time of its arrival
+            termios.tcflush(self._descriptor, termios.TCIFLUSH)  # the arrival time of buffered bytes is unknown
 
     def read(self, wait_s: float) -> bytes:
-        """Return what the driver of the port has."""
+        """Return the bytes in the receive buffer of the port."""
         try:
             if not select.select([self._descriptor], [], [], wait_s)[0]:
                 return b""
@@ -114,7 +114,7 @@ class SerialDevice:
             return b""
         except (OSError, ValueError) as error:
             raise DeviceLost(f"lost {self._name}: {error}; check its cable") from error
-        if not data:  # ready, and nothing there: the port has been unplugged
+        if not data:  # readable without data: the port was unplugged
             raise DeviceLost(f"lost {self._name}; check its cable")
         return data
 
@@ -123,13 +123,13 @@ class SerialDevice:
         try:
             while data:
                 if not select.select([], [self._descriptor], [], WRITE_S)[1]:
-                    raise DeviceBusy(f"{self._name} takes no bytes")
+                    raise DeviceBusy(f"{self._name} accepts no bytes")
                 data = data[os.write(self._descriptor, data) :]
         except (OSError, ValueError) as error:
             raise DeviceLost(f"lost {self._name}: {error}; check its cable") from error
 
     def close(self) -> None:
-        """Close the port, so that its name is free for the device when it comes back."""
+        """Close the port, so that its name is free when the device is reconnected."""
         with contextlib.suppress(OSError):
             self._port.close()  # type: ignore[no-untyped-call]  # no types
 
@@ -149,7 +149,7 @@ def _port_of(name: str) -> str:
 
 
 class TcpDevice:
-    """A socket that carries the bytes of a device; it connects while `read` is called, without ever blocking."""
+    """A TCP connection to a device server; it is established during `read`, without blocking."""
 
     def __init__(self, parts: SplitResult) -> None:
         try:
@@ -157,12 +157,12 @@ class TcpDevice:
         except ValueError:
             port = None
         if not parts.hostname or not port:
-            raise UserError(f"the device {parts.geturl()!r} needs a host and a port: try tcp://127.0.0.1:2000")
+            raise UserError(f"device {parts.geturl()!r}: host and port required: try tcp://127.0.0.1:2000")
         self._name = f"{parts.hostname}:{port}"
         family, kind, protocol, _, address = socket.getaddrinfo(parts.hostname, port, type=socket.SOCK_STREAM)[0]
         self._socket = socket.socket(family, kind, protocol)
         self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # a peer that lost its power says nothing
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # detects a peer without power
         for option, value in ((socket.TCP_KEEPIDLE, 5), (socket.TCP_KEEPINTVL, 2), (socket.TCP_KEEPCNT, 3)):
             self._socket.setsockopt(socket.IPPROTO_TCP, option, value)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -171,7 +171,7 @@ class TcpDevice:
         self._socket.connect_ex(address)
 
     def read(self, wait_s: float) -> bytes:
-        """Return what has arrived."""
+        """Return the received bytes."""
         if not self._connected and not self._connect(wait_s):
             return b""
         if not select.select([self._socket], [], [], wait_s)[0]:
@@ -185,7 +185,7 @@ class TcpDevice:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send bytes, as far as the peer reads them."""
+        """Send bytes; raises `DeviceBusy` if the peer does not accept all of them."""
         try:
             if not self._connected or self._socket.send(data) < len(data):
                 raise DeviceBusy(f"{self._name} does not read")
@@ -201,15 +201,15 @@ class TcpDevice:
     def _connect(self, wait_s: float) -> bool:
         if select.select([], [self._socket], [], wait_s)[1]:
             if fault := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-                raise DeviceLost(f"cannot connect to {self._name}: {os.strerror(fault)}; check that its server runs")
+                raise DeviceLost(f"cannot connect to {self._name}: {os.strerror(fault)}; check that the server runs")
             self._connected = True
         elif time.monotonic() > self._deadline:
-            raise DeviceLost(f"cannot connect to {self._name}: no answer; check the network")
+            raise DeviceLost(f"cannot connect to {self._name}: timeout; check the network")
         return self._connected
 
 
 class FileDevice:
-    """A recorded file, sent at an even rate; at its end it is silent."""
+    """A recorded file, replayed at a constant rate; no bytes after its end."""
 
     def __init__(self, path: Path, rate_bytes_s: int) -> None:
         self._file = path.open("rb")
@@ -230,7 +230,7 @@ class FileDevice:
         return data
 
     def write(self, data: bytes) -> None:
-        """A recording does not listen."""
+        """Ignored: a recording has no input."""
 
     def close(self) -> None:
         """Close the file."""

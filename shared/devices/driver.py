@@ -1,4 +1,4 @@
-"""The loop of a process of layer 1: reads a device, stamps and publishes its bytes, opens it again when it was away."""
+"""Main loop of a device driver: reads a device, stamps and publishes its bytes, and reconnects after a loss."""
 
 import logging
 import time
@@ -14,18 +14,17 @@ from .device import Device, DeviceBusy, DeviceLost
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.5, 1.0, 2.0, 5.0)
-WAIT_S = 0.02  # for the first byte
+WAIT_S = 0.02  # timeout of the first byte of a chunk
 CHUNK_BYTES = 16384
 ORIGIN_S = 2.0
 
 
 class Link:
-    """A device that may come and go.
+    """A device that may be disconnected and reconnected.
 
-    A loss is logged once and counted in `bus.rejects["device_lost"]`; `bus.last_error` says what to check until
-    the device is back. The device is closed before it is opened again: a port that is still held by a dead handle
-    comes back under another name. A chunk ends after `gap_s` of silence, or when its first byte has waited for
-    `chunk_s`.
+    A loss is logged once and counted in `bus.rejects["device_lost"]`; `bus.last_error` states what to check until
+    data are received again. The device is closed before it is reopened, since a serial port that is still open
+    reappears under another name. A chunk ends after `gap_s` without a byte, or `chunk_s` after its first byte.
     """
 
     def __init__(self, open_it: Callable[[], Device], *, gap_s: float = 0.002, chunk_s: float = 0.01) -> None:
@@ -36,7 +35,7 @@ class Link:
         self._fault: str | None = None
 
     def read(self, bus: Bus, wait_s: float) -> tuple[bytes, int]:
-        """Return one chunk and the time at which its last byte arrived; empty if nothing came, or nobody is there."""
+        """Return one chunk and the arrival time of its last byte; empty without data or without a device."""
         chunk, received_ns = b"", 0
         try:
             device = self._device or self._reopen()
@@ -45,7 +44,7 @@ class Link:
             chunk = device.read(wait_s)
             received_ns, end = bus.now_ns(), time.monotonic() + self._chunk_s
             if chunk:
-                self._note_life(bus)
+                self._note_received(bus)
             while chunk and len(chunk) < CHUNK_BYTES and time.monotonic() < end and (more := device.read(self._gap_s)):
                 received_ns, chunk = bus.now_ns(), chunk + more
         except DeviceLost as error:
@@ -53,10 +52,10 @@ class Link:
         return chunk, received_ns
 
     def write(self, bus: Bus, data: bytes) -> None:
-        """Send bytes; they are lost and counted as `write_lost` while the device is away or does not take them."""
+        """Send bytes; they are dropped and counted as `write_lost` if the device is absent or does not accept them."""
         try:
             if self._device is None:
-                raise DeviceBusy("there is no device")
+                raise DeviceBusy("device not open")
             self._device.write(data)
         except DeviceBusy:
             bus.rejects["write_lost"] += 1
@@ -69,7 +68,7 @@ class Link:
         return self._device is not None
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Close the device."""
         if self._device is not None:
             self._device.close()
             self._device = None
@@ -80,10 +79,10 @@ class Link:
         self._device = self._open()
         return self._device
 
-    def _note_life(self, bus: Bus) -> None:
+    def _note_received(self, bus: Bus) -> None:
         self._attempts = 0
         if self._fault is not None:
-            log.info("the device is back")
+            log.info("device reconnected")
             if bus.last_error == self._fault:
                 bus.last_error = None
             self._fault = None
@@ -93,22 +92,22 @@ class Link:
             bus.rejects["device_lost"] += 1
         self.close()
         if self._fault is None:
-            log.warning("%s; trying again until it is there", error)
+            log.warning("%s; retrying", error)
         self._fault = bus.last_error = str(error)
         self._next_attempt = time.monotonic() + BACK_OFF_S[min(self._attempts, len(BACK_OFF_S) - 1)]
         self._attempts += 1
 
 
-class Herald:
-    """Says every two seconds that the data of this bus are live, or come from a recorded file."""
+class OriginPublisher:
+    """Publishes every two seconds whether the data of this bus are live or from a recorded file."""
 
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)
         self._recording = Path(parts.netloc + parts.path).stem[:64] if parts.scheme == "file" else None
         self._next = 0.0
 
-    def announce(self, bus: Bus) -> None:
-        """Publish the origin if it is time."""
+    def publish_if_due(self, bus: Bus) -> None:
+        """Publish the origin if it is due."""
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + ORIGIN_S
@@ -121,19 +120,19 @@ def run_driver(
     link: Link,
     url: str,
     make_raw: Callable[[bytes, int], Message],
-    take: Callable[[Sequence[Envelope]], None] = lambda envelopes: None,
+    handle: Callable[[Sequence[Envelope]], None] = lambda envelopes: None,
 ) -> None:
     """Read a device until the bus stops.
 
-    `make_raw` makes the message of a chunk and its stamp; `take` gets in each turn what has arrived on the bus.
+    `make_raw` creates the message of a chunk and its time stamp; `handle` processes the messages received from the bus.
     """
-    herald = Herald(url)
-    while not bus.stopping and not bus.connected:  # nobody would hear the device yet
+    origin = OriginPublisher(url)
+    while not bus.stopping and not bus.connected:  # data published before would be lost
         bus.receive(0.1)
     while not bus.stopping:
         data, received_ns = link.read(bus, WAIT_S)
         if data:
             bus.publish(make_raw(data, received_ns))
-        take(bus.receive(0.0 if link.present else 0.1))
-        herald.announce(bus)
+        handle(bus.receive(0.0 if link.present else 0.1))
+        origin.publish_if_due(bus)
     link.close()

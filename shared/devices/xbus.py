@@ -1,4 +1,4 @@
-"""Xbus, the wire format of Xsens motion trackers: messages, and the fields of an MTData2 message.
+"""Encodes and decodes Xbus, the wire format of Xsens motion trackers: messages, and the fields of MTData2.
 
 A message is FA, bus id FF, message id, length (FF: two more bytes of length follow), payload, and a
 checksum that makes the sum of all bytes after FA a multiple of 256. All numbers are big-endian.
@@ -30,7 +30,7 @@ DELTA_V = 0x4010  # [m/s]
 ACCELERATION = 0x4020  # [m/s²] specific force
 RATE_OF_TURN = 0x8020  # [rad/s]
 DELTA_Q = 0x8030
-MAGNETIC_FIELD = 0xC020  # 1 is the field where it was calibrated
+MAGNETIC_FIELD = 0xC020  # [-] normalised to the field at the place of calibration
 STATUS_BYTE = 0xE010
 STATUS_WORD = 0xE020
 
@@ -58,14 +58,14 @@ _SIZES = (4, 4, 6, 8)  # bytes of a number in each format
 
 
 class XbusMessage(NamedTuple):
-    """One message with a good checksum."""
+    """One message with a valid checksum."""
 
     mid: int
     payload: bytes
 
 
 def encode_message(mid: int, payload: bytes) -> bytes:
-    """Frame a payload; raises ValueError for one that is longer than Xbus allows."""
+    """Frame a payload; raises ValueError above `MAX_PAYLOAD_BYTES`."""
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(f"a payload of {len(payload)} bytes exceeds {MAX_PAYLOAD_BYTES}")
     size = bytes([len(payload)]) if len(payload) < 255 else struct.pack(">BH", 255, len(payload))
@@ -79,7 +79,7 @@ def encode_mtdata2(fields: Mapping[int, bytes]) -> bytes:
 
 
 def encode_field(data_id: int, *values: float) -> bytes:
-    """Encode the data of one field in the number format that its identifier asks for.
+    """Encode the data of one field in the number format given by its identifier.
 
     Parameters
     ----------
@@ -91,12 +91,12 @@ def encode_field(data_id: int, *values: float) -> bytes:
     Returns
     -------
     bytes
-        The data, to be handed to `encode_mtdata2`.
+        The data, as an input of `encode_mtdata2`.
 
     Raises
     ------
     ValueError
-        The identifier is unknown, the count is wrong, or a value does not fit the format.
+        The identifier is unknown, the count is wrong, or a value is out of range of the format.
     """
     kind = data_id & 0xFFF0
     try:
@@ -119,33 +119,33 @@ def _encode_real(value: float, number_format: int) -> bytes:
 
 
 def split_mtdata2(payload: bytes) -> Iterator[tuple[int, bytes]]:
-    """Split a measurement into (data identifier, data); raises ValueError at a field that is cut off."""
+    """Split a measurement into (data identifier, data); raises ValueError at a truncated field."""
     position = 0
     while position < len(payload):
         if position + 3 > len(payload) or position + 3 + payload[position + 2] > len(payload):
-            raise ValueError(f"a field is cut off at byte {position}")
+            raise ValueError(f"truncated field at byte {position}")
         data_id, size = struct.unpack_from(">HB", payload, position)
         yield data_id, payload[position + 3 : position + 3 + size]
         position += 3 + size
 
 
 def decode_mtdata2(payload: bytes, rejects: Counter[str]) -> dict[int, tuple[float, ...]]:
-    """Decode every field that can be decoded.
+    """Decode all known fields of a measurement.
 
     Parameters
     ----------
     payload : bytes
         Payload of an MTData2 message.
     rejects : Counter
-        Receives ``bad_field`` for a field of the wrong size, ``cut_field`` for one that is cut off. Fields
-        that this module does not know are passed over in silence.
+        Counts ``bad_field`` for a field of the wrong size and ``cut_field`` for a truncated one. Unknown fields
+        are skipped.
 
     Returns
     -------
     dict
-        Data identifier without format bits -> its numbers; they may be NaN or infinite if the device said so.
+        Data identifier without format bits -> its numbers, NaN and infinity of the device included.
     """
-    form = _forms.get(len(payload))
+    form = _layouts.get(len(payload))
     if form is not None:
         numbers = form.layout.unpack(payload)
         if form.heads(numbers) == form.expected:
@@ -164,12 +164,12 @@ def decode_mtdata2(payload: bytes, rejects: Counter[str]) -> dict[int, tuple[flo
     except ValueError:
         rejects["cut_field"] += 1
     if rejects.total() == faults:
-        _learn(payload)
+        _cache_layout(payload)
     return values
 
 
-class _Form(NamedTuple):
-    """Which fields a whole measurement of one length holds: a tracker sends the same ones again and again."""
+class _FieldLayout(NamedTuple):
+    """Cached field layout of a measurement of one length, since a tracker always sends the same fields."""
 
     layout: struct.Struct
     heads: Callable[[tuple[float, ...]], tuple[float, ...]]
@@ -177,12 +177,12 @@ class _Form(NamedTuple):
     fields: tuple[tuple[int, int, int], ...]  # data identifier, first number, number after the last
 
 
-_forms: dict[int, _Form] = {}  # one a length, so at most as many as lengths
+_layouts: dict[int, _FieldLayout] = {}  # by payload length, hence bounded
 MOST_NUMBERS = 64
 
 
-def _learn(payload: bytes) -> None:
-    """Remember the fields of a measurement without a fault, if there are two or more and none needs scaling."""
+def _cache_layout(payload: bytes) -> None:
+    """Cache the layout of a valid measurement if it has two or more fields and none needs scaling."""
     code, count = ">", 0
     heads: list[int] = []
     fields: list[tuple[int, int, int]] = []
@@ -202,7 +202,7 @@ def _learn(payload: bytes) -> None:
     if len(heads) > 2 and count <= MOST_NUMBERS:
         form = struct.Struct(code)
         pick = itemgetter(*heads)
-        _forms[len(payload)] = _Form(form, pick, pick(form.unpack(payload)), tuple(fields))
+        _layouts[len(payload)] = _FieldLayout(form, pick, pick(form.unpack(payload)), tuple(fields))
 
 
 def decode_field(data_id: int, data: bytes) -> tuple[float, ...]:
@@ -231,12 +231,12 @@ def _layout(data_id: int) -> tuple[struct.Struct, int]:
 
 
 class XbusReader:
-    """Finds the messages in a stream of bytes that may hold garbage, and counts what it passes over.
+    """Extracts the messages from a byte stream that may hold invalid bytes.
 
-    `rejects` counts `garbage_bytes`, `bad_checksum` and `oversize`. The buffer never holds more than one
-    message and the chunk that was fed. After a bad message the search goes on at its second byte, and a message
-    that is still incomplete gives way to a whole measurement inside it (counted as `cut_message`): a damaged length
-    neither swallows nor delays the messages that follow.
+    `rejects` counts `garbage_bytes`, `bad_checksum` and `oversize`. The buffer holds at most one message and the
+    last chunk. After an invalid message the search continues at its second byte, and a complete measurement inside
+    an incomplete message takes precedence (counted as `cut_message`): a corrupted length field neither suppresses
+    nor delays the following messages.
     """
 
     def __init__(self, rejects: Counter[str] | None = None) -> None:
@@ -244,7 +244,7 @@ class XbusReader:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> Sequence[XbusMessage]:
-        """Take the next bytes and give the messages that they complete."""
+        """Process the next bytes; return the completed messages."""
         if not self._buffer and (message := _only(data)) is not None:
             return (message,)
         self._buffer += data
@@ -256,7 +256,7 @@ class XbusReader:
             found = _find_header(buffer, start)
             self._count("garbage_bytes", found - start)
             start = found
-            fault, end = _judge(buffer, start)
+            fault, end = _check(buffer, start)
             if fault is None:
                 yield XbusMessage(buffer[start + 2], bytes(buffer[_payload_start(buffer, start) : end]))
                 start = end + 1
@@ -279,7 +279,7 @@ class XbusReader:
 
 
 def _only(data: bytes) -> XbusMessage | None:
-    """Give the one good message that these bytes are, as most chunks of a tracker are."""
+    """The message if these bytes are exactly one valid message (the usual case), otherwise None."""
     whole = len(data) > 4 and data.startswith(HEADER) and data[3] == len(data) - 5 < 0xFF and not sum(data[1:]) & 0xFF
     return XbusMessage(data[2], data[4:-1]) if whole else None
 
@@ -295,8 +295,8 @@ def _payload_start(buffer: bytearray, start: int) -> int:
     return start + (6 if buffer[start + 3] == 0xFF else 4)
 
 
-def _judge(buffer: bytearray, start: int) -> tuple[str | None, int]:
-    """Say what is wrong with the message at `start` (None: nothing), and where its payload ends."""
+def _check(buffer: bytearray, start: int) -> tuple[str | None, int]:
+    """Fault of the message at `start` (None if valid), and the end of its payload."""
     if len(buffer) < start + 4 or (buffer[start + 3] == 0xFF and len(buffer) < start + 6):
         return "incomplete", 0
     size = buffer[start + 3]
@@ -311,14 +311,14 @@ def _judge(buffer: bytearray, start: int) -> tuple[str | None, int]:
 
 
 def _whole_measurement_after(buffer: bytearray, position: int) -> int | None:
-    """Find a measurement with a good checksum and whole fields: eight bits of checksum alone prove too little."""
+    """Index of a measurement with valid checksum and complete fields (an 8-bit checksum alone is too weak)."""
     while (position := buffer.find(HEADER + bytes([MTDATA2]), position)) >= 0:
-        fault, end = _judge(buffer, position)
+        fault, end = _check(buffer, position)
         if fault is None:
             try:
                 if list(split_mtdata2(bytes(buffer[_payload_start(buffer, position) : end]))):
                     return position
             except ValueError:
-                pass  # no fields: no measurement
+                pass  # truncated fields: not a measurement
         position += 1
     return None

@@ -1,1 +1,1 @@
-"""Mathematics that more than one process needs: no bus, no clock, no files."""
+"""Mathematics shared by several processes, without bus, clock and files."""

@@ -1,7 +1,7 @@
-"""Maps the clock of a device to the OBU time line, from stamps alone.
+"""Maps the clock of a device to the OBU time line, from device times and arrival times.
 
-Each arrival gives one offset, received - device time = clock offset + drift · time + delay, delay >= 0. The
-arrivals that waited least lie on a line, the lower envelope of the offsets; that line is the device's clock.
+Each arrival gives one offset: arrival time - device time = clock offset + drift · time + delay, delay >= 0. The
+arrivals with the minimum delay lie on a line, the lower envelope of the offsets, which is the clock mapping.
 """
 
 from collections import deque
@@ -18,18 +18,19 @@ class ClockMapping:
     Parameters
     ----------
     minimum_delay_s : float
-        [s] The part of the delay that every arrival has, which an envelope cannot see.
+        [s] Minimum delay common to all arrivals, which is not observable from the offsets.
     window_s : float
-        [s] How long an arrival counts. The cheapest arrival of each second is kept.
+        [s] Length of the sliding window. The arrival with the smallest offset in each second is kept.
     maximum_drift : float
-        [s/s] Largest rate at which two healthy clocks part.
+        [s/s] Bound of the relative drift of the two clocks.
 
     Notes
     -----
-    The slope is that of the edge of the lower convex hull below the mean time of the points: of all lines under
-    the points it has the least sum of vertical distances. Where the points span less than a quarter of the
-    window, the slope is 0, since jitter over a short time looks like drift. The line starts anew when the device's
-    clock steps: back, forward by more than `STEP_S`, or when each arrival of `STEP_S` · 10 is late by more than that.
+    The slope is that of the edge of the lower convex hull below the mean time of the points: of all lines below
+    the points it has the least sum of vertical distances. If the points span less than a quarter of the window,
+    the slope is 0, since jitter over a short time is indistinguishable from drift. The mapping is reset when the
+    device clock steps back, forward by more than `STEP_S`, or when all arrivals over `STEP_S` · 10 are delayed by
+    more than `STEP_S`.
 
     References
     ----------
@@ -44,36 +45,36 @@ class ClockMapping:
         self._minimum_delay_ns = round(minimum_delay_s * NS)
         self._window_s = window_s
         self._maximum_drift = maximum_drift
-        self._points: deque[Point] = deque()  # one a second: (device time, offset), both [s] since the origin
+        self._points: deque[Point] = deque()  # one per second: (device time, offset), both [s] relative to the origin
         self._device_origin_ns = self._offset_origin_ns = 0
-        self._newest_device_ns = 0  # that was looked at
-        self._last_device_ns = self._last_stamp_ns = 0  # that was stamped
+        self._newest_device_ns = 0  # of the last sample added to the envelope
+        self._last_device_ns = self._last_stamp_ns = 0  # of the last stamped sample
         self._slope = self._intercept = 0.0
         self._late_since: float | None = None
 
     def stamp(self, device_ns: int, received_ns: int) -> int:
-        """Give the time at which the device took a sample: `stamp_all` for one."""
+        """Time of validity [ns, OBU time line] of one sample; see `stamp_all`."""
         return self.stamp_all((device_ns,), received_ns)[0]
 
     def stamp_all(self, device_ns: Sequence[int], received_ns: int) -> tuple[int, ...]:
-        """Give the times at which the device took samples that arrived together.
+        """Times of validity of samples that arrived together.
 
         Parameters
         ----------
         device_ns : sequence of int
-            [ns, device clock] When each sample was taken; unwrapped.
+            [ns, device clock] Time of each sample; unwrapped.
         received_ns : int
-            [ns, OBU time line] When their bytes arrived.
+            [ns, OBU time line] Arrival time of their bytes.
 
         Returns
         -------
         tuple of int
-            [ns, OBU time line] One each, never after the arrival. Stamps rise, and are at least half the device's
-            own interval apart as long as that does not put them after their arrival. All samples are looked at before
-            the first is stamped, since the one that waited least tells most about the others.
+            [ns, OBU time line] One per sample, not after the arrival. Stamps increase strictly; they are at least half
+            the device interval apart unless that exceeds the arrival time. All samples are added to the envelope
+            before the first is stamped, since the sample with the smallest delay determines the mapping.
         """
         stamps: list[int] = []
-        first = 0  # of the samples on the present line
+        first = 0  # first sample since the last reset
         for i, device in enumerate(device_ns):
             if self.resets < 0 or self._stepped(device, received_ns):
                 stamps += [self._place(earlier, received_ns) for earlier in device_ns[first:i]]
@@ -85,7 +86,7 @@ class ClockMapping:
         return tuple(stamps)
 
     def _place(self, device_ns: int, received_ns: int) -> int:
-        """Read the time off the line, within the bounds of arrival and of the sample before."""
+        """Evaluate the mapping, bounded by the arrival time and the previous stamp."""
         time_s, offset_s = self._relative(device_ns, received_ns)
         excess_ns = round((offset_s - self._intercept - self._slope * time_s) * NS)
         stamp_ns = received_ns - excess_ns - self._minimum_delay_ns
@@ -96,7 +97,7 @@ class ClockMapping:
 
     @property
     def drift(self) -> float:
-        """Rate at which the OBU time line gains on the device's clock [s/s]."""
+        """Drift of the OBU time line relative to the device clock [s/s]."""
         return self._slope
 
     def _relative(self, device_ns: int, received_ns: int) -> Point:
@@ -109,7 +110,7 @@ class ClockMapping:
         if device_ns < self._newest_device_ns or excess_s < -self.STEP_S:
             return True
         if received_ns < self._last_stamp_ns - self.STEP_S * NS:
-            return True  # the time line itself went back: another recording
+            return True  # the OBU time line stepped back: another recording
         if excess_s < self.STEP_S:
             self._late_since = None
             return False
@@ -154,7 +155,7 @@ class ClockMapping:
 
 
 def lower_hull(points: "deque[Point] | list[Point]") -> list[Point]:
-    """Find the lower convex hull of points that are sorted by their first coordinate (Andrew's monotone chain)."""
+    """Lower convex hull of points sorted by their first coordinate (Andrew's monotone chain)."""
     hull: list[Point] = []
     for point in points:
         while len(hull) >= 2 and _turn(hull[-2], hull[-1], point) <= 0:

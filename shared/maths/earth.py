@@ -1,7 +1,7 @@
-"""The Earth as WGS-84 sees it: gravity, rotation, and the way between degrees of position and metres.
+"""WGS-84: gravity, Earth rate, and conversions between geodetic, ECEF and local coordinates.
 
-Angles are radians and positions (latitude, longitude, ellipsoidal height). What runs at every inertial
-sample takes and returns plain floats; what runs once over a whole track is NumPy.
+Angles are in radians, positions are (latitude, longitude, ellipsoidal height). Functions called for every inertial
+sample use plain floats; functions of a whole track use NumPy.
 """
 
 from math import atan2, cos, hypot, pi, remainder, sin, sqrt, tan
@@ -32,13 +32,13 @@ class Geodetic(NamedTuple):
 
 
 def wrap_angle(angle: float) -> float:
-    """Bring an angle [rad] into (-pi, pi]."""
+    """Wrap an angle [rad] to (-pi, pi]."""
     wrapped = remainder(angle, 2.0 * pi)
     return pi if wrapped == -pi else wrapped
 
 
 def gravity(latitude: float, height: float) -> float:
-    """Strength of gravity, which includes the centrifugal acceleration, along the ellipsoid's normal.
+    """Magnitude of gravity, centrifugal acceleration included, along the ellipsoid normal.
 
     Parameters
     ----------
@@ -70,17 +70,17 @@ def gravity(latitude: float, height: float) -> float:
 
 
 def earth_rate_n(latitude: float) -> Vector:
-    """Angular rate of the Earth against inertial space [rad/s, NED]: w_e (cos L, 0, -sin L)."""
+    """Earth rate relative to inertial space [rad/s, NED]: w_e (cos L, 0, -sin L)."""
     return EARTH_RATE * cos(latitude), 0.0, -EARTH_RATE * sin(latitude)
 
 
 def transport_rate_n(latitude: float, height: float, velocity_n: Vector) -> Vector:
-    """Angular rate of the NED frame against the Earth, because the vehicle moves over a curved surface.
+    """Transport rate: angular rate of the NED frame relative to the Earth.
 
     Parameters
     ----------
     latitude, height : float
-        [rad], [m] Where the vehicle is; the rate has no limit at the poles.
+        [rad], [m] Position of the vehicle; the rate is singular at the poles.
     velocity_n : tuple of float
         [m/s, NED] Velocity over ground.
 
@@ -105,17 +105,17 @@ def transport_rate_n(latitude: float, height: float, velocity_n: Vector) -> Vect
 
 
 def ned_from_geodetic_difference(point: Geodetic, origin: Geodetic) -> Vector:
-    """Metres north, east and down from an origin to a point near it.
+    """Offset [m, NED] from an origin to a nearby point.
 
     Parameters
     ----------
     point, origin : Geodetic
-        The two positions; the difference is exact to first order: 2 mm at 100 m, 0.2 m at 1 km.
+        The two positions; first-order approximation with an error of 2 mm at 100 m, 0.2 m at 1 km.
 
     Returns
     -------
     tuple of float
-        [m, NED of the origin] Also right across the antimeridian.
+        [m, NED of the origin] Valid across the antimeridian.
     """
     meridian, transverse = curvature_radii(origin.latitude)
     return (
@@ -126,7 +126,7 @@ def ned_from_geodetic_difference(point: Geodetic, origin: Geodetic) -> Vector:
 
 
 def geodetic_from_ned_difference(ned: Vector, origin: Geodetic) -> Geodetic:
-    """Position some metres [m, NED] away from an origin: the inverse of `ned_from_geodetic_difference`."""
+    """Position at an offset [m, NED] from an origin: the inverse of `ned_from_geodetic_difference`."""
     meridian, transverse = curvature_radii(origin.latitude)
     east_radius = (transverse + origin.height) * cos(origin.latitude)
     return Geodetic(
@@ -137,7 +137,7 @@ def geodetic_from_ned_difference(ned: Vector, origin: Geodetic) -> Geodetic:
 
 
 def ecef_from_geodetic(point: Geodetic) -> Vector:
-    """Cartesian coordinates [m, ECEF] of a position."""
+    """Cartesian ECEF coordinates [m] of a geodetic position."""
     latitude, longitude, height = point
     transverse = curvature_radii(latitude)[1]
     equatorial = (transverse + height) * cos(latitude)
@@ -146,22 +146,22 @@ def ecef_from_geodetic(point: Geodetic) -> Vector:
 
 
 def geodetic_from_ecef(ecef: Vector) -> Geodetic:
-    """Position of a point given in Cartesian coordinates.
+    """Geodetic position of a point in Cartesian ECEF coordinates.
 
     Parameters
     ----------
     ecef : tuple of float
-        [m, ECEF] Anywhere but within 50 km of the Earth's centre.
+        [m, ECEF] More than 50 km from the Earth's centre.
 
     Returns
     -------
     Geodetic
-        On the axis itself the longitude is 0.
+        On the polar axis the longitude is 0.
 
     Notes
     -----
-    Bowring's start on the reduced latitude u, then Newton-like repetition, which ends at rounding after two
-    or three rounds near the surface::
+    Bowring's fixed-point iteration on the reduced latitude u; near the surface it converges to rounding in two or
+    three iterations::
 
         tan L = (z + e'² b sin³u) / (p - e² a cos³u),    tan u = (1 - f) tan L
 
@@ -187,7 +187,7 @@ def geodetic_from_ecef(ecef: Vector) -> Geodetic:
 
 
 def ned_from_ecef(latitude: float, longitude: float) -> FloatArray:
-    """Rotation matrix, shape (3, 3), from ECEF axes to north, east and down at a place [rad]."""
+    """Rotation matrix, shape (3, 3), from ECEF to NED axes at a latitude and longitude [rad]."""
     sin_lat, cos_lat, sin_lon, cos_lon = sin(latitude), cos(latitude), sin(longitude), cos(longitude)
     return np.array(
         [
@@ -199,14 +199,14 @@ def ned_from_ecef(latitude: float, longitude: float) -> FloatArray:
 
 
 def ned_track(positions: FloatArray, origin: Geodetic) -> FloatArray:
-    """Put a whole track of positions into the plane that touches the Earth at an origin.
+    """Transform a track of positions to the local tangent plane (NED) at an origin.
 
     Parameters
     ----------
     positions : ndarray, shape (n, 3)
         [rad, rad, m] Latitude, longitude and ellipsoidal height.
     origin : Geodetic
-        Where the plane touches.
+        Origin of the tangent plane.
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""Rotations in three dimensions: vectors, matrices, quaternions, and roll, pitch and yaw.
+"""Rotations in three dimensions: rotation vectors, matrices, quaternions, and roll, pitch and yaw.
 
-Matrices are named to_from_from, so that products read: `v_n = ned_from_body @ v_b`. Quaternions are Hamilton's,
-(w, x, y, z), of unit length and with w >= 0, and turn as their matrix does. This is what runs live; offline tools use
-`scipy.spatial.transform.Rotation` for everything else.
+Matrices are named `to_from_from`: `v_n = ned_from_body @ v_b`. Quaternions are Hamilton quaternions (w, x, y, z) of
+unit norm with w >= 0, and represent the same rotation as their matrix. These functions are for live processes;
+offline tools use `scipy.spatial.transform.Rotation`.
 """
 
 from math import asin, atan2, cos, sin, sqrt
@@ -18,7 +18,7 @@ _SMALL_ANGLE = 1e-4  # [rad] below it, three terms of the series are exact to ro
 
 
 def skew(vector: npt.ArrayLike) -> FloatArray:
-    """Matrix sk(a), shape (3, 3), of the vector product: sk(a) b = a x b."""
+    """Skew-symmetric matrix sk(a), shape (3, 3), of the vector product: sk(a) b = a x b."""
     x, y, z = vector if isinstance(vector, tuple) else np.asarray(vector, dtype=np.float64).tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -34,8 +34,8 @@ def ned_from_body(roll: float, pitch: float, yaw: float) -> FloatArray:
     Parameters
     ----------
     roll, pitch, yaw : float
-        [rad] Applied in the order yaw, pitch, roll from NED to body: right side down, nose up, nose clockwise
-        from north are positive.
+        [rad] Applied in the order yaw, pitch, roll from NED to body. Positive: right side down, nose up, heading
+        clockwise from north.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def ned_from_body(roll: float, pitch: float, yaw: float) -> FloatArray:
 
 
 def roll_pitch_yaw_of_quaternion(quaternion: Quaternion) -> Vector:
-    """Roll, pitch and yaw [rad] of the unit quaternion NED from body, without arrays; at pitch ±90° roll is 0."""
+    """Roll, pitch and yaw [rad] of a unit quaternion NED from body; at pitch ±90° the roll is 0."""
     w, x, y, z = quaternion
     sine = 2.0 * (w * y - x * z)
     pitch = asin(max(-1.0, min(1.0, sine)))
@@ -80,7 +80,7 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> Quaternion:
 
     Notes
     -----
-    Divides by the largest of the four components, so that no rotation is near a singularity.
+    Divides by the largest of the four components, which avoids singularities.
 
     References
     ----------
@@ -100,7 +100,7 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> Quaternion:
 
 
 def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
-    """Hamilton's product: the turn `right` followed by the turn `left`."""
+    """Hamilton product: the rotation `right` followed by the rotation `left`."""
     a, b, c, d = left
     e, f, g, h = right
     return (
@@ -112,7 +112,7 @@ def quaternion_product(left: Quaternion, right: Quaternion) -> Quaternion:
 
 
 def quaternion_from_rotation_vector(rotation_vector: Vector) -> Quaternion:
-    """Unit quaternion of a turn about an axis [rad]; w < 0 for turns of more than pi."""
+    """Unit quaternion of a rotation vector [rad]; w < 0 for angles above pi."""
     x, y, z = rotation_vector
     angle2 = x * x + y * y + z * z
     if angle2 < _SMALL_ANGLE**2:

@@ -3,6 +3,8 @@
 from enum import StrEnum
 from typing import Annotated
 
+from pydantic import Field
+
 from .base import (
     Count,
     Deviation,
@@ -22,6 +24,8 @@ from .base import (
 )
 
 Innovation = Annotated[float, unit("of the kind: m, m/s, rad/s or rad")]
+Parameter = Annotated[float, unit("of the parameter: 1, rad, s or m")]
+Covariance = Annotated[float, unit("of its two states: 1, rad, m, m/s, m/s2, rad/s or s")]
 
 
 class NavigationPhase(StrEnum):
@@ -130,6 +134,31 @@ class LastPosition(Message):
     yaw_rad: float
     position_sd_ned_m: Deviation3
     yaw_sd_rad: Deviation
+
+
+class FilterState(Message):
+    """State and covariance of the navigation filter, from which a restarted core.fusion goes on.
+
+    Errors, their order and their units are those of the filter; only a filter of the same `fingerprint` reads them.
+    """
+
+    sampled_ns: Nanoseconds  # stamp of the inertial sample of this state
+    fingerprint: Name  # of the settings and of the layout of the state
+    imu: Name  # source of the inertial samples
+    quaternion_ned_from_body: tuple[Ratio, Ratio, Ratio, Ratio]  # w, x, y, z
+    velocity_ned_m_s: Velocity3
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    height_ellipsoid_m: Height
+    accelerometer_bias_m_s2: Vector3
+    gyroscope_bias_rad_s: Vector3
+    accelerometer_scale: tuple[Ratio, Ratio, Ratio]
+    gyroscope_scale: tuple[Ratio, Ratio, Ratio]
+    parameters: Annotated[tuple[Parameter, ...], Field(max_length=64)]  # of the sensors that aid the filter
+    specific_force_body_m_s2: Vector3  # of the sample, as measured
+    angular_rate_body_rad_s: Vector3
+    covariance: Annotated[tuple[Covariance, ...], Field(max_length=2048)]  # upper triangle, row by row
+    position_used_ns: Nanoseconds | None = None  # stamp of the last GNSS position that was used
 
 
 class TruthState(Message):

@@ -17,8 +17,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata
 
 from ..bus.envelope import Envelope
-from ..errors import BadRecording
-from .channels import Fields, envelope_of
+from ..errors import BadPayload, BadRecording
+from .channels import envelope_of
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
@@ -233,8 +233,8 @@ def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | 
             elif opcode == Opcode.MESSAGE:
                 id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(data, start)
                 content = data[start + MESSAGE_FIELDS.size : position]
-                yield envelope_of(channels[id_], Fields(sequence, publish_time, content), log_time)
-        except (*MALFORMED, KeyError):
+                yield envelope_of(channels[id_], content, log_time, sequence, publish_time)
+        except (*MALFORMED, BadPayload, KeyError):
             yield None
 
 

@@ -7,7 +7,7 @@ from typing import IO, Protocol, cast
 from mcap.writer import Writer
 
 from ..bus.envelope import Envelope
-from .channels import IRREGULAR, MAXIMUM_CHANNELS, Key, encoding_of, fields_of, key_of, metadata_of, schema_of
+from .channels import schema_of
 
 CHUNK_BYTES = 256 * 1024
 VEHICLE_FILE = "vehicle.toml"
@@ -102,7 +102,7 @@ class RecordingWriter:
         self.path = path
         self.messages = 0  # that are in the file
         self.pending = 0  # that are not in it yet
-        self._channels: dict[Key | None, int] = {}
+        self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._chunks = _WholeChunks(opener(path))
         self._mcap = Writer(cast(IO[bytes], self._chunks), chunk_size=chunk_bytes)
@@ -125,17 +125,12 @@ class RecordingWriter:
 
     def write(self, envelope: Envelope) -> None:
         """Add a message; once the chunk is full it goes to the file."""
-        key = key_of(envelope)
-        if key not in self._channels and len(self._channels) >= MAXIMUM_CHANNELS:
-            key = None
-        if key not in self._channels:
-            self._channels[key] = self._new_channel(key)
+        topic, arrival_ns = envelope.topic, max(envelope.received_ns, 0)
+        if topic not in self._channels:
+            self._channels[topic] = self._mcap.register_channel(topic, "json", self._schema_id(topic))
             self._commit()  # a chunk that this has made full
-        fields = fields_of(envelope, key)
         self.pending += 1
-        self._mcap.add_message(
-            self._channels[key], max(envelope.received_ns, 0), fields.data, fields.publish_time, fields.sequence
-        )
+        self._mcap.add_message(self._channels[topic], arrival_ns, envelope.payload, arrival_ns)
         self._commit()
 
     def flush(self) -> None:
@@ -164,11 +159,6 @@ class RecordingWriter:
         """Write what `mcap` has finished: it finishes a chunk with the message that makes it full."""
         if self._chunks.commit():
             self.messages, self.pending = self.messages + self.pending, 0
-
-    def _new_channel(self, key: Key | None) -> int:
-        topic = IRREGULAR if key is None else key[0]
-        metadata = {} if key is None else metadata_of(key)
-        return self._mcap.register_channel(topic, encoding_of(topic), self._schema_id(topic), metadata)
 
     def _schema_id(self, topic: str) -> int:
         described = schema_of(topic)

@@ -132,6 +132,8 @@ class LiveReactor:
         self._publish_journal(at_once=True)
 
     def _consume(self, envelope: Envelope) -> None:
+        if (envelope.producer, envelope.incarnation) == (self._bus.process, self._bus.incarnation):
+            return  # what it said itself, which the broker sends back where it is a consumer of its own topic
         try:
             message = envelope.decode()
         except BadPayload as error:
@@ -153,16 +155,11 @@ class LiveReactor:
         self._say(self._process.handle(tick))
 
     def _say(self, messages: Iterable[Message]) -> None:
-        """Send the first message as soon as it is there, and those that follow from the same cause in one write."""
-        first = True
+        """Publish what the process says; what shall outlive a power-off is saved as well."""
         for message in messages:
-            self._bus.publish(message, at_once=first)
+            self._bus.publish(message)
             if BY_MESSAGE[type(message)].persist:
-                self._bus.flush()
                 _save(self._bus.state_dir, message)
-            first = False
-        if not first:
-            self._bus.flush()
 
     def _restore(self) -> None:
         """Give the process what it said before the last power-off, and the bus as well."""
@@ -171,15 +168,15 @@ class LiveReactor:
             if not topic.persist or not path.exists():
                 continue
             try:
-                message = codec.decode(topic.name, path.read_bytes(), {})
+                message = codec.decode(topic.name, path.read_bytes())
             except (BadPayload, OSError) as error:
                 self._bus.rejects["saved state"] += 1
                 log.warning("ignored the saved %s: %s", topic.name, error)
                 continue
             self._bus.publish(message)
-            self._journal.add(Envelope(
-                topic.name, b"", {}, 0, self._bus.process, self._bus.incarnation, self._bus.sequence
-            ))  # fmt: skip
+            self._journal.add(
+                Envelope(topic.name, b"", 0, self._bus.process, self._bus.incarnation, self._bus.sequence)
+            )
             self._say(self._process.handle(message))
 
     def _publish_journal(self, *, at_once: bool = False) -> None:
@@ -199,7 +196,7 @@ def _save(folder: Path, message: Message) -> None:
     draft = path.with_suffix(".new")
     try:
         with draft.open("wb") as file:
-            file.write(codec.encode(message)[0])
+            file.write(codec.encode(message))
             file.flush()
             os.fsync(file.fileno())
         draft.replace(path)

@@ -63,6 +63,7 @@ class OfflineUnit:
         while waiting:
             message = waiting.popleft()
             yield message
-            for name in BY_MESSAGE[type(message)].consumers:
-                if name in self._processes:
+            row = BY_MESSAGE[type(message)]
+            for name in row.consumers:
+                if name in self._processes and name not in row.producers:  # that would be what it said itself
                     waiting.extend(self._processes[name].handle(message))

@@ -49,5 +49,5 @@ def test_the_extra_runs_on_the_numpy_that_the_vehicle_runs() -> None:
 
 
 def test_the_vehicle_gets_no_test_tools() -> None:
-    tools = {"pytest", "mypy", "ruff", "playwright", "hypothesis", "paho-mqtt", "psutil", "numba"}
+    tools = {"pytest", "mypy", "ruff", "playwright", "hypothesis", "psutil", "numba"}
     assert not pins("requirements.lock").keys() & tools

@@ -1,9 +1,12 @@
 """The bus and the live runtime on real brokers: what arrives, what is lost, what comes back."""
 
+import contextlib
 import itertools
 import json
 import os
+import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -21,7 +24,7 @@ from shared.messages.operation import Consumed, Mode, ModeState, ProcessHealth, 
 from shared.runtime.config import BrokerAddress
 from shared.runtime.live import LiveReactor
 from shared.topics import TOPICS, subscriptions
-from tests.support import brokers
+from tests.support import brokers, mqtt
 
 LAST = LastPosition(
     sampled_ns=1, utc_ns=None, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0, yaw_rad=1.0,
@@ -177,16 +180,33 @@ def run_until(reactor: LiveReactor, bus: Bus, condition: Callable[[], bool], oth
     reactor.run()
 
 
-def test_noise_on_a_topic_is_counted_and_the_process_goes_on(make_bus: Callable[[str], Bus]) -> None:
+HOSTILE: tuple[dict[str, object], ...] = (
+    {"hdop": "NaN"}, {"hdop": float("nan")}, {"sampled_ns": 10**310}, {"received_ns": -(2**63) - 1},
+    {"source": 65 * "x"}, {"latitude_deg": True}, {"velocity_ned_m_s": [1.0, 2.0]},
+    {"fix_type": {"a": 1}}, {"source": None},
+)  # fmt: skip
+
+
+def test_hostile_payloads_on_a_topic_are_counted_and_the_process_goes_on(
+    broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
+) -> None:
     parser, controller, observer = make_bus("parsers.gnss"), make_bus("controller.mode"), make_bus("observer")
     process = Answering()
     good = {"sampled_ns": 1, "received_ns": 2, "source": "g", "fix_type": "none"}
-    fix_row = next(t for t in TOPICS if t.name == "gnss/fix")
-    for payload in (b"\xff\x00", b"{}", json.dumps(good | {"hdop": "NaN"}).encode(), json.dumps(good).encode()):
-        parser.send("gnss/fix", payload, {}, fix_row)
+    sender = f'{{"sender":{{"process":"parsers.gnss","incarnation":{parser.incarnation},"sequence":1}},'.encode()
+    with mqtt.Client(broker.port, "intruder", user="parsers.gnss") as intruder:
+        intruder.connect()
+        for body in (
+            b"\xff\x00", b"{}", json.dumps(good).encode(),  # nobody sent these
+            *(sender + json.dumps(good | wrong).encode()[1:] for wrong in HOSTILE), sender + b'"a":' + b"[" * 300_000,
+            sender + b'"received_ns":' + b"9" * 310 + b"}", bytes(1 << 20),
+            sender + json.dumps(good).encode()[1:],
+        ):  # fmt: skip
+            intruder.publish("obu/car/gnss/fix", body)
     run_until(LiveReactor(process, controller), controller, lambda: bool(process.given), lambda: parser.receive(0.0))
     assert len([m for m in process.given if not isinstance(m, Tick)]) == 1
-    assert controller.rejects["payload"] == 3
+    assert controller.rejects["payload"] + controller.rejects["envelope"] == 6 + len(HOSTILE)
+    assert controller.rejects["payload"] >= len(HOSTILE)
     heard = [e for e in pump(0.3, controller, observer) if e.topic == "consumed/controller.mode"]
     journals = [m for e in heard if isinstance(m := e.decode(), Consumed)]
     runs = [run for journal in journals for run in journal.runs if run[0] == "gnss/fix"]
@@ -286,3 +306,76 @@ def test_a_mistyped_setting_ends_in_one_sentence(tmp_path: Path) -> None:
     assert process.returncode == os.EX_CONFIG
     assert output.startswith("obu: ") and "lever_arm_body_m" in output
     assert len(output.strip().splitlines()) == 1
+
+
+def filler(bus: Bus, number: int) -> GnssConfigure:
+    return GnssConfigure(request_id=number, source="gnss", navigation_period_s=1.0, messages=())
+
+
+def test_messages_of_qos_1_wait_for_the_broker_in_a_queue_that_forgets_the_oldest_and_counts(
+    broker: brokers.RunningBroker, make_bus: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shared.bus.bus.QUEUE_LENGTH", 20)
+    controller = make_bus("controller.mode")
+    parser = make_bus("parsers.gnss")
+    broker.stop()
+    wait_for(lambda: not (parser.connected or controller.connected), parser, controller)
+    for number in range(50):
+        controller.publish(filler(controller, number))
+    assert controller.dropped == 30
+    broker.restart()
+    wait_for(lambda: parser.connected, parser)
+    pump(0.2, parser)
+    wait_for(lambda: controller.connected, controller)
+    heard = [e.decode() for e in pump(1.0, controller, parser)]
+    found = [m.request_id for m in heard if isinstance(m, GnssConfigure)]
+    # Mosquitto has 100 acknowledgements to wait for at most: all 20 come, in order.
+    assert found == list(range(30, 50))
+
+
+def test_a_message_that_is_larger_than_a_payload_may_be_is_dropped_and_counted(make_bus: Callable[[str], Bus]) -> None:
+    sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
+    oversized = GnssRaw.model_construct(received_ns=1, source="gnss", data=bytes(1 << 20))
+    sensor.publish(oversized)
+    sensor.publish(raw(sensor, b"next"))
+    heard = [e.decode() for e in pump(0.3, sensor, parser)]
+    assert sensor.dropped == 1 and sensor.connected and sensor.reconnections == 0
+    assert [m.data for m in heard if isinstance(m, GnssRaw)] == [b"next"]
+
+
+def test_a_process_that_does_not_take_its_messages_keeps_the_newest_and_counts_the_rest(
+    make_bus: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shared.bus.bus.QUEUE_LENGTH", 10)
+    sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
+    for number in range(40):
+        sensor.publish(raw(sensor, b"%d" % number))
+    pump(0.2, sensor)
+    heard = [m.data for e in parser.receive(0.5) if isinstance(m := e.decode(), GnssRaw)]
+    assert heard == [b"%d" % number for number in range(30, 40)]
+    assert parser.dropped == 30
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"\x20\x02\0\0" + b"\x30\x05\0\x02\xc3\x28x",  # a topic that is not UTF-8
+        b"\x20\x02\0\0" + b"\x30\x01\0",  # a PUBLISH that ends inside its topic
+        b"\x20\x02\0\0" + b"\x32\x03\0\x01a",  # without its packet identifier
+        b"\x20\x02\0\0" + b"\x90\x00",  # an empty SUBACK
+        b"\x20\x02\0\0" + b"\x40\x01\0",  # half a PUBACK
+        b"\x20\x02\0\0" + b"\xff\xff\xff\xff\xff",  # a length of more than four bytes
+        b"\x20\x00", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"",
+    ],
+)  # fmt: skip
+def test_a_broker_that_sends_garbage_ends_neither_the_loop_nor_the_reconnection(garbage: bytes, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        bus = Bus("core.fusion", "car", BrokerAddress("127.0.0.1", server.getsockname()[1]), (), tmp_path)
+        for _ in range(3):
+            wait_for(lambda: bool(select.select([server], [], [], 0.0)[0]), bus)
+            with contextlib.closing(server.accept()[0]) as connection:
+                connection.sendall(garbage)
+                for _ in range(4):
+                    bus.receive(0.02)
+            wait_for(lambda: not bus.connected, bus)
+        bus.close()

@@ -7,10 +7,12 @@ import pty
 import shutil
 import socket
 import subprocess
+import sys
 import time
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,8 +20,11 @@ import pytest
 from services.sensors.simulator.gnss.simulated_receiver import SOURCE
 from services.sensors.simulator.scenarios import BY_NAME
 from services.sensors.simulator.world import Equipment, World
+from shared.bus.bus import Bus
 from shared.messages.gnss import GnssRaw
 from shared.messages.navigation import TruthState
+from shared.runtime.config import BrokerAddress
+from tests.support import simulated
 
 NS = 1_000_000_000
 START_NS = time.time_ns()  # gpsd mistrusts times far from its own clock
@@ -117,3 +122,31 @@ def test_gpsd_sees_the_satellites_and_the_accuracy_that_the_receiver_states() ->
     assert positions[-1]["epv"] == pytest.approx(0.015, abs=0.001)
     assert skies[-1]["uSat"] > 20
     assert skies[-1]["pdop"] == pytest.approx(math.hypot(skies[-1]["hdop"], skies[-1]["vdop"]), abs=0.02)
+
+
+@pytest.mark.skipif(shutil.which("gpsdecode") is None, reason="gpsdecode is not installed: apt install gpsd-clients")
+def test_what_obu_tail_raw_writes_into_a_pipe_is_read_by_gpsdecode(tmp_path: Path) -> None:
+    """The bytes are those of the device, and reach the pipe while the unit runs."""
+    broker = simulated.start(tmp_path)
+    environment = os.environ | {"OBU_BROKER": f"mqtt://127.0.0.1:{broker.port}", "OBU_STATE": str(tmp_path)}
+    command = [sys.executable, "-m", "cli", "tail", "--raw", "gnss/raw", "--count", "60"]
+    tail = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
+    world = World(BY_NAME["highway"], 1, START_NS, Equipment(protocols=("nmea",)))
+    chunks = (message for _, message in world if isinstance(message, GnssRaw))
+    bus = Bus("sensors.gnss", "vehicle", BrokerAddress("127.0.0.1", broker.port), (), tmp_path)
+    sent = b""
+    try:
+        while tail.poll() is None:
+            bus.receive(0.02)
+            if any(name.startswith("observer") for name in broker.handle.broker.sessions):
+                chunk = next(chunks)
+                bus.publish(chunk)
+                sent += chunk.data
+    finally:
+        bus.close()
+        broker.stop()
+    written, _ = tail.communicate()
+    assert written and written in sent
+    decoded = subprocess.run(["gpsdecode"], input=written, capture_output=True, check=True, timeout=10).stdout
+    fixes = [report for line in decoded.splitlines() if (report := json.loads(line))["class"] == "TPV"]
+    assert any("lat" in fix for fix in fixes)

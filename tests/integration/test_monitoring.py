@@ -23,6 +23,7 @@ from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import BrokerAddress
 from shared.topics import TOPICS, subscriptions
 from tests.support import brokers
+from tests.support.envelopes import sent, sent_bytes
 
 VEHICLE = '[vehicle]\nname = "car"\n[monitoring.recorder]\nminimum_free_bytes = 0\n'
 LIMIT_S = 15.0
@@ -131,10 +132,11 @@ def test_a_recorder_that_is_killed_loses_at_most_a_second(unit: Unit, tmp_path: 
         found = [envelope for envelope in recording if envelope.topic == "imu/raw"]
         assert recording.problems == [f"the recording was not closed: it ends at byte {recording.size}"]
         assert recording.attachments["vehicle.toml"] == VEHICLE.encode()
-    assert [int(envelope.payload) for envelope in found] == list(range(len(found)))
+    raw = [message for envelope in found if isinstance(message := envelope.decode(), ImuRaw)]
+    assert [int(message.data) for message in raw] == list(range(len(found)))
     assert killed_ns - found[-1].received_ns < 1_000_000_000
     assert len(found) > 100
-    assert found[0].properties["source"] == "imu0"
+    assert raw[0].source == "imu0"
 
 
 def test_a_killed_process_is_an_outage_at_once_and_the_cause_of_what_follows(unit: Unit) -> None:
@@ -199,8 +201,9 @@ def test_a_recording_by_hand_holds_what_was_said(unit: Unit, tmp_path: Path) -> 
     assert command.returncode == 0
     assert output.startswith(b"recorded ")
     with Recording(tmp_path / "hand.mcap") as recording:
-        numbers = [int(envelope.payload) for envelope in recording if envelope.topic == "imu/raw"]
+        raw = [message for envelope in recording if isinstance(message := envelope.decode(), ImuRaw)]
         assert recording.problems == []
+    numbers = [int(message.data) for message in raw]
     assert len(numbers) > 50
     assert numbers == list(range(numbers[0], numbers[-1] + 1))
 
@@ -210,9 +213,9 @@ def test_a_replay_sends_the_bytes_again_with_stamps_of_now_and_says_that_it_is_o
     writer = RecordingWriter(path)
     for k in range(80):
         stamp_ns = then_ns + k * 20_000_000
-        properties = {"received_ns": str(stamp_ns - 1_000_000), "source": "imu0"}
-        writer.write(Envelope("imu/raw", b"%d" % k, properties, stamp_ns, "sensors.imu", 1, k + 1))
-        writer.write(Envelope("mode/state", b"{}", {}, stamp_ns, "controller.mode", 1, k + 1))
+        raw = ImuRaw(received_ns=stamp_ns - 1_000_000, source="imu0", data=b"%d" % k)
+        writer.write(sent(raw, stamp_ns, "sensors.imu", 1, k + 1))
+        writer.write(sent_bytes("mode/state", b'{"k":1}', stamp_ns, "controller.mode", 1, k + 1))
     writer.close()
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(replay, path, 2.0, None, None)
@@ -221,8 +224,9 @@ def test_a_replay_sends_the_bytes_again_with_stamps_of_now_and_says_that_it_is_o
     unit.wait(0.3)
 
     played = [envelope for envelope in unit.heard if envelope.topic == "imu/raw"]
-    assert [envelope.payload for envelope in played] == [b"%d" % k for k in range(80)]
-    stamps = [int(envelope.properties["received_ns"]) for envelope in played]
+    bytes_again = [message for envelope in played if isinstance(message := envelope.decode(), ImuRaw)]
+    assert [message.data for message in bytes_again] == [b"%d" % k for k in range(80)]
+    stamps = [message.received_ns for message in bytes_again]
     assert stamps[-1] - stamps[0] == 79 * 20_000_000
     assert abs(stamps[0] - played[0].received_ns) < 500_000_000
     took_s = (played[-1].received_ns - played[0].received_ns) * 1e-9
@@ -237,7 +241,7 @@ def test_a_replay_refuses_a_bus_that_carries_other_data(unit: Unit, tmp_path: Pa
     bus = unit.bus("sensors.imu")
     bus.publish(Origin(now_ns=bus.now_ns(), kind=OriginKind.LIVE, name="car"))
     writer = RecordingWriter(tmp_path / "drive.mcap")
-    writer.write(Envelope("imu/raw", b"x", {"received_ns": "1", "source": "a"}, 1, "sensors.imu", 1, 1))
+    writer.write(sent(ImuRaw(received_ns=1, source="a", data=b"x"), 1, "sensors.imu"))
     writer.close()
     unit.wait(0.2)
 

@@ -218,7 +218,7 @@ def test_the_verdict_its_monitors_and_their_history_are_one_answer(server: Runni
 def test_a_bad_message_is_counted_and_the_server_goes_on(server: Running) -> None:
     before = server.bus.rejects["payload"]
     server.bus.feed_bytes("mode/state", b'{"mode": "flying"}', "controller.mode")
-    server.bus.feed_bytes("gnss/raw", b"\x00", "sensors.gnss", {"received_ns": "x", "source": "y"})
+    server.bus.feed_bytes("gnss/raw", b'{"received_ns":1,"source":"y","data":"!"}', "sensors.gnss")
     eventually(lambda: server.bus.rejects["payload"] == before + 2)
     assert server.bus.last_error
     assert get(server, "/api/state")["mode"]["mode"] == "measuring"

@@ -24,25 +24,25 @@ def with_wheels() -> dict[str, drives.Result]:
     return {result.case.name: result for result in drives.measure_all(cases, runs=1, workers=2, progress=False)}
 
 
-def test_the_simulated_gnss_is_exactly_as_bad_as_that_of_the_paper(results: list[drives.Result]) -> None:
+def test_the_simulated_gnss_has_the_rmse_of_the_paper(results: list[drives.Result]) -> None:
     for result in results:
         rmse = [square**0.5 for square in result.gnss]
         assert rmse == pytest.approx(result.case.error.rmse_ned_m, abs=0.005), result.case.name
 
 
-def test_the_fusion_is_as_good_as_a_correct_filter_is(results: list[drives.Result]) -> None:
+def test_the_fusion_meets_the_limits_of_a_correct_filter(results: list[drives.Result]) -> None:
     """3-D RMSE at most 0.40 of GNSS's, better on every axis of every run, 0.75 m, and 0.45 m with white errors."""
     assert drives.shortcomings(results) == []
 
 
-def test_the_fusion_gains_about_what_it_gains_in_the_paper(results: list[drives.Result]) -> None:
+def test_the_ratio_of_fused_to_gnss_errors_is_close_to_that_of_the_paper(results: list[drives.Result]) -> None:
     """Ratios of 0.28 to 0.47 in the paper; two drives of 225 s scatter around 0.37 by about as much."""
     for result in results:
         if result.case.paper_fused:
             assert 0.2 < result.ratio < 0.55, result.case.name
 
 
-def test_velocity_is_that_of_a_correct_filter(
+def test_velocity_errors_meet_the_limits_of_a_correct_filter(
     results: list[drives.Result], with_wheels: dict[str, drives.Result]
 ) -> None:
     """Reference: 0.024 m/s with zero velocities at rest, 0.016 m/s with an odometer as well."""
@@ -50,17 +50,17 @@ def test_velocity_is_that_of_a_correct_filter(
     assert np.sqrt(np.mean([result.velocity for result in with_wheels.values()])) < 0.025
 
 
-def test_wheels_help_against_errors_of_each_kind(with_wheels: dict[str, drives.Result]) -> None:
+def test_the_odometer_reduces_errors_of_each_kind(with_wheels: dict[str, drives.Result]) -> None:
     """Mean RMSE of the axes; single runs scatter, so that ten have 0.3, 0.8 and 1.1 m."""
     assert with_wheels["white, wheels"].mean < 0.5
     assert with_wheels["5 s, wheels"].mean < 1.1
     assert with_wheels[drives.WALK].mean < 1.7, "half of what GNSS has is 1.1 m"
-    assert with_wheels[drives.TOLD[drives.WALK]].mean < 0.75
-    assert with_wheels[drives.WALK].gnss == with_wheels[drives.TOLD[drives.WALK]].gnss, "the same drives"
+    assert with_wheels[drives.KNOWN_ERRORS[drives.WALK]].mean < 0.75
+    assert with_wheels[drives.WALK].gnss == with_wheels[drives.KNOWN_ERRORS[drives.WALK]].gnss, "the same drives"
     assert all(result.ahead == 1.0 for result in with_wheels.values())
 
 
-def test_wheels_hold_the_position_through_an_outage() -> None:
+def test_the_odometer_limits_the_drift_in_outages() -> None:
     """Reference medians after 10, 30, 60 s: 0.28, 0.18, 0.20 m; goals 0.35, 0.35, 0.5 m, here for two runs."""
     aids = [row for row in outages.AIDS if row.wheels]
     (row,) = outages.measure_all(aids, runs=2, workers=2, progress=False)
@@ -68,22 +68,22 @@ def test_wheels_hold_the_position_through_an_outage() -> None:
     assert outages.shortcomings([row]) == []
 
 
-def test_the_tables_say_what_falls_short(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exceeded_limits_are_printed(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     poor = [drives.Result(case, (9.0, 4.0, 2.0), (10.0, 1.0, 1.0), 1e-3, 0.5) for case in drives.CASES]
     lost = [outages.Outages(aids, np.array([[0.3, 0.4, 9.0], [0.3, 0.6, 9.0]])) for aids in outages.AIDS]
     monkeypatch.setattr(drives, "measure_all", lambda *_args, **_kwargs: poor)
     monkeypatch.setattr(outages, "measure_all", lambda *_args, **_kwargs: lost)
     assert papers.navigation(3, json=False) == 1
     printed = capsys.readouterr().out
-    assert "not reached" in printed and "drive 5" in printed and "60 s" in printed
+    assert "limit exceeded" in printed and "drive 5" in printed and "60 s" in printed
     assert papers.navigation(3, json=True) == 1
     document = json.loads(capsys.readouterr().out)
     assert document["runs"] == 3
     assert document["outages"][2]["median_m"] == pytest.approx([0.3, 0.5, 9.0])
-    # ratio and mean of the five drives, eleven times an axis, white errors, two that are told, outages of 30 and 60 s
+    # ratio and mean of the five drives, eleven axes, white errors, two with known errors, outages of 30 and 60 s
     assert len(document["shortcomings"]) == 2 + 11 + 1 + 2 + 2
 
 
-def test_no_runs_are_an_error_that_says_what_to_try() -> None:
+def test_zero_runs_are_reported_with_an_example() -> None:
     with pytest.raises(UserError, match="try"):
         papers.navigation(0, json=False)

@@ -30,6 +30,7 @@ from shared.messages.operation import Mode, ModeState, Origin, OriginKind, Proce
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
+from tests.support.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
 
 RADIUS_M, SPEED_M_S = 60.0, 9.0
@@ -61,20 +62,16 @@ class FakeBus:
 
     def feed(self, message: Message, producer: str, *, delay_s: float = 0.0008) -> None:
         """Put a message onto the bus as that process."""
-        payload, properties = codec.encode(message)
-        name = codec.topic_name(message)
-        envelope = self.feed_bytes(name, payload, producer, properties, delay_s=delay_s)
+        envelope = self.feed_bytes(codec.topic_name(message), codec.encode(message), producer, delay_s=delay_s)
         if self.unit is not None:
             self.unit.watchdog.take(envelope, message)
 
-    def feed_bytes(
-        self, topic: str, payload: bytes, producer: str, properties: dict[str, str] | None = None, *, delay_s: float = 0
-    ) -> Envelope:
+    def feed_bytes(self, topic: str, body: bytes, producer: str, *, delay_s: float = 0) -> Envelope:
         """Put any payload onto the bus, a bad one as well."""
         with self._lock:
             self._sequence += 1
             now_ns = self.now_ns() + int(delay_s * 1e9)
-            envelope = Envelope(topic, payload, properties or {}, now_ns, producer, LIFE, self._sequence)
+            envelope = sent_bytes(topic, body, now_ns, producer, LIFE, self._sequence)
             self._fed.append(envelope)
             return envelope
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar, cast
 
-from shared.bus import codec
 from shared.bus.bus import Bus, Envelope
 from shared.messages.base import Message
+from tests.support.envelopes import sent
 
 M = TypeVar("M", bound=Message)
 
@@ -43,8 +43,7 @@ class LiveBus:
         return [self._inbox.popleft() for _ in range(len(self._inbox))]
 
     def deliver(self, message: Message) -> None:
-        payload, properties = codec.encode(message)
-        self._inbox.append(Envelope(codec.topic_name(message), payload, properties, self.now_ns()))
+        self._inbox.append(sent(message, self.now_ns()))
 
     def of(self, kind: type[M]) -> list[M]:
         return [message for message in list(self.published) if isinstance(message, kind)]

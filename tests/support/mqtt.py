@@ -3,20 +3,17 @@
 import select
 import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
-from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
-from paho.mqtt.subscribeoptions import SubscribeOptions
 
 PATIENCE_S = 5.0
 QUIET_S = 0.1  # on a loopback, what has not come by then was not sent
-Pairs = Sequence[tuple[str, str]]
 
 
 class Client:
@@ -28,17 +25,15 @@ class Client:
         client_id: str = "",
         *,
         user: str | None = "tester",
-        protocol: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv5,
+        protocol: MQTTProtocolVersion = MQTTProtocolVersion.MQTTv311,
         manual_ack: bool = False,
     ) -> None:
         self.port = port
         self.messages: list[paho.MQTTMessage] = []
         self.connack: ReasonCode | None = None
-        self.connack_properties: Properties | None = None
-        self.session_present = False
-        self.farewell: ReasonCode | None = None
+        self.ended = False
         self._subacks: dict[int, list[ReasonCode]] = {}
-        self._pubacks: dict[int, ReasonCode] = {}
+        self._pubacks: set[int] = set()
         self.paho = paho.Client(CallbackAPIVersion.VERSION2, client_id, protocol=protocol, manual_ack=manual_ack)
         self.paho.username_pw_set(user)
         self.paho.on_connect = self._on_connect
@@ -49,46 +44,30 @@ class Client:
         self.paho.on_message = self._on_message
         self.paho.on_socket_open = _no_delay
 
-    def connect(self, *, keep_alive_s: int = 60, clean_start: bool = True, **numbers: int) -> ReasonCode:
-        """Connect and return the broker's answer; `numbers` are properties by paho's names."""
-        self.connack = self.farewell = None
-        v5 = self.paho.protocol == MQTTProtocolVersion.MQTTv5
-        self.paho.connect(
-            "127.0.0.1",
-            self.port,
-            keep_alive_s,
-            clean_start=clean_start if v5 else paho.MQTT_CLEAN_START_FIRST_ONLY,
-            properties=_properties(PacketTypes.CONNECT, (), numbers) if v5 else None,
-        )
+    def connect(self, *, keep_alive_s: int = 60) -> ReasonCode:
+        """Connect and return the broker's answer."""
+        self.connack, self.ended = None, False
+        self.paho.connect("127.0.0.1", self.port, keep_alive_s)
         self.until(lambda: self.connack is not None)
         assert self.connack is not None
         return self.connack
 
-    def will(self, topic: str, payload: str, *, qos: int = 1, retain: bool = False, user: Pairs = ()) -> None:
+    def will(self, topic: str, payload: str, *, qos: int = 1, retain: bool = False) -> None:
         """Leave a will; before `connect`."""
-        self.paho.will_set(topic, payload, qos, retain, _properties(PacketTypes.WILLMESSAGE, user, {}))
+        self.paho.will_set(topic, payload, qos, retain)
 
-    def subscribe(self, *patterns: str, qos: int = 1, **options: bool | int) -> list[int]:
-        """Subscribe and return the reason codes."""
-        wanted = [(pattern, _options(qos, options)) for pattern in patterns]
-        _, packet_id = self.paho.subscribe(wanted)
-        return self._suback(packet_id)
+    def subscribe(self, *patterns: str, qos: int = 1) -> list[int]:
+        """Subscribe and return the QoS granted to each filter, 0x80 for one that is refused."""
+        return self._suback(self.paho.subscribe([(pattern, qos) for pattern in patterns])[1])
 
-    def unsubscribe(self, pattern: str) -> list[int]:
-        """Unsubscribe and return the reason codes."""
-        return self._suback(self.paho.unsubscribe(pattern)[1])
+    def unsubscribe(self, pattern: str) -> None:
+        """Unsubscribe and wait for the answer."""
+        self._suback(self.paho.unsubscribe(pattern)[1])
 
-    def publish(
-        self, topic: str, payload: str | bytes, *, qos: int = 1, retain: bool = False, user: Pairs = (), **more: int
-    ) -> int | None:
-        """Publish and, at QoS 1, return the reason code of the acknowledgement."""
-        properties = _properties(PacketTypes.PUBLISH, user, more)
-        packet_id = self.paho.publish(topic, payload, qos, retain, properties).mid
-        if qos == 0:
-            self.until(lambda: not self.paho.want_write())
-            return None
-        self.until(lambda: packet_id in self._pubacks)
-        return int(self._pubacks.pop(packet_id).value)
+    def publish(self, topic: str, payload: str | bytes, *, qos: int = 1, retain: bool = False) -> None:
+        """Publish and, at QoS 1, wait for the acknowledgement."""
+        packet_id = self.paho.publish(topic, payload, qos, retain).mid
+        self.until(lambda: packet_id in self._pubacks if qos else not self.paho.want_write())
 
     def take(self, count: int = 1, within_s: float = PATIENCE_S) -> list[paho.MQTTMessage]:
         """Wait for messages and hand them over."""
@@ -105,23 +84,20 @@ class Client:
         self.spin(QUIET_S)
         return not self.messages
 
-    def ends_with(self, within_s: float = PATIENCE_S) -> int:
-        """Wait until the broker ends the connection and return why."""
-        self.until(lambda: self.farewell is not None, within_s)
-        assert self.farewell is not None
-        return int(self.farewell.value)
+    def ends(self, within_s: float = PATIENCE_S) -> None:
+        """Wait until the broker ends the connection."""
+        self.until(lambda: self.ended, within_s)
 
     def kill(self) -> None:
         """Lose the connection without a farewell."""
         sock = self.paho.socket()
         assert isinstance(sock, socket.socket)
         sock.shutdown(socket.SHUT_RDWR)
-        self.until(lambda: self.farewell is not None)
+        self.ends()
 
-    def leave(self, reason: int = 0) -> None:
-        """Disconnect with a farewell."""
-        code = ReasonCode(PacketTypes.DISCONNECT, identifier=reason)
-        self.paho.disconnect(code if self.paho.protocol == MQTTProtocolVersion.MQTTv5 else None)
+    def leave(self) -> None:
+        """Disconnect in an orderly way."""
+        self.paho.disconnect()
         self.spin(0.01)
 
     def until(self, happened: Callable[[], bool], within_s: float = PATIENCE_S) -> None:
@@ -166,55 +142,25 @@ class Client:
         return [int(code.value) for code in self._subacks.pop(packet_id)]
 
     def _on_connect(
-        self, _c: paho.Client, _u: object, flags: paho.ConnectFlags, reason: ReasonCode, properties: Properties | None
+        self, _c: paho.Client, _u: object, _f: paho.ConnectFlags, reason: ReasonCode, _p: Properties | None
     ) -> None:
-        self.connack, self.connack_properties, self.session_present = reason, properties, flags.session_present
+        self.connack = reason
 
     def _on_disconnect(
-        self, _c: paho.Client, _u: object, _f: paho.DisconnectFlags, reason: ReasonCode, _p: Properties | None
+        self, _c: paho.Client, _u: object, _f: paho.DisconnectFlags, _r: ReasonCode, _p: Properties | None
     ) -> None:
-        self.farewell = self.farewell or reason
+        self.ended = True
 
     def _on_suback(
         self, _c: paho.Client, _u: object, packet_id: int, reasons: list[ReasonCode], _p: Properties | None
     ) -> None:
         self._subacks[packet_id] = reasons
 
-    def _on_publish(
-        self, _c: paho.Client, _u: object, packet_id: int, reason: ReasonCode, _p: Properties | None
-    ) -> None:
-        self._pubacks[packet_id] = reason
+    def _on_publish(self, _c: paho.Client, _u: object, packet_id: int, _r: ReasonCode, _p: Properties | None) -> None:
+        self._pubacks.add(packet_id)
 
     def _on_message(self, _c: paho.Client, _u: object, message: paho.MQTTMessage) -> None:
         self.messages.append(message)
-
-
-def user_properties(message: paho.MQTTMessage) -> list[tuple[str, str]]:
-    """User properties of a message, in their order."""
-    return list(getattr(message.properties, "UserProperty", []))
-
-
-def expiry_s(message: paho.MQTTMessage) -> int | None:
-    """Seconds that a message has left, as the broker says."""
-    return getattr(message.properties, "MessageExpiryInterval", None)
-
-
-def _properties(packet: int, user: Pairs, numbers: Mapping[str, int]) -> Properties:
-    properties = Properties(packet)  # type: ignore[no-untyped-call]  # paho leaves it untyped
-    if user:
-        properties.UserProperty = list(user)
-    for name, value in numbers.items():
-        setattr(properties, name, value)
-    return properties
-
-
-def _options(qos: int, options: Mapping[str, bool | int]) -> SubscribeOptions:
-    return SubscribeOptions(
-        qos,
-        bool(options.get("no_local", False)),
-        bool(options.get("retain_as_published", False)),
-        int(options.get("retain_handling", 0)),
-    )
 
 
 def _no_delay(_client: paho.Client, _userdata: object, sock: object) -> None:

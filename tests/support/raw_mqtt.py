@@ -1,4 +1,4 @@
-"""An MQTT 5 client of bare bytes, for what a proper client would not do."""
+"""An MQTT 3.1.1 client of bare bytes, for what a proper client would not do."""
 
 import socket
 
@@ -15,15 +15,15 @@ def packet(first: int, body: bytes) -> bytes:
     return bytes((first, size) if size < 128 else (first, size % 128 | 128, size // 128)) + body
 
 
-def connect_packet(client_id: str, user: str, *, level: int = 5, properties: bytes = b"") -> bytes:
-    """Write a CONNECT with clean start, keep-alive 60 s and a user name."""
-    head = string("MQTT") + bytes((level, 0x82, 0, 60, len(properties))) + properties
+def connect_packet(client_id: str, user: str) -> bytes:
+    """Write a CONNECT with clean session, keep-alive 60 s and a user name."""
+    head = string("MQTT") + b"\x04\x82\0\x3c"
     return packet(0x10, head + string(client_id) + string(user))
 
 
-def subscribe(pattern: str, options: int = 0, properties: bytes = b"") -> bytes:
+def subscribe(pattern: str, qos: int = 0) -> bytes:
     """Write a SUBSCRIBE with packet identifier 1."""
-    return packet(0x82, bytes((0, 1, len(properties))) + properties + string(pattern) + bytes((options,)))
+    return packet(0x82, b"\0\1" + string(pattern) + bytes((qos,)))
 
 
 def connect(port: int, client_id: str, user: str) -> socket.socket:

@@ -8,7 +8,7 @@ from benchmarks.starts.start import STEP_S, drive
 from services.sensors.simulator.drive import Drive
 from services.sensors.simulator.imu.ideal_imu import attitude_matrices, ideal_forces, ideal_rates, integrate_position
 from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE, SensorErrors
-from services.sensors.simulator.motion.trajectory import ROLL_STIFFNESS
+from services.sensors.simulator.motion.trajectory import ROLL_GRADIENT
 from shared.maths.earth import Geodetic
 
 Leg = tuple[float, float, float]  # [s], [m/s²], [1/m]
@@ -27,7 +27,7 @@ def manoeuvre(legs: tuple[Leg, ...], seed: int = 0, yaw: float = 0.0) -> Drive:
     zero = np.zeros_like(speed)
     velocity = np.column_stack([speed * np.cos(heading), speed * np.sin(heading), zero])
     attitude = np.column_stack(
-        [-ROLL_STIFFNESS * curve * speed**2, zero, np.remainder(heading + np.pi, 2 * np.pi) - np.pi]
+        [-ROLL_GRADIENT * curve * speed**2, zero, np.remainder(heading + np.pi, 2 * np.pi) - np.pi]
     )
     matrices = attitude_matrices(attitude)
     model = drive("parking_lot", 1, 20.0)

@@ -4,13 +4,13 @@ from dataclasses import dataclass, field
 
 from services.monitoring.status.state import State
 from shared.bus import codec
-from shared.bus.bus import Envelope
 from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import ProcessHealth, ProcessState
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import parse_vehicle
+from tests.support.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
 
 START_NS = 1_795_000_000 * 10**9
@@ -35,23 +35,14 @@ class World:
         self.watchdog = Watchdog(expected, self.now_ns)
 
     def hear(self, message: Message, producer: str, *, delay_s: float = 0.0, retained: bool = False) -> None:
-        payload, properties = codec.encode(message)
-        self.hear_bytes(
-            codec.topic_name(message),
-            payload,
-            producer,
-            properties,
-            delay_s=delay_s,
-            retained=retained,
-            message=message,
-        )
+        name, body = codec.topic_name(message), codec.encode(message)
+        self.hear_bytes(name, body, producer, delay_s=delay_s, retained=retained, message=message)
 
     def hear_bytes(
         self,
         topic: str,
-        payload: bytes,
+        body: bytes,
         producer: str,
-        properties: dict[str, str] | None = None,
         *,
         delay_s: float = 0.0,
         retained: bool = False,
@@ -59,7 +50,7 @@ class World:
     ) -> None:
         self.sequence += 1
         received_ns = self.now_ns + int(delay_s * 1e9)
-        envelope = Envelope(topic, payload, properties or {}, received_ns, producer, 1, self.sequence, retained)
+        envelope = sent_bytes(topic, body, received_ns, producer, 1, self.sequence, retained=retained)
         if self.watchdog:
             self.watchdog.take(envelope, message)
         self.state.receive(envelope)

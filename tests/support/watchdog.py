@@ -20,7 +20,7 @@ class Watchdog:
     def take(self, envelope: Envelope, message: Message | None) -> None:
         """Note one message, decoded where it can be read."""
         self.watch.take(
-            envelope.topic, envelope.payload, envelope.properties,
+            envelope.topic, envelope.payload,
             producer=envelope.producer, received_ns=envelope.received_ns, retained=envelope.retained,
         )  # fmt: skip
         if isinstance(message, ProcessHealth):

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.navigation.cases import DRIVES, PHASES
 from benchmarks.navigation.runs import data_folder
-from cli.solve.metrics.counters import Tally
+from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.drift import drifts
 from cli.solve.metrics.errors import Stamps, errors_against
 from cli.solve.metrics.metrics import Run, metrics_of
@@ -189,7 +189,7 @@ def judged(rows: FloatArray, truth: Reference) -> dict[str, float]:
     track = track_of(rows)
     errors = errors_against(truth, track, lever_arm_b=NO_ARM)
     stamps = track.stamps_ns
-    made = Run(track, Tally(), errors, [], int(stamps[0]), int(stamps[-1]), 0, 0, round(SETTLED_S * 1e9))
+    made = Run(track, Counters(), errors, [], int(stamps[0]), int(stamps[-1]), 0, 0, round(SETTLED_S * 1e9))
     metrics = metrics_of(made)
     names = ("horizontal_rmse_m", "vertical_rmse_m", "velocity_horizontal_rmse_m_s", "yaw_rmse_rad")
     found = {name: metrics[name] for name in names}

@@ -1,4 +1,4 @@
-"""What the filter said about itself while it worked: phases, counts, innovations."""
+"""Collects the filter's diagnostics over a drive: phases, counts, innovations."""
 
 from dataclasses import dataclass, field
 
@@ -11,12 +11,12 @@ from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase
 
 @dataclass(frozen=True)
 class Updates:
-    """All measurements of one kind as the filter saw them, one row each."""
+    """All measurement updates of one kind, one row each."""
 
     stamps_ns: npt.NDArray[np.int64]
     innovation: FloatArray  # measured - predicted, NED, shape (n, 3)
     innovation_sd: FloatArray  # shape (n, 3)
-    test_ratio: FloatArray  # above 1 the gate rejects
+    test_ratio: FloatArray  # normalised innovation squared over its gate: above 1 the measurement is rejected
     used: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -24,7 +24,7 @@ class Updates:
 
 
 @dataclass
-class Tally:
+class Counters:
     """Collects aiding updates, phases and the newest state."""
 
     aligned_ns: int | None = None
@@ -32,18 +32,18 @@ class Tally:
     _updates: dict[AidingKind, list[AidingUpdate]] = field(default_factory=dict)
 
     def add_state(self, state: NavigationState) -> None:
-        """Note the newest state, and when the filter navigated first."""
+        """Store the newest state, and the time at which the filter first navigated."""
         self.state = state
         if self.aligned_ns is None and state.phase == NavigationPhase.NAVIGATING:
             self.aligned_ns = state.sampled_ns
 
     def add_update(self, update: AidingUpdate) -> None:
-        """Note how a GNSS measurement fitted."""
+        """Store a GNSS measurement update."""
         if update.kind in (AidingKind.GNSS_POSITION, AidingKind.GNSS_VELOCITY) and len(update.innovation) == 3:
             self._updates.setdefault(update.kind, []).append(update)
 
     def updates(self, kind: AidingKind) -> Updates:
-        """Give all updates of a kind."""
+        """All updates of a kind."""
         found = self._updates.get(kind, [])
         return Updates(
             np.array([u.sampled_ns for u in found], dtype=np.int64),

@@ -1,4 +1,4 @@
-"""How far a solution drifted in each outage of GNSS."""
+"""Horizontal drift of a solution in each GNSS outage."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from shared.maths.earth import FloatArray
 from ..outages import Gap
 from .errors import Errors
 
-MINIMUM_GAP_SHARE = 0.8  # a gap whose last truth is earlier than that tells nothing about its end
-SHORTEST_M = 10.0  # of a way that an error is a share of: one that stands in an outage would divide by nothing
+MINIMUM_GAP_SHARE = 0.8  # an outage is evaluated if its last truth is after this fraction of it
+SHORTEST_M = 10.0  # shortest distance for an error relative to distance
 
 
 @dataclass(frozen=True)
@@ -19,25 +19,25 @@ class Drift:
     """Horizontal error in one outage."""
 
     gap: Gap
-    end_m: float  # at the last truth that nothing behind the outage has corrected
+    end_m: float  # at the last truth before a fix after the outage takes effect
     largest_m: float
-    distance_m: float  # that the vehicle went meanwhile
+    distance_m: float  # distance travelled in the outage
 
     @property
     def end_share(self) -> float | None:
-        """Error at the end over the distance, where the vehicle went far enough."""
+        """Error at the end over the distance travelled; None below `SHORTEST_M`."""
         return self.end_m / self.distance_m if self.distance_m >= SHORTEST_M else None
 
 
 def drifts(errors: Errors, gaps: Sequence[Gap]) -> list[Drift]:
-    """Judge each outage by the truth within it; one without a truth near its end is left out.
+    """Compute the drift of each outage; outages without a truth near their end are omitted.
 
     Parameters
     ----------
     errors : Errors
         Solution minus reference over the whole drive.
     gaps : sequence of Gap
-        [ns] First and last instant of each outage.
+        [ns] Start and end of each outage.
 
     Returns
     -------
@@ -52,21 +52,21 @@ def _drifts(errors: Errors, gaps: Sequence[Gap]) -> Iterator[Drift]:
         return
     horizontal = horizontal_error(errors.position_n)
     for first, last in gaps:
-        # What is behind the gap must not help: both solutions around the instant lie before its end.
+        # Fixes after the gap must have no effect: both interpolated solutions are before its end.
         rows = np.flatnonzero((errors.stamps_ns >= first) & (errors.next_solution_ns < last))
         if len(rows) and errors.stamps_ns[rows[-1]] - first >= MINIMUM_GAP_SHARE * (last - first):
-            way = float(errors.distance_m[rows[-1]] - errors.distance_m[rows[0]])
-            yield Drift((first, last), float(horizontal[rows[-1]]), float(horizontal[rows].max()), way)
+            distance = float(errors.distance_m[rows[-1]] - errors.distance_m[rows[0]])
+            yield Drift((first, last), float(horizontal[rows[-1]]), float(horizontal[rows].max()), distance)
 
 
 def horizontal_error(errors_n: FloatArray) -> FloatArray:
-    """Length of the horizontal part of errors in north, east and down, shape (n,)."""
+    """Magnitude of the horizontal part of NED errors, shape (n,)."""
     found: FloatArray = np.hypot(errors_n[:, 0], errors_n[:, 1])
     return found
 
 
 def drift_lines(found: Sequence[Drift], first_ns: int) -> Iterator[str]:
-    """Print outages as CSV, one line each; times count from the first input."""
+    """Format outages as CSV, one line each; times are relative to the first input."""
     yield "start_s,end_s,end_error_m,largest_error_m,distance_m\n"
     for drift in found:
         start, end = ((stamp - first_ns) * 1e-9 for stamp in drift.gap)

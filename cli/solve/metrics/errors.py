@@ -1,4 +1,4 @@
-"""The errors of a solution against a reference, at the reference's own instants."""
+"""The errors of a solution relative to a reference, at the times of the reference."""
 
 from dataclasses import dataclass
 
@@ -13,29 +13,29 @@ from ..reference_track import Reference
 from ..track import Track
 
 Stamps = npt.NDArray[np.int64]
-MAXIMUM_STEP_NS = 1_500_000_000  # further apart, two solutions say nothing about what lies between
+MAXIMUM_STEP_NS = 1_500_000_000  # longest interval between two solutions that is interpolated
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Solution minus reference at each instant that both know; None for what the reference does not say."""
+    """Solution minus reference at each time common to both; None for quantities that the reference does not hold."""
 
     stamps_ns: Stamps
-    next_solution_ns: Stamps  # the later one of the two solutions that were used
+    next_solution_ns: Stamps  # stamp of the later of the two interpolated solutions
     position_n: FloatArray | None  # [m, NED], shape (n, 3)
     position_sd_n: FloatArray  # [m, NED] of the difference, shape (n, 3)
     velocity_n: FloatArray | None  # [m/s, NED], shape (n, 3)
     attitude: FloatArray | None  # [rad] roll, pitch, yaw in (-pi, pi], shape (n, 3)
     angles: FloatArray | None = None  # [rad] roll, pitch, yaw of the solution, shape (n, 3)
-    distance_m: FloatArray | None = None  # along the reference since its first instant, horizontally, shape (n,)
+    distance_m: FloatArray | None = None  # horizontal distance along the reference from its start, shape (n,)
     protection_m: FloatArray | None = None  # horizontal and vertical protection level, shape (n, 2)
-    reference_sd_n: FloatArray | None = None  # [m, NED] of the reference's own positions, shape (n, 3)
+    reference_sd_n: FloatArray | None = None  # [m, NED] standard deviation of the reference positions, shape (n, 3)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
     def since(self, stamp_ns: int) -> "Errors":
-        """Give the part from an instant on."""
+        """The errors from a time on."""
         first = int(np.searchsorted(self.stamps_ns, stamp_ns, side="left"))
 
         def rest(values: FloatArray | None) -> FloatArray | None:
@@ -61,11 +61,11 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
     Parameters
     ----------
     reference : Reference
-        Its instants are those of the result, as far as they lie between two solutions.
+        Its times between two solutions are those of the result.
     track : Track
-        Solutions of the IMU while the filter navigates.
+        Solutions at the IMU while the filter navigates.
     lever_arm_b : tuple of float
-        [m, body] From the IMU to the antenna; used where the reference is at the antenna.
+        [m, body] Lever arm from the IMU to the antenna; used if the reference is at the antenna.
 
     Returns
     -------
@@ -74,12 +74,12 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
 
     Notes
     -----
-    Positions between two solutions follow the cubic through both with both velocities (Hermite), and then go
-    to the antenna with velocity: r + C l, v + C (w x l). The variance of the difference is that of the
-    solution and, where known, of the reference; a fix that the filter has used is not independent of the
-    solution, which makes the sum larger than the truth.
+    Positions between two solutions are interpolated by the cubic Hermite polynomial of positions and velocities, and
+    transformed to the antenna: r + C l, v + C (w x l). The variance of the difference is the sum of those of the
+    solution and, if known, of the reference. A fix used by the filter is correlated with the solution; the sum is
+    then too large.
     """
-    then = reference.stamps_ns - reference.velocity_delay_ns  # when the velocities were true
+    then = reference.stamps_ns - reference.velocity_delay_ns  # times of validity of the velocities
     rows = np.flatnonzero(_covered(track, reference.stamps_ns) & _covered(track, then))
     state, earlier = _Between(track, reference.stamps_ns[rows]), _Between(track, then[rows])
     arm = np.array(lever_arm_b if reference.at_antenna else (0.0, 0.0, 0.0))
@@ -112,15 +112,15 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
 
 
 def _distance(geodetic: FloatArray) -> FloatArray:
-    """Horizontal way along positions [m], shape (n,)."""
+    """Cumulative horizontal distance along positions [m], shape (n,)."""
     path = ned_track(geodetic, Geodetic(*geodetic[len(geodetic) // 2].tolist()))
     steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
-    way: FloatArray = np.r_[0.0, np.cumsum(steps)]
-    return way
+    distance: FloatArray = np.r_[0.0, np.cumsum(steps)]
+    return distance
 
 
 def _covered(track: Track, stamps_ns: Stamps) -> npt.NDArray[np.bool_]:
-    """Tell which instants lie between two solutions that are close to each other."""
+    """Whether each time lies between two solutions at most `MAXIMUM_STEP_NS` apart, shape (n,)."""
     after = np.searchsorted(track.stamps_ns, stamps_ns, side="left")
     inside = (after > 0) & (after < len(track))
     if len(track) > 1:
@@ -130,7 +130,7 @@ def _covered(track: Track, stamps_ns: Stamps) -> npt.NDArray[np.bool_]:
 
 
 class _Between:
-    """A track at instants between its rows."""
+    """A track interpolated at given times."""
 
     def __init__(self, track: Track, stamps_ns: Stamps) -> None:
         self._track = track
@@ -141,13 +141,13 @@ class _Between:
         self._share = ((stamps_ns - first) / (last - first))[:, None]
 
     def linear(self, name: str, count: int = 3) -> FloatArray:
-        """Neighbouring columns, on the straight line between two rows."""
+        """Adjacent columns, interpolated linearly, shape (n, count)."""
         values = self._track.columns(name, count)
         found: FloatArray = values[self._before] * (1.0 - self._share) + values[self.after] * self._share
         return found
 
     def angles(self) -> FloatArray:
-        """Roll, pitch and yaw, the shorter way round."""
+        """Roll, pitch and yaw [rad], interpolated along the smaller angle, shape (n, 3)."""
         values = self._track.columns("roll_rad")
         turn = values[self.after] - values[self._before]
         turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
@@ -155,18 +155,18 @@ class _Between:
         return found
 
     def turned(self, vector_b: FloatArray) -> FloatArray:
-        """Turn a body vector to north, east, down, shape (n, 3)."""
+        """A body vector rotated to NED, shape (n, 3)."""
         turned: FloatArray = rotations(self.angles()).apply(vector_b)
         return turned
 
     def arm_velocity(self, arm_b: FloatArray) -> FloatArray:
-        """Velocity of the arm's end against its start, C (w x l), shape (n, 3)."""
+        """Velocity of the antenna relative to the IMU, C (w x l), shape (n, 3)."""
         rates = self.linear("angular_rate_forward_rad_s")
         velocity: FloatArray = rotations(self.angles()).apply(np.cross(rates, arm_b))
         return velocity
 
     def position_minus(self, geodetic: FloatArray) -> FloatArray:
-        """Metres north, east and down from given positions to the track."""
+        """Interpolated position of the track minus given positions [m, NED], shape (n, 3)."""
         origin = Geodetic(*geodetic[len(geodetic) // 2].tolist())
         path = ned_track(self._track.geodetic, origin)
         u, h = self._share, self._step_s[:, None]

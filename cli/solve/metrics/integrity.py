@@ -1,6 +1,6 @@
-"""Whether errors stay below their protection levels: counts of what a Stanford diagram shows.
+"""Integrity metrics: position errors compared with their protection levels (Stanford diagram).
 
-Every instant from `--score-from` on at which the truth is known counts, those in outages as well.
+All times from `--score-from` on with a known truth are counted, outages included.
 """
 
 from collections.abc import Sequence
@@ -16,23 +16,23 @@ from shared.maths.quantiles import circle_factor, line_factor
 from .errors import Errors
 
 AXES = ("horizontal", "vertical")
-# Standard deviations by which a reference is off once in a thousand: of a normal pair, and of a number.
-DOUBT_SDS = circle_factor(1.0, 1e-3), line_factor(1e-3)
+# Quantiles of probability 0.001 of a normal error [standard deviations]: two-dimensional, one-dimensional.
+REFERENCE_SDS = circle_factor(1.0, 1e-3), line_factor(1e-3)
 # Names and meanings, for both axes.
 _MEANINGS = {
     "median_m": "{axis} protection level, median",
-    "available_fraction": "share of the instants whose {axis} protection level is within the alert limit "
-    "(`core.fusion.integrity.alert_limit_{axis}_m`)",
-    "judged_count": "instants at which the {axis} error is held against its protection level",
-    "misleading_count": "instants with a {axis} error above its protection level: misleading information",
-    "misleading_fraction": "the same as a share, which the integrity risk should not be below",
-    "misleading_proven_fraction": "share of the instants with a {axis} error above its protection level by more than "
-    "the reference itself may be off, by its own standard deviation, once in a thousand times",
-    "hazardous_fraction": "share of the instants with an error above the alert limit while the protection level is "
-    "within it: hazardously misleading information",
-    "ratio_median": "{axis} protection level over error, median: near 3 (horizontal) or 5 (vertical) if all errors are "
-    "normal and known",
-    "error_share_max": "largest {axis} error over its protection level: above 1 it misled",
+    "available_fraction": "fraction of times with a {axis} protection level within the alert limit "
+    "(`core.fusion.integrity.alert_limit_{axis}_m`): availability",
+    "judged_count": "number of times at which the {axis} error is compared with its protection level",
+    "misleading_count": "number of times with a {axis} error above its protection level: misleading information",
+    "misleading_fraction": "the same as a fraction; it should not exceed the integrity risk",
+    "misleading_proven_fraction": "fraction of times with a {axis} error above its protection level by more than the "
+    "error of the reference, taken as its quantile of probability 0.001",
+    "hazardous_fraction": "fraction of times with a {axis} error above the alert limit and a protection level within "
+    "it: hazardously misleading information",
+    "ratio_median": "{axis} protection level over error, median: about 3 (horizontal) or 5 (vertical) for normal "
+    "errors of known variance",
+    "error_share_max": "largest ratio of {axis} error to protection level: above 1 for misleading information",
 }
 INTEGRITY: dict[str, str] = {
     f"protection_{axis}_{name}": meaning.format(axis=axis) for axis in AXES for name, meaning in _MEANINGS.items()
@@ -40,7 +40,7 @@ INTEGRITY: dict[str, str] = {
 
 
 class Region(StrEnum):
-    """Where an instant lies in the diagram of error against protection level."""
+    """Regions of the Stanford diagram."""
 
     NOMINAL = "nominal"
     UNAVAILABLE = "system unavailable"
@@ -51,26 +51,25 @@ class Region(StrEnum):
 
 @dataclass(frozen=True)
 class Protected:
-    """Error and protection level [m] of one axis at the same instants."""
+    """Error and protection level [m] of one axis at equal times."""
 
     axis: str
     error_m: FloatArray  # never negative, shape (n,)
     level_m: FloatArray  # shape (n,)
     alert_limit_m: float
-    doubt_m: FloatArray | float = 0.0  # what of the error may be the reference's
+    reference_error_m: FloatArray | float = 0.0  # bound of the reference's error
 
     @property
     def proven(self) -> npt.NDArray[np.bool_]:
-        """Where the solution misled whatever the reference's own error was.
+        """Where the error exceeds the protection level even if the reference has its largest error.
 
-        The true error is not less than the difference to a reference less the error of that, used by the filter or
-        not: ``|x - truth| >= |x - reference| - |reference - truth|``.
+        By the triangle inequality, ``|x - truth| >= |x - reference| - |reference - truth|``.
         """
-        found: npt.NDArray[np.bool_] = self.error_m > self.level_m + self.doubt_m
+        found: npt.NDArray[np.bool_] = self.error_m > self.level_m + self.reference_error_m
         return found
 
     def regions(self) -> dict[Region, int]:
-        """Count the instants of each region.
+        """Number of times in each region.
 
         Returns
         -------
@@ -95,7 +94,7 @@ class Protected:
 
 
 def protected(errors: Errors, alert_limits_m: Sequence[float]) -> list[Protected]:
-    """Put errors beside protection levels, horizontal and vertical; nothing where one of them is unknown."""
+    """Pair errors and protection levels, horizontal and vertical; empty if either is unknown."""
     if errors.position_n is None or errors.protection_m is None:
         return []
     known = np.flatnonzero(np.isfinite(errors.protection_m.sum(axis=1)))
@@ -104,15 +103,15 @@ def protected(errors: Errors, alert_limits_m: Sequence[float]) -> list[Protected
         return []
     sizes = (np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]))
     sd = np.zeros_like(error) if errors.reference_sd_n is None else errors.reference_sd_n[known]
-    doubts = (DOUBT_SDS[0] * sd[:, :2].max(axis=1), DOUBT_SDS[1] * sd[:, 2])
+    reference_errors = (REFERENCE_SDS[0] * sd[:, :2].max(axis=1), REFERENCE_SDS[1] * sd[:, 2])
     return [
-        Protected(axis, size, level[:, k], alert_limits_m[k], doubts[k])
+        Protected(axis, size, level[:, k], alert_limits_m[k], reference_errors[k])
         for k, (axis, size) in enumerate(zip(AXES, sizes, strict=True))
     ]
 
 
 def integrity_metrics(errors: Errors, alert_limits_m: Sequence[float]) -> dict[str, float | int | None]:
-    """Compute the metrics of `INTEGRITY`; none without truth or without levels."""
+    """Compute the metrics of `INTEGRITY`; empty without truth or protection levels."""
     found: dict[str, float | int | None] = {}
     for one in protected(errors, alert_limits_m):
         regions, count = one.regions(), len(one.error_m)

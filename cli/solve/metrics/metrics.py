@@ -1,4 +1,4 @@
-"""The figures that a solved drive is judged by: stable names, units in the names, None where unknown."""
+"""The metrics of a solved drive: stable names with units, None if unknown."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from shared.messages.navigation import AidingKind
 
 from ..outages import Gap
 from ..track import Track
-from .counters import Tally
+from .counters import Counters
 from .drift import Drift, drifts, horizontal_error
 from .errors import Errors
 from .integrity import INTEGRITY, integrity_metrics
@@ -24,75 +24,75 @@ METRICS: dict[str, str] = {
     "duration_s": "length of the recording, from its first input to its last",
     "alignment_s": "from the first input until the filter navigates",
     "solution_count": "solutions while the filter navigates or coasts",
-    "distance_m": "way travelled while the filter navigates or coasts, standstill left out",
-    "fixes_recorded": "GNSS fixes of the recording that hold a position",
-    "fixes_removed": "fixes that were taken away by --outage",
-    "fixes_used": "GNSS positions that the filter used",
-    "fixes_rejected": "GNSS positions that the filter's gate rejected",
-    "filter_resets": "times that the filter had to begin anew",
-    "innovation_horizontal_rms_m": "horizontal difference of a used GNSS position and its prediction: the error of "
-    "predicting one fix ahead, which no fix has corrected yet",
-    "innovation_velocity_rms_m_s": "the same for the horizontal GNSS velocity",
-    "normalised_innovation_rms": "innovations of used GNSS positions over their standard deviation: 1 if the filter "
-    "knows its errors, above 1 if it is too sure",
-    "truth_count": "instants at which the solution is compared with the truth",
+    "distance_m": "distance travelled while the filter navigates or coasts, standstill excluded",
+    "fixes_recorded": "GNSS fixes with a position in the recording",
+    "fixes_removed": "GNSS fixes removed by --outage",
+    "fixes_used": "GNSS positions used by the filter",
+    "fixes_rejected": "GNSS positions rejected by the innovation gate",
+    "filter_resets": "number of filter resets",
+    "innovation_horizontal_rms_m": "horizontal innovation of used GNSS positions, root mean square: the error of the "
+    "prediction to the next fix",
+    "innovation_velocity_rms_m_s": "horizontal innovation of used GNSS velocities, root mean square",
+    "normalised_innovation_rms": "innovations of used GNSS positions over their standard deviation, root mean square: "
+    "1 for a consistent filter, above 1 for an overconfident one",
+    "truth_count": "number of times at which the solution is compared with the truth",
     "horizontal_rmse_m": "horizontal position error, root mean square",
-    "horizontal_p95_m": "horizontal position error that 95 % of the instants stay below",
-    "horizontal_max_m": "largest horizontal position error",
+    "horizontal_p95_m": "horizontal position error, 95th percentile",
+    "horizontal_max_m": "horizontal position error, maximum",
     "vertical_rmse_m": "vertical position error, root mean square",
-    "velocity_rmse_m_s": "error of the velocity vector, root mean square of its length",
-    "velocity_horizontal_rmse_m_s": "error of the horizontal velocity, root mean square of its length",
-    "roll_rmse_rad": "error of the roll, root mean square",
-    "pitch_rmse_rad": "error of the pitch, root mean square",
-    "yaw_rmse_rad": "error of the heading, root mean square",
-    "yaw_mean_error_rad": "mean error of the heading; a mounting angle between IMU and reference shows here",
-    "yaw_sd_rad": "error of the heading about its mean: what is left once a mounting angle is removed",
-    "mounting_roll_rad": "roll of the IMU's axes in those of the reference, as one constant rotation of the drive",
-    "mounting_pitch_rad": "the same, pitch",
-    "mounting_yaw_rad": "the same, yaw",
-    "roll_rmse_mounted_rad": "error of the roll once that constant rotation is removed, root mean square",
-    "pitch_rmse_mounted_rad": "the same, pitch",
-    "yaw_rmse_mounted_rad": "the same, heading",
-    "within_3_sigma_fraction": "share of the position errors (north, east and down counted one by one) within three "
-    "of their standard deviations: 0.997 if the filter knows its errors",
-    "outage_count": "GNSS outages made by --outage that could be judged",
-    "outage_end_error_median_m": "horizontal error at the last truth before GNSS comes back, median of the outages",
-    "outage_end_error_p95_m": "the same, 95th percentile",
-    "outage_end_error_max_m": "the same, the worst",
-    "outage_end_error_share_median": "horizontal error at the end over the distance that was driven in the outage, "
-    "median of the outages that are longer than 10 m",
-    "outage_largest_error_rms_m": "largest horizontal error within each outage, root mean square of the outages",
-    "outage_largest_error_max_m": "the same, the worst",
+    "velocity_rmse_m_s": "magnitude of the velocity error, root mean square",
+    "velocity_horizontal_rmse_m_s": "magnitude of the horizontal velocity error, root mean square",
+    "roll_rmse_rad": "roll error, root mean square",
+    "pitch_rmse_rad": "pitch error, root mean square",
+    "yaw_rmse_rad": "heading error, root mean square",
+    "yaw_mean_error_rad": "mean heading error, which includes a mounting angle between IMU and reference",
+    "yaw_sd_rad": "standard deviation of the heading error about its mean, independent of a mounting angle",
+    "mounting_roll_rad": "roll of the IMU axes relative to those of the reference, estimated as a constant rotation",
+    "mounting_pitch_rad": "pitch of the same rotation",
+    "mounting_yaw_rad": "yaw of the same rotation",
+    "roll_rmse_mounted_rad": "roll error after removal of the mounting rotation, root mean square",
+    "pitch_rmse_mounted_rad": "pitch error after removal of the mounting rotation, root mean square",
+    "yaw_rmse_mounted_rad": "heading error after removal of the mounting rotation, root mean square",
+    "within_3_sigma_fraction": "fraction of the position errors (north, east and down counted separately) within three "
+    "standard deviations: 0.997 for a consistent filter",
+    "outage_count": "number of evaluated GNSS outages made by --outage",
+    "outage_end_error_median_m": "horizontal error at the end of an outage (last truth), median of the outages",
+    "outage_end_error_p95_m": "horizontal error at the end of an outage, 95th percentile",
+    "outage_end_error_max_m": "horizontal error at the end of an outage, maximum",
+    "outage_end_error_share_median": "horizontal error at the end of an outage over the distance travelled in it, "
+    "median of the outages longer than 10 m",
+    "outage_largest_error_rms_m": "largest horizontal error within an outage, root mean square of the outages",
+    "outage_largest_error_max_m": "largest horizontal error within an outage, maximum",
     **INTEGRITY,
 }
-# Printed, but in no file: they differ from run to run.
+# Printed only, not written to a file: they differ from run to run.
 TIMINGS: dict[str, str] = {
-    "solve_seconds": "time that the processes took for the whole recording",
-    "realtime_factor": "seconds of driving that were worked off in one second",
+    "solve_seconds": "processing time of the whole recording",
+    "realtime_factor": "duration of the recording over the processing time",
 }
 
 
 @dataclass(frozen=True)
 class Run:
-    """All that came out of one pass over a recording."""
+    """The results of one pass over a recording."""
 
     track: Track  # while the filter navigates
-    tally: Tally
+    counters: Counters
     errors: Errors | None
     gaps: Sequence[Gap]
     first_ns: int
     last_ns: int
     fixes_recorded: int
     fixes_removed: int
-    scored_from_ns: int = 0  # errors before this instant are in no mean and no count, but in outages
+    scored_from_ns: int = 0  # errors before this time are excluded, except in outages
     alert_limits_m: tuple[float, float] = (10.0, 20.0)  # horizontal, vertical
 
     def scored(self) -> Errors | None:
-        """Errors that are judged."""
+        """The errors that are evaluated."""
         return None if self.errors is None else self.errors.since(self.scored_from_ns)
 
     def drifts(self) -> list[Drift]:
-        """Judge the outages that were made."""
+        """The drift of each simulated outage."""
         return [] if self.errors is None else drifts(self.errors, self.gaps)
 
 
@@ -107,18 +107,18 @@ def metrics_of(run: Run) -> dict[str, Value]:
     Returns
     -------
     dict
-        The names of `METRICS`, in their order; None for what cannot be known.
+        The names of `METRICS`, in their order; None if unknown.
     """
     scored = run.scored()
     found: dict[str, Value] = {
         "duration_s": (run.last_ns - run.first_ns) * 1e-9,
-        "alignment_s": None if run.tally.aligned_ns is None else (run.tally.aligned_ns - run.first_ns) * 1e-9,
+        "alignment_s": None if run.counters.aligned_ns is None else (run.counters.aligned_ns - run.first_ns) * 1e-9,
         "solution_count": len(run.track),
         "distance_m": _distance(run.track),
         "fixes_recorded": run.fixes_recorded,
         "fixes_removed": run.fixes_removed,
-        "filter_resets": None if run.tally.state is None else run.tally.state.resets,
-        **_innovations(run.tally),
+        "filter_resets": None if run.counters.state is None else run.counters.state.resets,
+        **_innovations(run.counters),
         **({} if scored is None else _against_truth(scored)),
         **({} if scored is None else integrity_metrics(scored, run.alert_limits_m)),
         **(_outages(run.drifts()) if run.gaps and run.errors and run.errors.position_n is not None else {}),
@@ -126,8 +126,8 @@ def metrics_of(run: Run) -> dict[str, Value]:
     return {name: _rounded(found.get(name)) for name in METRICS}
 
 
-def _innovations(tally: Tally) -> dict[str, Value]:
-    position, velocity = tally.updates(AidingKind.GNSS_POSITION), tally.updates(AidingKind.GNSS_VELOCITY)
+def _innovations(counters: Counters) -> dict[str, Value]:
+    position, velocity = counters.updates(AidingKind.GNSS_POSITION), counters.updates(AidingKind.GNSS_VELOCITY)
     kept = position.innovation[position.used]
     normalised = kept / position.innovation_sd[position.used]
     return {
@@ -155,7 +155,7 @@ def _against_truth(errors: Errors) -> dict[str, Value]:
         found["velocity_horizontal_rmse_m_s"] = _rms(horizontal_error(errors.velocity_n))
     if errors.attitude is not None and len(errors):
         roll, pitch, yaw = errors.attitude.T
-        # The mean of angles is that of their directions: -179 and 179 degrees make 180, not 0.
+        # Circular mean: that of -179 and 179 degrees is 180, not 0.
         mean = float(np.angle(np.mean(np.exp(1j * yaw))))
         about_mean = np.angle(np.exp(1j * (yaw - mean)))
         found |= {

@@ -1,4 +1,4 @@
-"""The rotation by which an IMU sits askew in the axes of its reference, which is no error of a solution."""
+"""Estimates the constant mounting rotation between the IMU and the reference, which is not a solution error."""
 
 import numpy as np
 
@@ -8,24 +8,25 @@ from ..attitude import angles_of, rotations
 
 
 def without_mounting(angles: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Estimate the mounting as one constant rotation, and give the errors of attitude that are left without it.
+    """Estimate the mounting as one constant rotation, and compute the attitude errors after its removal.
 
     Parameters
     ----------
     angles, reference : ndarray, shape (n, 3)
-        [rad] Roll, pitch and yaw of the solution and of the reference at the same instants.
+        [rad] Roll, pitch and yaw of the solution and of the reference at equal times.
 
     Returns
     -------
     mounting : ndarray, shape (3,)
-        [rad] Roll, pitch and yaw of the solution's axes in those of the reference.
+        [rad] Roll, pitch and yaw of the solution's axes relative to those of the reference.
     errors : ndarray, shape (n, 3)
-        [rad] Roll, pitch and yaw of the solution, turned back by the mounting, minus the reference's, in (-pi, pi].
+        [rad] Roll, pitch and yaw of the solution, corrected by the mounting, minus those of the reference, in
+        (-pi, pi].
 
     Notes
     -----
     With C the rotations body to NED of the solution (s) and of the reference (r), the mounting is the mean of
-    C_r^T C_s: the rotation with the least sum of squared chordal distances.
+    C_r^T C_s, the rotation with the least sum of squared chordal distances.
 
     References
     ----------

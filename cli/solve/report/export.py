@@ -1,4 +1,4 @@
-"""A track as text: CSV for programs, KML for maps."""
+"""Formats a track as CSV and KML."""
 
 from collections.abc import Iterator
 from html import escape
@@ -8,7 +8,7 @@ import numpy as np
 from ..track import NAMES, Track
 
 HEADER = ("sampled_ns", "time_s", "phase", *NAMES)
-# Enough digits that rounding is far below what any of these means: 1 mm, 0.1 mm/s, 1 microradian.
+# Rounding is below 1 mm, 0.1 mm/s and 1 microradian.
 DECIMALS = {
     "latitude_deg": 9,
     "longitude_deg": 9,
@@ -22,7 +22,7 @@ KML_POINTS = 20_000
 
 
 def csv_lines(track: Track) -> Iterator[str]:
-    """Print a track as CSV, one line a solution; what is unknown is empty."""
+    """Format a track as CSV, one line per solution; unknown values are empty."""
     yield ",".join(HEADER) + "\n"
     formats = [f"%.{DECIMALS.get(name, 7)}f" for name in NAMES]
     line = "%d,%.6f,%s," + ",".join(formats)
@@ -33,7 +33,7 @@ def csv_lines(track: Track) -> Iterator[str]:
 
 
 def kml_text(track: Track, name: str) -> str:
-    """Draw a track as one line that a map program opens; it holds at most 20,000 points."""
+    """Format a track as a KML line of at most `KML_POINTS` points."""
     position = track.columns("latitude_deg")
     step = -(-len(position) // KML_POINTS) or 1
     chosen = position[np.r_[0 : len(position) : step, len(position) - 1]] if len(position) else position

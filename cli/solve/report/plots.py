@@ -1,4 +1,4 @@
-"""The figures of the report, as SVG that stands inside the page."""
+"""The figures of the report as inline SVG."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -21,11 +21,11 @@ from ..reference_track import Reference
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-POINTS = 1500  # of a line: more is finer than a screen
+POINTS = 1500  # maximum points per line
 BLUE, ORANGE, GREEN, RED, GREY = "#0a5fb4", "#c75b00", "#2b7a3f", "#c01c28", "#8a8f98"
 COLOURS = (BLUE, ORANGE, GREEN)
 STYLE = {
-    "svg.hashsalt": "obu",  # the same figure has the same bytes
+    "svg.hashsalt": "obu",  # reproducible identifiers
     "svg.fonttype": "none",
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -37,7 +37,7 @@ STYLE = {
     "lines.linewidth": 1.1,
     "legend.frameon": False,
     "legend.fontsize": 8.0,
-    "path.simplify": False,  # it would drop dots, and lines are thinned here
+    "path.simplify": False,  # would remove dots; lines are decimated in `thinned`
 }
 
 
@@ -51,7 +51,7 @@ class Figure:
 
 
 def figures_of(run: Run, reference: Reference | None) -> list[Figure]:
-    """Draw every figure for which there is something to show."""
+    """Draw every figure for which there are data."""
     return list(_figures(run, reference))
 
 
@@ -62,7 +62,7 @@ def _figures(run: Run, reference: Reference | None) -> Iterator[Figure]:
         time_s = seconds_since(errors.stamps_ns, run.first_ns)
         if errors.position_n is not None:
             labels = _Labels(("north [m]", "east [m]", "down [m]"), gaps, run.first_ns)
-            caption = "Solution minus truth; the band is three standard deviations as the filter knows them."
+            caption = "Solution minus truth; the band is three standard deviations of the filter."
             band = 3.0 * errors.position_sd_n
             yield _three("Position errors", caption, time_s, errors.position_n, labels, band=band)
         if errors.velocity_n is not None:
@@ -78,7 +78,7 @@ def _figures(run: Run, reference: Reference | None) -> Iterator[Figure]:
 
 
 def _integrity(run: Run) -> Iterator[Figure]:
-    from .stanford import stanford  # it draws with what is here
+    from .stanford import stanford  # imports this module
 
     scored = run.scored()
     if scored is not None:
@@ -87,7 +87,7 @@ def _integrity(run: Run) -> Iterator[Figure]:
 
 @dataclass(frozen=True)
 class _Labels:
-    """What stands at three axes, and the gaps that are shaded on them."""
+    """Labels of three axes, and the gaps shaded in them."""
 
     names: tuple[str, str, str]
     gaps: Sequence[Gap]
@@ -96,7 +96,7 @@ class _Labels:
 
 @contextmanager
 def stacked_axes(rows: int, height: float, store: Callable[[str], None]) -> Iterator[list["Axes"]]:
-    """Give axes above each other, and hand the finished figure over as SVG."""
+    """Create stacked axes; on exit pass the figure to `store` as SVG."""
     from matplotlib import style
     from matplotlib.figure import Figure as Canvas
 
@@ -110,12 +110,12 @@ def stacked_axes(rows: int, height: float, store: Callable[[str], None]) -> Iter
 
 
 def inline_svg(svg: str, title: str) -> str:
-    """Cut the prologue off, and keep the names inside this figure apart from those of the others."""
+    """Remove the prologue, and make identifiers unique within the page."""
     prefix = re.sub(r"\W+", "-", title.lower())
     body = svg[svg.index("<svg") :]
     body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{prefix}-", body)
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    # A hundredth of a point is finer than any screen, and half the size of the page.
+    # Coordinates are truncated to 0.01 pt, which halves the size of the page.
     body = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), body)
     return re.sub(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>',
                   rf'<svg viewBox="\1" role="img" aria-label="{title}" xmlns:xlink="http://www.w3.org/1999/xlink">',
@@ -141,13 +141,13 @@ def _trajectory(run: Run, reference: Reference | None) -> Figure:
         axes.set(xlabel="east [m]", ylabel="north [m]")
         axes.legend(loc="best")
     title = "Trajectory"
-    return Figure(title, "Metres from the first solution; north is up.", inline_svg(drawn[0], title))
+    return Figure(title, "Relative to the first solution; north is up.", inline_svg(drawn[0], title))
 
 
 def _three(
     title: str, caption: str, time_s: FloatArray, values: FloatArray, labels: _Labels, band: FloatArray | None = None
 ) -> Figure:
-    """Three components above each other, each with its band."""
+    """Three stacked components, each with its band."""
     drawn: list[str] = []
     with stacked_axes(3, 5.0, drawn.append) as rows:
         for column, axes in enumerate(rows):
@@ -158,7 +158,7 @@ def _three(
             axes.plot(*thinned(time_s, values[:, column]), color=BLUE)
             axes.set_ylabel(labels.names[column])
         rows[-1].set_xlabel("time [s]")
-    return Figure(title, caption + (" Shaded: GNSS taken away." if labels.gaps else ""), inline_svg(drawn[0], title))
+    return Figure(title, caption + (" Shaded: GNSS outage." if labels.gaps else ""), inline_svg(drawn[0], title))
 
 
 def _speed(run: Run) -> Figure:
@@ -172,12 +172,12 @@ def _speed(run: Run) -> Figure:
         axes.fill_between(time_s, 0.0, 1.0, where=still.tolist(), transform=axes.get_xaxis_transform(),
                           color=GREEN, alpha=0.12, linewidth=0)  # fmt: skip
         axes.set(xlabel="time [s]", ylabel="speed [m/s]")
-    return Figure("Speed", "Green: the vehicle was found to stand still.", inline_svg(drawn[0], "Speed"))
+    return Figure("Speed", "Green: standstill detected.", inline_svg(drawn[0], "Speed"))
 
 
 def _innovations(run: Run) -> Figure:
     drawn: list[str] = []
-    updates = run.tally.updates(AidingKind.GNSS_POSITION)
+    updates = run.counters.updates(AidingKind.GNSS_POSITION)
     time_s = seconds_since(updates.stamps_ns, run.first_ns)
     with stacked_axes(2, 4.0, drawn.append) as (size, ratio):
         for used, colour, word in ((updates.used, BLUE, "used"), (~updates.used, RED, "rejected")):
@@ -192,12 +192,12 @@ def _innovations(run: Run) -> Figure:
         if len(updates):
             size.legend(loc="upper right")
             ratio.set_ylim(bottom=1e-4)
-    caption = "Each GNSS position against its prediction. Above a test ratio of 1 the gate rejects it."
+    caption = "Innovations of the GNSS positions. Measurements with a test ratio above 1 are rejected."
     return Figure("Innovations", caption, inline_svg(drawn[0], "Innovations"))
 
 
 def _scale(values: FloatArray) -> str:
-    """Logarithmic where the largest would flatten all others."""
+    """Logarithmic if the largest value exceeds 30 times the median."""
     return "log" if len(values) and values.max() > 30.0 * np.median(values) > 0.0 else "linear"
 
 
@@ -214,35 +214,35 @@ def _biases(run: Run) -> Figure:
             axes.set_ylabel(label)
         rows[0].legend(loc="upper right", ncols=3)
         rows[1].set_xlabel("time [s]")
-    return Figure("Sensor biases", "As the filter estimates them.", inline_svg(drawn[0], "Sensor biases"))
+    return Figure("Sensor biases", "Estimates of the filter.", inline_svg(drawn[0], "Sensor biases"))
 
 
 def _dots(axes: "Axes", x: FloatArray, y: FloatArray, colour: str, label: str | None = None) -> None:
-    """Draw dots as one line of short strokes with round ends: a third of the size of as many markers."""
+    """Draw dots as one line of zero-length strokes with round caps: a third of the size of markers."""
     nothing = np.full(len(x), np.nan)
     at, values = np.column_stack([x, x, nothing]).ravel(), np.column_stack([y, y, nothing]).ravel()
     axes.plot(at, values, color=colour, linewidth=2.2, solid_capstyle="round", label=label)
 
 
 def shade_gaps(axes: "Axes", gaps: Sequence[Gap], first_ns: int) -> None:
-    """Mark where GNSS was taken away."""
+    """Shade the GNSS outages."""
     for first, last in gaps:
         axes.axvspan((first - first_ns) * 1e-9, (last - first_ns) * 1e-9, color=ORANGE, alpha=0.13, linewidth=0)
 
 
 def seconds_since(stamps_ns: npt.NDArray[np.int64], first_ns: int) -> FloatArray:
-    """Times of stamps after the first input."""
+    """Times [s] since the first input."""
     return np.asarray((stamps_ns - first_ns) * 1e-9, dtype=np.float64)
 
 
 def thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Keep the smallest and the largest value of each stretch, so that no peak is lost."""
+    """Decimate a line to the minimum and maximum of each interval, which preserves peaks."""
     width = -(-len(x) // (POINTS // 2))
     if width < 3:
         return x, y
     whole = len(x) // width * width
-    stretches = y[:whole].reshape(-1, width)
+    intervals = y[:whole].reshape(-1, width)
     starts = np.arange(0, whole, width)
-    rows = np.sort(np.concatenate([starts + stretches.argmin(axis=1), starts + stretches.argmax(axis=1),
+    rows = np.sort(np.concatenate([starts + intervals.argmin(axis=1), starts + intervals.argmax(axis=1),
                                    np.arange(whole, len(x))]))  # fmt: skip
     return x[rows], y[rows]

@@ -1,4 +1,4 @@
-"""The figures that put the smoothed drive beside the filtered one."""
+"""The figures that compare the smoothed with the filtered drive."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ BANDS = 3.0  # standard deviations
 
 
 def figures_of_both(filtered: Run, smoothed: Run) -> list[Figure]:
-    """Draw the errors of both, and how well each knows its own."""
+    """Draw the errors and the standard deviations of both."""
     return list(_figures(filtered, smoothed))
 
 
@@ -42,7 +42,7 @@ def _errors(filtered: Run, smoothed: Run) -> Figure:
         rows[0].legend(loc="upper right", ncols=2)
         rows[-1].set_xlabel("time [s]")
     title = "Position errors, filtered and smoothed"
-    caption = "Minus truth; the bands are three standard deviations as each knows them."
+    caption = "Estimate minus truth; the bands are three standard deviations."
     return Figure(title, caption, inline_svg(drawn[0], title))
 
 
@@ -60,7 +60,7 @@ def _deviations(filtered: Run, smoothed: Run, what: str, column: tuple[str, str,
         rows[0].legend(loc="upper right", ncols=2)
         rows[-1].set_xlabel("time [s]")
     title = f"Standard deviation of the {what}, filtered and smoothed"
-    return Figure(title, "What each says of its own error.", inline_svg(drawn[0], title))
+    return Figure(title, "Standard deviations of the estimates.", inline_svg(drawn[0], title))
 
 
 def _sd(run: Run, name: str, scale: float) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The report: one page that stands alone, with every figure inside it."""
+"""The report: one self-contained HTML page with all figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,18 +24,18 @@ figure { margin: 0; } svg { width: 100%; height: auto; }
 
 @dataclass(frozen=True)
 class Heading:
-    """What stands above the figures."""
+    """Data of the report's header and summary."""
 
     name: str
     truth: str
     outage: str | None
-    facts: Sequence[tuple[str, str]]  # of the recording: what, and how it is
-    integrity_risk: float | None = None  # for which protection levels are made
-    made: str = ""  # what of the recording no sensor has measured
+    facts: Sequence[tuple[str, str]]  # of the recording: name and value
+    integrity_risk: float | None = None  # integrity risk of the protection levels
+    made: str = ""  # statement on computed instead of measured data
 
 
 def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure]) -> str:
-    """Make the report as HTML that loads nothing from anywhere."""
+    """Create the report as HTML without external resources."""
     lead = " ".join(escape(sentence) for sentence in summary(heading, metrics))
     rows = "\n".join(
         f'<tr><td class="name"><code>{name}</code></td><td class="value">{_shown(name, metrics[name])}</td>'
@@ -66,7 +66,7 @@ def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure])
 <tr><th>name</th><th>value</th><th>meaning</th></tr>
 {rows}
 </table>
-<h2>Where the data come from</h2>
+<h2>Data sources</h2>
 <table>
 {facts}
 </table>
@@ -77,55 +77,54 @@ def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure])
 
 
 def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
-    """Say in a few sentences what came out."""
+    """Summarise the results in a few sentences."""
     found = [f"{_number(metrics['duration_s'])} s of driving, {_number(metrics['distance_m'])} m."]
     if metrics["horizontal_rmse_m"] is not None:
         found.append(
-            f"Against the truth the horizontal position is off by {_metres(metrics['horizontal_rmse_m'])} (root mean "
-            f"square; 95 % below {_metres(metrics['horizontal_p95_m'])}), the height by "
-            f"{_metres(metrics['vertical_rmse_m'])}."
+            f"Position error: {_metres(metrics['horizontal_rmse_m'])} horizontal RMS (95th percentile "
+            f"{_metres(metrics['horizontal_p95_m'])}), {_metres(metrics['vertical_rmse_m'])} vertical RMS."
         )
     if metrics["outage_count"]:
         gap_s, _, period_s = (heading.outage or "").partition("@")[0].partition("/")
         often = "once" if metrics["outage_count"] == 1 else f"{metrics['outage_count']} times"
         found.append(
-            f"GNSS was taken away {often}, for {gap_s} s of every {period_s} s; at the end of an outage the horizontal "
-            f"position is off by {_metres(metrics['outage_end_error_median_m'])} (median; worst "
-            f"{_metres(metrics['outage_end_error_max_m'])})."
+            f"GNSS was removed {often}, for {gap_s} s of every {period_s} s; horizontal error at the end of an outage: "
+            f"median {_metres(metrics['outage_end_error_median_m'])}, maximum "
+            f"{_metres(metrics['outage_end_error_max_m'])}."
         )
     elif heading.outage:
-        found.append(f"No whole outage of --outage {heading.outage} lies within the drive.")
+        found.append(f"No complete outage of --outage {heading.outage} lies within the drive.")
     if metrics.get("smoothed_horizontal_rmse_m") is not None:
-        found.append(f"Smoothed, the position is off by {_metres(metrics['smoothed_horizontal_rmse_m'])}.")
+        found.append(f"Smoothed: {_metres(metrics['smoothed_horizontal_rmse_m'])} horizontal RMS.")
     if metrics.get("smoothed_outage_inside_max_m") is not None:
         found.append(
-            f"Within the outages it is off by {_metres(metrics['smoothed_outage_inside_median_m'])} (median; worst "
-            f"{_metres(metrics['smoothed_outage_inside_max_m'])}), where the filter is off by "
-            f"{_metres(metrics['outage_inside_median_m'])} (worst {_metres(metrics['outage_inside_max_m'])})."
+            f"Within the outages the smoothed error is {_metres(metrics['smoothed_outage_inside_median_m'])} (median; "
+            f"maximum {_metres(metrics['smoothed_outage_inside_max_m'])}), that of the filter "
+            f"{_metres(metrics['outage_inside_median_m'])} (maximum {_metres(metrics['outage_inside_max_m'])})."
         )
     found += _protection(heading.integrity_risk, metrics)
     if metrics["innovation_horizontal_rms_m"] is not None:
         predicted = _metres(metrics["innovation_horizontal_rms_m"])
-        found.append(f"Just before a fix is used, the solution is {predicted} away from it (root mean square).")
-    found.append(f"The truth is: {heading.truth}.")
+        found.append(f"Horizontal innovation of used GNSS positions: {predicted} RMS.")
+    found.append(f"Truth: {heading.truth}.")
     if heading.made:
         found.append(heading.made)
     return found
 
 
 def _protection(risk: float | None, metrics: dict[str, Value]) -> list[str]:
-    """Say how many errors were above their protection levels; nothing where there is no truth or no level."""
+    """State how many errors exceeded their protection levels; empty without truth or protection levels."""
     shares = []
     for axis in ("horizontal", "vertical"):
-        above, share, judged = (
+        above, share, total = (
             metrics.get(f"protection_{axis}_{name}")
             for name in ("misleading_count", "misleading_fraction", "judged_count")
         )
         if above is None or share is None:
             return []
-        shares.append(f"{above} of {judged} {axis} errors ({100.0 * share:.3g} %)")
-    promised = "" if risk is None else f", which may happen to {100.0 * risk:.3g} % (integrity risk {risk:g})"
-    return [f"Above their protection levels were {' and '.join(shares)}{promised}."]
+        shares.append(f"{above} of {total} {axis} errors ({100.0 * share:.3g} %)")
+    allowed = "" if risk is None else f"; the integrity risk allows {100.0 * risk:.3g} %"
+    return [f"Above the protection level: {' and '.join(shares)}{allowed}."]
 
 
 def _metres(value: Value) -> str:

@@ -1,4 +1,4 @@
-"""The Stanford diagram: every error against the protection level that should have been above it."""
+"""The Stanford diagram: position error against protection level."""
 
 from typing import TYPE_CHECKING
 
@@ -12,10 +12,10 @@ from .plots import GREY, Figure, inline_svg, stacked_axes
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-CELLS = 56  # on each side
-DECADES = 4.0  # that the diagram shows below its largest number
+CELLS = 56  # per axis
+DECADES = 4.0  # range of the axes
 SMALLEST_M = 1e-3
-# Face, hatch and colour of the hatch of each region; hatched is where the error is above the level.
+# Fill, hatch and hatch colour of each region; hatched: error above the protection level.
 LOOKS = {
     Region.NOMINAL: ("#f4faf4", None, "#b9c7b9"),
     Region.UNAVAILABLE: ("#eceef1", None, "#b6bbc3"),
@@ -24,14 +24,13 @@ LOOKS = {
     Region.HAZARDOUS: ("#e2d6cf", "xxx", "#7a6f66"),
 }
 CAPTION = (
-    "Each instant with a truth, by its error and its protection level; darker cells hold more of them (logarithmic); "
-    "what is smaller than the axis begins stands at its edge. "
-    "Hatched: the error is above the level. The dashed lines are the alert limit of {limit:g} m."
+    "Number of epochs by error and protection level (colour, logarithmic); values below the axis range are shown at "
+    "its edge. Hatched: error above the protection level. Dashed: alert limit of {limit:g} m."
 )
 
 
 def stanford(one: Protected) -> Figure:
-    """Draw the diagram of one axis, with the counts of its regions beside it."""
+    """Draw the diagram of one axis, with the counts of its regions as legend."""
     drawn: list[str] = []
     title = f"Stanford diagram, {one.axis}"
     with stacked_axes(1, 5.6, drawn.append) as (axes,):
@@ -40,7 +39,7 @@ def stanford(one: Protected) -> Figure:
 
 
 def draw(axes: "Axes", one: Protected) -> None:
-    """Draw cells, regions and counts. The counts stand outside: within, a region may be too small for its own."""
+    """Draw cells and regions; the counts are in the legend, since a region may be too small for text."""
     low, high = _range(one)
     _regions(axes, one, low, high)
     _cells(axes, one, np.geomspace(low, high, CELLS + 1))
@@ -59,7 +58,7 @@ def _range(one: Protected) -> tuple[float, float]:
 
 
 def _regions(axes: "Axes", one: Protected, low: float, high: float) -> None:
-    """Fill each region in its own way, and hatch it where errors are above levels."""
+    """Fill each region, and hatch those with errors above the protection level."""
     limit, total = one.alert_limit_m, len(one.error_m)
     areas = {
         Region.NOMINAL: ([low, limit], [low, limit], [limit, limit]),
@@ -76,7 +75,7 @@ def _regions(axes: "Axes", one: Protected, low: float, high: float) -> None:
 
 
 def _cells(axes: "Axes", one: Protected, edges: FloatArray) -> None:
-    """One rectangle a cell that is not empty, from light to dark blue by the logarithm of its count."""
+    """Draw one rectangle per non-empty cell, from light to dark blue by the logarithm of its count."""
     from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
 

@@ -1,1 +1,1 @@
-"""Layer 3, mode: what the on-board unit should be doing now."""
+"""Layer 3, mode: operating mode, configuration of receivers, last position."""

@@ -1,4 +1,4 @@
-"""When to write down where the vehicle is, and what."""
+"""Decides when the vehicle's position is stored for the next start, and computes its message."""
 
 import math
 from collections.abc import Iterator
@@ -8,8 +8,8 @@ from shared.messages.navigation import LastPosition, NavigationPhase, Navigation
 NS = 1_000_000_000
 
 
-class PositionKeeper:
-    """Hands over the position every `period_s` while navigating, at once when the vehicle stops, and at the end."""
+class LastPositionWriter:
+    """Yields the position every `period_s` while navigating, when the vehicle stops, and at shutdown."""
 
     def __init__(self, period_s: float) -> None:
         self._period_ns = round(period_s * NS)
@@ -18,7 +18,7 @@ class PositionKeeper:
         self._was_stationary = False
 
     def take(self, solution: NavigationSolution, utc_offset_ns: int | None) -> Iterator[LastPosition]:
-        """Take a solution; yield it if it is to be kept."""
+        """Process a solution; yield its position if it is due to be stored."""
         if solution.phase not in (NavigationPhase.NAVIGATING, NavigationPhase.COASTING):
             return
         self._newest = solution
@@ -29,7 +29,7 @@ class PositionKeeper:
             yield from self.last(utc_offset_ns)
 
     def last(self, utc_offset_ns: int | None) -> Iterator[LastPosition]:
-        """Yield the newest position, unless it has been kept already."""
+        """Yield the newest position unless it is already stored."""
         solution = self._newest
         if solution is None or solution.sampled_ns == self._kept_ns:
             return
@@ -48,4 +48,4 @@ class PositionKeeper:
 
 
 def _sd(variance: float) -> float:
-    return math.sqrt(max(variance, 0.0))  # a negative one can only come from outside
+    return math.sqrt(max(variance, 0.0))  # guards against an invalid message

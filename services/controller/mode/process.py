@@ -1,4 +1,4 @@
-"""Decides what the unit should be doing now, configures receivers, and keeps the last position."""
+"""Determines the operating mode, configures GNSS receivers, and stores the last position."""
 
 from collections.abc import Iterator
 
@@ -11,8 +11,8 @@ from shared.messages.navigation import LastPosition, NavigationSolution
 from shared.messages.operation import Mode, ModeState
 from shared.runtime.config import Section
 
-from .dialogue import Dialogue
-from .last_position import PositionKeeper
+from .configuration_exchange import ConfigurationExchange
+from .last_position import LastPositionWriter
 from .unit import Unit
 
 Output = ModeState | GnssConfigure | LastPosition
@@ -21,56 +21,59 @@ Output = ModeState | GnssConfigure | LastPosition
 class Config(Section):
     """Settings of the controller."""
 
-    configure_gnss: bool = True  # False: the receiver stays as it is
-    navigation_period_s: float = Field(default=1.0, gt=0.0)
-    gnss_messages: tuple[str, ...] = ("NAV-PVT", "NAV-DOP", "NAV-COV", "NAV-SAT", "NAV-EOE")
-    last_position_period_s: float = Field(default=10.0, gt=0.0)
+    configure_gnss: bool = True  # whether the GNSS receiver is configured; false: its configuration is left unchanged
+    navigation_period_s: float = Field(default=1.0, gt=0.0)  # navigation period requested from the GNSS receiver
+    gnss_messages: tuple[str, ...] = Field(
+        default=("NAV-PVT", "NAV-DOP", "NAV-COV", "NAV-SAT", "NAV-EOE"),
+        description="UBX messages requested from the GNSS receiver",
+    )
+    last_position_period_s: float = Field(default=10.0, gt=0.0)  # period at which the last position is stored
 
 
 class Process:
-    """The state machine of `rules.py`, fed with what `unit.py` remembers."""
+    """Applies the rules of `rules.py` to the facts of `unit.py`."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
         self._unit = Unit()
-        self._dialogues: dict[str, Dialogue] = {}
-        self._keeper = PositionKeeper(config.last_position_period_s)
+        self._exchanges: dict[str, ConfigurationExchange] = {}
+        self._last_position = LastPositionWriter(config.last_position_period_s)
         self._state: ModeState | None = None
 
     def handle(self, message: Message) -> Iterator[Output]:
-        """Take any message; decide anew, and say so if the mode or a source has changed, or a second has passed."""
+        """Process a message; yield the mode each second, and when the mode or a selected source has changed."""
         appeared = self._unit.note(message)
         match message:
             case GnssFix() if appeared and self._config.configure_gnss:
-                yield from self._dialogue(appeared).start(self._unit.now_ns)
+                yield from self._exchange(appeared).start(self._unit.now_ns)
             case GnssConfiguration():
-                if dialogue := self._dialogues.get(message.source):
-                    dialogue.answer(message, self._unit.now_ns)
+                if exchange := self._exchanges.get(message.source):
+                    exchange.response(message, self._unit.now_ns)
             case NavigationSolution():
-                yield from self._keeper.take(message, self._unit.utc_offset_ns)
+                yield from self._last_position.take(message, self._unit.utc_offset_ns)
             case Tick():
-                for dialogue in self._dialogues.values():
-                    yield from dialogue.tick(self._unit.now_ns)
+                for exchange in self._exchanges.values():
+                    yield from exchange.tick(self._unit.now_ns)
         known = isinstance(message, ImuSamples) and self._state is not None and self._state.imu_source is not None
-        if self._unit.started_ns is not None and not known:  # a hundred samples a second change nothing
+        if self._unit.started_ns is not None and not known:  # IMU samples at 100 Hz need no decision each
             yield from self._decide(at_once=isinstance(message, Tick))
 
     def close(self) -> Iterator[Output]:
-        """Say the last words: where the vehicle is, and that the unit shuts down."""
-        yield from self._keeper.last(self._unit.utc_offset_ns)
-        yield self._unit.describe(Mode.SHUTTING_DOWN, "told to stop", self._state)
+        """Yield the last position and the mode "shutting down"."""
+        yield from self._last_position.last(self._unit.utc_offset_ns)
+        yield self._unit.describe(Mode.SHUTTING_DOWN, "stop requested", self._state)
 
     def _decide(self, *, at_once: bool) -> Iterator[ModeState]:
-        configuring = next((d.configuring for d in self._dialogues.values() if d.configuring), None)
-        fault = next((d.fault for d in self._dialogues.values() if d.fault), None)
+        configuring = next((d.configuring for d in self._exchanges.values() if d.configuring), None)
+        fault = next((d.fault for d in self._exchanges.values() if d.fault), None)
         before, state = self._state, self._unit.mode_state(self._unit.facts(configuring, fault), self._state)
         self._state = state
         if at_once or before is None or _essence(before) != _essence(state):
             yield state
 
-    def _dialogue(self, source: str) -> Dialogue:
-        return self._dialogues.setdefault(
-            source, Dialogue(source, self._config.navigation_period_s, self._config.gnss_messages)
+    def _exchange(self, source: str) -> ConfigurationExchange:
+        return self._exchanges.setdefault(
+            source, ConfigurationExchange(source, self._config.navigation_period_s, self._config.gnss_messages)
         )
 
 

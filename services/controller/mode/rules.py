@@ -1,4 +1,4 @@
-"""The state machine: what is known -> mode and reason. The first rule that gives a reason wins."""
+"""Rules that determine the operating mode and its reason from the facts; the first rule with a reason applies."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ from shared.messages.operation import Mode
 BOOT_S = 1.0
 IMU_SILENT_S = 3.0
 GNSS_SILENT_S = 5.0
-FIX_LOST_S = 2.0  # less than it takes core.fusion to coast
+FIX_LOST_S = 2.0  # shorter than the time after which core.fusion reports coasting
 SOLUTION_SILENT_S = 2.0
 FUSION_SILENT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Everything that decides the mode; an age is None for what has never been heard."""
+    """The inputs of the mode decision; an age is None if no such message has been received."""
 
     uptime_s: float
     imu_age_s: float | None = None
@@ -26,8 +26,8 @@ class Facts:
     fusion_age_s: float | None = None  # of any message of core.fusion
     phase: NavigationPhase | None = None
     phase_reason: str = ""
-    configuring: str | None = None  # what is being asked of a receiver
-    configuration_fault: str | None = None  # why it did not do it
+    configuring: str | None = None  # request to a receiver in progress
+    configuration_fault: str | None = None  # reason why the configuration failed
     has_measured: bool = False
 
 
@@ -42,7 +42,7 @@ ALIGNING_REASONS = {
 
 
 def decide(facts: Facts) -> tuple[Mode, str]:
-    """Find the mode and its reason."""
+    """Determine the mode and its reason."""
     for mode, rule in RULES:
         if reason := rule(facts):
             return mode, reason
@@ -53,7 +53,7 @@ def _measuring(facts: Facts) -> str | None:
     if facts.phase is not NavigationPhase.NAVIGATING or _older(facts.solution_age_s, SOLUTION_SILENT_S):
         return None
     if facts.configuration_fault:
-        return f"navigating, with the receiver as it is: {facts.configuration_fault}"
+        return f"navigating; receiver not configured: {facts.configuration_fault}"
     return "navigating"
 
 
@@ -65,7 +65,7 @@ def _detecting(facts: Facts) -> str | None:
     missing = [name for name, age in (("IMU", facts.imu_age_s), ("GNSS receiver", facts.gnss_age_s)) if age is None]
     if not missing or facts.has_measured:
         return None
-    return f"no {' and no '.join(missing)} has been heard yet: check its cable and its device in the vehicle's file"
+    return f"no data from the {' and the '.join(missing)} yet: check its cable and its device in the vehicle file"
 
 
 def _configuring(facts: Facts) -> str | None:
@@ -79,21 +79,21 @@ def _no_imu(facts: Facts) -> str | None:
 
 
 def _no_fusion(facts: Facts) -> str | None:
-    age_s = facts.uptime_s if facts.fusion_age_s is None else facts.fusion_age_s
+    age_s = facts.uptime_s if facts.fusion_age_s is None else min(facts.fusion_age_s, facts.uptime_s)
     if _older(age_s, FUSION_SILENT_S):
-        return f"core.fusion has not been heard{_for(age_s)}"
+        return f"no message from core.fusion{_for(age_s)}"
     if facts.has_measured and facts.phase in SOLVING and _older(facts.solution_age_s, SOLUTION_SILENT_S):
         return f"no navigation solution{_for(facts.solution_age_s)}"
     return None
 
 
 def _no_gnss(facts: Facts) -> str | None:
-    """Name what is behind a coasting filter."""
+    """Reason for a loss of GNSS fixes or for coasting."""
     if not facts.has_measured:
         return None
     coasting = ": coasting" if facts.phase is NavigationPhase.COASTING else ""
     if _older(facts.gnss_age_s, GNSS_SILENT_S):
-        return f"the GNSS receiver has been silent{_for(facts.gnss_age_s)}{coasting}"
+        return f"no data from the GNSS receiver{_for(facts.gnss_age_s)}{coasting}"
     if _older(facts.fix_age_s, FIX_LOST_S):
         return f"no GNSS fix{_for(facts.fix_age_s)}{coasting}"
     return f"coasting: {facts.phase_reason}" if coasting else None
@@ -114,12 +114,12 @@ def _for(age_s: float | None) -> str:
 
 
 SOLVING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
-# SHUTTING_DOWN has no rule: it is what the process says when it is told to stop.
+# SHUTTING_DOWN has no rule: the process publishes it on a stop request.
 RULES: tuple[tuple[Mode, Rule], ...] = (
     (Mode.MEASURING, _measuring),
     (Mode.BOOT, _booting),
     (Mode.DETECTING, _detecting),
-    # The cause before its consequences: without an IMU there is no solution either.
+    # Root cause first: without an IMU there is no solution either.
     (Mode.DEGRADED, _no_imu),
     (Mode.CONFIGURING, _configuring),
     (Mode.DEGRADED, _no_fusion),

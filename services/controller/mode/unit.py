@@ -1,4 +1,4 @@
-"""What the controller remembers of the unit, and the facts that follow from it."""
+"""The newest messages of the unit, and the facts for the mode decision derived from them."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,7 @@ from shared.messages.navigation import NavigationSolution, NavigationState
 from shared.messages.operation import Mode, ModeState
 from shared.messages.vehicle import VehicleSpeed
 
-from .rules import GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT_S, Facts, decide
+from .rules import FUSION_SILENT_S, GNSS_SILENT_S, IMU_SILENT_S, SOLUTION_SILENT_S, Facts, decide
 from .sources import Sources, age_s
 
 NS = 1_000_000_000
@@ -19,12 +19,12 @@ NMEA = "/nmea"
 
 @dataclass(slots=True)
 class Unit:
-    """The newest of everything; time is the latest stamp that was seen."""
+    """The newest message of each kind; the time is the latest stamp received."""
 
     now_ns: int = 0
     started_ns: int | None = None
     receivers: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))
-    gnss: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))  # a receiver may speak UBX and NMEA
+    gnss: Sources = field(default_factory=lambda: Sources(GNSS_SILENT_S))  # UBX and NMEA of one receiver are two
     imu: Sources = field(default_factory=lambda: Sources(IMU_SILENT_S))
     speed: Sources = field(default_factory=lambda: Sources(SPEED_SILENT_S))
     fix_ns: int | None = None
@@ -36,16 +36,16 @@ class Unit:
     has_measured: bool = False
 
     def note(self, message: Message) -> str | None:
-        """Remember a message; give the name of the receiver that has just appeared with it, if one has."""
+        """Store a message; return the name of the receiver if it is new or was silent, otherwise None."""
         match message:
             case Tick():
                 self._advance(message.now_ns)
             case ImuSamples():
                 self._advance(message.received_ns)
-                self.imu.hear(message.source, self.now_ns)
+                self.imu.note_received(message.source, self.now_ns)
             case VehicleSpeed():
                 self._advance(message.received_ns)
-                self.speed.hear(message.source, self.now_ns)
+                self.speed.note_received(message.source, self.now_ns)
             case GnssFix():
                 return self._note_fix(message)
             case NavigationSolution():
@@ -53,16 +53,18 @@ class Unit:
                 self.solution, self.solution_ns = message, self.now_ns
                 self.fusion_ns = self.now_ns
             case NavigationState():
-                self._advance(message.sampled_ns)
-                self.state, self.fusion_ns = message, self.now_ns
+                if self.started_ns is not None:  # one that the broker kept may be of yesterday: it starts no clock
+                    self._advance(message.sampled_ns)
+                self.state, self.fusion_ns = message, max(self.fusion_ns or message.sampled_ns, message.sampled_ns)
         return None
 
     def facts(self, configuring: str | None, configuration_fault: str | None) -> Facts:
-        """Sum up what is known now."""
+        """Derive the facts at the current time."""
         solution_age_s, fusion_age_s = age_s(self.solution_ns, self.now_ns), age_s(self.fusion_ns, self.now_ns)
-        phase = self.state.phase if self.state else None
+        state = self.state if fusion_age_s is not None and fusion_age_s <= FUSION_SILENT_S else None
+        phase = state.phase if state else None
         if self.solution and solution_age_s is not None and solution_age_s <= SOLUTION_SILENT_S:
-            phase = self.solution.phase  # ten times as fresh
+            phase = self.solution.phase  # published more often than the state
         return Facts(
             uptime_s=age_s(self.started_ns, self.now_ns) or 0.0,
             imu_age_s=self.imu.age_s(self.now_ns),
@@ -71,20 +73,20 @@ class Unit:
             solution_age_s=solution_age_s,
             fusion_age_s=fusion_age_s,
             phase=phase,
-            phase_reason=self.state.reason if self.state else "",
+            phase_reason=state.reason if state else "",
             configuring=configuring,
             configuration_fault=configuration_fault,
             has_measured=self.has_measured,
         )
 
     def mode_state(self, facts: Facts, before: ModeState | None) -> ModeState:
-        """Decide the mode and choose the sources."""
+        """Determine the mode and select the sources."""
         mode, reason = decide(facts)
         self.has_measured |= mode is Mode.MEASURING
         return self.describe(mode, reason, before)
 
     def describe(self, mode: Mode, reason: str, before: ModeState | None) -> ModeState:
-        """Describe a mode, which lasts since the state before if that had the same one."""
+        """Create the message of a mode; `since_ns` is kept from the previous state if the mode is unchanged."""
         return ModeState(
             sampled_ns=self.now_ns,
             mode=mode,
@@ -106,6 +108,6 @@ class Unit:
             self.fix_ns = self.now_ns
         if fix.utc_ns is not None:
             self.utc_offset_ns = fix.utc_ns - fix.sampled_ns
-        self.gnss.hear(fix.source, self.now_ns, rank=fix.source.endswith(NMEA))  # UBX says more
+        self.gnss.note_received(fix.source, self.now_ns, rank=fix.source.endswith(NMEA))  # UBX is preferred
         receiver = fix.source.removesuffix(NMEA)
-        return receiver if self.receivers.hear(receiver, self.now_ns) else None
+        return receiver if self.receivers.note_received(receiver, self.now_ns) else None

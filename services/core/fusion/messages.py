@@ -10,10 +10,19 @@ from shared.maths.earth import Geodetic
 from shared.messages.base import Symmetric3, Vector3
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import AidingUpdate, LastPosition, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.navigation import (
+    AidingUpdate,
+    FilterState,
+    LastPosition,
+    NavigationPhase,
+    NavigationSolution,
+    NavigationState,
+)
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from .alignment.heading import Prior
+from .alignment.warm_start import SavedState, fingerprint
+from .filter.strapdown import InertialState
 from .measurements.base import Measurement, Outcome
 from .measurements.dual_antenna import BaselineHeading
 from .measurements.gnss import Reading, Stamp, gnss_measurements, true_time_ns
@@ -151,7 +160,7 @@ def prior_from_last_position(last: LastPosition) -> Prior:
 def solution_message(solution: Solution) -> NavigationSolution:
     """Put a solution on the bus."""
     position_cov, velocity_cov, attitude_cov = solution.triangles
-    return NavigationSolution.unchecked(
+    return NavigationSolution(
         sampled_ns=solution.time_ns,
         phase=solution.phase,
         latitude_deg=degrees(solution.position.latitude),
@@ -173,6 +182,55 @@ def solution_message(solution: Solution) -> NavigationSolution:
         protection_level_vertical_m=solution.protection_level_vertical,
         integrity_risk=solution.integrity_risk,
     )
+
+
+def filter_states(navigator: Navigator, imu: str) -> Iterator[FilterState]:
+    """Put on the bus what a later process can go on from; nothing while no filter runs."""
+    saved = navigator.saved_state()
+    if saved is None:
+        return
+    time_ns, quaternion, velocity, position = saved.inertial
+    yield FilterState(
+        sampled_ns=time_ns,
+        fingerprint=fingerprint(navigator.settings),
+        imu=imu,
+        quaternion_ned_from_body=quaternion,
+        velocity_ned_m_s=velocity,
+        latitude_deg=degrees(position.latitude),
+        longitude_deg=degrees(position.longitude),
+        height_ellipsoid_m=position.height,
+        accelerometer_bias_m_s2=saved.accelerometer_bias,
+        gyroscope_bias_rad_s=saved.gyroscope_bias,
+        accelerometer_scale=saved.accelerometer_scale,
+        gyroscope_scale=saved.gyroscope_scale,
+        parameters=saved.parameters,
+        specific_force_body_m_s2=saved.sample[0],
+        angular_rate_body_rad_s=saved.sample[1],
+        covariance=saved.covariance,
+        position_used_ns=saved.accepted_ns,
+    )
+
+
+def give_filter_state(navigator: Navigator, state: FilterState, first: ImuSamples) -> None:
+    """Have the navigator go on from the state of an earlier process, if it belongs to these settings and this IMU."""
+    position = Geodetic(radians(state.latitude_deg), radians(state.longitude_deg), state.height_ellipsoid_m)
+    if state.fingerprint != fingerprint(navigator.settings):
+        navigator.rejects["saved state of other settings"] += 1
+    elif state.imu != first.source:
+        navigator.rejects["saved state of another imu"] += 1
+    else:
+        saved = SavedState(
+            InertialState(state.sampled_ns, state.quaternion_ned_from_body, state.velocity_ned_m_s, position),
+            state.accelerometer_bias_m_s2,
+            state.gyroscope_bias_rad_s,
+            state.accelerometer_scale,
+            state.gyroscope_scale,
+            state.parameters,
+            (state.specific_force_body_m_s2, state.angular_rate_body_rad_s),
+            state.covariance,
+            state.position_used_ns,
+        )
+        navigator.restore(saved, first.sampled_ns[0])
 
 
 def aiding_message(outcome: Outcome) -> AidingUpdate:

@@ -19,6 +19,7 @@ from shared.maths.rotation import Vector
 from shared.messages.navigation import NavigationPhase
 
 from .alignment.heading import Prior
+from .alignment.warm_start import SavedState, fault, saved_state
 from .filter.imu_step import credible, usual
 from .filter.runner import Runner
 from .measurements import barometer, magnetometer
@@ -222,6 +223,20 @@ class Navigator:
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
         self._delayed.remember(prior)
+
+    def restore(self, saved: SavedState, time_ns: int) -> None:
+        """Go on from the state of an earlier process if it is sound and fresh at the stamp of the first sample."""
+        if reason := fault(saved, time_ns):
+            self.rejects[reason] += 1
+        else:
+            self._delayed.restore(saved)
+
+    def saved_state(self) -> SavedState | None:
+        """Take out what a later process can go on from; None while no filter runs."""
+        engine = self._delayed.engine
+        if engine.filter is None or engine.last is None:
+            return None
+        return saved_state(engine.filter, engine.last, engine.accepted_ns)
 
     @property
     def engine(self) -> Engine:

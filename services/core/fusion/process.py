@@ -5,7 +5,14 @@ from collections.abc import Iterator
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import AidingUpdate, LastPosition, NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.navigation import (
+    AidingUpdate,
+    FilterState,
+    LastPosition,
+    NavigationPhase,
+    NavigationSolution,
+    NavigationState,
+)
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import messages
@@ -14,8 +21,8 @@ from .navigator import Navigator
 from .settings import Settings
 
 STATE_PERIOD_NS, SILENT_NS = 1_000_000_000, 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
-In = ImuSamples | GnssFix | LastPosition | VehicleSpeed | WheelSpeeds | Tick
-Out = NavigationSolution | NavigationState | AidingUpdate
+In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | Tick
+Out = NavigationSolution | NavigationState | FilterState | AidingUpdate
 
 
 class Config(Settings):
@@ -31,6 +38,7 @@ class Process:
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, int] | None = None
+        self._saved: FilterState | None = None  # of an earlier process, until the first sample
         self._imu: str | None = None  # the one that is listened to
         self._imu_received_ns: int | None = None
 
@@ -44,11 +52,16 @@ class Process:
                     self.rejects["fix without position"] += 1
                 if isinstance(message, GnssFix):
                     yield from self._silence(message.received_ns)
+            case FilterState() if self._imu is None:  # later ones are its own
+                self._saved = message
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
         if batch.source != self._imu and not self._is_silent(batch.received_ns):
             self.rejects["samples of a second imu"] += 1
             return
+        if self._saved is not None:
+            messages.give_filter_state(self._navigator, self._saved, batch)
+            self._saved = None
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in messages.samples_of(batch):
             due = self._is_due(sampled_ns)
@@ -58,6 +71,8 @@ class Process:
             yield from map(messages.aiding_message, self._navigator.release(batch.received_ns))
             if due or sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._state(sampled_ns)
+            if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
+                yield from messages.filter_states(self._navigator, batch.source)
             if self._is_due(2 * sampled_ns - self._sampled_ns):  # with the next sample
                 self._navigator.foresee()
             self._sampled_ns = sampled_ns

@@ -48,7 +48,6 @@ def _take(watch: Watch, envelope: Envelope, bus: Bus) -> None:
     watch.take(
         envelope.topic,
         envelope.payload,
-        envelope.properties,
         producer=envelope.producer,
         received_ns=envelope.received_ns,
         retained=envelope.retained,

@@ -2,7 +2,6 @@
 
 import re
 from collections import deque
-from collections.abc import Mapping
 
 from shared.messages.base import Message
 from shared.messages.operation import Freshness
@@ -34,17 +33,14 @@ class TopicWatch:
         self.producer: str | None = None
         self.kept = False  # all that came was kept by the broker, and may be of a former life of the unit
         self._limits = limits_of(topic)
-        self._raw = topic.is_raw
-        self._pattern = None if self._raw else stamp_pattern(topic.message)
+        self._pattern = stamp_pattern(topic.message)
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES)
         self._marks: deque[tuple[int, int]] = deque()
         self._rate_hz = 0.0
 
-    def take(
-        self, producer: str, payload: bytes, properties: Mapping[str, str], received_ns: int, *, retained: bool
-    ) -> None:
+    def take(self, producer: str, payload: bytes, received_ns: int, *, retained: bool) -> None:
         """Note an arrival. A message that the broker had kept is as old as its own stamp says."""
-        stamp_ns = self._stamp(payload, properties)
+        stamp_ns = self._stamp(payload)
         if retained:
             received_ns = min(received_ns, stamp_ns or received_ns)
         elif stamp_ns is not None:
@@ -80,10 +76,7 @@ class TopicWatch:
         """Judge the age."""
         return freshness_of(self.age_s(now_ns), self._limits)
 
-    def _stamp(self, payload: bytes, properties: Mapping[str, str]) -> int | None:
+    def _stamp(self, payload: bytes) -> int | None:
         """Find the stamp without decoding the message."""
-        if self._raw:
-            text = properties.get("received_ns", "")
-            return int(text) if len(text) < 20 and text.isascii() and text.isdecimal() else None
         match = self._pattern.search(payload, 0, HEAD_BYTES) if self._pattern else None
         return int(match[1]) if match else None

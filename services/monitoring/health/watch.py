@@ -6,7 +6,6 @@ they pass their deadlines. It ends when the cause is over and every affected top
 was killed remains the cause while it starts again.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from shared.messages.operation import (
@@ -82,7 +81,6 @@ class Watch:
         self,
         name: str,
         payload: bytes,
-        properties: Mapping[str, str],
         *,
         producer: str,
         received_ns: int,
@@ -92,7 +90,7 @@ class Watch:
         self._received_ns = max(self._received_ns, received_ns)
         topic = topic_of(name)
         if topic is not None:
-            self._topics[topic.name].take(producer, payload, properties, received_ns, retained=retained)
+            self._topics[topic.name].take(producer, payload, received_ns, retained=retained)
 
     def take_health(self, health: ProcessHealth, received_ns: int, *, retained: bool = False) -> None:
         """Note a heartbeat, farewell or last will.

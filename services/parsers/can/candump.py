@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 MAX_LINE = 256  # a CAN FD frame of 64 bytes takes 170
-# Remote frames (#R) and CAN FD (##) match no speed and are passed over as lines that are well formed.
+# Remote frames (#R) and CAN FD frames (##) are well-formed lines without a speed: skipped, not counted as rejects.
 _LINE = re.compile(rb"\((\d{1,10})\.(\d{1,9})\) (\S{1,16}) ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#([0-9A-Fa-f]*)( [TR])?")
 _OTHER = re.compile(rb"\(\d{1,10}\.\d{1,9}\) \S{1,16} ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(R\d?|#[0-9A-Fa-f]+)( [TR])?")
 
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """One classic data frame; `extended` tells an 11-bit identifier from a 29-bit one of the same value."""
+    """One classic data frame; `extended` is true for a 29-bit identifier."""
 
     time_ns: int
     identifier: int
@@ -22,14 +22,14 @@ class CanFrame:
 
 
 class LineReader:
-    """Cuts bytes into lines and lines into frames; what is neither is counted as `line`."""
+    """Splits bytes into lines and parses each as a frame; invalid lines are counted as the reject `line`."""
 
     def __init__(self, rejects: Counter[str]) -> None:
         self._rejects = rejects
         self._rest = b""
 
     def feed(self, data: bytes) -> Iterator[CanFrame]:
-        """Take the next bytes and yield the frames whose lines they complete."""
+        """Process the next bytes; yield the frames of the completed lines."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > MAX_LINE:
             self._rejects["line"] += 1
@@ -43,7 +43,7 @@ class LineReader:
 
 
 def parse_line(line: bytes) -> CanFrame | None:
-    """Read one line; None if it is no classic data frame."""
+    """Parse one line; None unless it is a classic data frame."""
     match = _LINE.fullmatch(line)
     if match is None:
         return None

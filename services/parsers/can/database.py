@@ -1,4 +1,4 @@
-"""Reads wheel speeds out of frames as a DBC file describes them."""
+"""Decodes wheel speeds from CAN frames by a DBC file."""
 
 import math
 from collections import Counter
@@ -16,7 +16,7 @@ FASTEST_M_S = 150.0
 
 
 class WheelSpeedDecoder:
-    """Decodes the signals of a database that are named as wheel speeds.
+    """Decodes the configured wheel-speed signals of a DBC file.
 
     Parameters
     ----------
@@ -25,19 +25,19 @@ class WheelSpeedDecoder:
     signals : mapping
         Wheel (front_left, front_right, rear_left, rear_right) -> name of its signal.
     period_ns : int
-        [ns] A frame that comes sooner after the last one of its identifier is passed over.
+        [ns] Minimum time between two decoded frames of one identifier; frames in between are skipped.
     rejects : Counter
-        Receives `dbc_frame` (too short for its description) and `wheel_speed` (out of its range).
+        Counts `dbc_frame` (frame shorter than defined) and `wheel_speed` (value out of range).
 
     Raises
     ------
     ValueError
-        The text is no DBC file, a signal is not in it, or its unit is no unit of speed.
+        The text is not a DBC file, a signal is missing in it, or its unit is not a unit of speed.
     """
 
     def __init__(self, text: str, signals: Mapping[str, str], period_ns: int, rejects: Counter[str]) -> None:
         self._rejects = rejects
-        # A tenth of slack: a sender at exactly this period must not lose every second frame to its jitter.
+        # 10 % tolerance: with jitter, a sender at exactly this period would otherwise lose every second frame.
         self._period_ns = period_ns * 9 // 10
         self._last_ns: dict[tuple[str, int], int] = {}
         self._messages: dict[tuple[int, bool], tuple[Message, dict[str, tuple[str, float]]]] = {}
@@ -46,7 +46,7 @@ class WheelSpeedDecoder:
             self._add(database, wheel, signal_name)
 
     def decode(self, frame: CanFrame, received_ns: int, source: str) -> dict[str, float]:
-        """Give wheel -> speed [m/s] of the wheels in this frame; empty for a frame without any."""
+        """Decode wheel -> speed [m/s]; empty for a frame without wheel speeds."""
         entry = self._messages.get((frame.identifier, frame.extended))
         key = source, frame.identifier
         if entry is None or 0 <= received_ns - self._last_ns.get(key, received_ns - self._period_ns) < self._period_ns:
@@ -73,7 +73,7 @@ class WheelSpeedDecoder:
                 if signal.name == signal_name:
                     if signal.unit not in UNITS_M_S:
                         raise ValueError(
-                            f"signal {signal_name} has the unit {signal.unit!r}: m/s, km/h or mph is needed"
+                            f"signal {signal_name} has the unit {signal.unit!r}: m/s, km/h or mph is required"
                         )
                     key = message.frame_id, message.is_extended_frame
                     self._messages.setdefault(key, (message, {}))[1][signal_name] = wheel, UNITS_M_S[signal.unit]
@@ -82,7 +82,7 @@ class WheelSpeedDecoder:
 
 
 def checked_speed(signal: "Signal", value: object, unit_m_s: float) -> float | None:
-    """Convert a decoded value to m/s; None if it is no speed that the signal and a vehicle can have."""
+    """Convert a decoded value to m/s; None if it is outside the signal's range or above `FASTEST_M_S`."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return None
     low = -math.inf if signal.minimum is None else signal.minimum
@@ -92,8 +92,8 @@ def checked_speed(signal: "Signal", value: object, unit_m_s: float) -> float | N
 
 
 def load(text: str) -> "Database":
-    """Parse a DBC file; raises ValueError if it is none."""
-    # Heavy, and only vehicles with a DBC file need it.
+    """Parse a DBC file; raises ValueError for any other text."""
+    # Imported here because of its start-up time: only vehicles with a DBC file need it.
     from cantools.database import load_string
     from cantools.database.can import Database
     from cantools.database.errors import Error
@@ -101,9 +101,9 @@ def load(text: str) -> "Database":
     try:
         database = load_string(text, "dbc")
     except Error as error:
-        raise ValueError(f"this is no DBC file: {error}") from error
+        raise ValueError(f"not a DBC file: {error}") from error
     if not isinstance(database, Database):
-        raise ValueError("this is no DBC file")
+        raise ValueError("not a DBC file")
     return database
 
 

@@ -1,4 +1,4 @@
-"""Turns CAN frames into vehicle and wheel speeds."""
+"""Decodes vehicle and wheel speeds from CAN frames."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -33,15 +33,17 @@ class WheelSignals(Section):
 class Config(Section):
     """Settings of the CAN parser; without a DBC file there are no wheel speeds."""
 
-    vehicle_speed_delay_s: float = Field(default=0.1, ge=0.0)  # from the wheels to the bus, filtered on the way
-    wheel_speed_delay_s: float = Field(default=0.02, ge=0.0)
-    wheel_speed_period_s: float = Field(default=0.1, ge=0.0)  # at most one message in so long
-    dbc_file: Path | None = None  # relative to the working folder or to the repository
-    wheel_speed_signals: WheelSignals = WheelSignals()
+    vehicle_speed_delay_s: float = Field(
+        default=0.1, ge=0.0, description="delay of OBD-II and J1939 speeds from the wheels to the CAN bus"
+    )
+    wheel_speed_delay_s: float = Field(default=0.02, ge=0.0)  # delay of wheel speeds from the wheels to the CAN bus
+    wheel_speed_period_s: float = Field(default=0.1, ge=0.0)  # minimum period of the published wheel speeds
+    dbc_file: Path | None = None  # path of the DBC file, relative to the working folder or to the repository
+    wheel_speed_signals: WheelSignals = WheelSignals()  # name of the wheel-speed signal of each wheel in the DBC file
 
 
 class Process:
-    """Reads OBD-II and J1939 speeds by themselves, wheel speeds as the DBC file describes them."""
+    """Decodes OBD-II and J1939 speeds by their standards, wheel speeds by the DBC file."""
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
@@ -50,7 +52,7 @@ class Process:
         self._decoder = self._load(config)
 
     def handle(self, message: Message) -> Iterator[VehicleSpeed | WheelSpeeds]:
-        """Take candump lines; nothing else concerns this process."""
+        """Process a batch of candump lines; other messages are ignored."""
         if not isinstance(message, CanRaw):
             return
         if message.source not in self._readers and len(self._readers) >= MAX_SOURCES:
@@ -75,7 +77,7 @@ class Process:
                 )
 
     def _received_ns(self, frame: CanFrame, message: CanRaw) -> int:
-        """Believe the stamp of a line unless it contradicts that of its batch."""
+        """Time stamp of a line if it is consistent with that of its batch, otherwise that of the batch."""
         if 0 <= message.received_ns - frame.time_ns < OLDEST_LINE_NS:
             return frame.time_ns
         self.rejects["line_stamp"] += 1
@@ -93,5 +95,5 @@ class Process:
             return WheelSpeedDecoder(path.read_text(encoding="latin-1"), signals, period_ns, self.rejects)
         except (OSError, ValueError) as error:
             raise UserError(
-                f"[parsers.can] dbc_file = {str(config.dbc_file)!r}: {error}; mend the path or the file"
+                f"[parsers.can] dbc_file = {str(config.dbc_file)!r}: {error}; correct the path or the file"
             ) from error

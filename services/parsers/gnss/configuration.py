@@ -1,4 +1,4 @@
-"""Asks a u-blox receiver of generation 9 or later for what the controller wants, and reads back what took effect.
+"""Configures a u-blox receiver of generation 9 or later as requested by the controller, and verifies the result.
 
 Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), UBX-CFG-VALSET, UBX-CFG-VALGET, UBX-ACK.
 """
@@ -13,55 +13,55 @@ from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssWrite
 
 ACK, CFG = 0x05, 0x06
 VALSET, VALGET = 0x8A, 0x8B
-RAM = 1  # the layer of VALSET that a restart of the receiver forgets; VALGET calls the same layer 0
+RAM = 1  # volatile layer of VALSET; VALGET numbers the same layer 0
 MAX_KEYS = 64
-PATIENCE_TICKS = 3  # seconds without an answer
+TIMEOUT_TICKS = 3  # seconds without a response
 PORTS = ("UART1", "USB")
 
 
 class Configurator:
-    """One request at a time: writes it, then reads it back; a newer request replaces the one that waits."""
+    """Executes one request at a time: write, then read back; a new request replaces a pending one."""
 
     def __init__(self, source: str) -> None:
         self._source = source
         self._request: GnssConfigure | None = None
-        self._refused = False
+        self._rejected = False
         self._ticks = 0
 
     def request(self, wanted: GnssConfigure, now_ns: int) -> Iterator[GnssWrite | GnssConfiguration]:
-        """Yield the bytes that set and poll the wanted values, or at once why that cannot be done."""
-        self._request, self._refused, self._ticks = wanted, False, 0
+        """Yield the messages that set and poll the requested values, or the reason why the request is invalid."""
+        self._request, self._rejected, self._ticks = wanted, False, 0
         try:
             values = wanted_values(wanted)
         except ValueError as error:
-            yield from self._answer({}, str(error))
+            yield from self._result({}, str(error))
             return
         setting = UBXMessage.config_set(RAM, 0, list(values.items()))
         for message in (setting, UBXMessage.config_poll(0, 0, list(values))):
             yield GnssWrite(received_ns=now_ns, source=self._source, data=message.serialize())
 
     def take(self, frame: bytes) -> Iterator[GnssConfiguration]:
-        """Take a UBX frame; yield the answer that it completes."""
+        """Process a UBX frame; yield the result when the exchange is complete."""
         if self._request is None or len(frame) < 10:
             return
         kind, payload = (frame[2], frame[3]), frame[6:-2]
         if kind == (CFG, VALGET):
-            refusal = "the receiver refused UBX-CFG-VALSET: it may not know one of the messages"
-            yield from self._answer(read_values(payload), refusal if self._refused else None)
+            rejection = "the receiver rejected UBX-CFG-VALSET: it may not support one of the messages"
+            yield from self._result(read_values(payload), rejection if self._rejected else None)
         elif kind == (ACK, 0) and payload[0] == CFG and payload[1] == VALSET:
-            self._refused = True
+            self._rejected = True
         elif kind == (ACK, 0) and payload[0] == CFG and payload[1] == VALGET:
-            yield from self._answer(
-                {}, "the receiver refused UBX-CFG-VALGET: it may be older than generation 9, or not know one message"
+            yield from self._result(
+                {}, "the receiver rejected UBX-CFG-VALGET: older than generation 9, or a message is not supported"
             )
 
     def tick(self) -> Iterator[GnssConfiguration]:
-        """Give up on a receiver that does not answer; called once a second."""
+        """End a pending request after the timeout; called every second."""
         self._ticks += 1
-        if self._request and self._ticks >= PATIENCE_TICKS:
-            yield from self._answer({}, "the receiver does not answer: check that its receiving line is connected")
+        if self._request and self._ticks >= TIMEOUT_TICKS:
+            yield from self._result({}, "no response from the receiver: check that its RX line is connected")
 
-    def _answer(self, values: dict[int, int], fault: str | None) -> Iterator[GnssConfiguration]:
+    def _result(self, values: dict[int, int], fault: str | None) -> Iterator[GnssConfiguration]:
         if (wanted := self._request) is None:
             return
         self._request = None
@@ -81,7 +81,7 @@ class Configurator:
 
 
 def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
-    """Translate a request to configuration keys and values; raises ValueError with what to change."""
+    """Translate a request to configuration keys and values; raises ValueError for an invalid request."""
     keys = _database()
     period_ms = round(wanted.navigation_period_s * 1000)
     if not 25 <= period_ms <= 65535:
@@ -93,7 +93,7 @@ def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
                 key[15:-4].replace("_", "-") for key in keys if key.startswith("CFG_MSGOUT_UBX_") and key[-3:] == "USB"
             ]
             near = get_close_matches(name, known, n=1)
-            raise ValueError(f"u-blox has no message {name}" + (f"; did you mean {near[0]}?" if near else ""))
+            raise ValueError(f"unknown u-blox message {name}" + (f"; did you mean {near[0]}?" if near else ""))
         values.update(dict.fromkeys(found, 1))
     if len(values) > MAX_KEYS:
         raise ValueError(f"{len(wanted.messages)} messages are too many for one request: at most {MAX_KEYS // 2 - 1}")
@@ -101,7 +101,7 @@ def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
 
 
 def read_values(payload: bytes) -> dict[int, int]:
-    """Decode keys and values of an answer of UBX-CFG-VALGET, as far as it goes."""
+    """Decode keys and values of a UBX-CFG-VALGET response; a truncated payload gives its complete part."""
     values: dict[int, int] = {}
     position = 4
     while position + 4 < len(payload):

@@ -1,4 +1,4 @@
-"""Finds UBX, NMEA and RTCM 3 messages in a stream of bytes that may hold garbage."""
+"""Extracts UBX, NMEA and RTCM 3 messages from a byte stream that may hold invalid bytes."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -10,12 +10,12 @@ from operator import xor
 
 UBX_SYNC = b"\xb5\x62"
 MAX_UBX_PAYLOAD = 4096  # RXM-RAWX of 120 signals is 3856
-MAX_NMEA = 256  # NMEA says 82, receivers with proprietary sentences do not listen
+MAX_NMEA = 256  # the standard allows 82; proprietary sentences are longer
 MAX_BUFFER = 2 * MAX_UBX_PAYLOAD
 
 
 class Protocol(Enum):
-    """What a frame is written in."""
+    """Protocol of a frame."""
 
     UBX = auto()
     NMEA = auto()
@@ -24,7 +24,7 @@ class Protocol(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One whole message with a good checksum, framing included."""
+    """One complete message with a valid checksum, framing included."""
 
     protocol: Protocol
     data: bytes
@@ -35,17 +35,17 @@ class _Incomplete(Exception):
 
 
 class _Bad(Exception):
-    """No frame begins here; the text is the kind of reject, or empty for a byte that only looked like a start."""
+    """No valid frame at this position; the text is the kind of reject, empty for a mere sync byte."""
 
 
 class Framer:
-    """Cuts a stream into frames; what is between them is counted and forgotten.
+    """Splits a stream into frames; bytes between frames are counted and dropped.
 
-    `rejects` counts `garbage_bytes` and, of false or damaged frames, `ubx_checksum`, `ubx_length`,
-    `nmea_checksum`, `nmea_form`, `rtcm_checksum` and `cut_frame`. After a bad frame the search goes on at its
-    second byte, and a frame that is still incomplete gives way to a whole one inside it: a damaged length neither
-    swallows nor delays the messages that follow. The readers of pyubx2 and pynmea2 do not stand in for it, because they
-    block on a stream, take no chunks, and raise on garbage or believe a damaged length.
+    `rejects` counts `garbage_bytes` and, for invalid frames, `ubx_checksum`, `ubx_length`, `nmea_checksum`,
+    `nmea_form`, `rtcm_checksum` and `cut_frame`. After an invalid frame the search continues at its second byte,
+    and a complete frame inside an incomplete one takes precedence: a corrupted length field neither suppresses nor
+    delays the following messages. The stream readers of pyubx2 and pynmea2 are not used: they block, do not accept
+    chunks, and raise on invalid bytes or accept a corrupted length.
     """
 
     def __init__(self, rejects: Counter[str] | None = None) -> None:
@@ -53,7 +53,7 @@ class Framer:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take the next bytes and return the frames that they complete."""
+        """Process the next bytes; return the completed frames."""
         frames: list[Frame] = []
         for start in range(0, len(data), MAX_UBX_PAYLOAD):
             self._buffer += data[start : start + MAX_UBX_PAYLOAD]
@@ -94,7 +94,7 @@ class Framer:
 
 
 def _next_start(buffer: bytearray, position: int) -> int:
-    """Find the first byte at which a frame may begin."""
+    """Index of the first byte at which a frame may begin."""
     candidates = (buffer.find(sync, position) for sync in (b"\xb5", b"$", b"\xd3"))
     return min((c for c in candidates if c >= 0), default=len(buffer))
 
@@ -109,7 +109,7 @@ def _frame_at(buffer: bytearray, start: int) -> Frame:
 
 
 def _whole_frame_after(buffer: bytearray, position: int) -> int | None:
-    """Find the first complete UBX or NMEA frame inside an incomplete one."""
+    """Index of the first complete UBX or NMEA frame inside an incomplete one."""
     starts = (_first_whole(buffer, position, sync, read) for sync, read in ((UBX_SYNC, _ubx), (b"$G", _nmea)))
     return min((start for start in starts if start is not None), default=None)
 
@@ -178,13 +178,13 @@ def _rtcm(buffer: bytearray, start: int) -> Frame:
 
 
 def ubx_checksum(data: bytes) -> bytes:
-    """Sum the bytes and their running sums, modulo 256 (8-bit Fletcher, RFC 1145)."""
+    """8-bit Fletcher checksum (RFC 1145): the sums of the bytes and of their running sums, modulo 256."""
     running = list(accumulate(data))
     return bytes(((running[-1] if running else 0) & 0xFF, sum(running) & 0xFF))
 
 
 def crc24q(data: bytes) -> int:
-    """Compute the cyclic redundancy check of RTCM 3 (Qualcomm's polynomial 0x1864CFB); 0 over a whole frame."""
+    """CRC-24Q of RTCM 3 (polynomial 0x1864CFB); 0 over a complete frame."""
     crc = 0
     for byte in data:
         crc = (crc << 8 & 0xFFFFFF) ^ _CRC_TABLE[crc >> 16 ^ byte]

@@ -1,4 +1,4 @@
-"""Calendar, GPS time and time of week, in nanoseconds."""
+"""Conversions between calendar date, UTC, GPS time and time of week, in nanoseconds."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -11,7 +11,7 @@ MAXIMUM_LEAP_S = 40  # 18 since 2017
 
 
 def utc_ns(calendar: tuple[int, int, int, int, int, int], nanosecond: int) -> int | None:
-    """Count nanoseconds since 1970 (POSIX, so a leap second repeats); None for a date that is none."""
+    """Nanoseconds since 1970 (POSIX: a leap second repeats); None for an invalid date or time."""
     *date, hour, minute, second = calendar
     if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second <= 60 and abs(nanosecond) <= NS):
         return None
@@ -24,10 +24,10 @@ def utc_ns(calendar: tuple[int, int, int, int, int, int], nanosecond: int) -> in
 
 
 def gps_time_ns(utc: int, itow_ms: int) -> int | None:
-    """Find the GPS time that belongs to a UTC time and a GPS time of week.
+    """GPS time [ns] from UTC [ns] and the GPS time of week [ms].
 
-    The difference of the two is the number of leap seconds, so no table of them is needed, and no week number
-    that could roll over before or after the time of week does. None where the two contradict each other.
+    Their difference gives the number of leap seconds, so that neither a leap-second table nor the week number is
+    needed. None if the two are inconsistent.
     """
     elapsed = utc - GPS_EPOCH_UTC_NS
     ahead = (itow_ms * MS - elapsed) % WEEK_NS
@@ -39,14 +39,14 @@ def gps_time_ns(utc: int, itow_ms: int) -> int | None:
 
 
 class Unwrapper:
-    """Continues a time that starts again at 0 every `period_ns`."""
+    """Unwraps a time that rolls over every `period_ns`."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self._base_ns = self._last_ns = 0
 
     def unwrap(self, time_ns: int) -> int:
-        """Give the time since the first wrap's start; a small step back stays a step back."""
+        """Time since the start of the first period; a step back by less than half a period is preserved."""
         if time_ns < self._last_ns - self._period_ns // 2:
             self._base_ns += self._period_ns
         elif time_ns > self._last_ns + self._period_ns // 2 and self._base_ns:

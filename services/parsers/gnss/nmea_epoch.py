@@ -1,4 +1,4 @@
-"""Joins the NMEA 0183 sentences of one epoch (RMC, GGA, GSA, GST), read by pynmea2, to one fix.
+"""Combines the NMEA 0183 sentences of one epoch (RMC, GGA, GSA, GST), parsed by pynmea2, into one fix.
 
 Source: NMEA 0183 version 4.11, as described in u-blox F9 HPG 1.32 (UBX-22008968), section 2.
 """
@@ -20,12 +20,12 @@ from .gnss_time import DAY_NS, NS
 
 KNOT_M_S = 1852 / 3600  # exact
 FASTEST_M_S = 600.0
-LARGEST = 1e6  # no field of these sentences comes near
-NOT_A_FIX = (None, 0, 7, 8)  # GGA quality: not given, none, typed in by hand, simulated
-Sentence = Any  # pynmea2 gives the fields their names at run time; one that is empty or not there is None or ""
-_WANTED = re.compile(rb"\$(?!P)\w\w(RMC|GGA|GSA|GST),")  # of any talker; with a P it would be proprietary
-_parse: Callable[[str], Sentence] = NMEASentence.parse  # it publishes no types
-# What stands in for a sentence that has not come: empty, with nothing to say against the fix.
+LARGEST = 1e6  # limit of every numerical field
+NOT_A_FIX = (None, 0, 7, 8)  # GGA quality: absent, no fix, manual input, simulator
+Sentence = Any  # pynmea2 creates the fields at run time; an empty or absent one is None or ""
+_WANTED = re.compile(rb"\$(?!P)\w\w(RMC|GGA|GSA|GST),")  # any talker; P marks proprietary sentences
+_parse: Callable[[str], Sentence] = NMEASentence.parse  # pynmea2 has no type annotations
+# Substitute for a sentence that was not received: empty fields that do not invalidate the fix.
 _ABSENT = {
     "RMC": _parse("$GNRMC,,A"),
     "GGA": _parse("$GNGGA,,,,,,1"),
@@ -35,12 +35,12 @@ _ABSENT = {
 
 
 class NmeaError(ValueError):
-    """A sentence with a good checksum whose content cannot be; the text is the kind of reject."""
+    """A sentence with a valid checksum and invalid content; the text is the kind of reject."""
 
 
 @dataclass(slots=True)
 class NmeaEpoch:
-    """The sentences of one time of day; `sentences` maps RMC, GGA, GST, GSA1, GSA2 ... to what they say."""
+    """The sentences of one time of day; `sentences` maps RMC, GGA, GST, GSA1, GSA2 ... to the parsed sentence."""
 
     time_of_day_ns: int
     first_received_ns: int
@@ -49,10 +49,10 @@ class NmeaEpoch:
 
 
 class NmeaAssembler:
-    """Collects sentences by their time of day and hands over each epoch once.
+    """Groups sentences by time of day and yields each epoch once.
 
-    An epoch is complete when every kind of sentence that either of the two epochs before had has arrived, or when the
-    next begins.
+    An epoch is complete when every kind of sentence of the two previous epochs has been received, or when the next
+    epoch begins.
     """
 
     def __init__(self) -> None:
@@ -61,12 +61,12 @@ class NmeaAssembler:
         self._done = True
 
     def take(self, sentence: bytes, received_ns: int) -> Iterator[NmeaEpoch]:
-        """Take one sentence with a good checksum; yield the epochs that it completes."""
+        """Process one sentence with a valid checksum; yield the completed epochs."""
         if (wanted := _WANTED.match(sentence)) is None:
             return
-        kind, said = wanted[1].decode(), _read(sentence)
+        kind, parsed = wanted[1].decode(), _read(sentence)
         if kind != "GSA":
-            time_of_day = time_of_day_ns(said.data[0])
+            time_of_day = time_of_day_ns(parsed.data[0])
             if self._epoch is None or self._epoch.time_of_day_ns != time_of_day:
                 yield from self._finish()
                 self._kinds_before.append(set(self._epoch.sentences) if self._epoch else set())
@@ -75,7 +75,7 @@ class NmeaAssembler:
             return
         else:
             kind += str(sum(name.startswith("GSA") for name in self._epoch.sentences))
-        self._epoch.sentences[kind] = said
+        self._epoch.sentences[kind] = parsed
         self._epoch.last_received_ns = received_ns
         if all(self._kinds_before) and set.union(*self._kinds_before) <= self._epoch.sentences.keys():
             yield from self._finish()
@@ -87,10 +87,10 @@ class NmeaAssembler:
 
 
 def fix_from_sentences(epoch: NmeaEpoch, *, sampled_ns: int, source: str, rejects: Counter[str]) -> GnssFix:
-    """Make one fix of the sentences of an epoch; a field that cannot be is counted as `nmea_field` and left out.
+    """Combine the sentences of an epoch into one fix; an invalid field is counted as `nmea_field` and omitted.
 
-    NMEA states no vertical velocity, so the velocity is a ground speed and a course; it states an accuracy only
-    in GST. The height above the ellipsoid is the height above the geoid plus the geoid's separation.
+    NMEA has no vertical velocity: the velocity is ground speed and course. The accuracy is taken from GST. The
+    ellipsoidal height is the height above the geoid plus the geoid separation.
     """
     rmc, gga, gsa, gst = (epoch.sentences.get(kind) or absent for kind, absent in _ABSENT.items())
     read = _Reader(rejects)
@@ -130,7 +130,7 @@ def fix_from_sentences(epoch: NmeaEpoch, *, sampled_ns: int, source: str, reject
 
 
 def time_of_day_ns(text: str) -> int:
-    """Read hhmmss.sss; raises NmeaError for a time that is none; that of pynmea2 has no leap second."""
+    """Parse hhmmss.sss, leap second included (pynmea2 rejects it); raises NmeaError for an invalid time."""
     try:
         hour, minute, second = int(text[:2]), int(text[2:4]), float(text[4:])
     except ValueError as error:
@@ -142,7 +142,7 @@ def time_of_day_ns(text: str) -> int:
 
 def _read(sentence: bytes) -> Sentence:
     try:
-        return _parse(sentence.rpartition(b"*")[0].decode("ascii"))  # the framer has compared the checksum
+        return _parse(sentence.rpartition(b"*")[0].decode("ascii"))  # the framer has verified the checksum
     except ParseError as error:
         raise NmeaError("nmea_form") from error
 
@@ -156,7 +156,7 @@ def _fix_type(rmc: Sentence, gga: Sentence, gsa: Sentence) -> FixType:
 
 
 def _utc(rmc: Sentence, time_of_day: int) -> int | None:
-    """Give UTC only where RMC calls its data valid: receivers print a made-up date before."""
+    """UTC [ns] if RMC is marked valid: the date before is arbitrary."""
     day = rmc.datestamp
     if rmc.status != "A" or not isinstance(day, date):
         return None
@@ -164,19 +164,19 @@ def _utc(rmc: Sentence, time_of_day: int) -> int | None:
 
 
 class _Reader:
-    """Takes what pynmea2 says: what is empty is None, what is no number (it leaves the text) is counted and None."""
+    """Converts fields of pynmea2: an empty field is None, an invalid number is counted and None."""
 
     def __init__(self, rejects: Counter[str]) -> None:
         self._rejects = rejects
 
-    def number(self, said: str | float | None) -> float | None:
-        if said is None or said == "":
+    def number(self, text: str | float | None) -> float | None:
+        if text is None or text == "":
             return None
         try:
-            value = float(said)
+            value = float(text)
         except ValueError:
             value = math.nan
-        if abs(value) < LARGEST:  # nor NaN
+        if abs(value) < LARGEST:  # false for NaN
             return value
         self._rejects["nmea_field"] += 1
         return None
@@ -184,7 +184,7 @@ class _Reader:
     def place(self, sentence: Sentence) -> tuple[float, float] | None:
         directions = sentence.lat_dir + sentence.lon_dir
         if directions not in ("NE", "NW", "SE", "SW") or not (sentence.lat and sentence.lon):
-            return None  # pynmea2 would say 0
+            return None  # pynmea2 would return 0
         try:
             place = float(sentence.latitude), float(sentence.longitude)
         except ValueError:

@@ -1,4 +1,4 @@
-"""Turns UBX and NMEA bytes into fixes and satellites, and commands into UBX."""
+"""Decodes UBX and NMEA bytes to fixes and satellites, and encodes configuration requests as UBX."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -17,11 +17,11 @@ MAX_RECEIVERS = 8
 class Config(Section):
     """Settings of the GNSS parser."""
 
-    minimum_delay_s: float = Field(default=0.05, ge=0.0)  # from the epoch to its first byte, at best
+    minimum_delay_s: float = Field(default=0.05, ge=0.0)  # minimum delay from a GNSS epoch to its first received byte
 
 
 class Process:
-    """One `Receiver` a source; knows no more of time than the stamps of its messages."""
+    """One `Receiver` per source; time is taken from the stamps of the messages only."""
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
@@ -30,7 +30,7 @@ class Process:
         self._now_ns = 0
 
     def handle(self, message: Message) -> Iterator[Output | GnssWrite]:
-        """Take bytes, a command or a tick."""
+        """Process raw bytes, a configuration request or a tick."""
         match message:
             case GnssRaw():
                 self._now_ns = message.received_ns

@@ -1,4 +1,4 @@
-"""Everything that is remembered of one receiver between two chunks of its bytes."""
+"""Decoding state of one GNSS receiver."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -13,13 +13,13 @@ from .gnss_time import DAY_NS, MS, NS, WEEK_NS, Unwrapper
 from .nmea_epoch import NmeaAssembler, NmeaEpoch, NmeaError, fix_from_sentences
 from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
-NMEA_WAITS_NS = 5 * NS  # NMEA counts only while UBX has sent no fix for so long
+NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are published
 
 Output = GnssFix | GnssSatellites | GnssConfiguration
 
 
 class Receiver:
-    """Turns the bytes of one receiver into fixes, satellites and answers to its configuration."""
+    """Decodes the bytes of one receiver to fixes, satellites and configuration results."""
 
     def __init__(self, source: str, *, minimum_delay_s: float, rejects: Counter[str]) -> None:
         self.configurator = Configurator(source)
@@ -29,12 +29,12 @@ class Receiver:
         self._ubx, self._nmea = EpochAssembler(rejects), NmeaAssembler()
         self._week, self._day = Unwrapper(WEEK_NS), Unwrapper(DAY_NS)
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
-        self._satellites: tuple[int, GnssSatellites] | None = None  # waiting for the stamp of their epoch
-        self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and stamp of the newest fix
+        self._satellites: tuple[int, GnssSatellites] | None = None  # pending until the fix of their epoch is stamped
+        self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and time stamp [ns] of the newest fix
         self._ubx_fix_ns: int | None = None
 
     def take(self, raw: GnssRaw) -> Iterator[Output]:
-        """Take the next bytes; yield what they complete."""
+        """Process the next bytes; yield the completed messages."""
         for frame in self._framer.feed(raw.data):
             try:
                 if frame.protocol is Protocol.NMEA:
@@ -70,7 +70,7 @@ class Receiver:
             self._satellites = None
 
     def _take_satellites(self, payload: bytes, received_ns: int) -> Iterator[Output]:
-        """Stamp satellites as the fix of their epoch, whichever comes first; at once where there are no fixes."""
+        """Stamp satellites with the time of their epoch's fix; without fixes, with their arrival time."""
         itow = ubx_messages.satellites_itow_ms(payload)
         satellites = GnssSatellites(
             sampled_ns=received_ns,

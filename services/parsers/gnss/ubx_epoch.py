@@ -1,4 +1,4 @@
-"""Joins the UBX messages of one navigation epoch to one fix."""
+"""Combines the UBX messages of one navigation epoch into one fix."""
 
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -11,12 +11,12 @@ from shared.messages.gnss import FixType, GnssFix
 from . import ubx_messages
 from .gnss_time import gps_time_ns, utc_ns
 
-FASTEST_M_S = 600.0  # receivers for sale stop at 500
+FASTEST_M_S = 600.0  # civil receivers are limited to about 500 m/s
 
 
 @dataclass(slots=True)
 class Epoch:
-    """What has arrived so far of one epoch."""
+    """The messages received so far of one epoch."""
 
     itow_ms: int
     first_received_ns: int
@@ -29,11 +29,11 @@ class Epoch:
 
 
 class EpochAssembler:
-    """Collects messages by time of week and hands over each epoch once.
+    """Groups messages by time of week and yields each epoch once.
 
-    An epoch is complete when NAV-EOE says so, when every kind of message that either of the two epochs before had has
-    arrived (two, so that one that noise has damaged does not cut the next one short), or when the next one begins.
-    `rejects` counts `ubx_<fault>` for content that cannot be and `epoch_without_pvt`.
+    An epoch is complete on NAV-EOE, when every kind of message of the two previous epochs has been received (two, so
+    that one corrupted epoch does not truncate the next), or when the next epoch begins.
+    `rejects` counts `ubx_<fault>` for invalid content, and `epoch_without_pvt`.
     """
 
     def __init__(self, rejects: Counter[str]) -> None:
@@ -44,7 +44,7 @@ class EpochAssembler:
         self._done = True
 
     def take(self, kind: str, payload: bytes, received_ns: int) -> Iterator[Epoch]:
-        """Take one message; yield the epochs that it completes."""
+        """Process one message; yield the completed epochs."""
         message = ubx_messages.parse(kind, payload)
         itow = message.iTOW
         if self._epoch is None or itow != self._epoch.itow_ms:
@@ -88,7 +88,7 @@ def _store(epoch: Epoch, kind: str, message: Any) -> None:
 
 
 def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, source: str) -> GnssFix:
-    """Make one fix of an epoch: the best position, time only if valid, nothing that the receiver does not vouch for.
+    """Combine an epoch into one fix: the most precise position, and only values that the receiver marks valid.
 
     Parameters
     ----------
@@ -97,19 +97,19 @@ def fix_from_epoch(epoch: Epoch, pvt: ubx_messages.Pvt, *, sampled_ns: int, sour
     pvt : Pvt
         Its NAV-PVT.
     sampled_ns : int
-        [ns, OBU time line] When the fix was true.
+        [ns, OBU time line] Time of validity of the fix.
     source : str
         Name of the receiver.
 
     Returns
     -------
     GnssFix
-        Position, velocity and times are None unless the receiver calls the fix good. The position is that of
-        NAV-HPPOSLLH if it has one; covariances are those of NAV-COV, else diagonal, from the accuracies of NAV-PVT.
+        Position, velocity and times are None unless the receiver sets gnssFixOK. The position is that of
+        NAV-HPPOSLLH if valid; covariances are those of NAV-COV, otherwise diagonal, from the accuracies of NAV-PVT.
 
     Notes
     -----
-    u-blox states the accuracy of the horizontal distance and of the speed in space; an axis has its share::
+    u-blox states the accuracy of the horizontal distance and of the 3D speed, here divided equally among the axes::
 
         sd_north = sd_east = hAcc / √2        sd_velocity_axis = sAcc / √3
     """

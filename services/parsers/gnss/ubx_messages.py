@@ -1,4 +1,4 @@
-"""The UBX messages that make up a fix, read by pyubx2 and judged here: SI units, and None for what does not hold.
+"""Decodes the UBX messages of a fix (parsed by pyubx2) to SI units; invalid values are None.
 
 Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), section 3.15 UBX-NAV.
 """
@@ -25,9 +25,9 @@ _SIZES = {
     "COV": 64,
     "RELPOSNED": 64,
     "EOE": 4,
-}  # [bytes]; what is missing pyubx2 reads as 0
-_PVT_WITH_FLAGS3 = 92  # [bytes] since protocol 15; in the 84 before, their place was reserved
-# NAV-SAT alone is unpacked here: pyubx2 needs 2 ms for 32 satellites and 7.5 ms for 120, this 0.06 and 0.22 ms.
+}  # [bytes] minimum payload; pyubx2 reads missing bytes as 0
+_PVT_WITH_FLAGS3 = 92  # [bytes] since protocol 15; reserved in the earlier 84-byte form
+# Only NAV-SAT is unpacked here: pyubx2 takes 2 ms for 32 satellites and 7.5 ms for 120; this takes 0.06 and 0.22 ms.
 _SAT = struct.Struct("<BBBbhhI")
 _FIX_TYPES = tuple(FixType)
 _CARRIER = (CarrierSolution.NONE, CarrierSolution.FLOAT, CarrierSolution.FIXED, CarrierSolution.NONE)
@@ -41,13 +41,13 @@ _CONSTELLATIONS = (
     Constellation.GLONASS,
     Constellation.NAVIC,
 )
-# Upper ends [s] of the classes of the age of the corrections; class 0 is "not available".
+# Upper bounds [s] of the classes of the correction age; class 0 is "not available".
 _CORRECTION_AGES = (None, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120, 120)
-_NO_ACCURACY = 0xFFFFFFFF  # units of the last digit
+_NO_ACCURACY = 0xFFFFFFFF  # [resolution of the field] "unknown"
 
 
 class UbxError(ValueError):
-    """A message with a good checksum whose content cannot be."""
+    """A message with a valid checksum and invalid content."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Position:
     longitude_deg: float
     height_ellipsoid_m: float
     height_msl_m: float
-    horizontal_sd_m: float | None  # of the distance, not of one axis
+    horizontal_sd_m: float | None  # of the horizontal distance (root sum of squares of both axes)
     vertical_sd_m: float | None
 
 
@@ -113,30 +113,30 @@ class HighPrecision:
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """UBX-NAV-RELPOSNED of a moving base: the line from the base's antenna to the receiver's."""
+    """UBX-NAV-RELPOSNED of a moving base: the baseline from the base antenna to the rover antenna."""
 
     itow_ms: int
-    heading_rad: float | None  # None unless both antennas are on the vehicle and the ambiguities are integers
+    heading_rad: float | None  # None unless both antennas are on the vehicle and the ambiguities are fixed
     heading_sd_rad: float | None
     length_m: float | None
 
 
 def parse(kind: str, payload: bytes) -> Any:
-    """Let pyubx2 read a message; it gives the fields their names at run time, hence Any.
+    """Parse a message with pyubx2, which creates the fields at run time (hence Any).
 
-    Raises UbxError for a message that is short or has no time of week.
+    Raises UbxError for a truncated message or an invalid time of week.
     """
     if len(payload) < _SIZES[kind]:
         raise UbxError("short")
     if kind == "PVT" and len(payload) < _PVT_WITH_FLAGS3:
         payload = payload[: _SIZES[kind]]
-    message: Any = UBXMessage(bytes((NAV,)), _IDS[kind], 0, payload=payload)  # 0: as a receiver sends it
+    message: Any = UBXMessage(bytes((NAV,)), _IDS[kind], 0, payload=payload)  # 0: output message (GET)
     _in_week(message.iTOW)
     return message
 
 
 def decode_pvt(message: Any) -> Pvt:
-    """Judge UBX-NAV-PVT."""
+    """Decode UBX-NAV-PVT; raises UbxError for an unknown fix type."""
     if message.fixType >= len(_FIX_TYPES):
         raise UbxError("fix_type")
     age = message.lastCorrectionAge
@@ -161,23 +161,23 @@ def decode_pvt(message: Any) -> Pvt:
 
 
 def decode_dop(message: Any) -> Dop:
-    """Judge UBX-NAV-DOP."""
+    """Decode UBX-NAV-DOP."""
     return Dop(message.iTOW, _dop(message.pDOP), _dop(message.vDOP), _dop(message.hDOP))
 
 
 def decode_covariance(message: Any) -> Covariance:
-    """Judge UBX-NAV-COV; raises UbxError for a matrix that is called valid and is none."""
+    """Decode UBX-NAV-COV; raises UbxError for a matrix marked valid that is not positive definite."""
     position = _symmetric(message, "posCov") if message.posCovValid else None
     return Covariance(message.iTOW, position, _symmetric(message, "velCov") if message.velCovValid else None)
 
 
 def decode_high_precision(message: Any) -> HighPrecision:
-    """Judge UBX-NAV-HPPOSLLH; pyubx2 has added its high-precision parts to the coordinates."""
+    """Decode UBX-NAV-HPPOSLLH; pyubx2 has already added the high-precision parts to the coordinates."""
     return HighPrecision(message.iTOW, _position(message, digit_mm=0.1))
 
 
 def decode_baseline(message: Any) -> Baseline:
-    """Judge UBX-NAV-RELPOSNED; a base that stands by the road has a direction too, but not one of the vehicle."""
+    """Decode UBX-NAV-RELPOSNED; only a moving base gives the heading of the vehicle."""
     good = message.gnssFixOK and message.relPosValid and message.isMoving and message.relPosHeadingValid
     if not good or _CARRIER[message.carrSoln] is not CarrierSolution.FIXED or message.accHeading <= 0:
         return Baseline(message.iTOW, None, None, None)
@@ -186,7 +186,7 @@ def decode_baseline(message: Any) -> Baseline:
 
 
 def satellites_itow_ms(payload: bytes) -> int:
-    """Read the time of week of UBX-NAV-SAT."""
+    """Time of week of UBX-NAV-SAT [ms]."""
     if len(payload) < 4:
         raise UbxError("short")
     return _in_week(int.from_bytes(payload[:4], "little"))

@@ -1,4 +1,4 @@
-"""Turns Xbus bytes into inertial samples in body axes."""
+"""Decodes Xbus bytes to inertial samples in body axes."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -12,19 +12,21 @@ from shared.runtime.config import Section
 from .xsens import Matrix3, Tracker
 
 MAX_TRACKERS = 8
-TOLERANCE = 1e-4  # four decimals are enough
+TOLERANCE = 1e-4  # allows matrices written with four decimals
 
 
 class Config(Section):
     """Settings of the IMU parser.
 
-    `body_from_sensor` turns a vector from the sensor's axes to the body's (forward, right, down): its columns
-    are the sensor's x, y and z axes written in body axes. The default is an MTi that lies flat with x forward,
-    y left and z up, as its case is marked.
+    The columns of `body_from_sensor` are the sensor's x, y and z axes in body axes (forward, right, down). The
+    default is an MTi mounted horizontally with x forward, y left and z up, as marked on its case.
     """
 
-    body_from_sensor: Matrix3 = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-    minimum_delay_s: float = Field(default=0.003, ge=0.0)  # from the sample to its arrival, at best
+    body_from_sensor: Matrix3 = Field(
+        default=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
+        description="rotation matrix from sensor axes to body axes (forward, right, down), row by row",
+    )
+    minimum_delay_s: float = Field(default=0.003, ge=0.0)  # minimum delay from an inertial sample to its arrival
 
     @field_validator("body_from_sensor")
     @classmethod
@@ -34,14 +36,12 @@ class Config(Section):
         unit = all(abs(sum(part * part for part in row) - 1) < TOLERANCE for row in (x, y))
         upright = abs(sum(a * b for a, b in zip(x, y, strict=True))) < TOLERANCE
         if not (unit and upright and max(abs(a - b) for a, b in zip(cross, z, strict=True)) < TOLERANCE):
-            raise ValueError(
-                "this is no rotation: rows must be unit vectors at right angles, the third = first x second"
-            )
+            raise ValueError("not a rotation matrix: rows must be orthogonal unit vectors, the third = first x second")
         return rows
 
 
 class Process:
-    """One `Tracker` a source; knows no more of time than the stamps of its messages."""
+    """One `Tracker` per source; time is taken from the stamps of the messages only."""
 
     def __init__(self, config: Config) -> None:
         self.rejects: Counter[str] = Counter()
@@ -49,7 +49,7 @@ class Process:
         self._trackers: dict[str, Tracker] = {}
 
     def handle(self, message: Message) -> Iterator[ImuSamples]:
-        """Take bytes; nothing else concerns this process."""
+        """Process raw IMU bytes; other messages are ignored."""
         if isinstance(message, ImuRaw) and (tracker := self._tracker(message.source)):
             samples = tracker.take(message)
             if samples is not None:

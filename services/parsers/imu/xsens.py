@@ -1,4 +1,4 @@
-"""Everything that is remembered of one motion tracker between two chunks of its bytes."""
+"""Decoding state of one Xsens motion tracker."""
 
 import math
 from collections import Counter
@@ -12,36 +12,36 @@ from shared.messages.imu import ImuRaw, ImuSamples
 
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 
-TICK_NS = 100_000  # of the sample time fine
+TICK_NS = 100_000  # resolution of the field SampleTimeFine
 TICK_WRAP = 1 << 32
 COUNTER_WRAP = 1 << 16
-LOST_AT_MOST = 1000  # a larger gap is a tracker that restarted
-STRONGEST_M_S2 = 1000.0  # the widest ranges for sale are 16 to 50 g
-FASTEST_RAD_S = 100.0  # ... and 2000 to 4000 deg/s
-STRONGEST_FIELD = 1000.0  # times that of the Earth
+LOST_AT_MOST = 1000  # a larger gap of the packet counter is a restart of the tracker
+STRONGEST_M_S2 = 1000.0  # plausibility limit; accelerometer ranges are at most 16 to 50 g
+FASTEST_RAD_S = 100.0  # plausibility limit; gyroscope ranges are at most 2000 to 4000 deg/s
+STRONGEST_FIELD = 1000.0  # plausibility limit, in units of the Earth's field
 CELSIUS_K = 273.15
 INERTIAL = frozenset((xbus.ACCELERATION, xbus.RATE_OF_TURN, xbus.DELTA_V, xbus.DELTA_Q))
 
 
 class SampleError(ValueError):
-    """A measurement that cannot be used; the text is the kind of reject."""
+    """A measurement that is rejected; the text is the kind of reject."""
 
 
 @dataclass(slots=True)
 class _Batch:
-    """Samples that arrived in one chunk."""
+    """The samples of one chunk of bytes."""
 
-    device_ns: list[int] = field(default_factory=list)  # on the clock of the tracker
+    device_ns: list[int] = field(default_factory=list)  # time of the tracker's clock
     forces: list[Vector3] = field(default_factory=list)
     rates: list[Vector3] = field(default_factory=list)
     saturated: bool = False
 
 
 class Tracker:
-    """Turns the bytes of one tracker into samples in body axes, on the OBU time line.
+    """Decodes the bytes of one tracker to samples in body axes, stamped in the OBU time line.
 
-    `rejects` counts what the reader passes over, and `packet_gap` (measurements lost on the way), `counter_restart`,
-    `no_sample_time`, `no_inertial_data`, `repeated_sample`, `not_finite`, `absurd`.
+    `rejects` counts the rejects of the reader, and `packet_gap` (lost measurements), `counter_restart`,
+    `no_sample_time`, `no_inertial_data`, `repeated_sample`, `not_finite`, `out_of_range`.
     """
 
     def __init__(
@@ -54,10 +54,10 @@ class Tracker:
         self._clock = ClockMapping(minimum_delay_s)
         self._counter: int | None = None
         self._ticks: int | None = None  # unwrapped
-        self._newest: dict[int, tuple[float, ...]] = {}  # since the last message; slow quantities come when they come
+        self._newest: dict[int, tuple[float, ...]] = {}  # newest values since the last message, by data identifier
 
     def take(self, raw: ImuRaw) -> ImuSamples | None:
-        """Take the next bytes; give one message with every sample that they complete."""
+        """Process the next bytes; return one message with all completed samples, or None."""
         batch = _Batch()
         for message in self._reader.feed(raw.data):
             if message.mid == xbus.MTDATA2:
@@ -71,7 +71,7 @@ class Tracker:
         self._count_gap(values)
         self._newest.update(values)
         if not values.keys() & INERTIAL:
-            return  # a tracker may send slow quantities by themselves
+            return  # slow quantities may be sent in messages of their own
         batch.saturated |= bool(int(values.get(xbus.STATUS_WORD, (0,))[0]) & xbus.CLIPPED)
         if xbus.SAMPLE_TIME_FINE not in values:
             raise SampleError("no_sample_time")
@@ -87,7 +87,7 @@ class Tracker:
         batch.rates.append(rotate(self._body_from_sensor, rate))
 
     def _interval_s(self, ticks: int) -> tuple[float | None, int]:
-        """Give the time since the last sample (None for the first, or after a restart) and the unwrapped ticks."""
+        """Time since the last sample [s] (None for the first, or after a restart), and the unwrapped ticks."""
         if self._ticks is None:
             return None, ticks
         step = (ticks - self._ticks) % TICK_WRAP
@@ -114,7 +114,7 @@ class Tracker:
             except SampleError as fault:
                 self._rejects[str(fault)] += 1
                 field_sensor = None
-        return ImuSamples.unchecked(
+        return ImuSamples(
             received_ns=received_ns,
             source=self._source,
             sampled_ns=self._clock.stamp_all(batch.device_ns, received_ns),
@@ -128,14 +128,14 @@ class Tracker:
 
 
 def inertial_data(values: dict[int, tuple[float, ...]], interval_s: float | None) -> tuple[Sequence[float], ...]:
-    """Take specific force and angular rate in sensor axes out of a measurement.
+    """Specific force and angular rate of a measurement, in sensor axes.
 
     Parameters
     ----------
     values : dict
-        Data identifier -> numbers. Increments (delta-v, delta-q) are used where acceleration or rate is missing.
+        Data identifier -> numbers. Increments (delta-v, delta-q) are used if acceleration or rate is missing.
     interval_s : float or None
-        [s] Time since the measurement before, over which the increments were integrated.
+        [s] Integration interval of the increments: the time since the previous measurement.
 
     Returns
     -------
@@ -167,15 +167,15 @@ def inertial_data(values: dict[int, tuple[float, ...]], interval_s: float | None
 
 
 def check(vector: Sequence[float], limit: float) -> None:
-    """Refuse a vector that no sensor can have measured."""
+    """Raise SampleError for a vector with a component that is not finite or exceeds the limit."""
     if not all(map(math.isfinite, vector)):
         raise SampleError("not_finite")
     if max(map(abs, vector)) > limit:
-        raise SampleError("absurd")
+        raise SampleError("out_of_range")
 
 
 def rotate(matrix: Matrix3, vector: Sequence[float]) -> Vector3:
-    """Multiply a matrix and a vector; far cheaper here than an array of three numbers."""
+    """Product of a matrix and a vector, in plain floats (faster than an array of three numbers)."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     x, y, z = vector
     return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z

@@ -1,4 +1,4 @@
-"""Reads the GNSS receiver and writes what it is told."""
+"""Reads the bytes of the GNSS receiver and writes configuration messages to it."""
 
 from collections.abc import Sequence
 
@@ -14,15 +14,15 @@ from shared.runtime.config import Section
 class Config(Section):
     """Settings of the GNSS driver; `shared/devices/device.py` lists the kinds of device."""
 
-    device: str = "serial:///dev/obu-gnss?baud=115200"
-    source: DeviceName = "gnss0"
+    device: str = "serial:///dev/obu-gnss?baud=115200"  # URL of the GNSS receiver
+    source: DeviceName = "gnss0"  # name of this receiver in the published messages
 
 
 class Process:
-    """Publishes the receiver's bytes as they are."""
+    """Publishes the receiver's bytes unchanged."""
 
     def __init__(self, config: Config) -> None:
-        split_url(config.device)  # a wrong one is the user's to mend, at once
+        split_url(config.device)  # an invalid URL is a configuration error, raised at the start
         self._config = config
 
     def run(self, bus: Bus) -> None:
@@ -31,7 +31,7 @@ class Process:
         run_driver(bus, link, self._config.device, self._raw, lambda envelopes: self._write(bus, link, envelopes))
 
     def _raw(self, data: bytes, received_ns: int) -> GnssRaw:
-        return GnssRaw.unchecked(received_ns=received_ns, source=self._config.source, data=data)
+        return GnssRaw(received_ns=received_ns, source=self._config.source, data=data)
 
     def _write(self, bus: Bus, link: Link, envelopes: Sequence[Envelope]) -> None:
         for envelope in envelopes:

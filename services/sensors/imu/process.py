@@ -1,4 +1,4 @@
-"""Reads the inertial measurement unit."""
+"""Reads the bytes of the inertial measurement unit."""
 
 from shared.bus.bus import Bus
 from shared.devices.device import open_device, split_url
@@ -11,15 +11,15 @@ from shared.runtime.config import Section
 class Config(Section):
     """Settings of the IMU driver; `shared/devices/device.py` lists the kinds of device."""
 
-    device: str = "serial:///dev/obu-imu?baud=115200"
-    source: DeviceName = "imu0"
+    device: str = "serial:///dev/obu-imu?baud=115200"  # URL of the inertial measurement unit
+    source: DeviceName = "imu0"  # name of this IMU in the published messages
 
 
 class Process:
-    """Publishes the unit's bytes as they are."""
+    """Publishes the IMU's bytes unchanged."""
 
     def __init__(self, config: Config) -> None:
-        split_url(config.device)  # a wrong one is the user's to mend, at once
+        split_url(config.device)  # an invalid URL is a configuration error, raised at the start
         self._config = config
 
     def run(self, bus: Bus) -> None:
@@ -27,4 +27,4 @@ class Process:
         run_driver(bus, Link(lambda: open_device(self._config.device)), self._config.device, self._raw)
 
     def _raw(self, data: bytes, received_ns: int) -> ImuRaw:
-        return ImuRaw.unchecked(received_ns=received_ns, source=self._config.source, data=data)
+        return ImuRaw(received_ns=received_ns, source=self._config.source, data=data)

@@ -1,1 +1,1 @@
-"""Drives a simulated vehicle and sends the bytes its devices would."""
+"""Simulates a vehicle and publishes the raw bytes of its devices."""

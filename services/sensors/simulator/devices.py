@@ -1,16 +1,16 @@
-"""What lies between a device and the on-board unit: a clock of its own, and a delay on the way."""
+"""Device clock (offset and drift) and transmission delay between a simulated device and the on-board unit."""
 
 from math import inf
 
 import numpy as np
 
-MAXIMUM_DRIFT_PPM = 20.0  # of a crystal in a car
+MAXIMUM_DRIFT_PPM = 20.0  # frequency error of a crystal oscillator over the automotive temperature range
 
 
 class DeviceClock:
-    """A device's own time: it starts anywhere and runs a little fast or slow.
+    """A device clock with a random offset and a constant frequency error.
 
-    Times are offsets [ns] from the start of the simulation, on the time line of the on-board unit.
+    True times are offsets [ns] from the start of the simulation, in the time of the on-board unit.
     """
 
     def __init__(self, rng: np.random.Generator, *, latest_start_ns: int) -> None:
@@ -18,22 +18,22 @@ class DeviceClock:
         self._start_ns = int(rng.integers(latest_start_ns))
 
     def period_ns(self, nominal_ns: int) -> int:
-        """How long what the device takes for `nominal_ns` really lasts."""
+        """True duration of `nominal_ns` as counted by the device's clock."""
         return round(nominal_ns * (1.0 + self.drift_ppm * 1e-6))
 
     def true_ns(self, device_ns: int) -> int:
-        """When the device's clock shows so much: the inverse of `reading_ns`."""
+        """True time of a reading of the device's clock: the inverse of `reading_ns`."""
         return round((device_ns - self._start_ns) * (1.0 + self.drift_ppm * 1e-6))
 
     def reading_ns(self, true_ns: int) -> int:
-        """What the device's clock shows."""
+        """Reading of the device's clock at a true time."""
         return self._start_ns + round(true_ns / (1.0 + self.drift_ppm * 1e-6))
 
 
 class Delay:
-    """The way of bytes: never shorter than a minimum, now and then longer, and never overtaking.
+    """Random transmission delay that preserves the order.
 
-    The part above the minimum is exponential, cut off at a maximum.
+    The delay is a minimum plus an exponentially distributed part, limited to a maximum.
     """
 
     def __init__(self, minimum_s: float, mean_excess_s: float, maximum_s: float, rng: np.random.Generator) -> None:
@@ -42,7 +42,7 @@ class Delay:
         self._last_ns = -inf
 
     def arrival_ns(self, sent_ns: int) -> int:
-        """When something that was sent arrives."""
+        """Arrival time of data sent at `sent_ns`."""
         delay_s = min(self._maximum_s, self._minimum_s + self._mean_s * self._rng.standard_exponential())
         arrival_ns = max(sent_ns + round(delay_s * 1e9), int(max(self._last_ns, 0)))
         self._last_ns = arrival_ns

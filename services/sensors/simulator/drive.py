@@ -22,10 +22,10 @@ ODOMETER_SCALE_SD = 0.005  # [-]
 
 @dataclass(frozen=True)
 class Drive:
-    """The truth and all measurements of one drive; body axes are forward, right, down, the reference is the IMU.
+    """The truth and all measurements of one drive; body axes are forward, right, down, the reference point is the IMU.
 
-    Inertial sample k is the mean over the step that ends at `t_ns[k]`; the vehicle stands when it starts, so
-    that at time zero it is where it is at `t_ns[0]`.
+    Inertial sample k is the mean over the step that ends at `t_ns[k]`. The drive begins at standstill, so the
+    position at time zero equals the position at `t_ns[0]`.
     """
 
     scenario: Scenario
@@ -40,7 +40,7 @@ class Drive:
     ideal_rate_b: FloatArray  # shape (n, 3) [rad/s]
     force_b: FloatArray  # shape (n, 3) [m/s²] measured
     rate_b: FloatArray  # shape (n, 3) [rad/s] measured
-    # m epochs of GNSS, at the antenna
+    # m GNSS epochs, at the antenna
     fix_ns: IntArray  # shape (m,)
     fix_valid: BoolArray  # shape (m,)
     fix_position: FloatArray  # shape (m, 3) [rad, rad, m] measured
@@ -56,28 +56,28 @@ class Drive:
 def simulate(
     scenario: Scenario | str, seed: int = 0, duration_s: float | None = None, *, epoch_s: float = 1.0
 ) -> Drive:
-    """Drive a scenario and collect everything.
+    """Simulate a drive of a scenario: the true motion and all measurements.
 
     Parameters
     ----------
     scenario : Scenario or str
-        One of `scenarios.SCENARIOS`, by name, or one of your own.
+        Name of a row of `scenarios.SCENARIOS`, or a scenario.
     seed : int
-        Draws route and errors; the same seed gives the same drive.
+        Seed of the speeds, stops and errors; the same seed gives the same drive.
     duration_s : float, optional
-        [s] How long; as long as the scenario if it is not given.
+        [s] Duration; by default that of the scenario.
     epoch_s : float
         [s] Time between GNSS fixes, a multiple of 10 ms.
 
     Returns
     -------
     Drive
-        Inertial samples at 100 Hz, fixes, odometer at 10 Hz. All clocks are perfect and nothing is late.
+        Inertial samples at 100 Hz, fixes, odometer at 10 Hz; no clock errors and no delays.
 
     Raises
     ------
     ValueError
-        There is no such scenario, or the drive is too short for a fix.
+        The scenario is unknown, or the drive is too short for a fix.
     """
     if isinstance(scenario, str):
         scenario = scenario_of(scenario, seed)
@@ -116,7 +116,7 @@ def simulate(
 
 
 def _odometer(speed: FloatArray, seed: int) -> FloatArray:
-    """Speed with the error of an odometer, which is silent at rest."""
+    """Speed with scale error and white noise; exactly zero at standstill."""
     rng = np.random.default_rng((seed, Stream.WHEELS))
     scale = 1.0 + ODOMETER_SCALE_SD * rng.standard_normal()
     return np.where(speed > 0.0, scale * speed + ODOMETER_SD * rng.standard_normal(len(speed)), 0.0)

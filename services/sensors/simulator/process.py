@@ -1,4 +1,4 @@
-"""Drives a simulated vehicle and sends the bytes its devices would."""
+"""Simulates a vehicle and publishes the raw bytes of its devices in real time."""
 
 import logging
 from typing import Literal
@@ -17,19 +17,22 @@ from .world import Equipment, World
 
 log = logging.getLogger(__name__)
 
-LATEST_NS = 1_000_000_000  # what would be later than this is not sent: the host was asleep
+LATEST_NS = 1_000_000_000  # messages overdue by more than this are dropped (the host was suspended)
 
 
 class Config(Section):
     """Settings of the simulator."""
 
-    scenario: str = "parking_lot"
-    seed: int = 1
-    protocols: tuple[Literal["ubx", "nmea"], ...] = ("ubx", "nmea")  # that the GNSS receiver starts with
-    mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)  # roll, pitch, yaw of the IMU's case in the vehicle
-    second_antenna_m: float = Field(default=0.0, ge=0.0, le=10.0)  # ahead of the first; 0: there is none
-
-    pause_s: float = Field(default=1.5, ge=0.0, le=60.0)  # so that who starts with it misses nothing of the drive
+    scenario: str = "parking_lot"  # name of the simulated drive
+    seed: int = 1  # seed of all random numbers; the same seed gives the same bytes
+    protocols: tuple[Literal["ubx", "nmea"], ...] = ("ubx", "nmea")  # initial output protocols of the GNSS receiver
+    mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)  # roll, pitch, yaw of the IMU relative to the vehicle
+    second_antenna_m: float = Field(
+        default=0.0, ge=0.0, le=10.0, description="distance of a second GNSS antenna ahead of the first; 0: none"
+    )
+    pause_s: float = Field(
+        default=1.5, ge=0.0, le=60.0, description="delay of the drive, so that other processes can subscribe before it"
+    )
 
     @field_validator("scenario")
     @classmethod
@@ -41,18 +44,18 @@ class Config(Section):
     @classmethod
     def _is_seed(cls, seed: int) -> int:
         if seed < 0:
-            raise ValueError("a seed is 0 or more")
+            raise ValueError("seed must be 0 or more")
         return seed
 
 
 class Process:
-    """Sends each message when it is due, by deadlines that do not drift."""
+    """Publishes each message at its absolute arrival time, so that delays do not accumulate."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
 
     def run(self, bus: Bus) -> None:
-        """Drive until told to stop."""
+        """Simulate until the bus stops."""
         while not bus.stopping and not bus.connected:
             bus.receive(0.1)
         begin_ns = bus.now_ns() + round(self._config.pause_s * 1e9)
@@ -61,7 +64,7 @@ class Process:
         scenario = scenario_of(self._config.scenario, self._config.seed)
         equipment = Equipment(self._config.protocols, self._config.mounting_rpy_deg, self._config.second_antenna_m)
         world = World(scenario, self._config.seed, bus.now_ns(), equipment)
-        log.info("driving %s with seed %d: %s", scenario.name, self._config.seed, scenario.purpose)
+        log.info("simulating %s with seed %d: %s", scenario.name, self._config.seed, scenario.purpose)
         for due_ns, message in world:
             self._wait(bus, due_ns, world)
             if bus.stopping:
@@ -72,7 +75,7 @@ class Process:
                 bus.publish(message)
 
     def _wait(self, bus: Bus, due_ns: int, world: World) -> None:
-        """Serve the bus until the time has come, and once in any case."""
+        """Serve the bus until the message is due, and at least once."""
         while not bus.stopping:
             remaining_s = (due_ns - bus.now_ns()) * 1e-9
             for envelope in bus.receive(min(max(remaining_s, 0.0), 0.1)):

@@ -1,4 +1,4 @@
-"""The vehicle with its inertial sensors and its antenna: what one seed of one scenario determines."""
+"""The vehicle with its inertial sensors and its GNSS antenna, determined by scenario and seed."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -20,7 +20,7 @@ LEVER_ARM_B: Vector = (0.3, 0.0, -1.2)  # [m, body] from the IMU to the antenna
 
 
 class Stream(IntEnum):
-    """Independent random numbers of one seed."""
+    """Independent streams of random numbers of one seed."""
 
     ROUTE = 1
     GYROSCOPE = 2
@@ -34,7 +34,7 @@ class Stream(IntEnum):
 
 @dataclass(frozen=True)
 class Readings:
-    """n steps of the motion, and what the inertial sensors read in them."""
+    """n steps of the motion, and the measurements of the inertial sensors."""
 
     motion: Motion
     force_b: FloatArray  # shape (n, 3) [m/s², body]
@@ -42,14 +42,14 @@ class Readings:
 
 
 class Vehicle:
-    """Drives a scenario, block by block; the length of the blocks changes nothing beyond rounding."""
+    """Simulates a scenario block by block; the result is independent of the block lengths, to rounding."""
 
     def __init__(self, scenario: Scenario, seed: int, step: float) -> None:
         rng = np.random.default_rng((seed, Stream.ROUTE))
         self._trajectory = Trajectory(
             scenario.course,
             scenario.start,
-            stand=rng.uniform(*scenario.stand_s),
+            standstill=rng.uniform(*scenario.standstill_s),
             acceleration=scenario.acceleration_m_s2,
             step=step,
             rng=rng,
@@ -58,7 +58,7 @@ class Vehicle:
         self.accelerometer = SensorErrors(MTI_630_ACCELEROMETER, step, (seed, Stream.ACCELEROMETER))
 
     def advance(self, steps: int) -> Readings:
-        """Drive on by a number of steps."""
+        """Simulate the next steps."""
         motion = self._trajectory.advance(steps)
         moving = motion.speed[1:] > 0.0
         return Readings(
@@ -70,7 +70,7 @@ class Vehicle:
 
 @dataclass(frozen=True)
 class AntennaState:
-    """Where the GNSS antenna is and how it moves."""
+    """Position and velocity of the GNSS antenna, and the vehicle's heading."""
 
     position: Geodetic
     velocity_n: Vector
@@ -79,22 +79,22 @@ class AntennaState:
 
 
 def antenna_at(motion: Motion, node: float, lever_b: Vector = LEVER_ARM_B) -> AntennaState:
-    """Carry the motion of the IMU over to the antenna.
+    """Compute the state of the antenna from the motion of the IMU and the lever arm.
 
     Parameters
     ----------
     motion : Motion
         A block of the true motion.
     node : float
-        [-] Which node since the start; between two nodes of the block the motion is taken as linear,
+        [-] Node number since the start; between two nodes of the block the motion is interpolated linearly,
         which at 100 Hz is within 0.05 mm.
     lever_b : tuple of float
-        [m, body] From the IMU to the antenna.
+        [m, body] Lever arm from the IMU to the antenna.
 
     Returns
     -------
     AntennaState
-        With l = C lever: r + l, and v + C (w x lever) - w_ie x l.
+        With l = C lever: position r + l, and velocity v + C (w x lever) - w_ie x l.
     """
     index = min(int(node - motion.first), len(motion.rate_b) - 1)
     share = node - motion.first - index

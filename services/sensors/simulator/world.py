@@ -1,4 +1,4 @@
-"""The vehicle with all its devices: one stream of messages in the order in which they arrive."""
+"""The simulated vehicle with all its devices: one stream of messages in the order of arrival."""
 
 import heapq
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from .vehicle import Readings, Stream, Vehicle, antenna_at
 
 NS = 1_000_000_000
 STEP_NS = 10_000_000
-BLOCK = 100  # [steps] are driven at once
+BLOCK = 100  # [steps] simulated at once
 TRUTH_EVERY = 10  # steps
 ORIGIN_NS = 2 * NS
 DEFAULT_START_NS = 1_790_000_000 * NS  # 2026-09-21T14:13:20Z
@@ -28,17 +28,17 @@ DEFAULT_START_NS = 1_790_000_000 * NS  # 2026-09-21T14:13:20Z
 
 @dataclass(frozen=True)
 class Equipment:
-    """How the simulated vehicle is equipped."""
+    """Equipment of the simulated vehicle."""
 
     protocols: tuple[str, ...] = ("ubx", "nmea")
-    mounting_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the IMU's case, beyond lying flat
-    second_antenna_m: float = 0.0  # ahead of the first; 0: there is none
+    mounting_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the IMU, in addition to `FLAT`
+    second_antenna_m: float = 0.0  # distance ahead of the first; 0: single antenna
 
 
 class World:
-    """Drives for ever, one second at a time, so that its memory is bounded.
+    """Simulates without end, one second at a time, in bounded memory.
 
-    Iterate over it for (time at which a message arrives, message); `write` may be called between two messages.
+    Iterating yields (arrival time, message); `write` may be called between two messages.
     """
 
     def __init__(self, scenario: Scenario, seed: int, start_ns: int, equipment: Equipment | None = None) -> None:
@@ -56,7 +56,7 @@ class World:
         self._driven_ns = self._origin_ns = start_ns
 
     def __iter__(self) -> Iterator[tuple[int, Message]]:
-        """Yield what arrives, and when; without end."""
+        """Yield (arrival time, message) without end."""
         self._push(self._receiver.next_epoch_ns, None)
         while True:
             while not self._heap or self._heap[0][0] > self._driven_ns:
@@ -80,7 +80,7 @@ class World:
         self._motion = readings.motion
         begin_ns, end_ns = (self._start_ns + (readings.motion.first + n) * self._step_ns for n in (0, BLOCK))
         self._push_all(self._tracker.sample(readings, self._step_ns))
-        self._push_all(self._can.listen(readings.motion, begin_ns, end_ns))
+        self._push_all(self._can.transmit(readings.motion, begin_ns, end_ns))
         self._push_all(self._truth(readings))
         while self._origin_ns < end_ns:
             origin = Origin(
@@ -122,7 +122,7 @@ class World:
 def messages(
     scenario: str, seed: int = 0, duration_s: float | None = None, start_ns: int = DEFAULT_START_NS
 ) -> Iterator[Message]:
-    """Give what the simulated devices send, in the order of arrival, as fast as it is taken.
+    """Yield the messages of the simulated devices in the order of arrival, as fast as they are consumed.
 
     Parameters
     ----------
@@ -131,14 +131,14 @@ def messages(
     seed : int
         The same seed gives the same bytes.
     duration_s : float, optional
-        [s] How long; as long as the scenario if it is not given.
+        [s] Duration; by default that of the scenario.
     start_ns : int
-        [ns] Where on the time line the drive starts.
+        [ns] Time at which the drive starts.
 
     Yields
     ------
     Message
-        Raw bytes with their stamps of arrival, truth and origin.
+        Raw bytes with their arrival times, truth and origin.
     """
     row = scenario_of(scenario, seed)
     end_ns = start_ns + round((duration_s or row.duration_s) * NS)

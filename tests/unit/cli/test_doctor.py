@@ -1,4 +1,4 @@
-"""`obu doctor` finds what is wrong and says what to do."""
+"""`obu doctor` reports faults with their remedies."""
 
 from pathlib import Path
 
@@ -8,18 +8,18 @@ from cli import doctor
 from tests.support import brokers
 
 
-def test_a_machine_without_a_broker_is_told_to_start_one(
+def test_a_missing_broker_is_reported_with_its_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("OBU_STATE", str(tmp_path))
     monkeypatch.setenv("OBU_BROKER", "mqtt://127.0.0.1:1")
     assert doctor.examine(None) == 1
-    said = capsys.readouterr().out
-    assert "NO  broker at 127.0.0.1:1" in said and "OBU_BROKER" in said
-    assert "ok  [core.fusion]" in said
+    printed = capsys.readouterr().out
+    assert "NO  broker at 127.0.0.1:1" in printed and "OBU_BROKER" in printed
+    assert "ok  [core.fusion]" in printed
 
 
-def test_a_broker_without_a_unit_asks_for_the_vehicles_name(
+def test_a_broker_without_a_unit_is_reported_with_its_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     broker = brokers.start(brokers.SIMULATED, tmp_path)
@@ -32,7 +32,7 @@ def test_a_broker_without_a_unit_asks_for_the_vehicles_name(
     assert "NO  processes of 'vehicle'" in capsys.readouterr().out
 
 
-def test_a_wrong_setting_is_named(
+def test_an_invalid_setting_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("OBU_STATE", str(tmp_path))

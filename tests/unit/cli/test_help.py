@@ -1,4 +1,4 @@
-"""The examples in the help of every command: they are there, and the command line takes them."""
+"""Every command's help has examples, and the command line accepts them."""
 
 import re
 import shlex
@@ -27,7 +27,7 @@ ALL = dict(commands(ROOT)) if isinstance(ROOT, TyperGroup) else {}
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_every_command_has_examples_that_the_command_line_takes(name: str) -> None:
+def test_every_command_has_examples_that_the_command_line_accepts(name: str) -> None:
     examples = re.findall(r"\[bold\](.+?)\[/\]", ALL[name].help or "")
     assert any(f"obu {name}" in example for example in examples)
     for example in examples:
@@ -38,5 +38,5 @@ def test_every_command_has_examples_that_the_command_line_takes(name: str) -> No
         ALL[path].make_context(path, arguments[len(path.split()) :])
 
 
-def test_the_walk_finds_the_commands() -> None:
+def test_all_commands_are_found() -> None:
     assert {"demo", "solve", "record", "record repair", "papers navigation"} <= set(ALL)

@@ -1,4 +1,4 @@
-"""What `obu tail` makes of a topic's name."""
+"""Topic names of `obu tail`."""
 
 from pathlib import Path
 
@@ -7,9 +7,8 @@ import pytest
 from cli.tail import follow
 from shared.bus.bus import Bus
 from shared.errors import UserError
-from shared.messages.operation import ProcessHealth, ProcessState
+from shared.messages.operation import ProcessState
 from shared.runtime.config import BrokerAddress, parse_vehicle
-from shared.topics import BY_NAME
 from tests.support import brokers
 
 CAR = parse_vehicle("[vehicle]\nname = 'car'\n")
@@ -23,12 +22,12 @@ CAR = parse_vehicle("[vehicle]\nname = 'car'\n")
         ("navigation/soluton", "navigation/solution"),
     ],
 )
-def test_a_topic_that_does_not_exist_is_answered_with_the_nearest(name: str, meant: str) -> None:
+def test_an_unknown_topic_is_reported_with_the_most_similar_one(name: str, meant: str) -> None:
     with pytest.raises(UserError, match=f"did you mean {meant}\\? `obu topics` lists them"):
         follow(name, CAR, 1)
 
 
-def test_the_health_of_one_process_is_not_that_of_all(
+def test_a_topic_of_one_process_prints_that_process_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     broker = brokers.start(brokers.SIMULATED, tmp_path)
@@ -40,13 +39,12 @@ def test_the_health_of_one_process_is_not_that_of_all(
         for bus in buses:
             while not bus.connected:
                 bus.receive(0.02)
-            state = ProcessHealth(process=bus.process, state=ProcessState.READY, incarnation=1, sent_ns=bus.now_ns())
-            bus.send(f"health/{bus.process}", state.model_dump_json().encode(), {}, BY_NAME["health/+"])
+            bus.publish(bus.health(ProcessState.READY))
             bus.receive(0.1)
         assert follow("health/core.fusion", CAR, 1) == 0
     finally:
         for bus in buses:
             bus.close()
         broker.stop()
-    said = capsys.readouterr().out
-    assert '"topic": "health/core.fusion"' in said and "parsers.gnss" not in said
+    printed = capsys.readouterr().out
+    assert '"topic": "health/core.fusion"' in printed and "parsers.gnss" not in printed

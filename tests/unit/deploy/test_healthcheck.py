@@ -1,4 +1,4 @@
-"""The health check of a container, run as the container runs it."""
+"""The health check of a container, run as a subprocess."""
 
 import os
 import subprocess
@@ -48,25 +48,25 @@ def test_a_process_with_a_fresh_heartbeat_is_healthy(beating: Path) -> None:
     assert check(beating).returncode == 0
 
 
-def test_a_process_that_never_reached_the_broker_is_not(tmp_path: Path) -> None:
+def test_a_process_without_a_heartbeat_is_unhealthy(tmp_path: Path) -> None:
     result = check(tmp_path / "never")
     assert result.returncode == 1
     assert "no heartbeat" in result.stderr
 
 
-def test_a_process_that_hangs_is_not(beating: Path) -> None:
+def test_a_process_with_an_old_heartbeat_is_unhealthy(beating: Path) -> None:
     long_ago = time.time() - 30
     os.utime(beating, (long_ago, long_ago))
     assert "no heartbeat for 3" in check(beating).stderr
 
 
 @pytest.mark.parametrize("web_port", [200], indirect=True)
-def test_a_web_server_that_answers_is_healthy(beating: Path, web_port: int) -> None:
+def test_a_responding_web_server_is_healthy(beating: Path, web_port: int) -> None:
     assert check(beating, str(web_port)).returncode == 0
 
 
 @pytest.mark.parametrize("web_port", [500], indirect=True)
-def test_a_web_server_that_fails_is_not(beating: Path, web_port: int) -> None:
+def test_a_failing_web_server_is_unhealthy(beating: Path, web_port: int) -> None:
     result = check(beating, str(web_port))
     assert result.returncode == 1
     assert f"port {web_port}" in result.stderr

@@ -247,7 +247,7 @@ class Alignment:
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weigh the fixes of a rest, or take the one fix of a vehicle that drives."""
         rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
-        colour = self._lost.colour.at_start() if self._lost else _told(self._settings)
+        colour = self._lost.colour.at_start() if self._lost else gnss_error_model(self._settings)
         return first_place(rest or [fix], colour, self._zero_ns)
 
     def _scales_cov(self) -> FloatArray:
@@ -282,8 +282,8 @@ class Alignment:
         return self.levelling.rate_bias, np.eye(3) * self._settings.imu.gyroscope_bias_sd_rad_s**2
 
 
-def _told(settings: Settings) -> Colour | Told:
-    """Run of GNSS errors before any fix: as the settings say, or still unknown."""
+def gnss_error_model(settings: Settings) -> Colour | Told:
+    """Make the model of GNSS errors before any fix: as the settings say, or unknown."""
     correlation_s = settings.gnss.correlation_time_s
     return Told(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
 

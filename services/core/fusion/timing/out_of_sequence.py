@@ -15,6 +15,7 @@ from typing import NamedTuple
 from shared.maths.rotation import Vector
 
 from ..alignment.heading import Prior
+from ..alignment.warm_start import SavedState
 from ..filter.runner import Runner
 from ..measurements.base import Measurement, Outcome
 from ..plausibility.imu_faults import Sample
@@ -113,6 +114,10 @@ class DelayedEngine:
         """Take a saved position and heading, now and wherever a late measurement may lead back to."""
         for engine in (self.engine, *(copy.engine for copy in self._copies)):
             engine.remember(prior)
+
+    def restore(self, saved: SavedState) -> None:
+        """Go on from a saved state with the first sample, which must be the next."""
+        self._engine.restore(saved)
 
     def leave(self, trail: Trail) -> None:
         """Keep a trail for a smoother, from the first sample on."""

@@ -10,6 +10,7 @@ from shared.messages.navigation import AidingKind, NavigationPhase
 from ..alignment.alignment import Alignment
 from ..alignment.heading import Heading, Prior
 from ..alignment.velocity_matching import Comparison
+from ..alignment.warm_start import SavedState, restored
 from ..filter.error_model import FloatArray
 from ..filter.eskf import ErrorStateFilter
 from ..filter.propagation import GAP_S, Departure, Moment
@@ -53,6 +54,7 @@ class Engine:
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self.stationary = False
         self._alignment: Alignment | None = Alignment(settings, first=not why)
+        self._saved: SavedState | None = None  # to go on from with the first sample
         self.aids = Aids(settings)
         self._rest = UNSETTLED
         self._rest_turn, self._rest_s = STILL, 0.0  # [rad, body; s] of the rest since its last update
@@ -76,6 +78,10 @@ class Engine:
         if self._alignment is not None and self.accepted_ns is None:
             self._alignment.remember(prior)
 
+    def restore(self, saved: SavedState) -> None:
+        """Go on from a saved state with the first sample, which must be the next."""
+        self._saved = saved
+
     def step(self, sample: Sample, due: Sequence[Measurement]) -> list[Outcome]:
         """Advance to the stamp of a sample, using on the way the measurements that were true before it."""
         return self.carry(sample, due) + self.attend()
@@ -87,6 +93,8 @@ class Engine:
             self.last = sample
             why = f"levelling, after {self._why}" if self._why else "measuring tilt and gyroscope bias at rest"
             self._enter(NavigationPhase.LEVELLING, time_ns, why)
+            if self._saved is not None:
+                self._start_warm(self._saved, sample)
             return []
         gap_s = (time_ns - last[0]) * 1e-9
         held = self._bridge(gap_s, sample) if gap_s > GAP_S else sample
@@ -232,14 +240,31 @@ class Engine:
         if started is None:
             return
         how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
-        self.aids.begin(measurement.time_ns, started, self._alignment.comparison)
-        self.filter, self._alignment, self._why = started, None, ""
+        self._start(started, measurement.time_ns, self._alignment.comparison)
+        self.counts = self.counts.with_position(used=True)
+        self.accepted_ns = measurement.time_ns
+        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
+
+    def _start(self, started: ErrorStateFilter, time_ns: int, comparison: Comparison) -> None:
+        """Go on with a filter that has just started."""
+        self.aids.begin(time_ns, started, comparison)
+        self.filter, self._alignment, self._why, self._rejections = started, None, "", 0
         if self.trail is not None:
             self.trail.follow(started)
         self._rest, self._rest_turn, self._rest_s = UNSETTLED, STILL, 0.0
-        self.counts = self.counts.with_position(used=True)
-        self.accepted_ns, self._rejections = measurement.time_ns, 0
-        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
+
+    def _start_warm(self, saved: SavedState, sample: Sample) -> None:
+        """Go on from a saved state, or align anew if state and sample make no sense together."""
+        time_ns, self._saved = sample.time_ns, None
+        try:
+            started = restored(self._settings, saved, sample)
+        except FilterDiverged:
+            return
+        self._start(started, time_ns, Comparison())
+        self.accepted_ns = saved.accepted_ns
+        coasts = time_ns - (saved.accepted_ns or 0) > self._coasting_ns
+        gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
+        self._enter(COASTING if coasts else NAVIGATING, time_ns, f"warm start from a state of {gap_s:.1f} s before")
 
     def _watch_for_standstill(self, time_ns: int, step_s: float, doubt: Doubt, outcomes: list[Outcome]) -> None:
         """Tell the filter at 10 Hz that the vehicle stands, for as long as it does."""

@@ -162,10 +162,10 @@ const largest = (values) => values.reduce((most, v) => (v != null && (most === n
 function Strip({ label, times, ratios }) {
   const path = useMemo(() => pathOf(times, ratios, times.at(-1)), [times]);
   const known = ratios.filter((r) => r != null);
-  const newest = ratios.at(-1) ?? null;
+  const newest = verdictStands() ? ratios.at(-1) ?? null : null;
   const most = largest(ratios);
   const text = known.length ? w.stripText(newest === null ? null : newest.toFixed(2), most.toFixed(2), known.filter((r) => r > 1).length) : w.neverEvaluated;
-  return html`<div class="strip"><p class="strip-label">${label}<span class="dim">${newest === null ? w.outcome.not_evaluated : w.ofThreshold(newest.toFixed(2))}</span></p>
+  return html`<div class="strip"><p class="strip-label">${label}<span class="dim">${!verdictStands() ? w.outcome.stale : newest === null ? w.outcome.not_evaluated : w.ofThreshold(newest.toFixed(2))}</span></p>
     <svg viewBox="0 0 ${STRIP.width} ${STRIP.height}" preserveAspectRatio="none" role="img" aria-label=${`${label}: ${text}`}>
       <path class="limit" d="M0 ${STRIP.height / 2}H${STRIP.width}" /><path class=${most > 1 ? "line over" : "line"} d=${path} /></svg></div>`;
 }

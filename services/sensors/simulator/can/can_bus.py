@@ -1,4 +1,4 @@
-"""The simulated CAN bus: wheel speeds at 50 Hz, and the answers of an engine control unit that is asked by OBD-II."""
+"""The simulated CAN bus: wheel speeds at 50 Hz, and OBD-II speed requests with the responses of the engine ECU."""
 
 from collections.abc import Iterator
 
@@ -28,17 +28,17 @@ FloatArray = npt.NDArray[np.float64]
 SOURCE = "can0"
 MS = 1_000_000
 WHEEL_PERIOD_NS = 20 * MS
-ASK_EVERY = 35  # wheel frames: 0.7 s
+REQUEST_EVERY = 35  # wheel frames: 0.7 s
 BATCH_NS = 100 * MS
-WHEEL_DELAY_NS = (5 * MS, 20 * MS)  # from the sensor through its control unit to the bus
-FILTER_NS = 100 * MS  # age of the speed that OBD-II gives
-RESPONSE_NS = (8 * MS, 40 * MS)  # from question to answer
+WHEEL_DELAY_NS = (5 * MS, 20 * MS)  # from the wheel sensor through its ECU to the bus
+FILTER_NS = 100 * MS  # delay of the filtered OBD-II speed
+RESPONSE_NS = (8 * MS, 40 * MS)  # from request to response
 NOISE_SD = 0.02  # [m/s]
 TYRE_SD, WHEEL_SD = 0.005, 0.001  # [-] scale error of all wheels, and of each
 
 
 class CanBus:
-    """Turns true motion into lines of a candump log, in batches of 100 ms."""
+    """Simulates the frames on the CAN bus from the true motion, as lines of a candump log in batches of 100 ms."""
 
     def __init__(self, seed: int, start_ns: int, clocks: np.random.Generator) -> None:
         self._clock = DeviceClock(clocks, latest_start_ns=1)
@@ -47,12 +47,12 @@ class CanBus:
         self._scales = 1.0 + TYRE_SD * scale + WHEEL_SD * self._rng.standard_normal(4)
         self._start_ns = start_ns
         self._frames = 0
-        self._lines: list[tuple[int, int, bytes]] = []  # on the bus at, identifier, data
+        self._lines: list[tuple[int, int, bytes]] = []  # time on the bus [ns], identifier, data
         self._last_ns = 0
         self._batch_ns = start_ns + BATCH_NS
 
-    def listen(self, motion: Motion, begin_ns: int, end_ns: int) -> Iterator[tuple[int, Message]]:
-        """Yield (arrival, message) of the batches that end within a block of the motion."""
+    def transmit(self, motion: Motion, begin_ns: int, end_ns: int) -> Iterator[tuple[int, Message]]:
+        """Yield (arrival time, message) of the batches that end within a block of the motion."""
         period_ns = self._clock.period_ns(WHEEL_PERIOD_NS)
         nodes = np.linspace(begin_ns - self._start_ns, end_ns - self._start_ns, len(motion.speed))
         last = (end_ns - self._start_ns) // period_ns
@@ -62,9 +62,9 @@ class CanBus:
         for time_ns, speed, turn in zip((self._start_ns + times).tolist(), speeds, turns, strict=True):
             self._frames += 1
             self._wheels(time_ns, speed, turn)
-            if self._frames % ASK_EVERY == 0:
-                self._ask(time_ns, speed)
-        # What is sampled in this block is on the bus 5 ms later at the earliest.
+            if self._frames % REQUEST_EVERY == 0:
+                self._request_speed(time_ns, speed)
+        # A sample of this block is on the bus 5 ms later at the earliest.
         while self._batch_ns <= end_ns + WHEEL_DELAY_NS[0]:
             yield self._batch_ns, self._batch()
 
@@ -80,19 +80,19 @@ class CanBus:
         first, second, third, fourth = values.tolist()
         return first, second, third, fourth
 
-    def _ask(self, time_ns: int, speed: float) -> None:
-        """Put a question and its answer on the bus; the answer tells the speed of `time_ns`."""
-        answered_ns = time_ns + FILTER_NS + int(self._rng.integers(10 * MS))
-        asked_ns = answered_ns - int(self._rng.integers(*RESPONSE_NS))
+    def _request_speed(self, time_ns: int, speed: float) -> None:
+        """Add a speed request and its response, which holds the speed of `time_ns`, to the bus."""
+        response_ns = time_ns + FILTER_NS + int(self._rng.integers(10 * MS))
+        request_ns = response_ns - int(self._rng.integers(*RESPONSE_NS))
         mean_scale = float(self._scales.mean())
-        self._lines.append((asked_ns, REQUEST_ID, speed_request()))
-        self._lines.append((answered_ns, RESPONSE_ID, speed_response(speed * mean_scale)))
+        self._lines.append((request_ns, REQUEST_ID, speed_request()))
+        self._lines.append((response_ns, RESPONSE_ID, speed_response(speed * mean_scale)))
 
     def _batch(self) -> CanRaw:
         self._lines.sort(key=lambda row: row[0])
         ready = [row for row in self._lines if row[0] <= self._batch_ns]
         self._lines = self._lines[len(ready) :]
         data = b"".join(line(*row) for row in ready)
-        batch = CanRaw.unchecked(received_ns=self._batch_ns, source=SOURCE, data=data)
+        batch = CanRaw(received_ns=self._batch_ns, source=SOURCE, data=data)
         self._batch_ns += BATCH_NS
         return batch

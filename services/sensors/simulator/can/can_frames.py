@@ -1,6 +1,6 @@
-"""Frames on the simulated vehicle's CAN bus, as lines of a candump log.
+"""Encodes the frames of the simulated vehicle's CAN bus as lines of a candump log.
 
-Wheel speeds are laid out as in deploy/vehicles/simulated.dbc; OBD-II as in SAE J1979 over ISO 15765-4.
+Wheel speeds follow deploy/vehicles/simulated.dbc; OBD-II follows SAE J1979 over ISO 15765-4.
 """
 
 import struct
@@ -18,35 +18,35 @@ Wheels = tuple[float, float, float, float]
 
 
 def line(time_ns: int, identifier: int, data: bytes) -> bytes:
-    """One line of `candump -L`; the stamp has microseconds, of which none is rounded up."""
+    """One line of `candump -L`; its time stamp is truncated to microseconds."""
     seconds, rest = divmod(time_ns, 1_000_000_000)
     return f"({seconds}.{rest // 1000:06d}) can0 {identifier:03X}#{data.hex().upper()}\n".encode()
 
 
 def speed_request() -> bytes:
-    """Ask for the vehicle speed: mode 01, PID 0D."""
+    """Encode a request of the vehicle speed: mode 01, PID 0D."""
     return _REQUEST
 
 
 def speed_response(speed: float) -> bytes:
-    """Answer with a speed [m/s] in whole km/h, halves up."""
+    """Encode a response with a speed [m/s], rounded half up to whole km/h."""
     return bytes((3, 0x41, 0x0D, min(255, floor(speed / KM_H + 0.5)), 0xAA, 0xAA, 0xAA, 0xAA))
 
 
 def wheel_frame(wheels: Wheels) -> bytes:
-    """Speeds [m/s] front left, front right, rear left, rear right."""
+    """Encode the wheel speeds [m/s] front left, front right, rear left, rear right."""
     return _WHEELS.pack(*(min(0xFFFF, max(0, round(speed / WHEEL_RESOLUTION))) for speed in wheels))
 
 
 def wheel_speeds(speed: float, yaw_rate: float) -> Wheels:
-    """Speeds of the four wheels of a car that turns about the line of its rear axle.
+    """Speeds of the four wheels of a vehicle whose rear axle has no sideslip.
 
     Parameters
     ----------
     speed : float
-        [m/s] Of the middle of the rear axle.
+        [m/s] Speed of the centre of the rear axle.
     yaw_rate : float
-        [rad/s] Clockwise from above.
+        [rad/s] Positive clockwise, seen from above.
 
     Returns
     -------

@@ -1,1 +1,1 @@
-"""The simulated GNSS receiver: satellites, errors, and the bytes it sends."""
+"""The simulated GNSS receiver: satellites, errors and output bytes."""

@@ -1,4 +1,4 @@
-"""Errors of a GNSS receiver's position and velocity, with standard deviations that are honest about them."""
+"""Errors of a GNSS receiver's position and velocity, and the standard deviations that match them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,32 +16,32 @@ VELOCITY_SD = (0.05, 0.05, 0.08)  # [m/s, NED]
 
 
 class ErrorKind(StrEnum):
-    """How an injected position error runs over time."""
+    """Random process of an injected position error."""
 
     NONE = "none"
     WHITE = "white"
     GAUSS_MARKOV = "gauss_markov"
-    WIENER = "wiener"  # from zero at the begin of each period
+    WIENER = "wiener"  # zero at the start of each period
 
 
 @dataclass(frozen=True)
 class InjectedError:
-    """A position error on top of the receiver's own noise."""
+    """A position error that is added to the receiver noise."""
 
     kind: ErrorKind = ErrorKind.NONE
     rmse_ned_m: Vector = (0.0, 0.0, 0.0)
-    correlation_s: float = 5.0  # of Gauss-Markov
-    exact: bool = False  # the whole position error of a period has exactly this RMSE, its noise included
+    correlation_s: float = 5.0  # correlation time of the Gauss-Markov process
+    exact: bool = False  # the total position error of a period, receiver noise included, has exactly this RMSE
 
 
 @dataclass(frozen=True)
 class PositionErrors:
     """Errors of the epochs of one period."""
 
-    noise: FloatArray  # shape (n, 3) [m, NED] of the receiver itself, for unit standard deviation
+    noise: FloatArray  # shape (n, 3) [-] receiver noise of unit standard deviation
     injected: FloatArray  # shape (n, 3) [m, NED]
     velocity: FloatArray  # shape (n, 3) [m/s, NED]
-    last: FloatArray  # shape (3,) where the injected error stands, for unit standard deviation
+    last: FloatArray  # shape (3,) [-] last value of the injected error of unit standard deviation
 
 
 def position_errors(
@@ -58,23 +58,23 @@ def position_errors(
     Parameters
     ----------
     error : InjectedError
-        What to inject.
+        The error to inject.
     n : int
         Number of epochs.
     step : float
-        [s] Between epochs.
+        [s] Time between epochs.
     seed : tuple of int
         The same seed gives the same errors.
     settled : int
-        Epochs at the begin that do not count for an exact RMSE, because the unit is still levelling.
+        Number of initial epochs (alignment) excluded from an exact RMSE.
     last : ndarray, shape (3,), optional
-        `last` of the period before, from which a Gauss-Markov error goes on.
+        `last` of the previous period, from which a Gauss-Markov error continues.
 
     Returns
     -------
     PositionErrors
-        If the error is exact, the injected part is scaled so that the sum of it and the noise of an
-        autonomous fix has the RMSE over the epochs from `settled` on.
+        If the error is exact, the injected part is scaled so that its sum with the noise of an
+        autonomous fix has the given RMSE over the epochs from `settled` on.
     """
     noise_rng, velocity_rng, injected_rng = (np.random.default_rng((*seed, i)) for i in range(3))
     noise = noise_rng.standard_normal((n, 3))
@@ -88,7 +88,7 @@ def position_errors(
 
 
 def position_sd(error: InjectedError, carrier: str) -> FloatArray:
-    """Standard deviation [m, NED], shape (3,), that an honest receiver reports."""
+    """Standard deviation [m, NED], shape (3,), of the total position error."""
     own = np.zeros(3) if error.exact else np.array(BASE_SD[carrier])
     return np.hypot(own, error.rmse_ned_m)
 
@@ -97,7 +97,7 @@ def _exact_scale(shape: FloatArray, noise: FloatArray, rmse: FloatArray) -> Floa
     """Positive root k of mean((noise + k shape)²) = rmse², axis by axis."""
     a, half_b, c = (shape**2).mean(axis=0), (shape * noise).mean(axis=0), (noise**2).mean(axis=0) - rmse**2
     if np.any(c >= 0.0):
-        raise ValueError(f"the receiver's own noise exceeds the RMSE {rmse.tolist()}")
+        raise ValueError(f"the receiver noise exceeds the RMSE {rmse.tolist()}")
     scale: FloatArray = (-half_b + np.sqrt(half_b**2 - a * c)) / a
     return scale
 
@@ -115,17 +115,17 @@ def _gauss_markov(draws: FloatArray, phi: float, last: FloatArray | None) -> Flo
 
 
 def _wiener(draws: FloatArray, _phi: float, _last: FloatArray | None) -> FloatArray:
-    """Walk from zero, with a mean square of about one over the period."""
+    """Random walk from zero, with a mean square of about one over the period."""
     walk: FloatArray = np.cumsum(draws, axis=0) * sqrt(2.0 / len(draws))
     return walk
 
 
-def _nothing(draws: FloatArray, _phi: float, _last: FloatArray | None) -> FloatArray:
+def _zero(draws: FloatArray, _phi: float, _last: FloatArray | None) -> FloatArray:
     return np.zeros_like(draws)
 
 
 _SHAPES: dict[ErrorKind, Callable[[FloatArray, float, FloatArray | None], FloatArray]] = {
-    ErrorKind.NONE: _nothing,
+    ErrorKind.NONE: _zero,
     ErrorKind.WHITE: _white,
     ErrorKind.GAUSS_MARKOV: _gauss_markov,
     ErrorKind.WIENER: _wiener,

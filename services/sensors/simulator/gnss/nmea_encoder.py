@@ -1,4 +1,4 @@
-"""NMEA 0183 sentences of a multi-constellation receiver, version 4.11."""
+"""Encodes NMEA 0183 sentences of a multi-constellation receiver, version 4.11."""
 
 from collections.abc import Callable
 from functools import reduce
@@ -40,7 +40,7 @@ def gga(epoch: Epoch) -> bytes:
 
 
 def gsa(epoch: Epoch) -> bytes:
-    """Satellites that are used, one sentence a constellation, and dilution of precision."""
+    """Used satellites and dilution of precision, one sentence per constellation."""
     dop, sentences = epoch.sky.dop, []
     for index, row in enumerate(epoch.constellations):
         used = epoch.sky.used & (epoch.sky.system == index) & epoch.fix.valid

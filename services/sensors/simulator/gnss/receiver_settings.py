@@ -1,4 +1,4 @@
-"""The configuration of the simulated receiver, and the dialogue by which it is changed and read.
+"""The configuration of the simulated receiver, and the messages that change and read it.
 
 Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), UBX-CFG-VALSET, UBX-CFG-VALGET, chapter 5.
 """
@@ -30,7 +30,7 @@ MAX_FRAME = 1024
 
 
 class Settings:
-    """Keys and values in force, and the receiver's side of the dialogue."""
+    """Current keys and values, and the receiver's side of the configuration exchange."""
 
     def __init__(self, protocols: tuple[str, ...]) -> None:
         self._values = {RATE_MEAS: 1000, RATE_NAV: 1, RATE_TIMEREF: 1, DYNAMIC_MODEL: 4}
@@ -46,14 +46,14 @@ class Settings:
         return self._values[RATE_MEAS] * self._values[RATE_NAV]
 
     def due(self, epoch: int) -> Iterator[str]:
-        """Name the messages to be sent in an epoch."""
+        """Names of the messages to send in an epoch."""
         for name, key in OUTPUTS.items():
             every = self._values[key + OUR_PORT]
             if every and epoch % every == 0:
                 yield name
 
-    def take(self, data: bytes) -> Iterator[bytes]:
-        """Take bytes that were written to the receiver; yield what it answers."""
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """Process bytes written to the receiver; yield its responses."""
         self._buffer += data
         while (start := self._buffer.find(SYNC)) >= 0 and len(self._buffer) >= start + 8:
             size = int.from_bytes(self._buffer[start + 4 : start + 6], "little")
@@ -67,10 +67,10 @@ class Settings:
             intact = checksum(body) == expected
             self._buffer = self._buffer[end if intact else start + 2 :]
             if intact:
-                yield from self._answer(body[0], body[1], body[4:])
+                yield from self._respond(body[0], body[1], body[4:])
         self._buffer = self._buffer[-MAX_FRAME:]
 
-    def _answer(self, message_class: int, message_id: int, payload: bytes) -> Iterator[bytes]:
+    def _respond(self, message_class: int, message_id: int, payload: bytes) -> Iterator[bytes]:
         if (message_class, message_id) == (MON, 0x04) and not payload:
             yield mon_ver()
         elif (message_class, message_id) == (CFG, VALSET):
@@ -82,7 +82,7 @@ class Settings:
             yield acknowledge(CFG, VALGET, accepted=reply is not None)
 
     def _set(self, payload: bytes) -> bool:
-        """Take over all values, or none of them."""
+        """Apply all values, or none of them if one is invalid."""
         values = _read_values(payload)
         if values is None or not all(self._allowed(key, value) for key, value in values.items()):
             return False
@@ -118,5 +118,5 @@ def _read_values(payload: bytes) -> dict[int, int] | None:
 
 
 def _size(key: int) -> int:
-    """Bytes of a value, which its key tells in bits 28 to 30."""
+    """Size of a value [bytes], encoded in bits 28 to 30 of its key."""
     return (1, 1, 1, 2, 4, 8, 8, 8)[key >> 28 & 7]

@@ -1,4 +1,4 @@
-"""What a GNSS receiver makes of where its antenna is: fixes with errors, outages, and carrier-phase states."""
+"""Fixes of a simulated GNSS receiver: errors, outages and carrier-phase ambiguity states."""
 
 from dataclasses import dataclass
 
@@ -13,14 +13,14 @@ from .gnss_errors import BASE_SD, VELOCITY_SD, PositionErrors, position_errors, 
 
 FloatArray = npt.NDArray[np.float64]
 
-SETTLED_S = 15.0  # [s] the standstill in which a unit levels; it does not count for an exact RMSE
-REACQUISITION_S = 2.0  # [s] under open sky again, until the next fix
-AMBIGUITIES_S = (("none", 8.0), ("float", 25.0))  # [s] until the carrier-phase state gets better than this
+SETTLED_S = 15.0  # [s] initial standstill for the alignment; excluded from an exact RMSE
+REACQUISITION_S = 2.0  # [s] from the end of an outage to the first fix
+AMBIGUITIES_S = (("none", 8.0), ("float", 25.0))  # [s] after an outage, the time at which each state ends
 
 
 @dataclass(frozen=True)
 class Fix:
-    """One epoch as the receiver sees it."""
+    """Position, velocity and ambiguity state of one epoch, as computed by the receiver."""
 
     valid: bool
     carrier: str
@@ -32,30 +32,30 @@ class Fix:
 
 
 class Reception:
-    """Turns antenna states into fixes, epoch by epoch at a constant rate."""
+    """Computes fixes from antenna states, epoch by epoch at a constant rate."""
 
     def __init__(self, scenario: Scenario, seed: int, step_s: float) -> None:
         self._scenario, self._seed, self._step = scenario, seed, step_s
         self._epochs = max(1, round(scenario.duration_s / step_s))
         self._period = -1
         self._errors: PositionErrors | None = None
-        self._open_s = float("inf")  # how long there has been a sky
+        self._open_s = float("inf")  # time since the end of the last outage
         self._last = scenario.start
 
     def fix(self, epoch: int, antenna: AntennaState) -> Fix:
-        """Determine position and velocity.
+        """Compute the fix of an epoch.
 
         Parameters
         ----------
         epoch : int
-            Number of the epoch; it may not decrease from call to call.
+            Number of the epoch; non-decreasing from call to call.
         antenna : AntennaState
-            The truth.
+            True state of the antenna.
 
         Returns
         -------
         Fix
-            Its standard deviations are those of its errors. Without signals it repeats the last position.
+            Its standard deviations are those of its errors. During an outage it repeats the last position.
         """
         period, index = divmod(epoch, self._epochs)
         errors = self._errors_of(period)
@@ -71,7 +71,7 @@ class Reception:
         return Fix(True, carrier, self._last, velocity_n, error_n, sd, VELOCITY_SD)
 
     def _carrier(self) -> str:
-        """Ambiguities are resolved anew after each outage, and no better than the scenario allows."""
+        """Ambiguity state: it restarts after each outage and improves up to the best state of the scenario."""
         for state, until_s in AMBIGUITIES_S:
             if self._open_s < until_s or self._scenario.carrier == state:
                 return state

@@ -1,4 +1,4 @@
-"""One navigation epoch of the simulated receiver: everything that its messages are made of."""
+"""One navigation epoch of the simulated receiver: the data that its messages encode."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -15,7 +15,7 @@ GEOID_M = 47.0  # [m] height of the geoid above the ellipsoid: central Italy
 
 @dataclass(frozen=True)
 class Baseline:
-    """The line to a second antenna on the vehicle, as measured."""
+    """The measured baseline from the first to the second antenna on the vehicle."""
 
     length_m: float
     heading: float  # [rad] clockwise from north
@@ -24,9 +24,9 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Epoch:
-    """Time, fix and sky of one epoch."""
+    """Time, fix and satellites of one epoch."""
 
-    utc_ms: int  # since 1970
+    utc_ms: int  # UTC since 1970-01-01
     fix: Fix
     sky: Sky
     constellations: tuple[Constellation, ...]
@@ -34,30 +34,30 @@ class Epoch:
 
     @property
     def itow_ms(self) -> int:
-        """GPS time of week."""
+        """GPS time of week [ms]."""
         return (self.utc_ms - GPS_EPOCH_UNIX_MS + 1000 * LEAP_SECONDS) % WEEK_MS
 
     @property
     def utc(self) -> datetime:
-        """Calendar."""
+        """UTC as calendar date and time."""
         return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=self.utc_ms)
 
     @property
     def satellites_used(self) -> int:
-        """How many satellites the fix is made of."""
+        """Number of satellites used in the fix; 0 without a fix."""
         return int(self.sky.used.sum()) if self.fix.valid else 0
 
     @property
     def ground_speed_m_s(self) -> float:
-        """Horizontal speed."""
+        """Horizontal speed [m/s]."""
         return hypot(*self.fix.velocity_n[:2])
 
     @property
     def course_deg(self) -> float:
-        """Direction of motion, 0 to 360, clockwise from north; noise at rest."""
+        """Course over ground [deg], 0 to 360, clockwise from north; noise at standstill."""
         return degrees(atan2(self.fix.velocity_n[1], self.fix.velocity_n[0])) % 360.0
 
     @property
     def horizontal_sd_m(self) -> float:
-        """Standard deviation of the horizontal distance, as u-blox states it."""
+        """Horizontal accuracy estimate as u-blox defines it: root sum of squares of the north and east sd [m]."""
         return hypot(*self.fix.position_sd_n[:2])

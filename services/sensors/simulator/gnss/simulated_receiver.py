@@ -19,16 +19,16 @@ from .sky import SkyModel
 SOURCE = "gnss0"
 MS = 1_000_000
 BYTE_NS = 10 * 1_000_000_000 // 115_200
-FULL_NS = 1_000_000_000  # of bytes are waiting: a receiver leaves the next epoch out
-ANSWER_NS = 8 * MS
-CHUNK_BYTES = (120, 330)  # what a read of a serial port returns
-BASELINE_SD_M = 0.004  # of the line between two antennas, across it
-HOST_ERROR_MS = 30.0  # of the host's clock at boot
+FULL_NS = 1_000_000_000  # transmit backlog above which the receiver skips an epoch
+RESPONSE_NS = 8 * MS  # from a written message to its response
+CHUNK_BYTES = (120, 330)  # size of one read of the serial port
+BASELINE_SD_M = 0.004  # standard deviation of the baseline between two antennas, across it
+HOST_ERROR_MS = 30.0  # largest error of the host's clock at boot
 ENCODERS = {**ubx_encoder.ENCODERS, **nmea_encoder.ENCODERS}
 
 
 class Receiver:
-    """Turns antenna states into UBX and NMEA bytes, and obeys UBX-CFG-VALSET."""
+    """Encodes antenna states as UBX and NMEA bytes, and executes UBX-CFG-VALSET."""
 
     def __init__(
         self,
@@ -42,25 +42,25 @@ class Receiver:
         self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
         self.settings = Settings(protocols)
         self._sky = SkyModel(scenario.constellations, (seed, Stream.SATELLITES))
-        # Satellite time is right; it is the host that started with an error and drifts.
+        # GNSS time is exact; the host's clock has an initial error and drifts.
         self._clock = DeviceClock(clocks, latest_start_ns=1)
         self._utc_start_ns = start_ns - round(clocks.uniform(-HOST_ERROR_MS, HOST_ERROR_MS) * MS)
         self._delay = Delay(0.050, 0.004, 0.080, clocks)
         self._chunks = np.random.default_rng((seed, Stream.SATELLITES, 1))
-        self._second_antenna_m = second_antenna_m  # ahead of the first; 0: there is none
+        self._second_antenna_m = second_antenna_m  # distance ahead of the first; 0: single antenna
         self._headings = np.random.default_rng((seed, Stream.SATELLITES, 2))
-        self._free_ns = 0  # when the line has sent everything
+        self._free_ns = 0  # time at which the serial line has sent all queued bytes
         self._period_ms = self.settings.period_ms
         self._reception = Reception(scenario, seed, self._period_ms * 1e-3)
         self._next_ms = self._after(self._utc_start_ns // MS)
 
     @property
     def next_epoch_ns(self) -> int:
-        """When the next epoch is, on the time line of the on-board unit."""
+        """Time of the next epoch, in the time of the on-board unit."""
         return self._start_ns + self._clock.true_ns(self._next_ms * MS - self._utc_start_ns)
 
     def navigate(self, antenna: AntennaState) -> Iterator[tuple[int, Message]]:
-        """Yield (arrival, message) of the next epoch, in the chunks of a serial port."""
+        """Yield (arrival time, message) of the next epoch, in chunks as read from a serial port."""
         epoch_ns, utc_ms = self.next_epoch_ns, self._next_ms
         self._next_ms = self._after(utc_ms)
         if self.settings.period_ms != self._period_ms:
@@ -89,22 +89,22 @@ class Receiver:
         return Baseline(self._second_antenna_m, antenna.heading + sd * float(self._headings.standard_normal()), sd)
 
     def write(self, data: bytes, now_ns: int) -> Iterator[tuple[int, Message]]:
-        """Yield (arrival, message) of what the receiver answers."""
-        answer = b"".join(self.settings.take(data))
-        if answer:
-            yield from self._send(answer, now_ns + ANSWER_NS, len(answer))
+        """Yield (arrival time, message) of the receiver's responses to written bytes."""
+        response = b"".join(self.settings.feed(data))
+        if response:
+            yield from self._send(response, now_ns + RESPONSE_NS, len(response))
 
     def _after(self, utc_ms: int) -> int:
-        """Time of the first epoch after another: epochs are at whole multiples of their period."""
+        """Time of the first epoch after `utc_ms`: epochs are at whole multiples of their period."""
         return (utc_ms // self.settings.period_ms + 1) * self.settings.period_ms
 
     def _send(self, data: bytes, begin_ns: int, first: int) -> Iterator[tuple[int, Message]]:
-        """Cut bytes into chunks, each of which arrives with its last byte."""
+        """Divide bytes into chunks; each arrives when its last byte has been transmitted."""
         begin_ns = max(begin_ns, self._free_ns)
         position, size = 0, first
         while position < len(data):
             chunk = data[position : position + size]
             position += len(chunk)
             self._free_ns = begin_ns + position * BYTE_NS
-            yield self._free_ns, GnssRaw.unchecked(received_ns=self._free_ns, source=SOURCE, data=chunk)
+            yield self._free_ns, GnssRaw(received_ns=self._free_ns, source=SOURCE, data=chunk)
             size = int(self._chunks.integers(*CHUNK_BYTES))

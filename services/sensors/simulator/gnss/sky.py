@@ -1,4 +1,4 @@
-"""Satellites over a place: where they stand, how strong they are, and the dilution of precision they give."""
+"""Satellites in view of a position: direction, signal strength (C/N0) and dilution of precision."""
 
 from dataclasses import dataclass
 from math import hypot, pi, radians, sqrt
@@ -11,18 +11,18 @@ from shared.maths.earth import EARTH_RATE, GRAVITATIONAL_CONSTANT, Geodetic, ece
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-HORIZON_DEG = 5.0  # below, a receiver does not search
-WEAKEST_DB_HZ = 24.0  # below, a signal is tracked and not used
+HORIZON_DEG = 5.0  # elevation below which satellites are not searched
+WEAKEST_DB_HZ = 24.0  # C/N0 below which a signal is tracked but not used
 UNKNOWN_DOP = 99.99
 
 
 @dataclass(frozen=True)
 class Constellation:
-    """Satellites evenly spread over circular orbits in evenly spread planes."""
+    """Evenly spaced satellites on circular orbits in evenly spaced planes."""
 
     gnss_id: int  # as in UBX messages
     nmea_id: int  # system id of NMEA 4.11
-    nmea_offset: int  # number of the first satellite in NMEA, less one
+    nmea_offset: int  # NMEA number of the first satellite, minus one
     planes: int
     per_plane: int
     inclination_deg: float
@@ -39,7 +39,7 @@ CONSTELLATIONS = {
 
 @dataclass(frozen=True)
 class Dop:
-    """Dilutions of precision [-]."""
+    """Dilution of precision [-]."""
 
     north: float
     east: float
@@ -48,36 +48,36 @@ class Dop:
 
     @property
     def horizontal(self) -> float:
-        """Of north and east."""
+        """Horizontal dilution of precision: north and east."""
         return hypot(self.north, self.east)
 
     @property
     def position(self) -> float:
-        """Of all three axes."""
+        """Position dilution of precision: all three axes."""
         return hypot(self.horizontal, self.vertical)
 
     @property
     def geometric(self) -> float:
-        """Of position and time."""
+        """Geometric dilution of precision: position and time."""
         return hypot(self.position, self.time)
 
 
 @dataclass(frozen=True)
 class Sky:
-    """n satellites above the horizon, nearest to the zenith first within each constellation."""
+    """n satellites above the horizon, by descending elevation within each constellation."""
 
     system: npt.NDArray[np.intp]  # shape (n,) index into the names of the constellations
     number: npt.NDArray[np.intp]  # shape (n,) 1, 2, ... within the constellation
     elevation_deg: FloatArray  # shape (n,)
     azimuth_deg: FloatArray  # shape (n,) 0 to 360
-    cn0_db_hz: FloatArray  # shape (n,) 0 where nothing is received
-    residual_m: FloatArray  # shape (n,) of the pseudorange
+    cn0_db_hz: FloatArray  # shape (n,) 0 without a signal
+    residual_m: FloatArray  # shape (n,) pseudorange residual
     used: BoolArray  # shape (n,)
     dop: Dop
 
 
 class SkyModel:
-    """The satellites of some constellations, as functions of time and place."""
+    """The satellites of given constellations as functions of time and position."""
 
     def __init__(self, names: tuple[str, ...], seed: tuple[int, ...]) -> None:
         rows = [CONSTELLATIONS[name] for name in names]
@@ -96,31 +96,31 @@ class SkyModel:
         self._wave = 2.0 * pi * rng.random((2, len(plane)))
 
     def at(self, time_s: float, place: Geodetic, *, mask_deg: float, loss_db: float, covered: bool) -> Sky:
-        """Look up.
+        """Compute the satellites in view.
 
         Parameters
         ----------
         time_s : float
-            [s] Any time scale; the satellites move with it.
+            [s] Time, in any scale; the satellites move with it.
         place : Geodetic
-            Where the antenna is.
+            Position of the antenna.
         mask_deg : float
-            [deg] Elevation below which walls and trees hide satellites.
+            [deg] Elevation below which obstructions block the signals.
         loss_db : float
-            [dB] How much weaker signals are than under an open sky.
+            [dB] Attenuation relative to open sky.
         covered : bool
-            Whether there is no sky at all.
+            Whether all signals are blocked.
 
         Returns
         -------
         Sky
-            Satellites above the horizon; those that are hidden have no signal.
+            Satellites above the horizon; those that are blocked have no signal.
         """
         distance, elevation, azimuth = self._directions(time_s, place)
         seen = np.flatnonzero(elevation > radians(HORIZON_DEG))
         seen = seen[np.lexsort((-elevation[seen], self._system[seen]))]
         elevation, azimuth = elevation[seen], azimuth[seen]
-        # The antenna gains some 12 dB from the horizon to the zenith; multipath makes slow waves of 1.5 dB.
+        # Antenna gain rises by 12 dB from horizon to zenith; multipath is a slow variation of 1.5 dB.
         waves = np.sin(2.0 * pi * time_s / np.array([[47.0], [13.0]]) + self._wave[:, seen])
         cn0 = 36.0 + 12.0 * np.sin(elevation) - 20.0 * np.log10(distance[seen] / 23e6) + 1.5 * waves[0] - loss_db
         hidden = covered | (elevation < radians(mask_deg))
@@ -153,7 +153,7 @@ class SkyModel:
 
 
 def dilution(elevation: FloatArray, azimuth: FloatArray) -> Dop:
-    """Dilution of precision of the satellites that are used.
+    """Dilution of precision of the used satellites.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def dilution(elevation: FloatArray, azimuth: FloatArray) -> Dop:
     Returns
     -------
     Dop
-        All 99.99 where fewer than four satellites give no position.
+        All 99.99 with fewer than four satellites.
 
     Notes
     -----

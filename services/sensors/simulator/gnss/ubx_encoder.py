@@ -1,4 +1,4 @@
-"""UBX messages of a u-blox receiver of generation 9, encoded.
+"""Encodes UBX messages of a u-blox receiver of generation 9.
 
 Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), sections 3.10 and 3.15.
 """
@@ -111,7 +111,7 @@ def nav_sat(epoch: Epoch) -> bytes:
 
 
 def nav_relposned(epoch: Epoch) -> bytes:
-    """Line from the first antenna to the second, as a moving base; nothing where there is no second."""
+    """Baseline from the first antenna to the second (moving base); empty with a single antenna."""
     line = epoch.baseline
     if line is None:
         return b""
@@ -152,7 +152,7 @@ def _centi(value: float) -> int:
 
 
 def _split(value: float, parts: int) -> tuple[int, int]:
-    """Whole units towards zero and the rest in parts of a unit, as u-blox divides its high-precision numbers."""
+    """Split a number into whole units (truncated) and remainder, as in u-blox high-precision fields."""
     total = round(value)
     whole = int(total / parts)
     return whole, total - whole * parts

@@ -1,1 +1,1 @@
-"""The simulated inertial measurement unit: ideal readings, errors, and the bytes it sends."""
+"""The simulated inertial measurement unit: ideal measurements, errors and output bytes."""

@@ -1,8 +1,8 @@
-"""Ideal inertial sensors of a known motion: the strapdown mechanisation, inverted exactly.
+"""Ideal inertial measurements of a known motion: the exact inverse of the strapdown mechanisation.
 
-With the trajectory's velocities and attitudes given, position follows by the mechanisation's own trapezoidal
-rule, and what a perfect IMU reads follows by solving its equations for the inputs. A mechanisation of the same
-equations that is fed with them gets back to the trajectory, to rounding.
+Velocity and attitude at the nodes are given. Position follows by the trapezoidal rule of the mechanisation, and
+the ideal measurements follow by solving its equations for the inputs. The same mechanisation, applied to these
+measurements, reproduces the trajectory to rounding.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Place:
-    """What the Earth adds along a track of n + 1 nodes."""
+    """Position, gravity and frame rates at the n + 1 nodes of a track."""
 
     position: FloatArray  # shape (n + 1, 3) [rad, rad, m] latitude, longitude, height
     gravity: FloatArray  # shape (n + 1,) [m/s²]
@@ -28,12 +28,12 @@ class Place:
 
 
 def integrate_position(start: Geodetic, velocity_n: FloatArray, step: float) -> Place:
-    """Follow a velocity over the ellipsoid.
+    """Integrate a velocity over the ellipsoid.
 
     Parameters
     ----------
     start : Geodetic
-        [rad, rad, m] Where the first node is.
+        [rad, rad, m] Position of the first node.
     velocity_n : ndarray, shape (n + 1, 3)
         [m/s, NED] Velocity at each node.
     step : float
@@ -42,7 +42,7 @@ def integrate_position(start: Geodetic, velocity_n: FloatArray, step: float) -> 
     Returns
     -------
     Place
-        Position of each node, and gravity and rates there.
+        Position, gravity and frame rates at each node.
 
     Notes
     -----
@@ -81,7 +81,7 @@ def integrate_position(start: Geodetic, velocity_n: FloatArray, step: float) -> 
 
 
 def ideal_rates(place: Place, ned_from_body: FloatArray, step: float) -> FloatArray:
-    """Angular rate that a perfect gyroscope reads, as the mean of each step.
+    """Mean angular rate over each step, as measured by an ideal gyroscope.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def ideal_rates(place: Place, ned_from_body: FloatArray, step: float) -> FloatAr
     Returns
     -------
     ndarray, shape (n, 3)
-        [rad/s, body] Against inertial space.
+        [rad/s, body] Relative to inertial space.
 
     Notes
     -----
@@ -116,7 +116,7 @@ def ideal_rates(place: Place, ned_from_body: FloatArray, step: float) -> FloatAr
 def ideal_forces(
     place: Place, velocity_n: FloatArray, ned_from_body: FloatArray, rate_b: FloatArray, step: float
 ) -> FloatArray:
-    """Specific force that a perfect accelerometer reads, as the mean of each step.
+    """Mean specific force over each step, as measured by an ideal accelerometer.
 
     Parameters
     ----------
@@ -127,14 +127,14 @@ def ideal_forces(
     ned_from_body : ndarray, shape (n + 1, 3, 3)
         Attitude at each node.
     rate_b : ndarray, shape (n, 3)
-        [rad/s, body] What `ideal_rates` returned.
+        [rad/s, body] Result of `ideal_rates`.
     step : float
         [s] Time between nodes.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        [m/s², body] About (0, 0, -9.8) at rest.
+        [m/s², body] About (0, 0, -9.8) at standstill.
 
     Notes
     -----
@@ -179,10 +179,10 @@ def _rotations(vectors: FloatArray) -> FloatArray:
 
 
 def _mean_rotations(vectors: FloatArray) -> FloatArray:
-    """Mean of a turn while it happens: the rotation by a share of it, over all shares."""
+    """Mean of exp(s sk(a)) over s from 0 to 1: the average attitude during a rotation at constant rate."""
     angle2 = (vectors**2).sum(axis=1)
     angle = np.sqrt(angle2)
-    # The closed form of the second factor loses its digits at small angles, where four terms are exact.
+    # At small angles the closed form of the second factor suffers cancellation; four series terms are exact there.
     series = 1.0 / 6.0 - angle2 / 120.0 * (1.0 - angle2 / 42.0 * (1.0 - angle2 / 72.0))
     second = np.where(angle < 0.1, series, (1.0 - np.sinc(angle / np.pi)) / np.maximum(angle2, 1e-9))
     return _rodrigues(vectors, 0.5 * np.sinc(0.5 * angle / np.pi) ** 2, second)
@@ -196,7 +196,7 @@ def _rodrigues(vectors: FloatArray, first: FloatArray, second: FloatArray) -> Fl
 
 
 def _small_rotation_vectors(matrices: FloatArray) -> FloatArray:
-    """Rotation vectors of turns by less than a quarter, shape (n, 3)."""
+    """Rotation vectors [rad], shape (n, 3), of rotations by less than 90 degrees."""
     doubled = np.stack([
         matrices[:, 2, 1] - matrices[:, 1, 2],
         matrices[:, 0, 2] - matrices[:, 2, 0],

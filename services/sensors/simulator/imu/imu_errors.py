@@ -1,7 +1,7 @@
-"""What a MEMS inertial sensor adds to the truth: white noise, a wandering and a turn-on bias, vibration.
+"""Errors of a MEMS inertial sensor: white noise, in-run bias (Gauss-Markov), turn-on bias and vibration.
 
 The Allan variance of the first two is, with N the noise density, B and T standard deviation and correlation
-time of the wandering bias::
+time of the in-run bias::
 
     s²(t) = N²/t + 2 B² T/t (1 - T/(2t) (3 - 4 exp(-t/T) + exp(-2t/T)))
 """
@@ -18,18 +18,18 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 _DEGREE = pi / 180.0
-_BLOCK = 1000  # [steps] over which the recursion is unrolled; longer blocks lose digits
+_BLOCK = 1000  # [steps] over which the recursion is vectorised; longer blocks lose precision
 
 
 @dataclass(frozen=True)
 class SensorGrade:
-    """Errors of one triad, 1 sigma an axis; in rad/s or m/s²."""
+    """Error parameters of one triad, 1 sigma per axis; in rad/s or m/s²."""
 
     density: float  # [unit/sqrt(Hz)] white noise
-    wander: float  # [unit] first-order Gauss-Markov bias
-    wander_time: float  # [s] its correlation time
-    turn_on: float  # [unit] bias that stays from switching on to switching off
-    vibration: float  # [unit] white, in each sample while the vehicle moves
+    in_run_bias: float  # [unit] first-order Gauss-Markov bias
+    in_run_bias_time: float  # [s] its correlation time
+    turn_on: float  # [unit] turn-on bias, constant until power-off
+    vibration: float  # [unit] white noise of each sample while the vehicle moves
 
 
 # Xsens, MTi 600-series datasheet: noise densities and in-run bias stability; turn-on and vibration as in a car.
@@ -40,13 +40,13 @@ MTI_630_ACCELEROMETER = SensorGrade(
 
 
 class SensorErrors:
-    """The errors of one triad, sample by sample; the same for a seed however the samples are cut into blocks."""
+    """The errors of one triad; the result for a seed is independent of the block lengths."""
 
     def __init__(self, grade: SensorGrade, step: float, seed: tuple[int, ...]) -> None:
         self._grade, self._step = grade, step
-        self._noise, self._drift, self._shaking, start = (np.random.default_rng((*seed, i)) for i in range(4))
+        self._noise, self._drift, self._vibration, start = (np.random.default_rng((*seed, i)) for i in range(4))
         self.turn_on: FloatArray = grade.turn_on * start.standard_normal(3)
-        self._wander: FloatArray = grade.wander * start.standard_normal(3)
+        self._in_run_bias: FloatArray = grade.in_run_bias * start.standard_normal(3)
 
     def advance(self, moving: BoolArray) -> FloatArray:
         """Draw the errors of the next samples.
@@ -62,16 +62,16 @@ class SensorErrors:
             [rad/s or m/s²] To be added to the ideal readings, which are means over a step.
         """
         noise = self._noise.standard_normal((len(moving), 3)) * (self._grade.density / sqrt(self._step))
-        shaking = self._shaking.standard_normal((len(moving), 3)) * self._grade.vibration
-        blocks = [self._wander_on(min(_BLOCK, len(moving) - i)) for i in range(0, len(moving), _BLOCK)]
-        errors: FloatArray = self.turn_on + np.concatenate(blocks) + noise + moving[:, np.newaxis] * shaking
+        vibration = self._vibration.standard_normal((len(moving), 3)) * self._grade.vibration
+        blocks = [self._advance_in_run_bias(min(_BLOCK, len(moving) - i)) for i in range(0, len(moving), _BLOCK)]
+        errors: FloatArray = self.turn_on + np.concatenate(blocks) + noise + moving[:, np.newaxis] * vibration
         return errors
 
-    def _wander_on(self, n: int) -> FloatArray:
+    def _advance_in_run_bias(self, n: int) -> FloatArray:
         """Bias of the next n samples: b+ = phi b + sqrt(1 - phi²) B w, exact at any step."""
-        phi = exp(-self._step / self._grade.wander_time)
+        phi = exp(-self._step / self._grade.in_run_bias_time)
         powers = phi ** np.arange(1, n + 1)[:, np.newaxis]
-        driven = self._drift.standard_normal((n, 3)) * (sqrt(1.0 - phi * phi) * self._grade.wander)
-        wander: FloatArray = powers * (self._wander + np.cumsum(driven / powers, axis=0))
-        self._wander = wander[-1]
-        return wander
+        driven = self._drift.standard_normal((n, 3)) * (sqrt(1.0 - phi * phi) * self._grade.in_run_bias)
+        bias: FloatArray = powers * (self._in_run_bias + np.cumsum(driven / powers, axis=0))
+        self._in_run_bias = bias[-1]
+        return bias

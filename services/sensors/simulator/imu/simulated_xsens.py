@@ -1,4 +1,4 @@
-"""The simulated motion tracker: an Xsens MTi-630 that sends MTData2 at 100 Hz."""
+"""The simulated IMU: an Xsens MTi-630 that sends MTData2 at 100 Hz."""
 
 from collections.abc import Iterator
 from math import cos, radians, sin
@@ -18,19 +18,19 @@ from ..vehicle import Readings, Stream
 FloatArray = npt.NDArray[np.float64]
 
 SOURCE = "imu0"
-TICK_NS = 100_000  # of the sample time fine
-FLAT = np.diag([1.0, -1.0, -1.0])  # body (forward, right, down) from a case with x forward, y left, z up
+TICK_NS = 100_000  # resolution of the field SampleTimeFine
+FLAT = np.diag([1.0, -1.0, -1.0])  # body (forward, right, down) from sensor with x forward, y left, z up
 DECLINATION, INCLINATION = radians(4.0), radians(58.5)  # of the magnetic field in central Italy
 FIELD_N = np.array([
     cos(INCLINATION) * cos(DECLINATION), cos(INCLINATION) * sin(DECLINATION), sin(INCLINATION)
-])  # fmt: skip  # [-] where the magnetometer was calibrated, it reads 1
+])  # fmt: skip  # [-] normalised to the field at the place of calibration
 MAGNETIC_SD, HARD_IRON_SD = 0.002, 0.02  # [-]
 PRESSURE_SD_PA = 2.0
 HEALTHY = 0b11  # self-test passed, filter valid
 
 
 class Tracker:
-    """Turns true motion into Xbus bytes."""
+    """Encodes inertial, magnetic and pressure measurements as Xbus bytes."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class Tracker:
         self.body_from_sensor: FloatArray = ned_from_body(roll, pitch, yaw) @ FLAT
 
     def sample(self, readings: Readings, step_ns: int) -> Iterator[tuple[int, Message]]:
-        """Yield (arrival, message) of each sample of a block."""
+        """Yield (arrival time, message) of each sample of a block."""
         motion = readings.motion
         forces = (readings.force_b @ self.body_from_sensor).tolist()
         rates = (readings.rate_b @ self.body_from_sensor).tolist()
@@ -60,7 +60,7 @@ class Tracker:
             sampled_ns = (motion.first + i) * step_ns
             data = self._encode(sampled_ns, force, rate, field, pressure)
             received_ns = self._start_ns + self._delay.arrival_ns(sampled_ns)
-            yield received_ns, ImuRaw.unchecked(received_ns=received_ns, source=SOURCE, data=data)
+            yield received_ns, ImuRaw(received_ns=received_ns, source=SOURCE, data=data)
 
     def _encode(
         self, sampled_ns: int, force: list[float], rate: list[float], field: list[float], pressure: float
@@ -85,7 +85,7 @@ class Tracker:
         return field_b + self._hard_iron + MAGNETIC_SD * self._rng.standard_normal(field_b.shape)
 
     def _pressure(self, motion: Motion) -> FloatArray:
-        """Pressure of the standard atmosphere (ICAO Doc 7488) and of today's weather [Pa]."""
+        """Pressure [Pa]: standard atmosphere (ICAO Doc 7488), a constant weather offset and noise."""
         height = motion.position[1:, 2]
         standard = 101_325.0 * (1.0 - 2.25577e-5 * height) ** 5.25588
         noise: FloatArray = PRESSURE_SD_PA * self._rng.standard_normal(len(height))

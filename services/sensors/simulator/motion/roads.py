@@ -1,7 +1,7 @@
-"""A road as a chain of stretches that closes on itself: where it turns, where it climbs, where one has to stop.
+"""Closed road of consecutive segments with curvature, slope, speed range and stops.
 
-Curvature rises linearly along the first part of a stretch, stays, and falls linearly along the last (clothoid,
-arc, clothoid), so that heading has a continuous derivative; the slope changes in the same manner.
+Curvature rises linearly along the first part of a segment, is constant, and falls linearly along the last part
+(clothoid, arc, clothoid), so that the heading has a continuous derivative; the slope changes in the same manner.
 """
 
 from dataclasses import dataclass
@@ -13,56 +13,56 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-EDGE = 0.25  # [-] part of a bend along which its curvature rises, and again falls
+EDGE = 0.25  # [-] fraction of a bend that each of its two clothoids takes
 _KNOTS = np.array([EDGE, 1.0 - 2.0 * EDGE, EDGE])
-_PEAK = 1.0 / (1.0 - EDGE)  # [-] largest over mean curvature
+_PEAK = 1.0 / (1.0 - EDGE)  # [-] ratio of maximum to mean curvature
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """A piece of road with one speed; ranges are drawn from anew on every lap."""
+class RoadSegment:
+    """A road segment with one speed; speed and stop duration are drawn from their ranges on every lap."""
 
     length_m: float
     speed_m_s: tuple[float, float]
-    turn_deg: float = 0.0  # to the right
-    rise_deg: float = 0.0  # change of the slope from its begin to its end
-    stop_s: tuple[float, float] | None = None  # how long one stands at its end
+    turn_deg: float = 0.0  # change of heading, positive to the right
+    rise_deg: float = 0.0  # change of slope from start to end
+    stop_s: tuple[float, float] | None = None  # duration of the stop at the end
     stop_probability: float = 1.0
-    covered: bool = False  # no sky
+    covered: bool = False  # tunnel: no GNSS signals
 
 
 def bend(
     turn_deg: float, radius_m: float, speed_m_s: tuple[float, float], stop_s: tuple[float, float] | None = None
-) -> Stretch:
-    """Make a bend whose tightest part has the given radius."""
-    return Stretch(abs(turn_deg) * pi / 180.0 * radius_m * _PEAK, speed_m_s, turn_deg, stop_s=stop_s)
+) -> RoadSegment:
+    """Create a bend whose minimum radius is `radius_m`."""
+    return RoadSegment(abs(turn_deg) * pi / 180.0 * radius_m * _PEAK, speed_m_s, turn_deg, stop_s=stop_s)
 
 
 @dataclass(frozen=True)
 class Course:
-    """A loop: where its last stretch ends its first begins again, after a stop."""
+    """A closed course: after a stop at the end of the last segment, the first begins again."""
 
-    stretches: tuple[Stretch, ...]
+    segments: tuple[RoadSegment, ...]
     heading_deg: float = 0.0
     slope_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        last = self.stretches[-1]
+        last = self.segments[-1]
         if last.stop_s is None or last.stop_probability < 1.0:
-            raise ValueError("the last stretch of a course must end in a stop")
+            raise ValueError("the last segment of a course must end in a stop")
 
 
 class Road:
     """Heading and slope of a course at any distance from its start."""
 
     def __init__(self, course: Course) -> None:
-        lengths = np.array([s.length_m for s in course.stretches])
+        lengths = np.array([s.length_m for s in course.segments])
         self.length = float(lengths.sum())
         self._ends = np.cumsum(lengths)
-        self._covered = np.array([s.covered for s in course.stretches])
+        self._covered = np.array([s.covered for s in course.segments])
         self._knots = np.concatenate([[0.0], np.cumsum(np.outer(lengths, _KNOTS))])
-        turns = np.radians([s.turn_deg for s in course.stretches])
-        rises = np.radians([s.rise_deg for s in course.stretches])
+        turns = np.radians([s.turn_deg for s in course.segments])
+        rises = np.radians([s.rise_deg for s in course.segments])
         self._heading = _Bends(self._knots, turns / lengths, np.radians(course.heading_deg))
         self._slope = _Bends(self._knots, rises / lengths, np.radians(course.slope_deg))
 
@@ -72,13 +72,13 @@ class Road:
         Parameters
         ----------
         distance : ndarray, shape (n,)
-            [m] From the start, of any number of laps.
+            [m] Distance from the start, over any number of laps.
 
         Returns
         -------
         tuple of ndarray, each of shape (n,)
-            [rad] Heading, clockwise from north, growing from lap to lap; [rad] slope, upwards positive;
-            [rad/m] derivative of the heading.
+            [rad] Heading, clockwise from north, continuous over laps; [rad] slope, positive upwards;
+            [rad/m] curvature, the derivative of the heading.
         """
         laps, along = np.divmod(distance, self.length)
         index = np.clip(np.searchsorted(self._knots, along, side="right") - 1, 0, len(self._knots) - 2)
@@ -88,18 +88,18 @@ class Road:
         return heading + laps * self._heading.total, slope + laps * self._slope.total, curvature
 
     def covered(self, distance: FloatArray) -> BoolArray:
-        """Whether there is no sky above: ndarray, shape (n,)."""
+        """Whether GNSS signals are blocked: ndarray, shape (n,)."""
         index = np.searchsorted(self._ends, np.mod(distance, self.length), side="right")
         covered: BoolArray = self._covered[np.minimum(index, len(self._ends) - 1)]
         return covered
 
 
 class _Bends:
-    """An angle along the road, from the mean of its derivative in each stretch."""
+    """An angle along the road, computed from its mean derivative in each segment."""
 
     def __init__(self, knots: FloatArray, means: FloatArray, start: float) -> None:
         lengths = np.diff(knots)
-        self._rates = np.zeros((len(means), 3))  # where a stretch begins, and at both ends of its arc
+        self._rates = np.zeros((len(means), 3))  # at the start of a segment, and at both ends of its arc
         self._rates[:, 1:] = _PEAK * means[:, np.newaxis]
         begins = self._rates.ravel()
         ends = np.roll(begins, -1)

@@ -1,4 +1,4 @@
-"""How a driver takes a course: accelerating, holding, braking and standing, with a continuous acceleration.
+"""Speed profile of a course: acceleration, constant speed, braking and standstill, with continuous acceleration.
 
 A change of speed from v0 to v1 within T seconds is, with x = t/T and dv = v1 - v0::
 
@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
-from .roads import Course, Stretch
+from .roads import Course, RoadSegment
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,54 +28,54 @@ class Move:
 
     @property
     def distance(self) -> float:
-        """How far the vehicle gets [m]."""
+        """Distance covered [m]."""
         return 0.5 * (self.begin + self.end) * self.duration
 
 
 def plan_lap(course: Course, acceleration: float, rng: np.random.Generator) -> list[Move]:
-    """Plan one lap from rest to rest.
+    """Plan one lap from standstill to standstill.
 
     Parameters
     ----------
     course : Course
         The road, with its speeds and stops.
     acceleration : float
-        [m/s²] Mean of every change of speed; its peak is half as much again.
+        [m/s²] Mean acceleration of every change of speed; the peak is 1.5 times the mean.
     rng : Generator
-        Draws speeds, which stops are made, and how long they last: three numbers a stretch.
+        Source of the random speeds, stops and stop durations: three numbers per segment.
 
     Returns
     -------
     list of Move
-        They cover the length of the course exactly.
+        Their total distance is exactly the length of the course.
     """
-    draws = rng.random((len(course.stretches), 3))
-    chosen = list(zip(course.stretches, draws.tolist(), strict=True))
+    draws = rng.random((len(course.segments), 3))
+    chosen = list(zip(course.segments, draws.tolist(), strict=True))
     limits = [s.speed_m_s[0] + share * (s.speed_m_s[1] - s.speed_m_s[0]) for s, (share, _, _) in chosen]
-    stands = [_stand(s, chance, share) for s, (_, chance, share) in chosen]
-    joints = [0.0, *(min(pair) for pair in pairwise(limits)), 0.0]
-    for i, stand in enumerate(stands):
-        joints[i + 1] *= stand == 0.0
-    lengths = [stretch.length_m for stretch in course.stretches]
+    stops = [_stop_duration(s, chance, share) for s, (_, chance, share) in chosen]
+    joints = [0.0, *(min(pair) for pair in pairwise(limits)), 0.0]  # speeds at the ends of the segments
+    for i, stop in enumerate(stops):
+        joints[i + 1] *= stop == 0.0
+    lengths = [segment.length_m for segment in course.segments]
     for i, length in reversed(list(enumerate(lengths))):
         joints[i] = min(joints[i], sqrt(joints[i + 1] ** 2 + 2.0 * acceleration * length))
     for i, length in enumerate(lengths):
         joints[i + 1] = min(joints[i + 1], sqrt(joints[i] ** 2 + 2.0 * acceleration * length))
     moves: list[Move] = []
     for i, length in enumerate(lengths):
-        moves += _pass(length, joints[i], joints[i + 1], limits[i], acceleration)
-        moves.append(Move(stands[i], 0.0, 0.0))
+        moves += _segment_moves(length, joints[i], joints[i + 1], limits[i], acceleration)
+        moves.append(Move(stops[i], 0.0, 0.0))
     return [move for move in moves if move.duration > 1e-9]
 
 
-def _stand(stretch: Stretch, chance: float, share: float) -> float:
-    if stretch.stop_s is None or chance >= stretch.stop_probability:
+def _stop_duration(segment: RoadSegment, chance: float, share: float) -> float:
+    if segment.stop_s is None or chance >= segment.stop_probability:
         return 0.0
-    return float(stretch.stop_s[0] + share * (stretch.stop_s[1] - stretch.stop_s[0]))
+    return float(segment.stop_s[0] + share * (segment.stop_s[1] - segment.stop_s[0]))
 
 
-def _pass(length: float, begin: float, end: float, limit: float, acceleration: float) -> Iterator[Move]:
-    """Take one stretch: up to the limit or as near to it as its length allows, and down again."""
+def _segment_moves(length: float, begin: float, end: float, limit: float, acceleration: float) -> Iterator[Move]:
+    """Accelerate to the speed limit, or to the highest speed that the length allows, and brake to the end speed."""
     top = max(begin, end, min(limit, sqrt(0.5 * (begin**2 + end**2) + acceleration * length)))
     up, down = Move((top - begin) / acceleration, begin, top), Move((top - end) / acceleration, top, end)
     yield up
@@ -83,14 +83,14 @@ def _pass(length: float, begin: float, end: float, limit: float, acceleration: f
     yield down
 
 
-class Timetable:
-    """Distance and speed at any time, planned lap by lap for ever; what lies behind is forgotten."""
+class SpeedProfile:
+    """Distance and speed over time, planned lap by lap without end; past moves are discarded."""
 
-    def __init__(self, course: Course, stand: float, acceleration: float, rng: np.random.Generator) -> None:
+    def __init__(self, course: Course, standstill: float, acceleration: float, rng: np.random.Generator) -> None:
         self._course, self._acceleration, self._rng = course, acceleration, rng
-        self._table = np.zeros((0, 5))  # time and distance at its begin, duration, speeds at begin and end
+        self._table = np.zeros((0, 5))  # start time, start distance, duration, start speed, end speed
         self._time = self._distance = 0.0
-        self._append([Move(stand, 0.0, 0.0)])
+        self._append([Move(standstill, 0.0, 0.0)])
 
     def at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance and speed of the vehicle along the road.
@@ -98,12 +98,12 @@ class Timetable:
         Parameters
         ----------
         time : ndarray, shape (n,)
-            [s] Since the start, increasing, and never before the begin of the last call.
+            [s] Time since the start, increasing; not before the first time of the previous call.
 
         Returns
         -------
         tuple of ndarray, each of shape (n,)
-            [m], [m/s]
+            [m] Distance; [m/s] speed.
         """
         while self._time <= time[-1]:
             self._append(plan_lap(self._course, self._acceleration, self._rng))

@@ -21,7 +21,7 @@ def test_a_scenario_that_does_not_exist_is_told_before_anything_is_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OBU_STATE", str(tmp_path))
-    with pytest.raises(UserError, match=r"'moon' is no scenario; try one of parking_lot, urban, .*degraded"):
+    with pytest.raises(UserError, match=r"unknown scenario 'moon'; try one of parking_lot, urban, .*degraded"):
         demo.run(options("moon"))
     assert list(tmp_path.iterdir()) == []
 

@@ -13,12 +13,12 @@ S = 1_000_000_000
 
 
 def speed_at(time_s: float) -> float:
-    """A car that stands, drives, and stands again, never twice alike."""
+    """Speed of a car with standstill at both ends, without periodicity."""
     return max(0.0, 5.0 + 4.0 * np.sin(0.11 * time_s) + 2.0 * np.sin(0.043 * time_s + 1.0)) if time_s > 10.0 else 0.0
 
 
 def fixes(duration_s: float = 120.0, *, with_velocity: bool) -> list[GnssFix]:
-    """Five fixes a second on a way to the north, with noise of RTK."""
+    """Fixes at 5 Hz on a track to the north, with RTK noise."""
     rng, made, north = np.random.default_rng(1), [], 0.0
     for k in range(round(duration_s * 5)):
         time_s = 0.2 * k
@@ -34,7 +34,7 @@ def fixes(duration_s: float = 120.0, *, with_velocity: bool) -> list[GnssFix]:
 
 
 def speeds(offset_s: float, first_s: float, last_s: float) -> list[VehicleSpeed]:
-    """A wheel at 100 Hz whose clock is behind by the offset."""
+    """A wheel speed at 100 Hz with a clock offset."""
     times = np.arange(first_s, last_s, 0.01).tolist()
     stamps = [round((t - offset_s) * S) for t in times]
     return [
@@ -45,7 +45,7 @@ def speeds(offset_s: float, first_s: float, last_s: float) -> list[VehicleSpeed]
 
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize(("offset_s", "first_s", "last_s"), [(-715.13, 0.3, 119.0), (2000.0, 40.0, 180.0)])
-def test_the_clock_of_a_wheel_is_found_by_its_speed(
+def test_the_clock_offset_of_a_wheel_is_estimated_from_its_speed(
     offset_s: float, first_s: float, last_s: float, with_velocity: bool
 ) -> None:
     found = offset_of(speeds(offset_s, first_s, last_s), fixes(with_velocity=with_velocity))
@@ -54,23 +54,23 @@ def test_the_clock_of_a_wheel_is_found_by_its_speed(
     assert found.rms_m_s < (0.02 if with_velocity else 0.1)
 
 
-def test_shifted_speeds_keep_everything_but_their_stamps() -> None:
+def test_shifted_speeds_differ_in_their_stamps_only() -> None:
     before = speeds(5.0, 20.0, 21.0)
     after = shifted(before, 5.0)
     assert [a.sampled_ns - b.sampled_ns for a, b in zip(after, before, strict=True)] == [5 * S] * len(before)
     assert after[0].speed_m_s == before[0].speed_m_s and after[0].received_ns == after[0].sampled_ns
 
 
-def test_a_vehicle_that_stands_all_the_time_tells_no_clock() -> None:
-    with pytest.raises(UserError, match="hardly changes"):
+def test_the_clock_offset_of_a_parked_vehicle_is_not_observable() -> None:
+    with pytest.raises(UserError, match="nearly constant"):
         offset_of(speeds(0.0, 0.0, 9.0), fixes(with_velocity=True))
 
 
-def test_a_turning_wheel_needs_its_radius_and_a_clock_by_speed_needs_fixes() -> None:
+def test_a_rotation_rate_requires_a_wheel_radius_and_clock_by_speed_requires_fixes() -> None:
     wheel = '[speed]\nfile = "w.csv"\ntime = { column = "t" }\ncolumn = "w"\nunit = "deg/s"\n'
-    with pytest.raises(UserError, match="needs `wheel_radius_m`"):
+    with pytest.raises(UserError, match="`wheel_radius_m` is required"):
         parse_mapping('name = "drive"\n' + wheel, "m.toml")
-    with pytest.raises(UserError, match="no unit of a speed"):
+    with pytest.raises(UserError, match="neither a unit of speed"):
         parse_mapping('name = "drive"\n' + wheel.replace("deg/s", "deg"), "m.toml")
-    with pytest.raises(UserError, match=r"needs a \[gnss\] table"):
+    with pytest.raises(UserError, match=r"requires a \[gnss\] table"):
         parse_mapping('name = "drive"\n' + wheel + "wheel_radius_m = 0.3\nclock_by_speed = true\n", "m.toml")

@@ -34,7 +34,7 @@ axes = ["forward", "left", "up"]
 """
 
 
-def test_an_imu_row_becomes_a_sample_in_body_axes_and_si_units() -> None:
+def test_an_imu_row_is_converted_to_body_axes_and_si_units() -> None:
     (sample,) = converted("start_utc_s = 1000.0\n" + IMU, "t,ax,ay,az,gx,gy,gz\n2.0,0.5,0.25,1.0,10,20,30").messages
     assert isinstance(sample, ImuSamples)
     assert sample.specific_force_body_m_s2[0] == pytest.approx(
@@ -45,26 +45,26 @@ def test_an_imu_row_becomes_a_sample_in_body_axes_and_si_units() -> None:
     assert sample.received_ns == 1_002_250_000_000
 
 
-def test_a_fast_imu_travels_in_batches_of_ten_milliseconds() -> None:
+def test_samples_of_a_fast_imu_are_batched_to_10_ms() -> None:
     text = "t,ax,ay,az,gx,gy,gz\n" + "\n".join(f"{k * 0.0025:.4f},0,0,1,0,0,0" for k in range(10))
     messages = converted(IMU, text).messages
     assert [len(m.sampled_ns) for m in messages if isinstance(m, ImuSamples)] == [4, 4, 2]
 
 
-def test_rows_without_numbers_are_counted_by_reason_and_left_out() -> None:
+def test_invalid_rows_are_omitted_and_counted_by_reason() -> None:
     rows = ["0,0,0,1,0,0,0", "1,0,0,nan,0,0,0", "2,0,0,x,0,0,0", "3,0", "4,0,inf,1,0,0,0", *["3.5,0,0,1,0,0,0"] * 2]
     found = converted(IMU, "\n".join(["t,ax,ay,az,gx,gy,gz", *rows]))
-    assert found.rejects == {"not finite": 2, "not a number": 1, "too short": 1, "not later than the row before": 1}
+    assert found.rejects == {"not finite": 2, "not a number": 1, "too short": 1, "not later than the previous row": 1}
     assert found.rows == 7 and len(found.messages) == 2
 
 
-def test_a_column_that_is_not_there_is_named_with_a_hint() -> None:
+def test_a_missing_column_is_named_with_a_suggestion() -> None:
     with pytest.raises(UserError, match=r"imu.csv has no column 'az'; did you mean 'a_z'\?"):
         converted(IMU, "t,ax,ay,a_z,gx,gy,gz\n0,0,0,1,0,0,0")
 
 
 def test_a_file_without_a_row_of_numbers_is_an_error() -> None:
-    with pytest.raises(UserError, match="holds no row of numbers"):
+    with pytest.raises(UserError, match="holds no valid row of numbers"):
         converted(IMU, "t,ax,ay,az,gx,gy,gz\na,b,c,d,e,f,g")
 
 
@@ -85,7 +85,7 @@ satellites_used = "ns"
 HEADER = "t,lat,lon,h,ve,vn,vu,sn,se,su,q,ns\n"
 
 
-def test_a_gnss_row_becomes_a_fix() -> None:
+def test_a_gnss_row_is_converted_to_a_fix() -> None:
     (fix,) = converted(GNSS, HEADER + "1500,494000000,-27000000,250000,3.6,7.2,-1.8,0.01,0.02,0.03,1,17").messages
     assert isinstance(fix, GnssFix)
     assert (fix.sampled_ns, fix.received_ns) == (1_500_000_000, 1_600_000_000)
@@ -97,7 +97,7 @@ def test_a_gnss_row_becomes_a_fix() -> None:
     assert fix.carrier_solution is CarrierSolution.FIXED and fix.differential and fix.satellites_used == 17
 
 
-def test_a_quality_that_the_mapping_does_not_list_is_left_out() -> None:
+def test_rows_of_an_unlisted_quality_are_omitted() -> None:
     row = ",494000000,-27000000,250000,0,0,0,0.01,0.02,0.03,"
     found = converted(GNSS, f"{HEADER}0{row}1,17\n1{row}2,17\n2{row}5,17")
     words = [m.carrier_solution for m in found.messages if isinstance(m, GnssFix)]
@@ -105,10 +105,10 @@ def test_a_quality_that_the_mapping_does_not_list_is_left_out() -> None:
     assert found.rejects == {"quality not listed": 1}
 
 
-def test_a_position_off_the_earth_is_left_out() -> None:
+def test_rows_with_an_invalid_position_are_omitted() -> None:
     row = ",-27000000,250000,0,0,0,0.01,0.02,0.03,1,17"
     found = converted(GNSS, f"{HEADER}0,494000000{row}\n1,944000000{row}")
-    assert found.rejects == {"off the Earth": 1}
+    assert found.rejects == {"invalid position": 1}
 
 
 REPEATED = """
@@ -122,7 +122,7 @@ height = { column = "h", kind = "ellipsoid" }
 """
 
 
-def test_only_rows_with_a_new_position_are_epochs_and_keep_the_time_of_their_row() -> None:
+def test_rows_with_a_changed_position_are_epochs_with_the_time_of_their_row() -> None:
     found = converted(REPEATED, "lat,lon,h\n1,1,5\n1,1,5\n1,2,5\n1,2,6\n2,2,6\n2,2,6")
     assert [m.sampled_ns for m in found.messages if isinstance(m, GnssFix)] == [20_000_000, 40_000_000]
     assert found.rejects == {"unchanged": 4}
@@ -138,14 +138,14 @@ height = { column = "h", kind = "ellipsoid" }
 """
 
 
-def test_the_clock_of_a_device_is_put_onto_that_of_the_arrival_by_its_quickest_row() -> None:
+def test_the_device_clock_is_mapped_to_the_arrival_clock_by_the_row_of_least_latency() -> None:
     found = converted(ARRIVAL, "tow,t,lat,lon,h\n100.0,7.4,1,1,5\n100.1,7.45,1,1,5\n100.2,7.5,1,1,5\n100.3,7.7,1,1,5")
     fixes = [m for m in found.messages if isinstance(m, GnssFix)]
     assert [fix.sampled_ns for fix in fixes] == [7_250_000_000, 7_350_000_000, 7_450_000_000, 7_550_000_000]
     assert [fix.received_ns for fix in fixes] == [7_400_000_000, 7_450_000_000, 7_500_000_000, 7_700_000_000]
 
 
-def test_wheel_speeds_and_vehicle_speed_are_metres_per_second() -> None:
+def test_wheel_and_vehicle_speeds_are_converted_to_metres_per_second() -> None:
     wheels = '[wheels]\nfile = "w.csv"\ntime = { column = "t" }\nunit = "km/h"\nfront_left = "fl"\nrear_right = "rr"\n'
     (found,) = converted(wheels, "t,fl,rr\n0,36,18").messages
     assert isinstance(found, WheelSpeeds)
@@ -157,7 +157,7 @@ def test_wheel_speeds_and_vehicle_speed_are_metres_per_second() -> None:
     assert isinstance(single, VehicleSpeed) and single.speed_m_s == pytest.approx(20.0)
 
 
-def test_a_reference_in_ecef_with_velocity_in_body_axes_becomes_a_true_state() -> None:
+def test_a_reference_with_ecef_position_and_body_velocity_is_converted_to_a_true_state() -> None:
     imu = IMU.replace('"imu.csv"', '"none.csv"')
     truth = """
     [truth]
@@ -194,7 +194,7 @@ axes = ["forward", "right", "down"]
 """
 
 
-def test_increments_become_means_over_the_length_of_their_sample() -> None:
+def test_increments_are_divided_by_the_sample_interval() -> None:
     # 100 Hz; one sample is lost between 0.02 and 0.04 s, and what was measured is then still over 10 ms.
     rows = "\n".join(f"{t},0.02,0,-0.0981,0,0,0.05" for t in ("0.00", "0.01", "0.02", "0.04", "0.05"))
     messages = converted(INCREMENTS, "t,x,y,z,gx,gy,gz\n" + rows).messages
@@ -204,7 +204,7 @@ def test_increments_become_means_over_the_length_of_their_sample() -> None:
     assert rates == [pytest.approx((0.0, 0.0, math.radians(5.0)))] * 5
 
 
-def test_a_mean_times_the_time_between_its_stamps_is_the_increment_again() -> None:
+def test_a_mean_times_its_stamp_interval_is_the_increment() -> None:
     stamps = (0.0, 0.0051, 0.0099, 0.0150)
     rows = "\n".join(f"{t},0,0,{-9.81 * 0.005},0,0,{0.01 * k}" for k, t in enumerate(stamps))
     messages = converted(INCREMENTS, "t,x,y,z,gx,gy,gz\n" + rows).messages
@@ -214,13 +214,13 @@ def test_a_mean_times_the_time_between_its_stamps_is_the_increment_again() -> No
     assert turned == pytest.approx([math.radians(0.01 * k) for k in (1, 2, 3)], rel=1e-12)
 
 
-def test_a_unit_that_leaves_gravity_out_is_refused() -> None:
+def test_a_unit_inconsistent_with_gravity_is_rejected() -> None:
     wrong = INCREMENTS.replace('"m/s"', '"m/s2"')
-    with pytest.raises(UserError, match=r"specific forces of 0\.0981 m/s2 .* check the unit 'm/s2' .* increments: m/s"):
+    with pytest.raises(UserError, match=r"specific force of 0\.0981 m/s2 .* check the unit 'm/s2' .* increments: m/s"):
         converted(wrong, "t,x,y,z,gx,gy,gz\n0,0,0,-0.0981,0,0,0\n0.01,0,0,-0.0981,0,0,0")
 
 
-def test_a_file_of_what_gravity_does_is_turned_round() -> None:
+def test_an_opposite_specific_force_is_negated() -> None:
     up = IMU.replace('unit = "g"', 'unit = "g", opposite = true')
     (sample,) = converted(up, "t,ax,ay,az,gx,gy,gz\n0,0.2,0,-1,0,0,5").messages
     assert isinstance(sample, ImuSamples)
@@ -228,7 +228,7 @@ def test_a_file_of_what_gravity_does_is_turned_round() -> None:
     assert sample.angular_rate_body_rad_s[0][2] == pytest.approx(-math.radians(5.0)), "rates stay as they are"
 
 
-def test_a_receiver_may_tell_ground_speed_and_course_instead_of_a_velocity() -> None:
+def test_ground_speed_and_course_are_accepted_instead_of_a_velocity() -> None:
     mapping = (
         REPEATED
         + """
@@ -242,7 +242,7 @@ vdop = "vd"
     assert isinstance(fix, GnssFix)
     assert fix.velocity_ned_m_s is None and fix.ground_speed_m_s == pytest.approx(10.0)
     assert fix.course_rad == pytest.approx(math.pi / 2) and (fix.hdop, fix.vdop) == (1.5, 2.5)
-    with pytest.raises(UserError, match="says nothing without `course`"):
+    with pytest.raises(UserError, match="`course` must be given together"):
         converted(mapping.replace('course = { column = "c", unit = "deg" }', ""), "lat,lon,h,v\n49,6,0,36")
 
 
@@ -255,7 +255,7 @@ noise_sd_m_s = 0.1
 """
 
 
-def test_a_speed_may_be_made_from_a_reference_and_says_so() -> None:
+def test_a_speed_computed_from_a_reference_is_reported_as_computed() -> None:
     text = "t,vn,ve,vd\n" + "\n".join(f"{0.05 * k:.2f},3,4,0" for k in range(2000))
     found = [m.speed_m_s for m in converted(MADE, text).messages if isinstance(m, VehicleSpeed)]
     assert found == [m.speed_m_s for m in converted(MADE, text).messages if isinstance(m, VehicleSpeed)]
@@ -264,24 +264,24 @@ def test_a_speed_may_be_made_from_a_reference_and_says_so() -> None:
     # Of 2000 values the mean is known to 0.1/sqrt(2000) and the deviation to 0.1/sqrt(4000); four times that.
     assert mean == pytest.approx(5.0, abs=0.009) and sd == pytest.approx(0.1, abs=0.0064)
     (sentence,) = parse_mapping('name = "drive"\n' + MADE, "m.toml").made()
-    assert sentence.startswith("The speed was measured by no sensor: it is that of the reference in reference.csv")
+    assert sentence.startswith("The speed is not measured: it is that of the reference in reference.csv")
 
 
-def test_a_speed_is_either_measured_or_made() -> None:
+def test_a_speed_is_either_measured_or_computed() -> None:
     with pytest.raises(UserError, match="either a `column` or `made_from`"):
         converted(MADE + 'column = "v"\n', "t,v\n0,1")
-    with pytest.raises(UserError, match="what a sensor measured has its own noise"):
+    with pytest.raises(UserError, match="a measured speed has its own noise"):
         converted('[speed]\nfile = "s.csv"\ntime = { column = "t" }\ncolumn = "v"\nnoise_sd_m_s = 0.1', "t,v\n0,1")
 
 
-def test_any_table_may_hold_its_values_until_they_change() -> None:
+def test_only_changes_of_applies_to_every_table() -> None:
     spec = '[speed]\nfile = "s.csv"\ntime = { column = "t" }\ncolumn = "v"\nonly_changes_of = ["v"]'
     found = converted(spec, "t,v\n0,1\n1,1\n2,2\n3,2\n4,3")
     assert [m.speed_m_s for m in found.messages if isinstance(m, VehicleSpeed)] == [2.0, 3.0]
     assert found.rejects == {"unchanged": 3}
 
 
-def test_the_turning_of_a_wheel_is_a_speed() -> None:
+def test_a_wheel_rotation_rate_is_converted_to_a_speed() -> None:
     spec = """[speed]
 file = "w.csv"
 time = { column = "t" }

@@ -25,7 +25,7 @@ def mapping(text: str) -> Mapping:
 @pytest.mark.parametrize(
     "path", sorted((ROOT / "benchmarks" / "recordings" / "mappings").glob("*.toml")), ids=lambda path: path.stem
 )
-def test_every_mapping_of_the_repository_is_valid_and_names_a_vehicle_that_is_there(path: Path) -> None:
+def test_every_mapping_of_the_repository_is_valid_and_its_vehicle_file_exists(path: Path) -> None:
     found = parse_mapping(path.read_text(encoding="utf-8"), str(path))
     assert found.name == path.stem
     assert found.vehicle_file is not None
@@ -39,14 +39,14 @@ def test_every_mapping_of_the_repository_is_valid_and_names_a_vehicle_that_is_th
         (IMU.replace("deg/s", "deg/sec"), "did you mean 'deg/s'"),
         (IMU.replace('time = { column = "t" }', ""), "imu.time is missing"),
         (IMU.replace('column = "t"', 'column = "t", period_s = 0.01'), "time is either"),
-        (IMU.replace('"left"', '"right"'), "no right-handed set"),
+        (IMU.replace('"left"', '"right"'), "not a right-handed set"),
         (IMU + "body_from_sensor = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "either by `axes` or by"),
-        ("", "there is nothing to import"),
+        ("", "nothing to import"),
         (IMU.replace('"left"', '"leftish"'), "imu.axes.1"),
         ("[imu", "not valid TOML"),
     ],
 )
-def test_what_is_wrong_in_a_mapping_is_said_in_one_sentence(wrong: str, sentence: str) -> None:
+def test_a_fault_of_a_mapping_is_reported_in_one_sentence(wrong: str, sentence: str) -> None:
     with pytest.raises(UserError) as raised:
         mapping(wrong)
     text = str(raised.value)
@@ -54,18 +54,18 @@ def test_what_is_wrong_in_a_mapping_is_said_in_one_sentence(wrong: str, sentence
     assert "\n" not in text.removesuffix("\n")
 
 
-def test_a_truth_that_is_promised_must_be_described() -> None:
-    with pytest.raises(UserError, match=r"needs a \[truth\] table"):
+def test_truth_is_recorded_requires_a_truth_table() -> None:
+    with pytest.raises(UserError, match=r"requires a \[truth\] table"):
         mapping('truth_is = "recorded"\n' + IMU)
 
 
-def test_axes_by_name_turn_the_sensor_into_forward_right_down() -> None:
+def test_named_axes_give_the_rotation_to_forward_right_down() -> None:
     imu = mapping(IMU).imu
     assert imu is not None
     np.testing.assert_allclose(imu.matrix() @ [1.0, 2.0, 3.0], [1.0, -2.0, -3.0], atol=1e-12)
 
 
-def test_a_mounting_angle_says_how_the_sensor_sits_in_the_vehicle() -> None:
+def test_a_mounting_angle_rotates_the_sensor_in_the_vehicle() -> None:
     # A sensor that is yawed 10 degrees to the right sees a forward force turned 10 degrees to its left.
     text = IMU.replace('["forward", "left", "up"]', '["forward", "right", "down"]')
     imu = mapping(text + "mounting_rpy_deg = [0.0, 0.0, 10.0]\n").imu
@@ -74,7 +74,7 @@ def test_a_mounting_angle_says_how_the_sensor_sits_in_the_vehicle() -> None:
     np.testing.assert_allclose(imu.matrix() @ [math.cos(angle), -math.sin(angle), 0.0], [1.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_a_matrix_typed_to_three_digits_becomes_a_rotation() -> None:
+def test_a_matrix_of_three_digits_is_orthonormalised() -> None:
     text = IMU.replace('axes = ["forward", "left", "up"]', "")
     matrix = "body_from_sensor = [[0.866, 0.0, 0.5], [0.0, 1.0, 0.0], [-0.5, 0.0, 0.866]]"
     imu = mapping(text + matrix).imu

@@ -9,13 +9,14 @@ from cli.recordings.record import repair
 from shared.bus.bus import Envelope
 from shared.errors import UserError
 from shared.recording import Recording, RecordingWriter
+from tests.support.envelopes import sent_bytes
 
 START_NS = 1_790_000_000_000_000_000
 
 
 def cut_recording(path: Path, lost_bytes: int = 40) -> list[Envelope]:
     messages = [
-        Envelope("mode/state", b'{"k":%d}' % k, {}, START_NS + k, "controller.mode", START_NS, k) for k in range(90)
+        sent_bytes("mode/state", b'{"k":%d}' % k, START_NS + k, "controller.mode", START_NS, k) for k in range(90)
     ]
     writer = RecordingWriter(path, vehicle="car", vehicle_toml="[vehicle]\n", provenance={"device": "x"})
     for k, envelope in enumerate(messages):

@@ -1,27 +1,21 @@
 import pytest
 
 from cli.recordings.replaying import inputs_among, shifted
-from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.vehicle import CanRaw
+from tests.support.envelopes import sent
 
 SECOND = 1_000_000_000
 THEN_NS = 1_600_000_000 * SECOND
 SHIFT_NS = 190_000_000 * SECOND + 123_456_789
 
 
-def sent(message: Message) -> Envelope:
-    payload, properties = codec.encode(message)
-    return Envelope(codec.topic_name(message), payload, properties, THEN_NS, "x", 1, 1)
-
-
 def moved(message: Message) -> Message:
-    payload, properties = shifted(sent(message), SHIFT_NS)
-    return codec.decode(codec.topic_name(message), payload, properties)
+    return shifted(sent(message, THEN_NS), SHIFT_NS)
 
 
 def test_bytes_of_devices_are_played_and_not_what_follows_from_them() -> None:
@@ -92,4 +86,4 @@ def test_the_times_inside_a_candump_log_move_with_it(before: bytes, after: bytes
 
 def test_a_message_that_cannot_be_read_is_refused() -> None:
     with pytest.raises(BadPayload):
-        shifted(Envelope("gnss/fix", b"{", {}, THEN_NS), SHIFT_NS)
+        shifted(Envelope("gnss/fix", b"{", THEN_NS), SHIFT_NS)

@@ -5,15 +5,17 @@ import pytest
 
 from cli.recordings.verify import verify
 from cli.recordings.verifying import Repetition, Verdict
-from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.errors import UserError
 from shared.messages.base import Message, Tick
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.navigation import LastPosition
 from shared.messages.operation import Mode, ModeState, ProcessHealth, ProcessState
 from shared.messages.vehicle import CanRaw, VehicleSpeed
 from shared.recording import RecordingWriter
 from shared.runtime.config import parse_vehicle
 from shared.runtime.live import Journal, Reactor, load_process
+from tests.support.envelopes import sent
 
 SECOND = 1_000_000_000
 START_NS = 1_790_000_000 * SECOND
@@ -55,8 +57,11 @@ class Recorded:
     def input(self, message: Message, producer: str = "sensors.can") -> None:
         self.now_ns += SECOND // 10
         self.say(producer, message)
-        self._journal.add(self.envelopes[-1])
-        self.feed(message)
+        self.consume(self.envelopes[-1])
+
+    def consume(self, envelope: Envelope) -> None:
+        self._journal.add(envelope)
+        self.feed(envelope.decode())
 
     def tick(self) -> None:
         tick = Tick(now_ns=self.now_ns)
@@ -78,12 +83,7 @@ class Recorded:
 
     def say(self, producer: str, message: Message) -> None:
         self._sequences[producer] = self._sequences.get(producer, 0) + 1
-        payload, properties = codec.encode(message)
-        self.envelopes.append(
-            Envelope(
-                codec.topic_name(message), payload, properties, self.now_ns, producer, LIFE, self._sequences[producer]
-            )
-        )
+        self.envelopes.append(sent(message, self.now_ns, producer, LIFE, self._sequences[producer]))
 
     def repeat(self, process: Reactor) -> Repetition:
         """Do the life again from what was recorded."""
@@ -148,9 +148,7 @@ def test_one_changed_byte_is_found_and_shown(topic: str) -> None:
     life = echo_life()
     at = life.index(topic, 7)
     old = life.envelopes[at]
-    life.envelopes[at] = Envelope(
-        old.topic, old.payload[:-3] + b"7" + old.payload[-2:], {}, old.received_ns, old.producer, LIFE, old.sequence
-    )
+    life.envelopes[at] = old._replace(payload=old.payload[:-3] + b"7" + old.payload[-2:])
     repetition = life.repeat(Echo())
 
     assert repetition.verdict is Verdict.DIFFERENT
@@ -298,8 +296,7 @@ def test_a_recording_with_a_changed_word_is_refused(tmp_path: Path, capsys: pyte
     def forge(envelopes: list[Envelope]) -> None:
         k = [n for n, e in enumerate(envelopes) if e.topic == "vehicle/speed"][10]
         old = envelopes[k]
-        payload = old.payload.replace(b'"speed_m_s":', b'"speed_m_s":1')
-        envelopes[k] = Envelope(old.topic, payload, {}, old.received_ns, old.producer, LIFE, old.sequence)
+        envelopes[k] = old._replace(payload=old.payload.replace(b'"speed_m_s":', b'"speed_m_s":1'))
 
     assert verify([can_recording(tmp_path / "a.mcap", forge)], "parsers.can", None) == 1
     captured = capsys.readouterr()
@@ -326,6 +323,30 @@ def test_nothing_compared_is_not_success(tmp_path: Path) -> None:
 
     with pytest.raises(UserError, match="holds no word of a process"):
         verify([can_recording(tmp_path / "a.mcap", only_inputs)], None, None)
+
+
+def test_what_the_broker_keeps_is_found_by_a_life_that_begins_much_later(tmp_path: Path) -> None:
+    """It is consumed at once, and a newer one follows before the journal says so."""
+    process = load_process("core.fusion", parse_vehicle(""))
+    life = Recorded("core.fusion", process)  # type: ignore[arg-type]  # it is one, by its layer
+    kept = LastPosition(
+        sampled_ns=START_NS, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0, yaw_rad=1.0,
+        position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,
+    )  # fmt: skip
+    life.say("controller.mode", kept)
+    (retained,) = life.envelopes
+    for _ in range(100):
+        life.now_ns += SECOND
+        life.say("sensors.can", candump(1))
+    life.consume(retained)
+    life.say("controller.mode", kept)
+    life.input(GnssFix(sampled_ns=life.now_ns, received_ns=life.now_ns, source="g", fix_type=FixType.NONE))
+    life.journal()
+    writer = RecordingWriter(tmp_path / "a.mcap", vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
+    for envelope in life.envelopes:
+        writer.write(envelope)
+    writer.close()
+    assert verify([tmp_path / "a.mcap"], "core.fusion", None) == 0
 
 
 def test_mistakes_of_the_user_are_told_in_one_sentence(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ SOLUTIONS_S = [0.1 * k for k in range(301)]
 TRUTH_S = [0.05 + 0.37 * k for k in range(80)]
 
 
-def test_a_right_solution_has_no_error_between_its_own_instants() -> None:
+def test_an_exact_solution_has_no_error_between_its_stamps() -> None:
     errors = errors_against(reference(TRUTH_S), track(map(solution, SOLUTIONS_S)), lever_arm_b=NOWHERE)
     assert len(errors) == len(TRUTH_S)
     assert errors.position_n is not None and errors.velocity_n is not None and errors.attitude is not None
@@ -24,14 +24,14 @@ def test_a_right_solution_has_no_error_between_its_own_instants() -> None:
     assert np.abs(errors.attitude).max() < 1e-9
 
 
-def test_an_offset_comes_out_as_it_was_put_in() -> None:
+def test_a_constant_offset_is_the_error() -> None:
     made = track(solution(t, error_n=(0.3, -0.2, 0.1)) for t in SOLUTIONS_S)
     errors = errors_against(reference(TRUTH_S), made, lever_arm_b=NOWHERE)
     assert errors.position_n is not None
     np.testing.assert_allclose(errors.position_n, np.tile([0.3, -0.2, 0.1], (len(errors), 1)), atol=2e-3)
 
 
-def test_the_solution_is_moved_to_the_antenna_before_it_is_compared() -> None:
+def test_the_solution_is_transformed_to_the_antenna_before_the_comparison() -> None:
     arm = (1.0, 0.5, -1.2)
     right = errors_against(reference(TRUTH_S, arm_b=arm), track(map(solution, SOLUTIONS_S)), lever_arm_b=arm)
     assert right.position_n is not None and right.velocity_n is not None
@@ -43,7 +43,7 @@ def test_the_solution_is_moved_to_the_antenna_before_it_is_compared() -> None:
     assert np.hypot(*wrong.velocity_n[:, :2].T) == pytest.approx(RATE * math.hypot(1.0, 0.5), abs=2e-3)
 
 
-def test_instants_outside_the_solution_or_in_a_hole_of_it_are_left_out() -> None:
+def test_times_outside_the_solution_or_in_a_gap_are_omitted() -> None:
     made = track(solution(t) for t in SOLUTIONS_S if not 10.0 < t < 13.0)
     times = [-1.0, 0.05, 9.5, 11.0, 12.5, 13.5, 29.5, 31.0]
     errors = errors_against(reference(times), made, lever_arm_b=NOWHERE)
@@ -52,7 +52,7 @@ def test_instants_outside_the_solution_or_in_a_hole_of_it_are_left_out() -> None
     assert len(errors_against(reference(times), track([]), lever_arm_b=NOWHERE)) == 0
 
 
-def test_a_heading_error_is_the_short_way_round() -> None:
+def test_heading_errors_are_wrapped_to_180_degrees() -> None:
     times = [math.pi / RATE + 0.01]  # the truth has just passed south
     truth = reference(times)
     assert truth.attitude is not None
@@ -62,14 +62,14 @@ def test_a_heading_error_is_the_short_way_round() -> None:
     assert errors.attitude[0, 2] == pytest.approx(0.01 + 0.01 * RATE, abs=1e-9)
 
 
-def test_the_spread_of_the_difference_holds_that_of_the_reference() -> None:
+def test_the_standard_deviation_of_the_difference_includes_that_of_the_reference() -> None:
     truth = reference([1.0])
     with_sd = replace(truth, position_sd_n=np.full((1, 3), 0.4))
     errors = errors_against(with_sd, track(solution(t, sd=0.3) for t in SOLUTIONS_S), lever_arm_b=NOWHERE)
     np.testing.assert_allclose(errors.position_sd_n, 0.5)
 
 
-def test_a_velocity_that_is_older_than_its_stamp_is_compared_where_it_was_true() -> None:
+def test_a_delayed_velocity_is_compared_at_its_time_of_validity() -> None:
     times = [5.0 + 0.3 * k for k in range(40)]
     late = 0.125
     truth, older = reference(times), reference([t - late for t in times])

@@ -8,7 +8,7 @@ from cli.solve.report.export import HEADER, KML_POINTS, csv_lines, kml_text
 from tests.support.tracks import START_NS, solution, track
 
 
-def test_the_csv_holds_every_column_and_leaves_unknown_ones_empty() -> None:
+def test_the_csv_has_every_column_with_unknown_values_empty() -> None:
     first = solution(0.0).model_copy(update={"gnss_age_s": None})
     rows = list(csv.DictReader(csv_lines(track([first, solution(0.5)]))))
     assert [tuple(row) for row in rows] == [HEADER, HEADER]
@@ -31,7 +31,7 @@ def test_the_kml_is_xml_with_the_track_in_longitude_latitude_order() -> None:
     assert points[-1][:2] == pytest.approx((solution(2.9).longitude_deg, solution(2.9).latitude_deg), abs=1e-8)
 
 
-def test_a_long_drive_does_not_choke_the_map() -> None:
+def test_the_number_of_points_of_the_kml_is_bounded() -> None:
     made = track([solution(0.0)])
     many = type(made)(made.stamps_ns.repeat(90_001), made.phases * 90_001, made.values.repeat(90_001, axis=0))
     assert kml_text(many, "long").count(",300.00") <= KML_POINTS + 1

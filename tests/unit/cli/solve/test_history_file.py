@@ -1,4 +1,4 @@
-"""The trail on disk gives back what it was given, from the end, and forgets what it is told to forget."""
+"""The history file is a stack on disk: push, cut, and iteration from the newest record."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from services.core.fusion.smoothing.history import Start
 from shared.errors import UserError
 
 
-def stamps(records: history_file.Spool) -> list[int]:
+def stamps(records: history_file.HistoryFile) -> list[int]:
     return [record.time_ns for record in records.newest_first()]
 
 
@@ -18,8 +18,8 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(history_file, "CHUNK", 10)
 
 
-def test_it_gives_everything_back_from_the_end(tmp_path: Path) -> None:
-    with history_file.Spool(tmp_path) as records:
+def test_all_records_are_returned_newest_first(tmp_path: Path) -> None:
+    with history_file.HistoryFile(tmp_path) as records:
         for k in range(57):
             records.push(Start(k))
         assert len(records) == 57
@@ -28,8 +28,8 @@ def test_it_gives_everything_back_from_the_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [57, 51, 42, 41, 40, 13, 1, 0])
-def test_it_forgets_across_what_is_on_disk_and_goes_on(tmp_path: Path, count: int) -> None:
-    with history_file.Spool(tmp_path) as records:
+def test_cut_removes_records_on_disk_and_push_continues(tmp_path: Path, count: int) -> None:
+    with history_file.HistoryFile(tmp_path) as records:
         for k in range(57):
             records.push(Start(k))
         records.cut(count)
@@ -39,13 +39,13 @@ def test_it_forgets_across_what_is_on_disk_and_goes_on(tmp_path: Path, count: in
         assert stamps(records) == [*reversed(range(100, 145)), *reversed(range(count))]
 
 
-def test_it_leaves_no_file_behind(tmp_path: Path) -> None:
-    with history_file.Spool(tmp_path) as records:
+def test_the_temporary_file_is_removed(tmp_path: Path) -> None:
+    with history_file.HistoryFile(tmp_path) as records:
         for k in range(100):
             records.push(Start(k))
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_that_cannot_be_written_is_a_clear_error(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported_with_a_remedy(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="choose another folder with --out"):
-        history_file.Spool(tmp_path / "missing")
+        history_file.HistoryFile(tmp_path / "missing")

@@ -1,16 +1,15 @@
 from cli.solve.inputs import inputs_of
 from shared.bus.bus import Envelope
-from shared.bus.codec import encode, topic_name
 from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import TruthState
+from tests.support.envelopes import sent
 from tests.support.tracks import solution
 
 
 def envelope(message: Message) -> Envelope:
-    payload, properties = encode(message)
-    return Envelope(topic_name(message), payload, properties, getattr(message, "received_ns", 0))
+    return sent(message, getattr(message, "received_ns", 0))
 
 
 def fix(stamp: int) -> GnssFix:
@@ -24,13 +23,13 @@ def samples(stamp: int) -> ImuSamples:
     )  # fmt: skip
 
 
-def test_typed_messages_are_used_in_order_of_arrival_and_old_solutions_are_not() -> None:
+def test_typed_messages_are_used_in_order_of_arrival_without_recorded_solutions() -> None:
     found = inputs_of(map(envelope, [fix(30), samples(10), solution(0.0), samples(20)]))
     assert list(found.messages()) == [samples(10), samples(20), fix(30)]
     assert found.topics == {"gnss/fix": 1, "imu/sample": 2, "navigation/solution": 1}
 
 
-def test_raw_bytes_replace_what_was_made_of_them_one_sensor_at_a_time() -> None:
+def test_raw_bytes_replace_the_derived_messages_of_each_sensor() -> None:
     raw = GnssRaw(received_ns=5, source="gnss", data=b"$")
     found = inputs_of(map(envelope, [raw, fix(30), samples(10)]))
     assert list(found.messages()) == [raw, samples(10)], "the fix is made of the bytes again; the samples have no bytes"
@@ -38,21 +37,20 @@ def test_raw_bytes_replace_what_was_made_of_them_one_sensor_at_a_time() -> None:
     assert [type(message) for message in both.messages()] == [GnssRaw, ImuRaw]
 
 
-def test_bytes_are_ordered_by_their_arrival_at_the_driver_and_not_at_the_recorder() -> None:
+def test_raw_bytes_are_ordered_by_their_arrival_at_the_driver() -> None:
     late = GnssRaw(received_ns=7, source="gnss", data=b"$")
-    payload, properties = encode(late)
-    found = inputs_of([envelope(samples(6)), envelope(samples(8)), Envelope("gnss/raw", payload, properties, 9)])
+    found = inputs_of([envelope(samples(6)), envelope(samples(8)), sent(late, 9)])
     assert list(found.messages()) == [samples(6), late, samples(8)]
 
 
-def test_a_message_that_cannot_be_decoded_is_counted_once_however_often_it_is_read() -> None:
-    found = inputs_of([Envelope("gnss/fix", b"{", {}, 0), envelope(samples(1))])
+def test_an_undecodable_message_is_counted_once() -> None:
+    found = inputs_of([Envelope("gnss/fix", b"{", 0), envelope(samples(1))])
     for _ in range(2):
         assert list(found.messages()) == [samples(1)]
     assert len(found.undecodable) == 1
 
 
-def test_true_states_are_kept_apart() -> None:
+def test_true_states_are_stored_separately() -> None:
     state = TruthState(
         sampled_ns=1, latitude_deg=1.0, longitude_deg=2.0, height_ellipsoid_m=3.0, velocity_ned_m_s=(0.0, 0.0, 0.0),
         roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0, angular_rate_body_rad_s=(0.0, 0.0, 0.0),

@@ -1,4 +1,4 @@
-"""What a Stanford diagram counts, on errors and levels that are made by hand."""
+"""Counts of the Stanford diagram for given errors and protection levels."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -26,7 +26,7 @@ def promised(time_s: float, error: float, level: float | None) -> NavigationSolu
     return made.model_copy(update={"protection_level_horizontal_m": level, "protection_level_vertical_m": level})
 
 
-def test_every_instant_is_in_one_region() -> None:
+def test_every_epoch_is_in_one_region() -> None:
     assert MADE.regions() == {
         Region.NOMINAL: 2,
         Region.UNAVAILABLE: 1,
@@ -36,13 +36,13 @@ def test_every_instant_is_in_one_region() -> None:
     }
 
 
-def test_an_error_as_large_as_its_level_or_its_limit_does_not_mislead() -> None:
+def test_an_error_equal_to_the_level_or_the_limit_is_not_misleading() -> None:
     edge = Protected("vertical", np.array([5.0, 10.0]), np.array([5.0, 10.0]), 10.0)
     assert edge.regions()[Region.NOMINAL] == 2
 
 
-def test_misleading_information_is_counted_and_not_hidden() -> None:
-    """Of 100 s, in 20 s the error is above its level, in 10 s of them above the alert limit as well."""
+def test_misleading_information_is_counted() -> None:
+    """Error above the level for 20 of 100 s, and for 10 of these above the alert limit."""
     rows = [promised(0.1 * k, 12.0 if k < 100 else 3.0 if k < 200 else 1.0, 2.0) for k in range(1001)]
     found = integrity_metrics(
         errors_against(reference(np.arange(0.05, 99.9, 0.1)), track(rows), lever_arm_b=NOWHERE), LIMITS
@@ -58,8 +58,8 @@ def test_misleading_information_is_counted_and_not_hidden() -> None:
     assert set(INTEGRITY) < set(METRICS)
 
 
-def test_a_solution_is_proven_to_mislead_only_beyond_what_the_reference_may_be_off() -> None:
-    """Levels of 2 m, errors of 3 m and of 12 m beside a reference of 1 m."""
+def test_misleading_information_is_proven_only_beyond_the_error_of_the_reference() -> None:
+    """Levels of 2 m, errors of 3 and 12 m, reference sd of 1 m."""
     rows = [promised(0.1 * k, 12.0 if k < 100 else 3.0, 2.0) for k in range(1001)]
     instants = np.arange(0.05, 99.9, 0.1)
     stated = replace(reference(instants), position_sd_n=np.ones((len(instants), 3)))
@@ -70,7 +70,7 @@ def test_a_solution_is_proven_to_mislead_only_beyond_what_the_reference_may_be_o
             assert found[f"protection_{axis}_misleading_proven_fraction"] == pytest.approx(proven, abs=0.002)
 
 
-def test_solutions_without_levels_are_not_judged() -> None:
+def test_solutions_without_protection_levels_have_no_integrity_metrics() -> None:
     rows = [promised(0.1 * k, 1.0, None) for k in range(100)]
     errors = errors_against(reference([1.0, 2.0]), track(rows), lever_arm_b=NOWHERE)
     assert protected(errors, LIMITS) == [] and integrity_metrics(errors, LIMITS) == {}
@@ -88,7 +88,7 @@ def test_the_figure_names_its_regions_and_their_counts() -> None:
 
 
 @pytest.mark.parametrize("limit", [0.01, 1.0, 10.0, 39.9, 1000.0])
-def test_no_count_of_a_region_lies_over_another_or_over_the_diagram(limit: float) -> None:
+def test_the_labels_of_the_regions_overlap_neither_each_other_nor_the_diagram(limit: float) -> None:
     canvas = Figure(figsize=(8.6, 5.6), layout="constrained")
     axes = canvas.subplots()
     draw(axes, replace(MADE, alert_limit_m=limit))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cli.reference import pages
-from cli.solve.metrics.counters import Tally
+from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.drift import drift_lines
 from cli.solve.metrics.errors import Errors, errors_against
 from cli.solve.metrics.metrics import METRICS, TIMINGS, Run, metrics_of
@@ -20,8 +20,8 @@ S = 1_000_000_000
 NOWHERE = (0.0, 0.0, 0.0)
 
 
-def run(made: Track, errors: Errors | None = None, tally: Tally | None = None) -> Run:
-    return Run(made, tally or Tally(), errors, [], START_NS, START_NS + 100 * S, 50, 10)
+def run(made: Track, errors: Errors | None = None, counters: Counters | None = None) -> Run:
+    return Run(made, counters or Counters(), errors, [], START_NS, START_NS + 100 * S, 50, 10)
 
 
 def errors_of(position_n: list[Vector3], *, sd: float = 1.0, period_s: float = 0.25) -> Errors:
@@ -36,7 +36,7 @@ def update(innovation: Vector3, *, used: bool = True) -> AidingUpdate:
     )  # fmt: skip
 
 
-def test_every_metric_is_there_by_its_name_and_unknown_ones_are_none() -> None:
+def test_every_metric_is_present_and_unknown_ones_are_none() -> None:
     found = metrics_of(run(track(map(solution, (0.0, 1.0)))))
     assert list(found) == list(METRICS)
     assert found["horizontal_rmse_m"] is None and found["outage_count"] is None
@@ -45,7 +45,7 @@ def test_every_metric_is_there_by_its_name_and_unknown_ones_are_none() -> None:
     assert not set(METRICS) & set(TIMINGS), "times that the computer took are in no file that is compared"
 
 
-def test_position_errors_are_summed_up_by_the_usual_definitions() -> None:
+def test_position_error_metrics_have_their_standard_definitions() -> None:
     errors = errors_of([(3.0, 4.0, 1.0), (0.0, 0.0, -1.0), (0.0, 5.0, 1.0), (0.0, 0.0, -1.0)])
     found = metrics_of(run(track([solution(0.0)]), errors))
     assert found["horizontal_rmse_m"] == pytest.approx(math.sqrt((25 + 25) / 4), abs=1e-6)
@@ -56,7 +56,7 @@ def test_position_errors_are_summed_up_by_the_usual_definitions() -> None:
     assert found["within_3_sigma_fraction"] == pytest.approx(10 / 12, abs=1e-6)
 
 
-def test_a_mounting_angle_of_the_reference_is_told_apart_from_errors_of_the_heading() -> None:
+def test_the_mean_heading_error_is_separated_from_its_standard_deviation() -> None:
     yaw = math.pi - 0.05 + np.array([0.1, -0.1, 0.1, -0.1])  # wraps past south
     attitude = np.column_stack([np.zeros(4), np.zeros(4), (yaw + math.pi) % (2 * math.pi) - math.pi])
     errors = replace(errors_of([NOWHERE] * 4), attitude=attitude)
@@ -74,29 +74,29 @@ def test_distance_is_that_of_the_path_without_standstill() -> None:
     assert metrics_of(run(track(still)))["distance_m"] == 0.0
 
 
-def test_innovations_of_rejected_fixes_are_counted_and_not_averaged() -> None:
-    tally = Tally()
+def test_rejected_fixes_are_counted_and_excluded_from_the_innovation_rms() -> None:
+    counters = Counters()
     for item in (update((0.3, 0.4, 0.0)), update((-0.3, 0.4, 0.0)), update((30.0, 40.0, 0.0), used=False)):
-        tally.add_update(item)
-    tally.add_update(update((9.0, 9.0, 9.0)).model_copy(update={"kind": AidingKind.ZERO_VELOCITY}))
-    found = metrics_of(run(track([solution(0.0)]), tally=tally))
+        counters.add_update(item)
+    counters.add_update(update((9.0, 9.0, 9.0)).model_copy(update={"kind": AidingKind.ZERO_VELOCITY}))
+    found = metrics_of(run(track([solution(0.0)]), counters=counters))
     assert (found["fixes_used"], found["fixes_rejected"]) == (2, 1)
     assert found["innovation_horizontal_rms_m"] == pytest.approx(0.5)
     assert found["normalised_innovation_rms"] == pytest.approx(math.sqrt(2 * (0.6**2 + 0.8**2) / 6), abs=1e-6)
 
 
-def test_alignment_lasts_from_the_first_input_until_the_filter_navigates_first() -> None:
-    tally = Tally()
+def test_alignment_time_is_from_the_first_input_to_the_first_navigating_state() -> None:
+    counters = Counters()
     for second, word in ((0, "levelling"), (12, "navigating"), (30, "coasting"), (40, "navigating")):
-        tally.add_state(NavigationState(
+        counters.add_state(NavigationState(
             sampled_ns=START_NS + second * S, phase=NavigationPhase(word), since_ns=0, reason="", fixes_used=0,
             fixes_rejected=0, samples_used=0, samples_rejected=0, imu_gaps=0, resets=2,
         ))  # fmt: skip
-    found = metrics_of(run(track([solution(0.0)]), tally=tally))
+    found = metrics_of(run(track([solution(0.0)]), counters=counters))
     assert found["alignment_s"] == 12.0 and found["filter_resets"] == 2
 
 
-def test_an_outage_is_judged_by_its_last_truth_that_nothing_behind_it_has_corrected() -> None:
+def test_the_drift_of_an_outage_is_the_error_at_its_last_uncorrected_truth() -> None:
     # The solution drifts by 1 m/s while GNSS is missing from 20 s to 30 s, and is right again from 30 s on.
     def drifting(t: float) -> Vector3:
         return (max(0.0, t - 20.0) if t < 29.999 else 0.0, 0.0, 0.0)
@@ -121,26 +121,26 @@ def test_an_outage_is_judged_by_its_last_truth_that_nothing_behind_it_has_correc
     assert [float(field) for field in lines[1].split(",")] == pytest.approx([20.0, 30.0, 9.76, 9.76, 97.5], abs=0.02)
 
 
-def test_a_gap_without_a_truth_near_its_end_is_not_judged() -> None:
+def test_a_gap_without_a_truth_near_its_end_is_omitted() -> None:
     errors = errors_of([NOWHERE] * 40, period_s=0.25)  # ends after 10 s
     made = replace(run(track([solution(0.0)]), errors), gaps=[(START_NS + 5 * S, START_NS + 15 * S)])
     found = metrics_of(made)
     assert found["outage_count"] == 0 and found["outage_end_error_median_m"] is None
 
 
-def test_the_page_of_metrics_is_what_the_code_says() -> None:
+def test_the_reference_page_of_metrics_equals_the_code() -> None:
     printed = (REPOSITORY / "docs" / "reference" / "metrics.md").read_text(encoding="utf-8")
     assert printed == pages()["metrics.md"], "print it anew with `make docs`"
 
 
-def test_what_came_before_the_score_is_in_no_mean() -> None:
+def test_errors_before_score_from_are_excluded_from_means() -> None:
     errors = errors_of([(5.0, 0.0, 0.0)] * 20 + [(0.3, 0.4, 0.0)] * 20, period_s=0.25)
     made = run(track([solution(0.0)]), errors)
     assert metrics_of(replace(made, scored_from_ns=START_NS + 5 * S))["horizontal_rmse_m"] == pytest.approx(0.5)
     assert metrics_of(made)["truth_count"] == 40
 
 
-def test_what_came_before_the_score_is_in_no_count_of_misleading_information() -> None:
+def test_errors_before_score_from_are_excluded_from_misleading_information() -> None:
     errors = replace(errors_of([(5.0, 0.0, 0.0)] * 20 + [(0.3, 0.4, 0.0)] * 20, period_s=0.25),
                      protection_m=np.ones((40, 2)))  # fmt: skip
     made = run(track([solution(0.0)]), errors)
@@ -149,7 +149,7 @@ def test_what_came_before_the_score_is_in_no_count_of_misleading_information() -
     assert metrics_of(made)["protection_horizontal_misleading_count"] == 20
 
 
-def test_attitude_is_judged_without_the_mounting_as_well() -> None:
+def test_attitude_errors_are_also_computed_without_the_mounting() -> None:
     times = [0.1 * k for k in range(300)]
     turned = track(solution(t).model_copy(update={"yaw_rad": circle(t)[2] + 0.07}) for t in times)
     found = metrics_of(run(turned, errors_against(reference(times[1:-1]), turned, lever_arm_b=NOWHERE)))

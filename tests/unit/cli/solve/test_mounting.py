@@ -20,13 +20,13 @@ def mounted(angles: np.ndarray) -> np.ndarray:
     )
 
 
-def test_a_constant_mounting_is_found_and_leaves_no_error() -> None:
+def test_a_constant_mounting_is_estimated_and_removed() -> None:
     mounting, errors = without_mounting(mounted(drive()), drive())
     assert mounting == pytest.approx(MOUNTING, abs=1e-12)
     assert np.abs(errors).max() < 1e-12
 
 
-def test_an_error_about_the_vertical_stays_an_error_of_heading() -> None:
+def test_an_error_about_the_vertical_remains_a_heading_error() -> None:
     truth = drive()
     late = truth.copy()
     late[::2, 2] += 0.03
@@ -37,7 +37,7 @@ def test_an_error_about_the_vertical_stays_an_error_of_heading() -> None:
     assert np.abs(errors[:, :2]).max() < 5e-3
 
 
-def test_the_mounting_is_the_mean_rotation_that_scipy_finds() -> None:
+def test_the_mounting_equals_the_mean_rotation_of_scipy() -> None:
     truth, rng = drive(), np.random.default_rng(2)
     solved = mounted(truth) + rng.normal(0.0, 0.05, (500, 3))
     as_rotation = [Rotation.from_matrix([ned_from_body(*a) for a in angles]) for angles in (truth, solved)]

@@ -14,14 +14,14 @@ def fusion(*settings: str) -> Config:
     return with_settings(VEHICLE, settings).section("core.fusion", Config)
 
 
-def test_a_setting_takes_the_place_of_the_vehicles_and_leaves_the_others() -> None:
+def test_a_setting_overrides_that_of_the_vehicle_only() -> None:
     changed = fusion("core.fusion.gnss.lever_arm_body_m=[0.0, 0.5, 0]", "core.fusion.gnss.delay_s = 0.1")
     assert changed.gnss.lever_arm_body_m == (0.0, 0.5, 0.0) and changed.gnss.delay_s == 0.1
     assert not changed.odometer.enabled
     assert fusion().gnss.lever_arm_body_m == (1.0, 2.0, 3.0), "the file itself is as it was"
 
 
-def test_a_setting_without_a_process_is_one_of_the_navigation_filter() -> None:
+def test_a_setting_without_a_process_belongs_to_core_fusion() -> None:
     assert fusion("gnss.delay_s=0.1") == fusion("core.fusion.gnss.delay_s=0.1") != fusion()
     assert fusion("history_s=1.5").history_s == 1.5
 
@@ -30,7 +30,7 @@ def test_a_setting_without_a_process_is_one_of_the_navigation_filter() -> None:
     ("aiding", "odometer", "non_holonomic"),
     [(Aiding.FREE, False, False), (Aiding.NHC, False, True), (Aiding.ODOMETER, True, True)],
 )
-def test_the_aidings_that_filters_are_compared_with(aiding: Aiding, odometer: bool, non_holonomic: bool) -> None:
+def test_aiding_modes_switch_odometer_and_nhc(aiding: Aiding, odometer: bool, non_holonomic: bool) -> None:
     changed = fusion(*SWITCHES[aiding])
     assert (changed.odometer.enabled, changed.non_holonomic.enabled) == (odometer, non_holonomic)
 
@@ -38,21 +38,21 @@ def test_the_aidings_that_filters_are_compared_with(aiding: Aiding, odometer: bo
 @pytest.mark.parametrize(
     ("setting", "sentence"),
     [
-        ("=false", "not understood"),
-        ("core.fusion=false", "not understood"),
-        ("core=false", "not understood"),
-        ("core.fusion.odometer..enabled=false", "not understood"),
-        ("core.fusion.odometer.enabled", "not understood"),
+        ("=false", "is invalid"),
+        ("core.fusion=false", "is invalid"),
+        ("core=false", "is invalid"),
+        ("core.fusion.odometer..enabled=false", "is invalid"),
+        ("core.fusion.odometer.enabled", "is invalid"),
         ("core.fusio.odometer.enabled=false", "did you mean core.fusion?"),
-        ("core.fusion.odometer.enabled=no", "is no value"),
-        ("core.fusion.odometer.enabled=", "is no value"),
+        ("core.fusion.odometer.enabled=no", "is not a value"),
+        ("core.fusion.odometer.enabled=", "is not a value"),
     ],
 )
-def test_what_is_no_setting_is_one_sentence(setting: str, sentence: str) -> None:
+def test_an_invalid_setting_is_reported_in_one_sentence(setting: str, sentence: str) -> None:
     with pytest.raises(UserError, match=sentence):
         with_settings(VEHICLE, [setting])
 
 
-def test_a_setting_that_the_process_does_not_know_is_named() -> None:
+def test_an_unknown_setting_is_named_with_a_suggestion() -> None:
     with pytest.raises(UserError, match=r"has no setting 'odometer\.enable'; did you mean 'odometer\.enabled'"):
         fusion("core.fusion.odometer.enable=false")

@@ -14,7 +14,7 @@ def fix(second: int, carrier: CarrierSolution, height_m: float | None = 300.0) -
     )  # fmt: skip
 
 
-def test_only_fixes_with_integer_ambiguities_are_truth() -> None:
+def test_only_rtk_fixed_positions_are_truth() -> None:
     words = [CarrierSolution.FIXED, CarrierSolution.FLOAT, CarrierSolution.NONE, CarrierSolution.FIXED]
     found = from_fixes([fix(k, word) for k, word in enumerate(words)])
     assert found.stamps_ns.tolist() == [0, 3_000_000_000]
@@ -25,7 +25,7 @@ def test_only_fixes_with_integer_ambiguities_are_truth() -> None:
     assert "not independent" in found.description
 
 
-def test_without_a_fix_of_that_quality_the_user_learns_what_there_is() -> None:
+def test_the_error_without_rtk_fixes_lists_the_recorded_qualities() -> None:
     with pytest.raises(UserError, match="2 float"):
         from_fixes([fix(k, CarrierSolution.FLOAT) for k in range(2)])
     with pytest.raises(UserError, match="no fix at all"):
@@ -34,12 +34,12 @@ def test_without_a_fix_of_that_quality_the_user_learns_what_there_is() -> None:
         from_fixes([fix(0, CarrierSolution.FIXED, height_m=None)])
 
 
-def test_a_recording_without_true_states_is_refused() -> None:
+def test_a_recording_without_true_states_is_rejected() -> None:
     with pytest.raises(UserError, match="--truth fixes"):
         from_states([])
 
 
-def test_a_table_may_know_some_quantities_only_and_trust_may_be_narrower_still() -> None:
+def test_unknown_and_deselected_quantities_of_a_table_are_none() -> None:
     stamps = np.array([0, 1], dtype=np.int64)
     columns = {name: np.zeros(2) for name in ("latitude_deg", "longitude_deg", "height_ellipsoid_m", "yaw_rad")}
     found = from_columns("peer.csv", stamps, columns)
@@ -47,6 +47,6 @@ def test_a_table_may_know_some_quantities_only_and_trust_may_be_narrower_still()
     assert found.only(["velocity", "attitude"]).geodetic is None
 
 
-def test_a_fix_is_as_much_older_than_its_stamp_as_the_vehicle_says() -> None:
+def test_fixes_are_stamped_with_the_configured_delay() -> None:
     found = from_fixes([fix(5, CarrierSolution.FIXED)], delay_s=0.1, velocity_delay_s=0.125)
     assert found.stamps_ns.tolist() == [4_900_000_000] and found.velocity_delay_ns == 125_000_000

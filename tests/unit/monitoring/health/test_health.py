@@ -4,6 +4,7 @@ from services.monitoring.health.process import Config, Process
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.messages.operation import DeadlineReport, Outage, ProcessHealth, ProcessState
+from tests.support.envelopes import sent_bytes
 from tests.support.fake_bus import FakeBus
 
 START_NS = 1_790_000_000_000_000_000
@@ -13,7 +14,7 @@ STEP_NS = 40_000_000
 def heartbeat(call: int, process: str = "core.fusion", payload: bytes | None = None) -> Envelope:
     now_ns = START_NS + (call + 1) * STEP_NS
     health = ProcessHealth(process=process, state=ProcessState.READY, incarnation=1, sent_ns=now_ns)
-    return Envelope(f"health/{process}", payload or codec.encode(health)[0], {}, now_ns, process, 1, call)
+    return sent_bytes(f"health/{process}", payload or codec.encode(health), now_ns, process, 1, call)
 
 
 def test_reports_come_twice_a_second_and_outages_when_they_happen(tmp_path: Path) -> None:
@@ -55,7 +56,7 @@ def test_the_wills_of_all_before_the_connection_ends_are_the_broker_shutting_dow
         bus.connected = call < 50 or call >= 80
         if call == 49:
             wills = [
-                codec.encode(ProcessHealth(process=name, state=ProcessState.LOST, incarnation=1, sent_ns=1))[0]
+                codec.encode(ProcessHealth(process=name, state=ProcessState.LOST, incarnation=1, sent_ns=1))
                 for name in ("core.fusion", "parsers.imu")
             ]
             return [heartbeat(call, "core.fusion", wills[0]), heartbeat(call, "parsers.imu", wills[1])]

@@ -92,7 +92,7 @@ class Unit:
         speaking = [name for name in self.running if name not in self.hanging]
         for process in speaking:
             if self._is_due(f"health/{process}", 2.0):
-                self.watch.take(f"health/{process}", b"{}", {}, producer=process, received_ns=self.now_ns)
+                self.watch.take(f"health/{process}", b"{}", producer=process, received_ns=self.now_ns)
                 self.say_health(process)
         alive: set[str] = set()
         for name, (producer, rate_hz, need) in FLOW.items():
@@ -100,9 +100,8 @@ class Unit:
                 continue
             alive.add(name)
             if self._is_due(name, rate_hz):
-                payload = b'{"sampled_ns":%d}' % (self.now_ns - 3_000_000)
-                properties = {"received_ns": str(self.now_ns - 1_000_000), "source": "a"}
-                self.watch.take(name, payload, properties, producer=producer, received_ns=self.now_ns)
+                payload = b'{"received_ns":%d,"sampled_ns":%d}' % (self.now_ns - 1_000_000, self.now_ns - 3_000_000)
+                self.watch.take(name, payload, producer=producer, received_ns=self.now_ns)
 
     def _is_due(self, what: str, rate_hz: float) -> bool:
         if self.now_ns < self._due.get(what, 0):
@@ -507,8 +506,8 @@ def test_the_will_of_a_former_life_says_nothing_of_this_one(unit: Unit) -> None:
 def test_a_replay_that_ends_is_the_cause_of_the_silence_after_it() -> None:
     unit = Unit(STANDING)
     unit.run(15)
-    unit.watch.take("imu/raw", b"", {}, producer="replay", received_ns=unit.now_ns)
-    unit.watch.take("imu/sample", b"", {}, producer="parsers.imu", received_ns=unit.now_ns)
+    unit.watch.take("imu/raw", b"", producer="replay", received_ns=unit.now_ns)
+    unit.watch.take("imu/sample", b"", producer="parsers.imu", received_ns=unit.now_ns)
 
     assert causes(unit.run(5)) == {"imu/raw": "replay, which published imu/raw, has ended"}
     assert unit.topic("imu/sample").cause == "replay, which published imu/raw, has ended"
@@ -559,8 +558,7 @@ def test_the_stamp_is_found_in_a_message_as_it_is_encoded() -> None:
         angular_rate_body_rad_s=((0.0, 0.0, 0.0),),
     )
     watch = Watch(STANDING, START_NS)
-    payload, _ = codec.encode(samples)
-    watch.take("imu/sample", payload, {}, producer="parsers.imu", received_ns=START_NS + 2_000_000)
+    watch.take("imu/sample", codec.encode(samples), producer="parsers.imu", received_ns=START_NS + 2_000_000)
 
     age = next(age for age in watch.report(START_NS + SECOND).topics if age.topic == "imu/sample")
     assert age.latency_p50_s == pytest.approx(0.002)
@@ -569,7 +567,7 @@ def test_the_stamp_is_found_in_a_message_as_it_is_encoded() -> None:
 def test_a_retained_message_is_as_old_as_its_own_stamp_and_spoils_no_latency() -> None:
     watch = Watch(STANDING, START_NS)
     payload = b'{"sampled_ns":%d}' % (START_NS - 40 * SECOND)
-    watch.take("mode/state", payload, {}, producer="controller.mode", received_ns=START_NS, retained=True)
+    watch.take("mode/state", payload, producer="controller.mode", received_ns=START_NS, retained=True)
     age = next(age for age in watch.report(START_NS).topics if age.topic == "mode/state")
 
     assert age.age_s == pytest.approx(40.0)
@@ -579,10 +577,10 @@ def test_a_retained_message_is_as_old_as_its_own_stamp_and_spoils_no_latency() -
 @pytest.mark.parametrize(
     "feed",
     [
-        lambda watch: watch.take("no/such", b"", {}, producer="x", received_ns=START_NS),
-        lambda watch: watch.take("imu/raw", b"", {"received_ns": "-"}, producer="", received_ns=START_NS),
-        lambda watch: watch.take("imu/raw", b"", {"received_ns": "9" * 99}, producer="x", received_ns=START_NS),
-        lambda watch: watch.take("mode/state", b'{"sampled_ns":1e99}', {}, producer="x", received_ns=START_NS),
+        lambda watch: watch.take("no/such", b"", producer="x", received_ns=START_NS),
+        lambda watch: watch.take("imu/raw", b'{"received_ns":-}', producer="", received_ns=START_NS),
+        lambda watch: watch.take("imu/raw", b'{"received_ns":%s}' % (b"9" * 99), producer="x", received_ns=START_NS),
+        lambda watch: watch.take("mode/state", b'{"sampled_ns":1e99}', producer="x", received_ns=START_NS),
         lambda watch: watch.take_health(
             ProcessHealth(process="x", state=ProcessState.LOST, incarnation=1, sent_ns=1), START_NS
         ),

@@ -10,13 +10,16 @@ ON_A_SMALL_DISK = """
 import os, random, sys
 from pathlib import Path
 from services.monitoring.recorder.process import Config, Process
-from shared.bus.bus import (Envelope)
 from shared.messages.operation import RecordingState
 from shared.recording import Recording
+from tests.support.envelopes import sent_bytes
 from tests.support.fake_bus import FakeBus
 
 disk = Path(sys.argv[1])
 rng = random.Random(1)
+
+def body():
+    return b'{"noise":"%s"}' % rng.randbytes(1300).hex().encode()
 
 def script(call):
     if call == 120:
@@ -24,7 +27,7 @@ def script(call):
     if call == 40:
         room = os.statvfs(disk).f_bavail * 4096
         (disk / "filler").write_bytes(bytes(room - 20_000))
-    return [Envelope("mode/state", rng.randbytes(2000), {}, call, "controller.mode", 1, call)] if call < 250 else None
+    return [sent_bytes("mode/state", body(), call, "controller.mode", 1, call)] if call < 250 else None
 
 bus = FakeBus(disk, script, start_ns=10**18)
 Process(Config(minimum_free_bytes=0)).run(bus.as_bus())

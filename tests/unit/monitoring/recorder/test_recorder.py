@@ -9,6 +9,7 @@ from shared.bus.bus import Envelope
 from shared.messages.operation import RecordingState
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK
+from tests.support.envelopes import sent_bytes
 from tests.support.fake_bus import FakeBus
 
 START_NS = 1_790_000_000_000_000_000
@@ -16,7 +17,7 @@ EASY = Config(minimum_free_bytes=0)
 
 
 def envelope(k: int) -> Envelope:
-    return Envelope("mode/state", b'{"k":%d}' % k, {}, START_NS + k, "controller.mode", 1, k)
+    return sent_bytes("mode/state", b'{"k":%d}' % k, START_NS + k, "controller.mode", 1, k)
 
 
 class Script:

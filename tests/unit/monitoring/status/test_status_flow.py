@@ -107,7 +107,7 @@ def test_a_payload_that_breaks_the_contract_does_not_hide_the_last_good_one() ->
     with pytest.raises(BadPayload):
         world.hear_bytes("gnss/fix", b'{"fix_type": "lost"}', "parsers.gnss")
     with pytest.raises(BadPayload):
-        world.hear_bytes("gnss/raw", b"x", "sensors.gnss", {"received_ns": "yesterday", "source": "gnss0"})
+        world.hear_bytes("gnss/raw", b'{"received_ns":"yesterday","source":"gnss0","data":""}', "sensors.gnss")
     assert flow(world, "gnss/fix").message == fix(world.now_ns)
     assert flow(world, "gnss/fix").count == 1
     assert flow(world, "gnss/raw").freshness(world.now_ns) == "never"
@@ -116,7 +116,7 @@ def test_a_payload_that_breaks_the_contract_does_not_hide_the_last_good_one() ->
 def test_a_fast_message_that_cannot_be_read_is_shown_as_such() -> None:
     world = World()
     world.hear(samples(world.now_ns), "parsers.imu")
-    world.hear_bytes("imu/sample", b"{}", "parsers.imu")
+    world.hear_bytes("imu/sample", b'{"source":"a"}', "parsers.imu")
     shown = reports.topic(flow(world, "imu/sample"), world.now_ns)
     assert shown["message"] is None
     assert "Field required" in str(shown["unreadable"])

@@ -186,7 +186,7 @@ def test_a_process_that_the_vehicle_does_not_have_is_absent_and_no_problem(drivi
 
 def test_a_health_message_in_the_name_of_a_stranger_is_rejected(driving: World) -> None:
     forged = ProcessHealth(process="stranger", state=ProcessState.LOST, incarnation=START_NS, sent_ns=driving.now_ns)
-    payload, _ = encode(forged)
+    payload = encode(forged)
     with pytest.raises(BadPayload):
         driving.hear_bytes("health/core.fusion", payload, "core.fusion")
     driving.pass_time(0.3)

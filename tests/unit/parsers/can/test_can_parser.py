@@ -48,7 +48,7 @@ def dbc(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("identifier", ["7E8", "18DAF110"])
-def test_an_answer_by_obd_is_a_speed_as_old_as_the_delay_says(identifier: str) -> None:
+def test_an_obd_response_gives_a_speed_stamped_with_the_configured_delay(identifier: str) -> None:
     (speed,) = feed(Process(Config(vehicle_speed_delay_s=0.1)), line(f"{identifier}#03410D3200000000", 0.02))
     assert isinstance(speed, VehicleSpeed)
     assert speed.speed_m_s == pytest.approx(50 / 3.6)
@@ -67,10 +67,10 @@ def test_an_answer_by_obd_is_a_speed_as_old_as_the_delay_says(identifier: str) -
         "000007E8#03410D32",  # a 29-bit identifier of the same value
         "7E8#R",
         "7E8##103410D32",
-        "7DF#02010D0000000000",  # the question
+        "7DF#02010D0000000000",  # the request
     ],
 )
-def test_a_frame_that_is_no_answer_is_no_speed_and_no_fault(text: str) -> None:
+def test_other_frames_give_no_speed_and_no_reject(text: str) -> None:
     process = Process(Config())
     assert not feed(process, line(text))
     assert not process.rejects
@@ -91,11 +91,11 @@ def test_j1939_gives_the_wheel_based_and_the_tachograph_speed(text: str, source:
 
 
 @pytest.mark.parametrize("raw", ["FFFF", "00FE", "00FB"])
-def test_a_speed_that_j1939_calls_not_available_is_missing(raw: str) -> None:
+def test_a_j1939_speed_marked_not_available_is_omitted(raw: str) -> None:
     assert not feed(Process(Config()), line(f"18FEF100#F7{raw}0FFFFFFFFF"))
 
 
-def test_wheel_speeds_come_as_the_dbc_file_says_in_m_s(dbc: Path) -> None:
+def test_wheel_speeds_are_decoded_by_the_dbc_file_to_m_s(dbc: Path) -> None:
     process = Process(Config(dbc_file=dbc, wheel_speed_signals=WHEELS, wheel_speed_delay_s=0.01))
     front, rear = feed(process, line("0D4#E803D007B80B2800") + line("18FEF2FE#E803", 0.001))
     assert isinstance(front, WheelSpeeds)
@@ -108,13 +108,13 @@ def test_wheel_speeds_come_as_the_dbc_file_says_in_m_s(dbc: Path) -> None:
     assert (front.sampled_ns, front.source) == (START_NS - NS // 100, "can0")
 
 
-def test_wheel_speeds_are_thinned_out_to_the_period_that_was_asked_for(dbc: Path) -> None:
+def test_wheel_speeds_are_decimated_to_the_configured_period(dbc: Path) -> None:
     process = Process(Config(dbc_file=dbc, wheel_speed_signals=WHEELS, wheel_speed_period_s=0.1))
     found = [m for k in range(200) for m in feed(process, line("0D4#E803D007B80B2800", k * 0.01), k * 0.01)]
     assert len(found) == pytest.approx(20, abs=3)
 
 
-def test_one_bad_wheel_does_not_lose_the_others(dbc: Path) -> None:
+def test_an_invalid_wheel_speed_is_omitted_and_the_others_are_published(dbc: Path) -> None:
     process = Process(Config(dbc_file=dbc, wheel_speed_signals=WHEELS))
     (speeds,) = feed(process, line("0D4#FFFFD007B80B2800"))  # 655.35 km/h
     assert isinstance(speeds, WheelSpeeds)
@@ -129,11 +129,11 @@ def test_one_bad_wheel_does_not_lose_the_others(dbc: Path) -> None:
     [
         (WheelSignals(front_left="XX"), DBC, "there is no signal 'XX'; the file has FL, FR"),
         (WheelSignals(front_left="TEMPERATURE"), DBC, "has the unit 'degC'"),
-        (WheelSignals(front_left="FL"), "this is no DBC file", "no DBC file"),
+        (WheelSignals(front_left="FL"), "this is no DBC file", "not a DBC file"),
         (WheelSignals(), DBC, "name the signal of each wheel"),
     ],
 )
-def test_a_wrong_database_is_explained_at_the_start(
+def test_an_invalid_dbc_file_is_reported_at_the_start(
     signals: WheelSignals, text: str, reason: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "car.dbc"
@@ -142,26 +142,26 @@ def test_a_wrong_database_is_explained_at_the_start(
         Process(Config(dbc_file=path, wheel_speed_signals=signals))
 
 
-def test_a_database_that_is_not_there_is_explained_at_the_start() -> None:
+def test_a_missing_dbc_file_is_reported_at_the_start() -> None:
     with pytest.raises(UserError, match=r"nowhere\.dbc.*No such file"):
         Process(Config(dbc_file=Path("nowhere.dbc"), wheel_speed_signals=WHEELS))
 
 
-def test_stamps_of_lines_count_unless_they_contradict_those_of_their_batch() -> None:
+def test_the_stamp_of_a_line_is_used_if_it_is_consistent_with_its_batch() -> None:
     process = Process(Config(vehicle_speed_delay_s=0.0))
     messages = feed(process, b"(12.5) can0 7E8#03410D32\n" + line("7E8#03410D32", 0.01) + line("7E8#03410D32", 9.0))
     assert [message.received_ns - START_NS for message in messages] == [NS // 20, NS // 100, NS // 20]
     assert process.rejects == {"line_stamp": 2}
 
 
-def test_lines_may_be_cut_anywhere() -> None:
+def test_lines_are_parsed_from_chunks_of_any_size() -> None:
     process = Process(Config())
     data = line("7E8#03410D32") * 3
     assert sum(len(feed(process, data[i : i + 7])) for i in range(0, len(data), 7)) == 3
     assert not process.rejects
 
 
-def test_rubbish_is_counted_and_costs_one_line() -> None:
+def test_an_invalid_line_is_counted_and_the_next_one_is_parsed() -> None:
     process = Process(Config())
     messages = feed(process, b"rubbish\n(1.0) can0 7E8#123\n" + line("7E8#03410D32") + b"\xff" * 1000 + b"\n")
     assert len(messages) == 1
@@ -170,7 +170,7 @@ def test_rubbish_is_counted_and_costs_one_line() -> None:
     assert len(process._readers["can0"]._rest) == 0
 
 
-def test_other_messages_are_not_for_this_process_and_too_many_sources_are_refused() -> None:
+def test_other_messages_are_ignored_and_excess_sources_are_rejected() -> None:
     process = Process(Config())
     assert not list(process.handle(ImuRaw(received_ns=1, source="x", data=b"")))
     for k in range(10):
@@ -180,7 +180,7 @@ def test_other_messages_are_not_for_this_process_and_too_many_sources_are_refuse
 
 @given(st.lists(st.one_of(st.binary(max_size=60), st.text(max_size=60).map(str.encode), st.just(line("7E8#03410D00"))),
                 max_size=8), st.integers(1, 100))  # fmt: skip
-def test_nothing_raises_and_the_line_after_the_noise_is_read(parts: list[bytes], size: int) -> None:
+def test_a_valid_line_after_invalid_bytes_is_parsed(parts: list[bytes], size: int) -> None:
     process, stream = Process(Config()), b"".join(parts)
     for i in range(0, len(stream), size):
         feed(process, stream[i : i + size])
@@ -190,7 +190,7 @@ def test_nothing_raises_and_the_line_after_the_noise_is_read(parts: list[bytes],
 
 
 @given(st.integers(0, 2**29 - 1), st.booleans(), st.binary(max_size=8))
-def test_any_frame_is_read_back_and_never_raises(identifier: int, extended: bool, data: bytes) -> None:
+def test_any_frame_is_parsed_without_error(identifier: int, extended: bool, data: bytes) -> None:
     identifier &= 0x1FFFFFFF if extended else 0x7FF
     name = f"{identifier:08X}" if extended else f"{identifier:03X}"
     frame = parse_line(line(f"{name}#{data.hex().upper()}").strip())
@@ -202,7 +202,7 @@ def test_any_frame_is_read_back_and_never_raises(identifier: int, extended: bool
 
 
 @pytest.mark.recording
-def test_recorded_obd_speeds_are_those_of_the_recordings_own_decode() -> None:
+def test_recorded_obd_speeds_equal_the_decoded_speeds_of_the_recording() -> None:
     folder = recording("canedge_obd_gnss") / "drive164"
     process, found = Process(Config(vehicle_speed_delay_s=0.0)), []
     with (folder / "candump.log").open("rb") as file:
@@ -221,7 +221,7 @@ def test_recorded_obd_speeds_are_those_of_the_recordings_own_decode() -> None:
 
 
 @pytest.mark.recording
-def test_recorded_wheel_speeds_are_those_that_cantools_and_python_can_read() -> None:
+def test_recorded_wheel_speeds_equal_those_decoded_by_cantools_and_python_can() -> None:
     folder = recording("can_toyobaru_wheelspeed")
     names = {"front_left": "WS_FL", "front_right": "WS_FR", "rear_left": "WS_RL", "rear_right": "WS_RR"}
     process = Process(
@@ -249,7 +249,7 @@ def test_recorded_wheel_speeds_are_those_that_cantools_and_python_can_read() -> 
 
 
 @pytest.mark.recording
-def test_a_parked_truck_stands_still_by_wheels_and_by_tachograph() -> None:
+def test_a_parked_truck_has_zero_wheel_and_tachograph_speed() -> None:
     path = recording("j1939_truck_can") / "truck_gb_tco1_gnss_stationary.log"
     process, found, reader = Process(Config()), Counter[tuple[str, float]](), LineReader(Counter())
     for text in path.read_bytes().splitlines(keepends=True):

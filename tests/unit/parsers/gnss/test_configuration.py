@@ -14,7 +14,7 @@ from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite
 
 NS = 1_000_000_000
-ASKED = GnssConfigure(request_id=7, source="gnss0", navigation_period_s=0.2, messages=("NAV-PVT", "NAV-COV"))
+REQUEST = GnssConfigure(request_id=7, source="gnss0", navigation_period_s=0.2, messages=("NAV-PVT", "NAV-COV"))
 GRANTED = {
     "CFG_RATE_MEAS": 200, "CFG_RATE_NAV": 1,
     "CFG_MSGOUT_UBX_NAV_PVT_UART1": 1, "CFG_MSGOUT_UBX_NAV_PVT_USB": 1,
@@ -23,11 +23,11 @@ GRANTED = {
 MANY = sorted(key[19:-4] for key in UBX_CONFIG_DATABASE if re.fullmatch("CFG_MSGOUT_UBX_NAV_[A-Z]+_USB", key))
 
 
-def ask(process: Process, request: GnssConfigure = ASKED) -> list[Message]:
+def send_request(process: Process, request: GnssConfigure = REQUEST) -> list[Message]:
     return list(process.handle(request))
 
 
-def say(process: Process, data: bytes) -> list[Message]:
+def feed(process: Process, data: bytes) -> list[Message]:
     return list(process.handle(GnssRaw(received_ns=NS, source="gnss0", data=data)))
 
 
@@ -37,12 +37,12 @@ def acknowledge(message_id: int, *, good: bool = True) -> bytes:
 
 
 def values(**changes: int) -> bytes:
-    """The answer to UBX-CFG-VALGET, encoded by pyubx2: its payload is that of VALSET with another first byte."""
+    """The response to UBX-CFG-VALGET, encoded by pyubx2: its payload is that of VALSET with another first byte."""
     payload = bytes(UBXMessage.config_set(0, 0, list({**GRANTED, **changes}.items())).payload)
     return bytes(UBXMessage("CFG", "CFG-VALGET", 0, payload=b"\x01" + payload[1:]).serialize())
 
 
-def answer(messages: list[Message]) -> GnssConfiguration:
+def result_of(messages: list[Message]) -> GnssConfiguration:
     (message,) = messages
     assert isinstance(message, GnssConfiguration)
     return message
@@ -57,8 +57,8 @@ def command(message_id: int, payload: bytes) -> bytes:
     return UBX_SYNC + body + ubx_checksum(body)
 
 
-def test_a_request_becomes_valset_and_a_poll_as_the_interface_description_has_them() -> None:
-    setting, poll = ask(Process(Config()))
+def test_a_request_is_encoded_as_valset_and_valget_of_the_interface_description() -> None:
+    setting, poll = send_request(Process(Config()))
     assert isinstance(setting, GnssWrite)
     assert isinstance(poll, GnssWrite)
     items = struct.pack(
@@ -69,19 +69,19 @@ def test_a_request_becomes_valset_and_a_poll_as_the_interface_description_has_th
     assert (setting.source, poll.source) == ("gnss0", "gnss0")
 
 
-def test_what_was_read_back_is_what_is_reported() -> None:
+def test_the_values_read_back_are_reported() -> None:
     process = Process(Config())
-    ask(process)
-    assert not say(process, acknowledge(0x8A))
-    result = answer(say(process, values() + acknowledge(0x8B)))
+    send_request(process)
+    assert not feed(process, acknowledge(0x8A))
+    result = result_of(feed(process, values() + acknowledge(0x8B)))
     assert (result.request_id, result.accepted, result.reason) == (7, True, None)
     assert (result.navigation_period_s, result.messages) == (0.2, ("NAV-PVT", "NAV-COV"))
 
 
-def test_one_port_is_enough() -> None:
+def test_a_message_enabled_on_one_port_is_accepted() -> None:
     process = Process(Config())
-    ask(process)
-    assert answer(say(process, values(CFG_MSGOUT_UBX_NAV_COV_UART1=0))).accepted
+    send_request(process)
+    assert result_of(feed(process, values(CFG_MSGOUT_UBX_NAV_COV_UART1=0))).accepted
 
 
 @pytest.mark.parametrize(
@@ -92,38 +92,38 @@ def test_one_port_is_enough() -> None:
         ({"CFG_MSGOUT_UBX_NAV_COV_UART1": 0, "CFG_MSGOUT_UBX_NAV_COV_USB": 0}, "does not send NAV-COV"),
     ],
 )
-def test_a_setting_that_did_not_take_effect_is_not_accepted(changes: dict[str, int], reason: str) -> None:
+def test_a_value_that_differs_when_read_back_is_not_accepted(changes: dict[str, int], reason: str) -> None:
     process = Process(Config())
-    ask(process)
-    result = answer(say(process, values(**changes)))
+    send_request(process)
+    result = result_of(feed(process, values(**changes)))
     assert not result.accepted
     assert reason in (result.reason or "")
 
 
-def test_a_refusal_is_reported_with_what_is_in_force() -> None:
+def test_a_rejected_valset_is_reported_with_the_current_values() -> None:
     process = Process(Config())
-    ask(process)
-    say(process, acknowledge(0x8A, good=False))
-    result = answer(say(process, values(CFG_RATE_MEAS=1000)))
+    send_request(process)
+    feed(process, acknowledge(0x8A, good=False))
+    result = result_of(feed(process, values(CFG_RATE_MEAS=1000)))
     assert not result.accepted
-    assert "refused UBX-CFG-VALSET" in (result.reason or "")
+    assert "rejected UBX-CFG-VALSET" in (result.reason or "")
     assert result.navigation_period_s == 1.0
 
 
-def test_a_receiver_that_is_too_old_says_so() -> None:
+def test_a_rejected_valget_is_reported_as_an_unsupported_receiver() -> None:
     process = Process(Config())
-    ask(process)
-    result = answer(say(process, acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)))
+    send_request(process)
+    result = result_of(feed(process, acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)))
     assert "older than generation 9" in (result.reason or "")
 
 
-def test_a_receiver_that_does_not_answer_is_given_up_after_three_seconds() -> None:
+def test_a_request_without_a_response_ends_after_3_s() -> None:
     process = Process(Config())
-    ask(process)
+    send_request(process)
     assert [list(process.handle(Tick(now_ns=k * NS))) for k in range(2)] == [[], []]
-    result = answer(list(process.handle(Tick(now_ns=3 * NS))))
-    assert "check that its receiving line is connected" in (result.reason or "")
-    assert not say(process, values())  # an answer that comes too late
+    result = result_of(list(process.handle(Tick(now_ns=3 * NS))))
+    assert "check that its RX line is connected" in (result.reason or "")
+    assert not feed(process, values())  # a response after the timeout
 
 
 @pytest.mark.parametrize(
@@ -134,17 +134,17 @@ def test_a_receiver_that_does_not_answer_is_given_up_after_three_seconds() -> No
         ({"messages": tuple(f"NAV-{name}" for name in MANY)}, "too many"),
     ],
 )  # fmt: skip
-def test_a_request_that_cannot_be_is_refused_at_once(change: dict[str, object], reason: str) -> None:
-    result = answer(ask(Process(Config()), ASKED.model_copy(update=change)))
+def test_an_invalid_request_is_rejected_at_once(change: dict[str, object], reason: str) -> None:
+    result = result_of(send_request(Process(Config()), REQUEST.model_copy(update=change)))
     assert not result.accepted
     assert reason in (result.reason or "")
 
 
-def test_answers_of_nobodys_asking_are_ignored() -> None:
-    assert not say(Process(Config()), acknowledge(0x8A) + values() + acknowledge(0x8B, good=False))
+def test_unsolicited_responses_are_ignored() -> None:
+    assert not feed(Process(Config()), acknowledge(0x8A) + values() + acknowledge(0x8B, good=False))
 
 
-def test_values_of_every_size_are_read() -> None:
+def test_values_of_every_size_are_decoded() -> None:
     items: list[tuple[int | str, object]] = [
         ("CFG_RATE_MEAS", 500),
         ("CFG_UART1_BAUDRATE", 115200),
@@ -155,9 +155,9 @@ def test_values_of_every_size_are_read() -> None:
 
 
 @given(st.binary(max_size=80))
-def test_any_answer_is_read_as_far_as_it_goes(payload: bytes) -> None:
+def test_any_response_is_decoded_without_error(payload: bytes) -> None:
     process = Process(Config())
-    ask(process)
+    send_request(process)
     read_values(payload)
     body = bytes((6, 0x8B)) + len(payload).to_bytes(2, "little") + payload
-    say(process, UBX_SYNC + body + ubx_checksum(body))
+    feed(process, UBX_SYNC + body + ubx_checksum(body))

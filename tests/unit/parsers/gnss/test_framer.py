@@ -27,34 +27,34 @@ def test_chunks_of_any_size_give_the_same_frames(size: int) -> None:
     assert frames((UBX + NMEA) * 5, size) == ([UBX, NMEA] * 5, Counter())
 
 
-def test_garbage_between_frames_is_counted_and_costs_nothing_else() -> None:
+def test_invalid_bytes_between_frames_are_counted_and_all_frames_are_found() -> None:
     found, rejects = frames(b"\x00\xff" + UBX + b"noise" + NMEA + b"\x01" + UBX)
     assert found == [UBX, NMEA, UBX]
     assert rejects == {"garbage_bytes": 8}
 
 
-def test_a_wrong_checksum_costs_its_own_frame_only() -> None:
+def test_a_wrong_checksum_invalidates_its_own_frame_only() -> None:
     bad = UBX[:-1] + bytes([UBX[-1] ^ 1])
     found, rejects = frames(UBX + bad + NMEA.replace(b"*7E", b"*7F") + UBX)
     assert found == [UBX, UBX]
     assert rejects["ubx_checksum"] == rejects["nmea_checksum"] == 1
 
 
-def test_a_damaged_length_neither_swallows_nor_delays_the_frames_that_follow() -> None:
+def test_frames_after_a_corrupted_length_are_found_without_delay() -> None:
     framer = Framer()
     damaged = UBX[:4] + struct.pack("<H", 4000) + UBX[6:]
     assert [frame.data for frame in framer.feed(damaged + NMEA + UBX)] == [NMEA, UBX]
     assert framer.rejects["cut_frame"] == 1
 
 
-def test_a_frame_that_was_cut_off_does_not_take_the_next_one_with_it() -> None:
+def test_the_frame_after_a_truncated_one_is_found() -> None:
     for cut in range(1, len(UBX)):
         assert frames(UBX[:cut] + UBX + NMEA)[0] == [UBX, NMEA]
     for cut in range(1, len(NMEA) - 2):
         assert frames(NMEA[:cut] + NMEA + UBX)[0] == [NMEA, UBX]
 
 
-def test_rtcm_is_a_frame_and_not_garbage() -> None:
+def test_rtcm_messages_are_frames() -> None:
     # Example of RTCM 10403.3, section 4.2: message 1005 with its parity
     rtcm = bytes.fromhex("D300133ED7D30202980EDEEF34B4BD62AC0941986F33360B98")
     assert crc24q(rtcm) == 0
@@ -63,13 +63,13 @@ def test_rtcm_is_a_frame_and_not_garbage() -> None:
     assert not framer.rejects
 
 
-def test_the_checksum_is_the_one_that_pyubx2_computes() -> None:
+def test_the_checksum_equals_that_of_pyubx2() -> None:
     for size in (0, 1, 4, 300, 2000):
         data = bytes(i * 7 & 0xFF for i in range(size))
         assert ubx_checksum(data) == (calc_checksum(data) if size else b"\0\0")
 
 
-def test_the_buffer_stays_bounded_whatever_arrives() -> None:
+def test_the_buffer_is_bounded_for_any_input() -> None:
     framer = Framer()
     for filler in (b"\xb5\x62\x01\x07\x00\x10", b"$" * 10, b"\xd3\x03\xff", b"\xb5", b"$GNRMC,"):
         for _ in range(400):
@@ -78,16 +78,14 @@ def test_the_buffer_stays_bounded_whatever_arrives() -> None:
 
 
 @given(st.lists(st.tuples(st.binary(max_size=60), st.sampled_from(GOOD)), max_size=6), st.integers(1, 200))
-def test_noise_never_raises_and_every_frame_after_it_is_found_at_once(
-    parts: list[tuple[bytes, bytes]], size: int
-) -> None:
+def test_every_frame_after_random_bytes_is_found_without_delay(parts: list[tuple[bytes, bytes]], size: int) -> None:
     stream = b"".join(noise + frame for noise, frame in parts)
     found = frames(stream, size)[0]
     assert [frame for frame in found if frame in GOOD] == [frame for _, frame in parts]
 
 
 @given(st.binary(max_size=600))
-def test_any_bytes_are_framed_or_counted(data: bytes) -> None:
+def test_all_bytes_are_framed_or_counted(data: bytes) -> None:
     framer = Framer()
     taken = sum(len(frame.data) for frame in framer.feed(data))
     assert taken + framer.rejects["garbage_bytes"] + len(framer._buffer) == len(data)

@@ -29,7 +29,7 @@ def ubx(kind: str, itow_ms: int, **fields: Any) -> bytes:
 
 
 def pvt(second: int = 0, **fields: Any) -> bytes:
-    """A good fix at the given second of 2026."""
+    """A valid fix at the given second of 2026."""
     values: dict[str, Any] = {
         "year": 2026, "month": 1, "day": 1, "hour": 0, "min": 0, "second": second, "validDate": 1, "validTime": 1,
         "fullyResolved": 1, "fixType": 3, "gnssFixOk": 1, "numSV": 12, "lat": 42.5, "lon": 13.25, "height": 700_000,
@@ -79,7 +79,7 @@ def only_fix(data: bytes) -> GnssFix:
     return fix
 
 
-def test_an_epoch_is_one_fix_with_everything_that_its_messages_say() -> None:
+def test_an_epoch_gives_one_fix_with_the_values_of_all_its_messages() -> None:
     fix = only_fix(pvt() + dop() + cov() + eoe())
     assert (fix.fix_type, fix.satellites_used, fix.source) == (FixType.THREE_D, 12, "gnss0")
     assert (fix.latitude_deg, fix.longitude_deg) == pytest.approx((42.5, 13.25), abs=1e-12)
@@ -94,14 +94,14 @@ def test_an_epoch_is_one_fix_with_everything_that_its_messages_say() -> None:
     assert fix.gps_time_ns == START_NS - 315_964_800 * NS + 18 * NS
 
 
-def test_without_a_covariance_the_accuracies_are_shared_out_among_the_axes() -> None:
+def test_without_nav_cov_the_accuracies_are_divided_among_the_axes() -> None:
     fix = only_fix(pvt() + cov(posCovValid=0, velCovValid=0) + eoe())
     assert fix.position_sd_ned_m == pytest.approx((1.0, 1.0, 2.0), abs=1e-3)
     assert fix.velocity_sd_ned_m_s == pytest.approx((0.1, 0.1, 0.1), abs=1e-3)
     assert fix.position_cov_ned_m2 == pytest.approx((1.0, 0.0, 0.0, 1.0, 0.0, 4.0), abs=2e-3)
 
 
-def test_the_high_precision_position_is_taken_where_there_is_one() -> None:
+def test_a_valid_high_precision_position_is_used() -> None:
     payload = struct.pack("<BxxBI4i4b2I", 0, 0, ITOW_MS, 132_500_000, 425_000_001, 700_001, 650_001, 45, 23, 3, 4,
                           141, 200)  # fmt: skip
     precise = bytes(UBXMessage("NAV", "NAV-HPPOSLLH", 0, payload=payload).serialize())
@@ -116,28 +116,28 @@ def test_the_high_precision_position_is_taken_where_there_is_one() -> None:
 @pytest.mark.parametrize(
     "fields", [{"gnssFixOk": 0}, {"fixType": 0, "gnssFixOk": 1}, {"fixType": 5}, {"gnssFixOk": 0, "fixType": 3}]
 )
-def test_what_the_receiver_does_not_vouch_for_is_missing(fields: dict[str, int]) -> None:
+def test_values_not_marked_valid_by_the_receiver_are_none(fields: dict[str, int]) -> None:
     fix = only_fix(pvt(**fields) + cov() + eoe())
     assert (fix.latitude_deg, fix.height_ellipsoid_m, fix.position_cov_ned_m2, fix.position_sd_ned_m) == (None,) * 4
     assert (fix.velocity_ned_m_s, fix.ground_speed_m_s, fix.course_rad, fix.velocity_cov_ned_m2_s2) == (None,) * 4
 
 
 @pytest.mark.parametrize("flag", ["validDate", "validTime", "fullyResolved", "gnssFixOk"])
-def test_time_is_not_believed_before_it_is_valid(flag: str) -> None:
+def test_time_is_none_until_it_is_valid(flag: str) -> None:
     fix = only_fix(pvt(**{flag: 0}) + eoe())
     assert (fix.utc_ns, fix.gps_time_ns) == (None, None)
 
 
-def test_a_fix_is_given_as_soon_as_the_kinds_of_the_epochs_before_have_arrived() -> None:
+def test_a_fix_is_published_when_the_message_kinds_of_the_previous_epochs_are_complete() -> None:
     process = Process(Config())
-    assert not fixes(feed(process, pvt() + dop() + cov()))  # nothing is known of this receiver yet
-    assert len(fixes(feed(process, pvt(1) + dop(1) + cov(1), 1.0))) == 1  # a new epoch ends the one before
+    assert not fixes(feed(process, pvt() + dop() + cov()))  # the kinds of messages of this receiver are not known yet
+    assert len(fixes(feed(process, pvt(1) + dop(1) + cov(1), 1.0))) == 1  # a new epoch completes the previous one
     assert len(fixes(feed(process, pvt(2), 2.0))) == 1
     assert not fixes(feed(process, dop(2), 2.01))
     assert len(fixes(feed(process, cov(2), 2.02))) == 1
 
 
-def test_an_epoch_that_noise_has_damaged_does_not_cut_the_next_one_short() -> None:
+def test_a_corrupted_epoch_does_not_truncate_the_next_one() -> None:
     process = Process(Config())
     for k in range(3):
         feed(process, pvt(k) + dop(k) + cov(k), float(k))
@@ -146,13 +146,13 @@ def test_an_epoch_that_noise_has_damaged_does_not_cut_the_next_one_short() -> No
     assert [fix.hdop for fix in found] == [None, 1.25]
 
 
-def test_a_kind_that_stops_costs_two_late_fixes_and_no_more() -> None:
+def test_after_a_message_kind_stops_two_fixes_are_late() -> None:
     process = Process(Config())
     counts = [len(fixes(feed(process, pvt(k) + (cov(k) if k < 4 else b""), float(k)))) for k in range(8)]
     assert counts == [0, 1, 2, 1, 0, 1, 2, 1]
 
 
-def test_each_epoch_is_given_once_however_its_messages_are_cut() -> None:
+def test_each_epoch_is_published_once_for_any_chunk_size() -> None:
     stream = b"".join(pvt(k) + dop(k) + cov(k) + eoe(k) for k in range(5))
     for size in (1, 50, 1000):
         process, found = Process(Config()), []
@@ -162,14 +162,14 @@ def test_each_epoch_is_given_once_however_its_messages_are_cut() -> None:
         assert all(fix.hdop and fix.position_cov_ned_m2 for fix in found)
 
 
-def test_an_epoch_without_nav_pvt_is_counted_and_the_next_one_is_whole() -> None:
+def test_an_epoch_without_nav_pvt_is_counted_and_the_next_one_is_complete() -> None:
     process = Process(Config())
     assert not fixes(feed(process, dop() + cov() + eoe()))
     assert len(fixes(feed(process, pvt(1) + eoe(1), 1.0))) == 1
     assert process.rejects == {"epoch_without_pvt": 1}
 
 
-def test_one_bad_field_never_loses_the_rest() -> None:
+def test_an_invalid_message_is_counted_and_the_rest_of_the_epoch_is_used() -> None:
     process = Process(Config())
     (fix,) = fixes(feed(process, pvt(velN=900_000_000) + cov(posCovNN=math.nan) + dop() + eoe()))
     assert fix.latitude_deg is not None
@@ -179,7 +179,7 @@ def test_one_bad_field_never_loses_the_rest() -> None:
     assert process.rejects == {"ubx_covariance": 1}
 
 
-def test_satellites_have_the_stamp_of_their_epoch_whichever_comes_first() -> None:
+def test_satellites_have_the_stamp_of_their_epoch_in_any_order_of_arrival() -> None:
     sat = bytes(UBXMessage("NAV", "NAV-SAT", 0, iTOW=ITOW_MS, version=1, numSvs=1, gnssId_01=2, svId_01=7, cno_01=40,
                            elev_01=30, azim_01=90, svUsed_01=1).serialize())  # fmt: skip
     for data in (pvt() + sat + eoe(), pvt() + eoe() + sat):
@@ -189,17 +189,17 @@ def test_satellites_have_the_stamp_of_their_epoch_whichever_comes_first() -> Non
         assert satellites.satellites[0].number == 7
 
 
-def test_the_stamp_is_the_epoch_on_the_time_line_and_not_the_arrival() -> None:
+def test_the_stamp_is_the_time_of_the_epoch() -> None:
     process = Process(Config(minimum_delay_s=0.05))
     late_ms = [70, 90, 50, 120, 60, 55, 50, 51, 300, 70]
     found = [fix for k, late in enumerate(late_ms) for fix in fixes(feed(process, pvt(k) + eoe(k), k + late * 1e-3))]
-    # from the third on the shortest delay has been seen
+    # from the third epoch on the minimum delay has occurred
     errors_ms = [(fix.sampled_ns - START_NS) / MS - k * 1000 for k, fix in enumerate(found)]
     assert errors_ms[0] == pytest.approx(20.0)
     assert errors_ms[2:] == pytest.approx([0.0] * 8, abs=1e-3)
 
 
-def test_the_roll_over_of_the_week_is_no_step_of_the_clock() -> None:
+def test_stamps_are_continuous_at_the_week_rollover() -> None:
     process, found = Process(Config()), []
     for k in range(4):
         itow_ms = (604_798_000 + k * 1000) % 604_800_000
@@ -207,8 +207,8 @@ def test_the_roll_over_of_the_week_is_no_step_of_the_clock() -> None:
     assert [fix.sampled_ns - START_NS for fix in found] == [k * NS for k in range(4)]
 
 
-def test_a_receiver_that_restarts_in_the_year_2006_keeps_its_place_on_the_time_line() -> None:
-    """Its week number has rolled over (1024 weeks back), and its time of week is that of a clock of its own."""
+def test_stamps_are_continuous_after_a_week_number_rollover_of_the_receiver() -> None:
+    """Its week number has rolled over (1024 weeks back), and its time of week is unrelated."""
     process = Process(Config())
     before = [one for k in range(10) for one in fixes(feed(process, pvt(k) + eoe(k), k + 0.08))]
     back = {"year": 2006, "month": 5, "day": 18, "hour": 3}
@@ -224,7 +224,7 @@ def test_a_receiver_that_restarts_in_the_year_2006_keeps_its_place_on_the_time_l
 
 
 def checksum(body: bytes) -> tuple[int, int]:
-    """UBX's 8-bit Fletcher sums."""
+    """8-bit Fletcher checksum of UBX."""
     a = b = 0
     for byte in body:
         a = (a + byte) & 0xFF
@@ -232,7 +232,7 @@ def checksum(body: bytes) -> tuple[int, int]:
     return a, b
 
 
-def test_nmea_makes_fixes_where_a_receiver_sends_nothing_else() -> None:
+def test_a_receiver_with_nmea_only_gives_fixes() -> None:
     process = Process(Config())
     feed(process, rmc() + gga())
     gsa = nmea("GNGSA,A,3,01,02,03,04,,,,,,,,,2.50,1.25,2.00,1")
@@ -251,7 +251,7 @@ def test_nmea_makes_fixes_where_a_receiver_sends_nothing_else() -> None:
     assert fix.satellites_used == 12
 
 
-def test_nmea_is_silent_while_the_same_receiver_sends_ubx() -> None:
+def test_nmea_fixes_are_suppressed_until_5_s_after_the_last_ubx_fix() -> None:
     process, sources = Process(Config()), []
     for k in range(20):
         ubx_too = pvt(k) + eoe(k) if k < 10 else b""
@@ -271,7 +271,7 @@ def test_nmea_is_silent_while_the_same_receiver_sends_ubx() -> None:
         (rmc() + gga(quality=1) + nmea("GNGSA,A,2,01,02,03,,,,,,,,,,2.5,1.2,2.0,1"), FixType.TWO_D),
     ],
 )
-def test_nmea_tells_a_fix_from_none(sentences: bytes, fix_type: FixType) -> None:
+def test_the_fix_type_follows_from_nmea_quality_and_status(sentences: bytes, fix_type: FixType) -> None:
     process = Process(Config())
     feed(process, sentences)
     (fix,) = fixes(feed(process, rmc(1), 1.0))
@@ -280,7 +280,7 @@ def test_nmea_tells_a_fix_from_none(sentences: bytes, fix_type: FixType) -> None
 
 
 @pytest.mark.parametrize(("quality", "solution"), [(1, "none"), (2, "none"), (4, "fixed"), (5, "float")])
-def test_nmea_tells_the_carrier_solution(quality: int, solution: str) -> None:
+def test_the_carrier_solution_follows_from_nmea_quality(quality: int, solution: str) -> None:
     process = Process(Config())
     feed(process, rmc() + gga(quality=quality))
     (fix,) = fixes(feed(process, rmc(1), 1.0))
@@ -288,7 +288,7 @@ def test_nmea_tells_the_carrier_solution(quality: int, solution: str) -> None:
     assert fix.differential == (quality > 1)
 
 
-def test_bad_fields_of_nmea_are_left_out_and_counted() -> None:
+def test_invalid_nmea_fields_are_omitted_and_counted() -> None:
     process = Process(Config())
     feed(process, rmc(speed="fast") + gga(altitude="high"))
     (fix,) = fixes(feed(process, rmc(1), 1.0))
@@ -297,7 +297,7 @@ def test_bad_fields_of_nmea_are_left_out_and_counted() -> None:
     assert process.rejects == {"nmea_field": 2}
 
 
-def test_two_receivers_are_kept_apart_and_too_many_are_refused() -> None:
+def test_receivers_are_decoded_separately_and_excess_ones_are_rejected() -> None:
     process = Process(Config())
     half = len(pvt()) // 2
     feed(process, pvt()[:half], source="front")
@@ -310,7 +310,7 @@ def test_two_receivers_are_kept_apart_and_too_many_are_refused() -> None:
 
 @given(st.lists(st.one_of(st.binary(max_size=40), st.sampled_from([pvt(), dop(), cov(), eoe(), rmc(), gga()])),
                 max_size=12), st.integers(1, 300))  # fmt: skip
-def test_nothing_raises_and_nothing_is_lost_after_noise(parts: list[bytes], size: int) -> None:
+def test_every_epoch_after_invalid_bytes_is_decoded(parts: list[bytes], size: int) -> None:
     process, stream = Process(Config()), b"".join(parts)
     for i in range(0, len(stream), size):
         feed(process, stream[i : i + size], i * 1e-3)
@@ -325,7 +325,7 @@ def test_nothing_raises_and_nothing_is_lost_after_noise(parts: list[bytes], size
     [("ublox-zed-f9p-hp", 25), ("ublox-zed-f9p-rtk", 9), ("ublox-neo-m8l", 15), ("ublox-glo", 15), ("ublox-8", 70),
      ("ublox-zed-f9p-nmea", 27)],
 )  # fmt: skip
-def test_fixes_of_a_recording_are_those_that_gpsd_reports(name: str, least: int) -> None:
+def test_fixes_of_a_recording_equal_those_of_gpsd(name: str, least: int) -> None:
     folder = recording("gpsd_receiver_logs")
     process, ours = Process(Config()), {}
     data = (folder / f"{name}.log").read_bytes()
@@ -341,7 +341,7 @@ def test_fixes_of_a_recording_are_those_that_gpsd_reports(name: str, least: int)
         known = ours.get(round(datetime.fromisoformat(report["time"]).timestamp() * 1000))
         if known is None or known.latitude_deg is None or known.longitude_deg is None:
             continue
-        # gpsd reports some epochs twice, once for each kind of message, and those of HNR, which is not for us.
+        # gpsd reports some epochs twice, once for each kind of message, and those of HNR, which is not decoded here.
         error_deg = max(abs(known.latitude_deg - report["lat"]), abs(known.longitude_deg - report["lon"]))
         assert error_deg < 2e-5
         compared["position"] += error_deg < 6e-8

@@ -21,7 +21,7 @@ def test_gps_time_and_leap_seconds_follow_from_utc_and_time_of_week(moment: date
     assert gps_time_ns(posix_ns(moment), itow_ms) == gps_ns
 
 
-def test_the_week_rolls_over_with_the_time_of_week_and_not_before() -> None:
+def test_the_week_rolls_over_with_the_time_of_week() -> None:
     # Week 2400 of GPS time began at 2026-01-03 23:59:42 UTC, 18 leap seconds before Sunday.
     last = utc_ns((2026, 1, 3, 23, 59, 41), 0)
     first = utc_ns((2026, 1, 3, 23, 59, 42), 0)
@@ -33,23 +33,23 @@ def test_the_week_rolls_over_with_the_time_of_week_and_not_before() -> None:
     assert after == 2400 * WEEK_NS
 
 
-def test_a_negative_nanosecond_belongs_to_the_second_before() -> None:
+def test_a_negative_nanosecond_precedes_its_second() -> None:
     assert utc_ns((2026, 1, 1, 0, 0, 0), -400_000) == posix_ns(datetime(2026, 1, 1, tzinfo=UTC)) - 400_000
 
 
 @pytest.mark.parametrize(
     "calendar", [(2026, 13, 1, 0, 0, 0), (2026, 2, 30, 0, 0, 0), (2026, 1, 1, 24, 0, 0), (0, 0, 0, 0, 0, 0)]
 )
-def test_a_date_that_is_none_is_missing(calendar: tuple[int, int, int, int, int, int]) -> None:
+def test_an_invalid_date_gives_none(calendar: tuple[int, int, int, int, int, int]) -> None:
     assert utc_ns(calendar, 0) is None
 
 
-def test_times_that_contradict_each_other_give_none() -> None:
+def test_inconsistent_utc_and_time_of_week_give_none() -> None:
     utc = posix_ns(datetime(2026, 1, 5, 12, tzinfo=UTC))
     assert gps_time_ns(utc, 0) is None
 
 
-def test_a_wrapping_time_goes_on_and_a_small_step_back_stays_one() -> None:
+def test_unwrapping_is_continuous_and_preserves_a_small_step_back() -> None:
     unwrapper = Unwrapper(DAY_NS)
     times = [DAY_NS - NS, 0, NS, 0, DAY_NS - NS, 0]
     steps = [unwrapper.unwrap(time) for time in times]

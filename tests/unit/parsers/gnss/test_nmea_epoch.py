@@ -19,13 +19,13 @@ NS = 1_000_000_000
 
 
 def read(data: bytes) -> list[tuple[GnssFix, dict[str, list[str]]]]:
-    """Parse a stream of NMEA; give each fix with the fields of the sentences that it was made of."""
+    """Parse an NMEA stream; return each fix with the fields of its sentences."""
     assembler, rejects, found = NmeaAssembler(), Counter[str](), []
     for frame in Framer().feed(data):
         if frame.protocol is Protocol.NMEA:
             for epoch in assembler.take(frame.data, 1):
                 fix = fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=rejects)
-                found.append((fix, {kind: said.data for kind, said in epoch.sentences.items()}))
+                found.append((fix, {kind: parsed.data for kind, parsed in epoch.sentences.items()}))
     assert not rejects
     return found
 
@@ -34,7 +34,7 @@ def read(data: bytes) -> list[tuple[GnssFix, dict[str, list[str]]]]:
 @pytest.mark.parametrize(
     ("name", "least"), [("ublox-8.log", 70), ("ublox-zed-f9p-nmea.log", 25), ("ublox-zed-f9r.log", 25)]
 )
-def test_recorded_sentences_are_read_as_the_standard_says(name: str, least: int) -> None:
+def test_recorded_sentences_are_decoded_by_the_standard(name: str, least: int) -> None:
     found = read((recording("gpsd_receiver_logs") / name).read_bytes())
     assert len(found) >= least
     for fix, sentences in found:
@@ -52,14 +52,14 @@ def test_recorded_sentences_are_read_as_the_standard_says(name: str, least: int)
 
 
 @pytest.mark.recording
-def test_a_receiver_indoors_gives_no_position_and_no_time() -> None:
+def test_a_receiver_without_a_fix_gives_no_position_and_no_time() -> None:
     found = read((recording("pyubx2_logs") / "2023-4-17_82912_serial-COM3.ubx").read_bytes())
     assert len(found) > 80
     assert {(fix.fix_type, fix.latitude_deg, fix.utc_ns) for fix, _ in found} == {(FixType.NONE, None, None)}
 
 
 def fix_of(*bodies: str, rejects: Counter[str] | None = None) -> GnssFix:
-    """Make the fix of sentences of one epoch."""
+    """The fix of the sentences of one epoch."""
     assembler = NmeaAssembler()
     for body in bodies:
         assert not list(assembler.take(f"${body}*00\r\n".encode(), 1))
@@ -75,7 +75,7 @@ GST = "GST,010203.50,10.0,2.0,1.0,45.0,1.5,2.5,3.5"
 
 
 @pytest.mark.parametrize("talker", ["GP", "GN", "GL", "GA", "GB", "BD", "GQ", "GI"])
-def test_every_field_has_its_place_and_unit_whatever_the_talker(talker: str) -> None:
+def test_every_field_is_decoded_with_its_unit_for_any_talker(talker: str) -> None:
     fix = fix_of(*(talker + body for body in (RMC, GGA, GSA, GST)))
     assert (fix.fix_type, fix.carrier_solution, fix.differential) == (FixType.THREE_D, CarrierSolution.FIXED, True)
     assert (fix.latitude_deg, fix.longitude_deg) == pytest.approx((-42.51, -13.255), abs=1e-12)
@@ -88,7 +88,7 @@ def test_every_field_has_its_place_and_unit_whatever_the_talker(talker: str) -> 
     assert fix.utc_ns == 1_767_142_923 * NS + NS // 2
 
 
-def test_a_place_without_its_letters_or_numbers_is_none_and_not_the_gulf_of_guinea() -> None:
+def test_an_incomplete_position_is_none() -> None:
     for place in (",,,", ",N,,E", "4230.6,,01315.3,", "4230.6,N,,E", "4230.6,X,01315.3,E"):
         assert fix_of(f"GNRMC,000000.00,A,{place},,,311225,,").latitude_deg is None
     rejects = Counter[str]()
@@ -98,38 +98,38 @@ def test_a_place_without_its_letters_or_numbers_is_none_and_not_the_gulf_of_guin
 
 
 @pytest.mark.parametrize("date", ["", "320126", "xx0126", "1"])
-def test_a_date_that_is_none_gives_no_time(date: str) -> None:
+def test_an_invalid_date_gives_no_utc(date: str) -> None:
     assert fix_of(f"GNRMC,000000.00,A,4230.6,N,01315.3,E,,,{date},,").utc_ns is None
 
 
-def test_a_leap_second_is_a_time() -> None:
+def test_a_leap_second_is_accepted() -> None:
     fix = fix_of("GNRMC,235960.00,A,4230.6,N,01315.3,E,,,311216,,")
     assert fix.utc_ns == 1_483_228_800 * NS  # POSIX repeats it
 
 
 @pytest.mark.parametrize("sentence", [b"$GNRMC,1*2*00\r\n", b"$GNGSA,*,*00\r\n"])
-def test_a_sentence_that_pynmea2_refuses_is_named(sentence: bytes) -> None:
+def test_a_sentence_rejected_by_pynmea2_raises_nmea_form(sentence: bytes) -> None:
     with pytest.raises(NmeaError, match="nmea_form"):
         list(NmeaAssembler().take(sentence, 1))
 
 
 @pytest.mark.parametrize("body", ["PGRMC,A", "PUBX,00,000000.00", "GNXYZ,1", "GPGSV,1,1,00", "GNRMC", "RMC,1", ""])
-def test_sentences_that_are_not_for_us_are_no_rejects(body: str) -> None:
+def test_unused_sentences_are_ignored(body: str) -> None:
     assert not list(NmeaAssembler().take(f"${body}*00\r\n".encode(), 1))
 
 
 @pytest.mark.parametrize("text", ["", "12", "126000.00", "240000.00", "aabbcc.dd", "12345", "123x56"])
-def test_a_time_that_is_none_is_refused(text: str) -> None:
+def test_an_invalid_time_raises_nmea_time(text: str) -> None:
     with pytest.raises(NmeaError, match="nmea_time"):
         time_of_day_ns(text if text != "12345" else "129945")
 
 
-def test_a_time_of_day_is_read_to_the_millisecond() -> None:
+def test_a_time_of_day_is_decoded_to_the_millisecond() -> None:
     assert time_of_day_ns("010203.456") == (3723 * 1000 + 456) * NS // 1000
 
 
 @given(st.text(st.characters(codec="ascii", exclude_characters="\r\n*$"), max_size=80))
-def test_any_sentence_is_taken_or_refused(body: str) -> None:
+def test_any_sentence_is_accepted_or_raises_nmea_error(body: str) -> None:
     for kind in ("GNRMC,", "GNGGA,", "GNGSA,", "GNGST,", ""):
         try:
             for epoch in NmeaAssembler().take(f"${kind}{body}*00\r\n".encode(), 1):
@@ -142,9 +142,9 @@ CONTENTS = ("", "A", "1", "-1", "nan", "inf", "1e400", "9999.99", "N", "E", "423
 
 
 @given(st.lists(st.sampled_from(CONTENTS), min_size=18, max_size=18))
-def test_fields_of_any_content_make_a_fix_or_are_left_out(fields: list[str]) -> None:
+def test_fields_of_any_content_give_a_fix_or_are_omitted(fields: list[str]) -> None:
     classes: dict[str, Any] = {"RMC": pynmea2.RMC, "GGA": pynmea2.GGA, "GSA0": pynmea2.GSA, "GST": pynmea2.GST}
-    sentences = {kind: said("GN", kind[:3], ["000000.00", *fields]) for kind, said in classes.items()}
+    sentences = {kind: create("GN", kind[:3], ["000000.00", *fields]) for kind, create in classes.items()}
     assembler = NmeaAssembler()
     list(assembler.take(b"$GNRMC,000000.00,V*00\r\n", 1))
     (epoch,) = assembler.take(b"$GNRMC,000001.00,V*00\r\n", 2)
@@ -154,7 +154,7 @@ def test_fields_of_any_content_make_a_fix_or_are_left_out(fields: list[str]) -> 
 
 
 @pytest.mark.parametrize("altitude", ["1e300", "9" * 150, "nan", "-1e9", "inf"])
-def test_a_height_that_nothing_can_have_is_counted_and_left_out(altitude: str) -> None:
+def test_an_implausible_height_is_counted_and_omitted(altitude: str) -> None:
     parser = Process(Config())
     fixes = []
     for second in range(1, 5):

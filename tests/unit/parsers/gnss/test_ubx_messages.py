@@ -27,7 +27,7 @@ RECORDINGS = (
 )
 Pair = tuple[bytes, Any]  # messages have attributes that only exist at run time
 
-# The interface description once more, independent of pyubx2: the layout and the names of the fields.
+# Layout and names of the fields by the interface description, independent of pyubx2.
 PVT = struct.Struct("<IH5BBIi4B4iII4iiIIHH")
 PVT_FIELDS = (
     "iTOW year month day hour min second valid tAcc nano fixType flags flags2 numSV lon lat height hMSL hAcc vAcc "
@@ -41,7 +41,7 @@ COV = struct.Struct("<IBBB9x12f")
 
 
 def encode(name: str, **fields: Any) -> bytes:
-    """Let pyubx2 encode the payload of a message that a receiver sends."""
+    """Encode the payload of an output message with pyubx2."""
     return bytes(UBXMessage("NAV", name, 0, **fields).payload)
 
 
@@ -58,12 +58,12 @@ def decode_high_precision(payload: bytes) -> ubx_messages.HighPrecision:
 
 
 def unpack(layout: struct.Struct, names: str, payload: bytes) -> Any:
-    """Read a payload with the tables above."""
+    """Decode a payload with the tables above."""
     return SimpleNamespace(**dict(zip(names.split(), layout.unpack_from(payload), strict=True)))
 
 
 def messages(path: Path, kind: str) -> list[Pair]:
-    """Find the payloads of one kind, each with what pyubx2 reads in it."""
+    """The payloads of one kind, each with the message parsed by pyubx2."""
     return [
         (frame.data[6:-2], UBXReader.parse(frame.data))
         for frame in Framer().feed(path.read_bytes())
@@ -75,7 +75,7 @@ def messages(path: Path, kind: str) -> list[Pair]:
 
 @pytest.mark.recording
 @pytest.mark.parametrize(("folder", "name"), RECORDINGS)
-def test_every_recorded_nav_pvt_is_read_as_the_interface_description_says(folder: str, name: str) -> None:
+def test_every_recorded_nav_pvt_is_decoded_by_the_interface_description(folder: str, name: str) -> None:
     pairs = messages(recording(folder) / name, "PVT")
     assert pairs
     for payload, _ in pairs:
@@ -101,7 +101,7 @@ def test_every_recorded_nav_pvt_is_read_as_the_interface_description_says(folder
 
 @pytest.mark.recording
 @pytest.mark.parametrize(("folder", "name"), RECORDINGS)
-def test_every_recorded_nav_sat_is_read_as_pyubx2_reads_it(folder: str, name: str) -> None:
+def test_every_recorded_nav_sat_is_decoded_as_by_pyubx2(folder: str, name: str) -> None:
     pairs = messages(recording(folder) / name, "SAT")
     assert pairs
     for payload, theirs in pairs:
@@ -122,7 +122,7 @@ def test_every_recorded_nav_sat_is_read_as_pyubx2_reads_it(folder: str, name: st
 
 
 @pytest.mark.recording
-def test_recorded_dop_and_high_precision_are_read_as_the_interface_description_says() -> None:
+def test_recorded_dop_and_high_precision_are_decoded_by_the_interface_description() -> None:
     path = recording("gpsd_receiver_logs") / "ublox-zed-f9p-hp.log"
     for payload, _ in messages(path, "DOP"):
         dop, theirs = ubx_messages.decode_dop(ubx_messages.parse("DOP", payload)), unpack(DOP, DOP_FIELDS, payload)
@@ -146,7 +146,7 @@ def pvt_bytes(*, pvt_flags: int = 0b01_0_000_11, flags3: int = 0b0110, size: int
     return (payload + bytes(92 - PVT.size))[:size]
 
 
-def test_every_field_of_nav_pvt_has_its_place_and_unit() -> None:
+def test_every_field_of_nav_pvt_is_decoded_with_its_unit() -> None:
     pvt = decode_pvt(pvt_bytes())
     assert (pvt.itow_ms, pvt.calendar, pvt.nanosecond) == (396_018_250, (2026, 1, 2, 3, 4, 5), -123_456)
     assert (pvt.time_valid, pvt.fix_ok, pvt.differential) == (True, True, True)
@@ -170,16 +170,16 @@ def test_the_shorter_nav_pvt_of_generation_7_has_no_flags3() -> None:
 
 
 @pytest.mark.parametrize(("flags", "solution"), [(0x41, "float"), (0x81, "fixed"), (0xC1, "none"), (0x01, "none")])
-def test_nav_pvt_tells_the_carrier_solution(flags: int, solution: str) -> None:
+def test_the_carrier_solution_follows_from_the_flags_of_nav_pvt(flags: int, solution: str) -> None:
     assert decode_pvt(pvt_bytes(pvt_flags=flags)).carrier_solution is CarrierSolution(solution)
 
 
-def test_every_field_of_nav_dop_has_its_place_and_unit() -> None:
+def test_every_field_of_nav_dop_is_decoded_with_its_unit() -> None:
     dop = ubx_messages.decode_dop(ubx_messages.parse("DOP", DOP.pack(250, 1, 202, 3, 304, 405, 9999, 0)))
     assert (dop.itow_ms, dop.pdop, dop.vdop, dop.hdop) == (250, 2.02, 3.04, 4.05)
 
 
-def test_every_field_of_nav_cov_has_its_place_and_unit() -> None:
+def test_every_field_of_nav_cov_is_decoded_with_its_unit() -> None:
     position, velocity = (4.0, 1.0, 0.5, 9.0, -0.25, 16.0), (8.0, 2.0, 1.0, 18.0, -0.5, 32.0)
     decoded = decode_covariance(COV.pack(250, 0, 1, 1, *position, *velocity))
     assert decoded == ubx_messages.Covariance(250, position, velocity)
@@ -190,7 +190,7 @@ def test_every_field_of_nav_cov_has_its_place_and_unit() -> None:
         decode_covariance(COV.pack(250, 0, 1, 1, *position, *velocity)[:-1])
 
 
-def test_every_field_of_nav_hpposllh_has_its_place_and_unit() -> None:
+def test_every_field_of_nav_hpposllh_is_decoded_with_its_unit() -> None:
     def payload(flags: int, accuracy: int) -> bytes:
         return HPPOSLLH.pack(0, flags, 250, -132_500_000, 425_000_001, 700_001, 650_001, -45, 23, -3, 4, 141, accuracy)
 
@@ -207,7 +207,7 @@ def test_every_field_of_nav_hpposllh_has_its_place_and_unit() -> None:
 
 
 @pytest.mark.parametrize("kind", ["EOE", "DOP", "SAT"])
-def test_a_time_of_week_is_within_the_week(kind: str) -> None:
+def test_a_time_of_week_beyond_the_week_is_rejected(kind: str) -> None:
     def itow_ms(value: int) -> int:
         payload = struct.pack("<I14x", value)
         return (
@@ -226,25 +226,25 @@ def covariance(**fields: float) -> bytes:
     return encode("NAV-COV", iTOW=1, **values)
 
 
-def test_a_covariance_comes_as_the_upper_triangle() -> None:
+def test_a_covariance_is_decoded_as_its_upper_triangle() -> None:
     decoded = decode_covariance(covariance())
     assert decoded.position_ned_m2 == (4.0, 1.0, 0.0, 9.0, 0.0, 16.0)
     assert decoded.velocity_ned_m2_s2 == pytest.approx((0.01, 0, 0, 0.02, 0, 0.03))
 
 
-def test_a_covariance_that_is_not_valid_is_missing() -> None:
+def test_a_covariance_marked_invalid_is_none() -> None:
     decoded = decode_covariance(covariance(posCovValid=0, velCovValid=0))
     assert decoded.position_ned_m2 is None
     assert decoded.velocity_ned_m2_s2 is None
 
 
 @pytest.mark.parametrize("field", [{"posCovNN": math.nan}, {"posCovNE": 7.0}, {"velCovDD": 0.0}, {"posCovEE": -1.0}])
-def test_a_matrix_that_is_no_covariance_is_refused(field: dict[str, float]) -> None:
+def test_a_covariance_that_is_not_positive_definite_is_rejected(field: dict[str, float]) -> None:
     with pytest.raises(ubx_messages.UbxError, match="covariance"):
         decode_covariance(covariance(**field))
 
 
-def test_what_a_receiver_does_not_know_is_missing() -> None:
+def test_unknown_values_are_none() -> None:
     payload = encode("NAV-PVT", lat=0, lon=0, hAcc=0xFFFFFFFF, vAcc=0, sAcc=0, pDOP=99.99)
     pvt = decode_pvt(payload)
     assert pvt.position is not None
@@ -253,11 +253,11 @@ def test_what_a_receiver_does_not_know_is_missing() -> None:
 
 
 @pytest.mark.parametrize("fields", [{"lat": 91.0}, {"lon": -181.0}, {"height": 2_000_000_000}, {"invalidLlh": 1}])
-def test_a_position_that_is_none_is_missing(fields: dict[str, float]) -> None:
+def test_an_invalid_position_is_none(fields: dict[str, float]) -> None:
     assert decode_pvt(encode("NAV-PVT", **fields)).position is None
 
 
-def test_satellites_without_a_place_in_the_sky_have_none() -> None:
+def test_satellites_without_a_direction_have_none() -> None:
     payload = struct.pack("<IBB2xBBBbhhI", 0, 1, 1, 6, 255, 0, -91, 0, 0, 0)
     (satellite,) = ubx_messages.decode_satellites(payload)
     assert satellite.constellation is Constellation.GLONASS
@@ -265,7 +265,7 @@ def test_satellites_without_a_place_in_the_sky_have_none() -> None:
 
 
 @given(st.sampled_from(sorted(set(ubx_messages.KINDS.values()))), st.binary(max_size=120))
-def test_any_payload_is_decoded_or_refused(kind: str, payload: bytes) -> None:
+def test_any_payload_is_decoded_or_raises_ubx_error(kind: str, payload: bytes) -> None:
     decoders: dict[str, Callable[[bytes], object]] = {
         "PVT": decode_pvt,
         "DOP": lambda data: ubx_messages.decode_dop(ubx_messages.parse("DOP", data)),
@@ -291,7 +291,7 @@ def baseline(**changes: int) -> ubx_messages.Baseline:
     )
 
 
-def test_the_line_between_two_antennas_has_a_heading() -> None:
+def test_the_baseline_of_two_antennas_on_the_vehicle_gives_a_heading() -> None:
     line = baseline()
     assert line.length_m == pytest.approx(1.2)
     assert line.heading_rad == pytest.approx(math.radians(12.3))
@@ -301,6 +301,6 @@ def test_the_line_between_two_antennas_has_a_heading() -> None:
 @pytest.mark.parametrize(
     "flag", ["gnssFixOK", "relPosValid", "isMoving", "relPosHeadingValid", "carrSoln", "accHeading"]
 )
-def test_a_line_that_is_not_the_vehicles_has_none(flag: str) -> None:
+def test_a_baseline_with_a_missing_validity_flag_gives_no_heading(flag: str) -> None:
     line = baseline(**{flag: 1 if flag == "carrSoln" else 0})
     assert line == ubx_messages.Baseline(1000, None, None, None)

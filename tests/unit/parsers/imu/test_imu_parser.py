@@ -22,7 +22,7 @@ FLAT = {xbus.ACCELERATION: (0.1, 0.2, 9.8), xbus.RATE_OF_TURN: (0.01, 0.02, 0.03
 
 
 def frame(number: int, fields: Mapping[int, tuple[float, ...]] = FLAT, *, period_ticks: int = 100) -> bytes:
-    """A measurement: number in the packet counter, time by the sample time fine."""
+    """A measurement with its packet counter and its sample time."""
     everything = {
         xbus.PACKET_COUNTER: (number % 65536,),
         xbus.SAMPLE_TIME_FINE: (number * period_ticks % 2**32,),
@@ -36,18 +36,18 @@ def feed(process: Process, data: bytes, at_s: float = 0.0, source: str = "imu0")
 
 
 def drive(process: Process, frames: Mapping[int, bytes]) -> list[ImuSamples]:
-    """Feed frames by their number, each 5 ms after its sample was taken."""
+    """Feed frames by their number, each 5 ms after its sample time."""
     return [message for k, data in frames.items() for message in feed(process, data, k * 0.01 + 0.005)]
 
 
-def test_a_tracker_that_lies_flat_gives_forward_right_down() -> None:
+def test_a_horizontally_mounted_tracker_gives_forward_right_down() -> None:
     (message,) = feed(Process(Config()), frame(1))
     assert message.specific_force_body_m_s2[0] == pytest.approx((0.1, -0.2, -9.8), rel=1e-6)
     assert message.angular_rate_body_rad_s[0] == pytest.approx((0.01, -0.02, -0.03), rel=1e-6)
     assert (message.source, message.saturated) == ("imu0", False)
 
 
-def test_a_mounting_turns_vectors_as_scipy_turns_them() -> None:
+def test_a_mounting_rotates_vectors_as_scipy_does() -> None:
     mounting = Rotation.from_euler("xyz", [0.1, -0.2, 2.0]).as_matrix() @ np.diag([1.0, -1.0, -1.0])
     rows = tuple(tuple(row) for row in np.round(mounting, 7).tolist())
     (message,) = feed(Process(Config.model_validate({"body_from_sensor": rows})), frame(1))
@@ -57,24 +57,24 @@ def test_a_mounting_turns_vectors_as_scipy_turns_them() -> None:
 @pytest.mark.parametrize(
     "rows",
     [
-        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)),  # a mirror
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)),  # a reflection
         ((1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0)),
         ((1.0, 0.0, 0.0), (0.5, 0.866025, 0.0), (0.0, 0.0, 1.0)),
     ],
 )
-def test_a_matrix_that_is_no_rotation_is_refused(rows: tuple[tuple[float, float, float], ...]) -> None:
-    with pytest.raises(ValidationError, match="this is no rotation"):
+def test_a_matrix_that_is_not_a_rotation_is_rejected(rows: tuple[tuple[float, float, float], ...]) -> None:
+    with pytest.raises(ValidationError, match="not a rotation matrix"):
         Config.model_validate({"body_from_sensor": rows})
 
 
-def test_samples_of_one_chunk_travel_in_one_message() -> None:
+def test_samples_of_one_chunk_are_published_in_one_message() -> None:
     (message,) = feed(Process(Config()), frame(1) + frame(2) + frame(3))
     assert np.diff(message.sampled_ns).tolist() == pytest.approx([10e6] * 2, abs=100)
     assert message.sampled_ns[-1] == START_NS - 3_000_000
     assert len(message.specific_force_body_m_s2) == 3
 
 
-def test_a_frame_that_comes_in_pieces_is_stamped_with_its_last() -> None:
+def test_a_frame_received_in_parts_is_stamped_with_its_last_part() -> None:
     process = Process(Config(minimum_delay_s=0.0))
     data = frame(1)
     assert not feed(process, data[:20], 1.0)
@@ -82,7 +82,7 @@ def test_a_frame_that_comes_in_pieces_is_stamped_with_its_last() -> None:
     assert message.sampled_ns == (START_NS + 1_001_000_000,)
 
 
-def test_stamps_follow_the_trackers_clock_and_not_the_jitter_of_arrival() -> None:
+def test_stamps_follow_the_clock_of_the_tracker() -> None:
     process, rng = Process(Config(minimum_delay_s=0.003)), np.random.default_rng(1)
     errors_ms = []
     for k in range(3000):
@@ -93,7 +93,7 @@ def test_stamps_follow_the_trackers_clock_and_not_the_jitter_of_arrival() -> Non
     assert np.abs(errors_ms[500:]).max() < 0.6
 
 
-def test_the_wrap_of_the_sample_time_is_no_step() -> None:
+def test_stamps_are_continuous_at_the_wrap_of_the_sample_time() -> None:
     process = Process(Config())
     first = 2**32 // 100 - 5  # the counter wraps between the sixth and the seventh sample
     messages = drive(process, {k: frame(first + k) for k in range(20)})
@@ -108,7 +108,7 @@ def test_lost_packets_are_counted_over_the_wrap_of_their_counter() -> None:
     assert process.rejects == {"packet_gap": 3}
 
 
-def test_a_tracker_that_restarts_goes_on() -> None:
+def test_samples_continue_after_a_restart_of_the_tracker() -> None:
     process = Process(Config())
     drive(process, {k: frame(30000 + k) for k in range(300)})
     messages = [m for k in range(300) for m in feed(process, frame(k), 10 + k * 0.01 + 0.005)]
@@ -118,17 +118,17 @@ def test_a_tracker_that_restarts_goes_on() -> None:
 
 
 @pytest.mark.parametrize("bit", range(8, 14))
-def test_a_clipped_axis_is_reported(bit: int) -> None:
+def test_a_clipped_axis_sets_saturated(bit: int) -> None:
     (message,) = feed(Process(Config()), frame(1, {**FLAT, xbus.STATUS_WORD: (1 << bit,)}))
     assert message.saturated
 
 
-def test_a_clipped_magnetometer_does_not_spoil_inertial_data() -> None:
+def test_a_clipped_magnetometer_does_not_set_saturated() -> None:
     (message,) = feed(Process(Config()), frame(1, {**FLAT, xbus.STATUS_WORD: (0b111 << 14,)}))
     assert not message.saturated
 
 
-def test_slow_quantities_come_in_si_units_and_by_themselves_are_no_fault() -> None:
+def test_slow_quantities_have_si_units_and_may_be_sent_separately() -> None:
     slow = {xbus.TEMPERATURE: (25.0,), xbus.BARO_PRESSURE: (101_325,), xbus.MAGNETIC_FIELD: (0.3, 0.4, 0.5)}
     process = Process(Config())
     assert not feed(process, frame(1, slow))
@@ -146,22 +146,24 @@ def test_slow_quantities_come_in_si_units_and_by_themselves_are_no_fault() -> No
     [
         ({xbus.ACCELERATION: (math.nan, 0, 0), xbus.RATE_OF_TURN: (0, 0, 0)}, "not_finite"),
         ({xbus.ACCELERATION: (0, 0, 0), xbus.RATE_OF_TURN: (math.inf, 0, 0)}, "not_finite"),
-        ({xbus.ACCELERATION: (1e6, 0, 0), xbus.RATE_OF_TURN: (0, 0, 0)}, "absurd"),
-        ({xbus.ACCELERATION: (0, 0, 0), xbus.RATE_OF_TURN: (0, -500, 0)}, "absurd"),
+        ({xbus.ACCELERATION: (1e6, 0, 0), xbus.RATE_OF_TURN: (0, 0, 0)}, "out_of_range"),
+        ({xbus.ACCELERATION: (0, 0, 0), xbus.RATE_OF_TURN: (0, -500, 0)}, "out_of_range"),
         ({xbus.RATE_OF_TURN: (0, 0, 0)}, "no_inertial_data"),
     ],
 )
-def test_a_bad_sample_is_counted_and_its_neighbours_are_kept(fields: dict[int, tuple[float, ...]], kind: str) -> None:
+def test_an_invalid_sample_is_counted_and_its_neighbours_are_kept(
+    fields: dict[int, tuple[float, ...]], kind: str
+) -> None:
     process = Process(Config())
     (message,) = feed(process, frame(1) + frame(2, fields) + frame(3))
     assert len(message.sampled_ns) == 2
     assert process.rejects == {kind: 1}
 
 
-@pytest.mark.parametrize(("field", "kind"), [((math.nan, 0, 0), "not_finite"), ((1e308, 1e308, 0), "absurd")])
-def test_a_bad_magnetic_field_is_counted_and_the_sample_is_kept(field: tuple[float, ...], kind: str) -> None:
+@pytest.mark.parametrize(("field", "kind"), [((math.nan, 0, 0), "not_finite"), ((1e308, 1e308, 0), "out_of_range")])
+def test_an_invalid_magnetic_field_is_counted_and_the_sample_is_published(field: tuple[float, ...], kind: str) -> None:
     process = Process(Config())
-    double = 3  # the number format, for what is beyond single precision
+    double = 3  # the number format with double precision
     fields = {key | double * (key == xbus.MAGNETIC_FIELD): v for key, v in {**FLAT, xbus.MAGNETIC_FIELD: field}.items()}
     (message,) = feed(process, frame(1, fields))
     assert message.magnetic_field_body is None
@@ -176,10 +178,10 @@ def test_a_sample_without_a_time_and_one_that_is_repeated_are_counted() -> None:
     assert process.rejects["repeated_sample"] == 1
 
 
-def test_increments_serve_where_there_are_no_rates() -> None:
+def test_increments_are_used_if_rates_are_missing() -> None:
     turn = Rotation.from_rotvec([0.01, -0.02, 0.03])
     x, y, z, w = turn.as_quat().tolist()
-    for sign in (1, -1):  # both quaternions are the same turn
+    for sign in (1, -1):  # both quaternions are the same rotation
         values = {xbus.DELTA_V: (0.1, 0.0, 0.098), xbus.DELTA_Q: (sign * w, sign * x, sign * y, sign * z)}
         force, rate = inertial_data(values, 0.01)
         assert force == pytest.approx((10.0, 0.0, 9.8))
@@ -187,7 +189,7 @@ def test_increments_serve_where_there_are_no_rates() -> None:
     assert inertial_data({xbus.DELTA_V: (0, 0, 0), xbus.DELTA_Q: (1, 0, 0, 0)}, 0.01)[1] == (0, 0, 0)
 
 
-def test_increments_without_an_interval_wait_for_the_next_sample() -> None:
+def test_the_first_increments_are_rejected_for_lack_of_an_interval() -> None:
     process = Process(Config())
     fields = {xbus.DELTA_V: (0.0, 0.0, 0.098), xbus.DELTA_Q: (1.0, 0.0, 0.0, 0.0)}
     messages = drive(process, {k: frame(k, fields) for k in range(1, 4)})
@@ -195,7 +197,7 @@ def test_increments_without_an_interval_wait_for_the_next_sample() -> None:
     assert process.rejects == {"no_inertial_data": 1}
 
 
-def test_other_messages_are_not_for_this_process_and_too_many_sources_are_refused() -> None:
+def test_other_messages_are_ignored_and_excess_sources_are_rejected() -> None:
     process = Process(Config())
     assert not list(process.handle(GnssRaw(received_ns=1, source="x", data=frame(1))))
     for k in range(10):
@@ -205,7 +207,7 @@ def test_other_messages_are_not_for_this_process_and_too_many_sources_are_refuse
 
 @given(st.lists(st.one_of(st.binary(max_size=50), st.sampled_from([frame(5), frame(6)[:-1], frame(7)])), max_size=10),
        st.integers(1, 90))  # fmt: skip
-def test_nothing_raises_and_the_sample_after_the_noise_is_found(parts: list[bytes], size: int) -> None:
+def test_a_sample_after_invalid_bytes_is_decoded(parts: list[bytes], size: int) -> None:
     process, stream = Process(Config()), b"".join(parts)
     for i in range(0, len(stream), size):
         feed(process, stream[i : i + size], i * 1e-4)
@@ -220,7 +222,7 @@ def test_any_payload_is_parsed_or_counted(payload: bytes) -> None:
 
 @pytest.mark.recording
 @pytest.mark.parametrize("number", ["1", "3"])
-def test_a_recorded_tracker_at_rest_measures_gravity_and_no_turn(number: str) -> None:
+def test_a_recorded_tracker_at_standstill_measures_gravity_and_zero_rate(number: str) -> None:
     process, data = Process(Config()), (recording("xsens_xbus") / number / "output.bin").read_bytes()
     messages = [m for i in range(0, len(data), 150) for m in feed(process, data[i : i + 150], i / 150 * 0.01)]
     forces = np.array([force for m in messages for force in m.specific_force_body_m_s2])

@@ -9,7 +9,7 @@ from shared.messages.vehicle import CanRaw
 from tests.support.live_bus import eventually, running
 
 
-def test_frames_travel_in_batches_and_a_steady_stream_does_not_keep_the_driver_from_the_bus() -> None:
+def test_frames_are_published_in_batches_of_at_most_0_07_s_and_none_is_lost() -> None:
     started_s, sent = time.monotonic(), 0
     with running(Process(Config(device="virtual://batches")).run) as bus, can.Bus("batches", "virtual") as far:
         while len(bus.of(CanRaw)) < 4:
@@ -19,35 +19,35 @@ def test_frames_travel_in_batches_and_a_steady_stream_does_not_keep_the_driver_f
             time.sleep(0.004)
         eventually(lambda: _lines(bus.of(CanRaw))[-1] == f"batches 100#{sent - 1:04X}")
     raws, elapsed_s = bus.of(CanRaw), time.monotonic() - started_s
-    # Frames were sent before the driver had opened the bus; from the first that it heard it misses none.
+    # The first frames were sent before the driver had opened the bus; after the first received one none is missing.
     first = sent - len(_lines(raws))
     assert _lines(raws) == [f"batches 100#{number:04X}" for number in range(first, sent)]
-    assert len(raws) <= elapsed_s / 0.03 + 1, "a batch waits for 0.03 s of silence, or for 0.07 s"
+    assert len(raws) <= elapsed_s / 0.03 + 1, "a batch ends after 0.03 s without a frame, or after 0.07 s"
     for raw in raws:
         stamps_s = [float(line.split(b")")[0][1:]) for line in raw.data.splitlines()]
         assert stamps_s == sorted(stamps_s)
         assert 0 <= raw.received_ns * 1e-9 - stamps_s[0] < elapsed_s
 
 
-def test_a_driver_that_only_listens_sends_nothing() -> None:
+def test_the_driver_transmits_nothing_by_default() -> None:
     with can.Bus("listen", "virtual") as far, running(Process(Config(device="virtual://listen")).run):
-        heard = far.recv(0.5)
-    assert heard is None
+        received = far.recv(0.5)
+    assert received is None
 
 
-def test_a_driver_asks_for_speed_as_often_as_it_was_told() -> None:
+def test_the_driver_requests_the_speed_with_the_configured_period() -> None:
     requests: list[tuple[int, bytes]] = []
     started_s = time.monotonic()
     with can.Bus("ask", "virtual") as far, running(Process(Config(device="virtual://ask", obd_period_s=0.1)).run):
         while len(requests) < 4:
             frame = far.recv(3.0)
-            assert frame is not None, "nobody asks"
+            assert frame is not None, "no request was transmitted"
             requests.append((frame.arbitration_id, bytes(frame.data)))
         assert time.monotonic() - started_s >= 0.3
     assert set(requests) == {(0x7DF, bytes.fromhex("02010D0000000000"))}
 
 
-def test_a_wrong_device_is_refused_at_the_start() -> None:
+def test_an_invalid_device_url_is_rejected_at_the_start() -> None:
     with pytest.raises(UserError, match="try socketcan"):
         Process(Config(device="can0"))
 

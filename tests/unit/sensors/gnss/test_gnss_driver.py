@@ -10,7 +10,7 @@ from shared.messages.gnss import GnssRaw, GnssWrite
 from tests.support.live_bus import eventually, running
 
 
-def test_bytes_pass_both_ways_unchanged() -> None:
+def test_received_and_written_bytes_are_unchanged() -> None:
     far, near = pty.openpty()
     tty.setraw(near)
     everything = bytes(range(256))
@@ -29,6 +29,6 @@ def test_bytes_pass_both_ways_unchanged() -> None:
     os.close(near)
 
 
-def test_a_wrong_device_is_refused_at_the_start() -> None:
+def test_an_invalid_device_url_is_rejected_at_the_start() -> None:
     with pytest.raises(UserError, match="try serial"):
         Process(Config(device="COM3"))

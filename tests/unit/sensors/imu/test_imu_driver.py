@@ -9,7 +9,7 @@ from shared.messages.imu import ImuRaw
 from tests.support.live_bus import eventually, running
 
 
-def test_frames_at_100_hz_are_published_one_by_one_and_without_delay() -> None:
+def test_frames_at_100_hz_are_published_unchanged_with_a_delay_below_5_ms() -> None:
     far, near = pty.openpty()
     tty.setraw(near)
     frame = xbus.encode_message(xbus.MTDATA2, bytes(60))
@@ -26,6 +26,6 @@ def test_frames_at_100_hz_are_published_one_by_one_and_without_delay() -> None:
         arrivals = bus.of(ImuRaw)
     os.close(far)
     os.close(near)
-    # A busy host may join some and delay others, but not the best of twenty.
+    # A loaded host may join or delay some frames; the smallest delay of twenty is that of the driver.
     assert len(arrivals) >= 5
     assert min(raw.received_ns - max(sent for sent in sent_ns if sent <= raw.received_ns) for raw in arrivals) < 5e6

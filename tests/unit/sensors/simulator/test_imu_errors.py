@@ -24,9 +24,9 @@ def allan_deviation(x: npt.NDArray[np.float64], tau: float) -> float:
 
 
 def closed_form(grade: SensorGrade, tau: float) -> float:
-    x = tau / grade.wander_time
-    wander = 2.0 * grade.wander**2 / x * (1.0 - (3.0 - 4.0 * exp(-x) + exp(-2.0 * x)) / (2.0 * x))
-    return sqrt(grade.density**2 / tau + wander)
+    x = tau / grade.in_run_bias_time
+    in_run = 2.0 * grade.in_run_bias**2 / x * (1.0 - (3.0 - 4.0 * exp(-x) + exp(-2.0 * x)) / (2.0 * x))
+    return sqrt(grade.density**2 / tau + in_run)
 
 
 def test_the_closed_form_has_the_published_numbers() -> None:
@@ -38,7 +38,7 @@ def test_the_closed_form_has_the_published_numbers() -> None:
 
 
 @pytest.mark.parametrize("grade", [MTI_630_GYROSCOPE, MTI_630_ACCELEROMETER], ids=["gyroscope", "accelerometer"])
-def test_five_hours_at_rest_have_the_allan_deviation_of_the_closed_form(grade: SensorGrade) -> None:
+def test_five_hours_at_standstill_have_the_allan_deviation_of_the_closed_form(grade: SensorGrade) -> None:
     errors = SensorErrors(grade, STEP, (11,))
     record = np.concatenate([errors.advance(np.zeros(60_000, dtype=bool)) for _ in range(30)])
     assert allan_deviation(record, 1.0) == pytest.approx(closed_form(grade, 1.0), rel=0.01)
@@ -46,7 +46,7 @@ def test_five_hours_at_rest_have_the_allan_deviation_of_the_closed_form(grade: S
     assert allan_deviation(record, 378.0) == pytest.approx(closed_form(grade, 378.0), rel=0.15)
 
 
-def test_the_errors_do_not_depend_on_how_the_samples_are_cut_into_blocks() -> None:
+def test_the_errors_are_independent_of_the_block_lengths() -> None:
     moving = np.arange(3000) % 700 > 300
     whole = SensorErrors(MTI_630_GYROSCOPE, STEP, (5,)).advance(moving)
     parts = SensorErrors(MTI_630_GYROSCOPE, STEP, (5,))
@@ -54,14 +54,14 @@ def test_the_errors_do_not_depend_on_how_the_samples_are_cut_into_blocks() -> No
     assert np.abs(cut - whole).max() < 1e-15
 
 
-def test_vibration_comes_and_goes_with_motion() -> None:
+def test_vibration_is_added_in_motion_only() -> None:
     errors = SensorErrors(MTI_630_ACCELEROMETER, STEP, (6,))
     rest, drive = errors.advance(np.zeros(5000, dtype=bool)), errors.advance(np.ones(5000, dtype=bool))
     assert rest.std(axis=0) == pytest.approx(np.full(3, 10.0 * MTI_630_ACCELEROMETER.density), rel=0.05)
     assert drive.std(axis=0) == pytest.approx(np.full(3, 0.05), rel=0.05)
 
 
-def test_the_turn_on_bias_is_another_for_each_seed_and_stays() -> None:
+def test_the_turn_on_bias_differs_between_seeds_and_is_constant() -> None:
     biases = np.array([SensorErrors(MTI_630_ACCELEROMETER, STEP, (seed,)).turn_on for seed in range(400)])
     assert biases.std() == pytest.approx(2e-3 * 9.80665, rel=0.1)
     errors = SensorErrors(MTI_630_ACCELEROMETER, STEP, (1,))

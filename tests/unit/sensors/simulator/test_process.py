@@ -11,9 +11,10 @@ from services.sensors.simulator.process import Config, Process
 from services.sensors.simulator.world import messages
 from shared.bus.bus import Envelope
 from shared.messages.base import Message, RawBytes
-from shared.messages.gnss import GnssRaw
+from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.messages.imu import ImuRaw
 from shared.runtime.config import load_vehicle
+from tests.support.envelopes import sent, sent_bytes
 from tests.support.fake_bus import FakeBus
 from tests.support.ublox import valset
 
@@ -35,7 +36,7 @@ def drive(tmp_path: Path, envelopes: dict[int, Envelope], calls: int = 600, conf
 
 
 def write(data: bytes, source: str = "gnss0") -> Envelope:
-    return Envelope("gnss/write", data, {"received_ns": "1", "source": source}, received_ns=1)
+    return sent(GnssWrite(received_ns=1, source=source, data=data), received_ns=1)
 
 
 def command(period_ms: int) -> bytes:
@@ -46,7 +47,7 @@ def gnss_bytes(published: list[Message]) -> bytes:
     return b"".join(message.data for message in published if isinstance(message, GnssRaw))
 
 
-def test_it_sends_what_the_world_holds_when_it_is_due(tmp_path: Path) -> None:
+def test_the_messages_of_the_world_are_published_when_they_are_due(tmp_path: Path) -> None:
     bus = drive(tmp_path, {})
     expected = list(messages("parking_lot", 1, 2.9, START_NS))
     assert len(bus.published) >= len(expected) > 300
@@ -55,25 +56,25 @@ def test_it_sends_what_the_world_holds_when_it_is_due(tmp_path: Path) -> None:
     assert late <= bus.now_ns()
 
 
-def test_a_command_to_the_receiver_is_answered(tmp_path: Path) -> None:
+def test_a_command_to_the_receiver_is_acknowledged_and_one_to_another_source_is_not(tmp_path: Path) -> None:
     assert b"\xb5\x62\x05\x01\x02\x00\x06\x8a" in gnss_bytes(drive(tmp_path, {50: write(command(500))}).published)
     assert b"\xb5\x62\x05" not in gnss_bytes(drive(tmp_path, {50: write(command(500), "another")}).published)
 
 
-def test_a_bad_message_is_counted_and_the_drive_goes_on(tmp_path: Path) -> None:
-    bus = drive(tmp_path, {50: Envelope("gnss/write", b"", {}, received_ns=1)})
+def test_an_invalid_message_is_counted_and_the_drive_continues(tmp_path: Path) -> None:
+    bus = drive(tmp_path, {50: sent_bytes("gnss/write", b'{"data":"x"}', received_ns=1)})
     assert bus.rejects["payload"] == 1
     assert sum(isinstance(message, ImuRaw) for message in bus.published) > 250
 
 
-def test_what_a_sleeping_host_missed_is_left_out(tmp_path: Path) -> None:
-    class SleepyBus(FakeBus):
+def test_messages_overdue_after_a_suspend_of_the_host_are_dropped_and_counted(tmp_path: Path) -> None:
+    class SuspendedBus(FakeBus):
         def receive(self, timeout_s: float) -> list[Envelope]:
             if len(self.published) == 100 and self._now_ns < START_NS + 3 * NS:
                 self._now_ns += 3 * NS
             return super().receive(timeout_s)
 
-    bus = SleepyBus(tmp_path, lambda n: None if n >= 1500 else [], start_ns=START_NS, step_ns=STEP_NS)
+    bus = SuspendedBus(tmp_path, lambda n: None if n >= 1500 else [], start_ns=START_NS, step_ns=STEP_NS)
     Process(Config(pause_s=0.0)).run(bus.as_bus())
     stamps = [message.received_ns for message in bus.published if isinstance(message, ImuRaw)]
     assert max(b - a for a, b in pairwise(stamps)) > 2 * NS
@@ -82,12 +83,12 @@ def test_what_a_sleeping_host_missed_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("settings", [{"scenario": "moon"}, {"seed": -1}, {"protocols": ("sirf",)}, {"speed": 2.0}])
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, object]) -> None:
+def test_invalid_settings_are_rejected(settings: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         Config.model_validate(settings)
 
 
-def test_the_vehicle_file_of_the_demo_mounts_the_imu_as_its_parser_expects() -> None:
+def test_the_demo_vehicle_has_the_same_imu_mounting_for_simulator_and_parser() -> None:
     vehicle = load_vehicle(Path(__file__).parents[4] / "deploy" / "vehicles" / "simulated.toml")
     simulator = vehicle.section("sensors.simulator", Config)
     tracker = Tracker(simulator.seed, 0, np.random.default_rng(1), simulator.mounting_rpy_deg)

@@ -1,4 +1,4 @@
-"""What the simulated receiver sends and answers, read by libraries that are not ours."""
+"""Output and responses of the simulated receiver, decoded by independent libraries."""
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -35,7 +35,7 @@ def epoch(
     return Epoch(UTC_MS, fix, sky, tuple(SKY.rows))
 
 
-def test_nav_pvt_says_what_the_fix_is() -> None:
+def test_nav_pvt_encodes_the_fix() -> None:
     pvt = parse_ubx(ubx_encoder.nav_pvt(epoch(carrier="float")))
     assert pvt.identity == "NAV-PVT"
     assert (pvt.year, pvt.month, pvt.day, pvt.hour, pvt.min, pvt.second) == (2026, 9, 21, 14, 13, 21)
@@ -58,12 +58,12 @@ def test_nav_pvt_says_what_the_fix_is() -> None:
     assert pvt.lastCorrectionAge == 1
 
 
-def test_an_autonomous_fix_knows_no_corrections() -> None:
+def test_an_autonomous_fix_reports_no_corrections() -> None:
     pvt = parse_ubx(ubx_encoder.nav_pvt(epoch()))
     assert (pvt.diffSoln, pvt.carrSoln, pvt.lastCorrectionAge, pvt.invalidLlh) == (0, 0, 0, 0)
 
 
-def test_without_a_sky_there_is_no_fix_and_the_position_is_called_invalid() -> None:
+def test_without_signals_there_is_no_fix_and_the_position_is_flagged_invalid() -> None:
     lost = epoch(valid=False)
     pvt, cov, high = (
         parse_ubx(ubx_encoder.nav_pvt(lost)),
@@ -106,11 +106,11 @@ def test_nav_sat_lists_the_satellites() -> None:
     assert parse_ubx(ubx_encoder.nav_eoe(now)).iTOW == sat.iTOW == now.itow_ms
 
 
-def test_a_time_with_all_digits_is_the_calendar() -> None:
+def test_the_calendar_time_of_an_epoch_has_its_milliseconds() -> None:
     assert epoch().utc == datetime(2026, 9, 21, 14, 13, 21, 200_000, tzinfo=UTC)
 
 
-def test_the_sentences_say_what_the_fix_is() -> None:
+def test_rmc_and_gga_encode_the_fix() -> None:
     rmc = parse_nmea(nmea_encoder.rmc(epoch()))
     gga = parse_nmea(nmea_encoder.gga(epoch(carrier="fixed")))
     for sentence in (rmc, gga):
@@ -126,7 +126,7 @@ def test_the_sentences_say_what_the_fix_is() -> None:
     assert gga.num_sats == "12"
 
 
-def test_south_and_west_have_their_letters() -> None:
+def test_southern_and_western_positions_have_their_hemisphere_letters() -> None:
     rmc = parse_nmea(nmea_encoder.rmc(epoch(place=Geodetic(radians(-33.5), radians(-151.999999999), 0.0))))
     assert (rmc.lat, rmc.lat_dir) == ("3330.00000", "S")
     assert (rmc.lon, rmc.lon_dir) == ("15200.00000", "W")
@@ -148,10 +148,10 @@ def test_sentences_without_a_fix_are_void() -> None:
     assert parse_nmea(nmea_encoder.gsa(lost).splitlines()[0]).mode_fix_type == "1"
 
 
-def answers(receiver: Settings, *messages: bytes) -> Iterator[Any]:
+def responses(receiver: Settings, *messages: bytes) -> Iterator[Any]:
     for message in messages:
-        for answer in receiver.take(message):
-            yield parse_ubx(answer)
+        for response in receiver.feed(message):
+            yield parse_ubx(response)
 
 
 def test_the_keys_are_those_of_the_interface_description() -> None:
@@ -166,60 +166,60 @@ def test_the_keys_are_those_of_the_interface_description() -> None:
     assert UBX_CONFIG_DATABASE["CFG_NAVSPG_DYNMODEL"][0] == receiver_settings.DYNAMIC_MODEL
 
 
-def test_valset_is_acknowledged_obeyed_and_read_back() -> None:
+def test_valset_is_acknowledged_applied_and_read_back() -> None:
     receiver = Settings(("ubx",))
     wanted = [("CFG_RATE_MEAS", 200), ("CFG_MSGOUT_UBX_NAV_SAT_UART1", 5), ("CFG_MSGOUT_UBX_NAV_SAT_USB", 5)]
-    (acknowledged,) = answers(receiver, valset(wanted))
+    (acknowledged,) = responses(receiver, valset(wanted))
     assert (acknowledged.identity, acknowledged.clsID, acknowledged.msgID) == ("ACK-ACK", 0x06, 0x8A)
     assert receiver.period_ms == 200
     assert "UBX_NAV_SAT" in set(receiver.due(10))
     assert "UBX_NAV_SAT" not in set(receiver.due(11))
     poll = valget([name for name, _ in wanted])
-    values, acknowledged = answers(receiver, poll)
+    values, acknowledged = responses(receiver, poll)
     assert (values.CFG_RATE_MEAS, values.CFG_MSGOUT_UBX_NAV_SAT_UART1) == (200, 5)
     assert (acknowledged.identity, acknowledged.msgID) == ("ACK-ACK", 0x8B)
-    defaults, _ = answers(receiver, valget(["CFG_RATE_MEAS"], layer=7))
+    defaults, _ = responses(receiver, valget(["CFG_RATE_MEAS"], layer=7))
     assert defaults.CFG_RATE_MEAS == 1000
 
 
 @pytest.mark.parametrize("bad", [("CFG_RATE_MEAS", 10), ("CFG_UART1_BAUDRATE", 9600)])
-def test_a_valset_that_cannot_be_obeyed_is_refused_as_a_whole(bad: tuple[str, int]) -> None:
+def test_a_valset_with_one_invalid_value_is_rejected_as_a_whole(bad: tuple[str, int]) -> None:
     receiver = Settings(("ubx",))
-    (refused,) = answers(receiver, valset([("CFG_RATE_NAV", 2), bad]))
-    assert (refused.identity, refused.msgID) == ("ACK-NAK", 0x8A)
+    (rejected,) = responses(receiver, valset([("CFG_RATE_NAV", 2), bad]))
+    assert (rejected.identity, rejected.msgID) == ("ACK-NAK", 0x8A)
     assert receiver.period_ms == 1000
 
 
-def test_a_poll_of_an_unknown_key_is_refused() -> None:
-    (refused,) = answers(Settings(("ubx",)), valget(["CFG_UART1_BAUDRATE"]))
-    assert (refused.identity, refused.msgID) == ("ACK-NAK", 0x8B)
+def test_a_poll_of_an_unknown_key_is_rejected() -> None:
+    (rejected,) = responses(Settings(("ubx",)), valget(["CFG_UART1_BAUDRATE"]))
+    assert (rejected.identity, rejected.msgID) == ("ACK-NAK", 0x8B)
 
 
-def test_the_receiver_tells_its_version() -> None:
-    (version,) = answers(Settings(("ubx",)), ubx_encoder.frame(0x0A, 0x04, b""))
+def test_the_receiver_reports_its_version() -> None:
+    (version,) = responses(Settings(("ubx",)), ubx_encoder.frame(0x0A, 0x04, b""))
     assert version.hwVersion.startswith(b"00190000")
     assert b"MOD=ZED-F9P" in b"".join(getattr(version, f"extension_{i:02d}") for i in range(1, 6))
 
 
-def test_commands_may_come_in_pieces_and_among_garbage() -> None:
+def test_commands_are_accepted_byte_by_byte_and_between_invalid_bytes() -> None:
     receiver = Settings(("ubx",))
     command = valset([("CFG_RATE_MEAS", 500)])
     broken = command[:-1] + bytes([command[-1] ^ 1])
     stream = b"\xb5\x62\x06\x8a\xff\xff" + b"garbage" + broken + command
-    answered = [answer for byte in stream for answer in receiver.take(bytes([byte]))]
-    assert [parse_ubx(answer).identity for answer in answered] == ["ACK-ACK"]
+    responded = [response for byte in stream for response in receiver.feed(bytes([byte]))]
+    assert [parse_ubx(response).identity for response in responded] == ["ACK-ACK"]
     assert receiver.period_ms == 500
 
 
-def test_endless_garbage_does_not_fill_the_memory() -> None:
+def test_the_buffer_is_bounded_under_invalid_bytes() -> None:
     receiver = Settings(("ubx",))
     for _ in range(100):
-        assert not list(receiver.take(b"\xb5\x62\x06\x8a\x00\x04" + bytes(5000)))
+        assert not list(receiver.feed(b"\xb5\x62\x06\x8a\x00\x04" + bytes(5000)))
     assert len(receiver._buffer) <= receiver_settings.MAX_FRAME
 
 
 @pytest.mark.parametrize(("protocols", "first"), [(("ubx",), "UBX"), (("nmea",), "NMEA")])
-def test_a_receiver_starts_with_the_protocols_it_was_given(protocols: tuple[str, ...], first: str) -> None:
+def test_a_receiver_starts_with_the_configured_protocols(protocols: tuple[str, ...], first: str) -> None:
     assert {name.split("_")[0] for name in Settings(protocols).due(0)} == {first}
 
 
@@ -236,7 +236,7 @@ def look(model: SkyModel, time_s: float, mask_deg: float, *, covered: bool = Fal
     return model.at(time_s, PLACE, mask_deg=mask_deg, loss_db=0.0, covered=covered)
 
 
-def test_satellites_move_slowly_and_a_mask_hides_the_low_ones() -> None:
+def test_satellites_move_slowly_and_an_elevation_mask_blocks_the_low_ones() -> None:
     now, later = (look(SKY, 1.79e9 + dt, 10.0) for dt in (0.0, 1.0))
     both = min(len(now.number), len(later.number))
     assert np.abs(now.elevation_deg[:both] - later.elevation_deg[:both]).max() < 0.02
@@ -247,7 +247,7 @@ def test_satellites_move_slowly_and_a_mask_hides_the_low_ones() -> None:
     assert not look(SKY, 1.79e9, 10.0, covered=True).used.any()
 
 
-def test_two_constellations_give_about_as_many_satellites_as_the_paper_saw() -> None:
+def test_two_constellations_give_about_as_many_satellites_as_the_paper_reports() -> None:
     model = SkyModel(("gps", "galileo"), (1,))
     used = [int(look(model, 1.79e9 + 600.0 * i, 15.0).used.sum()) for i in range(144)]
     assert 9 <= np.median(used) <= 20
@@ -255,7 +255,7 @@ def test_two_constellations_give_about_as_many_satellites_as_the_paper_saw() -> 
 
 
 def test_orbits_have_the_periods_of_their_systems() -> None:
-    """Half a sidereal day for GPS: the same satellites stand at the same places a sidereal day later."""
+    """Half a sidereal day for GPS: the constellation repeats after a sidereal day."""
     model = SkyModel(("gps",), (3,))
     now, a_day_later = look(model, 0.0, 10.0), look(model, 86_164.1, 10.0)
     assert set(now.number.tolist()) == set(a_day_later.number.tolist())

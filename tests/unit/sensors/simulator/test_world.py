@@ -41,8 +41,7 @@ def stamp(message: Message) -> int:
 def fingerprint(stream: Iterable[Message]) -> str:
     digest = hashlib.sha256()
     for message in stream:
-        payload, properties = encode(message)
-        digest.update(repr((type(message).__name__, payload, properties)).encode())
+        digest.update(repr((type(message).__name__, encode(message))).encode())
     return digest.hexdigest()
 
 
@@ -70,7 +69,7 @@ def minute() -> list[Message]:
     return list(messages("parking_lot", 1, 60.0))
 
 
-def test_messages_come_in_the_order_of_their_arrival(minute: list[Message]) -> None:
+def test_messages_are_in_order_of_arrival_with_the_rates_of_their_devices(minute: list[Message]) -> None:
     assert all(stamp(a) <= stamp(b) for a, b in pairwise(minute))
     counts = Counter(type(message).__name__ for message in minute)
     assert counts["ImuRaw"] in range(5998, 6002)
@@ -79,20 +78,20 @@ def test_messages_come_in_the_order_of_their_arrival(minute: list[Message]) -> N
     assert counts["Origin"] in range(30, 32)
 
 
-def test_the_simulator_says_only_what_it_may(minute: list[Message]) -> None:
+def test_the_simulator_publishes_exactly_its_topics(minute: list[Message]) -> None:
     allowed = {topic.name for topic in publications("sensors.simulator")}
     assert {BY_MESSAGE[type(message)].name for message in minute} == allowed - {"health/+", "consumed/+"}
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_seed_repeats_byte_for_byte_and_another_differs(name: str) -> None:
+def test_equal_seeds_give_equal_bytes_and_different_seeds_differ(name: str) -> None:
     first, again, other = (fingerprint(messages(name, seed, 5.0)) for seed in (3, 3, 4))
     assert first == again
     assert first != other
 
 
-def test_the_truth_is_told_on_its_own_topic_only(minute: list[Message]) -> None:
-    """No raw message holds a true coordinate: neither as a number of the receiver nor as text."""
+def test_no_raw_message_holds_a_true_coordinate(minute: list[Message]) -> None:
+    """Neither the receiver's position nor any text in the raw bytes equals the truth."""
     truth = [message for message in minute if isinstance(message, TruthState)]
     for number, parsed in frames(minute):
         if parsed.identity == "NAV-HPPOSLLH":
@@ -104,14 +103,14 @@ def test_the_truth_is_told_on_its_own_topic_only(minute: list[Message]) -> None:
             assert b"latitude" not in message.data
 
 
-def test_truth_is_sampled_ten_times_a_second_exactly_on_a_grid(minute: list[Message]) -> None:
+def test_truth_is_sampled_at_10_hz_with_a_constant_period(minute: list[Message]) -> None:
     stamps = np.array([message.sampled_ns for message in minute if isinstance(message, TruthState)])
     steps = set(np.diff(stamps).tolist())
     assert len(steps) == 1
     assert steps.pop() == pytest.approx(100_000_000, rel=21e-6)
 
 
-def test_imu_messages_are_those_of_a_tracker_at_100_hz(minute: list[Message]) -> None:
+def test_imu_messages_are_mtdata2_at_100_hz(minute: list[Message]) -> None:
     rejects: Counter[str] = Counter()
     reader = xbus.XbusReader(rejects)
     ticks, counters, arrivals = [], [], []
@@ -133,13 +132,13 @@ def test_imu_messages_are_those_of_a_tracker_at_100_hz(minute: list[Message]) ->
     assert not rejects
     assert set(np.diff(ticks)) == {100}
     assert set(np.diff(counters) % 65536) == {1}
-    # The tracker's clock drifts by at most 20 ppm, and its bytes take 3 to 5 ms.
+    # The clock drift is at most 20 ppm, and the transmission delay 3 to 5 ms.
     waiting = np.array(arrivals) - (np.array(ticks) - ticks[0]) * 100_000
     assert np.ptp(waiting) < 2e6 + 20e-6 * 60e9
     assert waiting.min() - DEFAULT_START_NS > 12e6
 
 
-def test_the_case_of_the_imu_is_mounted_as_told() -> None:
+def test_the_accelerometer_axes_follow_the_configured_mounting() -> None:
     flat, turned = (
         World(BY_NAME["parking_lot"], 1, 0, Equipment(mounting_rpy_deg=mounting))
         for mounting in ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0))
@@ -150,7 +149,7 @@ def test_the_case_of_the_imu_is_mounted_as_told() -> None:
         values = xbus.decode_mtdata2(data[4:-1], Counter())
         readings.append(np.array(values[xbus.ACCELERATION]))
     assert readings[0][2] == pytest.approx(9.80, abs=0.05), "z points up"
-    # A case turned clockwise by 90 degrees has its x axis to the right: the body's forward is its y axis, to the left.
+    # An IMU turned clockwise by 90 degrees has its x axis to the right and its y axis forward.
     assert readings[1] == pytest.approx([-readings[0][1], readings[0][0], readings[0][2]], abs=1e-5)
 
 
@@ -167,12 +166,12 @@ def test_the_messages_of_an_epoch_share_their_time_and_arrive_within_150_ms(minu
         assert itow % 1000 == 0
         starts.append((parts[0][0] - itow * 1_000_000, parts[-1][0] - parts[0][0]))
     first, spread = np.array(starts).T
-    # The offset of the host to UTC is unknown here; what varies is the delay.
+    # The host's offset to UTC is unknown here; only the variation is that of the delay.
     assert 1e6 < np.ptp(first) < 31e6
     assert 20e6 < spread.max() < 100e6
 
 
-def test_the_fix_is_where_the_antenna_was_at_the_time_it_tells() -> None:
+def test_the_speed_of_a_fix_is_the_true_speed_at_its_time_stamp() -> None:
     stream = list(messages("highway", 2, 90.0))
     truth = {message.sampled_ns: message for message in stream if isinstance(message, TruthState)}
     stamps = np.array(sorted(truth))
@@ -194,7 +193,7 @@ def _epochs(pvts: list[tuple[int, Any]]) -> npt.NDArray[np.int64]:
     return week_ns + itow + (7 * 86_400 * NS if week_ns + itow[0] < DEFAULT_START_NS - 86_400 * NS else 0)
 
 
-def test_a_new_rate_is_acknowledged_and_in_force_from_the_next_epoch() -> None:
+def test_a_new_rate_is_acknowledged_and_applied_from_the_next_epoch() -> None:
     world = World(BY_NAME["parking_lot"], 1, DEFAULT_START_NS, Equipment(protocols=("ubx",)))
     arrivals = iter(world)
     before = list(takewhile(lambda a: a[0] < DEFAULT_START_NS + 3 * NS, arrivals))
@@ -204,9 +203,9 @@ def test_a_new_rate_is_acknowledged_and_in_force_from_the_next_epoch() -> None:
     world.write(valget(["CFG_RATE_MEAS"]), now_ns)
     after = list(takewhile(lambda a: a[0] < DEFAULT_START_NS + 8 * NS, arrivals))
     parsed = frames(message for _, message in [*before, *after])
-    answers = [(r, p) for r, p in parsed if p.identity in ("ACK-ACK", "CFG-VALGET")]
-    assert [p.identity for _, p in answers] == ["ACK-ACK", "CFG-VALGET", "ACK-ACK"]
-    assert answers[0][0] - now_ns < 200_000_000
+    responses = [(r, p) for r, p in parsed if p.identity in ("ACK-ACK", "CFG-VALGET")]
+    assert [p.identity for _, p in responses] == ["ACK-ACK", "CFG-VALGET", "ACK-ACK"]
+    assert responses[0][0] - now_ns < 200_000_000
     times = [p.iTOW for _, p in parsed if p.identity == "NAV-PVT"]
     assert np.diff(times).tolist() == sorted(np.diff(times).tolist(), reverse=True), "once slow, then fast"
     assert set(np.diff(times)) == {1000, 100}
@@ -216,31 +215,31 @@ def test_a_new_rate_is_acknowledged_and_in_force_from_the_next_epoch() -> None:
     assert len(satellites) < len(epochs) / 5
 
 
-def test_a_line_that_is_too_slow_leaves_epochs_out_and_no_message_is_cut() -> None:
+def test_a_saturated_serial_line_skips_whole_epochs() -> None:
     world = World(BY_NAME["parking_lot"], 1, DEFAULT_START_NS)
     world.write(valset([("CFG_RATE_MEAS", 50)]), DEFAULT_START_NS)
     arrivals = takewhile(lambda a: a[0] < DEFAULT_START_NS + 10 * NS, world)
     pvts = [(r, p) for r, p in frames(message for _, message in arrivals) if p.identity == "NAV-PVT"]
-    assert 80 < len(pvts) < 150, "1 kB an epoch at 11.5 kB/s"
+    assert 80 < len(pvts) < 150, "1 kB per epoch at 11.5 kB/s"
     steps = np.diff([p.iTOW for _, p in pvts])
     assert steps.min() == 50
     assert steps.max() < 2000
 
 
-def test_a_tunnel_is_seen_in_the_messages() -> None:
+def test_nav_pvt_has_no_fix_in_a_tunnel() -> None:
     pvts = [p for _, p in frames(messages("tunnel", 1, 130.0)) if p.identity == "NAV-PVT"]
     kinds = {(p.fixType, p.gnssFixOk, p.invalidLlh) for p in pvts}
     assert kinds == {(3, 1, 0), (0, 0, 1)}
     assert all(p.numSV == 0 for p in pvts if not p.fixType)
 
 
-def test_the_origin_is_repeated_so_that_nobody_takes_it_for_a_vehicle(minute: list[Message]) -> None:
+def test_the_origin_states_a_simulation_every_2_s(minute: list[Message]) -> None:
     origins = [message for message in minute if isinstance(message, Origin)]
     assert {(o.kind, o.name, o.seed, o.speed) for o in origins} == {(OriginKind.SIMULATED, "parking_lot", 1, 1.0)}
     assert {b.now_ns - a.now_ns for a, b in pairwise(origins)} == {2 * NS}
 
 
-def test_a_long_drive_does_not_grow() -> None:
+def test_the_memory_of_a_long_drive_is_bounded() -> None:
     arrivals = (message for _, message in World(BY_NAME["urban"], 1, 0))
     for _ in islice(arrivals, 4_000):
         pass
@@ -257,12 +256,12 @@ def test_a_long_drive_does_not_grow() -> None:
     assert late - early < 100_000, "bytes; another minute of messages is more than 1 MB"
 
 
-def test_sources_are_named(minute: list[Message]) -> None:
+def test_raw_messages_name_their_sources(minute: list[Message]) -> None:
     sources = {m.source for m in minute if isinstance(m, ImuRaw | GnssRaw | CanRaw)}
     assert sources == {"imu0", SOURCE, "can0"}
 
 
-def test_a_second_antenna_tells_the_heading_of_the_vehicle() -> None:
+def test_the_baseline_of_two_antennas_is_the_heading_of_the_vehicle() -> None:
     scenario = replace(BY_NAME["tunnel"], carrier="fixed")
     world = World(scenario, 1, DEFAULT_START_NS, Equipment(protocols=("ubx",), second_antenna_m=1.0))
     end = DEFAULT_START_NS + 100 * NS
@@ -271,11 +270,11 @@ def test_a_second_antenna_tells_the_heading_of_the_vehicle() -> None:
     yaw = np.unwrap([m.yaw_rad for m in truth])
     lines = [(at, m) for at, m in frames(stream) if m.identity == "NAV-RELPOSNED"]
     valid = [(at, m) for at, m in lines if m.relPosHeadingValid]
-    assert len(lines) > 95 and 50 < len(valid) < len(lines), "none in a tunnel, and for a while after it"
+    assert len(lines) > 95 and 50 < len(valid) < len(lines), "none before the ambiguities are fixed"
     assert all(m.carrSoln == 2 and m.isMoving and m.relPosLength == 100 for _, m in valid)
     errors = []
     for at, line in valid:
         before = np.searchsorted([m.sampled_ns for m in truth], at) - 1
-        if abs(yaw[before] - yaw[before - 3]) < np.radians(0.1):  # in a bend it is another one when it arrives
+        if abs(yaw[before] - yaw[before - 3]) < np.radians(0.1):  # in a bend the heading changes during the delay
             errors.append(np.angle(np.exp(1j * (np.radians(line.relPosHeading) - yaw[before]))))
     assert len(errors) > 20 and np.degrees(np.abs(errors)).max() < 5.0 * valid[0][1].accHeading

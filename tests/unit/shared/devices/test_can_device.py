@@ -25,7 +25,7 @@ def read_lines(device: Device, n: int, within_s: float = 3.0) -> list[str]:
 
 
 def commands(far: int, last: bytes) -> list[bytes]:
-    """Read commands to an adapter, each of which ends in a carriage return, up to one that begins with `last`."""
+    """Read commands to an adapter (terminated by carriage return) up to one that begins with `last`."""
     data = b""
     while True:
         data += os.read(far, 1)
@@ -48,9 +48,7 @@ def without_stamps(lines: list[str]) -> list[str]:
          "can0 001##1AB"),
     ],
 )  # fmt: skip
-def test_a_line_is_read_back_by_python_can_as_the_frame_that_it_was(
-    frame: can.Message, text: str, tmp_path: Path
-) -> None:
+def test_a_line_is_parsed_by_python_can_to_the_same_frame(frame: can.Message, text: str, tmp_path: Path) -> None:
     line = candump_line(1_436_509_052_249_713_999, "can0", frame)
     assert line.decode() == f"(1436509052.249713) {text}\n"
     path = tmp_path / "candump.log"
@@ -59,7 +57,7 @@ def test_a_line_is_read_back_by_python_can_as_the_frame_that_it_was(
     assert read.equals(frame, timestamp_delta=None, check_channel=False, check_direction=False)
 
 
-def test_frames_of_an_interface_become_lines_stamped_on_the_time_line() -> None:
+def test_frames_of_an_interface_are_lines_stamped_in_the_obu_time_line() -> None:
     device = open_can("virtual://lines", 0x7DF, time.monotonic_ns)
     with can.Bus("lines", "virtual") as far:
         before_ns = time.monotonic_ns()
@@ -74,7 +72,7 @@ def test_frames_of_an_interface_become_lines_stamped_on_the_time_line() -> None:
 
 
 @pytest.mark.parametrize(("identifier", "extended"), [(0x7DF, False), (0x18DB33F1, True)])
-def test_a_request_is_sent_with_its_identifier(identifier: int, extended: bool) -> None:
+def test_a_request_is_transmitted_with_its_identifier(identifier: int, extended: bool) -> None:
     device = open_can("virtual://requests", identifier, time.monotonic_ns)
     with can.Bus("requests", "virtual") as far:
         device.write(REQUEST)
@@ -84,7 +82,7 @@ def test_a_request_is_sent_with_its_identifier(identifier: int, extended: bool) 
     device.close()
 
 
-def test_a_closed_interface_is_lost_for_reading_and_busy_for_writing() -> None:
+def test_a_closed_interface_raises_device_lost_on_read_and_device_busy_on_write() -> None:
     device = open_can("virtual://closed", 0x7DF, time.monotonic_ns)
     device.close()
     with pytest.raises(DeviceLost, match="check its cable"):
@@ -93,7 +91,7 @@ def test_a_closed_interface_is_lost_for_reading_and_busy_for_writing() -> None:
         device.write(REQUEST)
 
 
-def test_a_serial_adapter_speaks_lawicel() -> None:
+def test_a_serial_adapter_is_controlled_by_the_lawicel_protocol() -> None:
     far, near = pty.openpty()
     tty.setraw(near)
     device = open_can(f"slcan://{os.ttyname(near)}?bitrate=250000", 0x7DF, time.monotonic_ns)
@@ -111,18 +109,18 @@ def test_a_serial_adapter_speaks_lawicel() -> None:
     os.close(near)
 
 
-def test_an_absent_interface_says_what_to_check() -> None:
+def test_the_error_for_a_missing_interface_states_what_to_check() -> None:
     with pytest.raises(DeviceLost, match="cannot open socketcan://nocan7"):
         open_can("socketcan://nocan7", 0x7DF, time.monotonic_ns)
 
 
 @pytest.mark.parametrize("url", ["can0", "serial:///dev/ttyACM0", "socketcan://can0?bitrate=5"])
-def test_a_wrong_url_is_answered_with_what_to_try(url: str) -> None:
+def test_the_error_for_an_invalid_url_states_what_to_try(url: str) -> None:
     with pytest.raises(UserError, match=r"try socketcan://can0|known options"):
         check_can_url(url)
 
 
-def test_a_log_is_replayed_at_its_pace_with_stamps_of_now(tmp_path: Path) -> None:
+def test_a_log_is_replayed_at_its_recorded_rate_with_present_stamps(tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
     path.write_text("(1000.000000) can0 001#01\nrubbish\n(1000.100000) can0 002#02\n(1000.3) can0 003#03\n")
     device = open_can(f"file://{path}", 0x7DF, time.monotonic_ns)
@@ -137,7 +135,7 @@ def test_a_log_is_replayed_at_its_pace_with_stamps_of_now(tmp_path: Path) -> Non
 
 
 @pytest.mark.recording
-def test_a_recorded_log_is_replayed_as_python_can_reads_it(tmp_path: Path) -> None:
+def test_a_recorded_log_is_replayed_as_parsed_by_python_can(tmp_path: Path) -> None:
     source = recording("can_toyobaru_wheelspeed") / "can_sample.log"
     path = tmp_path / "part.log"
     with source.open() as file:

@@ -48,7 +48,7 @@ def test_a_serial_port_is_read_and_written_byte_for_byte(port: tuple[int, str]) 
     device.close()
 
 
-def test_a_silent_serial_port_costs_no_longer_than_was_asked(port: tuple[int, str]) -> None:
+def test_a_read_of_a_silent_serial_port_ends_at_its_timeout(port: tuple[int, str]) -> None:
     device = open_device(f"serial://{port[1]}")
     start = time.monotonic()
     assert device.read(0.02) == b""
@@ -56,7 +56,7 @@ def test_a_silent_serial_port_costs_no_longer_than_was_asked(port: tuple[int, st
     device.close()
 
 
-def test_bytes_from_before_the_port_was_opened_are_forgotten(port: tuple[int, str]) -> None:
+def test_bytes_buffered_before_the_port_was_opened_are_dropped(port: tuple[int, str]) -> None:
     far, name = port
     os.write(far, b"stale")
     device = open_device(f"serial://{name}")
@@ -65,7 +65,7 @@ def test_bytes_from_before_the_port_was_opened_are_forgotten(port: tuple[int, st
     device.close()
 
 
-def test_a_port_that_is_unplugged_is_lost(port: tuple[int, str]) -> None:
+def test_an_unplugged_port_raises_device_lost(port: tuple[int, str]) -> None:
     far, name = port
     device = open_device(f"serial://{name}")
     os.close(far)
@@ -75,19 +75,19 @@ def test_a_port_that_is_unplugged_is_lost(port: tuple[int, str]) -> None:
     device.close()
 
 
-def test_a_port_that_another_program_has_open_is_not_shared(port: tuple[int, str]) -> None:
+def test_a_port_opened_by_another_program_raises_device_lost(port: tuple[int, str]) -> None:
     device = open_device(f"serial://{port[1]}")
     with pytest.raises(DeviceLost, match="another program has it open"):
         open_device(f"serial://{port[1]}")
     device.close()
 
 
-def test_an_absent_device_says_what_to_check() -> None:
+def test_the_error_for_a_missing_device_states_what_to_check() -> None:
     with pytest.raises(DeviceLost, match=r"No such file or directory; check the cable"):
         open_device("serial:///dev/there-is-no-such-port")
 
 
-def test_an_absent_usb_device_is_named() -> None:
+def test_the_error_for_a_missing_usb_device_states_what_to_check() -> None:
     with pytest.raises(DeviceLost, match="check the cable"):
         open_device("serial://dead:beef")
 
@@ -106,7 +106,7 @@ def test_a_tcp_device_is_read_and_written() -> None:
         device.close()
 
 
-def test_a_tcp_peer_that_does_not_read_blocks_nobody() -> None:
+def test_a_write_to_a_tcp_peer_that_does_not_read_raises_device_busy() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         device = open_device(f"tcp://127.0.0.1:{server.getsockname()[1]}")
         peer, _ = server.accept()
@@ -117,16 +117,16 @@ def test_a_tcp_peer_that_does_not_read_blocks_nobody() -> None:
         device.close()
 
 
-def test_a_tcp_server_that_is_not_there_is_lost() -> None:
+def test_a_missing_tcp_server_raises_device_lost() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
     device = open_device(f"tcp://127.0.0.1:{number}")
-    with pytest.raises(DeviceLost, match="check that its server runs"):
+    with pytest.raises(DeviceLost, match="check that the server runs"):
         read_until(device, 1)
     device.close()
 
 
-def test_a_file_is_sent_at_its_rate_and_then_silent(tmp_path: Path) -> None:
+def test_a_file_is_replayed_at_its_rate_and_ends(tmp_path: Path) -> None:
     path = tmp_path / "recording.ubx"
     path.write_bytes(bytes(2000))
     device = open_device(f"file://{path}?rate=10000")
@@ -144,16 +144,16 @@ def test_a_file_is_sent_at_its_rate_and_then_silent(tmp_path: Path) -> None:
         ("usb:///dev/ttyACM0", "try serial:///dev/ttyACM0"),
         ("/dev/ttyACM0", "try serial:///dev/ttyACM0"),
         ("serial:///dev/ttyACM0?boud=9600", "known options: baud"),
-        ("serial:///dev/ttyACM0?baud=fast", "no positive whole number"),
-        ("tcp://somewhere", "needs a host and a port"),
-        ("tcp://somewhere:port", "needs a host and a port"),
+        ("serial:///dev/ttyACM0?baud=fast", "must be a positive integer"),
+        ("tcp://somewhere", "host and port required"),
+        ("tcp://somewhere:port", "host and port required"),
     ],
 )
-def test_a_wrong_url_is_answered_with_what_to_try(url: str, hint: str) -> None:
+def test_the_error_for_an_invalid_url_states_what_to_try(url: str, hint: str) -> None:
     with pytest.raises(UserError, match=hint):
         open_device(url)
 
 
-def test_eventually_fails_when_nothing_happens() -> None:
+def test_eventually_fails_after_its_timeout() -> None:
     with pytest.raises(AssertionError, match="in time"):
         eventually(lambda: False, within_s=0.02)

@@ -34,7 +34,7 @@ class Script:
 
 
 def plug(folder: Path) -> int:
-    """Plug a device in at a name that stays the same, as udev does; return its far end."""
+    """Connect a device under a constant name, as udev does; return its far end."""
     far, near = pty.openpty()
     tty.setraw(near)
     link = folder / "device"
@@ -52,28 +52,26 @@ def raw(data: bytes, received_ns: int) -> ImuRaw:
     return ImuRaw(received_ns=received_ns, source="imu0", data=data)
 
 
-def test_neighbouring_bytes_travel_in_one_chunk_and_silence_ends_it() -> None:
+def test_contiguous_bytes_are_one_chunk_that_ends_after_a_gap() -> None:
     bus = LiveBus()
     link = Link(lambda: Script(b"ab", b"cd", b"", b"ef"))
     assert link.read(bus.as_bus(), 0.0)[0] == b"abcd"
     assert link.read(bus.as_bus(), 0.0)[0] == b"ef"
 
 
-def test_a_chunk_never_waits_longer_than_its_time() -> None:
+def test_a_chunk_ends_at_its_maximum_duration() -> None:
     bus = LiveBus()
     link = Link(lambda: Script(*[b"x"] * 1000), chunk_s=0.0)
     assert link.read(bus.as_bus(), 0.0)[0] == b"x"
 
 
-def test_what_is_written_while_the_device_is_away_is_counted() -> None:
+def test_writes_to_an_absent_device_are_counted() -> None:
     bus = LiveBus()
     Link(lambda: open_device("serial:///dev/there-is-no-such-port")).write(bus.as_bus(), b"x")
     assert bus.rejects["write_lost"] == 1
 
 
-def test_an_absent_device_is_waited_for_with_one_line_in_the_log(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_loss_and_return_of_a_device_are_logged_once_each(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     url = f"serial://{tmp_path / 'device'}"
     with caplog.at_level(logging.INFO), running(driving(url)) as bus:
         eventually(lambda: bus.last_error is not None)
@@ -87,7 +85,7 @@ def test_an_absent_device_is_waited_for_with_one_line_in_the_log(
     assert bus.rejects["device_lost"] == 0
 
 
-def test_a_device_that_is_unplugged_and_comes_back_is_read_again(tmp_path: Path) -> None:
+def test_a_reconnected_device_is_read_again(tmp_path: Path) -> None:
     url = f"serial://{tmp_path / 'device'}"
     far = plug(tmp_path)
     with running(driving(url)) as bus:
@@ -113,7 +111,7 @@ def test_a_lost_device_is_closed_before_it_is_opened_again(tmp_path: Path) -> No
     assert not [path for path in _open_files() if path.startswith(name)]
 
 
-def test_stamps_are_taken_when_the_bytes_arrive(tmp_path: Path) -> None:
+def test_chunks_are_stamped_with_their_arrival_time(tmp_path: Path) -> None:
     far = plug(tmp_path)
     url = f"serial://{tmp_path / 'device'}"
     with running(driving(url)) as bus:
@@ -121,19 +119,19 @@ def test_stamps_are_taken_when_the_bytes_arrive(tmp_path: Path) -> None:
         sent_ns = bus.now_ns()
         os.write(far, b"now")
         eventually(lambda: any(b"now" in message.data for message in bus.of(ImuRaw)))
-        heard_ns = bus.now_ns()
+        received_ns = bus.now_ns()
     stamp_ns = next(message.received_ns for message in bus.of(ImuRaw) if b"now" in message.data)
-    assert sent_ns <= stamp_ns <= heard_ns
+    assert sent_ns <= stamp_ns <= received_ns
     os.close(far)
 
 
-def test_a_live_device_is_announced_as_live() -> None:
+def test_the_origin_of_a_live_device_is_live() -> None:
     with running(driving("serial:///dev/there-is-no-such-port")) as bus:
         eventually(lambda: bool(bus.of(Origin)))
     assert (bus.of(Origin)[0].kind, bus.of(Origin)[0].name) == (OriginKind.LIVE, "car")
 
 
-def test_a_recorded_file_is_announced_as_a_replay(tmp_path: Path) -> None:
+def test_the_origin_of_a_recorded_file_is_replay(tmp_path: Path) -> None:
     (tmp_path / "drive.xbus").write_bytes(b"abc")
     with running(driving(f"file://{tmp_path / 'drive.xbus'}")) as bus:
         eventually(lambda: bool(bus.of(Origin)))
@@ -141,7 +139,7 @@ def test_a_recorded_file_is_announced_as_a_replay(tmp_path: Path) -> None:
 
 
 def _says(far: int, data: bytes, bus: LiveBus) -> bool:
-    """Say something until it is heard; the driver may not have opened the port yet."""
+    """Send bytes until they are received; the driver may not have opened the port yet."""
     os.write(far, data)
     return any(data in message.data for message in bus.of(ImuRaw))
 

@@ -50,7 +50,7 @@ def golden(text: str) -> list[dict[int, list[float]]]:
 
 @pytest.mark.recording
 @pytest.mark.parametrize("number", ["1", "3", "5"])
-def test_a_recording_of_an_mti_decodes_as_an_independent_implementation_decodes_it(number: str) -> None:
+def test_a_recording_is_decoded_as_by_an_independent_implementation(number: str) -> None:
     folder = recording("xsens_xbus") / number
     reader = XbusReader()
     data = (folder / "output.bin").read_bytes()
@@ -67,13 +67,13 @@ def test_a_recording_of_an_mti_decodes_as_an_independent_implementation_decodes_
 
 
 @pytest.mark.recording
-def test_a_recording_is_encoded_again_byte_for_byte() -> None:
+def test_decoding_and_encoding_a_recording_reproduces_its_bytes() -> None:
     data = (recording("xsens_xbus") / "3" / "output.bin").read_bytes()
     again = b"".join(encode_mtdata2(dict(xbus.split_mtdata2(m.payload))) for m in XbusReader().feed(data))
     assert again == data
 
 
-def test_a_message_is_framed_as_the_protocol_document_says() -> None:
+def test_a_message_is_framed_by_the_protocol_document() -> None:
     assert encode_message(0x30, b"") == bytes.fromhex("fa ff 30 00 d1")  # GoToConfig, as printed in the document
 
 
@@ -83,13 +83,13 @@ def test_a_long_message_uses_the_extended_length() -> None:
     assert [m.payload for m in XbusReader().feed(data)] == [bytes(300)]
 
 
-def test_a_payload_beyond_the_limit_is_refused() -> None:
+def test_a_payload_beyond_the_limit_is_rejected() -> None:
     with pytest.raises(ValueError, match="2049"):
         encode_message(0x36, bytes(2049))
 
 
 @pytest.mark.parametrize("number_format", [0, 1, 2, 3])
-def test_every_number_format_survives_the_wire(number_format: int) -> None:
+def test_every_number_format_is_encoded_and_decoded_within_its_resolution(number_format: int) -> None:
     sent = (-9.80665, 0.0, 1024.25)
     data_id = xbus.ACCELERATION | number_format
     quantum = (2**-14, 2**-20, 2**-32, 0.0)[number_format]  # half a float32 step at 1024 is 2**-14
@@ -97,19 +97,19 @@ def test_every_number_format_survives_the_wire(number_format: int) -> None:
 
 
 @pytest.mark.parametrize(("data_id", "values"), [(0x1234, (1.0,)), (xbus.ACCELERATION, (1.0,)), (0x4021, (1e9, 0, 0))])
-def test_a_field_that_cannot_be_encoded_is_refused(data_id: int, values: tuple[float, ...]) -> None:
+def test_a_field_that_cannot_be_encoded_is_rejected(data_id: int, values: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"field 0x"):
         encode_field(data_id, *values)
 
 
-def test_a_field_of_the_wrong_size_does_not_lose_its_neighbours() -> None:
+def test_a_field_of_the_wrong_size_is_counted_and_the_others_are_decoded() -> None:
     rejects: Counter[str] = Counter()
     payload = struct.pack(">HBHHBHHB2s", 0x1020, 2, 7, 0x4020, 2, 0, 0x8020, 12, b"\0\0")
     assert decode_mtdata2(payload, rejects) == {xbus.PACKET_COUNTER: (7,)}
     assert rejects == {"bad_field": 1, "cut_field": 1}
 
 
-def test_a_wrong_checksum_loses_one_message_and_no_other() -> None:
+def test_a_wrong_checksum_invalidates_one_message_only() -> None:
     good = encode_message(0x36, b"good")
     bad = bytearray(encode_message(0x36, b"bad!"))
     bad[-1] ^= 1
@@ -118,14 +118,14 @@ def test_a_wrong_checksum_loses_one_message_and_no_other() -> None:
     assert reader.rejects == {"bad_checksum": 1, "garbage_bytes": len(bad)}
 
 
-def test_an_impossible_length_is_passed_over_at_once() -> None:
+def test_an_invalid_length_is_skipped_at_once() -> None:
     reader = XbusReader()
     message = encode_message(0x36, b"x")
     assert len(list(reader.feed(bytes.fromhex("fa ff 36 ff ff ff") + message))) == 1
     assert reader.rejects == {"oversize": 1, "garbage_bytes": 6}
 
 
-def test_the_buffer_stays_bounded_whatever_arrives() -> None:
+def test_the_buffer_is_bounded_for_any_input() -> None:
     reader = XbusReader()
     for _ in range(200):
         list(reader.feed(bytes.fromhex("fa ff 36 ff 07 00") + bytes(94)))
@@ -136,14 +136,14 @@ MEASUREMENT = encode_mtdata2({xbus.PACKET_COUNTER: encode_field(xbus.PACKET_COUN
 
 
 @given(garbage=st.lists(st.binary(max_size=40), max_size=5), cut=st.integers(1, 50))
-def test_noise_between_messages_never_raises_and_costs_no_message_and_no_time(garbage: list[bytes], cut: int) -> None:
+def test_every_message_after_random_bytes_is_found_without_delay(garbage: list[bytes], cut: int) -> None:
     stream = b"".join(part + MEASUREMENT for part in garbage)
     reader = XbusReader()
     found = [m for i in range(0, len(stream), cut) for m in reader.feed(stream[i : i + cut])]
     assert [m.payload for m in found].count(MEASUREMENT[4:-1]) == len(garbage)
 
 
-def test_a_damaged_length_neither_swallows_nor_delays_the_messages_that_follow() -> None:
+def test_messages_after_a_corrupted_length_are_found_without_delay() -> None:
     damaged = bytearray(MEASUREMENT)
     damaged[3] = 0xF0
     reader = XbusReader()
@@ -151,11 +151,11 @@ def test_a_damaged_length_neither_swallows_nor_delays_the_messages_that_follow()
     assert reader.rejects["cut_message"] == 1
 
 
-def test_a_message_that_was_cut_off_does_not_take_the_next_one_with_it() -> None:
+def test_the_message_after_a_truncated_one_is_found() -> None:
     for cut in range(1, len(MEASUREMENT)):
         assert len(list(XbusReader().feed(MEASUREMENT[:cut] + MEASUREMENT))) == 1
 
 
 @given(payload=st.binary(max_size=120))
-def test_any_payload_is_decoded_or_counted_and_never_raises(payload: bytes) -> None:
+def test_any_payload_is_decoded_or_counted(payload: bytes) -> None:
     decode_mtdata2(payload, Counter())

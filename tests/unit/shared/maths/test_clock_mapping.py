@@ -20,7 +20,7 @@ def arrivals(
     excess_s: float = 0.004,
     seed: int = 1,
 ) -> list[tuple[int, int, int]]:
-    """Simulate (device time, arrival, truth): a clock that runs `drift` slow and an exponential delay."""
+    """Simulate (device time, arrival, truth): a clock with a rate error `drift` and an exponential delay."""
     rng = np.random.default_rng(seed)
     rows, arrival = [], 0
     for k in range(int(seconds * rate_hz)):
@@ -33,28 +33,28 @@ def arrivals(
 
 @pytest.mark.parametrize("drift", [-100e-6, 0.0, 20e-6, 100e-6])
 @pytest.mark.parametrize("rate_hz", [1.0, 100.0])
-def test_stamps_are_true_within_a_fraction_of_the_jitter_once_the_window_is_full(rate_hz: float, drift: float) -> None:
+def test_stamp_errors_are_a_fraction_of_the_jitter_once_the_window_is_full(rate_hz: float, drift: float) -> None:
     clock = ClockMapping(minimum_delay_s=0.05)
     rows = arrivals(seconds=240, rate_hz=rate_hz, drift=drift, minimum_s=0.05)
     errors_ms = [(clock.stamp(device, arrival) - truth) / MS for device, arrival, truth in rows]
     settled = np.array(errors_ms[len(rows) // 4 :])
-    # The jitter is 4 ms. At 1 Hz the envelope rests on few points; at 100 Hz on the best of each second.
+    # The jitter is 4 ms. At 1 Hz the envelope has few points; at 100 Hz the best of each second.
     assert np.sqrt(np.mean(settled**2)) < (1.5 if rate_hz == 1.0 else 0.25)
     assert np.max(np.abs(settled)) < (4.0 if rate_hz == 1.0 else 1.5)
 
 
-def test_the_drift_is_found_by_what_is_sent_in_a_minute() -> None:
+def test_the_drift_is_estimated_within_one_minute_of_arrivals() -> None:
     clock = ClockMapping()
     for device, arrival, _ in arrivals(seconds=120, rate_hz=100, drift=50e-6):
         clock.stamp(device, arrival)
     assert clock.drift == pytest.approx(50e-6, abs=5e-6)
 
 
-def test_the_minimum_delay_is_taken_off_since_no_envelope_can_see_it() -> None:
+def test_the_minimum_delay_is_subtracted() -> None:
     assert ClockMapping(minimum_delay_s=0.05).stamp(0, START_NS) == START_NS - 50 * MS
 
 
-def test_a_burst_after_a_stall_keeps_the_intervals_of_the_device() -> None:
+def test_a_burst_after_a_stall_has_the_intervals_of_the_device() -> None:
     clock = ClockMapping()
     for k in range(2000):
         clock.stamp(k * 10 * MS, START_NS + k * 10 * MS)
@@ -64,27 +64,27 @@ def test_a_burst_after_a_stall_keeps_the_intervals_of_the_device() -> None:
     assert stamps[0] == pytest.approx(START_NS + 20_000 * MS, abs=1000)
 
 
-def test_samples_that_arrive_together_are_placed_by_the_one_that_waited_least() -> None:
+def test_samples_that_arrive_together_are_stamped_by_the_one_with_the_least_delay() -> None:
     stamps = ClockMapping(minimum_delay_s=0.003).stamp_all([k * 10 * MS for k in range(5)], START_NS)
     assert list(stamps) == pytest.approx([START_NS - 3 * MS - (4 - k) * 10 * MS for k in range(5)], abs=10)
 
 
-def test_a_step_of_the_clock_between_samples_that_arrive_together_parts_them() -> None:
+def test_a_clock_step_between_samples_that_arrive_together_resets_the_mapping() -> None:
     clock = ClockMapping()
     stamps = clock.stamp_all([100 * NS, 100 * NS + 10 * MS, 0, 10 * MS], START_NS)
     assert clock.resets == 1
-    assert list(np.diff(stamps)) == pytest.approx([10 * MS, 1, 1], abs=10)  # what is later cannot be known better
+    assert list(np.diff(stamps)) == pytest.approx([10 * MS, 1, 1], abs=10)  # the arrival time bounds the later stamps
 
 
-def test_a_better_arrival_bends_time_by_no_more_than_half() -> None:
+def test_a_smaller_delay_shortens_an_interval_by_at_most_half() -> None:
     clock = ClockMapping()
-    first = clock.stamp(0, START_NS + 20 * MS)  # was 20 ms late
+    first = clock.stamp(0, START_NS + 20 * MS)  # delayed by 20 ms
     second = clock.stamp(10 * MS, START_NS + 10 * MS + 15 * MS)
     assert second - first == 5 * MS
 
 
 @pytest.mark.parametrize("step_ns", [-3_600 * NS, -NS, 2 * NS, 86_400 * NS])
-def test_a_device_that_sets_its_clock_starts_a_new_line_at_once(step_ns: int) -> None:
+def test_a_step_of_the_device_clock_resets_the_mapping_at_once(step_ns: int) -> None:
     clock = ClockMapping(minimum_delay_s=0.003)
     for k in range(1000):
         clock.stamp(k * 10 * MS, START_NS + k * 10 * MS + 3 * MS)
@@ -93,7 +93,7 @@ def test_a_device_that_sets_its_clock_starts_a_new_line_at_once(step_ns: int) ->
     assert clock.resets == 1
 
 
-def test_a_device_that_paused_its_clock_starts_a_new_line_after_a_few_seconds() -> None:
+def test_a_pause_of_the_device_clock_resets_the_mapping_once() -> None:
     clock = ClockMapping()
     for k in range(1000):
         clock.stamp(k * 10 * MS, START_NS + k * 10 * MS)
@@ -104,7 +104,7 @@ def test_a_device_that_paused_its_clock_starts_a_new_line_after_a_few_seconds() 
     assert stamp == pytest.approx(START_NS + 19_990 * MS + pause_ns, abs=1000)
 
 
-def test_a_longer_delay_is_learned_within_the_window() -> None:
+def test_a_longer_delay_is_estimated_within_the_window() -> None:
     clock = ClockMapping(window_s=60.0)
     for k in range(200):
         late_ns = 100 * MS if k > 100 else 0
@@ -112,13 +112,13 @@ def test_a_longer_delay_is_learned_within_the_window() -> None:
     assert stamp == pytest.approx(START_NS + 199 * NS + 100 * MS, abs=MS)
 
 
-def test_a_time_line_that_goes_back_is_followed() -> None:
+def test_a_step_back_of_the_obu_time_line_resets_the_mapping() -> None:
     clock = ClockMapping()
     clock.stamp(0, START_NS)
     assert clock.stamp(NS, START_NS - 100 * NS) == START_NS - 100 * NS
 
 
-def test_the_same_stamps_give_the_same_answer_and_the_memory_is_bounded() -> None:
+def test_equal_inputs_give_equal_stamps_and_the_memory_is_bounded() -> None:
     rows = arrivals(seconds=200, rate_hz=20)
     one, other = ClockMapping(), ClockMapping()
     assert [one.stamp(d, a) for d, a, _ in rows] == [other.stamp(d, a) for d, a, _ in rows]
@@ -133,7 +133,7 @@ def test_the_same_stamps_give_the_same_answer_and_the_memory_is_bounded() -> Non
         max_size=60,
     )
 )
-def test_stamps_rise_and_never_follow_their_arrival_by_more_than_their_number(rows: list[tuple[int, int]]) -> None:
+def test_stamps_increase_and_exceed_their_arrival_by_at_most_1_ns_each(rows: list[tuple[int, int]]) -> None:
     clock, arrival, last = ClockMapping(), START_NS, 0
     for count, (device, wait) in enumerate(rows):
         arrival += wait
@@ -144,7 +144,7 @@ def test_stamps_rise_and_never_follow_their_arrival_by_more_than_their_number(ro
 
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(0.0, 0.02), min_size=20, max_size=60))
-def test_the_line_is_the_best_one_that_linear_programming_finds(offsets: list[float]) -> None:
+def test_the_line_is_the_optimum_of_linear_programming(offsets: list[float]) -> None:
     clock = ClockMapping(maximum_drift=1.0)
     for k, offset in enumerate(offsets):
         clock.stamp(k * NS, START_NS + k * NS + round(offset * NS))
@@ -162,5 +162,5 @@ def test_the_line_is_the_best_one_that_linear_programming_finds(offsets: list[fl
     assert ours == pytest.approx(-best.fun, abs=1e-5)  # the solver keeps each bound to 1e-7
 
 
-def test_a_hull_of_points_on_a_line_is_its_ends() -> None:
+def test_the_hull_of_collinear_points_is_their_end_points() -> None:
     assert lower_hull([(0.0, 0.0), (1.0, 1.0), (2.0, 2.0)]) == [(0.0, 0.0), (2.0, 2.0)]

@@ -36,7 +36,7 @@ def test_gravity_at_the_equator_and_at_the_poles_is_that_of_wgs84() -> None:
     assert earth.gravity(-pi / 2, 0.0) == earth.gravity(pi / 2, 0.0)
 
 
-def test_gravity_falls_by_the_free_air_gradient() -> None:
+def test_gravity_decreases_by_the_free_air_gradient() -> None:
     per_metre = (earth.gravity(radians(45.0), 1000.0) - earth.gravity(radians(45.0), 0.0)) / 1000.0
     assert per_metre == pytest.approx(-3.086e-6, rel=2e-3)
 
@@ -70,7 +70,7 @@ def test_transport_rate_is_the_rate_of_the_ned_frame(latitude: float, longitude:
         ((-90.0, 0.0, 0.0), (0.0, 0.0, -ellipsoid.SEMI_MINOR_AXIS)),
     ],
 )
-def test_ecef_at_the_awkward_points(geodetic_deg: tuple[float, ...], ecef_m: tuple[float, float, float]) -> None:
+def test_ecef_conversion_on_the_axes(geodetic_deg: tuple[float, ...], ecef_m: tuple[float, float, float]) -> None:
     point = Geodetic(radians(geodetic_deg[0]), radians(geodetic_deg[1]), geodetic_deg[2])
     assert earth.ecef_from_geodetic(point) == pytest.approx(ecef_m, abs=1e-8)
     back = earth.geodetic_from_ecef(ecef_m)
@@ -79,7 +79,7 @@ def test_ecef_at_the_awkward_points(geodetic_deg: tuple[float, ...], ecef_m: tup
 
 
 @given(LATITUDES, LONGITUDES, HEIGHTS)
-def test_ecef_and_back_is_the_same_point(latitude: float, longitude: float, height: float) -> None:
+def test_ecef_conversion_is_invertible(latitude: float, longitude: float, height: float) -> None:
     point = Geodetic(latitude, longitude, height)
     ecef = earth.ecef_from_geodetic(point)
     again = earth.ecef_from_geodetic(earth.geodetic_from_ecef(ecef))
@@ -88,7 +88,7 @@ def test_ecef_and_back_is_the_same_point(latitude: float, longitude: float, heig
 
 
 @given(LATITUDES.filter(lambda x: abs(x) < radians(80.0)), LONGITUDES, HEIGHTS)
-def test_a_difference_in_metres_agrees_with_the_tangent_plane(latitude: float, longitude: float, height: float) -> None:
+def test_a_ned_difference_agrees_with_the_tangent_plane(latitude: float, longitude: float, height: float) -> None:
     origin = Geodetic(latitude, longitude, height)
     ned = (60.0, -70.0, 10.0)
     point = earth.geodetic_from_ned_difference(ned, origin)
@@ -98,7 +98,7 @@ def test_a_difference_in_metres_agrees_with_the_tangent_plane(latitude: float, l
     assert earth.ned_from_geodetic_difference(point, origin) == pytest.approx(ned, abs=1e-8)
 
 
-def test_a_difference_across_the_antimeridian_is_short() -> None:
+def test_a_ned_difference_across_the_antimeridian_is_continuous() -> None:
     west = Geodetic(radians(-17.0), radians(179.9999), 0.0)
     east = Geodetic(radians(-17.0), radians(-179.9999), 0.0)
     north, eastward, _ = earth.ned_from_geodetic_difference(east, west)
@@ -109,7 +109,7 @@ def test_a_difference_across_the_antimeridian_is_short() -> None:
 
 
 @given(st.floats(-1e4, 1e4))
-def test_a_wrapped_angle_points_the_same_way(angle: float) -> None:
+def test_a_wrapped_angle_has_the_same_direction(angle: float) -> None:
     wrapped = earth.wrap_angle(angle)
     assert -pi < wrapped <= pi
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)

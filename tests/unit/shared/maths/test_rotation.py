@@ -36,14 +36,14 @@ def test_roll_pitch_yaw_agree_with_scipy(angles: tuple[float, float, float]) -> 
 
 
 @pytest.mark.parametrize("pitch", [-pi / 2, pi / 2])
-def test_a_vertical_body_has_a_yaw_and_no_roll(pitch: float) -> None:
+def test_at_a_pitch_of_90_degrees_roll_is_zero(pitch: float) -> None:
     matrix = rotation.ned_from_body(0.0, pitch, 0.7)
     found = rotation.roll_pitch_yaw_of_quaternion(rotation.quaternion_from_matrix(matrix))
     assert found == pytest.approx((0.0, pitch, 0.7), abs=1e-7)
 
 
 @given(VECTORS)
-def test_a_quaternion_and_its_matrix_are_the_same_turn(vector: tuple[float, float, float]) -> None:
+def test_a_quaternion_and_its_matrix_are_the_same_rotation(vector: tuple[float, float, float]) -> None:
     matrix = Rotation.from_rotvec(vector).as_matrix()
     quaternion = rotation.quaternion_from_matrix(matrix)
     assert quaternion[0] >= 0.0

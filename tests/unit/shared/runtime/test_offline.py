@@ -9,12 +9,13 @@ from services.sensors.simulator.world import Equipment, World
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import FixType, GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
-from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState, TruthState
+from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution, NavigationState, TruthState
 from shared.messages.vehicle import CanRaw
 from shared.processes import PROCESSES, Kind
 from shared.runtime import offline
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
+from shared.topics import BY_MESSAGE
 
 
 class Echo:
@@ -57,6 +58,20 @@ def test_a_message_reaches_each_of_its_consumers_and_so_do_the_answers(echoes: d
     assert [type(m) for m in echoes["core.fusion"].given] == [GnssFix]
     assert [type(m) for m in echoes["controller.mode"].given] == [GnssFix, NavigationState, NavigationState]
     assert echoes["parsers.imu"].given == []
+
+
+def test_a_process_is_not_given_what_it_said_itself(echoes: dict[str, Echo]) -> None:
+    row = BY_MESSAGE[FilterState]
+    assert row.producers == row.consumers == ("core.fusion",)
+    zero = (0.0, 0.0, 0.0)
+    state = FilterState(
+        sampled_ns=1, fingerprint="", imu="i", quaternion_ned_from_body=(1.0, *zero), velocity_ned_m_s=zero,
+        latitude_deg=0.0, longitude_deg=0.0, height_ellipsoid_m=0.0, accelerometer_bias_m_s2=zero,
+        gyroscope_bias_rad_s=zero, accelerometer_scale=zero, gyroscope_scale=zero, parameters=(),
+        specific_force_body_m_s2=zero, angular_rate_body_rad_s=zero, covariance=(),
+    )  # fmt: skip
+    assert list(OfflineUnit(parse_vehicle("")).run([state])) == [state]
+    assert echoes["core.fusion"].given == []
 
 
 def test_time_passes_once_a_second_before_what_comes_later(echoes: dict[str, Echo]) -> None:

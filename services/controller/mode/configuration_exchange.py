@@ -1,58 +1,58 @@
-"""Configures a receiver: asks, checks the answer, asks again with back-off, and at last goes on with what there is."""
+"""Configures a receiver: sends a request, checks the response, and retries a limited number of times with back-off."""
 
 from collections.abc import Iterator
 
 from shared.messages.gnss import GnssConfiguration, GnssConfigure
 
 NS = 1_000_000_000
-BACK_OFF_S = (2.0, 4.0, 8.0)  # before each further attempt
-PATIENCE_S = 6.0  # the parser answers in 3 s, even for a receiver that does not
+BACK_OFF_S = (2.0, 4.0, 8.0)  # delay before each further attempt
+TIMEOUT_S = 6.0  # the parser responds within 3 s, even if the receiver does not
 
 
-class Dialogue:
-    """The configuration of one receiver.
+class ConfigurationExchange:
+    """The configuration exchange with one receiver.
 
-    `configuring` says what is being asked, `fault` why the last attempt of all failed; each is None otherwise.
+    `configuring` describes the request in progress, `fault` the reason why the last attempt failed; otherwise None.
     """
 
     def __init__(self, source: str, period_s: float, messages: tuple[str, ...]) -> None:
         self.configuring: str | None = None
         self.fault: str | None = None
         self._source, self._period_s, self._messages = source, period_s, messages
-        self._request_id: int | None = None  # of the question that waits for an answer
-        self._due_ns = 0  # of the next question, or of the answer
+        self._request_id: int | None = None  # of the request that waits for a response
+        self._due_ns = 0  # time of the next request, or timeout of the response
         self._attempts = 0
 
     def start(self, now_ns: int) -> Iterator[GnssConfigure]:
-        """Ask for the first time, or anew after the receiver was away."""
+        """Send the first request, also after the receiver was disconnected."""
         self._attempts, self.fault = 0, None
-        yield self._ask(now_ns)
+        yield self._request(now_ns)
 
     def tick(self, now_ns: int) -> Iterator[GnssConfigure]:
-        """Ask again when it is time."""
+        """Send the next attempt when it is due."""
         if self.configuring is None or now_ns < self._due_ns:
             return
         if self._request_id is not None:
-            self._fail("parsers.gnss does not answer", now_ns)
+            self._fail("no response from parsers.gnss", now_ns)
         else:
-            yield self._ask(now_ns)
+            yield self._request(now_ns)
 
-    def answer(self, configuration: GnssConfiguration, now_ns: int) -> None:
-        """Take an answer; one to an older question, as the broker may have kept, does not count."""
+    def response(self, configuration: GnssConfiguration, now_ns: int) -> None:
+        """Process a response; a response to an earlier request (e.g. retained by the broker) is ignored."""
         if configuration.request_id != self._request_id:
             return
         if configuration.accepted:
             self._request_id = self.configuring = None
         else:
-            self._fail(configuration.reason or "it did not say why", now_ns)
+            self._fail(configuration.reason or "no reason given", now_ns)
 
-    def _ask(self, now_ns: int) -> GnssConfigure:
+    def _request(self, now_ns: int) -> GnssConfigure:
         self._attempts += 1
-        # The number of a question must differ from those of earlier lives: the time does.
+        # The time is an identifier that is unique over restarts of the process.
         self._request_id = now_ns
-        self._due_ns = now_ns + round(PATIENCE_S * NS)
+        self._due_ns = now_ns + round(TIMEOUT_S * NS)
         self.configuring = (
-            f"asking the receiver {self._source} for a fix every {self._period_s:g} s"
+            f"requesting a fix every {self._period_s:g} s from the receiver {self._source}"
             f" (attempt {self._attempts} of {len(BACK_OFF_S) + 1})"
         )
         return GnssConfigure(

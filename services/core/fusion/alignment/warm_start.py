@@ -1,0 +1,197 @@
+"""Warm start: the state of the filter in numbers that outlive its process, and the filter that goes on after a gap.
+
+Over the gap between the last sample of the one process and the first of the next, the vehicle is taken to move with
+the mean of the two samples, in body axes, and to turn about the vertical alone. Its yaw rate and acceleration differ
+from that mean by w(t) and a(t), which are random walks that return to zero at both ends (Brownian bridges), and by the
+vibration of the two samples, which is constant over the gap. A vehicle that turns turns its velocity as well::
+
+    psi_D' = w,    v' = g w + a,    p' = v,    g = d v / d psi_D = (-v_E, v_N, 0)
+"""
+
+from hashlib import sha256
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.errors import FilterDiverged
+from shared.maths.rotation import Vector
+
+from ..filter import error_model as em
+from ..filter.eskf import NO_PARAMETERS, ErrorStateFilter
+from ..filter.imu_step import credible
+from ..filter.propagation import sound
+from ..filter.strapdown import InertialState, motion_of
+from ..plausibility.imu_faults import Sample, mean
+from ..settings import Settings
+from .alignment import gnss_error_model
+
+FloatArray = npt.NDArray[np.float64]
+
+LAYOUT = 1  # of the saved state; another number where the meaning of its elements changes
+LONGEST_GAP_S = 5.0
+STEP_S = 0.05  # of the propagation over the gap
+# Of the motion that nobody has measured: power spectral densities of what drives the random walks,
+YAW_PSD = 0.05  # [rad²/s³]
+TILT_PSD = 1e-4  # [rad²/s³] road and springs
+JERK_PSD = np.diag([1.0, 1.0, 0.03])  # [m²/s⁵, NED]
+# and variances of the vibration in the mean of two samples.
+RATE_VARIANCE = 0.02**2  # [rad²/s²] about the vertical
+TILT_VARIANCE = 0.01**2  # [rad²/s²] that is left out
+FORCE_VARIANCE = np.diag(np.square([0.5, 0.5, 0.5]))  # [m²/s⁴, NED]
+UPPER = np.triu_indices(em.SIZE)
+LARGEST = 1e12  # [mixed] of a variance: beyond it nothing is known
+
+
+class SavedState(NamedTuple):
+    """What of a filter outlives its process; errors and units as in `error_model`."""
+
+    inertial: InertialState
+    accelerometer_bias: Vector
+    gyroscope_bias: Vector
+    accelerometer_scale: Vector
+    gyroscope_scale: Vector
+    parameters: tuple[float, ...]  # the time-correlated GNSS error in units of what the receiver states
+    sample: tuple[Vector, Vector]  # [m/s², rad/s, body] the newest, as measured
+    covariance: tuple[float, ...]  # upper triangle, row by row
+    accepted_ns: int | None  # stamp of the last GNSS position that was used
+
+
+def fingerprint(settings: Settings) -> str:
+    """Identify the settings and the layout of the state: a state of any other is not used."""
+    text = f"{LAYOUT} {em.SIZE} {settings.model_dump_json()}"
+    return sha256(text.encode()).hexdigest()[:16]
+
+
+def saved_state(navigation: ErrorStateFilter, sample: Sample, accepted_ns: int | None) -> SavedState | None:
+    """Take the state out of a filter, which stays as it is; None if its covariance is no longer sound."""
+    twin = navigation.fork()
+    twin.trail = None
+    try:
+        twin.bring_covariance_up()
+    except FilterDiverged:
+        return None
+    units = np.ones(em.SIZE)
+    units[em.GNSS_ERROR] = twin.colour.unit
+    return SavedState(
+        inertial=twin.inertial,
+        accelerometer_bias=twin.accelerometer_bias,
+        gyroscope_bias=twin.gyroscope_bias,
+        accelerometer_scale=twin.accelerometer_scale,
+        gyroscope_scale=twin.gyroscope_scale,
+        parameters=tuple((np.array(twin.parameters) * units[em.PARAMETERS]).tolist()),
+        sample=(sample.force, sample.rate),
+        covariance=tuple((twin.P * np.outer(units, units))[UPPER].tolist()),
+        accepted_ns=accepted_ns,
+    )
+
+
+def fault(saved: SavedState, time_ns: int) -> str | None:
+    """Say why a filter cannot go on from a saved state at the stamp of its first sample; None if it can."""
+    gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
+    if not 0.0 < gap_s <= LONGEST_GAP_S:
+        return "saved state too old" if gap_s > 0.0 else "saved state from the future"
+    if (len(saved.parameters), len(saved.covariance)) != (len(NO_PARAMETERS), len(UPPER[0])):
+        return "saved state of another layout"
+    w, x, y, z = saved.inertial.quaternion
+    unit = abs(w * w + x * x + y * y + z * z - 1.0) < 1e-6
+    if not (unit and sound(motion_of(saved.inertial)) and credible(*saved.sample)):
+        return "saved state beyond any vehicle"
+    return None if _is_positive(covariance_of(saved)) else "saved state without a positive covariance"
+
+
+def covariance_of(saved: SavedState) -> FloatArray:
+    """Fill both triangles of the covariance, shape (31, 31)."""
+    P = np.zeros((em.SIZE, em.SIZE))
+    P[UPPER] = saved.covariance
+    return P + np.triu(P, 1).T
+
+
+def _is_positive(P: FloatArray) -> bool:
+    """Whether a covariance is positive definite in all that is estimated, and zero in what is not."""
+    variances = P.diagonal()
+    estimated = variances > 0.0
+    always = estimated[: em.ACCELEROMETER_SCALE.start]
+    if not (always.all() and (np.abs(P) < LARGEST).all() and not P[~estimated].any()):
+        return False
+    sd = np.sqrt(variances[estimated])
+    try:
+        np.linalg.cholesky(P[np.ix_(estimated, estimated)] / np.outer(sd, sd))
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStateFilter:
+    """Make a filter of a saved state and carry it over the gap to the first sample.
+
+    Parameters
+    ----------
+    settings : Settings
+        Those with which the state was saved.
+    saved : SavedState
+        One that has no `fault`.
+    sample : Sample
+        The first after the gap.
+
+    Returns
+    -------
+    ErrorStateFilter
+        At the stamp of the sample.
+
+    Raises
+    ------
+    FilterDiverged
+        The sample and the state make no sense together.
+    """
+    colour = gnss_error_model(settings)
+    units = np.ones(em.SIZE)
+    units[em.GNSS_ERROR] = colour.unit
+    navigation = ErrorStateFilter(
+        settings,
+        saved.inertial,
+        covariance_of(saved) / np.outer(units, units),
+        saved.accelerometer_bias,
+        saved.gyroscope_bias,
+        tuple((np.array(saved.parameters) / units[em.PARAMETERS]).tolist()),
+        colour,
+    )
+    navigation.accelerometer_scale, navigation.gyroscope_scale = saved.accelerometer_scale, saved.gyroscope_scale
+    force, rate = mean(saved.sample[0], sample.force), mean(saved.sample[1], sample.rate)
+    bias, down = np.array(saved.gyroscope_bias), navigation.ned_from_body[2]
+    x, y, z = (bias + (np.array(rate) - bias) @ down * down).tolist()  # about the vertical alone
+    begun_ns, gap_ns = saved.inertial.time_ns, sample.time_ns - saved.inertial.time_ns
+    steps = max(1, round(gap_ns * 1e-9 / STEP_S))
+    for step in range(1, steps + 1):
+        navigation.advance(force, (x, y, z), begun_ns + gap_ns * step // steps)
+        navigation.bring_covariance_up()
+    navigation.P = navigation.P + unmeasured_motion(navigation.velocity, gap_ns * 1e-9)
+    return navigation
+
+
+def unmeasured_motion(velocity: Vector, span_s: float) -> FloatArray:
+    """Covariance that a time without samples adds, shape (31, 31).
+
+    Notes
+    -----
+    The first and the second integral over a time T have the covariance N q with::
+
+        N = [[T³/12, T⁴/24], [T⁴/24, T⁵/45]]    of a Brownian bridge of density q
+        N = [[T², T³/2], [T³/2, T⁴/4]]          of a constant of variance q
+
+    Yaw is the first integral of w; velocity and position are the first and the second one of g w + a.
+    """
+    north, east, _ = velocity
+    g, T, yaw = np.array([-east, north, 0.0]), span_s, em.ATTITUDE.stop - 1
+    moving = slice(em.VELOCITY.start, em.POSITION.stop)
+    Q = np.zeros((em.SIZE, em.SIZE))
+    for N, turn, tilt, acceleration in (
+        (np.array([[T**3 / 12, T**4 / 24], [T**4 / 24, T**5 / 45]]), YAW_PSD, TILT_PSD, JERK_PSD),
+        (np.array([[T**2, T**3 / 2], [T**3 / 2, T**4 / 4]]), RATE_VARIANCE, TILT_VARIANCE, FORCE_VARIANCE),
+    ):
+        together = np.kron(N[0], turn * g)
+        Q[em.ATTITUDE, em.ATTITUDE] += np.diag([tilt, tilt, turn]) * N[0, 0]
+        Q[yaw, moving] += together
+        Q[moving, yaw] += together
+        Q[moving, moving] += np.kron(N, turn * np.outer(g, g) + acceleration)
+    return Q

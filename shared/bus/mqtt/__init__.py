@@ -1,1 +1,0 @@
-"""MQTT 5 for both ends of a connection: one codec, used by our client and by the simulated broker."""

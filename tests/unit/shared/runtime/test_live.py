@@ -1,0 +1,74 @@
+"""The live runtime: what it gives a process, and what it leaves out."""
+
+from collections import Counter
+from pathlib import Path
+from typing import cast
+
+from shared.bus import codec
+from shared.bus.bus import Bus, Envelope
+from shared.messages.base import Message, Tick
+from shared.messages.navigation import FilterState
+from shared.messages.operation import Consumed
+from shared.runtime.live import LiveReactor
+
+OLD_LIFE, LIFE = 1_000, 2_000
+
+
+def state(sampled_ns: int) -> FilterState:
+    zero = (0.0, 0.0, 0.0)
+    return FilterState(
+        sampled_ns=sampled_ns, fingerprint="", imu="i", quaternion_ned_from_body=(1.0, *zero), velocity_ned_m_s=zero,
+        latitude_deg=0.0, longitude_deg=0.0, height_ellipsoid_m=0.0, accelerometer_bias_m_s2=zero,
+        gyroscope_bias_rad_s=zero, accelerometer_scale=zero, gyroscope_scale=zero, parameters=(),
+        specific_force_body_m_s2=zero, angular_rate_body_rad_s=zero, covariance=(),
+    )  # fmt: skip
+
+
+def envelope(message: FilterState, life: int, number: int) -> Envelope:
+    return Envelope("navigation/filter_state", codec.encode(message), 0, "core.fusion", life, number)
+
+
+class Broker:
+    """A bus that delivers once, and keeps what is published."""
+
+    process, incarnation, connected, stopping = "core.fusion", LIFE, True, False
+    state_dir = Path("nothing was saved")
+
+    def __init__(self, inbox: list[Envelope]) -> None:
+        self.rejects: Counter[str] = Counter()
+        self.published: list[Message] = []
+        self._inbox = inbox
+
+    def now_ns(self) -> int:
+        return 0
+
+    def receive(self, _timeout_s: float) -> list[Envelope]:
+        self.stopping = True
+        return self._inbox
+
+    def publish(self, message: Message, **_at_once: bool) -> None:
+        self.published.append(message)
+
+    def flush(self) -> None:
+        """There is nothing to write."""
+
+
+class Given:
+    """A process that remembers what it was given."""
+
+    def __init__(self) -> None:
+        self.messages: list[Message] = []
+
+    def handle(self, message: Message) -> tuple[Message, ...]:
+        self.messages.append(message)
+        return ()
+
+
+def test_a_process_is_given_what_an_earlier_life_said_and_not_what_it_said_itself() -> None:
+    bus, process = Broker([envelope(state(1), OLD_LIFE, 7), envelope(state(2), LIFE, 1)]), Given()
+    LiveReactor(process, cast(Bus, bus)).run()
+    assert [m for m in process.messages if not isinstance(m, Tick)] == [state(1)]
+    (journal,) = [m for m in bus.published if isinstance(m, Consumed)]
+    assert [run for run in journal.runs if run[0] != "tick"] == [
+        ("navigation/filter_state", "core.fusion", OLD_LIFE, 7, 1)
+    ]
