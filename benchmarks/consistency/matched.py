@@ -7,18 +7,20 @@ out.
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
+from services.core.fusion.filter.propagation import Intervals, samples_of
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.base import Measurement
 from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
 from services.core.fusion.measurements.gnss_error_model import UNKNOWN, Told
 from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.update.aiding import Aids
+from services.core.fusion.update.standstill_detector import CERTAIN
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
 from services.sensors.simulator.imu.imu_errors import MTI_630_ACCELEROMETER, MTI_630_GYROSCOPE
@@ -31,6 +33,7 @@ from .sizes import INNOVATIONS, STATES, FloatArray, Sizes, error_of, innovation_
 START = 21  # epoch [s] at which the filter starts: all drives have driven off by then
 STREAM = 21  # of random numbers that no part of the simulator draws
 STEP_S = STEP_NS * 1e-9
+COVARIANCE_SAMPLES = 5  # from one covariance step to the next
 POSITION_SD = np.array([2.0, 1.5, 3.0])  # [m, NED] of fixes, stated and true
 VELOCITY_SD = np.array([0.05, 0.05, 0.08])  # [m/s, NED]
 SHAKING = (MTI_630_ACCELEROMETER.vibration, MTI_630_GYROSCOPE.vibration)  # [m/s², rad/s] of each sample
@@ -60,16 +63,18 @@ def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
     sd = np.repeat(np.hypot(np.array(walks) / sqrt(STEP_S), SHAKING), 3)
     noise = rng.standard_normal(biases.shape) * sd
     ideal = np.hstack([drive.ideal_force_b, drive.ideal_rate_b])[first:]
-    rows, stamps = (ideal + biases + noise).tolist(), drive.t_ns[first:].tolist()
+    stamps = drive.t_ns[first:].tolist()
+    samples = samples_of(stamps, ideal + biases + noise, {})
     fixes, aids = _fixes(model, drive, settings, rng), Aids(settings)
     times, errors, innovations = [], [], []
-    for i in range(1, len(rows)):
-        fx, fy, fz, wx, wy, wz = rows[i]
-        navigation.advance((fx, fy, fz), (wx, wy, wz), stamps[i])
+    for i in range(1, len(stamps)):
+        navigation.propagate(samples, i, i + 1, CERTAIN, Intervals(inf))
+        if i % COVARIANCE_SAMPLES == 0:
+            navigation.propagate_covariance()
         if stamps[i] % EPOCH_NS:
             continue
         outcomes = [o for one in fixes[stamps[i] // EPOCH_NS - 1] for o in aids.hold(navigation, one)]
-        navigation.bring_covariance_up()
+        navigation.propagate_covariance()
         times.append(stamps[i] * 1e-9)
         errors.append(sizes_of(navigation, error_of(navigation, drive, first + i, biases[i])))
         innovations.append([innovation_size(outcomes, kind) for kind in INNOVATIONS])
@@ -95,7 +100,7 @@ def _started(
     )
     colour = Told(LASTING_S, 1.0 - WHITE_SHARE) if model.told else UNKNOWN
     navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), colour=colour)
-    return navigation, np.array(x[9:])  # the error of a bias is what is left of it, and the filter starts without any
+    return navigation, -np.array(x[9:])  # of a filter that starts with biases of zero
 
 
 def _walk(settings: Settings, n: int, rng: np.random.Generator) -> FloatArray:

@@ -43,13 +43,13 @@ def error_of(navigation: ErrorStateFilter, drive: Drive, i: int, bias: FloatArra
     _, _, velocity, position = navigation.inertial
     turned = navigation.ned_from_body @ ned_from_body(*drive.attitude[i].tolist()).T
     true = Geodetic(*drive.position[i].tolist())
-    known = (*navigation.accelerometer_bias, *navigation.gyroscope_bias)
+    known = (*navigation.imu.accelerometer_bias, *navigation.imu.gyroscope_bias)
     return np.concatenate(
         [
             Rotation.from_matrix(turned).as_rotvec(),
             velocity - drive.velocity_n[i],
             ned_from_geodetic_difference(position, true),
-            bias - known,
+            known - bias,
         ]
     )
 

@@ -1,5 +1,6 @@
 """Drives of the simulator with the unit as it is delivered: its start, its standstills, its wheels, its margins."""
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -7,12 +8,9 @@ import numpy as np
 
 from benchmarks.given import fixes_of
 from cli.papers.navigation import YAW_SD, saved_heading
-from services.core.fusion.filter.fast import compiled_runner
-from services.core.fusion.filter.runner import Runner
+from services.core.fusion.filter.propagation import samples_of
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.plausibility.imu_faults import Sample
 from services.core.fusion.settings import Settings
-from services.core.fusion.timing.imu_batch import Stretch
 from services.core.fusion.timing.out_of_sequence import order
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import InjectedError
@@ -40,22 +38,20 @@ def run(unit: Unit, scenario: str, seed: int, duration_s: float) -> Sizes:
     navigator = Navigator(settings)
     navigator.remember(saved_heading(drive, YAW_SD))
     engine, biases = navigator.engine, true_biases(drive)
-    rows, stamps = np.hstack([drive.force_b, drive.rate_b]).tolist(), drive.t_ns.tolist()
-    fx, fy, fz, wx, wy, wz = rows[0]
-    engine.step(Sample(stamps[0], (fx, fy, fz), (wx, wy, wz)), [])
-    due, runner = sorted(fixes_of(drive, settings), key=order), compiled_runner() or Runner()
-    stretch = Stretch(stamps, rows[1:], due, runner)
-    epochs = len(stamps) * STEP_NS // EPOCH_NS
+    samples = samples_of(drive.t_ns, np.hstack([drive.force_b, drive.rate_b]), {})
+    due = sorted(fixes_of(drive, settings), key=order)
+    epochs = len(drive.t_ns) * STEP_NS // EPOCH_NS
     errors, innovations = np.full((epochs, 6), np.nan), np.full((epochs, 2), np.nan)
-    here = started = 0
+    here = used = started = 0
     for k in range(epochs):
         stop = (k + 1) * EPOCH_NS // STEP_NS - 1
-        outcomes = stretch.through(engine, here, stop)
-        here, navigation = stop, engine.filter
+        until = bisect_right(due, int(drive.t_ns[stop]), used, key=lambda m: m.time_ns)
+        outcomes = engine.process(samples.part(here, stop + 1), due[used:until])
+        here, used, navigation = stop + 1, until, engine.filter
         started = started + 1 if navigation else 0
         if navigation is None or started < SETTLED:
             continue
-        navigation.bring_covariance_up()
+        navigation.propagate_covariance()
         errors[k] = sizes_of(navigation, error_of(navigation, drive, stop, biases[stop]))
         innovations[k] = [innovation_size(outcomes, kind) for kind in INNOVATIONS]
     return Sizes(np.arange(1.0, epochs + 1.0), errors, innovations)

@@ -12,7 +12,6 @@ import numpy as np
 from benchmarks.given import fixes_of, speeds_of
 from cli.papers.navigation import YAW_SD, saved_heading
 from services.core.fusion.batch import solve
-from services.core.fusion.filter.fast import compiled_runner
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from services.sensors.simulator.drive import Drive, simulate
@@ -98,7 +97,7 @@ def _judged(case: Case, drive: Drive, settings: Settings) -> Judged:
     navigator.remember(saved_heading(drive, YAW_SD))
     told = fixes_of(drive, settings) + (speeds_of(drive, settings) if drive.seed % 2 else [])
     readings = np.hstack([drive.force_b, drive.rate_b])
-    found = list(solve(navigator, drive.t_ns, readings, told, every_ns=EVERY_NS, runner=compiled_runner()))
+    found = list(solve(navigator, drive.t_ns, readings, told, every_ns=EVERY_NS))
     rows = np.searchsorted(drive.t_ns, [solution.time_ns for solution in found])
     origin = Geodetic(*drive.position[0].tolist())
     places = np.array([solution.position for solution in found])

@@ -96,7 +96,7 @@ def _obu(arguments: Sequence[str]) -> None:
     # One thread of linear algebra each: with more they stand in each other's way.
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "services", *arguments], cwd=REPOSITORY, env=environment, check=False,
+        [sys.executable, "-m", "cli", *arguments], cwd=REPOSITORY, env=environment, check=False,
         capture_output=True, text=True, timeout=TIMEOUT_S,
     )  # fmt: skip
     if done.returncode:

@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from services.core.fusion.filter.runner import Runner
     from services.core.fusion.measurements.base import Measurement
     from services.core.fusion.navigator import Navigator
 
@@ -102,7 +101,8 @@ def _resident_mb(code: str) -> float:
 def _apart(path: Path, way: str, rate_hz: int, aiding: str) -> Cost | None:
     """Run in a process of its own."""
     command = [sys.executable, "-m", "benchmarks.navigation.ways", str(path), way, str(rate_hz), aiding]
-    environment = os.environ | ONE_THREAD | {BEGAN: repr(time.time())}
+    switch = {"NUMBA_DISABLE_JIT": "0" if "Numba" in way else "1"}
+    environment = os.environ | ONE_THREAD | switch | {BEGAN: repr(time.time())}
     run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     if run.returncode != 0:
         print(f"{way}: {run.stderr.strip().splitlines()[-1]}", file=sys.stderr)
@@ -146,7 +146,7 @@ def _save(path: Path) -> None:
 class Log:
     """What a navigator is given."""
 
-    fresh: "Callable[[Runner | None], Navigator]"
+    fresh: "Callable[[], Navigator]"
     stamps: Any
     samples: Any
     measurements: "list[Measurement]"
@@ -186,8 +186,8 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
             measurements.append(WheelSpeed(stamp_ns, stamp_ns, "wheels", speed, 0.0, True, True, settings))
     prior = Prior(Geodetic(*log["start"].tolist()), (1.0, 1.0, 2.0), float(log["yaw"]), radians(1.0))
 
-    def fresh(runner: "Runner | None") -> Navigator:
-        navigator = Navigator(settings, runner)
+    def fresh() -> Navigator:
+        navigator = Navigator(settings)
         navigator.remember(prior)
         return navigator
 
@@ -195,9 +195,9 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
     return Log(fresh, stamps, samples, sorted(measurements, key=lambda m: m.time_ns))
 
 
-def _sample_by_sample(log: Log, runner: "Runner | None", first: "Callable[[], None]") -> float:
+def _sample_by_sample(log: Log, first: "Callable[[], None]") -> float:
     """CPU seconds."""
-    given, seconds, navigator, pending, told = 0, 0.0, log.fresh(runner), log.measurements, False
+    given, seconds, navigator, pending, told = 0, 0.0, log.fresh(), log.measurements, False
     for begin in range(0, len(log.stamps), CHUNK):  # the whole log as Python's numbers would be most of the memory
         stamps, rows = log.stamps[begin : begin + CHUNK].tolist(), log.samples[begin : begin + CHUNK].tolist()
         chunk = [(stamp, tuple(row[:3]), tuple(row[3:])) for stamp, row in zip(stamps, rows, strict=True)]
@@ -214,15 +214,15 @@ def _sample_by_sample(log: Log, runner: "Runner | None", first: "Callable[[], No
     return seconds
 
 
-def _whole_log(log: Log, runner: "Runner | None", first: "Callable[[], None]") -> float:
+def _whole_log(log: Log, first: "Callable[[], None]") -> float:
     """CPU seconds, without those until the first solution of a short log, which are the start."""
     from services.core.fusion.batch import solve
 
     short, whole = (log.stamps[:SHORT], log.samples[:SHORT]), (log.stamps, log.samples)
-    next(iter(solve(log.fresh(None), *short, log.measurements, every_ns=SECOND_NS, runner=runner)))
+    next(iter(solve(log.fresh(), *short, log.measurements, every_ns=SECOND_NS)))
     first()
     started = time.process_time()
-    for _ in solve(log.fresh(None), *whole, log.measurements, every_ns=SECOND_NS, runner=runner):
+    for _ in solve(log.fresh(), *whole, log.measurements, every_ns=SECOND_NS):
         pass
     return time.process_time() - started
 
@@ -237,10 +237,10 @@ def _yard_ns() -> float:
 
 def measure(path: Path, way: str, rate_hz: int, aiding: str) -> Cost:
     """Navigate through the drive in one way."""
-    from services.core.fusion.filter.fast import compiled_runner
+    from shared.maths.compiled import COMPILED
 
-    runner, start = None, (0.0, 0.0, 0.0)
-    if "Numba" in way and (runner := compiled_runner()) is None:
+    start = (0.0, 0.0, 0.0)
+    if "Numba" in way and not COMPILED:
         raise SystemExit("Numba is not installed: pip install .[fast]")
     log = _load(path, rate_hz, aiding)
 
@@ -250,7 +250,7 @@ def measure(path: Path, way: str, rate_hz: int, aiding: str) -> Cost:
         start = resident / 2**20, time.process_time(), time.time() - float(os.environ[BEGAN])
 
     run = _sample_by_sample if way.startswith(WAYS[0]) else _whole_log
-    seconds = run(log, runner, first)
+    seconds = run(log, first)
     return Cost(seconds / len(log.stamps) * 1e6, min(_yard_ns() for _ in range(5)), *start)
 
 

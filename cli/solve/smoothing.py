@@ -77,8 +77,8 @@ def _row(state: ErrorStateFilter) -> list[float]:
         *roll_pitch_yaw_of_quaternion(state.quaternion),
         *sd.tolist(),
         *state.rate,
-        *state.accelerometer_bias,
-        *state.gyroscope_bias,
+        *state.imu.accelerometer_bias,
+        *state.imu.gyroscope_bias,
     ]
 
 

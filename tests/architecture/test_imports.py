@@ -25,7 +25,7 @@ PURE_SHARED = {
     "shared.errors",
 }
 PURE_SHARED |= {"shared.runtime.config"}  # for `Section`, the base of settings
-PURE_SHARED |= {"shared.maths.compiling"}  # it changes how fast mathematics runs, and not what comes of it
+PURE_SHARED |= {"shared.maths.compiled"}  # it changes how fast mathematics runs, and not what comes of it
 
 
 def files_of(process: str) -> list[Path]:

@@ -1,18 +1,16 @@
 """A whole log at once: all samples and measurements are there, and each is used when it was true."""
 
-from bisect import bisect_left
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from .filter.imu_step import FORCE_LIMIT, RATE_LIMIT
-from .filter.runner import Runner
+from .filter.propagation import samples_of
 from .measurements.base import Measurement
 from .navigator import Navigator
-from .plausibility.imu_faults import Sample, doubts
+from .plausibility.imu_faults import FORCE_LIMIT, RATE_LIMIT, faults
 from .solution import Solution
-from .timing.imu_batch import Stretch
 from .timing.out_of_sequence import order
 
 FloatArray = npt.NDArray[np.float64]
@@ -26,7 +24,6 @@ def solve(
     measurements: Sequence[Measurement],
     *,
     every_ns: int,
-    runner: Runner | None = None,
 ) -> Iterator[Solution]:
     """Navigate through a log; the result is that of samples and measurements one by one, with nothing late.
 
@@ -42,8 +39,6 @@ def solve(
         In any order.
     every_ns : int
         A solution is given at the first sample of each such period.
-    runner : Runner, optional
-        What gets through ordinary samples: a compiled one, if `fast` has one.
 
     Raises
     ------
@@ -61,25 +56,23 @@ def solve(
     navigator.samples_used += int(usable.sum())
     navigator.samples_rejected += int((~usable).sum())
     stamps_ns, samples = stamps_ns[usable], samples[usable]
-    stamps: list[int] = stamps_ns.tolist()
-    if not stamps:
-        return
-    runner = runner or Runner()
-    rows = samples[1:] if runner.wants_arrays else samples[1:].tolist()
-    doubtful = {place - 1: doubt for place, doubt in doubts(stamps_ns, samples).items()}
-    stretch = Stretch(
-        stamps_ns if runner.wants_arrays else stamps, rows, sorted(measurements, key=order), runner, doubtful
-    )
-    engine, here = navigator.engine, 0
-    fx, fy, fz, wx, wy, wz = samples[0].tolist()
-    engine.step(Sample(stamps[0], (fx, fy, fz), (wx, wy, wz)), [])
-    while here + 1 < len(stamps):
-        next_period_ns = (stamps[here] // every_ns + 1) * every_ns
-        stop = min(bisect_left(stamps, next_period_ns, here + 1), len(stamps) - 1)
-        stretch.through(engine, here, stop)
-        here = stop
-        if stamps[here] >= next_period_ns and (solution := navigator.solution()) is not None:
+    log = samples_of(stamps_ns, samples, faults(stamps_ns, samples))
+    due = sorted(measurements, key=order)
+    begin = used = 0
+    for end, is_period in _periods(stamps_ns, every_ns):
+        until = bisect_right(due, int(stamps_ns[end - 1]), used, key=lambda m: m.time_ns)
+        navigator.engine.process(log.part(begin, end), due[used:until])
+        begin, used = end, until
+        if is_period and (solution := navigator.solution()) is not None:
             yield solution
+
+
+def _periods(stamps_ns: IntArray, every_ns: int) -> Iterator[tuple[int, bool]]:
+    """Ends, not included, of the parts of a log that end with the first sample of a period; and the rest, if any."""
+    ends = (np.flatnonzero(np.diff(stamps_ns // every_ns)) + 2).tolist()
+    yield from ((end, True) for end in ends)
+    if len(stamps_ns) > (ends[-1] if ends else 0):
+        yield len(stamps_ns), False
 
 
 def _usable(stamps_ns: IntArray, samples: FloatArray) -> npt.NDArray[np.bool_]:

@@ -20,19 +20,17 @@ from shared.messages.navigation import NavigationPhase
 
 from .alignment.heading import Prior
 from .alignment.warm_start import SavedState, fault, saved_state
-from .filter.imu_step import credible, usual
-from .filter.runner import Runner
 from .measurements import barometer, magnetometer
 from .measurements.base import Counts, Measurement, Outcome
 from .measurements.gnss import Reading, Stamp, gnss_measurements
 from .measurements.odometer import WheelSpeed
-from .plausibility.imu_faults import Repeats, Sample
+from .plausibility.imu_faults import Repeats, Sample, credible, unremarkable
 from .plausibility.measurements import Devices, impossible
 from .settings import Settings
 from .smoothing.history import Trail
 from .solution import Bounds, Solution, solution_of
 from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
-from .timing.out_of_sequence import DelayedEngine
+from .timing.out_of_sequence import OutOfSequenceEngine
 from .update.engine import Engine
 from .update.imu_gaps import LostTime
 
@@ -50,17 +48,17 @@ class Navigator:
     order; then it is used at the instant at which it was true.
     """
 
-    def __init__(self, settings: Settings | None = None, runner: Runner | None = None) -> None:
+    def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
         self.rejects: Counter[str] = Counter()
         self.samples_used = 0
         self.samples_rejected = 0
         self.measurements_late = 0  # used at their own time, after newer ones of the same device
-        self._delayed = DelayedEngine(self.settings, runner)
+        self._oosm = OutOfSequenceEngine(self.settings)
         self._bounds = Bounds(self.settings)
         self._clock: Clock | None = None  # while samples are refused for their stamps
         self._repeats: Repeats | None = None
-        self._conspicuous = True  # the last sample was looked at, and is known to `_repeats`
+        self._remarkable = True  # the last sample was looked at, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
         self._devices = Devices(self.rejects, self._now_ns)
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
@@ -105,33 +103,26 @@ class Navigator:
         received_ns: int | None = None,
         *,
         saturated: bool = False,
-        hurried: bool = False,
     ) -> None:
-        """Take one inertial sample; `release` must follow.
-
-        It is looked at now, and used when somebody wants to see the result, or when some have come. If it is
-        `hurried`, for a solution that is wanted now, a step of the covariance is left to `release`.
-        """
+        """Take one inertial sample; `release` must follow, and may come after a look at the solution."""
         fx, fy, fz = force
         wx, wy, wz = rate
-        f, w, last, doubt = (fx, fy, fz), (wx, wy, wz), self._delayed.newest, None
-        follows = last is not None and 0 < time_ns - last[0] <= FUTURE_LIMIT_NS and not (saturated or self._clock)
-        if follows and last is not None and usual(f, w, last[1], last[2]):
-            self._conspicuous = False
+        sample, last = Sample(time_ns, (fx, fy, fz), (wx, wy, wz)), self._oosm.newest
+        follows = last is not None and 0 < time_ns - last.time_ns <= FUTURE_LIMIT_NS and not (saturated or self._clock)
+        if follows and last is not None and unremarkable(sample, last):
+            self._remarkable = False
         else:
-            if fault := self._fault(Sample(time_ns, f, w), received_ns):
+            if reason := self._unusable(sample, received_ns):
                 self.samples_rejected += 1
-                self.rejects[fault] += 1
+                self.rejects[reason] += 1
                 return
             if self._clock:
                 self._settle_clock(time_ns, self._clock.lost_s)
-            if doubt := self._doubt(Sample(time_ns, f, w), saturated=saturated):
-                self.rejects[doubt] += 1
+            if fault := self._fault(sample, saturated=saturated):
+                self.rejects[fault] += 1
+                sample = sample._replace(fault=fault)
         self.samples_used += 1
-        if hurried:
-            self._delayed.carry(Sample(time_ns, f, w, doubt))
-        else:
-            self._delayed.add(time_ns, f, w, doubt)
+        self._oosm.add(sample)
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -146,7 +137,6 @@ class Navigator:
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
         entry = (release_ns, measurement.time_ns, measurement.source, measurement)
         insort(self._held, entry, key=lambda held: held[:3])
-        self._delayed.expect(measurement.time_ns)
         if len(self._held) > HELD_LIMIT:
             self._held.pop(0)
             self.rejects["held without inertial samples"] += 1
@@ -218,22 +208,22 @@ class Navigator:
 
     def leave(self, trail: Trail) -> None:
         """Keep a trail for a smoother, from the first sample on."""
-        self._delayed.leave(trail)
+        self._oosm.leave(trail)
 
     def remember(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
-        self._delayed.remember(prior)
+        self._oosm.remember(prior)
 
     def restore(self, saved: SavedState, time_ns: int) -> None:
         """Go on from the state of an earlier process if it is sound and fresh at the stamp of the first sample."""
         if reason := fault(saved, time_ns):
             self.rejects[reason] += 1
         else:
-            self._delayed.restore(saved)
+            self._oosm.restore(saved)
 
     def saved_state(self) -> SavedState | None:
         """Take out what a later process can go on from; None while no filter runs."""
-        engine = self._delayed.engine
+        engine = self._oosm.engine
         if engine.filter is None or engine.last is None:
             return None
         return saved_state(engine.filter, engine.last, engine.accepted_ns)
@@ -241,65 +231,56 @@ class Navigator:
     @property
     def engine(self) -> Engine:
         """The estimator as of the newest sample."""
-        return self._delayed.engine
+        return self._oosm.engine
 
     @property
     def phase(self) -> NavigationPhase:
         """How far the filter has come."""
-        return self._delayed.engine.phase
+        return self._oosm.engine.phase
 
     @property
     def since_ns(self) -> int:
         """When the phase began."""
-        return self._delayed.engine.since_ns
+        return self._oosm.engine.since_ns
 
     @property
     def reason(self) -> str:
         """Why the phase began."""
-        return self._delayed.engine.reason
+        return self._oosm.engine.reason
 
     @property
     def counts(self) -> Counts:
         """What was used, rejected, bridged and reset."""
-        return self._delayed.engine.counts
+        return self._oosm.engine.counts
 
     @property
     def lever_arm_error(self) -> tuple[float, float] | None:
         """True minus assumed lever arm [m, forward and right], if GNSS contradicts the setting in turns."""
-        return self._delayed.engine.aids.judge.arm.wrong()
+        return self._oosm.engine.aids.judge.arm.wrong()
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is none to be believed."""
-        return solution_of(self._delayed.engine, self._bounds)
-
-    def foresee(self) -> None:
-        """Do now what the next solution needs and can be done before its sample."""
-        engine = self._delayed.engine
-        if engine.filter is not None:
-            self._bounds.of(engine.filter, engine.aids.watch)
+        return solution_of(self._oosm.engine, self._bounds)
 
     def release(self, received_ns: int) -> list[Outcome]:
-        """Do what the last sample left to do, and use what has waited long enough, now that it is `received_ns`."""
-        if not (self._held or self._delayed.has_news):
-            return []
-        self._delayed.attend()
-        last = self._delayed.newest
+        """Use what has waited long enough at `received_ns`, and report all outcomes since the last call."""
+        last = self._oosm.newest
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
-            if last is not None and measurement.time_ns > last[0] + FUTURE_LIMIT_NS:
+            if last is not None and measurement.time_ns > last.time_ns + FUTURE_LIMIT_NS:
                 self.rejects["measurement from the future"] += 1  # by the clock of the inertial samples
                 continue
             try:
-                self._delayed.insert(measurement)
+                self._oosm.insert(measurement)
             except LookupError:
                 self.rejects["measurement older than the memory"] += 1
             else:
                 self._count_if_late(measurement)
-        return self._delayed.catch_up()
+        return self._oosm.outcomes()
 
     def _now_ns(self) -> int:
-        newest = self._delayed.newest
-        return newest[0] if newest else 0
+        newest = self._oosm.newest
+        return newest.time_ns if newest else 0
 
     def _count_if_late(self, measurement: Measurement) -> None:
         key = measurement.source, type(measurement)
@@ -309,25 +290,25 @@ class Navigator:
         self.measurements_late += measurement.time_ns < newest_ns
         self._newest[key] = max(newest_ns, measurement.time_ns)
 
-    def _fault(self, sample: Sample, received_ns: int | None) -> str | None:
+    def _unusable(self, sample: Sample, received_ns: int | None) -> str | None:
         """Say why a sample cannot be used, if so."""
         time_ns, force, rate, _ = sample
         if not credible(force, rate):
             return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
-        last = self._delayed.newest
-        if last is not None and not 0 < time_ns - last[0] <= FUTURE_LIMIT_NS:
-            return self._misfit(sample, last[0], received_ns)
+        last = self._oosm.newest
+        if last is not None and not 0 < time_ns - last.time_ns <= FUTURE_LIMIT_NS:
+            return self._misfit(sample, last.time_ns, received_ns)
         return None
 
-    def _doubt(self, sample: Sample, *, saturated: bool) -> str | None:
+    def _fault(self, sample: Sample, *, saturated: bool) -> str | None:
         """Say what is wrong with a sample that can be used, if anything is."""
-        time_ns, readings, last = sample.time_ns, (*sample.force, *sample.rate), self._delayed.newest
+        time_ns, readings, last = sample.time_ns, (*sample.force, *sample.rate), self._oosm.newest
         repeats = self._repeats = self._repeats or Repeats(time_ns, readings)
-        if last is not None and not self._conspicuous:
-            repeats.changed(last[0], (*last[1], *last[2]))
-            self._conspicuous = True
-        doubt = repeats.doubt(time_ns, readings)
-        return "gyroscope saturated" if saturated else doubt
+        if last is not None and not self._remarkable:
+            repeats.changed(last.time_ns, (*last.force, *last.rate))
+            self._remarkable = True
+        fault = repeats.fault(time_ns, readings)
+        return "gyroscope saturated" if saturated else fault
 
     def _misfit(self, sample: Sample, newest_ns: int, received_ns: int | None) -> str | None:
         """Say why a sample does not follow the last one, if so; after many that go back begin again."""
@@ -338,9 +319,9 @@ class Navigator:
             self._clock = clock
             return "sample from the future"
         self._clock = clock
-        if clock.goes_back(sample.time_ns, known=self._delayed.knows(sample)):
-            self._delayed = self._delayed.restarted("the inertial clock went back")
-            self._clock, self._repeats, self._conspicuous, self._newest = None, None, True, {}
+        if clock.goes_back(sample.time_ns, known=self._oosm.knows(sample)):
+            self._oosm = self._oosm.restarted("the inertial clock went back")
+            self._clock, self._repeats, self._remarkable, self._newest = None, None, True, {}
         return "sample doubled or out of order"
 
     def _settle_clock(self, time_ns: int, lost_s: float) -> None:
@@ -348,7 +329,7 @@ class Navigator:
         self._clock = None
         if lost_s:
             self.rejects["time lost as the inertial clock went back"] += 1
-            self._delayed.insert(LostTime(time_ns, lost_s))
+            self._oosm.insert(LostTime(time_ns, lost_s))
 
 
 def _diagonal(sd: Vector | None) -> FloatArray | None:

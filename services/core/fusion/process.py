@@ -16,7 +16,6 @@ from shared.messages.navigation import (
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import messages
-from .filter.fast import compiled_runner
 from .navigator import Navigator
 from .settings import Settings
 
@@ -33,7 +32,7 @@ class Process:
     """Feeds the navigator from the bus, and the bus from the navigator."""
 
     def __init__(self, config: Config) -> None:
-        self._navigator = Navigator(config, compiled_runner() if config.machine_code else None)
+        self._navigator = Navigator(config)
         self.rejects, self.leave = self._navigator.rejects, self._navigator.leave  # a trail, for a smoother
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
@@ -65,7 +64,7 @@ class Process:
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in messages.samples_of(batch):
             due = self._is_due(sampled_ns)
-            self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated, hurried=due)
+            self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated)
             if due:  # first: whoever needs it shall not wait for what is late anyway
                 yield from self._solution(sampled_ns)
             yield from map(messages.aiding_message, self._navigator.release(batch.received_ns))
@@ -73,8 +72,6 @@ class Process:
                 yield from self._state(sampled_ns)
             if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from messages.filter_states(self._navigator, batch.source)
-            if self._is_due(2 * sampled_ns - self._sampled_ns):  # with the next sample
-                self._navigator.foresee()
             self._sampled_ns = sampled_ns
         messages.give_environment(self._navigator, batch)
 
@@ -86,9 +83,10 @@ class Process:
         return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS
 
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
-        """Say by the stamps of fixes that there are no inertial samples."""
+        """Publish that there are no inertial samples, by fixes that arrived long after the last of them."""
         current = (NavigationPhase.WAITING_FOR_IMU, "", received_ns // STATE_PERIOD_NS)
-        if self._is_silent(received_ns) and current != self._last_state:
+        silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
+        if silent and current != self._last_state:
             self._last_state = current
             yield messages.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
 

@@ -277,11 +277,6 @@ class Settings(Section):
         default=False,
         description="estimate the delays of GNSS position, GNSS velocity and odometer beyond those of the settings",
     )
-    machine_code: bool = Field(
-        default=False,
-        description="compile what runs for every sample, where Numba is installed: a third of the time without wheels, "
-        "two thirds with them, 50 MB more memory, and results that agree to 1e-9 but not to the byte",
-    )
     imu: ImuSettings = ImuSettings()
     gnss: GnssSettings = GnssSettings()
     odometer: OdometerSettings = OdometerSettings()

@@ -11,6 +11,7 @@ from shared.messages.navigation import NavigationPhase
 
 from ..filter import error_model as em
 from ..filter.eskf import NO_PARAMETERS, ErrorStateFilter
+from ..filter.propagation import ImuErrors
 from ..filter.strapdown import InertialState, rotate
 from ..measurements.dual_antenna import BaselineHeading
 from ..measurements.gnss import GnssPosition, GnssVelocity
@@ -75,7 +76,9 @@ class Alignment:
         self._saved: Prior | None = None
         self._kept = kept
         self.levelling = (
-            Levelling(settings, lost.inertial.quaternion, lost.gyroscope_bias) if lost and kept else Levelling(settings)
+            Levelling(settings, lost.inertial.quaternion, lost.imu.gyroscope_bias)
+            if lost and kept
+            else Levelling(settings)
         )
         self.comparison = Comparison()
         self._from_zero = first and settings.gnss.zero_error_at_start
@@ -222,7 +225,7 @@ class Alignment:
         P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS] = bias_cov
         P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS] = drift_cov
         if self._lost is None:
-            tilt = _tilt_by_bias(matrix_from_quaternion(quaternion))
+            tilt = _tilt_by_bias_error(matrix_from_quaternion(quaternion))
             P[em.ATTITUDE, em.ACCELEROMETER_BIAS] = tilt @ bias_cov
             P[em.ACCELEROMETER_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.ACCELEROMETER_BIAS].T
         P[em.SCALES, em.SCALES] = self._scales_cov()
@@ -236,13 +239,8 @@ class Alignment:
         known = self._lost.parameters if self._lost else NO_PARAMETERS
         begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
         parameters = (*known[:begin], *first.error, *known[end:])
-        started = ErrorStateFilter(settings, inertial, P, bias, drift, parameters, first.colour)
-        if self._lost is not None:
-            started.accelerometer_scale, started.gyroscope_scale = (
-                self._lost.accelerometer_scale,
-                self._lost.gyroscope_scale,
-            )
-        return started
+        imu = (self._lost.imu if self._lost else ImuErrors())._replace(accelerometer_bias=bias, gyroscope_bias=drift)
+        return ErrorStateFilter(settings, inertial, P, imu, parameters, first.colour)
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weigh the fixes of a rest, or take the one fix of a vehicle that drives."""
@@ -268,7 +266,7 @@ class Alignment:
 
     def _accelerometer_bias(self) -> tuple[Vector, FloatArray]:
         if self._lost is not None:
-            return self._lost.accelerometer_bias, self._lost.P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS]
+            return self._lost.imu.accelerometer_bias, self._lost.P[em.ACCELEROMETER_BIAS, em.ACCELEROMETER_BIAS]
         return (0.0, 0.0, 0.0), np.eye(3) * self._settings.imu.accelerometer_bias_sd_m_s2**2
 
     def _gyroscope_bias(self, north_from_level: Quaternion, latitude: float) -> tuple[Vector, FloatArray]:
@@ -278,7 +276,7 @@ class Alignment:
             bias = rest_gyroscope_bias(self.levelling.rate_bias, C, earth_rate_n(latitude))
             return bias, np.eye(3) * REST_RATE_SD**2
         if self._lost is not None:
-            return self._lost.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
+            return self._lost.imu.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
         return self.levelling.rate_bias, np.eye(3) * self._settings.imu.gyroscope_bias_sd_rad_s**2
 
 
@@ -288,8 +286,8 @@ def gnss_error_model(settings: Settings) -> Colour | Told:
     return Told(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
 
 
-def _tilt_by_bias(ned_from_body: FloatArray) -> FloatArray:
-    """Matrix [rad per m/s²] of what a bias does to a body that was levelled by its force: f_n stays upright."""
-    sideways = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+def _tilt_by_bias_error(ned_from_body: FloatArray) -> FloatArray:
+    """Matrix A [rad per m/s²] of psi = A db_a for an attitude that was levelled by the force: C f stays upright."""
+    sideways = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     tilt: FloatArray = sideways @ ned_from_body / STANDARD_GRAVITY
     return tilt

@@ -15,10 +15,9 @@ from typing import NamedTuple
 
 from shared.maths.earth import ned_from_geodetic_difference
 
-from ..filter.propagation import FASTEST_M_S
+from ..filter.propagation import FASTEST_M_S, ZERO
 from ..measurements.gnss import GnssPosition
 from ..settings import Settings
-from ..update.standstill_detector import STILL
 from .heading import COURSE, MATCH_ACCELERATION_SD, MATCH_S, Heading, Motion
 from .levelling import Levelling
 from .velocity_matching import GAIN, LARGEST_JITTER_M
@@ -144,4 +143,4 @@ def _seen(points: Sequence[Point]) -> list[complex]:
 def _motion(points: Sequence[Point], velocity: complex, sd: float) -> Motion:
     first, last = points[0].fix, points[-1].fix
     down = ned_from_geodetic_difference(last.position, first.position)[2] / ((last.time_ns - first.time_ns) * 1e-9)
-    return Motion(last.time_ns, (velocity.real, velocity.imag, down), (sd, sd, max(sd, 1.0)), STILL)
+    return Motion(last.time_ns, (velocity.real, velocity.imag, down), (sd, sd, max(sd, 1.0)), ZERO)

@@ -9,6 +9,7 @@ vibration of the two samples, which is constant over the gap. A vehicle that tur
 """
 
 from hashlib import sha256
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -19,16 +20,16 @@ from shared.maths.rotation import Vector
 
 from ..filter import error_model as em
 from ..filter.eskf import NO_PARAMETERS, ErrorStateFilter
-from ..filter.imu_step import credible
-from ..filter.propagation import sound
-from ..filter.strapdown import InertialState, motion_of
-from ..plausibility.imu_faults import Sample, mean
+from ..filter.propagation import ZERO, ImuErrors, Intervals, begun, implausible, samples_of
+from ..filter.strapdown import InertialState
+from ..plausibility.imu_faults import Sample, credible, mean
 from ..settings import Settings
+from ..update.standstill_detector import CERTAIN, UNSETTLED
 from .alignment import gnss_error_model
 
 FloatArray = npt.NDArray[np.float64]
 
-LAYOUT = 1  # of the saved state; another number where the meaning of its elements changes
+LAYOUT = 2  # of the saved state; another number where the meaning of its elements changes
 LONGEST_GAP_S = 5.0
 STEP_S = 0.05  # of the propagation over the gap
 # Of the motion that nobody has measured: power spectral densities of what drives the random walks,
@@ -68,17 +69,17 @@ def saved_state(navigation: ErrorStateFilter, sample: Sample, accepted_ns: int |
     twin = navigation.fork()
     twin.trail = None
     try:
-        twin.bring_covariance_up()
+        twin.propagate_covariance()
     except FilterDiverged:
         return None
     units = np.ones(em.SIZE)
     units[em.GNSS_ERROR] = twin.colour.unit
     return SavedState(
         inertial=twin.inertial,
-        accelerometer_bias=twin.accelerometer_bias,
-        gyroscope_bias=twin.gyroscope_bias,
-        accelerometer_scale=twin.accelerometer_scale,
-        gyroscope_scale=twin.gyroscope_scale,
+        accelerometer_bias=twin.imu.accelerometer_bias,
+        gyroscope_bias=twin.imu.gyroscope_bias,
+        accelerometer_scale=twin.imu.accelerometer_scale,
+        gyroscope_scale=twin.imu.gyroscope_scale,
         parameters=tuple((np.array(twin.parameters) * units[em.PARAMETERS]).tolist()),
         sample=(sample.force, sample.rate),
         covariance=tuple((twin.P * np.outer(units, units))[UPPER].tolist()),
@@ -95,7 +96,7 @@ def fault(saved: SavedState, time_ns: int) -> str | None:
         return "saved state of another layout"
     w, x, y, z = saved.inertial.quaternion
     unit = abs(w * w + x * x + y * y + z * z - 1.0) < 1e-6
-    if not (unit and sound(motion_of(saved.inertial)) and credible(*saved.sample)):
+    if not unit or implausible(begun(saved.inertial, ZERO, ZERO)) or not credible(*saved.sample):
         return "saved state beyond any vehicle"
     return None if _is_positive(covariance_of(saved)) else "saved state without a positive covariance"
 
@@ -151,20 +152,23 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
         settings,
         saved.inertial,
         covariance_of(saved) / np.outer(units, units),
-        saved.accelerometer_bias,
-        saved.gyroscope_bias,
+        ImuErrors(saved.accelerometer_bias, saved.gyroscope_bias, saved.accelerometer_scale, saved.gyroscope_scale),
         tuple((np.array(saved.parameters) / units[em.PARAMETERS]).tolist()),
         colour,
     )
-    navigation.accelerometer_scale, navigation.gyroscope_scale = saved.accelerometer_scale, saved.gyroscope_scale
     force, rate = mean(saved.sample[0], sample.force), mean(saved.sample[1], sample.rate)
     bias, down = np.array(saved.gyroscope_bias), navigation.ned_from_body[2]
     x, y, z = (bias + (np.array(rate) - bias) @ down * down).tolist()  # about the vertical alone
     begun_ns, gap_ns = saved.inertial.time_ns, sample.time_ns - saved.inertial.time_ns
     steps = max(1, round(gap_ns * 1e-9 / STEP_S))
-    for step in range(1, steps + 1):
-        navigation.advance(force, (x, y, z), begun_ns + gap_ns * step // steps)
-        navigation.bring_covariance_up()
+    times_ns = [begun_ns + gap_ns * step // steps for step in range(1, steps + 1)]
+    samples = samples_of(times_ns, [[*force, x, y, z]] * steps, {})
+    for k in range(steps):
+        navigation.propagate(samples, k, k + 1, CERTAIN, Intervals(inf, gap_s=inf))
+        navigation.propagate_covariance()
+    navigation.state = navigation.state._replace(
+        quiet=UNSETTLED, standstill_s=0.0, standstill_rotation_b=ZERO, since_non_holonomic_s=0.0
+    )
     navigation.P = navigation.P + unmeasured_motion(navigation.velocity, gap_ns * 1e-9)
     return navigation
 

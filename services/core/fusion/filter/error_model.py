@@ -1,170 +1,207 @@
-"""How errors grow: x = (attitude, velocity, position; biases and scales of the IMU; parameters of what aids it).
+"""Error model of the filter: its states, the system matrix F, the process noise, and matrices H of antenna and axle.
 
-Errors are estimated minus true. The attitude error is a small rotation vector in NED axes, with which
-C_estimated = (I + sk(psi)) C; the position error is in metres NED; biases and scales are what is left of them after
-the correction already made, and are therefore added to it. x' = F x + noise: the first nine are driven by the first
-twenty-one, and every other one goes its own way, constant or with a walk or a decay of its own.
+Sign convention of every state, biases, scales and parameters included::
+
+    x = estimated - true
+
+so that a correction subtracts the estimated errors from the state (`eskf.take_out`), and a measurement has
+z = measured - predicted = H x + noise with H = -d(predicted)/d(state). The attitude error psi is a small rotation
+vector in NED axes, C_estimated = (I + sk(psi)) C; the position error is in metres NED.
+
+The errors grow by x' = F x + noise. Attitude, velocity and position are driven by each other and by the errors of the
+IMU; every other state is constant, a random walk, or (the time-correlated GNSS error) a Gauss-Markov process.
 """
 
-from math import sqrt
-from struct import Struct
+from math import exp, inf, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.compiled import compilable, compiled
 from shared.maths.earth import EARTH_RATE
-from shared.maths.rotation import Vector, cross, skew
+from shared.maths.rotation import Quaternion, Vector, cross, skew
 
-from .strapdown import POLAR_FACTOR, Motion
+from .strapdown import POLAR_FACTOR, LocalEarth
 
 FloatArray = npt.NDArray[np.float64]
 
-ATTITUDE = slice(0, 3)
-VELOCITY = slice(3, 6)
-POSITION = slice(6, 9)
-ACCELEROMETER_BIAS = slice(9, 12)
-GYROSCOPE_BIAS = slice(12, 15)
-ACCELEROMETER_SCALE = slice(15, 18)
-GYROSCOPE_SCALE = slice(18, 21)
+ATTITUDE = slice(0, 3)  # [rad, NED]
+VELOCITY = slice(3, 6)  # [m/s, NED]
+POSITION = slice(6, 9)  # [m, NED]
+ACCELEROMETER_BIAS = slice(9, 12)  # [m/s², body]
+GYROSCOPE_BIAS = slice(12, 15)  # [rad/s, body]
+ACCELEROMETER_SCALE = slice(15, 18)  # [-]
+GYROSCOPE_SCALE = slice(18, 21)  # [-]
 SCALES = slice(15, 21)
-ODOMETER_SCALE = 21
-MOUNTING = slice(22, 24)  # pitch, yaw
+ODOMETER_SCALE = 21  # [-]
+MOUNTING = slice(22, 24)  # [rad] pitch, yaw
 VEHICLE = slice(21, 24)
-GNSS_ERROR = slice(24, 27)  # [-] of GNSS positions, the part that lasts over its standard deviation
+GNSS_ERROR = slice(24, 27)  # [-] time-correlated error of GNSS positions over its standard deviation
 GNSS_DELAY = 27  # [s] by which GNSS is older than its stamp
 ODOMETER_DELAY = 28  # [s]
 BAROMETER_OFFSET = 29  # [m] of barometric height
 GNSS_VELOCITY_DELAY = 30  # [s] by which GNSS velocity is older still
 DELAYS = np.array([GNSS_DELAY, ODOMETER_DELAY, GNSS_VELOCITY_DELAY])
 SIZE = 31
-MOVING = 9  # the first nine errors grow by
-DRIVING = 21  # the first twenty-one
-PARAMETERS = slice(DRIVING, SIZE)
-MINUS_ONE = -np.eye(3)
+MOVING = 9  # attitude, velocity and position, which F drives
+DRIVING = 21  # by them and the errors of the IMU
+PARAMETERS = slice(DRIVING, SIZE)  # of the aiding sensors
+DOWN = 2  # third axis of a block
+UNIT, UNIT_STATES = np.eye(3), np.eye(SIZE)
 
 
-# Where F is not zero: rows of attitude, velocity, position; columns of the same, biases and scales of the IMU.
-PATTERN = """
-    . x x  . x .  x . x   . . .  x x x   . . .  x x x
-    x . x  x . .  . . x   . . .  x x x   . . .  x x x
-    x x .  . x .  x . x   . . .  x x x   . . .  x x x
-    . x x  x x x  x . x   x x x  . . .   x x x  . . .
-    x . x  x x x  x . x   x x x  . . .   x x x  . . .
-    x x .  x x .  x . x   x x x  . . .   x x x  . . .
-    . . .  x . .  x . x   . . .  . . .   . . .  . . .
-    . . .  . x .  x x x   . . .  . . .   . . .  . . .
-    . . .  . . x  . . .   . . .  . . .   . . .  . . .
-"""
-PLACES = np.array([place for place, mark in enumerate(PATTERN.split()) if mark == "x"])
-# The same in Phi, with what is there of the unit matrix, and the diagonal of the lasting errors.
-UNCHANGED = np.eye(SIZE)
-PLACES_OF_PHI = PLACES // DRIVING * SIZE + PLACES % DRIVING
-ONES = UNCHANGED.reshape(-1)[PLACES_OF_PHI]
-LASTING = slice(GNSS_ERROR.start * (SIZE + 1), GNSS_ERROR.stop * (SIZE + 1), SIZE + 1)
-RATES = Struct(f"{len(PLACES)}d")  # NumPy takes numbers from bytes at a fifth of what a tuple costs
+@compilable
+def put(F: FloatArray, rows: slice, columns: slice, block: tuple[Vector, Vector, Vector]) -> None:
+    """F[rows, columns] = block, element by element: a third of the time of an array made of the block."""
+    i, j = rows.start, columns.start
+    (
+        (F[i, j], F[i, j + 1], F[i, j + 2]),
+        (F[i + 1, j], F[i + 1, j + 1], F[i + 1, j + 2]),
+        (
+            F[i + 2, j],
+            F[i + 2, j + 1],
+            F[i + 2, j + 2],
+        ),
+    ) = block
 
 
-def system_matrix(motion: Motion, force_n: Vector, rate_b: Vector) -> FloatArray:
-    """Matrix F of the error model, shape (9, 21) [1/s and mixed], as far as it is not zero: see `error_rates`."""
-    F = np.zeros(MOVING * DRIVING)
-    F[PLACES] = error_rates(motion, force_n, rate_b)
-    return F.reshape(MOVING, DRIVING)
-
-
-def transition_matrix(rates: tuple[float, ...], step_s: float, remains: float) -> FloatArray:
-    """Matrix Phi of a short step.
+@compilable
+def system_matrix(
+    quaternion: Quaternion, velocity: Vector, position: Vector, earth: LocalEarth, force_n: Vector, rate_b: Vector
+) -> FloatArray:
+    """Matrix F of the error dynamics x' = F x.
 
     Parameters
     ----------
-    rates : tuple of float
-        [1/s and mixed] Elements of F, as of `error_rates`.
-    step_s : float
-        [s] Its length.
-    remains : float
-        [-] exp(-step / correlation time): what remains of the lasting errors of GNSS.
+    quaternion, velocity, position, earth
+        Where the errors are linearised, as of `strapdown.mechanise`.
+    force_n : tuple of float
+        [m/s², NED] Specific force f_n.
+    rate_b : tuple of float
+        [rad/s, body] Angular rate w.
 
     Returns
     -------
     ndarray, shape (31, 31)
-        I + F t, with `remains` on the diagonal of `GNSS_ERROR`: exact at any step for these, as nothing drives them.
-    """
-    Phi = UNCHANGED.copy()
-    elements = Phi.reshape(-1)
-    elements[PLACES_OF_PHI] = ONES + np.frombuffer(RATES.pack(*rates)) * step_s
-    elements[LASTING] = remains
-    return Phi
-
-
-def error_rates(motion: Motion, force_n: Vector, rate_b: Vector) -> tuple[float, ...]:
-    """Elements of the matrix F of the error model, row by row, where `PATTERN` has a mark.
-
-    Parameters
-    ----------
-    motion : tuple
-        Where the errors are linearised, as of `strapdown.mechanise`.
-    force_n : tuple of float
-        [m/s², NED] Specific force.
-    rate_b : tuple of float
-        [rad/s, body] Angular rate, for the errors of its scale.
-
-    Returns
-    -------
-    tuple of float
         [1/s and mixed]
 
     Notes
     -----
-    With w the rates w_ie and w_en, and D_v, D_p their derivatives by velocity and by position in metres::
+    With w_ie and w_en the rates of the Earth and of the NED frame, D_v and D_p derivatives by velocity and by position
+    in metres::
 
-        psi' = -sk(w_ie + w_en) psi - D_v w_en dv - D_p(w_ie + w_en) dr + C (b_g + diag(w) s_g)
+        psi' = -sk(w_ie + w_en) psi - D_v w_en dv - D_p(w_ie + w_en) dr - C (db_g + diag(w) ds_g)
         dv'  = -sk(f_n) psi + [sk(v) D_v w_en - sk(w_en + 2 w_ie)] dv
-               + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr + C (b_a + diag(f_b) s_a)
+               + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr - C (db_a + diag(f_b) ds_a)
         dr'  = dv + [turn and stretch of the local axes] dr
 
-    The change of the radii with latitude is neglected (0.5 % of the smallest blocks). The body is these products,
-    multiplied out in plain floats, for it runs twenty times a second.
+    The change of the radii with latitude is neglected (0.5 % of the smallest blocks).
 
     References
     ----------
     P. Groves, 2nd ed., eq. 14.63 to 14.71, here with the position in metres; equals
     J. Zuriarrain Sosa et al., 2024, appendix A, after correction of its A6, A7 and A9.
     """
-    (qw, qx, qy, qz), (north, east, down), (_, _, height), (sine, cosine, meridian, transverse, surface, _) = motion
-    m, t = 1.0 / (meridian + height), 1.0 / (transverse + height)
-    tangent, secant2 = sine / cosine, 1.0 / (cosine * cosine)
-    earth_n, earth_d = EARTH_RATE * cosine, -EARTH_RATE * sine
-    et, nm = east * t, north * m
-    turn_n, turn_e, turn_d = earth_n + et, -nm, earth_d - et * tangent
-    fn, fe, fd = force_n
-    wx, wy, wz = rate_b
-    c11, c12, c13 = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)
+    (qw, qx, qy, qz), (north, east, down), (_, _, height) = quaternion, velocity, position
+    (fn, fe, fd), (wx, wy, wz) = force_n, rate_b
+    sine, cosine = earth.sin_latitude, earth.cos_latitude
+    m, t = 1.0 / (earth.meridian_radius + height), 1.0 / (earth.transverse_radius + height)  # [1/m]
+    tan = sine / cosine
+    c11, c12, c13 = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qw * qz), 2.0 * (qx * qz + qw * qy)  # C
     c21, c22, c23 = 2.0 * (qx * qy + qw * qz), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qw * qx)
     c31, c32, c33 = 2.0 * (qx * qz - qw * qy), 2.0 * (qy * qz + qw * qx), 1.0 - 2.0 * (qx * qx + qy * qy)
     fx, fy, fz = c11 * fn + c21 * fe + c31 * fd, c12 * fn + c22 * fe + c32 * fd, c13 * fn + c23 * fe + c33 * fd
-    free_air = 2.0 * surface / (transverse * sqrt(cosine * cosine + (POLAR_FACTOR * sine) ** 2))
+    en, ed = EARTH_RATE * cosine, -EARTH_RATE * sine  # w_ie; its east component is zero
+    tn, te, td = east * t, -north * m, -east * t * tan  # w_en
+    td_by_latitude = -east * t / (cosine * cosine)
+    wn, we, wd = en + tn, te, ed + td
+    geocentric_radius = earth.transverse_radius * sqrt(cosine * cosine + (POLAR_FACTOR * sine) ** 2)
+    # derivatives of the Coriolis rate w_en + 2 w_ie by north and down [1/(m s)]
+    cn_by_north, cd_by_north = 2.0 * ed * m, (td_by_latitude - 2.0 * en) * m
+    cn_by_down, ce_by_down, cd_by_down = tn * t, te * m, td * t
 
-    # fmt: off
-    return (
-        turn_d, -turn_e, -t, -earth_d * m, -et * t, c11, c12, c13, c11 * wx, c12 * wy, c13 * wz,
-        -turn_d, turn_n, m, nm * m, c21, c22, c23, c21 * wx, c22 * wy, c23 * wz,
-        turn_e, -turn_n, tangent * t, (earth_n + et * secant2) * m, et * tangent * t,
-        c31, c32, c33, c31 * wx, c32 * wy, c33 * wz,
-        fd, -fe, down * m, 2.0 * (earth_d - et * tangent), nm,
-        -(et * secant2 + 2.0 * earth_n) * east * m, nm * down * m - et * et * tangent,
-        c11, c12, c13, c11 * fx, c12 * fy, c13 * fz,
-        -fd, fn, et * tangent - 2.0 * earth_d, (north * tangent + down) * t, et + 2.0 * earth_n,
-        (north * et * secant2 + 2.0 * (north * earth_n + down * earth_d)) * m, (north * tangent + down) * et * t,
-        c21, c22, c23, c21 * fx, c22 * fy, c23 * fz,
-        fe, -fn, -2.0 * nm, -2.0 * (et + earth_n), -2.0 * east * earth_d * m, free_air - et * et - nm * nm,
-        c31, c32, c33, c31 * fx, c32 * fy, c33 * fz,
-        1.0, -down * m, nm,
-        1.0, east * tangent * m, -(down + north * tangent) * t, et,
-        1.0,
+    F = np.zeros((SIZE, SIZE))
+    # -sk(w_ie + w_en)
+    put(F, ATTITUDE, ATTITUDE, ((0.0, wd, -we), (-wd, 0.0, wn), (we, -wn, 0.0)))
+    # -D_v w_en
+    put(F, ATTITUDE, VELOCITY, ((0.0, -t, 0.0), (m, 0.0, 0.0), (0.0, t * tan, 0.0)))
+    # -D_p (w_ie + w_en)
+    put(
+        F, ATTITUDE, POSITION, ((-ed * m, 0.0, -tn * t), (0.0, 0.0, -te * m), ((en - td_by_latitude) * m, 0.0, -td * t))
     )
-    # fmt: on
+    # -C
+    minus_C = (-c11, -c12, -c13), (-c21, -c22, -c23), (-c31, -c32, -c33)
+    put(F, ATTITUDE, GYROSCOPE_BIAS, minus_C)
+    # -C diag(w)
+    put(
+        F,
+        ATTITUDE,
+        GYROSCOPE_SCALE,
+        (
+            (-c11 * wx, -c12 * wy, -c13 * wz),
+            (-c21 * wx, -c22 * wy, -c23 * wz),
+            (-c31 * wx, -c32 * wy, -c33 * wz),
+        ),
+    )
+    # -sk(f_n)
+    put(F, VELOCITY, ATTITUDE, ((0.0, fd, -fe), (-fd, 0.0, fn), (fe, -fn, 0.0)))
+    # sk(v) D_v w_en - sk(w_en + 2 w_ie)
+    put(
+        F,
+        VELOCITY,
+        VELOCITY,
+        (
+            (down * m, 2.0 * (ed + td), -te),
+            (-td - 2.0 * ed, (down + north * tan) * t, wn + en),
+            (2.0 * te, -2.0 * wn, 0.0),
+        ),
+    )
+    # sk(v) D_p (w_en + 2 w_ie) + 2 g/r in DD
+    put(
+        F,
+        VELOCITY,
+        POSITION,
+        (
+            (east * cd_by_north, 0.0, east * cd_by_down - down * ce_by_down),
+            (down * cn_by_north - north * cd_by_north, 0.0, down * cn_by_down - north * cd_by_down),
+            (
+                -east * cn_by_north,
+                0.0,
+                north * ce_by_down - east * cn_by_down + 2.0 * earth.gravity / geocentric_radius,
+            ),
+        ),
+    )
+    # -C
+    put(F, VELOCITY, ACCELEROMETER_BIAS, minus_C)
+    # -C diag(f_b)
+    put(
+        F,
+        VELOCITY,
+        ACCELEROMETER_SCALE,
+        (
+            (-c11 * fx, -c12 * fy, -c13 * fz),
+            (-c21 * fx, -c22 * fy, -c23 * fz),
+            (-c31 * fx, -c32 * fy, -c33 * fz),
+        ),
+    )
+    put(F, POSITION, VELOCITY, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    # the local axes turn by w_en and stretch with height and latitude
+    put(F, POSITION, POSITION, ((-down * m, 0.0, -te), (-td * m / t, -(down + north * tan) * t, tn), (0.0, 0.0, 0.0)))
+    return F
 
 
-def noise_density(*densities: tuple[int | slice | npt.NDArray[np.intp], float]) -> FloatArray:
+@compilable
+def transition_matrix(F: FloatArray, step_s: float, gnss_correlation_s: float = inf) -> FloatArray:
+    """Transition matrix Phi, shape (31, 31), of a short step: I + F t.
+
+    The time-correlated GNSS error decays by exp(-t/T), exact at any step because nothing drives it.
+    """
+    Phi = UNIT_STATES + F * step_s
+    Phi[GNSS_ERROR, GNSS_ERROR] = exp(-step_s / gnss_correlation_s) * UNIT
+    return Phi
+
+
+def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], float]) -> FloatArray:
     """Power spectral density of the noise that drives the errors.
 
     Parameters
@@ -188,23 +225,22 @@ def noise_density(*densities: tuple[int | slice | npt.NDArray[np.intp], float]) 
     return diagonal
 
 
-def added_variances(
-    density: FloatArray, shaking: tuple[float, ...], factor: float, step_s: float, remains: float
+@compilable
+def process_noise(
+    psd: FloatArray, attitude_psd: float, velocity_psd: float, step_s: float, gnss_correlation_s: float = inf
 ) -> FloatArray:
-    """Variances that a step adds to the errors.
+    """Diagonal of the process noise Q of a step.
 
     Parameters
     ----------
-    density : ndarray, shape (31,)
-        [unit²/s] As of `noise_density`.
-    shaking : tuple of float
-        [m²/s³], [rad²/s] Density of the measured vibration: force, rate.
-    factor : float
-        [-] Share of it that velocity and attitude are given, if they have less.
+    psd : ndarray, shape (31,)
+        [unit²/s] As of `process_noise_psd`.
+    attitude_psd, velocity_psd : float
+        [rad²/s], [m²/s³] Least densities of attitude and velocity, from the measured vibration.
     step_s : float
-        [s] Length of the step.
-    remains : float
-        [-] As of `transition_matrix`; the lasting errors of GNSS keep the variance one.
+        [s] Length t of the step.
+    gnss_correlation_s : float
+        [s] Correlation time T of the GNSS error, whose stationary variance is one: Q = 1 - exp(-2t/T).
 
     Returns
     -------
@@ -215,18 +251,55 @@ def added_variances(
     ----------
     Gelb (ed.), Applied Optimal Estimation, 1974, sec. 3.6, of first-order Gauss-Markov states.
     """
-    added: FloatArray = density * step_s
-    added[ATTITUDE] = step_s * max(density.item(0), factor * shaking[1])
-    added[VELOCITY] = step_s * max(density.item(3), factor * shaking[0])
-    added[GNSS_ERROR] = 1.0 - remains * remains
-    return added
+    Q: FloatArray = psd * step_s
+    Q[ATTITUDE] = max(psd[ATTITUDE.start], attitude_psd) * step_s
+    Q[VELOCITY] = max(psd[VELOCITY.start], velocity_psd) * step_s
+    Q[GNSS_ERROR] = 1.0 - exp(-2.0 * step_s / gnss_correlation_s)
+    return Q
+
+
+@compiled
+def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and arrays
+    quaternion: Quaternion,
+    velocity: Vector,
+    position: Vector,
+    earth: LocalEarth,
+    velocity_gain_n: Vector,
+    rotation_b: Vector,
+    step_s: float,
+    psd: FloatArray,
+    attitude_psd: float,
+    velocity_psd: float,
+    gnss_correlation_s: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """System matrix F, transition matrix Phi and process noise Q of a step.
+
+    Parameters
+    ----------
+    quaternion, velocity, position, earth
+        At the end of the step: see `system_matrix`.
+    velocity_gain_n, rotation_b : tuple of float
+        [m/s, NED], [rad, body] Integrals of specific force and angular rate over the step.
+    step_s, psd, attitude_psd, velocity_psd, gnss_correlation_s
+        See `process_noise`.
+
+    Returns
+    -------
+    tuple of ndarray
+        Shapes (31, 31), (31, 31) and (31,).
+    """
+    (vn, ve, vd), (rx, ry, rz), per_s = velocity_gain_n, rotation_b, 1.0 / step_s
+    force_n, rate_b = (vn * per_s, ve * per_s, vd * per_s), (rx * per_s, ry * per_s, rz * per_s)
+    F = system_matrix(quaternion, velocity, position, earth, force_n, rate_b)
+    Phi = transition_matrix(F, step_s, gnss_correlation_s)
+    return F, Phi, process_noise(psd, attitude_psd, velocity_psd, step_s, gnss_correlation_s)
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:
     """Matrix H, shape (3, 31), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(arm_n)
-    H[:, POSITION] = MINUS_ONE
+    H[:, POSITION] = -UNIT
     return H
 
 
@@ -251,7 +324,7 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
     -----
     ::
 
-        H = [ sk(C (w x l)), -I, 0, 0, C sk(l), 0, 0 ]
+        H = [ sk(C (w x l)), -I, 0, 0, -C sk(l), 0, 0 ]
 
     References
     ----------
@@ -259,8 +332,8 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
     """
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(ned_from_body @ cross(rate_b, arm_b))
-    H[:, VELOCITY] = MINUS_ONE
-    H[:, GYROSCOPE_BIAS] = ned_from_body @ skew(arm_b)
+    H[:, VELOCITY] = -UNIT
+    H[:, GYROSCOPE_BIAS] = -ned_from_body @ skew(arm_b)
     return H
 
 
@@ -291,14 +364,14 @@ def axle_velocity_matrix(
     -----
     With e_y and e_z unit vectors::
 
-        H = [ -M C^T sk(v), -M C^T, 0, 0, M sk(l), 0, -M (e_y x u), -e_z x M u ]
+        H = [ -M C^T sk(v), -M C^T, 0, 0, -M sk(l), 0, -M (e_y x u), -e_z x M u ]
     """
     u, ahead = axle_velocity_b, M @ axle_velocity_b
     vehicle_from_ned = M @ ned_from_body.T
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = -vehicle_from_ned @ skew(velocity_n)
     H[:, VELOCITY] = -vehicle_from_ned
-    H[:, GYROSCOPE_BIAS] = M @ skew(arm_b)
+    H[:, GYROSCOPE_BIAS] = -M @ skew(arm_b)
     H[:, MOUNTING.start] = -M @ np.array([u[2], 0.0, -u[0]])
     H[:, MOUNTING.start + 1] = ahead[1], -ahead[0], 0.0
     return H

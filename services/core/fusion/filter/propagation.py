@@ -1,151 +1,261 @@
-"""Many ordinary samples in one go: a loop that Numba compiles where it is installed, and that runs without it as well.
+"""The propagation loop: takes IMU samples one after the other until one of them needs more than propagation.
 
-A sample is ordinary if it follows the one before without a gap, and brings nothing to its turn but a step of the
-covariance. Whatever is not, the loop leaves to the engine as if it had never looked at it, so that every decision has
-one place.
+Between two steps of the covariance a sample carries the strapdown mechanisation on, adds to the mean specific force and
+rate that the covariance needs, measures the vibration, and feeds the standstill detector. Whatever else is due ends the
+loop with a `Stop` before the next sample, and the engine deals with it: a solution is there right after its sample.
 """
 
-from collections.abc import Sequence
-from math import exp, isfinite, pi
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from math import inf, isfinite, pi
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.kalman import correct
-from shared.maths.rotation import Vector
+from shared.maths.compiled import COMPILED, compilable, compiled
+from shared.maths.rotation import Quaternion, Vector
 
-from ..update.standstill_detector import QUIET_S, STILL, SURE, Rest, at_rest, doubt_of, length
-from .error_model import ACCELEROMETER_SCALE, added_variances, error_rates, transition_matrix
-from .imu_step import NO_SUMS, Errors, Shaking, Sums, means, take_sample
-from .kalman import predict, variances
-from .strapdown import Motion
+from ..update.standstill_detector import UNSETTLED, Limits, Quiet, detect, norm, stands
+from .strapdown import InertialState, LocalEarth, local_earth, mechanise
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-Sample = tuple[Vector, Vector]
-Stamps = IntArray | Sequence[int]
-Rows = FloatArray | Sequence[Sequence[float]]
-# What the engine counts beside the filter: what the detector of standstill knows; turn [rad, body] and time [s] of a
-# standstill, and time [s] since the wheels were held against the filter, each since it was last made use of.
-Beside = tuple[Rest, Vector, float, float]
-# Motion, sums and vibration as of `sampling`; the last sample; rate and acceleration of the filter; the lasting error
-# of GNSS; what is beside it.
-Moment = tuple[Motion, Sums, Shaking, Sample, Vector, Vector, Vector, Beside]
-# Period of the covariance [s], factor on the vibration, correlation time [s] of the lasting error; times [s] after
-# a standstill and the wheels are due; speed [m/s] from which the odometer has a say in whether the vehicle stands.
-Limits = tuple[float, float, float, float, float, float]
-# What `run` goes on from, but for the samples: moment, covariance, errors, walks, limits.
-Departure = tuple[Moment, FloatArray, Errors, FloatArray, Limits]
 
-GAP_S = 0.05  # a longer step is a gap
+ZERO: Vector = (0.0, 0.0, 0.0)
+GAP_S = 0.05  # a longer step between two samples is a gap
+VIBRATION_S = 1.0  # time constant of the measured vibration
+SMOOTHING_S = 0.1  # time constant of the smoothed acceleration
+COMPILED_FROM = 4  # samples
+NEARLY = 0.99  # of an interval after which it is over, for sums of sampling periods jitter
 FASTEST_M_S = 500.0
 HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
-EARLY_S = 1e-9  # by which a step of the covariance may come too early, for the sums are rounded
-NEVER = 1e99  # [s], [m/s] of limits
 
 
-def run(
-    moment: Moment, P: FloatArray, times_ns: Stamps, samples: Rows, errors: Errors, walks: FloatArray, limits: Limits
-) -> tuple[int, Moment, FloatArray]:
-    """Take samples as long as they are ordinary.
+class Stop(IntEnum):
+    """Why the propagation loop ended."""
+
+    END_OF_SAMPLES = 0
+    GAP = 1  # the next sample comes more than `Intervals.gap_s` after the one before
+    COVARIANCE_DUE = 2
+    ZERO_VELOCITY_DUE = 3
+    NON_HOLONOMIC_DUE = 4
+
+
+class Intervals(NamedTuple):
+    """Times [s] after which the loop ends; infinite for what is switched off."""
+
+    covariance_s: float
+    zero_velocity_s: float = inf
+    non_holonomic_s: float = inf
+    gap_s: float = GAP_S
+
+
+class ImuErrors(NamedTuple):
+    """Estimated errors of the IMU: biases [m/s², rad/s] and scale factors [-], body axes."""
+
+    accelerometer_bias: Vector = ZERO
+    gyroscope_bias: Vector = ZERO
+    accelerometer_scale: Vector = ZERO
+    gyroscope_scale: Vector = ZERO
+
+
+class State(NamedTuple):
+    """What the propagation loop carries from sample to sample."""
+
+    time_ns: int
+    quaternion: Quaternion  # NED from body
+    velocity: Vector  # [m/s, NED]
+    position: Vector  # [rad, rad, m] latitude, longitude, ellipsoidal height
+    earth: LocalEarth  # at this latitude
+    force: Vector  # [m/s², body] of the last sample, as measured
+    rate: Vector  # [rad/s, body] of the last sample, as measured
+    rate_b: Vector = ZERO  # [rad/s, body] of the last sample, IMU errors removed
+    acceleration_n: Vector = ZERO  # [m/s², NED] of the last sample
+    smoothed_acceleration_n: Vector = ZERO  # [m/s², NED]
+    force_vibration_psd: float = 0.0  # [m²/s³]
+    rate_vibration_psd: float = 0.0  # [rad²/s]
+    span_s: float = 0.0  # time since the last covariance step, and over it:
+    velocity_gain_n: Vector = ZERO  # [m/s, NED] integral of the specific force
+    rotation_b: Vector = ZERO  # [rad, body] integral of the rate
+    quiet: Quiet = UNSETTLED  # of the standstill detector
+    standstill_s: float = 0.0  # standstill since the last zero-velocity update, and over it:
+    standstill_rotation_b: Vector = ZERO  # [rad, body] integral of the rate
+    since_non_holonomic_s: float = 0.0
+
+
+class Samples(NamedTuple):
+    """Contiguous IMU samples, as arrays for compiled code, else as lists, which Python reads faster."""
+
+    times_ns: Sequence[int] | IntArray  # ends of the sampling intervals, shape (n,)
+    rows: Sequence[Sequence[float]] | FloatArray  # [m/s², rad/s, body] mean force and rate, shape (n, 6)
+    faults: Mapping[int, str]  # by row: what is wrong with a suspect sample
+
+    def part(self, begin: int, end: int) -> "Samples":
+        """Take the samples from one row to before another."""
+        faults = {k - begin: self.faults[k] for k in range(begin, end) if k in self.faults} if self.faults else {}
+        return Samples(self.times_ns[begin:end], self.rows[begin:end], faults)
+
+
+def samples_of(times_ns: Sequence[int] | IntArray, rows: npt.ArrayLike, faults: Mapping[int, str]) -> Samples:
+    """Put samples into the form that `propagate` takes; few are not worth a call of compiled code."""
+    if COMPILED and len(times_ns) >= COMPILED_FROM:
+        return Samples(np.asarray(times_ns, np.int64), np.ascontiguousarray(rows, np.float64), faults)
+    times_ns = times_ns.tolist() if isinstance(times_ns, np.ndarray) else times_ns
+    return Samples(times_ns, rows.tolist() if isinstance(rows, np.ndarray) else rows, faults)  # type: ignore[arg-type]
+
+
+def begun(inertial: InertialState, force: Vector, rate: Vector) -> State:
+    """State of a filter that starts at an instant, with the sample [m/s², rad/s, body; as measured] of that time."""
+    time_ns, quaternion, velocity, (latitude, longitude, height) = inertial
+    return State(time_ns, quaternion, velocity, (latitude, longitude, height), local_earth(latitude), force, rate)
+
+
+@compilable
+def propagate(  # noqa: PLR0915  # one loop
+    state: State,
+    times_ns: Sequence[int] | IntArray,
+    rows: Sequence[Sequence[float]] | FloatArray,
+    begin: int,
+    end: int,
+    errors: ImuErrors,
+    limits: Limits,
+    intervals: Intervals,
+) -> tuple[State, int, int]:
+    """Propagate over samples until all are taken, or something else is due.
 
     Parameters
     ----------
-    moment : tuple
-        The filter between two samples.
-    P : ndarray, shape (31, 31)
-        Its covariance.
-    times_ns : ndarray of int64, shape (n + 1,), or list
-        Stamps; the first is that of the moment. A compiler wants arrays, Python is faster with lists.
-    samples : ndarray, shape (n, 6), or list
-        [m/s², rad/s, body] Specific force and angular rate of the times that end at the stamps.
-    errors : tuple
-        What is known of the IMU's errors, as of `sampling.take_sample`.
-    walks : ndarray, shape (31,)
-        [unit²/s] Noise that drives the errors, without vibration.
-    limits : tuple of float
-        See `Limits`.
+    state : State
+        At the end of the sample before.
+    times_ns : ndarray of int64, shape (n,), or list
+        Ends of the samples; one that does not come after the state is skipped.
+    rows : ndarray, shape (n, 6), or list
+        [m/s², rad/s, body] Mean specific force and angular rate over the samples, as measured.
+    begin, end : int
+        Which of them: from `begin` to before `end`.
+    errors : ImuErrors
+        To be removed from the samples.
+    limits : Limits
+        Of the standstill detector.
+    intervals : Intervals
+        When something is due.
 
     Returns
     -------
+    State
+        At the end of the last sample that was taken.
     int
         How many were taken.
-    tuple
-        The moment after them.
-    ndarray, shape (31, 31)
-        The covariance of then.
+    int
+        Why no more were: a `Stop`, as a number because compiled code takes long to make a member of an enumeration.
+
+    Notes
+    -----
+    The vibration PSD is measured by differences of successive samples, whose variance is twice that of white noise;
+    the mean of three axes, smoothed over T = 1 s: S+ = S + t/T (t/6 |f - f_last|² - S).
     """
-    period, factor, memory, standstill_due, wheels_due, doubtful = limits
-    motion, sums, shaking, last, rate, acceleration, lasting, (rest, turn, still, rolling) = moment
-    taken = 0
-    wheels_stand = doubtful < NEVER
-    doubt = SURE if wheels_stand else doubt_of(P)
-    for k in range(len(samples)):
-        step = (times_ns[k + 1] - times_ns[k]) * 1e-9
-        if not 0.0 < step <= GAP_S or rolling + step >= wheels_due:
+    time_ns, earth, quiet = state.time_ns, state.earth, state.quiet
+    quaternion, velocity, position = state.quaternion, state.velocity, state.position
+    lfx, lfy, lfz = state.force
+    lwx, lwy, lwz = state.rate
+    rate_b, acceleration_n = state.rate_b, state.acceleration_n
+    sn, se, sd = state.smoothed_acceleration_n
+    force_psd, rate_psd = state.force_vibration_psd, state.rate_vibration_psd
+    span_s, (vn, ve, vd), (rx, ry, rz) = state.span_s, state.velocity_gain_n, state.rotation_b
+    standstill_s, (zx, zy, zz) = state.standstill_s, state.standstill_rotation_b
+    non_holonomic_s = state.since_non_holonomic_s
+    (abx, aby, abz), (gbx, gby, gbz), (asx, asy, asz), (gsx, gsy, gsz) = errors
+    stop, k = Stop.END_OF_SAMPLES, begin
+    while k < end:
+        step = (times_ns[k] - time_ns) * 1e-9
+        if step > intervals.gap_s:
+            stop = Stop.GAP
             break
-        s = samples[k]
-        sample = (s[0], s[1], s[2]), (s[3], s[4], s[5])
-        moved, summed, shaken, turning, gaining = take_sample(motion, sums, shaking, errors, sample, last, step)
-        speed = length(moved[1])
-        resting = at_rest(rest, turning, gaining, speed, step, doubt)
-        if speed >= doubtful:
+        if span_s >= NEARLY * intervals.covariance_s:
+            stop = Stop.COVARIANCE_DUE
             break
-        stilled = still + step if resting[2] >= QUIET_S and standstill_due < NEVER else 0.0
-        if stilled >= standstill_due:
+        if standstill_s >= NEARLY * intervals.zero_velocity_s:
+            stop = Stop.ZERO_VELOCITY_DUE
             break
-        if summed[0] >= period - EARLY_S:
-            remains = exp(-summed[0] / memory) if memory < NEVER else 1.0
-            if not sound(moved):
-                break
-            grown, fine = grow(P, moved, summed, walks, shaken, factor, remains)
-            if not fine:
-                break
-            P, summed = grown, NO_SUMS
-            doubt = SURE if wheels_stand else doubt_of(P)
-            if remains < 1.0:
-                lasting = remains * lasting[0], remains * lasting[1], remains * lasting[2]
-        motion, sums, shaking, last, rate, acceleration = moved, summed, shaken, sample, turning, gaining
-        turn = (
-            (turn[0] + rate[0] * step, turn[1] + rate[1] * step, turn[2] + rate[2] * step) if stilled > 0.0 else STILL
+        if non_holonomic_s >= NEARLY * intervals.non_holonomic_s:
+            stop = Stop.NON_HOLONOMIC_DUE
+            break
+        row, k = rows[k], k + 1
+        if step <= 0.0:
+            continue
+        fx, fy, fz, wx, wy, wz = row[0], row[1], row[2], row[3], row[4], row[5]
+        force_b = fx - abx - asx * fx, fy - aby - asy * fy, fz - abz - asz * fz
+        rate_b = wx - gbx - gsx * wx, wy - gby - gsy * wy, wz - gbz - gsz * wz
+        quaternion, velocity, position, earth, force_n, acceleration_n = mechanise(
+            quaternion, velocity, position, earth, force_b, rate_b, step
         )
-        rest, still, rolling, taken = resting, stilled, rolling + step, k + 1
-    return taken, (motion, sums, shaking, last, rate, acceleration, lasting, (rest, turn, still, rolling)), P
+        time_ns = times_ns[k - 1]
 
+        span_s += step
+        vn, ve, vd = vn + force_n[0] * step, ve + force_n[1] * step, vd + force_n[2] * step
+        rx, ry, rz = rx + rate_b[0] * step, ry + rate_b[1] * step, rz + rate_b[2] * step
 
-def grow(
-    P: FloatArray, motion: Motion, sums: Sums, walks: FloatArray, shaking: Shaking, factor: float, remains: float
-) -> tuple[FloatArray, bool]:
-    """Carry the covariance over the time that was summed up, and say whether it is still one."""
-    force_n, rate_b = means(sums)
-    Phi = transition_matrix(error_rates(motion, force_n, rate_b), sums[0], remains)
-    grown = predict(P, Phi, added_variances(walks, shaking, factor, sums[0], remains))
-    total, least = variances(grown, ACCELEROMETER_SCALE.start)
-    return grown, isfinite(total) and least > 0.0
+        share, scale = min(1.0, step / VIBRATION_S), step / 6.0
+        dx, dy, dz = fx - lfx, fy - lfy, fz - lfz
+        force_psd += share * (scale * (dx * dx + dy * dy + dz * dz) - force_psd)
+        dx, dy, dz = wx - lwx, wy - lwy, wz - lwz
+        rate_psd += share * (scale * (dx * dx + dy * dy + dz * dz) - rate_psd)
+        lfx, lfy, lfz, lwx, lwy, lwz = fx, fy, fz, wx, wy, wz
+        share = step / (SMOOTHING_S + step)
+        an, ae, ad = acceleration_n
+        sn, se, sd = sn + share * (an - sn), se + share * (ae - se), sd + share * (ad - sd)
 
-
-class Arithmetic:
-    """What is done to a covariance, as NumPy does it."""
-
-    grow = staticmethod(grow)
-    correct = staticmethod(correct)
-
-
-PLAIN = Arithmetic()
-
-
-def sound(motion: Motion) -> bool:
-    """Whether the numbers of a motion have a meaning; `unsoundness` says why not."""
-    quaternion, velocity, position, _ = motion
-    total = quaternion[0] + velocity[0] + velocity[1] + velocity[2] + position[1] + position[2]
-    return isfinite(total) and length(velocity) < FASTEST_M_S and abs(position[0]) < HIGHEST_LATITUDE
-
-
-def unsoundness(motion: Motion) -> str:
-    """Say what is wrong with a motion that is not `sound`."""
-    quaternion, velocity, position, _ = motion
-    if not isfinite(sum(quaternion) + sum(velocity) + sum(position)):
-        return "the state is no longer finite"
-    return (
-        "the velocity is beyond any vehicle's" if length(velocity) >= FASTEST_M_S else "the position is too near a pole"
+        quiet = detect(quiet, rate_b, acceleration_n, norm(velocity), step, limits)
+        if stands(quiet):
+            standstill_s += step
+            zx, zy, zz = zx + rate_b[0] * step, zy + rate_b[1] * step, zz + rate_b[2] * step
+        else:
+            standstill_s, zx, zy, zz = 0.0, 0.0, 0.0, 0.0
+        non_holonomic_s += step
+    after = State(
+        time_ns,
+        quaternion,
+        velocity,
+        position,
+        earth,
+        (lfx, lfy, lfz),
+        (lwx, lwy, lwz),
+        rate_b,
+        acceleration_n,
+        (sn, se, sd),
+        force_psd,
+        rate_psd,
+        span_s,
+        (vn, ve, vd),
+        (rx, ry, rz),
+        quiet,
+        standstill_s,
+        (zx, zy, zz),
+        non_holonomic_s,
     )
+    return after, k - begin, stop.value
+
+
+@compiled
+def propagate_arrays(
+    state: State,
+    times_ns: Sequence[int] | IntArray,
+    rows: Sequence[Sequence[float]] | FloatArray,
+    begin: int,
+    end: int,
+    errors: ImuErrors,
+    limits: Limits,
+    intervals: Intervals,
+) -> tuple[State, int, int]:
+    """Do the same by compiled code, which takes arrays."""
+    return propagate(state, times_ns, rows, begin, end, errors, limits, intervals)
+
+
+def implausible(state: State) -> str | None:
+    """Say why a state can no longer be one of a vehicle, if so."""
+    if not isfinite(sum(state.quaternion) + sum(state.velocity) + sum(state.position)):
+        return "the state is no longer finite"
+    if norm(state.velocity) >= FASTEST_M_S:
+        return "the velocity is beyond any vehicle's"
+    return "the position is too near a pole" if abs(state.position[0]) >= HIGHEST_LATITUDE else None

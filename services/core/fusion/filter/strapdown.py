@@ -1,15 +1,15 @@
-"""Strapdown mechanisation in the local north-east-down frame, one inertial sample a step, in plain floats.
+"""Strapdown mechanisation in the local north-east-down (NED) frame: attitude, velocity and position, sample by sample.
 
 v' = C f + g - (2 w_ie + w_en) x v,    C' = C sk(w_ib) - sk(w_ie + w_en) C
 
-This runs for every sample, and is multiplied out for that reason: numbers and tuples in, tuples out, so that it is the
-same function whether Python or a compiler runs it.
+It runs for every sample: plain floats and tuples, which Python handles faster than small arrays and Numba compiles.
 """
 
 from collections.abc import Sequence
 from math import cos, pi, sin, sqrt
 from typing import NamedTuple
 
+from shared.maths.compiled import compilable
 from shared.maths.earth import (
     EARTH_RATE,
     EQUATORIAL_GRAVITY,
@@ -23,17 +23,14 @@ from shared.maths.rotation import Quaternion, Vector, quaternion_from_rotation_v
 
 SMALL_ANGLE2 = 1e-8  # [rad²] below it, two terms of the series are exact to rounding
 POLAR_FACTOR = 1.0 - ECCENTRICITY_SQUARED
-# Of the decrease of gravity with height: its slope at the equator, what the latitude changes, and its curvature.
+# Decrease of gravity with height: slope at the equator, its change with latitude, and curvature.
 EQUATORIAL_SLOPE = 2.0 * (1.0 + FLATTENING + GRAVITY_RATIO) / SEMI_MAJOR_AXIS  # [1/m]
 POLEWARD_SLOPE = -4.0 * FLATTENING / SEMI_MAJOR_AXIS  # [1/m]
 SLOPE_CHANGE = 3.0 / SEMI_MAJOR_AXIS**2  # [1/m²]
 
-Parallel = tuple[float, float, float, float, float, float]
-Motion = tuple[Quaternion, Vector, Vector, Parallel]
-
 
 class InertialState(NamedTuple):
-    """Attitude (NED from body), velocity [m/s, NED] and position at one instant."""
+    """Attitude (NED from body), velocity [m/s, NED] and position of the IMU at one instant."""
 
     time_ns: int
     quaternion: Quaternion
@@ -41,47 +38,53 @@ class InertialState(NamedTuple):
     position: Geodetic
 
 
+class LocalEarth(NamedTuple):
+    """Shape and gravity of the Earth at one latitude; computed once for the end of a step and the start of the next."""
+
+    sin_latitude: float
+    cos_latitude: float
+    meridian_radius: float  # [m] R_N
+    transverse_radius: float  # [m] R_E
+    gravity: float  # [m/s²] on the ellipsoid
+    gravity_slope: float  # [1/m] relative decrease with height
+
+
+@compilable
+def local_earth(latitude: float) -> LocalEarth:
+    """Compute what a latitude [rad] determines, by the formulae of `shared.maths.earth`."""
+    sine = sin(latitude)
+    sin2 = sine * sine
+    s = 1.0 - ECCENTRICITY_SQUARED * sin2
+    root = sqrt(s)
+    transverse = SEMI_MAJOR_AXIS / root
+    return LocalEarth(
+        sine,
+        cos(latitude),
+        transverse * POLAR_FACTOR / s,
+        transverse,
+        EQUATORIAL_GRAVITY * (1.0 + SOMIGLIANA_CONSTANT * sin2) / root,
+        EQUATORIAL_SLOPE + POLEWARD_SLOPE * sin2,
+    )
+
+
+@compilable
 def rotate(quaternion: Quaternion, vector: Vector) -> Vector:
-    """Turn a vector by a unit quaternion."""
+    """Rotate a vector by a unit quaternion."""
     w, x, y, z = quaternion
     a, b, c = vector
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     return a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
 
 
-def parallel(latitude: float) -> Parallel:
-    """What a latitude [rad] decides, computed once for the end of one step and the beginning of the next.
+@compilable
+def rotation_series(angle2: float) -> tuple[float, float, float, float]:
+    """Compute the coefficients of a rotation vector a from its squared length [rad²].
 
     Returns
     -------
     tuple of float
-        Its sine and cosine, the radii R_N and R_E [m], gravity on the ellipsoid [m/s²], and the slope [1/m] with which
-        gravity decreases: those of `shared.maths.earth`.
-    """
-    sine = sin(latitude)
-    sin2 = sine * sine
-    s = 1.0 - ECCENTRICITY_SQUARED * sin2
-    root = sqrt(s)
-    transverse = SEMI_MAJOR_AXIS / root
-    surface = EQUATORIAL_GRAVITY * (1.0 + SOMIGLIANA_CONSTANT * sin2) / root
-    return (
-        sine,
-        cos(latitude),
-        transverse * POLAR_FACTOR / s,
-        transverse,
-        surface,
-        EQUATORIAL_SLOPE + POLEWARD_SLOPE * sin2,
-    )
-
-
-def turn_terms(angle2: float) -> tuple[float, float, float, float]:
-    """Factors of a turn by the square of its angle |a| [rad²].
-
-    Returns
-    -------
-    tuple of float
-        cos(|a|/2) and sin(|a|/2)/|a|, which make its quaternion; (1 - cos|a|)/|a|² and (1 - sin|a|/|a|)/|a|², which
-        make the mean of the rotation while it happens.
+        cos(|a|/2) and sin(|a|/2)/|a| of its quaternion; (1 - cos|a|)/|a|² and (1 - sin|a|/|a|)/|a|² of the average
+        rotation, `shared.maths.rotation.average_matrix_from_rotation_vector`.
     """
     if angle2 < SMALL_ANGLE2:
         return 1.0 - angle2 / 8.0, 0.5 - angle2 / 48.0, 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
@@ -90,35 +93,47 @@ def turn_terms(angle2: float) -> tuple[float, float, float, float]:
     return cosine, scale, 2.0 * scale * scale, (1.0 - 2.0 * scale * cosine) / angle2
 
 
-def mechanise(motion: Motion, force: Vector, rate: Vector, step: float) -> tuple[Motion, Vector, Vector, Vector]:
-    """Carry attitude, velocity and position over one inertial sample.
+@compilable
+def mechanise(
+    quaternion: Quaternion,
+    velocity: Vector,
+    position: Vector,
+    earth: LocalEarth,
+    force: Vector,
+    rate: Vector,
+    step: float,
+) -> tuple[Quaternion, Vector, Vector, LocalEarth, Vector, Vector]:
+    """Propagate attitude, velocity and position over one inertial sample.
 
     Parameters
     ----------
-    motion : tuple
-        At the start of the step: quaternion, velocity [m/s, NED], latitude, longitude [rad] and height [m], and
-        what `parallel` says of the latitude.
+    quaternion : tuple of float
+        NED from body, at the start of the step.
+    velocity : tuple of float
+        [m/s, NED] At the start of the step.
+    position : tuple of float
+        [rad, rad, m] Latitude, longitude and height at the start of the step.
+    earth : LocalEarth
+        At this latitude.
     force : tuple of float
-        [m/s², body] Mean specific force over the step, bias removed.
+        [m/s², body] Mean specific force over the step, bias and scale removed.
     rate : tuple of float
-        [rad/s, body] Mean angular rate over the step, bias removed.
+        [rad/s, body] Mean angular rate over the step, bias and scale removed.
     step : float
         [s] Length of the step.
 
     Returns
     -------
-    tuple
-        Motion at the end of the step.
+    quaternion, velocity, position, earth
+        At the end of the step.
     tuple of float
         [m/s², NED] Mean specific force over the step.
     tuple of float
         [m/s², NED] Mean acceleration over the step.
-    tuple of float
-        [rad, body] Turn.
 
     Notes
     -----
-    With the step t, the turn a = w t, and the average rotation A(a) over the step::
+    With the step t, the rotation vector a = w t, and the average rotation A(a) over the step::
 
         f_n  = C A(a) f - t/2 (w_ie + w_en) x C f
         v+   = v + [f_n + g - (w_en + 2 w_ie) x v] t
@@ -135,15 +150,14 @@ def mechanise(motion: Motion, force: Vector, rate: Vector, step: float) -> tuple
     P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., section 5.5;
     J. Zuriarrain Sosa et al., Appl. Sci. 14, 4401, 2024, eq. 9-19, with its eq. 10, 14, 16 and 18 corrected.
     """
-    (w, x, y, z), (north, east, down), (latitude, longitude, height), place = motion
-    sine, cosine, meridian, transverse, surface, slope = place
+    (w, x, y, z), (north, east, down), (latitude, longitude, height) = quaternion, velocity, position
+    sine, cosine, meridian, transverse, surface_gravity, slope = earth
     fx, fy, fz = force
     half = 0.5 * step
 
     # A(a) f = f + (1 - cos|a|)/|a|² c + (1 - sin|a|/|a|)/|a|² a x c  with  c = a x f; here what is added to f.
     ax, ay, az = rate[0] * step, rate[1] * step, rate[2] * step
-    turn = ax, ay, az
-    half_cosine, scale, first, second = turn_terms(ax * ax + ay * ay + az * az)
+    half_cosine, scale, first, second = rotation_series(ax * ax + ay * ay + az * az)
     cx, cy, cz = ay * fz - az * fy, az * fx - ax * fz, ax * fy - ay * fx
     dx = first * cx + second * (ay * cz - az * cy)
     dy = first * cy + second * (az * cx - ax * cz)
@@ -162,14 +176,15 @@ def mechanise(motion: Motion, force: Vector, rate: Vector, step: float) -> tuple
     fd = gd + dz + w * tz + x * ty - y * tx - half * (wn * ge - we * gn)
 
     wn, wd = wn + earth_n, wd + earth_d
-    gravity = surface * (1.0 - height * (slope - SLOPE_CHANGE * height))
+    gravity = surface_gravity * (1.0 - height * (slope - SLOPE_CHANGE * height))
     an, ae, ad = fn - we * down + wd * east, fe - wd * north + wn * down, fd + gravity - wn * east + we * north
     new_north, new_east, new_down = north + an * step, east + ae * step, down + ad * step
 
     new_height = height - half * (down + new_down)
     new_latitude = latitude + half * (by_north + new_north / (meridian + new_height))
-    place = sine, new_cosine, meridian, transverse, _, _ = parallel(new_latitude)
-    new_by_east = new_east / (transverse + new_height)
+    new_earth = local_earth(new_latitude)
+    new_cosine = new_earth.cos_latitude
+    new_by_east = new_east / (new_earth.transverse_radius + new_height)
     new_longitude = longitude + half * (by_east / cosine + new_by_east / new_cosine)
     if new_longitude > pi:
         new_longitude -= 2.0 * pi
@@ -177,19 +192,20 @@ def mechanise(motion: Motion, force: Vector, rate: Vector, step: float) -> tuple
         new_longitude += 2.0 * pi
 
     half = 0.5 * half
-    quaternion = turned(
-        motion[0],
+    quaternion = rotated(
+        quaternion,
         (half_cosine, scale * ax, scale * ay, scale * az),
         half * (2.0 * earth_n + by_east + new_by_east),
-        -half * (by_north + new_north / (meridian + new_height)),
+        -half * (by_north + new_north / (new_earth.meridian_radius + new_height)),
         half * (2.0 * earth_d - carried_d - new_by_east * sine / new_cosine),
     )
-    end = quaternion, (new_north, new_east, new_down), (new_latitude, new_longitude, new_height), place
-    return end, (fn, fe, fd), (an, ae, ad), turn
+    velocity, position = (new_north, new_east, new_down), (new_latitude, new_longitude, new_height)
+    return quaternion, velocity, position, new_earth, (fn, fe, fd), (an, ae, ad)
 
 
-def turned(quaternion: Quaternion, turn: Quaternion, bn: float, be: float, bd: float) -> Quaternion:
-    """Turn a quaternion on its right by another, and on its left back by a rotation vector 2 b of microradians."""
+@compilable
+def rotated(quaternion: Quaternion, turn: Quaternion, bn: float, be: float, bd: float) -> Quaternion:
+    """Multiply a quaternion on the right by another, and on the left by the inverse of a small rotation vector 2 b."""
     w, x, y, z = quaternion
     c, ax, ay, az = turn
     p, q = c * w - ax * x - ay * y - az * z, c * x + ax * w + az * y - ay * z
@@ -198,18 +214,6 @@ def turned(quaternion: Quaternion, turn: Quaternion, bn: float, be: float, bd: f
     y, z = r - be * p - bd * q + bn * s, s - bd * p - bn * r + be * q
     to_unit = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)
     return w * to_unit, x * to_unit, y * to_unit, z * to_unit
-
-
-def motion_of(state: InertialState) -> Motion:
-    """Put a state into the form that `mechanise` takes."""
-    _, quaternion, velocity, (latitude, longitude, height) = state
-    return quaternion, velocity, (latitude, longitude, height), parallel(latitude)
-
-
-def propagate(state: InertialState, force: Vector, rate: Vector, time_ns: int) -> tuple[InertialState, Vector]:
-    """Carry a state to an instant with one sample, errors removed; and its force [m/s², NED]: see `mechanise`."""
-    end, force_n, _, _ = mechanise(motion_of(state), force, rate, (time_ns - state.time_ns) * 1e-9)
-    return InertialState(time_ns, end[0], end[1], Geodetic(*end[2])), force_n
 
 
 def normalised(quaternion: Quaternion) -> Quaternion:

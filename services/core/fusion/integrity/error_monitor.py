@@ -138,6 +138,6 @@ class Watch:
 
 def block(navigation: ErrorStateFilter) -> Block:
     """Take out of the covariance of now what the levels are made of."""
-    navigation.bring_covariance_up()
+    navigation.propagate_covariance()
     rows: Sequence[Sequence[float]] = navigation.P[em.POSITION, em.POSITION].tolist()
     return rows[0][0], rows[0][1], rows[1][1], rows[2][2]

@@ -70,7 +70,7 @@ class GnssPosition:
         H[:, em.GNSS_DELAY] = np.add(velocity, antenna_velocity(navigation, self.lever_arm))
         left_s = navigation.parameter(em.GNSS_DELAY) - self.removed_s
         if left_s:
-            H[:, em.GNSS_DELAY] -= left_s * navigation.sway
+            H[:, em.GNSS_DELAY] -= left_s * navigation.smoothed_acceleration
             H -= left_s * em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         along = np.multiply(velocity, self.time_sd_s)  # what an error of the stamp does
         lasting = max(navigation.colour.lasting, 1e-6) if self.lasts else 0.0
@@ -99,7 +99,7 @@ class GnssPosition:
         if not left_s:
             return beside
         v = np.add(navigation.velocity, antenna_velocity(navigation, self.lever_arm))
-        moved: FloatArray = beside + left_s * (v - 0.5 * left_s * navigation.sway)
+        moved: FloatArray = beside + left_s * (v - 0.5 * left_s * navigation.smoothed_acceleration)
         return moved
 
 
@@ -127,8 +127,8 @@ class GnssVelocity:
         z = np.array([north - vn - an, east - ve - ae, down - vd - ad])
         H = em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         age_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
-        z += (age_s - self.removed_s) * navigation.sway
-        H[:, em.GNSS_DELAY] = H[:, em.GNSS_VELOCITY_DELAY] = navigation.sway
+        z += (age_s - self.removed_s) * navigation.smoothed_acceleration
+        H[:, em.GNSS_DELAY] = H[:, em.GNSS_VELOCITY_DELAY] = navigation.smoothed_acceleration
         n = self.axes
         return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], self.cov[:n, :n])
 

@@ -55,7 +55,7 @@ class WheelSpeed:
         ahead, H = _axle(navigation, self.settings)
         scale, left_s = 1.0 + navigation.parameter(em.ODOMETER_SCALE), navigation.parameter(em.ODOMETER_DELAY)
         left_s -= self.removed_s
-        gain = float((navigation.vehicle_from_body @ navigation.ned_from_body.T)[0] @ navigation.sway)
+        gain = float((navigation.vehicle_from_body @ navigation.ned_from_body.T)[0] @ navigation.smoothed_acceleration)
         forward = float(ahead[0]) - left_s * gain
         H = scale * H[:1]
         H[0, em.ODOMETER_SCALE] = -forward

@@ -40,12 +40,12 @@ class Standstill:
         yield self.observe_zero_rate
 
     def observe_zero_rate(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold w - C^T w_ie = b_g against the filter: H = I on the gyroscope's bias.
+        """Hold w - C^T w_ie = -db_g against the filter: H = -I on the gyroscope's bias.
 
         An error of variance l that lasts for T is as bad as an independent one of 2 l T / period in every period.
         """
         H = np.zeros((3, em.SIZE))
-        H[:, em.GYROSCOPE_BIAS] = np.eye(3)
+        H[:, em.GYROSCOPE_BIAS] = -np.eye(3)
         earth_n = np.array(earth_rate_n(navigation.position.latitude))
         z = np.array(self.rate) - navigation.ned_from_body.T @ earth_n
         variance = max(self.rate_sd, RATE_SD) ** 2 + 2.0 * REST_RATE_SD**2 * SETTLING_S / PERIOD_S

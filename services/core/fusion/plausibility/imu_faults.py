@@ -18,8 +18,10 @@ FLAT_TOP_RAD_S = 1.5  # below it no gyroscope clips
 GYROSCOPE = (3, 4, 5)
 AXES = (*GYROSCOPE, 0, 1, 2)  # in the order in which they are asked
 LONGEST_NS = (int(STUCK_S * 1e9),) * 3 + (int(FLAT_TOP_S * 1e9),) * 3  # of a repetition
-DOUBTS = ("accelerometer stuck",) * 3 + ("gyroscope saturated",) * 3
+FAULTS = ("accelerometer stuck",) * 3 + ("gyroscope saturated",) * 3
 ALL = (True,) * 6
+FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
+RATE_LIMIT = 100.0  # [rad/s]
 
 
 class Sample(NamedTuple):
@@ -28,7 +30,21 @@ class Sample(NamedTuple):
     time_ns: int
     force: Vector
     rate: Vector
-    doubt: str | None = None  # what is wrong with it, if it is used nevertheless
+    fault: str | None = None  # what is wrong with it, if it is used nevertheless
+
+
+def credible(force: Vector, rate: Vector) -> bool:
+    """Whether a sensor can have measured this; not if a reading is not a number."""
+    fx, fy, fz = force
+    wx, wy, wz = rate
+    return fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
+
+
+def unremarkable(sample: Sample, last: Sample) -> bool:
+    """Whether a sample is credible, and none of its readings is that of the sample before."""
+    return True not in map(eq, (*sample.force, *sample.rate), (*last.force, *last.rate)) and credible(
+        sample.force, sample.rate
+    )
 
 
 class Repeats:
@@ -53,7 +69,7 @@ class Repeats:
         """Take in a sample of which it is known that it differs from the one before in every reading."""
         self._readings, self._since_ns, self._changed = readings, (time_ns,) * 6, ALL
 
-    def doubt(self, time_ns: int, readings: Readings) -> str | None:
+    def fault(self, time_ns: int, readings: Readings) -> str | None:
         """Take in the next sample, and say what is wrong with it."""
         old, self._readings = self._readings, readings
         if True not in map(eq, readings, old):  # nearly always
@@ -65,7 +81,7 @@ class Repeats:
         self._since_ns, self._changed = since, changed
         for axis in AXES:
             if changed[axis] and time_ns - since[axis] >= LONGEST_NS[axis] and _tells(axis, readings[axis]):
-                return DOUBTS[axis]
+                return FAULTS[axis]
         return None
 
 
@@ -74,8 +90,8 @@ def mean(first: Vector, second: Vector) -> Vector:
     return 0.5 * (first[0] + second[0]), 0.5 * (first[1] + second[1]), 0.5 * (first[2] + second[2])
 
 
-def doubts(stamps_ns: IntArray, samples: FloatArray) -> dict[int, str]:
-    """Say of a whole log which samples are doubtful, and why: what `Repeats` says sample by sample."""
+def faults(stamps_ns: IntArray, samples: FloatArray) -> dict[int, str]:
+    """Find the suspect samples of a whole log, and what is wrong with them, as `Repeats` does sample by sample."""
     found: dict[int, str] = {}
     for axis in AXES:
         readings = samples[:, axis]
@@ -85,7 +101,7 @@ def doubts(stamps_ns: IntArray, samples: FloatArray) -> dict[int, str]:
             if _tells(axis, float(readings[begin])):
                 late = np.searchsorted(stamps_ns[begin : last + 1], stamps_ns[begin] + LONGEST_NS[axis])
                 for place in range(int(begin + late), int(last) + 1):
-                    found.setdefault(place, DOUBTS[axis])
+                    found.setdefault(place, FAULTS[axis])
     return found
 
 

@@ -1,8 +1,7 @@
-"""What a smoother needs of a filter's way: every step of the covariance, every correction, and the state now and then.
+"""History of the filter for the smoother: every covariance step, every correction, and the state ten times a second.
 
-The filter tells a trail what it does to its errors, and the trail keeps it in the order of the engine, which is that
-of the stamps: where a late measurement takes the engine back, what was written since is forgotten. A filter without a
-trail pays nothing. Noise that is added to the covariance needs no record: the smoother finds it in the covariance.
+Records are in the order of the stamps: where an out-of-sequence measurement rolls the engine back, those written since
+are dropped. Process noise needs no record, for the smoother finds it in the covariance.
 """
 
 from collections.abc import Iterator
@@ -12,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.kalman import Correction
+
+from ..filter import error_model as em
 
 if TYPE_CHECKING:
     from ..filter.eskf import ErrorStateFilter
@@ -26,11 +27,19 @@ class Start(NamedTuple):
 
 
 class Step(NamedTuple):
-    """The errors grew: x+ = (diag(d) + F t) x + noise, with F t in the first rows and columns only."""
+    """The errors propagated: x+ = Phi x + noise, with Phi = I + F t but for the time-correlated error of GNSS."""
 
     time_ns: int  # of its end
-    Ft: FloatArray  # shape (m, k)
-    decay: FloatArray | None  # d, shape (n,); ones if None
+    Ft: FloatArray  # the part of F t that is not zero, shape (9, 21)
+    gnss_decay: float  # on the diagonal of the error of GNSS
+
+    @property
+    def transition(self) -> FloatArray:
+        """Matrix Phi, shape (31, 31)."""
+        Phi = np.eye(em.SIZE)
+        Phi[: em.MOVING, : em.DRIVING] += self.Ft
+        Phi[em.GNSS_ERROR, em.GNSS_ERROR] *= self.gnss_decay
+        return Phi
 
 
 class Corrected(NamedTuple):
@@ -108,10 +117,10 @@ class Trail:
         self._store.push(Start(filter_.inertial.time_ns))
         self._tie(filter_)
 
-    def stepped(self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, decay: FloatArray | None) -> None:
-        """Note that the covariance was carried over a time, with the system matrix F [1/s] of that time."""
-        time_ns = filter_.inertial.time_ns
-        self._store.push(Step(time_ns, F * step_s, decay))
+    def stepped(self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, gnss_decay: float) -> None:
+        """Record a covariance step over a time, with the system matrix F [1/s] of that time."""
+        time_ns = filter_.time_ns
+        self._store.push(Step(time_ns, F[: em.MOVING, : em.DRIVING] * step_s, gnss_decay))
         before_ns = time_ns - round(step_s * 1e9)
         if time_ns // self._period_ns != before_ns // self._period_ns:
             self._tie(filter_)

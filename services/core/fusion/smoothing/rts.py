@@ -52,16 +52,11 @@ class Backwards:
         self.adjoint: FloatArray = np.zeros(size)  # lambda
         self.information: FloatArray = np.zeros((size, size))  # Lambda
 
-    def step(self, Ft: FloatArray, decay: FloatArray | None = None) -> None:
-        """Go back over a step: Phi = diag(decay) + F t."""
-        m, k = Ft.shape
-        adjoint = self.adjoint.copy() if decay is None else self.adjoint * decay
-        adjoint[:k] += self.adjoint[:m] @ Ft
-        right = self.information.copy() if decay is None else self.information * decay
-        right[:, :k] += self.information[:, :m] @ Ft
-        both = right.copy() if decay is None else right * decay[:, None]
-        both[:k] += Ft.T @ right[:m]
-        self.adjoint, self.information = adjoint, 0.5 * (both + both.T)
+    def step(self, Phi: FloatArray) -> None:
+        """Go back over a covariance step."""
+        self.adjoint = Phi.T @ self.adjoint
+        information = Phi.T @ self.information @ Phi
+        self.information = 0.5 * (information + information.T)
 
     def correction(self, z: FloatArray, H: FloatArray, K: FloatArray, S_inverse: FloatArray) -> None:
         """Go back over a measurement that was used."""
@@ -129,7 +124,7 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
     for record in newest_first:
         match record:
             case Step():
-                back.step(record.Ft, record.decay)
+                back.step(record.transition)
             case Corrected():
                 back.correction(record.z, record.H, record.K, record.S_inverse)
             case Forgotten():

@@ -47,7 +47,7 @@ class FoundDelay(News):
         P[em.GNSS_DELAY, em.GNSS_VELOCITY_DELAY] = P[em.GNSS_VELOCITY_DELAY, em.GNSS_DELAY] = -(VELOCITY_SD_S**2)
         navigation.P = P
         wrong_s = abs(self.change_s)
-        navigation.widen(attitude_sd=0.1 * wrong_s, velocity_sd=2.0 * wrong_s, position_sd=15.0 * wrong_s)
+        navigation.inflate(attitude_sd=0.1 * wrong_s, velocity_sd=2.0 * wrong_s, position_sd=15.0 * wrong_s)
 
 
 class Timing:

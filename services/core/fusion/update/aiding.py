@@ -6,9 +6,7 @@ from dataclasses import replace
 from ..alignment.velocity_matching import Comparison
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..filter.propagation import NEVER
 from ..integrity.error_monitor import NO_BLOCK, Watch, block
-from ..measurements import odometer, zupt
 from ..measurements.base import Measurement, News, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.magnetometer import CompassCheck, MagneticHeading
@@ -17,7 +15,7 @@ from ..settings import Settings
 from ..timing.delay_compensation import FoundDelay
 from .duplicate_epochs import Epochs
 from .gating import Judge
-from .standstill_detector import SPEED_LIMIT, SURE, Doubt, doubt_of, length
+from .standstill_detector import Limits, limits_of
 
 ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
 
@@ -40,23 +38,6 @@ class Aids:
         twin.__dict__.update(self.__dict__)
         twin.judge = self.judge.fork()
         return twin
-
-    @property
-    def wheels_stand(self) -> bool:
-        """Whether the newest speed was zero."""
-        return self._odometer is not None and self._odometer.speed == 0.0
-
-    @property
-    def dues(self) -> tuple[float, float, float]:
-        """Times [s] after which a standstill and the wheels are made use of, and speed [m/s] of which wheels tell more.
-
-        The last of the `Limits` of `ordinary`.
-        """
-        return (
-            zupt.PERIOD_S - 1e-3 if self._settings.standstill.enabled else NEVER,
-            odometer.PERIOD_S - 1e-3 if self._settings.non_holonomic.enabled else NEVER,
-            SPEED_LIMIT if self.wheels_stand else NEVER,
-        )
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
         """Go on with a filter that has just started, and with what is known of its heading."""
@@ -95,13 +76,12 @@ class Aids:
             if isinstance(measurement, GnssPosition) and outcome.used:
                 measurement.teach(navigation)
 
-    def doubt(self, time_ns: int, navigation: ErrorStateFilter) -> Doubt:
-        """Find how far the filter can go by its own speed where it asks for a rest; wheels that stand vouch for it."""
-        seen = self._odometer
-        if seen is None or seen.speed != 0.0:
-            return doubt_of(navigation.P)
-        fresh = time_ns - seen.time_ns <= ODOMETER_SILENT_NS
-        return (doubt_of(navigation.P)[0], 1.0) if fresh and length(navigation.velocity) >= SPEED_LIMIT else SURE
+    def standstill_limits(self, time_ns: int, navigation: ErrorStateFilter) -> Limits:
+        """Limits of the standstill detector; wheels that stand still are as good as a filter that knows its speed."""
+        limits, seen = limits_of(navigation.P), self._odometer
+        if seen is not None and seen.speed == 0.0 and time_ns - seen.time_ns <= ODOMETER_SILENT_NS:
+            return limits._replace(pace=1.0)
+        return limits
 
     def _is_spare(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
         """Whether another odometer is in use; one that takes its place has a scale of its own."""

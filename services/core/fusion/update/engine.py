@@ -1,8 +1,9 @@
-"""The estimator as a function of inertial samples and measurements in the order in which they were true."""
+"""The estimator: a function of IMU samples in order and of measurements in the order of their stamps."""
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import degrees, hypot, radians
+from math import degrees, hypot, inf, radians
 
 from shared.errors import FilterDiverged
 from shared.messages.navigation import AidingKind, NavigationPhase
@@ -11,57 +12,55 @@ from ..alignment.alignment import Alignment
 from ..alignment.heading import Heading, Prior
 from ..alignment.velocity_matching import Comparison
 from ..alignment.warm_start import SavedState, restored
-from ..filter.error_model import FloatArray
 from ..filter.eskf import ErrorStateFilter
-from ..filter.propagation import GAP_S, Departure, Moment
+from ..filter.propagation import Intervals, Samples, Stop, samples_of
+from ..measurements import odometer, zupt
 from ..measurements.base import Counts, Measurement, Outcome
 from ..measurements.dual_antenna import BaselineHeading
 from ..measurements.gnss import GnssPosition, GnssVelocity
-from ..measurements.odometer import PERIOD_S as WHEELS_PERIOD_S
-from ..measurements.odometer import SLOWEST_M_S, NonHolonomic
-from ..measurements.zupt import PERIOD_S, Standstill
+from ..measurements.odometer import NonHolonomic
+from ..measurements.zupt import Standstill
 from ..plausibility.imu_faults import Sample, mean
 from ..settings import Settings
 from ..smoothing.history import Trail
 from ..timing.delay_compensation import FoundDelay
 from .aiding import Aids
-from .imu_gaps import DOUBT_PERIOD_S, LostTime, admit_doubt, admit_gap
-from .standstill_detector import QUIET_S, STILL, SURE, UNSETTLED, Doubt, at_rest, length
+from .imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
+from .standstill_detector import stands
 
-# A step longer than GAP_S is a gap: carried over, and admitted in the covariance.
+# A step longer than `propagation.GAP_S` is a gap: bridged, and admitted in the covariance.
 LOST_S = 1.0  # a longer one ends the solution, though not the attitude
 FORGOTTEN_S = 5.0  # a still longer one ends that too
 KEPT = Heading(0.0, radians(20.0), "heading kept")
-LAST_NS = 2**63 - 1
-COASTING, NAVIGATING = NavigationPhase.COASTING, NavigationPhase.NAVIGATING  # looked up for every sample
+BEFORE_ALL_NS = -(2**64)
 
 
 class Engine:
-    """Alignment first, then the filter with its aiding, its gaps and its resets.
+    """Alignment first, then the filter with its measurements, its gaps and its resets.
 
-    Everything that it knows is replaced and never changed in place, so that a `fork` is cheap and stays as it was.
+    Everything that it holds is replaced and never changed in place, so that a `fork` is cheap and stays as it was.
     """
 
     def __init__(self, settings: Settings, counts: Counts | None = None, why: str = "") -> None:
         self._settings = settings
-        self._coasting_ns = settings.gnss.coasting_after_s * 1e9
+        self._coasting_ns = round(settings.gnss.coasting_after_s * 1e9)
+        self._intervals = Intervals(
+            settings.covariance_period_s,
+            zupt.PERIOD_S if settings.standstill.enabled else inf,
+            odometer.PERIOD_S if settings.non_holonomic.enabled else inf,
+        )
         self.phase, self.since_ns = NavigationPhase.WAITING_FOR_IMU, 0
         self.reason = "no inertial sample yet"
         self.counts = counts or Counts()
-        self.last: Sample | None = None
+        self.last: Sample | None = None  # newest sample, as far as it was taken
         self.filter: ErrorStateFilter | None = None
-        self.trail: Trail | None = None  # of whatever filter runs, for a smoother
+        self.trail: Trail | None = None  # of whatever filter runs, for the smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
-        self.stationary = False
         self._alignment: Alignment | None = Alignment(settings, first=not why)
         self._saved: SavedState | None = None  # to go on from with the first sample
         self.aids = Aids(settings)
-        self._rest = UNSETTLED
-        self._rest_turn, self._rest_s = STILL, 0.0  # [rad, body; s] of the rest since its last update
-        self._unattended_s = 0.0  # since the last sample that was attended to
-        self._doubtful_s = 0.0  # of samples, since the filter was told
-        self._rolling_s = 0.0  # since the wheels were last held against the filter
-        self._rejections = 0  # successive positions
+        self._suspect_s = 0.0  # time of suspect samples, not yet admitted in the covariance
+        self._rejections = 0  # consecutive positions
         self._why = why  # the solution was lost
 
     def fork(self) -> "Engine":
@@ -82,112 +81,166 @@ class Engine:
         """Go on from a saved state with the first sample, which must be the next."""
         self._saved = saved
 
-    def step(self, sample: Sample, due: Sequence[Measurement]) -> list[Outcome]:
-        """Advance to the stamp of a sample, using on the way the measurements that were true before it."""
-        return self.carry(sample, due) + self.attend()
+    @property
+    def time_ns(self) -> int:
+        """Instant of the state."""
+        return self.last.time_ns if self.last is not None else BEFORE_ALL_NS
 
-    def carry(self, sample: Sample, due: Sequence[Measurement]) -> list[Outcome]:
-        """Do of a step what a solution needs; `attend` does the rest."""
-        last, time_ns = self.last, sample[0]
-        if last is None:
-            self.last = sample
-            why = f"levelling, after {self._why}" if self._why else "measuring tilt and gyroscope bias at rest"
-            self._enter(NavigationPhase.LEVELLING, time_ns, why)
-            if self._saved is not None:
-                self._start_warm(self._saved, sample)
-            return []
-        gap_s = (time_ns - last[0]) * 1e-9
-        held = self._bridge(gap_s, sample) if gap_s > GAP_S else sample
-        outcomes: list[Outcome] = []
-        for measurement in due:
-            assert self.last is not None
-            if measurement.time_ns < self.last.time_ns:
-                continue  # it was true in a gap after which nothing is known of its time
-            self._advance(held, measurement.time_ns)
-            self.last = held._replace(time_ns=measurement.time_ns)
-            outcomes += self._aid(measurement)
-        self._advance(held, time_ns)
-        self.last, self._unattended_s = sample, gap_s
-        return outcomes
-
-    def attend(self) -> list[Outcome]:
-        """Bring the covariance up, aid the filter by what a car does not do, and settle the phase."""
-        last, gap_s = self.last, self._unattended_s
-        if last is None or not gap_s:
-            return []
-        self._unattended_s = 0.0
-        outcomes: list[Outcome] = []
-        doubt = self.aids.doubt(last[0], self.filter) if self.filter else SURE  # of before the covariance's step
-        self._try(ErrorStateFilter.keep_covariance, last[0])
-        if last[3] is not None:
-            self._admit(gap_s)
-        self._watch_for_standstill(last[0], gap_s, doubt, outcomes)
-        self._watch_the_wheels(last[0], gap_s, outcomes)
-        self._settle_phase(last[0])
-        return outcomes
-
-    def departure(self) -> tuple[Departure, int] | None:
-        """What samples can be taken from together that follow the last one, and up to which stamp [ns]."""
-        navigation = self.filter
-        if navigation is None or self.last is None or navigation.trail is not None or self._unattended_s:
-            return None  # there is nothing to carry on, a smoother wants to know of every step, or one is not over
-        beside = self._rest, self._rest_turn, self._rest_s, self._rolling_s
-        until_ns = LAST_NS if self.phase is COASTING else int((self.accepted_ns or 0) + self._coasting_ns)
-        departure = navigation.departure(beside, self.aids.dues)
-        return None if departure is None else (departure, until_ns)
-
-    def resume(self, moment: Moment, P: FloatArray, last: Sample) -> None:
-        """Go on from where ordinary samples have led to, the last of which is given."""
-        assert self.filter is not None
-        self._rest, self._rest_turn, self._rest_s, self._rolling_s = self.filter.resume(moment, P, last.time_ns)
-        self.last = last
-        self.stationary = self._rest[2] >= QUIET_S
-
-    def _advance(self, sample: Sample, time_ns: int) -> None:
-        """Carry alignment or filter to an instant within the step that the sample describes."""
-        assert self.last is not None
-        if time_ns <= self.last[0]:
-            return
-        force, rate = sample[1], sample[2]
+    @property
+    def stationary(self) -> bool:
+        """Whether the vehicle stands still."""
         if self.filter is not None:
-            self.filter.advance(force, rate, time_ns)
-        elif self._alignment is not None:
-            self._alignment.levelling.advance(force, rate, (time_ns - self.last[0]) * 1e-9)
+            return stands(self.filter.state.quiet)
+        return self._alignment is not None and self._alignment.levelling.at_rest
 
-    def _bridge(self, gap_s: float, sample: Sample) -> Sample:
-        """Decide what survives a gap, and what is taken to have happened in it: the mean of its two ends."""
+    def process(self, samples: Samples, measurements: Sequence[Measurement]) -> list[Outcome]:
+        """Propagate over samples, using on the way the measurements that were true until the last of them.
+
+        Parameters
+        ----------
+        samples : Samples
+            Newer than all before.
+        measurements : sequence of Measurement
+            In the order of their stamps. One that is older than the state was true in a gap that ended the solution,
+            and is left out.
+
+        Returns
+        -------
+        list of Outcome
+            Of all observations, in the order in which they were used.
+        """
+        begin = 0
+        if self.last is None and len(samples.times_ns):
+            self.last, begin = _sample(samples, 0), 1
+            why = f"levelling, after {self._why}" if self._why else "measuring tilt and gyroscope bias at rest"
+            self._enter(NavigationPhase.LEVELLING, self.last.time_ns, why)
+            if self._saved is not None:
+                self._start_warm(self._saved, self.last)
+        return self._process(samples, begin, measurements, self._intervals)
+
+    def _process(
+        self, samples: Samples, here: int, measurements: Sequence[Measurement], intervals: Intervals
+    ) -> list[Outcome]:
+        times_ns, end, due = samples.times_ns, len(samples.times_ns), 0
+        outcomes: list[Outcome] = []
+        while here < end:
+            time_ns = times_ns[here]
+            if (time_ns - self.time_ns) * 1e-9 > intervals.gap_s:
+                until = bisect_right(measurements, time_ns, due, key=lambda m: m.time_ns)
+                outcomes += self._bridge(_sample(samples, here), measurements[due:until])
+                here, due = here + 1, until
+            elif due < len(measurements) and measurements[due].time_ns <= time_ns:
+                outcomes += self._use_within(samples, here, measurements[due], intervals)
+                due += 1
+            else:
+                stop = end
+                if due < len(measurements):
+                    stop = bisect_left(times_ns, measurements[due].time_ns, here)
+                here += self._propagate(samples, here, stop, intervals, outcomes)
+        return outcomes
+
+    def _use_within(self, samples: Samples, here: int, measurement: Measurement, intervals: Intervals) -> list[Outcome]:
+        """Propagate over the part of a sample up to a measurement, and use that."""
+        outcomes: list[Outcome] = []
+        if measurement.time_ns < self.time_ns:
+            return outcomes
+        if measurement.time_ns > self.time_ns:
+            faults = {0: samples.faults[here]} if here in samples.faults else {}
+            part = samples_of([measurement.time_ns], [[*map(float, samples.rows[here])]], faults)
+            while not self._propagate(part, 0, 1, intervals, outcomes):
+                pass  # something was due before it
+        return outcomes + self._use(measurement)
+
+    def _propagate(self, samples: Samples, begin: int, end: int, intervals: Intervals, outcomes: list[Outcome]) -> int:
+        """Propagate over samples until something is due, deal with that, and say how many samples were taken."""
+        before_ns, navigation = self.time_ns, self.filter
+        if navigation is None:
+            self._level(_sample(samples, begin))
+            return 1
+        limits = self.aids.standstill_limits(before_ns, navigation)
+        taken, stop = navigation.propagate(samples, begin, self._stop(samples, begin, end), limits, intervals)
+        if taken:
+            self.last = Sample(navigation.time_ns, navigation.state.force, navigation.state.rate)
+        match stop:
+            case Stop.COVARIANCE_DUE:
+                self._try(ErrorStateFilter.propagate_covariance)
+            case Stop.ZERO_VELOCITY_DUE:
+                (x, y, z), span_s = navigation.state.standstill_rotation_b, navigation.state.standstill_s
+                navigation.begin_standstill()
+                rate, rate_sd = (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)
+                outcomes += self._use(Standstill(self.time_ns, rate, rate_sd))
+            case Stop.NON_HOLONOMIC_DUE:
+                navigation.begin_non_holonomic()
+                if hypot(*navigation.velocity) > odometer.SLOWEST_M_S:
+                    outcomes += self._use(NonHolonomic(self.time_ns, self._settings))
+            case Stop.GAP | Stop.END_OF_SAMPLES:
+                pass  # `_process` goes on
+        if taken and begin in samples.faults:
+            self._admit_suspect((self.time_ns - before_ns) * 1e-9)
+        self._settle_phase()
+        return taken
+
+    def _stop(self, samples: Samples, begin: int, end: int) -> int:
+        """End of the samples that can be taken together: before a suspect one, and with the first that is coasting."""
+        if end == begin + 1:
+            return end
+        faults = samples.faults
+        if faults:
+            end = begin + 1 if begin in faults else min((k for k in faults if begin < k < end), default=end)
+        if self.phase is not NavigationPhase.COASTING:
+            coasting_ns = (self.accepted_ns or 0) + self._coasting_ns
+            end = min(end, bisect_right(samples.times_ns, coasting_ns, begin, end) + 1)
+        return end
+
+    def _level(self, sample: Sample) -> None:
+        """Give a sample to the alignment."""
+        assert self._alignment is not None
+        step_s = (sample.time_ns - self.time_ns) * 1e-9
+        if step_s > 0.0:
+            self._alignment.levelling.advance(sample.force, sample.rate, step_s)
+            self.last = sample
+            self._settle_phase()
+
+    def _bridge(self, sample: Sample, measurements: Sequence[Measurement]) -> list[Outcome]:
+        """Decide what survives a gap before a sample, and propagate over it by the mean of its two ends."""
         assert self.last is not None
+        gap_s = (sample.time_ns - self.time_ns) * 1e-9
         self.counts = self.counts._replace(imu_gaps=self.counts.imu_gaps + 1)
         if gap_s > LOST_S:
             kept = KEPT if gap_s <= FORGOTTEN_S else None
             self.last = sample
-            self._lose(sample.time_ns, f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
-            return sample
-        self._try(partial(admit_gap, span_s=gap_s), self.last.time_ns)
-        return Sample(sample.time_ns, mean(self.last.force, sample.force), mean(self.last.rate, sample.rate))
+            self._lose(f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
+            return []
+        self._try(partial(inflate_for_gap, span_s=gap_s))
+        row = *mean(self.last.force, sample.force), *mean(self.last.rate, sample.rate)
+        bridge = samples_of([sample.time_ns], [row], {0: sample.fault} if sample.fault else {})
+        outcomes = self._process(bridge, 0, measurements, self._intervals._replace(gap_s=inf))
+        self._try(ErrorStateFilter.propagate_covariance)
+        self.last = sample
+        return outcomes
 
-    def _admit(self, span_s: float) -> None:
-        """Take a doubtful sample for no better than a guess; the filter is told ten times a second."""
-        self._doubtful_s += span_s
-        if self.last is None or self.filter is None or self._doubtful_s < DOUBT_PERIOD_S - 1e-3:
+    def _admit_suspect(self, span_s: float) -> None:
+        """Inflate the covariance for suspect samples, ten times a second."""
+        self._suspect_s += span_s
+        if self.filter is None or self._suspect_s < SUSPECT_PERIOD_S - 1e-3:
             return
-        self.aids.judge.comparison = Comparison()  # it would be one with nonsense
-        self._try(partial(admit_doubt, span_s=self._doubtful_s), self.last.time_ns)
-        self._doubtful_s = 0.0
+        self.aids.judge.comparison = Comparison()  # it would be one with wrong accelerations
+        self._try(partial(inflate_for_suspect_samples, span_s=self._suspect_s))
+        self._suspect_s = 0.0
 
-    def _try(self, act: Callable[[ErrorStateFilter], None], time_ns: int) -> None:
-        """Have the filter, if there is one, do something, and begin again if its numbers have lost their meaning."""
+    def _try(self, act: Callable[[ErrorStateFilter], None]) -> None:
+        """Do something to the filter, if there is one, and reset it if it diverges."""
         try:
             if self.filter is not None:
                 act(self.filter)
         except FilterDiverged as error:
-            self._reset(time_ns, str(error), kept=None)
+            self._reset(str(error), kept=None)
 
-    def _aid(self, measurement: Measurement) -> list[Outcome]:
-        """Hold a measurement against the filter, or hand it to the alignment."""
+    def _use(self, measurement: Measurement) -> list[Outcome]:
+        """Use a measurement in the filter, or in the alignment."""
         if isinstance(measurement, FoundDelay | LostTime):
             self.aids.hear(measurement)
-            self._try(measurement.tell, measurement.time_ns)
+            self._try(measurement.tell)
             return []
         if self.aids.is_told_again(measurement, self.filter):
             self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
@@ -205,9 +258,9 @@ class Engine:
                 if outcome.kind is AidingKind.GNSS_POSITION:
                     self._count_position(outcome)
         except FilterDiverged as error:
-            self._reset(measurement.time_ns, str(error), kept=None)
+            self._reset(str(error), kept=None)
         if self._is_astray(measurement.time_ns):
-            self._reset(measurement.time_ns, f"{self._rejections} positions in a row rejected", KEPT)
+            self._reset(f"{self._rejections} positions in a row rejected", KEPT)
             self._align(measurement)
         return outcomes
 
@@ -216,7 +269,7 @@ class Engine:
         kept = self.aids.judge.compare(seen, navigation)
         if kept is None:
             return False
-        self._reset(seen.time_ns, f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
+        self._reset(f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
         return True
 
     def _count_position(self, outcome: Outcome) -> None:
@@ -251,7 +304,6 @@ class Engine:
         self.filter, self._alignment, self._why, self._rejections = started, None, "", 0
         if self.trail is not None:
             self.trail.follow(started)
-        self._rest, self._rest_turn, self._rest_s = UNSETTLED, STILL, 0.0
 
     def _start_warm(self, saved: SavedState, sample: Sample) -> None:
         """Go on from a saved state, or align anew if state and sample make no sense together."""
@@ -264,62 +316,37 @@ class Engine:
         self.accepted_ns = saved.accepted_ns
         coasts = time_ns - (saved.accepted_ns or 0) > self._coasting_ns
         gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
-        self._enter(COASTING if coasts else NAVIGATING, time_ns, f"warm start from a state of {gap_s:.1f} s before")
+        phase = NavigationPhase.COASTING if coasts else NavigationPhase.NAVIGATING
+        self._enter(phase, time_ns, f"warm start from a state of {gap_s:.1f} s before")
 
-    def _watch_for_standstill(self, time_ns: int, step_s: float, doubt: Doubt, outcomes: list[Outcome]) -> None:
-        """Tell the filter at 10 Hz that the vehicle stands, for as long as it does."""
-        navigation = self.filter
-        if navigation is None:
-            self.stationary = self._alignment is not None and self._alignment.levelling.at_rest
-            return
-        rate, speed = navigation.rate, length(navigation.velocity)
-        rest = self._rest = at_rest(self._rest, rate, navigation.acceleration, speed, step_s, doubt)
-        self.stationary = rest[2] >= QUIET_S
-        if not (self.stationary and self._settings.standstill.enabled):
-            if self._rest_s:
-                self._rest_turn, self._rest_s = STILL, 0.0
-            return
-        x, y, z = self._rest_turn
-        self._rest_turn = (x + rate[0] * step_s, y + rate[1] * step_s, z + rate[2] * step_s)
-        self._rest_s += step_s
-        if self._rest_s < PERIOD_S - 1e-3:
-            return
-        x, y, z, span_s = *self._rest_turn, self._rest_s
-        self._rest_turn, self._rest_s = STILL, 0.0
-        outcomes += self._aid(Standstill(time_ns, (x / span_s, y / span_s, z / span_s), navigation.rate_noise(span_s)))
-
-    def _watch_the_wheels(self, time_ns: int, step_s: float, outcomes: list[Outcome]) -> None:
-        """Tell the filter at 10 Hz that the vehicle goes where its wheels point."""
-        self._rolling_s += step_s
-        if self._rolling_s < WHEELS_PERIOD_S - 1e-3 or self.filter is None or not self._settings.non_holonomic.enabled:
-            return
-        self._rolling_s = 0.0
-        if hypot(*self.filter.velocity) > SLOWEST_M_S:
-            outcomes += self._aid(NonHolonomic(time_ns, self._settings))
-
-    def _settle_phase(self, time_ns: int) -> None:
-        """Say what goes on, where that has changed."""
+    def _settle_phase(self) -> None:
+        """Enter another phase where the situation has changed."""
         if self.filter is None:
             assert self._alignment is not None
             phase, reason = self._alignment.phase, self._alignment.reason
-        elif time_ns - (self.accepted_ns or 0) > self._coasting_ns:
-            phase, reason = COASTING, "no position used lately"
+        elif self.time_ns - (self.accepted_ns or 0) > self._coasting_ns:
+            phase, reason = NavigationPhase.COASTING, "no position used lately"
         else:
-            phase, reason = NAVIGATING, "positions are used again"
+            phase, reason = NavigationPhase.NAVIGATING, "positions are used again"
         if phase is not self.phase:
-            self._enter(phase, time_ns, f"{reason}, after {self._why}" if self._why else reason)
+            self._enter(phase, self.time_ns, f"{reason}, after {self._why}" if self._why else reason)
 
     def _enter(self, phase: NavigationPhase, time_ns: int, reason: str) -> None:
         self.phase, self.since_ns, self.reason = phase, time_ns, reason
 
-    def _reset(self, time_ns: int, why: str, kept: Heading | None) -> None:
+    def _reset(self, why: str, kept: Heading | None) -> None:
         """Begin again, because the filter cannot be right."""
         self.counts = self.counts._replace(resets=self.counts.resets + 1)
-        self._lose(time_ns, why, kept, self.filter if kept else None)
+        self._lose(why, kept, self.filter if kept else None)
         if kept and self._alignment is not None:  # in the same frame; in a gap it may have turned
             self._alignment.comparison = self.aids.judge.comparison.interrupted()
 
-    def _lose(self, time_ns: int, why: str, kept: Heading | None, lost: ErrorStateFilter | None = None) -> None:
+    def _lose(self, why: str, kept: Heading | None, lost: ErrorStateFilter | None = None) -> None:
         self._alignment = Alignment(self._settings, lost, kept, first=False)
         self.filter, self._why, self._rejections = None, why, 0
-        self._enter(self._alignment.phase, time_ns, f"{self._alignment.reason}, after {why}")
+        self._enter(self._alignment.phase, self.time_ns, f"{self._alignment.reason}, after {why}")
+
+
+def _sample(samples: Samples, k: int) -> Sample:
+    fx, fy, fz, wx, wy, wz = map(float, samples.rows[k])
+    return Sample(int(samples.times_ns[k]), (fx, fy, fz), (wx, wy, wz), samples.faults.get(k))

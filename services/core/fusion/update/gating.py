@@ -124,7 +124,7 @@ class Judge:
         return self._judge(navigation, measurement, seen, correction, ratio, None)
 
     def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:
-        correction = navigation.weigh(seen.z, seen.H, seen.R)
+        correction = navigation.innovate(seen.z, seen.H, seen.R)
         limit = chi_square_limit(len(seen.z), self._settings.gating.false_alarm_probability)
         return correction, float(correction.distance2) / limit
 
@@ -137,7 +137,7 @@ class Judge:
         if time_ns - self._height_ns < self._settings.gating.reset_after_s * 1e9:
             return False
         self._height_ns = None
-        navigation.widen(height_sd=abs(float(seen.z[2])))
+        navigation.inflate(height_sd=abs(float(seen.z[2])))
         return True
 
     def _follow_speed(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int, refused: bool) -> None:
@@ -149,7 +149,7 @@ class Judge:
             self._doubt_ns = time_ns + DOUBT_AFTER_NS
         if time_ns >= self._doubt_ns:
             self._doubt_ns = time_ns + DOUBT_STEP_NS
-            navigation.widen_along(em.VELOCITY, DOUBT_M_S_SQRT_S * seen.H[0, em.VELOCITY])
+            navigation.inflate_along(em.VELOCITY, DOUBT_M_S_SQRT_S * seen.H[0, em.VELOCITY])
 
     def _judge(
         self,
@@ -169,11 +169,11 @@ class Judge:
         refused = seen.unfit or refused
         weight = 0.0 if refused else _weight(ratio, limit)
         if not refused:
-            lighter = correction if weight == 1.0 else navigation.weigh(seen.z, seen.H, seen.R / weight)
-            navigation.accept(lighter)
+            lighter = correction if weight == 1.0 else navigation.innovate(seen.z, seen.H, seen.R / weight)
+            navigation.apply(lighter)
             self.corrections = self.corrections.after(measurement.time_ns, lighter.x[:5].tolist())
         if gnss and refused and ratio > 1.0:
-            navigation.widen(**WIDENING[seen.kind])
+            navigation.inflate(**WIDENING[seen.kind])
         if seen.kind is AidingKind.ODOMETER:
             self._follow_speed(navigation, seen, measurement.time_ns, refused is not None)
         if seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3 and not refused:

@@ -1,4 +1,4 @@
-"""What is admitted of a time of which inertial samples tell nothing, or nothing that can be believed."""
+"""Inflates the covariance for time without IMU samples, or with suspect ones."""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -11,14 +11,14 @@ from ..measurements.base import News
 
 FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
 RATE_SD = 0.3  # [rad/s]
-DOUBT_PERIOD_S = 0.1  # between two times that the filter is told of doubtful samples
-DOUBT_CORRELATION_S = 1.0
+SUSPECT_PERIOD_S = 0.1  # between two inflations for suspect samples
+SUSPECT_CORRELATION_S = 1.0
 
 
-def admit_gap(navigation: ErrorStateFilter, span_s: float) -> None:
-    """Widen the filter for a time without samples."""
+def inflate_for_gap(navigation: ErrorStateFilter, span_s: float) -> None:
+    """Inflate the covariance for a time without samples."""
     force_sd, rate_sd = FORCE_SD * span_s, RATE_SD * span_s
-    navigation.widen(attitude_sd=rate_sd, velocity_sd=force_sd, position_sd=0.5 * force_sd * span_s)
+    navigation.inflate(attitude_sd=rate_sd, velocity_sd=force_sd, position_sd=0.5 * force_sd * span_s)
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class LostTime(News):
 
     def tell(self, navigation: ErrorStateFilter) -> None:
         """Admit it as a gap, and besides the way, on which nobody has carried the filter."""
-        admit_gap(navigation, self.span_s)
-        navigation.widen_along(em.POSITION, np.multiply(navigation.velocity, self.span_s))
+        inflate_for_gap(navigation, self.span_s)
+        navigation.inflate_along(em.POSITION, np.multiply(navigation.velocity, self.span_s))
 
 
-def admit_doubt(navigation: ErrorStateFilter, span_s: float) -> None:
-    """Widen the filter for doubtful samples, which are no better than a guess: errors that last about a second."""
-    grown = sqrt(span_s * DOUBT_CORRELATION_S)
-    navigation.widen(attitude_sd=RATE_SD * grown, velocity_sd=FORCE_SD * grown)
+def inflate_for_suspect_samples(navigation: ErrorStateFilter, span_s: float) -> None:
+    """Inflate the covariance for suspect samples: their errors are those of a gap, correlated over a second."""
+    grown = sqrt(span_s * SUSPECT_CORRELATION_S)
+    navigation.inflate(attitude_sd=RATE_SD * grown, velocity_sd=FORCE_SD * grown)

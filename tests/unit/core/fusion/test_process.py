@@ -348,23 +348,6 @@ def test_solutions_go_on_when_the_time_line_starts_again_earlier() -> None:
     assert len(second) > 0.9 * len(first) > 100
 
 
-def test_compiled_samples_lead_to_the_same_messages() -> None:
-    pytest.importorskip("numba", reason="Numba is not installed: pip install .[fast]")
-    messages = [*samples(), *fixes()]
-    plain, compiled = (
-        run(messages, Process(Config(machine_code=made, gnss=GnssSettings(lever_arm_body_m=drive().lever_arm_b))))
-        for made in (False, True)
-    )
-    assert [type(message) for message in compiled] == [type(message) for message in plain]
-    pairs = [(a, b) for a, b in zip(compiled, plain, strict=True) if isinstance(a, NavigationSolution)]
-    assert len(pairs) > 100
-    for ours, theirs in pairs:
-        assert isinstance(theirs, NavigationSolution)
-        assert ours.latitude_deg == pytest.approx(theirs.latitude_deg, abs=1e-12)
-        assert ours.velocity_ned_m_s == pytest.approx(theirs.velocity_ned_m_s, abs=1e-9)
-        assert ours.yaw_rad == pytest.approx(theirs.yaw_rad, abs=1e-9)
-
-
 CRASH_S, BACK_S = 40.4, 42.6  # the last sample of one process, the first of the next
 
 
@@ -449,3 +432,11 @@ def test_a_running_process_takes_no_state() -> None:
         for said in run([message], process):
             out += [said, *(run([said], process) if isinstance(said, FilterState) else ())]
     assert out == run(messages)
+
+
+def test_a_fix_that_arrived_before_the_newest_samples_does_not_report_a_silent_imu() -> None:
+    process = Process(Config())
+    newest = samples()[100]
+    early = fix(0, received_ns=newest.received_ns - 40_000_000)
+    reports = [m for message in (newest, early) for m in process.handle(message) if isinstance(m, NavigationState)]
+    assert NavigationPhase.WAITING_FOR_IMU not in [report.phase for report in reports]

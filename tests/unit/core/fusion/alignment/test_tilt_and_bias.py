@@ -33,12 +33,12 @@ def started(bias: Vector) -> ErrorStateFilter:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_the_start_knows_which_tilt_a_bias_makes(axis: int) -> None:
-    """Finite differences of the whole start against P: E[psi b'] = (d psi / d b) var(b)."""
+    """Finite differences of the whole start against P: E[psi x] = (d psi / d x) var(x), x being minus the bias."""
     size = 1e-3
     bias = [0.0, 0.0, 0.0]
     bias[axis] = size
     ideal, biased = started((0.0, 0.0, 0.0)), started((bias[0], bias[1], bias[2]))
-    tilt = Rotation.from_matrix(biased.ned_from_body @ ideal.ned_from_body.T).as_rotvec() / size
+    tilt = Rotation.from_matrix(biased.ned_from_body @ ideal.ned_from_body.T).as_rotvec() / -size
     both = ideal.P[em.ATTITUDE, em.ACCELEROMETER_BIAS][:, axis] / BIAS_SD**2
     assert tilt[:2] == pytest.approx(both[:2], abs=2e-3 / STANDARD_GRAVITY + 0.01 * np.abs(both).max())
     assert np.linalg.eigvalsh(ideal.P[: em.DRIVING, : em.DRIVING])[0] >= 0.0

@@ -87,7 +87,7 @@ def errors(navigation: ErrorStateFilter, i: int) -> FloatArray:
 
 def nees(navigation: ErrorStateFilter, i: int) -> float:
     """Normalised estimation error squared of the motion, over its nine dimensions."""
-    navigation.bring_covariance_up()
+    navigation.propagate_covariance()
     x = errors(navigation, i)
     return float(x @ np.linalg.solve(navigation.P[MOVING, MOVING], x)) / em.MOVING
 
@@ -167,8 +167,8 @@ def test_without_a_position_for_long_a_warm_start_coasts() -> None:
 
 def test_what_a_filter_learned_goes_with_its_state() -> None:
     saved, again = states()[9000], restored(settings(), states()[9000], sample(9100))
-    assert again.accelerometer_bias == saved.accelerometer_bias
-    assert again.gyroscope_bias == saved.gyroscope_bias
+    assert again.imu.accelerometer_bias == saved.accelerometer_bias
+    assert again.imu.gyroscope_bias == saved.gyroscope_bias
     unit = np.ones(em.SIZE - em.DRIVING)
     unit[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING] = again.colour.unit
     kept = np.delete(np.array(again.parameters) * unit, [3, 4, 5])  # the time-correlated error fades over the gap

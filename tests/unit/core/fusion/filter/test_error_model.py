@@ -43,7 +43,7 @@ FORCE_N = (1.2, -0.7, -9.6)
 ATTITUDE = ned_from_body(0.1, -0.2, 0.7)
 RATE: Vector = (0.05, -0.02, 0.3)
 STATE = InertialState(0, quaternion_from_matrix(ATTITUDE), VELOCITY, Geodetic(LATITUDE, 0.2, HEIGHT))
-MOTION = strapdown.motion_of(STATE)
+EARTH = strapdown.local_earth(LATITUDE)
 STEP_NS = 1_000_000
 PERTURBATION = np.repeat([1e-3, 1.0, 1000.0, 1.0, 1e-3, 0.01, 1e-3], 3)
 NEGLECTED = {0: 1e-9, 3: 0.01, 6: 0.01}  # by first row: what the length of the step leaves where the model has nought
@@ -78,17 +78,20 @@ def error_of(estimate: InertialState, truth: InertialState) -> FloatArray:
 
 
 @pytest.fixture
-def differences(monkeypatch: pytest.MonkeyPatch) -> FloatArray:
+def differences() -> FloatArray:
     """Derivative of the first nine errors by all that drive them, with gravity of one latitude."""
-    parallel = strapdown.parallel
-    monkeypatch.setattr(strapdown, "parallel", lambda latitude: (*parallel(latitude)[:4], *parallel(LATITUDE)[4:]))
     force, rate = vector(ATTITUDE.T @ np.array(FORCE_N)), RATE
 
+    def propagated(state: InertialState, force: Vector, rate: Vector) -> InertialState:
+        earth = strapdown.local_earth(state.position.latitude)
+        earth = earth._replace(gravity=EARTH.gravity, gravity_slope=EARTH.gravity_slope)
+        q, v, (latitude, longitude, height), *_ = strapdown.mechanise(*state[1:], earth, force, rate, STEP_NS * 1e-9)
+        return InertialState(STEP_NS, q, v, Geodetic(latitude, longitude, height))
+
     def after(error: FloatArray) -> FloatArray:
-        wrong_force = vector(np.array(force) * (1.0 + error[em.ACCELEROMETER_SCALE]) + error[em.ACCELEROMETER_BIAS])
-        wrong_rate = vector(np.array(rate) * (1.0 + error[em.GYROSCOPE_SCALE]) + error[em.GYROSCOPE_BIAS])
-        estimate, _ = strapdown.propagate(disturbed(STATE, error), wrong_force, wrong_rate, STEP_NS)
-        truth, _ = strapdown.propagate(STATE, force, rate, STEP_NS)
+        wrong_force = vector(np.array(force) * (1.0 - error[em.ACCELEROMETER_SCALE]) - error[em.ACCELEROMETER_BIAS])
+        wrong_rate = vector(np.array(rate) * (1.0 - error[em.GYROSCOPE_SCALE]) - error[em.GYROSCOPE_BIAS])
+        estimate, truth = propagated(disturbed(STATE, error), wrong_force, wrong_rate), propagated(STATE, force, rate)
         return (error_of(estimate, truth) - error[:9]) / (STEP_NS * 1e-9)
 
     columns = []
@@ -115,7 +118,7 @@ BLOCKS = [
 
 
 def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differences: FloatArray) -> None:
-    F = em.system_matrix(MOTION, FORCE_N, RATE)
+    F = em.system_matrix(*STATE[1:], EARTH, FORCE_N, RATE)
     one_percent = 0.01
     for row, column in BLOCKS:
         size = np.linalg.norm(F[row, column])
@@ -125,39 +128,38 @@ def test_every_block_of_the_system_matrix_agrees_with_finite_differences(differe
 
 def test_the_transition_is_that_of_the_matrix_exponential_to_first_order() -> None:
     step_s = 1e-4
-    F = np.zeros((em.SIZE, em.SIZE))
-    F[: em.MOVING, : em.DRIVING] = em.system_matrix(MOTION, FORCE_N, RATE)
-    Phi = em.transition_matrix(em.error_rates(MOTION, FORCE_N, RATE), step_s, 1.0)
+    F = em.system_matrix(*STATE[1:], EARTH, FORCE_N, RATE)
+    Phi = em.transition_matrix(F, step_s)
     assert Phi == pytest.approx(expm(F * step_s), abs=1e-6)
     assert Phi == pytest.approx(np.eye(em.SIZE) + F * step_s, abs=1e-15)
 
 
-def test_lasting_errors_decay_exactly_at_any_step() -> None:
+def test_time_correlated_errors_decay_exactly_at_any_step() -> None:
     """Two halves are a whole, what is apart from them is left alone, and they end at variance one."""
     root = np.random.default_rng(4).standard_normal((em.SIZE, em.SIZE))
-    at_rest, steady, calm = (0.0,) * len(em.PLACES), (0.0,) * 5, np.zeros(em.SIZE)
+    F, no_noise, correlation_s = np.zeros((em.SIZE, em.SIZE)), np.zeros(em.SIZE), 20.0
 
-    def decayed(P: FloatArray, remains: float) -> FloatArray:
-        Phi = em.transition_matrix(at_rest, 1.0, remains)
-        return predict(P, Phi, em.added_variances(calm, steady, 1.0, 1.0, remains))
+    def decayed(P: FloatArray, step_s: float) -> FloatArray:
+        Phi = em.transition_matrix(F, step_s, correlation_s)
+        return predict(P, Phi, em.process_noise(no_noise, 0.0, 0.0, step_s, correlation_s))
 
     P = root @ root.T
-    whole = decayed(P, np.exp(-1.0))
-    assert decayed(decayed(P, np.exp(-0.5)), np.exp(-0.5)) == pytest.approx(whole, abs=1e-12)
+    whole = decayed(P, 20.0)
+    assert decayed(decayed(P, 10.0), 10.0) == pytest.approx(whole, abs=1e-12)
     assert (whole[: em.DRIVING, : em.DRIVING] == P[: em.DRIVING, : em.DRIVING]).all()
-    assert decayed(P, 0.0)[em.GNSS_ERROR, em.GNSS_ERROR] == pytest.approx(np.eye(3))
+    assert decayed(P, 1e4)[em.GNSS_ERROR, em.GNSS_ERROR] == pytest.approx(np.eye(3))
 
 
 def test_vibration_adds_what_the_settings_lack() -> None:
-    density, shaking = em.noise_density((em.ATTITUDE, 2.0), (em.VELOCITY, 3.0)), (10.0, 1.0, 0.0, 0.0, 0.0)
-    added = em.added_variances(density, shaking, 0.5, 0.1, 1.0)
-    assert added[em.ATTITUDE] == pytest.approx(np.full(3, 0.2))
-    assert added[em.VELOCITY] == pytest.approx(np.full(3, 0.5))
-    assert not added[em.POSITION.start :].any()
+    psd = em.process_noise_psd((em.ATTITUDE, 2.0), (em.VELOCITY, 3.0))
+    Q = em.process_noise(psd, attitude_psd=0.5, velocity_psd=5.0, step_s=0.1)
+    assert Q[em.ATTITUDE] == pytest.approx(np.full(3, 0.2))
+    assert Q[em.VELOCITY] == pytest.approx(np.full(3, 0.5))
+    assert not Q[em.POSITION.start :].any()
 
 
 def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
-    F = em.system_matrix(MOTION, FORCE_N, RATE)
+    F = em.system_matrix(*STATE[1:], EARTH, FORCE_N, RATE)
     latitude_scale, east_scale = curvature_radii(LATITUDE)
     m, t, tangent = latitude_scale + HEIGHT, east_scale + HEIGHT, tan(LATITUDE)
     north, east, _ = VELOCITY
@@ -180,15 +182,15 @@ def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
         (em.ATTITUDE.start, em.ATTITUDE.start): -skew(earth + transport),
         (em.ATTITUDE.start, em.VELOCITY.start): -by_velocity,
         (em.ATTITUDE.start, em.POSITION.start): -(earth_by_position + transport_by_position),
-        (em.ATTITUDE.start, em.GYROSCOPE_BIAS.start): ATTITUDE,
+        (em.ATTITUDE.start, em.GYROSCOPE_BIAS.start): -ATTITUDE,
         (em.VELOCITY.start, em.ATTITUDE.start): -skew(FORCE_N),
         (em.VELOCITY.start, em.VELOCITY.start): skew(VELOCITY) @ by_velocity - skew(transport + 2.0 * earth),
         (em.VELOCITY.start, em.POSITION.start): skew(VELOCITY) @ (transport_by_position + 2.0 * earth_by_position)
         + free_air,
-        (em.VELOCITY.start, em.ACCELEROMETER_BIAS.start): ATTITUDE,
+        (em.VELOCITY.start, em.ACCELEROMETER_BIAS.start): -ATTITUDE,
         (em.POSITION.start, em.VELOCITY.start): np.eye(3),
-        (em.VELOCITY.start, em.ACCELEROMETER_SCALE.start): ATTITUDE @ np.diag(ATTITUDE.T @ np.array(FORCE_N)),
-        (em.ATTITUDE.start, em.GYROSCOPE_SCALE.start): ATTITUDE @ np.diag(RATE),
+        (em.VELOCITY.start, em.ACCELEROMETER_SCALE.start): -ATTITUDE @ np.diag(ATTITUDE.T @ np.array(FORCE_N)),
+        (em.ATTITUDE.start, em.GYROSCOPE_SCALE.start): -ATTITUDE @ np.diag(RATE),
     }
     for (row, column), block in expected.items():
         assert F[row : row + 3, column : column + 3] == pytest.approx(block, rel=1e-12, abs=1e-19), (row, column)
@@ -196,15 +198,15 @@ def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
 
 
 def navigation(error: FloatArray) -> ErrorStateFilter:
-    """Filter that is wrong by an error; the biases of the error are what is left after correction."""
+    """Filter that is wrong by an error, estimated minus true in every state."""
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
-    wrong.rate = vector(np.array(RATE) + error[em.GYROSCOPE_BIAS])
-    wrong._shaking = (0.0, 0.0, *SWAY)  # what the last samples have left
+    rate = vector(np.array(RATE) - error[em.GYROSCOPE_BIAS])
+    wrong.state = wrong.state._replace(rate_b=rate, smoothed_acceleration_n=ACCELERATION)
     wrong.parameters = (*(np.array(VEHICLE) + error[em.VEHICLE]).tolist(), *error[em.VEHICLE.stop :].tolist())
     return wrong
 
 
-SWAY: Vector = (1.2, -0.7, 0.3)  # [m/s²]
+ACCELERATION: Vector = (1.2, -0.7, 0.3)  # [m/s²]
 VEHICLE: Vector = (0.03, 0.1, -0.07)  # scale error of the odometer, pitch and yaw of the mounting
 ARM: Vector = (0.3, -0.5, -1.2)
 ANTENNA = geodetic_from_ned_difference(vector(ATTITUDE @ np.array(ARM)), STATE.position)
@@ -262,7 +264,7 @@ def test_the_matrices_of_the_wheels_agree_with_finite_differences(
 
 
 def test_the_noise_goes_where_its_name_says() -> None:
-    noise = em.noise_density((em.ATTITUDE, 1.0), (em.GYROSCOPE_BIAS, 4.0), (em.ODOMETER_SCALE, 5.0))
+    noise = em.process_noise_psd((em.ATTITUDE, 1.0), (em.GYROSCOPE_BIAS, 4.0), (em.ODOMETER_SCALE, 5.0))
     assert noise[em.ATTITUDE].tolist() == [1.0] * 3 and noise[em.GYROSCOPE_BIAS].tolist() == [4.0] * 3
     assert noise[em.ODOMETER_SCALE] == 5.0 and noise.sum() == 20.0
 
@@ -300,7 +302,7 @@ def test_the_matrices_of_delays_agree_with_finite_differences(
 ) -> None:
     """All columns; those of the acceleration times what is left of a delay, some mm/s a degree, are left out of H."""
     seen = measurement.observe(PERFECT)
-    neglected = LEFT_S * hypot(*SWAY) * 1.1
+    neglected = LEFT_S * hypot(*ACCELERATION) * 1.1
     for j in range(em.SIZE):
         step = np.zeros(em.SIZE)
         step[j] = 1e-4
@@ -312,7 +314,7 @@ def test_the_matrices_of_delays_agree_with_finite_differences(
 
 def test_a_delay_is_that_by_which_what_is_measured_is_older() -> None:
     """Position and velocity of the antenna a moment ago agree with a filter that knows of the delay."""
-    then_s, v, a = 0.05, np.array(VELOCITY) + antenna_velocity(PERFECT, ARM), np.array(SWAY)
+    then_s, v, a = 0.05, np.array(VELOCITY) + antenna_velocity(PERFECT, ARM), np.array(ACCELERATION)
     old = geodetic_from_ned_difference(vector(-then_s * v + 0.5 * then_s**2 * a), ANTENNA)
     knowing = np.zeros(em.SIZE)
     knowing[em.GNSS_DELAY], knowing[em.GNSS_VELOCITY_DELAY] = 0.02, 0.03

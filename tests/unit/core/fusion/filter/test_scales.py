@@ -36,7 +36,7 @@ def test_the_scale_of_the_gyroscope_about_the_vertical_is_found(drive: Drive) ->
     assert navigation is not None
     sd = np.sqrt(np.diag(navigation.P)[em.GYROSCOPE_SCALE])
     truth = 1.0 - 1.0 / (1.0 + SCALE)  # what is to be taken from a reading, as a share of it
-    error = np.array(navigation.gyroscope_scale) - truth
+    error = np.array(navigation.imu.gyroscope_scale) - truth
     assert (np.abs(error) < 3.5 * sd).all()
     assert sd[2] < 0.003, "the vehicle has turned about the vertical"
     assert sd[0] > 0.005 and sd[1] > 0.005, "and hardly about the other two"
@@ -45,5 +45,5 @@ def test_the_scale_of_the_gyroscope_about_the_vertical_is_found(drive: Drive) ->
 def test_what_is_not_asked_for_is_not_estimated(drive: Drive) -> None:
     navigation = led(drive).engine.filter
     assert navigation is not None
-    assert navigation.gyroscope_scale == navigation.accelerometer_scale == (0.0, 0.0, 0.0)
+    assert navigation.imu.gyroscope_scale == navigation.imu.accelerometer_scale == (0.0, 0.0, 0.0)
     assert not navigation.P[em.SCALES].any()

@@ -158,7 +158,7 @@ def test_a_flat_top_is_a_saturated_gyroscope_without_being_told() -> None:
         rate = min(2.0, 0.1 * k)
         readings = (0.01 * k, 0.0, -9.8 + 0.003 * (k % 3), 0.001 * k, 0.0, rate)
         repeats = repeats or Repeats(k * 10**7, readings)
-        doubts.append(repeats.doubt(k * 10**7, readings))
+        doubts.append(repeats.fault(k * 10**7, readings))
     assert doubts[:22] == [None] * 22 and doubts[25:] == ["gyroscope saturated"] * 35
 
 

@@ -13,7 +13,7 @@ from services.core.fusion.navigator import HELD_LIMIT
 from services.core.fusion.plausibility.measurements import DEVICES, SILENT_NS, Devices
 from services.core.fusion.process import Config, In, Process
 from services.core.fusion.settings import AlignmentSettings, ImuSettings, MagnetometerSettings
-from services.core.fusion.timing.out_of_sequence import COPIES, EXPECTED
+from services.core.fusion.timing.out_of_sequence import MOST
 from shared.maths.earth import Geodetic
 from shared.messages.base import Tick
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
@@ -277,7 +277,7 @@ def test_samples_a_nanosecond_apart_take_no_more_memory_than_the_history() -> No
     process = deepcopy(started())
     for k in range(1, 67):
         send(process, sample(NOW_NS + k * 1000, count=1000, step_ns=1))
-    assert len(process._navigator._delayed._copies) == COPIES, "of one in 64 of 66,000 samples"
+    assert len(process._navigator._oosm._snapshots) == MOST, "of one in 8 of 66,000 samples"
 
 
 def test_fixes_far_ahead_of_the_samples_are_not_collected() -> None:
@@ -293,4 +293,4 @@ def test_measurements_of_times_that_never_come_are_not_collected() -> None:
     navigator = deepcopy(started())._navigator
     for k in range(5000):
         navigator.fix(NOW_NS + k, position=Geodetic(0.8, 0.2, 300.0), received_ns=NOW_NS)
-    assert len(navigator._delayed._expected) == EXPECTED and len(navigator._held) == HELD_LIMIT
+    assert len(navigator._held) == HELD_LIMIT

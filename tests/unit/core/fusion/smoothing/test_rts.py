@@ -13,11 +13,13 @@ from cli.papers.navigation import saved_heading
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
 from services.core.fusion.filter.kalman import predict, resized
+from services.core.fusion.filter.propagation import Intervals, samples_of
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.smoothing.history import Corrected, Knot, Start, Step, Trail
 from services.core.fusion.smoothing.rts import Backwards, smoothed_filters
+from services.core.fusion.update.standstill_detector import CERTAIN
 from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
@@ -36,7 +38,7 @@ class Way:
 
     Ps: list[FloatArray]  # after each measurement
     states: list[FloatArray]
-    steps: list[FloatArray]  # F t
+    steps: list[FloatArray]  # Phi
     corrections: list[Corrected]
     predicted: list[FloatArray]  # covariance before each measurement
 
@@ -55,7 +57,7 @@ def filtered(measured: FloatArray, P0: FloatArray, F: FloatArray, noise: FloatAr
         way.predicted.append(P)
         correction = correct(P, value - H @ state, H, R)
         P, state = correction.P, state + correction.x
-        way.steps.append(F * 0.1)
+        way.steps.append(Phi)
         way.corrections.append(Corrected(0, correction.z, H, correction.K, correction.S_inverse))
         way.Ps.append(P)
         way.states.append(state)
@@ -130,7 +132,7 @@ def test_an_error_that_decays_is_smoothed_as_a_batch_does() -> None:
     seen = correct(P1, np.array([2.0]), np.eye(1), np.eye(1))
     back = Backwards(1)
     back.correction(seen.z, seen.H, seen.K, seen.S_inverse)
-    back.step(np.zeros((0, 0)), np.array([0.5]))
+    back.step(np.array([[0.5]]))
     errors, cov = back.smoothed(np.array([[4.0]]))
     batch = np.linalg.inv(np.array([[1 / 4 + 0.25 / 3, -0.5 / 3], [-0.5 / 3, 1 / 3 + 1.0]]))
     assert cov[0, 0] == pytest.approx(batch[0, 0], abs=1e-12)
@@ -235,7 +237,7 @@ def test_at_the_end_the_smoother_is_the_filter(one: tuple[Drive, Records]) -> No
     records.all = one[1].all[: max(k for k, record in enumerate(one[1].all) if isinstance(record, Knot)) + 1]
     last = max(of_filter(records))
     before, after = of_filter(records)[last], of_smoother(records)[last]
-    assert (before.P == after.P).all() and before.accelerometer_bias == after.accelerometer_bias
+    assert (before.P == after.P).all() and before.imu == after.imu
     assert after.inertial.velocity == before.inertial.velocity
     assert after.inertial.position == pytest.approx(before.inertial.position, abs=1e-15)
 
@@ -243,7 +245,7 @@ def test_at_the_end_the_smoother_is_the_filter(one: tuple[Drive, Records]) -> No
 def test_a_constant_is_the_same_from_the_start_to_the_end(one: tuple[Drive, Records]) -> None:
     """Biases wander by far less than they are uncertain at first: their smoothed course is flat."""
     found = of_smoother(one[1])
-    course = np.array([found[time_ns].gyroscope_bias for time_ns in sorted(found)])
+    course = np.array([found[time_ns].imu.gyroscope_bias for time_ns in sorted(found)])
     at_first = of_filter(one[1])[min(found)]
     assert np.ptp(course, axis=0).max() < 0.3 * np.sqrt(at_first.P.diagonal()[em.GYROSCOPE_BIAS].max())
 
@@ -427,15 +429,17 @@ def matched(seed: int) -> World:
         )
         fx, fy, fz = (drive.ideal_force_b[i] + force_bias + noise[0] * rng.standard_normal(3)).tolist()
         wx, wy, wz = (drive.ideal_rate_b[i] + rate_bias + noise[1] * rng.standard_normal(3)).tolist()
-        navigation.advance((fx, fy, fz), (wx, wy, wz), int(drive.t_ns[i]))
-        navigation.keep_covariance()
+        one = samples_of([int(drive.t_ns[i])], [[fx, fy, fz, wx, wy, wz]], {})
+        navigation.propagate(one, 0, 1, CERTAIN, Intervals(np.inf))
+        if k % 5 == 0:
+            navigation.propagate_covariance()
         if k == 2000:
             biases = force_bias, rate_bias
         if k % 100 == 0 and not 1500 <= k < 2500:
             place = Geodetic(*drive.position[i].tolist())
             z = np.array(ned_from_geodetic_difference(place, navigation.inertial.position))
             z += sd_of_fix * rng.standard_normal(3)
-            navigation.accept(navigation.weigh(z, H, np.diag(sd_of_fix**2)))
+            navigation.apply(navigation.innovate(z, H, np.diag(sd_of_fix**2)))
     return World(drive, records, int(drive.t_ns[first + 2000]), *biases)
 
 
@@ -448,8 +452,8 @@ def test_its_normalised_errors_squared_lie_in_their_band_of_95_percent() -> None
         state = of_smoother(world.records)[world.middle_ns]
         e = np.concatenate([
             errors(world.drive, state),
-            world.accelerometer_bias - state.accelerometer_bias,
-            world.gyroscope_bias - state.gyroscope_bias,
+            state.imu.accelerometer_bias - world.accelerometer_bias,
+            state.imu.gyroscope_bias - world.gyroscope_bias,
         ])  # fmt: skip
         for name, part in parts.items():
             sizes[name] += float(e[part] @ np.linalg.solve(state.P[part, part], e[part]))

@@ -113,7 +113,7 @@ def test_delays_of_gnss_and_odometer_are_estimated_and_taken_out() -> None:
     gnss, odometer, _ = delays
     assert abs(gnss[0] - 0.2) < 3.0 * gnss[1] < 0.2, "a position is a poorer witness: its errors last"
     assert abs(odometer[0] - ODOMETER_S) < 0.025
-    removed = made._delayed._timing
+    removed = made._oosm._timing
     assert removed._at(GnssVelocity, int(d.t_ns[-1])) == pytest.approx(0.2, abs=0.03), "and the stamps are moved"
     assert made.counts.resets == 0 and made.counts.fixes_rejected == 0
     assert error_m(d, made) < 1.0
@@ -125,7 +125,7 @@ def test_fixes_that_come_late_change_nothing_to_the_last_bit() -> None:
     in_time, late = follow(d, 0.1, quiet_s=1.0), follow(d, 0.1, late_s=0.2, quiet_s=1.0)
     first, second = in_time.solution(), late.solution()
     assert first is not None and second is not None
-    assert in_time._delayed._timing._removed == late._delayed._timing._removed != {}
+    assert in_time._oosm._timing._removed == late._oosm._timing._removed != {}
     assert age(in_time) == age(late)
     assert (first.position, first.velocity, first.yaw) == (second.position, second.velocity, second.yaw)
 

@@ -211,7 +211,7 @@ def test_a_filter_that_gave_way_to_a_height_is_unsure_of_it_as_of_a_place() -> N
 def test_only_a_height_that_is_used_ends_the_dispute_about_heights() -> None:
     """A position without a height is no answer to a height that was refused."""
     twin = filter_that_trusts_lasting_errors().fork()
-    twin.bring_covariance_up()
+    twin.propagate_covariance()
     made = Outcome(SECOND_NS, "gnss", AidingKind.GNSS_POSITION, (0.1, 0.1), (1.0, 1.0), 0.1, used=True)
     refused = made._replace(height=Height(-47.0, 1.0, taken_over=False))
     seen = Watch().after(refused, block(twin), twin, 1e-3, estimated=False)
@@ -236,7 +236,7 @@ def test_a_sound_receiver_is_hardly_ever_refused(seed_settings: dict[str, object
 @cache
 def filter_that_trusts_lasting_errors() -> ErrorStateFilter:
     """It knows its place to 0.2 m, and has learned that errors of 3 m last for 200 s."""
-    inside = run(Fault(0.0)).navigator._delayed.engine.filter
+    inside = run(Fault(0.0)).navigator._oosm.engine.filter
     assert inside is not None
     evidence = UNKNOWN.evidence.copy()
     evidence[:, HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0

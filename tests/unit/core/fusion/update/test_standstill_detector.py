@@ -8,14 +8,14 @@ from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.zupt import PERIOD_S, RATE_SD, SETTLING_S, Standstill
 from services.core.fusion.settings import Settings
 from services.core.fusion.update.standstill_detector import (
-    DOUBT_S,
-    QUIET_S,
-    SURE,
+    CERTAIN,
+    UNCERTAIN_QUIET_S,
     UNSETTLED,
-    Doubt,
-    Rest,
-    at_rest,
-    doubt_of,
+    Limits,
+    Quiet,
+    detect,
+    limits_of,
+    stands,
 )
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
@@ -24,51 +24,47 @@ STEP_S = 0.01
 STILL: Vector = (0.0, 0.0, 0.0)
 
 
-def stationary(rest: Rest) -> bool:
-    return rest[2] >= QUIET_S
-
-
 def after(
-    rest: Rest,
+    rest: Quiet,
     seconds: float,
     rate: Vector = STILL,
     acceleration: Vector = STILL,
     speed: float = 0.0,
-    doubt: Doubt = SURE,
-) -> Rest:
+    limits: Limits = CERTAIN,
+) -> Quiet:
     for _ in range(round(seconds / STEP_S)):
-        rest = at_rest(rest, rate, acceleration, speed, STEP_S, doubt)
+        rest = detect(rest, rate, acceleration, speed, STEP_S, limits)
     return rest
 
 
-def unsure(velocity_sd: float) -> Doubt:
+def unsure(velocity_sd: float) -> Limits:
     P = np.eye(SIZE) * 1e-6
     P[VELOCITY, VELOCITY] = velocity_sd**2 * np.eye(3)
-    return doubt_of(P)
+    return limits_of(P)
 
 
 def test_half_a_second_of_quiet_is_a_standstill() -> None:
     rest = after(UNSETTLED, 0.25)  # settles
-    assert not stationary(after(rest, 0.48))
-    assert stationary(after(rest, 0.52))
+    assert not stands(after(rest, 0.48))
+    assert stands(after(rest, 0.52))
 
 
 def test_each_condition_alone_prevents_it() -> None:
-    assert not stationary(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
-    assert not stationary(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
-    assert not stationary(after(UNSETTLED, 5.0, speed=0.31))
-    assert stationary(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
+    assert not stands(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
+    assert not stands(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
+    assert not stands(after(UNSETTLED, 5.0, speed=0.31))
+    assert stands(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
 
 
 def test_it_ends_within_a_few_samples_of_the_first_motion() -> None:
     """At 1 m/s² the smoothed acceleration passes its limit after 20 ms, and the vehicle has moved by 0.2 mm."""
     rest = after(UNSETTLED, 2.0)
-    assert not stationary(after(rest, 0.02, acceleration=(1.0, 0.0, 0.0)))
-    assert not stationary(after(rest, 0.05, rate=(0.0, 0.0, 0.1)))
+    assert not stands(after(rest, 0.02, acceleration=(1.0, 0.0, 0.0)))
+    assert not stands(after(rest, 0.05, rate=(0.0, 0.0, 0.1)))
 
 
 def test_rolling_evenly_is_no_standstill() -> None:
-    assert not stationary(after(UNSETTLED, 10.0, speed=10.0))
+    assert not stands(after(UNSETTLED, 10.0, speed=10.0))
 
 
 def test_an_idling_engine_does_not_end_it() -> None:
@@ -76,38 +72,38 @@ def test_an_idling_engine_does_not_end_it() -> None:
     rest = after(UNSETTLED, 2.0)
     for k in range(2000):
         swing = 2.0**0.5 * np.sin(2.0 * np.pi * 27.0 * k * STEP_S)
-        rest = at_rest(rest, (0.017 * swing, 0.0, 0.0), (0.0, 0.0, 0.65 * swing), 0.0, STEP_S)
-        assert stationary(rest)
+        rest = detect(rest, (0.017 * swing, 0.0, 0.0), (0.0, 0.0, 0.65 * swing), 0.0, STEP_S, CERTAIN)
+        assert stands(rest)
 
 
 def test_a_filter_that_does_not_know_its_speed_waits_for_two_seconds_of_quiet() -> None:
     """After a minute without GNSS it sees 1.5 m/s at rest, and 0.1 m/s where the vehicle rolls."""
-    doubt, settled = unsure(0.6), after(UNSETTLED, 0.25)
+    limits, settled = unsure(0.6), after(UNSETTLED, 0.25)
     for speed in (0.1, 1.5):
-        assert not stationary(after(settled, DOUBT_S - 0.1, speed=speed, doubt=doubt))
-        assert stationary(after(settled, DOUBT_S + 0.1, speed=speed, doubt=doubt))
-    assert not stationary(after(settled, 10.0, speed=4.0, doubt=doubt)), "it is surer than that"
-    assert unsure(0.05) == SURE
+        assert not stands(after(settled, UNCERTAIN_QUIET_S - 0.1, speed=speed, limits=limits))
+        assert stands(after(settled, UNCERTAIN_QUIET_S + 0.1, speed=speed, limits=limits))
+    assert not stands(after(settled, 10.0, speed=4.0, limits=limits)), "it is surer than that"
+    assert unsure(0.05) == CERTAIN
 
 
 def test_a_wrong_tilt_hides_no_rest() -> None:
     """Half a degree makes 0.09 m/s² of gravity; two degrees are beyond what a filter has."""
-    for doubt in (SURE, unsure(0.6)):
-        leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), doubt=doubt)  # it brakes
-        leaning = after(leaning, 1.0, acceleration=(0.06, 0.06, 0.0), doubt=doubt)
-        assert not stationary(leaning)
-        leaning = after(leaning, DOUBT_S + 0.5, acceleration=(0.06, 0.06, 0.0), doubt=doubt)
-        assert stationary(leaning)
-        assert not stationary(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), doubt=doubt)), "it drives off"
-        assert not stationary(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), doubt=doubt))
+    for limits in (CERTAIN, unsure(0.6)):
+        leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), limits=limits)  # it brakes
+        leaning = after(leaning, 1.0, acceleration=(0.06, 0.06, 0.0), limits=limits)
+        assert not stands(leaning)
+        leaning = after(leaning, UNCERTAIN_QUIET_S + 0.5, acceleration=(0.06, 0.06, 0.0), limits=limits)
+        assert stands(leaning)
+        assert not stands(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), limits=limits)), "it drives off"
+        assert not stands(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), limits=limits))
 
 
 def test_a_road_is_no_rest_however_slow_the_filter_believes_to_be() -> None:
     """It rolls evenly at 1.5 m/s: 0.1 m/s² up and down in 2 s, as on the smoothest of the recorded streets."""
-    rest, doubt = UNSETTLED, unsure(0.6)
+    rest, limits = UNSETTLED, unsure(0.6)
     for k in range(2000):
-        rest = at_rest(rest, STILL, (0.1 * float(np.sin(np.pi * k * STEP_S)), 0.0, 0.0), 0.1, STEP_S, doubt)
-        assert not stationary(rest)
+        rest = detect(rest, STILL, (0.1 * float(np.sin(np.pi * k * STEP_S)), 0.0, 0.0), 0.1, STEP_S, limits)
+        assert not stands(rest)
 
 
 def test_a_rest_tells_of_the_gyroscope_what_its_mean_is_worth() -> None:

@@ -1,4 +1,4 @@
-"""Samples wait until somebody looks: who looks, and when, changes nothing."""
+"""Solutions do not depend on when they are asked for."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from services.core.fusion.alignment.heading import Prior
-from services.core.fusion.filter.fast import compiled_runner
 from services.core.fusion.measurements.base import Outcome
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import Settings
@@ -69,14 +68,14 @@ def messy(seed: int) -> list[Step]:
     return steps
 
 
-def followed(seed: int, look: Look, hurry: Look, **changes: object) -> Iterator[Any]:
+def followed(seed: int, look: Look, **changes: object) -> Iterator[Any]:
     """What a navigator says of a messy drive, looked at now and then.
 
     But for its levels: they are of when the covariance was seen first, up to a period ago.
     """
     d = drive()
     made = Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
-    navigator = Navigator(made, compiled_runner() if changes.get("machine_code") else None)
+    navigator = Navigator(made)
     navigator.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), d.attitude[0, 2], radians(1.0)))
     outcomes: list[Outcome] = []
     for k, step in enumerate(messy(seed)):
@@ -92,12 +91,10 @@ def followed(seed: int, look: Look, hurry: Look, **changes: object) -> Iterator[
         for j in step.speeds:
             navigator.speed(int(d.odometer_ns[j]), float(d.odometer[j]), received_ns=step.received_ns)
         sample = step.time_ns, step.force, step.rate, step.received_ns
-        navigator.advance(*sample, saturated=step.saturated, hurried=hurry(k))
-        if look(2 * k):
+        navigator.advance(*sample, saturated=step.saturated)
+        if look(k):
             navigator.solution()
         outcomes += navigator.release(step.received_ns)
-        if look(2 * k + 1):
-            navigator.foresee()
     solution = navigator.solution()
     outcomes += navigator.release(step.received_ns)
     assert solution is not None
@@ -114,19 +111,17 @@ def followed(seed: int, look: Look, hurry: Look, **changes: object) -> Iterator[
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_who_looks_changes_nothing(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    looks, hurries = rng.random(20_000) < 0.02, rng.random(20_000) < 0.1
-    every = list(followed(seed, ALWAYS, NEVER))
-    assert list(followed(seed, NEVER, NEVER)) == every
-    assert list(followed(seed, lambda k: bool(looks[k]), lambda k: bool(hurries[k]))) == every
+def test_solutions_do_not_depend_on_polling(seed: int) -> None:
+    looks = np.random.default_rng(seed).random(20_000) < 0.02
+    every = list(followed(seed, ALWAYS))
+    assert list(followed(seed, NEVER)) == every
+    assert list(followed(seed, lambda k: bool(looks[k]))) == every
     assert len(every[-1]) > 400, "the drive is navigated for all that"
 
 
 @pytest.mark.parametrize("changes", [{"estimate_delays": True}, {"history_s": 0.2}, {"history_s": 1.0}])
 @pytest.mark.parametrize("seed", range(2))
 def test_nor_where_delays_are_estimated_or_the_memory_is_short(seed: int, changes: dict[str, object]) -> None:
-    every = list(followed(seed, ALWAYS, NEVER, **changes))
-    assert list(followed(seed, NEVER, NEVER, **changes)) == every
-    assert list(followed(seed, NEVER, lambda k: k % 10 == 0, **changes)) == every
+    every = list(followed(seed, ALWAYS, **changes))
+    assert list(followed(seed, NEVER, **changes)) == every
     assert len(every[-1]) > 100

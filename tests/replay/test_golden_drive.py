@@ -1,0 +1,75 @@
+"""Stored device bytes through the whole unit give the stored result; `make golden` writes it anew, for review.
+
+The tolerances are far below what a user could see and far above what another processor's rounding makes of the same
+program: the filter amplifies the last bits of its inputs to some 1e-9 of its outputs in these 30 s.
+"""
+
+from math import isclose
+
+import pytest
+
+from services.parsers.gnss.framer import Framer, Protocol
+from tests.support.golden import FILES, FOLDER, Row, device_bytes, results, rows, stored_rows
+from tests.support.ublox import parse_nmea, parse_ubx
+
+RELATIVE = 1e-6
+# [unit of the field] below which two values are the same, by the end of the field's name.
+ABSOLUTE = {"_deg": 1e-9, "_m": 1e-4, "_m_s": 1e-5, "_rad": 1e-6}
+
+
+@pytest.fixture(scope="module")
+def computed() -> list[Row]:
+    return list(rows(results()))
+
+
+def differences(name: str, computed: object, stored: object) -> list[str]:
+    """Name every field that differs by more than its tolerance."""
+    if isinstance(stored, dict) and isinstance(computed, dict) and computed.keys() == stored.keys():
+        return [text for key in stored for text in differences(key, computed[key], stored[key])]
+    if isinstance(stored, list) and isinstance(computed, list) and len(computed) == len(stored):
+        return [text for pair in zip(computed, stored, strict=True) for text in differences(name, *pair)]
+    if isinstance(stored, float) and isinstance(computed, float | int):
+        absolute = next((limit for end, limit in ABSOLUTE.items() if name.endswith(end)), 1e-9)
+        same = isclose(computed, stored, rel_tol=RELATIVE, abs_tol=absolute)
+    else:
+        same = computed == stored
+    return [] if same else [f"{name}: {computed} instead of {stored}"]
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [("GnssFix", "GnssSatellites"), ("ImuSamples",), ("VehicleSpeed", "WheelSpeeds")],
+    ids=["gnss", "imu", "can"],
+)
+def test_the_bytes_of_each_device_parse_to_the_stored_messages(computed: list[Row], kinds: tuple[str, ...]) -> None:
+    of_kinds = [[row for row in table if row["type"] in kinds] for table in (computed, stored_rows())]
+    assert len(of_kinds[1]) >= 20
+    assert not differences("", *of_kinds)
+
+
+def test_fusion_and_controller_publish_the_stored_solutions_and_states(computed: list[Row]) -> None:
+    kinds = {"NavigationSolution", "NavigationState", "AidingUpdate", "ModeState"}
+    here, there = ([row for row in table if row["type"] in kinds] for table in (computed, stored_rows()))
+    assert [row["type"] for row in here] == [row["type"] for row in there]
+    found = [text for pair in zip(here, there, strict=True) for text in differences("", *pair)]
+    assert not found, found[:10]
+
+
+def test_as_many_messages_of_each_type_are_published_as_stored(computed: list[Row]) -> None:
+    assert computed[-1] == stored_rows()[-1]
+
+
+def test_independent_readers_find_as_many_epochs_in_the_stored_bytes_as_the_unit() -> None:
+    frames = list(Framer().feed((FOLDER / "gnss.ubx").read_bytes()))
+    ubx = [parse_ubx(frame.data) for frame in frames if frame.protocol is Protocol.UBX]
+    nmea = [parse_nmea(frame.data) for frame in frames if frame.protocol is Protocol.NMEA]
+    epochs = sum(message.identity == "NAV-PVT" for message in ubx)
+    assert epochs == sum(sentence.sentence_type == "RMC" for sentence in nmea) == 29
+    assert epochs == sum(row["type"] == "GnssFix" for row in stored_rows())
+
+
+def test_every_stored_byte_is_replayed() -> None:
+    replayed = dict.fromkeys(FILES.values(), 0)
+    for message in device_bytes():
+        replayed[type(message)] += len(message.data)
+    assert replayed == {kind: (FOLDER / name).stat().st_size for name, kind in FILES.items()}
