@@ -91,7 +91,7 @@ def test_a_silent_monitor_gives_caution_within_its_deadline_and_is_listed_as_not
     for k in range(4, 12):
         published = second(process, k * SECOND_NS, [statement(monitor, k * SECOND_NS) for monitor in others])
         seen[k] = next(message for message in published if isinstance(message, TrustState))
-    assert [k for k, state in seen.items() if state.state is TrustLevel.CAUTION][0] <= 3 + 5 + 1
+    assert next(k for k, state in seen.items() if state.state is TrustLevel.CAUTION) <= 3 + 5 + 1
     listed = {monitor.monitor: monitor.outcome for monitor in seen[11].monitors}
     assert listed["satellites"] is MonitorOutcome.NOT_EVALUATED
     assert listed["motion"] is MonitorOutcome.PASS
