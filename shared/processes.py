@@ -97,6 +97,16 @@ PROCESSES = (
         produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
     ),
     ProcessRow(
+        "core.motion_conflict", Kind.STANDING, "compares the speeds of GNSS and odometer as the smart tachograph does",
+        consumes=("gnss/fix", "vehicle/speed", "trust/state"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
+        "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
+        consumes=("trust/monitor", "navigation/solution", "navigation/state"),
+        produces=("trust/state", "trust/event"),
+    ),
+    ProcessRow(
         "monitoring.recorder", Kind.STANDING, "writes every message to disk",
         produces=("recording/state",), observes_all=True,
     ),

@@ -18,6 +18,7 @@ from .messages.navigation import (
     TruthState,
 )
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.trust import TrustEvent, TrustMonitor, TrustState
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow
@@ -88,6 +89,10 @@ TOPICS = (
     Topic("navigation/filter_state", FilterState, "state and covariance of the filter, for its next process",
           qos=1, retain=True),
     Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it"),
+    Topic("trust/monitor", TrustMonitor, "result of one integrity monitor", rate_hz=1.0, silent_after_s=5.0),
+    Topic("trust/state", TrustState, "whether the position can be used, and why",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("trust/event", TrustEvent, "each change of the verdict, with the evidence", qos=1),
     Topic("deadline/report", DeadlineReport, "age and status of every topic and process, and problems by root cause",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("outage/event", Outage, "begin and end of an outage, with its root cause", qos=1),

@@ -1,8 +1,9 @@
 """Statements of the integrity monitors, and the verdict that `core.trust` makes of them."""
 
 from enum import StrEnum
+from typing import Annotated
 
-from .base import Deviation, Message, Name, Nanoseconds, Reason
+from .base import Count, Deviation, Message, Name, Nanoseconds, Ratio, Reason, unit
 
 
 class MonitorOutcome(StrEnum):
@@ -19,10 +20,10 @@ class MonitorTest(Message):
     name: Name
     outcome: MonitorOutcome
     reason: Reason
-    statistic: float | None = None
-    threshold: float | None = None
+    statistic: Annotated[float, unit("of the test")] | None = None
+    threshold: Annotated[float, unit("of the test")] | None = None
     unit: Name = "-"
-    false_alarm_rate: float | None = None  # by design, of one evaluation; None where a rule fixes the threshold
+    false_alarm_rate: Ratio | None = None  # by design, of one evaluation; None where a rule fixes the threshold
     window_s: float | None = None
     since_ns: Nanoseconds | None = None  # when this outcome was reached
 
@@ -37,9 +38,9 @@ class TrustMonitor(Message):
     accused: tuple[Name, ...] = ()  # gnss, odometer, the ID of a satellite or of a neighbour
     suspect_since_ns: Nanoseconds | None = None  # earliest time from which the evidence may be wrong
     since_ns: Nanoseconds | None = None  # when this outcome was reached
-    statistic: float | None = None
-    threshold: float | None = None
-    false_alarm_rate: float | None = None
+    statistic: Annotated[float, unit("of the test")] | None = None
+    threshold: Annotated[float, unit("of the test")] | None = None
+    false_alarm_rate: Ratio | None = None
     window_s: float | None = None
     tests: tuple[MonitorTest, ...] = ()
 
@@ -61,7 +62,7 @@ class TrustState(Message):
     sampled_ns: Nanoseconds
     state: TrustLevel
     since_ns: Nanoseconds
-    row: int  # of the verdict table that decided
+    row: Count  # of the verdict table that decided
     reasons: tuple[Reason, ...]  # that of the deciding row first
     findings: tuple[Reason, ...] = ()  # accused or excluded sources that do not lower the verdict
     gnss_excluded: bool = False

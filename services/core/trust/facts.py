@@ -60,6 +60,11 @@ class Solution:
     protection_level_vertical_m: float | None
     gnss_age_s: float | None  # since the last fix that was used
 
+    @property
+    def protection_levels_m(self) -> tuple[float | None, float | None]:
+        """Horizontal and vertical protection level."""
+        return self.protection_level_horizontal_m, self.protection_level_vertical_m
+
 
 @dataclass(frozen=True)
 class Limits:

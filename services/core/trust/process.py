@@ -81,6 +81,7 @@ class Process:
         found = verdict(facts)
         before = self._published
         level = TrustLevel(found.state.value)
+        horizontal_m, vertical_m = facts.solution.protection_levels_m if facts.solution else (None, None)
         changed = before is None or before.state is not level
         if not (changed or at_once):
             return
@@ -94,8 +95,8 @@ class Process:
             gnss_excluded=admission.excluded,
             suspect_since_ns=admission.suspect_since_ns,
             odometer_excluded=odometer_accused(facts),
-            protection_level_horizontal_m=facts.solution and facts.solution.protection_level_horizontal_m,
-            protection_level_vertical_m=facts.solution and facts.solution.protection_level_vertical_m,
+            protection_level_horizontal_m=horizontal_m,
+            protection_level_vertical_m=vertical_m,
             alert_limit_horizontal_m=facts.limits.horizontal_m,
             alert_limit_vertical_m=facts.limits.vertical_m,
             monitors=tuple(self._current(facts, monitor) for monitor in Monitor),

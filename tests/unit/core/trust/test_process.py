@@ -1,0 +1,113 @@
+from collections.abc import Iterable
+
+from services.core.trust.facts import Monitor
+from services.core.trust.process import Config, Process
+from shared.messages.base import Message, Tick
+from shared.messages.navigation import NavigationPhase, NavigationSolution, NavigationState
+from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustMonitor, TrustState
+
+SECOND_NS = 1_000_000_000
+
+
+def solution(time_ns: int, horizontal_m: float = 3.0) -> NavigationSolution:
+    return NavigationSolution(
+        sampled_ns=time_ns, phase=NavigationPhase.NAVIGATING, latitude_deg=45.0, longitude_deg=9.0,
+        height_ellipsoid_m=100.0, velocity_ned_m_s=(10.0, 0.0, 0.0), roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0,
+        position_cov_ned_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0), velocity_cov_ned_m2_s2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01),
+        attitude_cov_ned_rad2=(1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4), angular_rate_body_rad_s=(0.0, 0.0, 0.0),
+        accelerometer_bias_m_s2=(0.0, 0.0, 0.0), gyroscope_bias_rad_s=(0.0, 0.0, 0.0), stationary=False,
+        gnss_age_s=0.5, protection_level_horizontal_m=horizontal_m, protection_level_vertical_m=5.0,
+        integrity_risk=1e-3,
+    )  # fmt: skip
+
+
+def navigation_state(time_ns: int, horizontal_m: float) -> NavigationState:
+    return NavigationState(
+        sampled_ns=time_ns, phase=NavigationPhase.NAVIGATING, since_ns=0, reason="positions are used", fixes_used=1,
+        fixes_rejected=0, samples_used=100, samples_rejected=0, imu_gaps=0, resets=0,
+        alert_limit_horizontal_m=horizontal_m, alert_limit_vertical_m=20.0,
+    )  # fmt: skip
+
+
+def statement(
+    monitor: Monitor, time_ns: int, outcome: MonitorOutcome = MonitorOutcome.PASS, accused: tuple[str, ...] = ()
+) -> TrustMonitor:
+    return TrustMonitor(
+        sampled_ns=time_ns, monitor=monitor.value, outcome=outcome, reason="test", accused=accused, statistic=1.0,
+        threshold=2.0, suspect_since_ns=time_ns - 10 * SECOND_NS if accused else None,
+    )  # fmt: skip
+
+
+def second(process: Process, time_ns: int, messages: Iterable[Message]) -> list[Message]:
+    """Feed one second: what is given, a solution, and the tick that ends it."""
+    published: list[Message] = []
+    for message in (*messages, solution(time_ns), Tick(now_ns=time_ns)):
+        published += process.handle(message)  # type: ignore[arg-type]  # the union of what it consumes
+    return published
+
+
+def states(published: Iterable[Message]) -> list[TrustLevel]:
+    return [message.state for message in published if isinstance(message, TrustState)]
+
+
+def passing(time_ns: int) -> list[Message]:
+    return [statement(monitor, time_ns) for monitor in Monitor]
+
+
+def test_without_a_solution_the_verdict_is_initialising_once_a_second() -> None:
+    process = Process(Config())
+    published = [message for k in range(3) for message in process.handle(Tick(now_ns=k * SECOND_NS))]
+    assert states(published) == [TrustLevel.INITIALISING] * 3
+    assert not any(isinstance(message, TrustEvent) for message in published)
+
+
+def test_all_monitors_passing_give_safe_and_one_event() -> None:
+    process = Process(Config())
+    published = [m for k in range(1, 4) for m in second(process, k * SECOND_NS, passing(k * SECOND_NS))]
+    assert states(published)[-1] is TrustLevel.SAFE
+    events = [message for message in published if isinstance(message, TrustEvent)]
+    assert events[-1].after is TrustLevel.SAFE
+    assert {monitor.monitor for monitor in events[-1].monitors} == {monitor.value for monitor in Monitor}
+
+
+def test_an_accusation_of_gnss_is_unsafe_at_once_and_names_the_monitor() -> None:
+    process = Process(Config())
+    second(process, SECOND_NS, passing(SECOND_NS))
+    accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
+    published = list(process.handle(accusing))
+    assert states(published) == [TrustLevel.UNSAFE]
+    state = next(message for message in published if isinstance(message, TrustState))
+    assert state.gnss_excluded
+    assert state.suspect_since_ns == -8 * SECOND_NS
+    assert "inertial_long" in state.reasons[0]
+
+
+def test_a_silent_monitor_gives_caution_within_its_deadline_and_is_listed_as_not_evaluated() -> None:
+    process = Process(Config(monitor_silent_after_s=5.0))
+    for k in range(1, 4):
+        second(process, k * SECOND_NS, passing(k * SECOND_NS))
+    others = [monitor for monitor in Monitor if monitor is not Monitor.SATELLITES]
+    seen = {}
+    for k in range(4, 12):
+        published = second(process, k * SECOND_NS, [statement(monitor, k * SECOND_NS) for monitor in others])
+        seen[k] = next(message for message in published if isinstance(message, TrustState))
+    assert next(k for k, state in seen.items() if state.state is TrustLevel.CAUTION) <= 3 + 5 + 1
+    listed = {monitor.monitor: monitor.outcome for monitor in seen[11].monitors}
+    assert listed["satellites"] is MonitorOutcome.NOT_EVALUATED
+    assert listed["motion"] is MonitorOutcome.PASS
+
+
+def test_the_alert_limit_is_the_configured_one_that_fusion_publishes() -> None:
+    process = Process(Config())
+    list(process.handle(navigation_state(SECOND_NS, horizontal_m=2.0)))
+    published = second(process, SECOND_NS, passing(SECOND_NS))
+    state = [message for message in published if isinstance(message, TrustState)][-1]
+    assert state.alert_limit_horizontal_m == 2.0
+    assert state.state is TrustLevel.UNSAFE, "the protection level is 3 m"
+
+
+def test_an_unknown_monitor_is_counted_and_rejected() -> None:
+    process = Process(Config())
+    unknown = statement(Monitor.MOTION, SECOND_NS).model_copy(update={"monitor": "crystal_ball"})
+    assert list(process.handle(unknown)) == []
+    assert process.rejects["unknown monitor"] == 1
