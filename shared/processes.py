@@ -102,6 +102,11 @@ PROCESSES = (
         produces=("trust/monitor",),
     ),
     ProcessRow(
+        "core.spoofing", Kind.STANDING, "compares GNSS with the inertial sensors over 5, 30 and 60 s",
+        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
         consumes=("trust/monitor", "navigation/solution", "navigation/state"),
         produces=("trust/state", "trust/event"),
