@@ -104,6 +104,11 @@ PROCESSES = (
         produces=("trust/monitor",),
     ),
     ProcessRow(
+        "core.spoofing", Kind.STANDING, "compares GNSS with the inertial sensors over 5, 30 and 60 s",
+        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
         consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
         produces=("trust/monitor",),

@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from shared.messages.operation import Origin, OriginKind
+from tests.browser.test_pages import faults, keep_picture
 from tests.support.fake_unit import SIMULATED
 from tests.support.status_server import Running, status_server
 
@@ -40,7 +41,7 @@ def test_a_lost_connection_is_said_and_its_return_as_well(tmp_path: Path, open_p
     with status_server(tmp_path, port=urlsplit(server.address).port):
         expect(page.get_by_text(re.compile(r"Reconnected, \d+ s gap"))).to_be_visible(timeout=12_000)
         expect(bar).to_be_hidden()
-        expect(page.locator(".banner .word")).to_have_text("CAUTION")
+        expect(page.locator(".banner .word")).to_have_text("SAFE")
         expect(page.get_by_role("heading", name="Processes by layer")).to_be_visible()
 
 
@@ -84,15 +85,18 @@ def test_the_badge_says_where_the_data_are_from(
     expect(page.locator(".origin")).to_have_text(shown)
 
 
-def test_the_reasons_of_the_banner_are_listed_with_what_is_not_monitored(
+def test_the_reasons_of_the_banner_are_listed_with_what_is_not_evaluated(
     units: dict[str, Running], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["alarm"].address)
     page.get_by_role("button", name="Why?").click()
-    drawer = page.get_by_role("dialog", name="Why CAUTION?")
+    drawer = page.get_by_role("dialog", name="Why UNSAFE?")
     expect(drawer).to_contain_text("What to do")
+    expect(drawer.locator("li", has_text="Short inertial window")).to_contain_text("accuses GNSS")
     expect(drawer.locator("li", has_text="Fit of GNSS velocity")).to_contain_text("4.70 of the limit, rejected")
-    assert drawer.locator("li", has_text="NOT MONITORED").count() == 3
+    warming = drawer.locator("li", has_text="Motion conflict")
+    expect(warming).to_contain_text("not evaluated: warming up: 12 of 30 samples")
+    expect(warming.locator(".meter")).to_have_count(0)
     drawer.get_by_role("link", name="GNSS fix").click()
     expect(page.get_by_role("dialog", name="Topic gnss/fix")).to_be_visible()
 
@@ -114,6 +118,8 @@ def test_the_keyboard_goes_everywhere_and_can_be_silenced(
     topics = page.get_by_role("region", name="Topics").first
     expect(topics.get_by_role("link")).to_have_text(["vehicle/wheel_speed"])
     page.locator("body").click(position={"x": 5, "y": 400})
+    page.keyboard.type("gt")
+    expect(page.get_by_role("region", name="Monitors")).to_be_visible()
     page.keyboard.type("gn")
     expect(page.locator("svg.closeup")).to_be_visible()
     page.keyboard.press("?")
@@ -267,8 +273,8 @@ def test_without_monitoring_health_the_position_stays_and_the_rest_is_not_known(
         page = open_page(server.address)
         expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
         server.unit.kill("monitoring.health")
-        expect(page.locator(".banner .sentence")).to_contain_text("monitoring.health does not report", timeout=6000)
-        expect(page.locator(".banner .word")).to_have_text("CAUTION")
+        expect(page.locator(".foot .problems")).to_contain_text("monitoring.health does not report", timeout=6000)
+        expect(page.locator(".banner .word")).to_have_text("SAFE")
         expect(page.locator(".foot .problems")).to_contain_text("1 problem: monitoring.health does not report")
         expect(page.locator(".chain li", has_text="Services")).to_have_class("unknown")
         server.unit.revive("monitoring.health")
@@ -284,7 +290,8 @@ def test_a_process_that_was_killed_is_the_cause_until_its_topics_are_back(
         expect(page.locator("svg.closeup .vehicle:not(.old)")).to_be_attached()
         server.unit.kill("core.fusion")
         banner = page.locator(".banner .sentence")
-        expect(banner).to_contain_text("The position is stale: core.fusion was lost", timeout=6000)
+        expect(banner).to_contain_text("No position: ", timeout=6000)
+        expect(banner).to_contain_text("core.fusion was lost", timeout=6000)
         server.unit.aligning = True
         server.unit.revive("core.fusion")
         expect(banner).to_contain_text("core.fusion was restarted and is starting again", timeout=6000)
@@ -379,3 +386,67 @@ def test_a_unit_that_has_just_started_is_not_called_well(
     expect(services).to_have_class("unknown")
     expect(page.locator(".foot")).to_contain_text(f"{len(SIMULATED)} processes have not started yet")
     expect(page.locator(".foot")).not_to_contain_text("CPU")
+
+
+def test_the_page_trust_shows_statistics_against_thresholds_and_unfolds_the_tests(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["alarm"].address, path="trust")
+    verdict = page.get_by_role("region", name="Verdict", exact=True)
+    expect(verdict.locator(".chip")).to_contain_text("UNSAFE")
+    expect(verdict.locator(".reasons li").first).to_contain_text("Short inertial window accuses GNSS")
+    monitors = page.get_by_role("region", name="Monitors", exact=True)
+    accusing = monitors.get_by_role("row").filter(has_text="GNSS motion against inertial")
+    expect(accusing).to_contain_text(re.compile(r"accuses GNSS.*2[34](\.\d)? of 11.3", re.DOTALL))
+    expect(accusing).to_contain_text("1 × 10⁻⁵")
+    expect(accusing.locator(".meter.over")).to_have_count(1)
+    warming = monitors.get_by_role("row").filter(has_text="by the rules of the smart tachograph")
+    expect(warming).to_contain_text("not evaluated")
+    expect(warming.locator(".state.off")).to_have_count(1)
+    expect(warming.locator(".meter, .state.safe, .state.unsafe")).to_have_count(0)
+    fold = monitors.get_by_role("button", name="Motion conflict")
+    expect(fold).to_have_attribute("aria-expanded", "false")
+    fold.focus()
+    page.keyboard.press("Enter")
+    tests = monitors.get_by_role("region", name="Tests of Motion conflict")
+    expect(tests.get_by_role("row", name="held speed")).to_contain_text("0 of 4 s")
+    expect(tests.get_by_role("row", name="trimmed mean")).to_contain_text("threshold 10 km/h")
+    events = page.get_by_role("region", name="Changes of the verdict")
+    expect(events.locator("li").first).to_contain_text("UNSAFE")
+    expect(events.locator("li").first).to_contain_text("Short inertial window accused GNSS: statistic 2")
+    history = page.get_by_role("region", name="History")
+    expect(history.get_by_role("img", name=re.compile("Short inertial window: .*above 1 for"))).to_be_visible()
+    expect(history.get_by_role("img", name="Motion conflict: not evaluated in the last 15 minutes")).to_be_visible()
+    history.get_by_role("button", name="Table").click()
+    expect(history.get_by_role("row", name=re.compile("^UNSAFE"))).to_be_visible()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark", "phone"])
+def test_without_core_trust_the_page_says_that_trust_is_not_evaluated(
+    tmp_path: Path, open_page: Callable[..., Page], theme: str
+) -> None:
+    with status_server(tmp_path) as server:
+        assert server.unit is not None
+        page = open_page(server.address, path="trust", theme=theme)
+        monitors = page.get_by_role("region", name="Monitors", exact=True)
+        expect(page.locator(".banner .word")).to_have_text("SAFE")
+        expect(monitors.locator(".state.safe").first).to_be_visible()
+        server.unit.kill("core.trust")
+        expect(page.locator(".banner .sentence")).to_contain_text(
+            re.compile(r"Trust is not evaluated: no verdict for \d+ s \(core.trust was lost"), timeout=9000
+        )
+        expect(page.locator(".banner .word")).to_have_text("NO DATA")
+        expect(page.get_by_role("region", name="Verdict", exact=True)).to_contain_text("Trust is not evaluated")
+        expect(monitors.locator("tr.old")).to_have_count(6)
+        expect(monitors.locator(".state.safe, .state.unsafe, .state.off")).to_have_count(0)
+        keep_picture(page, f"without-trust-{theme}")
+        assert faults(page) == []
+
+
+def test_the_page_trust_without_any_verdict_is_empty_and_says_why(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["empty"].address, path="trust")
+    expect(page.get_by_text("No statement of any monitor yet")).to_be_visible()
+    expect(page.get_by_text("No change of the verdict since the status process started.")).to_be_visible()
+    expect(page.locator(".chip")).to_have_text("NO DATA")

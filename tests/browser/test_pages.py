@@ -1,4 +1,4 @@
-"""Both pages, in light, dark and on a phone, while the unit works, is silent, alarms, or has said nothing yet."""
+"""Each page, in light, dark and on a phone, while the unit works, is silent, alarms, or has said nothing yet."""
 
 import json
 import os
@@ -15,12 +15,12 @@ from shared.messages.operation import Mode, ModeState
 from tests.browser.conftest import AXE, THEMES
 from tests.support.status_server import Running
 
-WORDS = {"normal": "CAUTION", "stale": "NO DATA", "alarm": "CAUTION", "empty": "NO DATA"}
+WORDS = {"normal": "SAFE", "stale": "NO FIX", "alarm": "UNSAFE", "empty": "NO DATA"}
 SENTENCES = {
-    "normal": "Position not monitored: this version has no integrity monitor that could vouch for it.",
-    "stale": "The position is stale: core.fusion is stale: connected, but without heartbeat",
-    "alarm": "the filter rejects its GNSS velocity measurements",
-    "empty": "No position yet: monitoring.health has not reported yet.",
+    "normal": "The position can be used: protection levels 3.1 m horizontal and 4.3 m vertical",
+    "stale": "(core.fusion is stale: connected, but without heartbeat",
+    "alarm": "The position must not be used: Short inertial window accuses GNSS",
+    "empty": "Trust is not evaluated: core.trust has not published a verdict yet",
 }
 FIRST_PAINT_BYTES, FIRST_PAINT_REQUESTS = 80_000, 15
 
@@ -43,7 +43,7 @@ def keep_picture(page: Page, name: str) -> None:
         page.screenshot(path=Path(folder) / f"{name}.png")
 
 
-@pytest.mark.parametrize("path", ["now", "system"])
+@pytest.mark.parametrize("path", ["now", "trust", "system"])
 @pytest.mark.parametrize("state", ["normal", "stale", "alarm", "empty"])
 def test_a_page_is_right_accessible_and_asks_nobody_else(
     units: dict[str, Running], open_page: Callable[..., Page], state: str, path: str
@@ -94,7 +94,6 @@ def test_numbers_on_the_page_are_those_of_the_unit(units: dict[str, Running], op
 
 
 def test_the_unsafe_state_is_shouted_once(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
-    """No monitor can say UNSAFE yet; the page must be ready for the first that does."""
     page = open_page("about:blank")
 
     def alarm(route: Any) -> None:
@@ -104,7 +103,10 @@ def test_the_unsafe_state_is_shouted_once(units: dict[str, Running], open_page: 
             frame = json.loads(text)
             if "banner" in frame["state"] or frame["kind"] == "snapshot":
                 frame["state"].setdefault("banner", {}).update(
-                    state="unsafe", word="UNSAFE", sentence="Position must not be used: GNSS and odometer disagree."
+                    state="unsafe",
+                    row=4,
+                    word="UNSAFE",
+                    sentence="Position must not be used: GNSS and odometer disagree.",
                 )
             route.send(json.dumps(frame))
 
@@ -150,7 +152,7 @@ def test_a_topic_between_neighbours_of_a_layer_is_a_line_below_them(
 def test_a_narrow_window_and_large_text_do_not_scroll_sideways(
     units: dict[str, Running], open_page: Callable[..., Page]
 ) -> None:
-    for path in ("now", "system"):
+    for path in ("now", "trust", "system"):
         page = open_page(units["alarm"].address, path=path, viewport={"width": 320, "height": 640})
         expect(page.get_by_role("heading", level=2).first).to_be_visible()
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), path

@@ -61,7 +61,7 @@ def test_the_state_holds_the_newest_of_everything(server: Running) -> None:
     state = get(server, "/api/state")
     assert state["vehicle"] == "truck-07"
     assert state["origin"]["kind"] == "simulated"
-    assert state["banner"]["word"] == "CAUTION"
+    assert state["banner"]["word"] == "SAFE"
     assert state["solution"]["latitude_deg"] == pytest.approx(48.135, abs=0.01)
     assert state["fix"]["satellites_used"] == 17
     assert state["mode"]["mode"] == "measuring"
@@ -70,7 +70,15 @@ def test_the_state_holds_the_newest_of_everything(server: Running) -> None:
 
 
 def test_answers_are_json_that_is_not_kept(server: Running) -> None:
-    for path in ("/api/state", "/api/health", "/api/outages", "/api/history", "/api/topics/gnss/fix", "/asyncapi.json"):
+    for path in (
+        "/api/state",
+        "/api/health",
+        "/api/outages",
+        "/api/history",
+        "/api/trust",
+        "/api/topics/gnss/fix",
+        "/asyncapi.json",
+    ):
         answer = ask(server, path)
         assert answer.status_code == 200, path
         assert answer.headers["content-type"] == "application/json"
@@ -126,7 +134,7 @@ def test_nothing_can_be_changed_over_the_web(server: Running) -> None:
 def test_metrics_are_in_the_format_of_prometheus(server: Running) -> None:
     answer = ask(server, "/metrics")
     assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
-    assert 'obu_integrity_state{state="caution"} 1.0' in answer.text
+    assert 'obu_integrity_state{state="safe"} 1.0' in answer.text
 
 
 def test_every_answer_carries_the_security_headers(server: Running) -> None:
@@ -198,6 +206,15 @@ def test_a_stopped_process_is_shown_stale_within_its_deadline(server: Running) -
     assert [outage["what"] for outage in get(server, "/api/outages")["closed"]] == ["parsers.can"]
 
 
+def test_the_verdict_its_monitors_and_their_history_are_one_answer(server: Running) -> None:
+    eventually(lambda: get(server, "/api/trust")["history"]["ratios"].get("satellites"))
+    trust = get(server, "/api/trust")
+    assert trust["state"] == get(server, "/api/health")["position"]["state"] == "safe"
+    assert trust["monitors"]["motion"]["outcome"] == "not_evaluated"
+    assert trust["history"]["changes"][-1]["state"] == "safe"
+    assert ask(server, "/api/trust?seconds=-1").status_code == 422
+
+
 def test_a_bad_message_is_counted_and_the_server_goes_on(server: Running) -> None:
     before = server.bus.rejects["payload"]
     server.bus.feed_bytes("mode/state", b'{"mode": "flying"}', "controller.mode")
@@ -243,7 +260,7 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
         assert asset.startswith("/") and ask(server, asset).status_code == 200
     paths = get(server, "/openapi.json")["paths"]
     assert set(paths) == {
-        "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/outages", "/metrics",
+        "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
     }  # fmt: skip
 
 

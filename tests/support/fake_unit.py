@@ -11,9 +11,11 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from services.core.trust.process import Config as TrustConfig
+from services.core.trust.process import Process as TrustProcess
 from shared.bus import codec
 from shared.bus.bus import Envelope
-from shared.messages.base import Message, Vector3
+from shared.messages.base import Message, Tick, Vector3
 from shared.messages.gnss import CarrierSolution, Constellation, FixType, GnssFix, GnssRaw, GnssSatellites, Satellite
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import (
@@ -25,6 +27,7 @@ from shared.messages.navigation import (
     TruthState,
 )
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
+from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
 from tests.support.envelopes import sent_bytes
@@ -103,6 +106,7 @@ class FakeUnit:
         self.aligning = False  # core.fusion runs, but has no solution yet
         self.lives: Counter[str] = Counter()
         self.watchdog = Watchdog(SIMULATED, self.started_ns)
+        self.trust = TrustProcess(TrustConfig())  # the verdict is that of the real process
         self._due: dict[str, int] = {}
         self._plans: list[tuple[int, Callable[[], object]]] = []
         bus.unit = self
@@ -119,6 +123,7 @@ class FakeUnit:
             ("slow", 1.0, self._slow),
             ("beat", 2.0, self._heartbeats),
             ("origin", 0.5, self._origin),
+            ("trust", 1.0, self._trust),
         ):
             due_ns = self._due.setdefault(name, now_ns)
             if now_ns < due_ns:
@@ -127,9 +132,18 @@ class FakeUnit:
             for producer, message in make(now_ns):
                 if producer not in self.silent | self.lost:
                     self.bus.feed(message, producer)
+                    self._judge(message)
         if "monitoring.health" not in self.silent | self.lost:
             for message in self.watchdog.step(now_ns, connected=self.bus.connected):
                 self.bus.feed(message, "monitoring.health")
+
+    def _judge(self, message: Message) -> None:
+        """Let core.trust use a message, and publish what follows from it."""
+        if "core.trust" in self.silent | self.lost:
+            return
+        if isinstance(message, TrustMonitor | NavigationSolution | NavigationState | Tick):
+            for found in self.trust.handle(message):
+                self.bus.feed(found, "core.trust")
 
     def fall_silent_after(self, seconds: float, name: str) -> None:
         """Stop a process, or the IMU alone, after a while."""
@@ -358,6 +372,42 @@ class FakeUnit:
                     rejects={"checksum": 3} if name == "parsers.gnss" else {},
                 ),
             )
+
+    def _trust(self, now_ns: int) -> Iterator[tuple[str, Message]]:
+        """Publish statements of every monitor; while the filter rejects GNSS velocity, the inertial monitor accuses."""
+        if not self.silent & {"core.motion_conflict", "core.trust"}:
+            for statement in self._statements(now_ns):
+                yield "core.motion_conflict", statement
+        self._judge(Tick(now_ns=now_ns))
+
+    def _statements(self, now_ns: int) -> Iterator[TrustMonitor]:
+        passes, unknown = MonitorOutcome.PASS, MonitorOutcome.NOT_EVALUATED
+        warming = "warming up: 12 of 30 samples with both speeds"
+        tests = (
+            MonitorTest(name="trimmed_mean", outcome=unknown, reason=warming, threshold=10.0, unit="km/h",
+                        window_s=300.0),
+            MonitorTest(name="held_speed", outcome=passes, reason="the speed varies", statistic=0.0, threshold=4.0,
+                        unit="s", since_ns=self.started_ns),
+        )  # fmt: skip
+        yield TrustMonitor(
+            sampled_ns=now_ns, monitor="motion", outcome=unknown, reason=warming, since_ns=self.started_ns, tests=tests
+        )
+        spoofed = self.rejecting
+        for name, statistic, threshold, window_s in (
+            ("motion_fast", 3.1, 16.3, 5.0), ("inertial_short", 4.4 if not spoofed else 23.9, 11.3, 5.0),
+            ("inertial_long", 5.2, 16.3, 30.0), ("satellites", 7.9, 24.3, 1.0), ("evidence", 0.0, 1.0, 1.0),
+        ):  # fmt: skip
+            accuses = statistic > threshold
+            reason = (
+                "GNSS acceleration differs from the inertial unit's" if accuses else "statistic below the threshold"
+            )
+            yield TrustMonitor(
+                sampled_ns=now_ns, monitor=name, outcome=MonitorOutcome.ACCUSES if accuses else passes,
+                reason=reason, accused=("gnss",) if accuses else (),
+                suspect_since_ns=self.started_ns - 6 * 10**9 if accuses else None,
+                since_ns=self.started_ns, statistic=statistic + 0.3 * math.sin(now_ns * 1e-9), threshold=threshold,
+                false_alarm_rate=1e-5, window_s=window_s,
+            )  # fmt: skip
 
     def _origin(self, now_ns: int) -> Iterator[tuple[str, Message]]:
         yield "sensors.simulator", Origin(now_ns=now_ns, kind=OriginKind.SIMULATED, name="city-loop", seed=7)

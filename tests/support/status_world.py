@@ -8,6 +8,7 @@ from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution, NavigationState
 from shared.messages.operation import ProcessHealth, ProcessState
+from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import parse_vehicle
 from tests.support.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
@@ -137,3 +138,19 @@ def aiding(kind: AidingKind, test_ratio: float, *, used: bool = True) -> AidingU
         test_ratio=test_ratio,
         used=used,
     )
+
+
+def monitor(now_ns: int, name: str = "inertial_short", **changes: object) -> TrustMonitor:
+    base = TrustMonitor(
+        sampled_ns=now_ns, monitor=name, outcome=MonitorOutcome.PASS, reason="statistic below the threshold",
+        since_ns=now_ns, statistic=4.0, threshold=8.0, false_alarm_rate=1e-5, window_s=5.0,
+    )  # fmt: skip
+    return base.model_copy(update=changes)
+
+
+def trust(now_ns: int, level: TrustLevel = TrustLevel.SAFE, **changes: object) -> TrustState:
+    base = TrustState(
+        sampled_ns=now_ns, state=level, since_ns=START_NS, row=14, reasons=("no monitor accuses GNSS",),
+        alert_limit_horizontal_m=10.0, alert_limit_vertical_m=20.0, monitors=(monitor(now_ns),),
+    )  # fmt: skip
+    return base.model_copy(update=changes)

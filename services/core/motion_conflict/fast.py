@@ -7,6 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri, ndtr
 
+from shared.maths.correlated_noise import mean_variance
+
 from .aligned import SECOND_NS, AlignedPair
 
 FloatArray = npt.NDArray[np.float64]
@@ -45,24 +47,6 @@ def tail_probability(difference: float, *, sd: float, half_width: float) -> floa
     z = np.array([(x - half_width) / sd, (x + half_width) / sd])
     near, far = np.exp(-0.5 * z**2) / sqrt(2.0 * np.pi) - z * ndtr(-z)
     return float(np.clip(sd / half_width * (near - far), 0.0, 1.0))
-
-
-def mean_variance(time_s: FloatArray, sd: FloatArray, correlation_s: float) -> float:
-    """Variance of the mean of samples whose errors are correlated as exp(-|Δt|/τ).
-
-    Parameters
-    ----------
-    time_s, sd : ndarray, shape (n,)
-        [s], [any unit] Times and standard deviations of the samples.
-    correlation_s : float
-        [s] Correlation time τ; positive.
-
-    Notes
-    -----
-    1/n² · Σᵢⱼ σᵢ σⱼ exp(-|tᵢ - tⱼ|/τ)
-    """
-    correlation = np.exp(-np.abs(time_s[:, None] - time_s[None, :]) / correlation_s)
-    return float(sd @ correlation @ sd) / len(sd) ** 2
 
 
 def fast_statistic(

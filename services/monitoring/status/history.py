@@ -1,10 +1,11 @@
-"""The recent past as columns: a fine ring for the plots and a coarse one for the last quarter of an hour."""
+"""The recent past: columns for the plots, and changes of the verdict with every monitor's statistic over threshold."""
 
 from collections import deque
 from collections.abc import Mapping, Sequence
 
 FINE_S, FINE_HZ = 60.0, 5.0
 COARSE_HZ = 1.0
+CHANGES_MAXIMUM = 500  # of the verdict
 FIELDS = (
     "latitude_deg",
     "longitude_deg",
@@ -44,3 +45,29 @@ class History:
         rows = [row for row in ring if row[0] >= now_ns - int(seconds * 1e9)]
         values = {name: [row[1][i] for row in rows] for name, i in indices.items() if i is not None}
         return {"time_ns": [row[0] for row in rows], "fields": values}
+
+
+class TrustHistory:
+    """Changes of the shown verdict, and each monitor's statistic over threshold once a second; both bounded."""
+
+    def __init__(self, history_s: float) -> None:
+        self.changes: deque[tuple[int, str]] = deque(maxlen=CHANGES_MAXIMUM)  # stamp and state, oldest first
+        self._ratios: deque[tuple[int, Mapping[str, float]]] = deque(maxlen=max(int(history_s * COARSE_HZ), 1))
+
+    def add(self, now_ns: int, state: str, ratios: Mapping[str, float | None]) -> None:
+        """Note the state, and at most once a second the ratios; one that is None was not evaluated."""
+        if not self.changes or self.changes[-1][1] != state:
+            self.changes.append((now_ns, state))
+        if not self._ratios or now_ns - self._ratios[-1][0] >= 0.95e9 / COARSE_HZ:
+            self._ratios.append((now_ns, {name: ratio for name, ratio in ratios.items() if ratio is not None}))
+
+    def columns(self, now_ns: int, seconds: float) -> dict[str, object]:
+        """Give the last seconds: changes, stamps, and a list of ratios for each monitor, None where not evaluated."""
+        from_ns = now_ns - int(seconds * 1e9)
+        rows = [row for row in self._ratios if row[0] >= from_ns]
+        names = list(dict.fromkeys(name for _, ratios in rows for name in ratios))
+        return {
+            "changes": [{"since_ns": ns, "state": state} for ns, state in self.changes],
+            "time_ns": [ns for ns, _ in rows],
+            "ratios": {name: [ratios.get(name) for _, ratios in rows] for name in names},
+        }

@@ -12,13 +12,14 @@ from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState, TruthState
 from shared.messages.operation import DeadlineReport, Origin, Outage, ProcessHealth
+from shared.messages.trust import TrustEvent, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
-from .history import History
+from .history import History, TrustHistory
 from .judgement import (
     BROKER_SILENT_NS,
     REPORT_DEADLINE_NS,
@@ -29,12 +30,13 @@ from .judgement import (
     unavailable,
     watchdog_problem,
 )
-from .views.banner import Evidence, Trust, Verdict, judge
+from .views.banner import Evidence, Trust, Verdict, ratio_of, show
 from .views.geometry import ellipse_95, offset_m
 
 M = TypeVar("M", bound=Message)
 SAMPLE_NS = 200_000_000
 SECOND_NS = STALL_NS = 1_000_000_000
+TRUST_EVENTS = 50  # newest, kept
 WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
 
 
@@ -53,9 +55,9 @@ class State:
         self.broker = False  # whether it is connected and delivers
         self._ticked_ns = self._received_ns = started_ns  # newest message
         self._broker_back_ns = started_ns  # first message after the last outage of the broker
-        self.verdict: Verdict = judge(Evidence(broker=True))
-        self.verdict_since_ns = started_ns
-        self.timeline: deque[tuple[int, Trust]] = deque([(started_ns, Trust.STALE)], maxlen=200)
+        self.verdict: Verdict = show(Evidence(broker=True))
+        self.trust_history = TrustHistory(history_s)
+        self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
         self._next_sample_ns = self._next_second_ns = started_ns
@@ -84,6 +86,8 @@ class State:
                 self.origins[envelope.producer] = (message, flow.updated_ns or 0)
             case Outage():
                 self.outages.note(message)
+            case TrustEvent():
+                self.trust_events.append(message)
 
     def tick(self, now_ns: int, *, broker: bool) -> None:
         """Let time pass: renew rates once a second, verdict and history five times."""
@@ -135,12 +139,10 @@ class State:
 
     def _judge(self, now_ns: int, *, connected: bool) -> None:
         self.judgement = self._find_judgement(now_ns, connected=connected)
-        verdict = judge(self.evidence(now_ns))
-        if verdict.code != self.verdict.code:
-            self.verdict_since_ns = now_ns
-        if verdict.state is not self.timeline[-1][1]:
-            self.timeline.append((now_ns, verdict.state))
-        self.verdict = verdict
+        self.verdict = show(self.evidence(now_ns))
+        trust = None if self.verdict.state is Trust.STALE else self.newest(TrustState, "trust/state", now_ns)
+        ratios = {m.monitor: ratio_of(m.outcome, m.statistic, m.threshold) for m in trust.monitors} if trust else {}
+        self.trust_history.add(now_ns, self.verdict.state, ratios)
 
     def _find_judgement(self, now_ns: int, *, connected: bool) -> Judgement:
         """Take the judgement of `monitoring.health`, unless the broker is lost or the report is overdue.
@@ -161,12 +163,14 @@ class State:
         return unavailable(self.expected, watchdog_problem(max(reported_ns, self.started_ns)))
 
     def evidence(self, now_ns: int) -> Evidence:
-        """Collect what the verdict rests on."""
+        """Collect what the banner shows."""
         solution = self.newest(NavigationSolution, "navigation/solution", now_ns)
         navigation = self.newest(NavigationState, "navigation/state", now_ns, live=True)
         return Evidence(
             broker=not self._broker_lost(now_ns),
-            monitored=self.judgement.complete or not self.judgement.problems,
+            trust=self.newest(TrustState, "trust/state", now_ns),
+            trust_age_s=self.age_s("trust/state", now_ns),
+            trust_cause=self.judgement.cause("trust/state"),
             solution=solution,
             solution_age_s=self.age_s("navigation/solution", now_ns),
             filter_says=navigation.reason if navigation else None,
@@ -178,7 +182,6 @@ class State:
             aiding={kind: (u, (now_ns - ns) * 1e-9) for kind, (u, ns) in self.aiding.items()},
             alert_limit_horizontal_m=navigation.alert_limit_horizontal_m if navigation else None,
             alert_limit_vertical_m=navigation.alert_limit_vertical_m if navigation else None,
-            down=self.judgement.down,
             cause=self.judgement.cause("navigation/solution"),
         )
 

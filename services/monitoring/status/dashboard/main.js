@@ -2,13 +2,15 @@
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, contract, freshness, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
-import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay } from "./parts.js";
+import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, verdict } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
-let systemPage = null; // loaded when it is first opened
+const PAGES = ["now", "trust", "system"];
+const LATER = { trust: () => import("./trust.js").then((m) => m.TrustPage), system: () => import("./system.js").then((m) => m.SystemPage) };
+const loaded = { now: NowPage }; // the others when they are first opened
 
 function useRoute() {
   const [hash, setHash] = useState(location.hash);
@@ -18,7 +20,7 @@ function useRoute() {
     return () => removeEventListener("hashchange", changed);
   }, []);
   const [path, query] = hash.replace(/^#\/?/, "").split("?");
-  return { page: path === "system" ? "system" : "now", query: new URLSearchParams(query) };
+  return { page: PAGES.includes(path) ? path : "now", query: new URLSearchParams(query) };
 }
 
 const go = (hash) => {
@@ -90,22 +92,17 @@ function Header({ onHelp }) {
   </header>`;
 }
 
-// Without a connection nothing is vouched for, whatever the last frame said.
-function verdict() {
-  const banner = state.value?.banner;
-  if (!banner) return { state: "stale", word: words.trust.stale, sentence: words.connecting, since_ns: null };
-  const lostS = link.value.lostAt === null ? 0 : (performance.now() - link.value.lostAt) / 1000;
-  if (!isLive() && (lostS > 1 || link.value.open)) return { ...banner, state: "stale", word: words.trust.stale, sentence: words.banner.disconnected, since_ns: state.value.now_ns };
-  return banner;
-}
-
 function Banner({ onWhy }) {
   clock.value;
   const v = verdict();
   const since = v.since_ns && nowMs() ? duration(Math.max(0, (nowMs() - v.since_ns / 1e6) / 1000)) : null;
-  const spoken = useRef({ text: "", alarm: "" });
-  const text = `${v.word}. ${v.sentence}`;
-  if (spoken.current.text !== text) spoken.current = { text, alarm: v.state === "unsafe" ? text : "" };
+  const spoken = useRef({ key: "", text: "", alarm: "" });
+  // Read aloud when the state or the row that decided changes, not with every number in the sentence.
+  const key = `${v.state} ${v.row}`;
+  if (spoken.current.key !== key) {
+    const text = `${v.word}. ${v.sentence}`;
+    spoken.current = { key, text, alarm: v.state === "unsafe" ? text : "" };
+  }
   useEffect(() => {
     document.title = `${v.word} - ${state.value?.vehicle ?? ""} - OBU`;
   }, [v.word, state.value?.vehicle]);
@@ -128,11 +125,12 @@ function WhyDrawer({ onClose }) {
     <p class="lead-text">${v.sentence}</p>
     <h3>${words.banner.action}</h3><p>${banner.action}</p>
     <h3>${words.banner.checks}</h3>
+    <p class="note block"><a href="#/trust" onClick=${onClose}>${words.banner.page}</a></p>
     ${checksNow(banner).some((c) => c.ratio !== null) && html`<p class="note block">${words.banner.meter}</p>`}
     <ul class="checks long">${checksNow(banner).map((c) => html`<li>
       <${StateIcon} state=${c.state} word=${words.check[c.state]} />
-      <span>${c.link ? html`<a href=${`#/system?${c.link}`} onClick=${onClose} title=${words.banner.look(c.label)}>${c.label}</a>` : c.label}</span>
-      <span class="dim">${c.state === "off" ? `${words.trust.off}: ${c.text}` : c.text}</span>
+      <span>${c.link ? html`<a href=${`#/${c.link}`} onClick=${onClose} title=${words.banner.look(c.label)}>${c.label}</a>` : c.label}</span>
+      <span class="dim">${c.state === "off" ? `${words.check.off}: ${c.text}` : c.text}</span>
       ${c.ratio !== null && html`<span class="meter" aria-hidden="true"><span class=${c.state} style=${{ width: `${Math.min(c.ratio / 2, 1) * 100}%` }}></span></span>`}
     </li>`)}</ul>
   </${Drawer}>`;
@@ -159,7 +157,7 @@ function LostBar() {
 function Navigation({ page }) {
   const problems = state.value?.problems.length ?? 0;
   return html`<nav class="pages" aria-label=${words.navigation}><ul>
-    ${["now", "system"].map((name) => html`<li><a href=${`#/${name}`} aria-current=${page === name ? "page" : null}>
+    ${PAGES.map((name) => html`<li><a href=${`#/${name}`} aria-current=${page === name ? "page" : null}>
       <${Icon} name=${name} />${words.pages[name]}${name === "system" && problems > 0 && html`<span class="badge">${problems}</span>`}</a></li>`)}
   </ul></nav>`;
 }
@@ -204,6 +202,7 @@ function useKeys(open) {
       if (!settings.value.shortcuts || typing || event.ctrlKey || event.altKey || event.metaKey) return;
       const key = event.key;
       if (before === "g" && key === "n") go("#/now");
+      else if (before === "g" && key === "t") go("#/trust");
       else if (before === "g" && key === "s") go("#/system");
       else if (key === "?") open("help");
       else if (key === "w" && state.value) open("why");
@@ -223,26 +222,25 @@ function useKeys(open) {
 function App() {
   const { page, query } = useRoute();
   const [drawer, setDrawer] = useState(null);
-  const [, loaded] = useState(0);
+  const [, redraw] = useState(0);
   const heading = useRef(null);
   useKeys(setDrawer);
   useEffect(() => {
     document.documentElement.dataset.theme = settings.value.theme;
   }, [settings.value.theme]);
   useEffect(() => {
-    if (page !== "system" || systemPage) return;
-    import("./system.js").then(
-      (module) => {
-        systemPage = module.SystemPage;
-        loaded((n) => n + 1);
+    if (loaded[page]) return;
+    LATER[page]().then(
+      (component) => {
+        loaded[page] = component;
+        redraw((n) => n + 1);
       },
       () => {}, // tried again when the connection is back
     );
   }, [page, link.value.open]);
   const ready = state.value && contract.value;
   const shown = !ready ? html`<p class="boot">${words.connecting}</p>`
-    : page === "now" ? html`<${NowPage} onWhy=${() => setDrawer("why")} />`
-    : systemPage ? html`<${systemPage} query=${query} go=${go} />`
+    : loaded[page] ? html`<${loaded[page]} query=${query} go=${go} onWhy=${() => setDrawer("why")} />`
     : link.value.open ? null : html`<${Empty} title=${words.lost.page} why=${words.lost.pageWhy} />`;
   return html`<a class="skip" href="#content" onClick=${(e) => { e.preventDefault(); heading.current.focus(); }}>${words.skip}</a>
     <${Header} onHelp=${() => setDrawer("help")} />

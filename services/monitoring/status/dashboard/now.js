@@ -2,13 +2,12 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, freshness, history, isLive, link, nowMs, settings, state } from "./store.js";
 import {
-  Age, Card, Empty, Row, STATUS_STATE, StateIcon, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, timeOfDay,
+  Age, Band, Card, Empty, Row, STATUS_STATE, StateIcon, bandsOf, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, timeOfDay,
 } from "./parts.js";
 import { CloseUp, scene } from "./closeup.js";
 import { words } from "./words.js";
 
 const KMH = 3.6;
-const TRUST_SPAN_S = 900;
 
 function PositionCard() {
   const p = words.position;
@@ -74,31 +73,24 @@ function Glance() {
   return html`<dl class="card glance ${sc.stale ? "old" : ""}">${cells.map(([label, value]) => html`<div><dt>${label}</dt><dd>${value}</dd></div>`)}</dl>`;
 }
 
-function spans(nowNs) {
-  const timeline = state.value.timeline;
-  const from = nowNs - TRUST_SPAN_S * 1e9;
-  return timeline
-    .map((entry, i) => ({ state: entry.state, from: Math.max(entry.since_ns, from), to: timeline[i + 1]?.since_ns ?? nowNs }))
-    .filter((span) => span.to > from);
-}
-
 function TrustCard({ onWhy }) {
   const t = words.trustCard;
   clock.value;
-  const { now_ns: nowNs, banner } = state.value;
-  const bands = spans(nowNs);
-  const told = bands.slice(-6).map((b) => `${words.trust[b.state]} ${duration((b.to - b.from) / 1e9)}`).join(", ");
-  const share = (ns) => `${(100 * ns) / (TRUST_SPAN_S * 1e9)}%`;
-  return html`<${Card} title=${t.title} note=${t.span} id="trust" aside=${html`<button class="link" onClick=${onWhy}>${t.all}</button>`}>
-    <div class="band" role="img" aria-label=${t.label(told)}>
-      ${bands.map((b) => html`<span class="segment ${b.state}" style=${{ left: share(b.from - nowNs + TRUST_SPAN_S * 1e9), width: share(b.to - b.from) }}></span>`)}
-    </div>
+  const { now_ns: nowNs, banner, timeline } = state.value;
+  const checks = checksNow(banner);
+  const monitors = checks.filter((c) => c.kind === "monitor");
+  const idle = monitors.filter((c) => c.state === "off"); // in one line: the page Trust says why
+  const shown = [...monitors.filter((c) => c.state !== "off"), ...checks.filter((c) => c.kind === "input")];
+  return html`<${Card} title=${t.title} note=${t.span} id="trust" aside=${html`<span><button class="link" onClick=${onWhy}>${t.all}</button> <a href="#/trust">${t.page}</a></span>`}>
+    <${Band} bands=${bandsOf(timeline, nowNs)} nowNs=${nowNs} />
     <p class="axis" aria-hidden="true"><span>${t.ago}</span><span>${t.now}</span></p>
-    <ul class="checks">${checksNow(banner).filter((c) => c.fitted).map((c) => html`<li>
+    <ul class="checks">
+    ${monitors.length === 0 && html`<li class="unmonitored"><${StateIcon} state="stale" word="" /><span>${t.noMonitors}</span></li>`}
+    ${idle.length > 0 && html`<li class="unmonitored"><${StateIcon} state="off" word="" /><span><strong>${words.trust.off}</strong>
+      <span class="dim">${" "}${idle.map((c) => c.label).join(", ")}</span></span></li>`}
+    ${shown.map((c) => html`<li>
       <${StateIcon} state=${c.state} word=${words.check[c.state]} /><span>${c.label}</span><span class="dim">${c.text}</span>
-    </li>`)}
-    <li class="unmonitored"><${StateIcon} state="off" word="" /><span><strong>${words.trust.off}</strong>
-      <span class="dim">${" "}${banner.checks.filter((c) => !c.fitted).map((c) => c.label).join(", ")}</span></span></li></ul>
+    </li>`)}</ul>
   </${Card}>`;
 }
 

@@ -2,7 +2,7 @@
 import { h } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import htm from "htm";
-import { ageS, clock, freshness, isLive } from "./store.js";
+import { ageS, clock, freshness, isLive, link, state } from "./store.js";
 import { words } from "./words.js";
 
 export const html = htm.bind(h);
@@ -13,6 +13,10 @@ const SHAPES = {
     <path d="M12 9v5.5m0 3v.2" class="cut" />`,
   unsafe: html`<path d="M8 2h8l6 6v8l-6 6H8l-6-6V8z" fill="currentColor" /><path d="m8.5 8.5 7 7m0-7-7 7" class="cut" />`,
   stale: html`<circle cx="12" cy="12" r="9" class="line" stroke-dasharray="4 3.1" />`,
+  dead_reckoning: html`<path d="M12 2 22 12 12 22 2 12z" fill="currentColor" /><path d="M8 12h8m-3-3.5 3 3.5-3 3.5" class="cut" />`,
+  no_fix: html`<rect x="2.5" y="2.5" width="19" height="19" rx="3" fill="currentColor" /><path d="M7 12h10" class="cut" />`,
+  initialising: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M12 6.5V12l3.5 2.5" class="line" />`,
+  trust: html`<path d="M12 3 4.5 6v5.5c0 4.5 3 7.6 7.5 9.5 4.5-1.9 7.5-5 7.5-9.5V6z" class="line" /><path d="m8.7 12 2.4 2.4 4.4-4.8" class="line" />`,
   off: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M6 18 18 6" class="line" />`,
   info: html`<rect x="3" y="3" width="18" height="18" rx="3" fill="currentColor" /><path d="M12 11v6m0-10v.2" class="cut" />`,
   now: html`<path d="m12 3 7 17-7-4-7 4z" class="line" />`,
@@ -145,4 +149,33 @@ export async function copyText(text) {
 
 // The checks behind the banner; without a connection none of them is known to hold any more.
 export const checksNow = (banner) => (isLive() ? banner.checks
-  : banner.checks.map((c) => (c.fitted ? { ...c, state: "stale", text: words.status.unknown, ratio: null } : c)));
+  : banner.checks.map((c) => ({ ...c, state: "stale", text: words.status.unknown, ratio: null })));
+
+// What the banner says: the server's words, or that the connection is lost and so no verdict is known.
+export function verdict() {
+  const banner = state.value?.banner;
+  if (!banner) return { state: "stale", word: words.trust.stale, sentence: words.connecting, since_ns: null };
+  const lostS = link.value.lostAt === null ? 0 : (performance.now() - link.value.lostAt) / 1000;
+  if (!isLive() && (lostS > 1 || link.value.open)) return { ...banner, state: "stale", word: words.trust.stale, sentence: words.banner.disconnected, since_ns: state.value.now_ns };
+  return banner;
+}
+
+export const verdictStands = () => isLive() && verdict().state !== "stale";
+
+export const SPAN_S = 900; // of the bands
+
+// Spans of the last quarter of an hour, of a list of changes.
+export function bandsOf(changes, nowNs) {
+  const from = nowNs - SPAN_S * 1e9;
+  return changes
+    .map((entry, i) => ({ state: entry.state, from: Math.max(entry.since_ns, from), to: changes[i + 1]?.since_ns ?? nowNs }))
+    .filter((span) => span.to > from);
+}
+
+export function Band({ bands, nowNs }) {
+  const share = (ns) => `${(100 * ns) / (SPAN_S * 1e9)}%`;
+  const told = bands.slice(-6).map((b) => `${words.trust[b.state]} ${duration((b.to - b.from) / 1e9)}`).join(", ");
+  return html`<div class="band" role="img" aria-label=${words.trustCard.label(told)}>
+    ${bands.map((b) => html`<span class="segment ${b.state}" style=${{ left: share(b.from - nowNs + SPAN_S * 1e9), width: share(b.to - b.from) }}></span>`)}
+  </div>`;
+}

@@ -1,7 +1,7 @@
-"""One sentence first: can this position be trusted, and if not, why and what to do.
+"""One sentence first: can this position be used, and if not, why and what to do.
 
-The unit has no integrity monitor yet, so nothing here ever answers SAFE: the best answer is CAUTION, "position not
-monitored", together with the list of what is known. UNSAFE is left to the monitors that can detect.
+The verdict is made in `core.trust` alone; this module puts `trust/state` into words. SAFE is shown when, and only when,
+the newest `trust/state` is within its deadline and says so.
 """
 
 from collections.abc import Mapping
@@ -11,23 +11,30 @@ from math import degrees
 
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution
+from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
 
 from .geometry import vertical_sd
+from .plain_words import label_of, plain, sentence, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
 FITS = {AidingKind.NON_HOLONOMIC: "non-holonomic constraint"}
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
+RATIO_MAXIMUM = 9.99
+MONITORS_MAXIMUM = 16  # shown
 
 
 class Trust(StrEnum):
-    """How far the position may be believed."""
+    """State of the banner, or of a check: those of `TrustLevel`, and what is not known or not evaluated."""
 
     SAFE = "safe"
     CAUTION = "caution"
     UNSAFE = "unsafe"
+    DEAD_RECKONING = "dead_reckoning"
+    NO_FIX = "no_fix"
+    INITIALISING = "initialising"
     STALE = "stale"
     OFF = "off"
 
@@ -36,16 +43,34 @@ WORDS = {
     Trust.SAFE: "SAFE",
     Trust.CAUTION: "CAUTION",
     Trust.UNSAFE: "UNSAFE",
+    Trust.DEAD_RECKONING: "DEAD RECKONING",
+    Trust.NO_FIX: "NO FIX",
+    Trust.INITIALISING: "INITIALISING",
     Trust.STALE: "NO DATA",
-    Trust.OFF: "NOT MONITORED",
+    Trust.OFF: "NOT EVALUATED",
 }
+OUTCOMES = {
+    MonitorOutcome.PASS: Trust.SAFE,
+    MonitorOutcome.ACCUSES: Trust.UNSAFE,
+    MonitorOutcome.NOT_EVALUATED: Trust.OFF,
+}
+
+
+class Kind(StrEnum):
+    """What a check shows."""
+
+    MONITOR = "monitor"  # outcome of an integrity monitor, from `trust/state`
+    INPUT = "input"  # a measurement or a result that the monitors and the filter use
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that the verdict rests on; ages in seconds, None for what never came."""
+    """What the banner shows; ages in seconds, None for what never came."""
 
     broker: bool
+    trust: TrustState | None = None
+    trust_age_s: float | None = None
+    trust_cause: str | None = None  # root cause of a missing or old verdict
     solution: NavigationSolution | None = None
     solution_age_s: float | None = None
     filter_says: str | None = None  # the filter's own reason for its phase
@@ -57,33 +82,32 @@ class Evidence:
     aiding: Mapping[AidingKind, tuple[AidingUpdate, float]] | None = None  # newest of each kind, and its age
     alert_limit_horizontal_m: float | None = None  # as configured, from `navigation/state`
     alert_limit_vertical_m: float | None = None
-    monitored: bool = True  # False: monitoring.health does not report
-    down: tuple[str, ...] = ()  # processes that should run and do not
     cause: str | None = None  # root cause of a missing or old solution
 
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the list behind the verdict: statistic, limit, verdict."""
+    """One line of the list behind the verdict: statistic, limit, result."""
 
     name: str
     label: str
     state: Trust  # safe here means: this check passes
     text: str
     ratio: float | None = None  # statistic over limit, where there is one: 1 is the limit
-    link: str = ""
-    fitted: bool = True  # False: this version has no such monitor
+    link: str = ""  # page of the dashboard
+    kind: Kind = Kind.INPUT
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The banner: a state, one sentence, what to do, and the checks; `code` names the case, for as long as it holds."""
+    """The banner: a state, one sentence, what to do, and the checks."""
 
     state: Trust
-    code: str
     sentence: str
     action: str
     checks: tuple[Check, ...]
+    since_ns: int | None = None  # of the state
+    row: int | None = None  # of the verdict table of `core.trust` that decided
 
 
 WAITING = {
@@ -92,119 +116,126 @@ WAITING = {
     NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix is received",
     NavigationPhase.WAITING_FOR_HEADING: "the heading is not known, which needs the vehicle to drive a little",
 }
-NOT_MONITORED = (
-    ("raim", "Satellite fault (RAIM)", "not part of this version"),
-    ("spoofing", "Spoofing and jamming", "not part of this version"),
-    ("motion", "GNSS against odometer", "not part of this version"),
-)
+SENTENCES = {
+    TrustLevel.SAFE: "The position can be used",
+    TrustLevel.CAUTION: "Use the position with caution",
+    TrustLevel.UNSAFE: "The position must not be used",
+    TrustLevel.DEAD_RECKONING: "Position by dead reckoning",
+    TrustLevel.NO_FIX: "No position",
+    TrustLevel.INITIALISING: "No position yet",
+}
+ACTIONS = {
+    TrustLevel.SAFE: "Use the position within its protection level. The Trust page shows every monitor.",
+    TrustLevel.CAUTION: (
+        "Use it to find your way, not where a wrong position does harm. The Trust page shows what is not evaluated."
+    ),
+    TrustLevel.UNSAFE: (
+        "Do not use the position shown. Check the antenna and leave the area of interference; the Trust page shows the "
+        "evidence."
+    ),
+    TrustLevel.DEAD_RECKONING: "Expect the error to grow with distance and time, until GNSS is used again.",
+    TrustLevel.NO_FIX: (
+        "Do not use the position shown. It is the last one known, and the circle grows with time. "
+        "The checks show which input is missing."
+    ),
+    TrustLevel.INITIALISING: (
+        "The checks show which input is missing. Outdoors a first position takes up to a minute."
+    ),
+}  # fmt: skip
 
 
-def judge(evidence: Evidence) -> Verdict:
-    """Turn the evidence into the banner."""
-    checks = tuple(_checks(evidence))
-    state, code, sentence, action = _sentence(evidence)
-    return Verdict(state, code, sentence, action, checks)
-
-
-def _sentence(e: Evidence) -> tuple[Trust, str, str, str]:
+def show(evidence: Evidence) -> Verdict:
+    """Make the banner of the newest `trust/state`, or say why there is no verdict."""
+    e, checks = evidence, tuple(_checks(evidence))
     if not e.broker:
-        return (
+        return Verdict(
             Trust.STALE,
-            "broker",
             f"Nothing is known: {e.cause or 'the broker is not reachable'}.",
             "Start the broker or read its log. All messages pass through it; processes reconnect by themselves.",
+            checks,
         )
-    if e.solution is None:
-        return (
+    if e.trust is None or (missing := no_verdict(e.trust_age_s)):
+        why = "core.trust has not published a verdict yet" if e.trust is None else missing
+        return Verdict(
             Trust.STALE,
-            "none",
-            f"No position yet: {_why_none(e)}.",
-            "The checks show which input is missing. Outdoors a first position takes up to a minute.",
+            sentence(f"Trust is not evaluated: {why}", e.trust_cause),
+            "Do not rely on the position shown: no monitor is evaluated. The log of core.trust says why it is silent.",
+            checks,
         )
-    if _is_old(e):
-        return (
-            Trust.STALE,
-            "stale",
-            f"The position is stale: {_why_stale(e)}.",
-            "Do not use the position shown. It is the last one known, and the circle grows with time.",
-        )
-    return _sentence_while_navigating(e, e.solution)
+    return _verdict(e, e.trust, checks)
 
 
-def _sentence_while_navigating(e: Evidence, solution: NavigationSolution) -> tuple[Trust, str, str, str]:
-    if solution.phase is NavigationPhase.COASTING:
-        return (
-            Trust.CAUTION,
-            "coasting",
-            "Position not monitored, and by dead reckoning only: no GNSS fix is being used.",
-            "Expect the error to grow with distance and time. A clear view of the sky ends it.",
-        )
-    if rejected := [kind for kind, update, _ in _recent(e) if not update.used and update.test_ratio > GATE_LIMIT]:
-        kinds = " and ".join(kind.replace("_", " ").replace("gnss", "GNSS") for kind in rejected)
-        return (
-            Trust.CAUTION,
-            f"rejected {kinds}",
-            f"Position not monitored, and the filter rejects its {kinds} measurements: they contradict the motion.",
-            "GNSS or the inertial unit is wrong. Keep away from reflecting walls and check the antenna.",
-        )
-    if _heading_sd_deg(solution) > HEADING_SD_LIMIT_DEG:
-        return (
-            Trust.CAUTION,
-            "heading",
-            "Position not monitored, and the heading is not yet known well.",
-            "Drive a little, straight and with a turn: the heading is found from the motion.",
-        )
-    if not e.monitored:
-        return (
-            Trust.CAUTION,
-            "unwatched",
-            "Position not monitored, and monitoring.health does not report: the state of all processes is unknown.",
-            "Start monitoring.health or read its log. Until then faults of other processes are not shown.",
-        )
-    if e.down:
-        return (
-            Trust.CAUTION,
-            f"down {e.down}",
-            f"Position not monitored, and {_and(e.down)} {'is' if len(e.down) == 1 else 'are'} not running.",
-            "The System page shows what failed and why.",
-        )
-    return (
-        Trust.CAUTION,
-        "unmonitored",
-        "Position not monitored: this version has no integrity monitor that could vouch for it.",
-        "Use it to find your way, not where a wrong position does harm. The checks list what is known.",
+def no_verdict(age_s: float | None) -> str | None:
+    """Say for how long there has been no verdict; None while the newest is within its deadline."""
+    if age_s is not None and age_s < _stale_after_s("trust/state"):
+        return None
+    return "no verdict" if age_s is None else f"no verdict for {age_s:.0f} s"
+
+
+def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdict:
+    reason = plain(trust.reasons[0]) if trust.reasons else f"row {trust.row} of the verdict table"
+    waiting = WAITING.get(e.phase) if e.phase else None
+    lost = "; ".join(why for why in (e.cause, waiting) if why)
+    detail = {TrustLevel.NO_FIX: lost, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
+    return Verdict(
+        Trust(trust.state.value),
+        sentence(f"{SENTENCES[trust.state]}: {reason}", detail),
+        ACTIONS[trust.state],
+        checks,
+        trust.since_ns,
+        trust.row,
     )
 
 
-def _why_none(e: Evidence) -> str:
-    """Prefer what the filter is waiting for over what monitoring.health sees."""
-    if e.phase in WAITING:
-        return WAITING[e.phase]
-    return e.cause or "nothing has been received from core.fusion"
-
-
-def _why_stale(e: Evidence) -> str:
-    """Name the root cause, and what a filter that starts again is waiting for."""
-    waiting = f" ({WAITING[e.phase]})" if e.phase in WAITING and e.cause else ""
-    return (e.cause or "the root cause is not known yet") + waiting
-
-
 def _checks(e: Evidence) -> list[Check]:
-    checks = [
+    return [
+        *_monitor_checks(e),
+        _protection_check(e),
         _fix_check(e),
         _age_check("imu", "Inertial unit", e.imu_age_s, "imu/sample", "samples"),
         _phase_check(e),
         _heading_check(e),
-        _protection_check(e),
         *_gate_checks(e),
         _age_check("odometer", "Vehicle speed", e.odometer_age_s, "vehicle/wheel_speed", "speed"),
     ]
-    checks += [Check(name, label, Trust.OFF, text, fitted=False) for name, label, text in NOT_MONITORED]
+
+
+def _monitor_checks(e: Evidence) -> list[Check]:
+    """Show the outcome of each monitor as `core.trust` used it; of an old verdict none is known to hold any more."""
+    if e.trust is None:
+        return []
+    missing = no_verdict(e.trust_age_s)
+    checks = []
+    for statement in e.trust.monitors[:MONITORS_MAXIMUM]:
+        text = plain(statement.reason)
+        ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
+        if statement.accused:
+            text = f"accuses {who(statement.accused)}: {text}"
+        elif statement.outcome is MonitorOutcome.PASS and ratio is not None:
+            text = f"{ratio:.2f} of the threshold"
+        checks.append(
+            Check(
+                statement.monitor,
+                label_of(statement.monitor),
+                Trust.STALE if missing else OUTCOMES[statement.outcome],
+                missing or text,
+                None if missing or ratio is None else min(ratio, RATIO_MAXIMUM),
+                f"trust?monitor={statement.monitor}",
+                Kind.MONITOR,
+            )
+        )
     return checks
 
 
+def ratio_of(outcome: MonitorOutcome, statistic: float | None, threshold: float | None) -> float | None:
+    """Statistic over threshold [-], above 1 the test accuses; None where nothing was evaluated or has no threshold."""
+    if outcome is MonitorOutcome.NOT_EVALUATED or statistic is None or threshold is None or threshold <= 0.0:
+        return None
+    return max(statistic / threshold, 0.0)
+
+
 def _fix_check(e: Evidence) -> Check:
-    label, link = "GNSS fix", "topic=gnss/fix"
+    label, link = "GNSS fix", "system?topic=gnss/fix"
     if e.fix is None or e.fix_age_s is None:
         return Check("fix", label, Trust.STALE, "none received", link=link)
     satellites = "" if e.fix.satellites_used is None else f", {e.fix.satellites_used} satellites"
@@ -221,14 +252,14 @@ def _age_check(name: str, label: str, age_s: float | None, topic: str, what: str
     limit_s = _stale_after_s(topic)
     if age_s is None:
         state = Trust.OFF if name == "odometer" else Trust.STALE
-        return Check(name, label, state, f"no {what} received", link=f"topic={topic}")
+        return Check(name, label, state, f"no {what} received", link=f"system?topic={topic}")
     if age_s >= limit_s:
-        return Check(name, label, Trust.STALE, f"no {what} for more than {limit_s:g} s", link=f"topic={topic}")
-    return Check(name, label, Trust.SAFE, f"{what} in time", link=f"topic={topic}")
+        return Check(name, label, Trust.STALE, f"no {what} for more than {limit_s:g} s", link=f"system?topic={topic}")
+    return Check(name, label, Trust.SAFE, f"{what} in time", link=f"system?topic={topic}")
 
 
 def _phase_check(e: Evidence) -> Check:
-    link = "topic=navigation/state"
+    link = "system?topic=navigation/state"
     if e.phase is None:
         return Check("phase", "Filter", Trust.STALE, "does not publish its state", link=link)
     text = e.phase.replace("_", " ").replace("imu", "IMU").replace("gnss", "GNSS")
@@ -239,18 +270,23 @@ def _phase_check(e: Evidence) -> Check:
 
 def _heading_check(e: Evidence) -> Check:
     if e.solution is None or _is_old(e):
-        return Check("heading", "Heading", Trust.STALE, "unknown", link="topic=navigation/solution")
+        return Check("heading", "Heading", Trust.STALE, "unknown", link="system?topic=navigation/solution")
     sd_deg = _heading_sd_deg(e.solution)
     state = Trust.SAFE if sd_deg <= HEADING_SD_LIMIT_DEG else Trust.CAUTION
     text = f"± {sd_deg:.1f}° (1 σ), limit {HEADING_SD_LIMIT_DEG:g}°"
     return Check(
-        "heading", "Heading", state, text, min(sd_deg / HEADING_SD_LIMIT_DEG, 9.99), "topic=navigation/solution"
+        "heading",
+        "Heading",
+        state,
+        text,
+        min(sd_deg / HEADING_SD_LIMIT_DEG, RATIO_MAXIMUM),
+        "system?topic=navigation/solution",
     )
 
 
 def _protection_check(e: Evidence) -> Check:
     """Compare the protection levels with the alert limits of the vehicle's configuration; the worse axis counts."""
-    name, label, link = "protection", "Protection level", "topic=navigation/solution"
+    name, label, link = "protection", "Protection level", "system?topic=navigation/solution"
     if e.solution is None or _is_old(e):
         return Check(name, label, Trust.STALE, "unknown", link=link)
     axes = [
@@ -259,7 +295,7 @@ def _protection_check(e: Evidence) -> Check:
     ]
     levels = [(axis, level_m, limit_m) for axis, level_m, limit_m in axes if level_m is not None]
     if not levels:
-        return Check(name, label, Trust.OFF, "not published by the filter", link=link, fitted=False)
+        return Check(name, label, Trust.OFF, "not published by the filter", link=link)
     text = ", ".join(
         f"{level_m:.1f} m {axis}" + ("" if limit_m is None else f" (limit {limit_m:g} m)")
         for axis, level_m, limit_m in levels
@@ -268,7 +304,7 @@ def _protection_check(e: Evidence) -> Check:
     if not ratios:
         return Check(name, label, Trust.STALE, f"{text}; alert limits not received", link=link)
     state = Trust.SAFE if max(ratios) <= 1.0 else Trust.CAUTION
-    return Check(name, label, state, text, min(max(ratios), 9.99), link)
+    return Check(name, label, state, text, min(max(ratios), RATIO_MAXIMUM), link)
 
 
 def _gate_checks(e: Evidence) -> list[Check]:
@@ -280,7 +316,14 @@ def _gate_checks(e: Evidence) -> list[Check]:
         label = f"Fit of {FITS.get(kind) or kind.replace('_', ' ').replace('gnss', 'GNSS')}"
         state = Trust.SAFE if good else Trust.CAUTION
         checks.append(
-            Check(f"gate {kind}", label, state, text, min(update.test_ratio, 9.99), "topic=navigation/aiding")
+            Check(
+                f"gate {kind}",
+                label,
+                state,
+                text,
+                min(update.test_ratio, RATIO_MAXIMUM),
+                "system?topic=navigation/aiding",
+            )
         )
     return checks or [
         Check(
@@ -288,7 +331,7 @@ def _gate_checks(e: Evidence) -> list[Check]:
             "Fit of the measurements",
             Trust.STALE,
             f"none in {AIDING_RECENT_S:g} s",
-            link="topic=navigation/aiding",
+            link="system?topic=navigation/aiding",
         )
     ]
 
@@ -309,7 +352,3 @@ def _heading_sd_deg(solution: NavigationSolution) -> float:
 def _stale_after_s(topic: str) -> float:
     limits = limits_of(BY_NAME[topic])
     return limits.stale_after_s if limits else STARTUP_GRACE_S
-
-
-def _and(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -11,9 +11,10 @@ from prometheus_client.registry import Collector
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import NavigationSolution
 from shared.messages.operation import RecordingState
+from shared.messages.trust import MonitorOutcome, TrustState
 
 from ..state import State
-from .banner import Trust
+from .banner import MONITORS_MAXIMUM, Trust, ratio_of
 from .geometry import ellipse_95
 from .snapshot import RUNNING
 
@@ -34,7 +35,7 @@ class StateCollector(Collector):
             families = [
                 InfoMetricFamily("obu_build", "Version of the software.", {"version": self._version}),
                 *_position(self._state, now_ns),
-                *_trust(self._state),
+                *_trust(self._state, now_ns),
                 *_traffic(self._state, now_ns),
                 *_recording(self._state, now_ns),
             ]
@@ -78,7 +79,7 @@ def _position(state: State, now_ns: int) -> Iterator[Metric]:
             yield GaugeMetricFamily("obu_position_integrity_risk", help_text, solution.integrity_risk)
 
 
-def _trust(state: State) -> Iterator[Metric]:
+def _trust(state: State, now_ns: int) -> Iterator[Metric]:
     verdict = GaugeMetricFamily("obu_integrity_state", "1 for the state that holds.", labels=["state"])
     for trust in Trust:
         verdict.add_metric([trust], 1.0 if state.verdict.state is trust else 0.0)
@@ -90,7 +91,16 @@ def _trust(state: State) -> Iterator[Metric]:
     for kind, (update, _) in state.aiding.items():
         statistic.add_metric([f"innovation_{kind}"], update.test_ratio)
         alarms.add_metric([f"innovation_{kind}"], state.rejections.get(kind, 0))
-    yield from (statistic, alarms)
+    outcomes = GaugeMetricFamily(
+        "obu_monitor_outcome", "1 for the outcome that holds of an integrity monitor.", labels=["monitor", "outcome"]
+    )
+    newest = state.newest(TrustState, "trust/state", now_ns, live=True)
+    for m in newest.monitors[:MONITORS_MAXIMUM] if newest else ():
+        if (ratio := ratio_of(m.outcome, m.statistic, m.threshold)) is not None:
+            statistic.add_metric([m.monitor], ratio)
+        for outcome in MonitorOutcome:
+            outcomes.add_metric([m.monitor, outcome], 1.0 if m.outcome is outcome else 0.0)
+    yield from (statistic, alarms, outcomes)
 
 
 def _traffic(state: State, now_ns: int) -> Iterator[Metric]:

@@ -7,6 +7,7 @@ from shared.messages.operation import ProcessStatus
 from ..flow import TopicFlow
 from ..state import State
 from . import snapshot as views
+from .banner import Trust
 from .snapshot import Json, dashboard, rounded, traffic
 
 BYTES_SHOWN = 512
@@ -16,12 +17,13 @@ def health(state: State, now_ns: int) -> Json:
     """Give the judgement of `monitoring.health`, or why there is none."""
     judgement = state.judgement
     lost = any(problem.what == "broker" for problem in judgement.problems) and not judgement.complete
-    degraded = judgement.problems or state.verdict.state == "stale"
+    verdict = state.verdict
+    degraded = judgement.problems or verdict.state in (Trust.STALE, Trust.NO_FIX, Trust.INITIALISING)
     return {
         "state": "failed" if lost else "degraded" if degraded else "ok",
         "now_ns": now_ns,
         "broker": state.broker,
-        "position": {"state": state.verdict.state, "sentence": state.verdict.sentence},
+        "position": {"state": verdict.state, "sentence": verdict.sentence, "since_ns": verdict.since_ns},
         "problems": views.problems(state),
         "processes": {
             name: {
@@ -82,6 +84,12 @@ def _readable(message: Message) -> Json:
         "hexadecimal": head.hex(" "),
         "text": "".join(chr(b) if 32 <= b < 127 else "." for b in head),
     }
+
+
+def trust(state: State, now_ns: int, seconds: float) -> Json:
+    """Give verdict, monitors, events, and the history of the last seconds."""
+    shown = {"state": state.verdict.state, "sentence": state.verdict.sentence}
+    return {**shown, **views.trust(state, now_ns), "history": state.trust_history.columns(now_ns, seconds)}
 
 
 def outages(state: State) -> Json:

@@ -14,12 +14,14 @@ from shared.messages.operation import (
     ProcessStatus,
     RecordingState,
 )
+from shared.messages.trust import TrustState
 from shared.processes import LAYERS, PROCESSES
 from shared.runtime.freshness import freshness_of, limits_of
 from shared.topics import TOPICS
 
 from ..flow import TopicFlow
 from ..state import State
+from . import trust as trust_views
 from .banner import WORDS
 from .geometry import ellipse_95, horizontal_sd, offset_m, vertical_sd
 
@@ -59,7 +61,8 @@ def dashboard(state: State, now_ns: int) -> Json:
         "started_ns": state.started_ns,
         "origin": origin(state, now_ns),
         "banner": banner(state),
-        "timeline": [{"since_ns": ns, "state": trust} for ns, trust in state.timeline],
+        "trust": trust(state, now_ns),
+        "timeline": [{"since_ns": ns, "state": shown} for ns, shown in state.trust_history.changes],
         "chain": chain(state, now_ns),
         "solution": _solution(state, now_ns),
         "fix": _fix(state, now_ns),
@@ -90,7 +93,8 @@ def banner(state: State) -> Json:
         "word": WORDS[verdict.state],
         "sentence": verdict.sentence,
         "action": verdict.action,
-        "since_ns": state.verdict_since_ns,
+        "since_ns": verdict.since_ns,
+        "row": verdict.row,
         "checks": [
             {
                 "name": c.name,
@@ -99,10 +103,20 @@ def banner(state: State) -> Json:
                 "text": c.text,
                 "ratio": c.ratio,
                 "link": c.link,
-                "fitted": c.fitted,
+                "kind": c.kind,
             }
             for c in verdict.checks
         ],
+    }
+
+
+def trust(state: State, now_ns: int) -> Json:
+    """Show the newest verdict, the monitors behind it, and the changes since this process started, newest first."""
+    message = state.newest(TrustState, "trust/state", now_ns)
+    return {
+        "verdict": None if message is None else trust_views.verdict(message, state.topics["trust/state"].updated_ns),
+        "monitors": {} if message is None else trust_views.monitors(message),
+        "events": [trust_views.event(change) for change in reversed(state.trust_events)],
     }
 
 

@@ -16,6 +16,7 @@ PAGES = (
     "parts.js",
     "now.js",
     "closeup.js",
+    "trust.js",
     "system.js",
     "inspector.js",
 )

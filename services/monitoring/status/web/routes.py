@@ -46,6 +46,7 @@ class Api:
         app.add_api_route("/api/health", self.health, response_class=Response)
         app.add_api_route("/api/topics/{name:path}", self.topic, response_class=Response)
         app.add_api_route("/api/history", self.history, response_class=Response)
+        app.add_api_route("/api/trust", self.trust, response_class=Response)
         app.add_api_route("/api/outages", self.outages, response_class=Response)
         app.add_api_route("/metrics", self.metrics, response_class=Response)
 
@@ -77,6 +78,11 @@ class Api:
             raise HTTPException(404, f"there is no field {unknown[0]}; there are {', '.join(FIELDS)}")
         span_s = min(seconds, self._history_s)
         return self._answer(lambda now_ns: self._state.history.columns(now_ns, span_s, wanted))
+
+    def trust(self, seconds: Annotated[float, Query(gt=0, le=86_400)] = 900.0) -> Response:
+        """The verdict with its reasons and every monitor; their history at 1 Hz, as far back as `history_s`."""
+        span_s = min(seconds, self._history_s)
+        return self._answer(lambda now_ns: reports.trust(self._state, now_ns, span_s))
 
     def outages(self) -> Response:
         """What is lost now, and what was lost and for how long."""

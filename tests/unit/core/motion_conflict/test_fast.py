@@ -8,7 +8,8 @@ from scipy.integrate import quad
 from scipy.stats import binom, chi2, norm
 
 from services.core.motion_conflict.aligned import AlignedPair
-from services.core.motion_conflict.fast import fast_statistic, mean_variance, tail_probability, threshold
+from services.core.motion_conflict.fast import fast_statistic, tail_probability, threshold
+from shared.maths.correlated_noise import mean_variance
 
 SECOND_NS = 1_000_000_000
 STEP = 1.0 / 3.6

@@ -6,14 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.monitoring.status.views.banner import NOT_MONITORED, Evidence, Trust, judge
+from services.monitoring.status.views.banner import WORDS, Evidence, Kind, Trust, ratio_of, show
+from services.monitoring.status.views.plain_words import plain
 from shared.messages.gnss import FixType
 from shared.messages.navigation import AidingKind, NavigationPhase
-from tests.support.status_world import START_NS, aiding, fix, solution
+from shared.messages.trust import MonitorOutcome, TrustLevel
+from tests.support.status_world import START_NS, aiding, fix, monitor, solution, trust
 
 LEVELS = {"protection_level_horizontal_m": 3.14, "protection_level_vertical_m": 4.2, "integrity_risk": 1e-3}
 GOOD = Evidence(
     broker=True,
+    trust=trust(START_NS),
+    trust_age_s=0.6,
     solution=solution(START_NS, **LEVELS),
     solution_age_s=0.05,
     phase=NavigationPhase.NAVIGATING,
@@ -32,130 +36,153 @@ def changed(**changes: object) -> Evidence:
 
 
 def check(evidence: Evidence, name: str) -> tuple[Trust, str]:
-    found = next(c for c in judge(evidence).checks if c.name == name)
+    found = next(c for c in show(evidence).checks if c.name == name)
     return found.state, found.text
 
 
-def test_the_best_answer_without_an_integrity_monitor_is_caution() -> None:
-    verdict = judge(GOOD)
-    assert verdict.state is Trust.CAUTION
-    assert verdict.sentence.startswith("Position not monitored")
+REASONS = {
+    TrustLevel.SAFE: "The position can be used: ",
+    TrustLevel.CAUTION: "Use the position with caution: ",
+    TrustLevel.UNSAFE: "The position must not be used: ",
+    TrustLevel.DEAD_RECKONING: "Position by dead reckoning: ",
+    TrustLevel.NO_FIX: "No position: ",
+    TrustLevel.INITIALISING: "No position yet: ",
+}
+
+
+@pytest.mark.parametrize("level", TrustLevel)
+def test_each_state_of_core_trust_has_its_own_word_and_a_sentence_with_the_first_reason(level: TrustLevel) -> None:
+    shown = show(changed(trust=trust(START_NS, level, reasons=("first reason", "second reason"), row=7)))
+    assert (shown.state, shown.row, shown.since_ns) == (Trust(level.value), 7, START_NS)
+    assert WORDS[shown.state] == level.value.upper().replace("_", " ")
+    assert shown.sentence == f"{REASONS[level]}first reason."
+    assert shown.action.endswith(".")
 
 
 @given(
     broker=st.booleans(),
+    level=st.none() | st.sampled_from(TrustLevel),
+    trust_age_s=st.floats(0.0, 100.0),
     age_s=st.none() | st.floats(0.0, 100.0),
     phase=st.sampled_from(NavigationPhase),
-    fix_age_s=st.none() | st.floats(0.0, 100.0),
     ratio=st.floats(0.0, 20.0),
-    down=st.sampled_from([(), ("core.fusion",)]),
 )
-def test_nothing_that_can_be_known_here_makes_it_safe(
+def test_it_is_safe_when_and_only_when_a_verdict_within_its_deadline_says_so(
     broker: bool,
+    level: TrustLevel | None,
+    trust_age_s: float,
     age_s: float | None,
     phase: NavigationPhase,
-    fix_age_s: float | None,
     ratio: float,
-    down: tuple[str, ...],
 ) -> None:
     evidence = changed(
         broker=broker,
+        trust=None if level is None else trust(START_NS, level),
+        trust_age_s=None if level is None else trust_age_s,
         solution=None if age_s is None else solution(START_NS, phase=phase),
         solution_age_s=age_s,
         phase=phase,
-        fix_age_s=fix_age_s,
         aiding={AidingKind.GNSS_POSITION: (aiding(AidingKind.GNSS_POSITION, ratio, used=ratio <= 1), 0.1)},
-        down=down,
     )
-    verdict = judge(evidence)
-    assert verdict.state in (Trust.CAUTION, Trust.STALE)
-    assert verdict.sentence.endswith(".") and verdict.action.endswith(".")
-    if not broker or age_s is None or age_s >= 2.0:
-        assert verdict.state is Trust.STALE
+    shown = show(evidence)
+    valid = broker and level is not None and trust_age_s < 5.0
+    assert (shown.state is Trust.SAFE) == (valid and level is TrustLevel.SAFE)
+    assert (shown.state is Trust.STALE) == (not valid)
+    assert shown.sentence.endswith(".")
+
+
+def test_an_old_verdict_is_said_with_its_age_and_root_cause() -> None:
+    shown = show(changed(trust_age_s=6.2, trust_cause="core.trust was lost"))
+    assert shown.sentence == "Trust is not evaluated: no verdict for 6 s (core.trust was lost)."
+    assert check(changed(trust_age_s=6.2), "inertial_short") == (Trust.STALE, "no verdict for 6 s")
+
+
+def test_a_verdict_that_never_came_is_said() -> None:
+    shown = show(changed(trust=None, trust_age_s=None))
+    assert shown.sentence == "Trust is not evaluated: core.trust has not published a verdict yet."
+    assert not [c for c in shown.checks if c.kind is Kind.MONITOR]
 
 
 def test_a_lost_broker_leaves_nothing_known() -> None:
-    assert judge(changed(broker=False)).state is Trust.STALE
-    sentence = judge(changed(broker=False, cause="the broker hangs: it is connected, but delivers nothing")).sentence
+    assert show(changed(broker=False)).state is Trust.STALE
+    sentence = show(changed(broker=False, cause="the broker hangs: it is connected, but delivers nothing")).sentence
     assert sentence == "Nothing is known: the broker hangs: it is connected, but delivers nothing."
 
 
-def test_a_watchdog_that_does_not_report_leaves_the_position_but_says_so() -> None:
-    verdict = judge(changed(monitored=False))
-    assert (verdict.state, verdict.code) == (Trust.CAUTION, "unwatched")
-    assert "monitoring.health does not report" in verdict.sentence
+def test_a_lost_position_is_explained_by_its_root_cause_and_a_missing_one_by_what_the_filter_waits_for() -> None:
+    cause = "core.fusion was restarted and is starting again"
+    evidence = changed(phase=NavigationPhase.WAITING_FOR_GNSS, cause=cause)
+    lost = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.NO_FIX, reasons=("solution is old",)))
+    assert show(lost).sentence == f"No position: solution is old ({cause}; no usable GNSS fix is received)."
+    missing = dataclasses.replace(evidence, trust=trust(START_NS, TrustLevel.INITIALISING, reasons=("none yet",)))
+    assert show(missing).sentence == "No position yet: none yet (no usable GNSS fix is received)."
 
 
-def test_a_stale_position_of_a_filter_that_starts_again_says_what_it_waits_for() -> None:
-    cause = "core.fusion was restarted and is starting again; not yet published again: navigation/solution"
-    verdict = judge(changed(solution_age_s=9.0, cause=cause, phase=NavigationPhase.WAITING_FOR_GNSS))
-    assert verdict.sentence == f"The position is stale: {cause} (no usable GNSS fix is received)."
+def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
+    monitors = (
+        monitor(START_NS, "motion"),
+        monitor(START_NS, "inertial_short", outcome=MonitorOutcome.ACCUSES, accused=("gnss",), statistic=9.0),
+        monitor(START_NS, "satellites", outcome=MonitorOutcome.NOT_EVALUATED, reason="4 satellites"),
+    )
+    evidence = changed(trust=trust(START_NS, TrustLevel.UNSAFE, monitors=monitors))
+    assert check(evidence, "motion") == (Trust.SAFE, "0.50 of the threshold")
+    assert check(evidence, "inertial_short") == (Trust.UNSAFE, "accuses GNSS: statistic below the threshold")
+    assert check(evidence, "satellites") == (Trust.OFF, "4 satellites")
+    ratios = {c.name: c.ratio for c in show(evidence).checks if c.kind is Kind.MONITOR}
+    assert ratios == {"motion": 0.5, "inertial_short": 1.125, "satellites": None}
 
 
-def test_what_the_filter_waits_for_is_said_before_what_is_seen_from_outside() -> None:
+@pytest.mark.parametrize(
+    ("outcome", "statistic", "threshold", "ratio"),
+    [
+        (MonitorOutcome.PASS, 2.0, 8.0, 0.25),
+        (MonitorOutcome.ACCUSES, 16.0, 8.0, 2.0),
+        (MonitorOutcome.NOT_EVALUATED, 2.0, 8.0, None),
+        (MonitorOutcome.PASS, None, 8.0, None),
+        (MonitorOutcome.PASS, 2.0, None, None),
+        (MonitorOutcome.PASS, 2.0, 0.0, None),
+    ],
+)
+def test_a_ratio_is_statistic_over_threshold_and_none_where_nothing_was_evaluated(
+    outcome: MonitorOutcome, statistic: float | None, threshold: float | None, ratio: float | None
+) -> None:
+    assert ratio_of(outcome, statistic, threshold) == ratio
+
+
+@pytest.mark.parametrize(
+    ("reason", "words"),
+    [
+        ("monitor motion: has not published yet; monitor satellites: has not published yet",
+         "Motion conflict and Satellites: have not published yet"),
+        ("monitor inertial_short accuses gnss: too large (statistic 9, threshold 8); fusion has not confirmed",
+         "Short inertial window accuses GNSS: too large (statistic 9, threshold 8); fusion has not confirmed"),
+        ("monitor evidence: no message for 6.0 s, not evaluated since 1795000000.5 s",
+         "Receiver evidence: no message for 6.0 s, not evaluated since 11:06:40 UTC"),
+        ("navigation solution is lost: fusion's phase is waiting_for_gnss",
+         "navigation solution is lost: fusion's phase is waiting for GNSS"),
+    ],
+)  # fmt: skip
+def test_reasons_are_put_into_the_words_of_the_page(reason: str, words: str) -> None:
+    assert plain(reason) == words
+
+
+def test_a_rejected_measurement_and_the_state_of_the_filter_are_shown_as_inputs() -> None:
+    kind = AidingKind.GNSS_VELOCITY
     evidence = changed(
-        solution=None,
+        aiding={kind: (aiding(kind, 4.7, used=False), 0.5)},
         phase=NavigationPhase.WAITING_FOR_GNSS,
         filter_says="17 fixes without a position",
-        cause="core.fusion runs, but says nothing on navigation/solution",
     )
-    assert judge(evidence).sentence == "No position yet: no usable GNSS fix is received."
-    assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS: 17 fixes without a position")
-
-
-def test_a_filter_that_says_nothing_is_explained_from_outside() -> None:
-    evidence = changed(solution=None, phase=None, cause="core.fusion is lost")
-    assert judge(evidence).sentence == "No position yet: core.fusion is lost."
-
-
-@pytest.mark.parametrize(("age_s", "state"), [(1.9, Trust.CAUTION), (2.0, Trust.STALE)])
-def test_a_position_is_no_data_from_its_deadline_on(age_s: float, state: Trust) -> None:
-    assert judge(changed(solution_age_s=age_s, cause="core.fusion is silent")).state is state
-
-
-def test_an_old_position_is_explained_by_its_root_cause() -> None:
-    verdict = judge(changed(solution_age_s=9.0, cause="sensors.imu is silent"))
-    assert verdict.sentence == "The position is stale: sensors.imu is silent."
-
-
-def test_dead_reckoning_is_said_before_anything_else() -> None:
-    evidence = changed(solution=solution(START_NS, phase=NavigationPhase.COASTING), down=("parsers.can",))
-    assert "dead reckoning" in judge(evidence).sentence
-
-
-def test_refused_measurements_are_named() -> None:
-    kind = AidingKind.GNSS_VELOCITY
-    evidence = changed(aiding={kind: (aiding(kind, 4.7, used=False), 0.5)})
-    assert "rejects its GNSS velocity measurements" in judge(evidence).sentence
     assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "4.70 of the limit, rejected")
+    assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS: 17 fixes without a position")
+    assert show(evidence).state is Trust.SAFE, "inputs do not make the verdict"
 
 
-def test_a_refusal_of_long_ago_is_not_held_against_the_position() -> None:
-    kind = AidingKind.GNSS_VELOCITY
-    evidence = changed(aiding={kind: (aiding(kind, 4.7, used=False), 60.0)})
-    assert judge(evidence).code == "unmonitored"
-
-
-def test_a_badly_known_heading_is_said() -> None:
+def test_a_badly_known_heading_is_shown() -> None:
     covariance = (1e-4, 0.0, 0.0, 1e-4, 0.0, 0.04)  # 0.2 rad = 11.5 degrees
     evidence = changed(solution=solution(START_NS, attitude_cov_ned_rad2=covariance))
-    assert "heading" in judge(evidence).sentence
     assert check(evidence, "heading") == (Trust.CAUTION, "± 11.5° (1 σ), limit 3°")
-
-
-def test_the_heading_of_an_old_position_is_unknown() -> None:
     assert check(changed(solution_age_s=9.0), "heading") == (Trust.STALE, "unknown")
-
-
-def test_processes_that_are_down_are_named() -> None:
-    assert "parsers.can is not running" in judge(changed(down=("parsers.can",))).sentence
-    two = judge(changed(down=("parsers.can", "monitoring.recorder"))).sentence
-    assert "parsers.can and monitoring.recorder are not running" in two
-
-
-def test_the_code_changes_with_the_sentence_and_not_with_the_numbers() -> None:
-    assert judge(GOOD).code == judge(changed(fix_age_s=2.9, imu_age_s=0.4)).code
-    assert judge(GOOD).code != judge(changed(down=("parsers.can",))).code
 
 
 @pytest.mark.parametrize(
@@ -191,9 +218,3 @@ def test_protection_levels_are_compared_with_the_configured_alert_limits() -> No
     )  # fmt: skip
     assert check(changed(solution=solution(START_NS)), "protection") == (Trust.OFF, "not published by the filter")
     assert check(changed(solution_age_s=60.0), "protection") == (Trust.STALE, "unknown")
-
-
-def test_monitors_that_do_not_exist_are_listed_as_not_monitored() -> None:
-    missing = [c for c in judge(GOOD).checks if not c.fitted]
-    assert [c.name for c in missing] == [name for name, _, _ in NOT_MONITORED]
-    assert all(c.state is Trust.OFF for c in missing)

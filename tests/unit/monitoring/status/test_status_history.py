@@ -1,6 +1,6 @@
 import pytest
 
-from services.monitoring.status.history import FINE_HZ, FINE_S, History
+from services.monitoring.status.history import CHANGES_MAXIMUM, FINE_HZ, FINE_S, History, TrustHistory
 
 S = 10**9
 
@@ -39,3 +39,23 @@ def test_what_was_missing_is_none_and_not_the_last_value() -> None:
 def test_an_unknown_field_is_an_error() -> None:
     with pytest.raises(KeyError, match="colour"):
         History(900.0).columns(0, 60.0, ["colour"])
+
+
+def test_the_history_of_trust_keeps_changes_and_one_ratio_a_second_and_is_bounded() -> None:
+    history = TrustHistory(10.0)
+    for i in range(200):
+        history.add(i * S // 5, "safe" if i < 100 else "unsafe", {"motion": None if i < 50 else 0.5, "evidence": 0.0})
+    columns = history.columns(40 * S, 900.0)
+    assert columns["changes"] == [{"since_ns": 0, "state": "safe"}, {"since_ns": 20 * S, "state": "unsafe"}]
+    assert len(columns["time_ns"]) == 10  # type: ignore[arg-type]
+    assert columns["ratios"] == {"motion": [0.5] * 10, "evidence": [0.0] * 10}
+    for i in range(2 * CHANGES_MAXIMUM):
+        history.add(i, str(i), {})
+    assert len(history.changes) == CHANGES_MAXIMUM
+
+
+def test_a_monitor_that_was_not_evaluated_leaves_a_gap() -> None:
+    history = TrustHistory(900.0)
+    history.add(0, "safe", {"motion": 0.2})
+    history.add(S, "caution", {"motion": None})
+    assert history.columns(S, 60.0)["ratios"] == {"motion": [0.2, None]}

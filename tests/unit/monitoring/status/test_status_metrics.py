@@ -6,7 +6,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from services.monitoring.status.views import prometheus
 from shared.messages.navigation import AidingKind
 from shared.messages.operation import RecordingState
-from tests.support.status_world import START_NS, World, aiding, fix, solution
+from shared.messages.trust import TrustLevel
+from tests.support.status_world import START_NS, World, aiding, fix, solution, trust
 
 
 def scrape(world: World) -> dict[str, dict[tuple[str, ...], float]]:
@@ -31,6 +32,7 @@ def world() -> World:
         now_ns=START_NS, recording=True, file="x", bytes_written=12_000, messages=3, dropped=0, free_bytes=41_000
     )
     world.hear(recording, "monitoring.recorder")
+    world.hear(trust(world.now_ns, TrustLevel.CAUTION), "core.trust")
     world.pass_time(0.5)
     return world
 
@@ -42,7 +44,12 @@ def test_names_follow_the_conventions_of_prometheus(world: World) -> None:
     assert found["obu_clock_offset_seconds"][()] == pytest.approx(0.25)
     assert found["obu_integrity_state"][("caution",)] == 1.0
     assert found["obu_integrity_state"][("safe",)] == 0.0
-    assert found["obu_monitor_statistic"] == {("innovation_gnss_position",): 0.4, ("innovation_gnss_velocity",): 2.5}
+    assert found["obu_monitor_statistic"] == {
+        ("innovation_gnss_position",): 0.4, ("innovation_gnss_velocity",): 2.5, ("inertial_short",): 0.5,
+    }  # fmt: skip
+    assert found["obu_monitor_outcome"] == {
+        ("inertial_short", "pass"): 1.0, ("inertial_short", "accuses"): 0.0, ("inertial_short", "not_evaluated"): 0.0,
+    }  # fmt: skip
     assert found["obu_monitor_alarms_total"][("innovation_gnss_velocity",)] == 1.0
     assert found["obu_topic_age_seconds"][("gnss/fix",)] == pytest.approx(0.5)
     assert found["obu_process_restarts_total"][("parsers.gnss",)] == 0.0

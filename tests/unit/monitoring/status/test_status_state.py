@@ -24,11 +24,23 @@ from shared.messages.operation import (
     ProcessStatus,
     TopicAge,
 )
+from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
-from tests.support.status_world import ALL, SECOND_NS, START_NS, World, aiding, fix, navigation, solution
+from tests.support.status_world import (
+    ALL,
+    SECOND_NS,
+    START_NS,
+    World,
+    aiding,
+    fix,
+    monitor,
+    navigation,
+    solution,
+    trust,
+)
 
 
-def drive(world: World, seconds: float, *, without: tuple[str, ...] = ()) -> None:
+def drive(world: World, seconds: float, *, without: tuple[str, ...] = (), level: TrustLevel = TrustLevel.SAFE) -> None:
     """Let the unit run, but for some processes or topics."""
     for i in range(round(seconds * 10)):
         now_ns = world.now_ns
@@ -41,6 +53,7 @@ def drive(world: World, seconds: float, *, without: tuple[str, ...] = ()) -> Non
                 ("sensors.simulator", GnssRaw(received_ns=now_ns, source="gnss0", data=b"\xb5")),
                 ("parsers.gnss", fix(now_ns)),
                 ("core.fusion", navigation(now_ns, NavigationPhase.NAVIGATING, "all known")),
+                ("core.trust", trust(now_ns, level)),
                 ("sensors.simulator", Origin(now_ns=now_ns, kind=OriginKind.SIMULATED, name="urban")),
             ]
         for producer, message in said:
@@ -76,7 +89,7 @@ STALE = "core.fusion is stale: connected, but without heartbeat; it hangs or is 
 
 def test_a_unit_that_works_has_no_problems(driving: World) -> None:
     assert problems(driving) == []
-    assert driving.state.verdict.code == "unmonitored"
+    assert driving.state.verdict.state is Trust.SAFE
     assert reports.health(driving.state, driving.now_ns)["state"] == "ok"
 
 
@@ -85,8 +98,8 @@ def test_a_stopped_process_is_stale_within_its_deadline_of_two_seconds(driving: 
     while status(driving, "core.fusion") is not ProcessStatus.STALE:
         drive(driving, 0.1, without=("core.fusion",))
         assert driving.now_ns - stopped_ns < 3.0 * SECOND_NS, "deadline, heartbeat, report and the period of judging"
-    drive(driving, 0.7, without=("core.fusion",))
-    assert driving.state.verdict.sentence == f"The position is stale: {STALE}."
+    drive(driving, 0.7, without=("core.fusion",), level=TrustLevel.NO_FIX)
+    assert driving.state.verdict.sentence == f"No position: no monitor accuses GNSS ({STALE})."
 
 
 def test_everything_that_fell_silent_with_a_process_is_one_problem(driving: World) -> None:
@@ -101,7 +114,6 @@ def test_a_last_will_shows_a_process_as_lost_with_the_next_report(driving: World
     driving.hear(will, "parsers.gnss")
     driving.pass_time(0.8)
     assert status(driving, "parsers.gnss") is ProcessStatus.LOST
-    assert "parsers.gnss is not running" in driving.state.verdict.sentence
 
 
 def test_what_was_known_of_a_process_outlives_its_will(driving: World) -> None:
@@ -132,7 +144,7 @@ def test_a_unit_that_has_just_started_has_no_root_cause_yet() -> None:
     starting = World()
     starting.beat(*ALL)
     starting.pass_time(0.8)
-    assert starting.state.verdict.sentence == "No position yet: nothing has been received from core.fusion."
+    assert starting.state.verdict.sentence == "Trust is not evaluated: core.trust has not published a verdict yet."
 
 
 def test_an_outage_lasts_from_the_last_message_to_the_first_after_it(driving: World) -> None:
@@ -163,7 +175,8 @@ def test_processes_are_waited_for_and_after_two_minutes_missing() -> None:
     world.pass_time(2.0, 0.5)
     assert status(world, "core.fusion") is ProcessStatus.MISSING
     cause = "core.fusion is missing: it should run in this vehicle, but was never seen"
-    assert world.state.verdict.sentence == f"No position yet: {cause}."
+    assert world.state.judgement.cause("navigation/solution") == cause
+    assert "core.trust is missing" in world.state.verdict.sentence
 
 
 def test_a_process_that_the_vehicle_does_not_have_is_absent_and_no_problem(driving: World) -> None:
@@ -240,7 +253,7 @@ def test_a_silent_watchdog_is_the_only_problem_and_all_else_is_unknown(driving: 
     text = "monitoring.health does not report, so the state of processes and topics is unknown"
     assert problems(driving) == [text]
     assert {status(driving, name) for name in ALL} == {ProcessStatus.UNKNOWN}
-    assert driving.state.verdict.sentence.startswith("Position not monitored, and monitoring.health does not report")
+    assert driving.state.verdict.state is Trust.SAFE, "the verdict does not depend on the watchdog"
     assert reports.health(driving.state, driving.now_ns)["topics"] == {}
     driving.watchdog = before
     drive(driving, 5.0)
@@ -259,13 +272,68 @@ def test_the_report_that_the_broker_retained_of_a_former_life_says_nothing_of_no
     assert status(world, "core.fusion") is ProcessStatus.UNKNOWN
 
 
-def test_the_banner_keeps_since_when_it_holds(driving: World) -> None:
-    since_ns = driving.state.verdict_since_ns
+def test_the_banner_holds_since_core_trust_says_and_the_timeline_keeps_each_change(driving: World) -> None:
     drive(driving, 2.0)
-    assert driving.state.verdict_since_ns == since_ns
-    drive(driving, 4.0, without=("core.fusion",))
-    assert driving.state.verdict_since_ns > since_ns
-    assert [trust for _, trust in driving.state.timeline] == [Trust.STALE, Trust.CAUTION, Trust.STALE]
+    assert driving.state.verdict.since_ns == START_NS
+    drive(driving, 4.0, level=TrustLevel.UNSAFE)
+    drive(driving, 6.0, without=("core.trust",))
+    shown = [state for _, state in driving.state.trust_history.changes]
+    assert shown == [Trust.SAFE, Trust.UNSAFE, Trust.STALE]
+
+
+def test_the_verdict_ends_at_the_deadline_of_trust_state_and_is_never_safe_after_it(driving: World) -> None:
+    drive(driving, 4.9, without=("core.trust",))
+    said_ns = driving.state.topics["trust/state"].updated_ns or 0
+    for _ in range(30):
+        drive(driving, 0.1, without=("core.trust",))
+        age_s = (driving.now_ns - said_ns) / SECOND_NS
+        assert (driving.state.verdict.state is Trust.STALE) == (age_s >= 5.0) or abs(age_s - 5.0) < 0.3
+    verdict = driving.state.verdict
+    assert verdict.sentence.startswith("Trust is not evaluated: no verdict for 9 s")
+    assert all(check.state is Trust.STALE for check in verdict.checks if check.kind == "monitor")
+    health = reports.health(driving.state, driving.now_ns)
+    assert health["position"] == {"state": "stale", "sentence": verdict.sentence, "since_ns": None}
+
+
+def test_a_retained_verdict_of_a_former_life_is_no_verdict() -> None:
+    world = World()
+    world.hear(trust(world.now_ns - 3600 * SECOND_NS), "core.trust", retained=True)
+    world.pass_time(0.5)
+    assert world.state.verdict.state is Trust.STALE
+    assert "no verdict for 36" in world.state.verdict.sentence
+
+
+def test_the_page_trust_has_the_verdict_every_monitor_and_its_tests(driving: World) -> None:
+    silent = monitor(driving.now_ns, "satellites", outcome=MonitorOutcome.NOT_EVALUATED, reason="4 satellites")
+    state = trust(driving.now_ns, TrustLevel.CAUTION, monitors=(monitor(driving.now_ns), silent))
+    driving.hear(state, "core.trust")
+    driving.pass_time(1.2)
+    shown = reports.trust(driving.state, driving.now_ns, 900.0)
+    assert shown["state"] == "caution"
+    monitors, history = shown["monitors"], shown["history"]
+    assert isinstance(monitors, dict) and isinstance(history, dict)
+    assert monitors["inertial_short"]["ratio"] == 0.5
+    assert (monitors["satellites"]["outcome"], monitors["satellites"]["ratio"]) == ("not_evaluated", None)
+    assert history["ratios"]["inertial_short"][-1] == 0.5
+    assert "satellites" not in history["ratios"], "what was not evaluated has no statistic"
+
+
+def test_trust_events_are_listed_newest_first_with_who_accused_and_are_bounded(driving: World) -> None:
+    accusing = monitor(driving.now_ns, outcome=MonitorOutcome.ACCUSES, accused=("gnss",), statistic=9.0)
+    for k in range(60):
+        driving.hear(
+            TrustEvent(
+                sampled_ns=driving.now_ns + k, before=TrustLevel.SAFE, after=TrustLevel.UNSAFE,
+                reasons=("monitor inertial_short accuses gnss",),
+                monitors=(accusing, monitor(driving.now_ns, "motion")),
+            ),
+            "core.trust",
+        )  # fmt: skip
+    events = snapshot.trust(driving.state, driving.now_ns)["events"]
+    assert isinstance(events, list) and len(events) == 50
+    assert [event["sampled_ns"] - driving.now_ns for event in events[:2]] == [59, 58]
+    assert events[0]["reasons"] == ["Short inertial window accuses GNSS"]
+    assert [who["monitor"] for who in events[0]["accusing"]] == ["Short inertial window"]
 
 
 def test_what_the_watchdog_reports_is_shown_as_it_is(driving: World) -> None:
@@ -278,8 +346,9 @@ def test_what_the_watchdog_reports_is_shown_as_it_is(driving: World) -> None:
     driving.watchdog = None
     report = DeadlineReport(now_ns=driving.now_ns, topics=(row,), processes=(process,), problems=(problem,))
     driving.hear(report, "monitoring.health")
+    driving.hear(trust(driving.now_ns, TrustLevel.NO_FIX, reasons=("solution is old",)), "core.trust")
     driving.pass_time(0.3)
-    assert driving.state.verdict.sentence == "The position is stale: unplugged."
+    assert driving.state.verdict.sentence == "No position: solution is old (unplugged)."
     health = reports.health(driving.state, driving.now_ns)
     assert health["topics"] == {"navigation/solution": {"freshness": "stale", "age_s": 3.0, "cause": "unplugged"}}
     assert health["problems"] == [

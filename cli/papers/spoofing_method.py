@@ -1,0 +1,166 @@
+"""The paper's method on recorded arrays: differenced GNSS velocity against accelerometer, compass and barometer.
+
+Fixes come at 1 Hz, sensors at a multiple of it. Interval k is [k - 1, k) s: both sides are means over it. The sensors'
+axes are the device's own; gravity and field give them in east, north, up.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import butter, sosfilt, sosfilt_zi
+
+from services.core.spoofing.compass import device_from_enu
+from services.core.spoofing.metrics import Metric
+
+FloatArray = npt.NDArray[np.float64]
+
+CUT_OFF_HZ = 0.12
+WINDOW = 5  # [epochs of 1 s]
+LEAST_SPEED = 1.0  # [m/s] for the heading rate
+GRAVITY_LOW_PASS_HZ = 0.05
+
+
+def high_pass(values: FloatArray, rate_hz: float, *, cut_off_hz: float = CUT_OFF_HZ) -> FloatArray:
+    """Butterworth high-pass of order 2, causal, in its steady state of the first sample.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, ...)
+        Samples along the first axis.
+    rate_hz, cut_off_hz : float
+        [Hz] Sampling rate, and frequency at which the gain is 1/sqrt(2).
+
+    Returns
+    -------
+    ndarray, shape (n, ...)
+        Starts at 0. From rest, a gravity of 9.81 m/s² would otherwise be a transient of 10 s.
+    """
+    return _filtered(values, "highpass", rate_hz, cut_off_hz)
+
+
+def low_pass(values: FloatArray, rate_hz: float, *, cut_off_hz: float = GRAVITY_LOW_PASS_HZ) -> FloatArray:
+    """Butterworth low-pass of order 2, causal, in its steady state of the first sample."""
+    return _filtered(values, "lowpass", rate_hz, cut_off_hz)
+
+
+def _filtered(
+    values: FloatArray, kind: Literal["lowpass", "highpass"], rate_hz: float, cut_off_hz: float
+) -> FloatArray:
+    sections = butter(2, cut_off_hz, kind, fs=rate_hz, output="sos")
+    zi = np.multiply.outer(sosfilt_zi(sections), values[0])
+    filtered: FloatArray = sosfilt(sections, values, axis=0, zi=zi)[0]
+    return filtered
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Heading rate [rad/s], acceleration [m/s², ENU] and altitude rate [m/s], each a mean over 1 s."""
+
+    heading_rate: FloatArray  # shape (n,)
+    acceleration: FloatArray  # shape (n, 3)
+    altitude_rate: FloatArray  # shape (n,)
+
+
+def gnss_rates(velocity_enu: FloatArray, *, filtered: bool = False) -> Rates:
+    """Rates of GNSS velocities at 1 Hz.
+
+    Parameters
+    ----------
+    velocity_enu : ndarray, shape (n + 1, 3)
+        [m/s, ENU] One velocity a second.
+    filtered : bool
+        Whether the high-pass of the accelerometer is used on the velocity differences as well. The paper does not:
+        its metric is then the acceleration of the vehicle itself.
+
+    Returns
+    -------
+    Rates
+        n seconds.
+    """
+    course = np.arctan2(velocity_enu[:, 0], velocity_enu[:, 1])
+    acceleration = np.diff(velocity_enu, axis=0)
+    return Rates(
+        _wrapped(np.diff(course)),
+        high_pass(acceleration, 1.0) if filtered else acceleration,
+        0.5 * (velocity_enu[1:, 2] + velocity_enu[:-1, 2]),
+    )
+
+
+def sensor_rates(
+    force: FloatArray, field: FloatArray, height: FloatArray, rate_hz: int, *, low_passed_gravity: bool = False
+) -> Rates:
+    """Rates of a phone's sensors.
+
+    Parameters
+    ----------
+    force, field : ndarray, shape (n · rate_hz, 3)
+        [m/s²], [any unit]; device axes. Specific force and magnetic field; sample 0 belongs to the first fix.
+    height : ndarray, shape (n · rate_hz,)
+        [m] Barometric.
+    rate_hz : int
+        [Hz] Samples a second.
+    low_passed_gravity : bool
+        Whether the compass takes a low-pass of the specific force for gravity; the paper takes the force itself.
+
+    Returns
+    -------
+    Rates
+        n - 1 seconds, between the first sample of each second and the next.
+    """
+    gravity = low_pass(force, float(rate_hz)) if low_passed_gravity else force
+    d_from_enu = device_from_enu(gravity, field)
+    heading = np.arctan2(d_from_enu[:, 1, 0], d_from_enu[:, 1, 1])  # of the device's y axis
+    acceleration = high_pass(np.einsum("nji,nj->ni", d_from_enu, force), float(rate_hz))
+    seconds = len(force) // rate_hz
+    means = acceleration[: seconds * rate_hz].reshape(seconds, rate_hz, 3).mean(axis=1)
+    whole = slice(0, seconds * rate_hz, rate_hz)
+    return Rates(_wrapped(np.diff(heading[whole])), means[: seconds - 1], np.diff(height[whole]))
+
+
+def metrics(gnss: Rates, sensors: Rates, speed: FloatArray) -> dict[Metric, FloatArray]:
+    """Signed differences of 5 s means; NaN where a metric is not defined.
+
+    Parameters
+    ----------
+    gnss, sensors : Rates
+        n seconds each.
+    speed : ndarray, shape (n + 1,)
+        [m/s] By GNSS at the epochs: the heading rate needs more than 1 m/s in the whole window.
+
+    Returns
+    -------
+    dict of ndarray, shape (n - 4,)
+        GNSS minus sensors, of the window that ends with each second.
+    """
+    difference = window_mean(gnss.acceleration) - window_mean(sensors.acceleration)
+    magnitude = [np.linalg.norm(rates.acceleration, axis=1) for rates in (gnss, sensors)]
+    heading = window_mean(gnss.heading_rate) - window_mean(sensors.heading_rate)
+    slowest = np.lib.stride_tricks.sliding_window_view(speed, WINDOW + 1).min(axis=1)
+    return {
+        Metric.HEADING_RATE: np.where(slowest > LEAST_SPEED, heading, np.nan),
+        Metric.ACCELERATION_EAST: difference[:, 0],
+        Metric.ACCELERATION_NORTH: difference[:, 1],
+        Metric.ACCELERATION_UP: difference[:, 2],
+        Metric.ACCELERATION: window_mean(magnitude[0]) - window_mean(magnitude[1]),
+        Metric.ALTITUDE_RATE: window_mean(gnss.altitude_rate) - window_mean(sensors.altitude_rate),
+    }
+
+
+def paper_sigma(gnss_error: FloatArray, sensor_error: FloatArray) -> float:
+    """The paper's sigma: sqrt(var_gnss + var_sensors) of the errors at 1 Hz, although the metric is a mean of 5 s.
+
+    The mean of a differenced series telescopes, so that this is 2 to 4 times too wide for heading and altitude rate.
+    """
+    return float(np.sqrt(np.nanvar(gnss_error) + np.nanvar(sensor_error)))
+
+
+def window_mean(values: FloatArray) -> FloatArray:
+    """Mean of each 5 successive seconds, shape (n - 4, ...)."""
+    means: FloatArray = np.lib.stride_tricks.sliding_window_view(values, WINDOW, axis=0).mean(axis=-1)
+    return means
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)

@@ -1,0 +1,291 @@
+"""The inertial monitors: keeps the last minute of every sensor, and gives the verdicts of both windows."""
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.rotation import Vector
+from shared.messages.trust import MonitorOutcome
+
+from .long_window import LENGTHS_S, LongResult, LongWindow
+from .metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
+from .settings import Settings
+from .short_window import Window, compare, window_of_fixes
+from .strapdown import SECOND_NS, Anchor, Decimator, Increment
+from .tracks import Heights, OdometerSpeed, Series, VelocityFix
+from .verdicts import Verdict, dated
+
+FloatArray = npt.NDArray[np.float64]
+
+MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
+ODOMETER_GAP_S = 2.5
+RELEASE = 10  # evaluations below the release threshold that end an accusation of a long window
+KEPT_S = 10  # of increments, fixes and solutions
+
+
+class InertialMonitor:
+    """Takes stamped measurements and solutions in order of arrival, and gives verdicts once a second."""
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self.settings = s = settings or Settings()
+        self.rejected: Counter[str] = Counter()
+        self._decimator, self._heights = Decimator(), Heights()
+        self._decimator.rejected = self._heights.rejected = self.rejected
+        self._lever_arm = np.array(s.gnss.lever_arm_body_m)
+        self._increments: deque[Increment] = deque(maxlen=KEPT_S * 12)
+        self._new: deque[Increment] = deque(maxlen=KEPT_S * 12)  # not propagated yet
+        self._solutions: deque[Anchor] = deque(maxlen=KEPT_S * 12)
+        self._fixes: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)
+        self._pending: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)  # not reached by the increments yet
+        self._odometer = Series(KEPT_S * 25, ODOMETER_GAP_S)
+        self._resolution = 0.0
+        self.long = LongWindow(s)
+        self.window: Window | None = None  # newest one of 5 s
+        self._window_missing = ""
+        self._fix_ns: int | None = None  # newest stamp, before the delay
+        self._exceeded: Counter[Metric | int] = Counter()  # successive evaluations above the threshold
+        self._accusing = dict.fromkeys(LENGTHS_S, False)
+        self._known: dict[str, Verdict] = {}
+
+    def inertial(self, time_ns: int, force_b: Vector, rate_b: Vector) -> None:
+        """Use an inertial sample [m/s², rad/s; body]."""
+        s = self.settings
+        if max(map(abs, force_b)) > s.largest_force_m_s2 or max(map(abs, rate_b)) > s.largest_rate_rad_s:
+            self.rejected["imu: value is beyond every sensor's range"] += 1
+            return
+        increment = self._decimator.add(time_ns, force_b, rate_b)
+        if increment is None:
+            return
+        if increment.after_gap:
+            self._increments.clear()
+            self._new.clear()
+            self.long.clear()
+        self._increments.append(increment)
+        self._new.append(increment)
+
+    def pressure(self, time_ns: int, pressure_pa: float) -> None:
+        """Use the pressure of the barometer."""
+        self._heights.pressure(time_ns, pressure_pa)
+
+    def fix(self, time_ns: int, velocity_n: Vector | None, sd_n: Vector | None) -> None:
+        """Use the GNSS velocity [m/s, NED] of the antenna; None when the receiver has none."""
+        g = self.settings.gnss
+        if velocity_n is None:
+            self.rejected["gnss: fix without velocity"] += 1
+            return
+        if self._fix_ns is not None and time_ns <= self._fix_ns:
+            self.rejected["gnss: stamp is not after the one before"] += 1
+            return
+        if float(np.linalg.norm(velocity_n)) > g.largest_speed_m_s:
+            self.rejected[f"gnss: speed is above {g.largest_speed_m_s:.0f} m/s"] += 1
+            return
+        stated = np.array(sd_n) if sd_n is not None else np.full(3, g.velocity_sd_m_s)
+        sd = np.maximum(np.where(stated > 0.0, stated, g.velocity_sd_m_s), g.velocity_sd_floor_m_s)
+        self._fix_ns = time_ns
+        if float(sd.max()) > g.largest_velocity_sd_m_s:
+            self.rejected["gnss: velocity is too inaccurate to compare"] += 1
+            return
+        self._pending.append(VelocityFix(time_ns - round(g.velocity_delay_s * SECOND_NS), np.array(velocity_n), sd))
+
+    def odometer(self, time_ns: int, speed: float, resolution: float | None) -> None:
+        """Use the odometer's speed [m/s]; the sign of a vehicle speed does not say whether it reverses."""
+        newest_ns, true_ns = self._odometer.newest_ns, time_ns - round(self.settings.long.odometer_delay_s * SECOND_NS)
+        if newest_ns is not None and true_ns <= newest_ns:
+            self.rejected["odometer: stamp is not after the one before"] += 1
+        elif not 0.0 <= speed <= 254.5 / 3.6:
+            self.rejected["odometer: speed is not within 0 to 254 km/h"] += 1
+        else:
+            self._odometer.add(true_ns, speed)
+            self._resolution = min(max(resolution or 0.0, 0.0), 3.0)
+
+    def solution(self, anchor: Anchor) -> None:
+        """Use a solution of fusion that has attitude and heading."""
+        if self._solutions and anchor.time_ns <= self._solutions[-1].time_ns:
+            self.rejected["solution: stamp is not after the one before"] += 1
+            return
+        self._solutions.append(anchor)
+
+    def verdicts(self, time_ns: int) -> Mapping[str, Verdict]:
+        """Evaluate everything received; give the six metrics by name, and `long_30` and `long_60`.
+
+        A fix counts when the increments have passed it. While a window accuses, propagations start only from solutions
+        that have not used GNSS since the suspect time.
+        """
+        self._propagate()
+        found: dict[str, Verdict] = {**self._short(time_ns)}
+        found |= {f"long_{length}": self._long(time_ns, length) for length in LENGTHS_S}
+        self._known = {name: dated(verdict, self._known.get(name), time_ns) for name, verdict in found.items()}
+        suspect = [
+            verdict.suspect_since_ns
+            for verdict in self._known.values()
+            if verdict.outcome is MonitorOutcome.ACCUSES and verdict.suspect_since_ns is not None
+        ]
+        if suspect:
+            self.long.accuse(min(suspect))
+        elif self._acquitted():
+            self.long.acquit()
+        return self._known
+
+    def _acquitted(self) -> bool:
+        """Whether a long window passes, or none is left to decide."""
+        results = [self._known[f"long_{length}"].outcome for length in LENGTHS_S]
+        return MonitorOutcome.PASS in results or self.long.oldest_s == 0.0
+
+    def _propagate(self) -> None:
+        """Propagate every free run over the new increments, and compare each fix as it is passed."""
+        while self._new:
+            increment = self._new.popleft()
+            anchor = self._solution_at(increment.start_ns)
+            if anchor is not None:
+                self.long.anchor(anchor)
+            self.long.advance(increment)
+            second_ends = increment.end_ns // SECOND_NS != increment.start_ns // SECOND_NS
+            if second_ends:
+                self.long.predict()
+            fresh = []
+            while self._pending and self._pending[0].time_ns <= increment.end_ns:
+                fresh.append(self._pending.popleft())
+            for fix in fresh:
+                self._fixes.append(fix)
+                self.long.compare(fix)
+            if second_ends:
+                self._aid(increment)
+            if fresh:
+                self._evaluate()
+
+    def _aid(self, increment: Increment) -> None:
+        speed = self._odometer.at(increment.end_ns)
+        odometer = None if speed is None else OdometerSpeed(increment.end_ns, speed, self._resolution)
+        solution = self._solution_at(increment.end_ns)
+        stationary = solution is not None and solution.stationary
+        self.long.aid(odometer, float(increment.rate_b[2]), stationary=stationary)
+
+    def _solution_at(self, time_ns: int) -> Anchor | None:
+        for solution in reversed(self._solutions):
+            if solution.time_ns < time_ns - MATCH_NS:
+                return None
+            if solution.time_ns <= time_ns + MATCH_NS:
+                return solution
+        return None
+
+    def _evaluate(self) -> None:
+        """Compare the 5 s before the newest fix, at most once a second, and count successive exceedances."""
+        newest_ns = self._fixes[-1].time_ns
+        if self.window is not None and newest_ns // SECOND_NS == self.window.end_ns // SECOND_NS:
+            return
+        chosen = window_of_fixes(list(self._fixes))
+        if isinstance(chosen, str):
+            self._no_window(chosen)
+            return
+        known = [s for s in self._solutions if s.time_ns <= chosen[0].time_ns]
+        run = [] if not known else [i for i in self._increments if i.start_ns >= known[-1].time_ns - MATCH_NS]
+        if not run or abs(run[0].start_ns - known[-1].time_ns) > MATCH_NS or run[-1].end_ns < newest_ns:
+            self._no_window("no attitude, or a gap in the inertial samples, at the start of the window")
+            return
+        window = compare(
+            chosen, run, known[-1], lever_arm_b=self._lever_arm, height_rate=self._heights.rate
+        )  # fmt: skip
+        self.window = window
+        profile = self.settings.profile
+        for metric in Metric:
+            sigma = profile.sigma_of(metric, window)
+            difference = window.difference.get(metric)
+            above = sigma is not None and difference is not None and abs(difference) > profile.threshold * sigma
+            self._exceeded[metric] = self._exceeded[metric] + 1 if above else 0
+        for length in LENGTHS_S:
+            self._decide(length, self.long.result(length))
+
+    def _decide(self, length: int, result: LongResult | None) -> None:
+        """Accuse after two evaluations above the threshold; release after ten below a lower one."""
+        if result is None:
+            self._accusing[length] = False
+            return
+        accusing = self._accusing[length]
+        counts = result.statistic < self.long.release_threshold if accusing else result.statistic > self.long.threshold
+        self._exceeded[length] = self._exceeded[length] + 1 if counts else 0
+        if self._exceeded[length] >= (RELEASE if accusing else CONSECUTIVE):
+            self._accusing[length] = not accusing
+            self._exceeded[length] = 0
+
+    def _no_window(self, reason: str) -> None:
+        self.window, self._window_missing = None, reason
+        self._exceeded.clear()
+
+    def _missing(self, time_ns: int) -> str | None:
+        """Why nothing can be compared now."""
+        stale_s = self.settings.stale_after_s
+        newest = {
+            "inertial samples": self._increments[-1].end_ns if self._increments else None,
+            "solution with attitude and heading": self._solutions[-1].time_ns if self._solutions else None,
+            "GNSS velocity": self._fixes[-1].time_ns if self._fixes else None,
+        }
+        for name, newest_ns in newest.items():
+            if newest_ns is None:
+                return f"no {name} received yet"
+            if time_ns - newest_ns > stale_s * SECOND_NS:
+                return f"no {name} for {(time_ns - newest_ns) / SECOND_NS:.0f} s"
+        return None if self.window is not None else self._window_missing
+
+    def _short(self, time_ns: int) -> dict[str, Verdict]:
+        missing = self._missing(time_ns)
+        return {metric.value: self._metric(metric, missing) for metric in Metric}
+
+    def _metric(self, metric: Metric, missing: str | None) -> Verdict:
+        profile, window, unit = self.settings.profile, self.window, UNITS[metric]
+        base = Verdict(
+            MonitorOutcome.NOT_EVALUATED, missing or "", unit,
+            false_alarm_rate=profile.false_alarm_rate, window_s=WINDOW_S,
+        )  # fmt: skip
+        if missing is not None or window is None:
+            return base
+        sigma, difference = profile.sigma_of(metric, window), window.difference.get(metric)
+        if difference is None or sigma is None:
+            reason = window.missing.get(metric, "the profile has no standard deviation of this metric")
+            return replace(base, reason=reason)
+        limit = profile.threshold * sigma
+        reason = f"GNSS minus inertial {difference:+.3f} {unit} over 5 s, limit {limit:.3f}"
+        suspect_ns = window.start_ns - (CONSECUTIVE - 1) * SECOND_NS
+        return judged(
+            replace(base, reason=reason),
+            abs(difference),
+            limit,
+            accuses=self._exceeded[metric] >= CONSECUTIVE,
+            suspect_since_ns=suspect_ns,
+        )
+
+    def _long(self, time_ns: int, length: int) -> Verdict:
+        missing, rate = self._missing(time_ns), self.settings.long.false_alarm_rate
+        base = Verdict(MonitorOutcome.NOT_EVALUATED, missing or "", false_alarm_rate=rate, window_s=float(length))
+        if missing is not None:
+            return base
+        result = self.long.result(length)
+        if result is None:
+            reason = f"free propagation is {self.long.oldest_s:.0f} s old, {length} s are needed"
+            return replace(base, reason=reason)
+        north, east, down = result.difference_n.tolist()
+        reason = (
+            f"GNSS minus free propagation of {length} s: {north:+.2f} north, {east:+.2f} east, {down:+.2f} down m/s; "
+            f"chi-square {result.statistic:.1f}, limit {self.long.threshold:.1f}"
+        )
+        if self.long.odometer_rejected:
+            reason += "; the odometer contradicts the inertial sensors and is not used"
+        base = replace(base, reason=reason)
+        return judged(
+            base,
+            result.statistic,
+            self.long.threshold,
+            accuses=self._accusing[length],
+            suspect_since_ns=result.anchor_ns,
+        )
+
+
+def judged(base: Verdict, statistic: float, threshold: float, *, accuses: bool, suspect_since_ns: int) -> Verdict:
+    """Complete a verdict that has been evaluated."""
+    if accuses:
+        base = replace(base, outcome=MonitorOutcome.ACCUSES, suspect_since_ns=suspect_since_ns)
+    else:
+        base = replace(base, outcome=MonitorOutcome.PASS)
+    return replace(base, statistic=statistic, threshold=threshold)

@@ -1,0 +1,95 @@
+"""Settings of the inertial monitors."""
+
+from math import radians
+
+from pydantic import Field
+
+from shared.messages.base import Vector3
+from shared.runtime.config import Section
+
+from .profile import UNIT_IMU, Profile
+
+
+class GnssSettings(Section):
+    """Antenna and velocity of the GNSS receiver."""
+
+    lever_arm_body_m: Vector3 = Field(
+        default=(0.0, 0.0, 0.0), description="lever arm from the IMU to the GNSS antenna: forward, right, down"
+    )
+    velocity_delay_s: float = Field(
+        default=0.0, ge=-2.0, le=2.0, description="age of the velocity beyond what the stamp of its fix says"
+    )
+    velocity_sd_m_s: float = Field(
+        default=0.2, gt=0.0, description="standard deviation of a velocity of a receiver that states none"
+    )
+    velocity_sd_floor_m_s: float = Field(
+        default=0.05, gt=0.0, description="least standard deviation of a velocity, whatever the receiver states"
+    )
+    largest_velocity_sd_m_s: float = Field(
+        default=1.0, gt=0.0, description="velocities with a larger standard deviation are not compared"
+    )
+    velocity_correlation_s: float = Field(default=2.0, gt=0.0, description="correlation time of velocity errors")
+    time_sd_s: float = Field(
+        default=0.02, ge=0.0, description="standard deviation of the stamps; times the acceleration it is a velocity"
+    )
+    largest_speed_m_s: float = Field(default=150.0, gt=0.0, description="faster velocities are rejected")
+
+
+class LongSettings(Section):
+    """Free propagation over 30 and 60 s."""
+
+    false_alarm_rate: float = Field(default=1e-5, gt=0.0, lt=0.5, description="of each window, per evaluation")
+    velocity_random_walk_m_s_sqrt_s: float = Field(
+        default=0.006, gt=0.0, description="root of the PSD of the accelerometers' noise, vibration included"
+    )
+    angle_random_walk_rad_sqrt_s: float = Field(
+        default=2e-4, gt=0.0, description="root of the PSD of the gyroscopes' noise, vibration included"
+    )
+    accelerometer_bias_sd_m_s2: float = Field(
+        default=0.01, gt=0.0, description="standard deviation of the accelerometer biases in fusion's solution"
+    )
+    gyroscope_bias_sd_rad_s: float = Field(
+        default=radians(0.005), gt=0.0, description="standard deviation of the gyroscope biases in fusion's solution"
+    )
+    scale_sd: float = Field(
+        default=0.002, ge=0.0, description="standard deviation of scale and cross-axis errors of the inertial sensors"
+    )
+    attitude_sd_floor_rad: float = Field(
+        default=radians(0.05), ge=0.0, description="added to the attitude's covariance in fusion's solution, per axis"
+    )
+    velocity_sd_floor_m_s: float = Field(
+        default=0.03, ge=0.0, description="added to the velocity's covariance in fusion's solution, per axis"
+    )
+    odometer_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the odometer's speed")
+    odometer_scale_sd: float = Field(default=0.02, gt=0.0, description="standard deviation of the odometer's scale")
+    odometer_delay_s: float = Field(default=0.0, ge=-2.0, le=3.0, description="age of odometer speeds at their stamps")
+    odometer_time_sd_s: float = Field(default=0.05, ge=0.0, description="standard deviation of that age")
+    odometer_dead_zone_m_s: float = Field(
+        default=3.0 / 3.6, ge=0.0, description="speed below which an odometer with steps may read zero"
+    )
+    odometer_gate: float = Field(
+        default=1e-5, gt=0.0, lt=0.5, description="false-alarm rate of the gate on a single odometer speed"
+    )
+    non_holonomic: bool = Field(default=True, description="the vehicle moves along its forward axis: no lateral slip")
+    lateral_sd_m_s: float = Field(default=0.15, gt=0.0, description="standard deviation of the lateral velocity")
+    vertical_sd_m_s: float = Field(default=0.15, gt=0.0, description="standard deviation of the velocity along body z")
+    rear_axle_distance_m: float = Field(
+        default=1.5, ge=0.0, description="between IMU and rear axle; times the yaw rate it is a lateral velocity"
+    )
+    mounting_sd_rad: float = Field(
+        default=radians(1.0), gt=0.0, description="standard deviation of the angle between body and forward axis"
+    )
+    correlation_s: float = Field(
+        default=5.0, ge=1.0, description="correlation time of the errors of odometer and non-holonomic constraint"
+    )
+
+
+class Settings(Section):
+    """Settings of both monitors."""
+
+    gnss: GnssSettings = GnssSettings()
+    long: LongSettings = LongSettings()
+    profile: Profile = Field(default=UNIT_IMU, description="standard deviations of the 5 s metrics, and their origin")
+    stale_after_s: float = Field(default=3.0, gt=0.0, description="age of GNSS or inertial data that ends a comparison")
+    largest_force_m_s2: float = Field(default=80.0, gt=0.0, description="larger specific forces are rejected")
+    largest_rate_rad_s: float = Field(default=20.0, gt=0.0, description="larger angular rates are rejected")

@@ -1,0 +1,158 @@
+"""The 5 s window: changes of GNSS velocity, course and height against those of the inertial sensors."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import wrap_angle
+
+from .metrics import WINDOW_S, Metric, acceleration_differences
+from .strapdown import SECOND_NS, Anchor, Increment, Strapdown
+from .tracks import VelocityFix
+
+FloatArray = npt.NDArray[np.float64]
+
+LONGEST_S = 6.0  # of a window: epochs at 1 Hz may be 0.9 s off
+GAP_S = 1.6  # between two fixes of a window
+LEAST_SPEED = 1.0  # [m/s] of the heading rate
+MOVING_SPEED = 3.0  # [m/s] by inertial sensors, at which a GNSS that stands has no course that could turn
+
+
+@dataclass(frozen=True)
+class Window:
+    """One evaluation: signed differences GNSS minus inertial, and the dynamics that thresholds depend on."""
+
+    start_ns: int
+    end_ns: int
+    difference: dict[Metric, float]
+    noise: dict[Metric, float] = field(default_factory=dict)  # standard deviation from the velocity's stated accuracy
+    speed_m_s: tuple[float, float] = (0.0, 0.0)  # least and largest
+    force_m_s2: float = 0.0  # largest | |f| - g |
+    missing: dict[Metric, str] = field(default_factory=dict)  # why a metric was not evaluated
+
+
+def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | str:
+    """Fixes of the 5 s before the newest one, it included; or why there is no such window."""
+    if not fixes:
+        return "no GNSS velocity received yet"
+    limit_ns = fixes[-1].time_ns - round((WINDOW_S - 0.1) * SECOND_NS)
+    begin = next((i for i in range(len(fixes) - 1, -1, -1) if fixes[i].time_ns <= limit_ns), None)
+    if begin is None or fixes[-1].time_ns - fixes[begin].time_ns > LONGEST_S * SECOND_NS:
+        return "fewer than 5 s of GNSS velocities"
+    chosen = list(fixes[begin:])
+    if any(b.time_ns - a.time_ns > GAP_S * SECOND_NS for a, b in pairwise(chosen)):
+        return f"more than {GAP_S} s between two GNSS velocities"
+    return chosen
+
+
+def compare(
+    fixes: Sequence[VelocityFix],
+    increments: Sequence[Increment],
+    anchor: Anchor,
+    *,
+    lever_arm_b: FloatArray,
+    height_rate: Callable[[int, int], float | None],
+) -> Window:
+    """Compare the changes over a window.
+
+    Parameters
+    ----------
+    fixes : sequence of VelocityFix
+        Of `window_of_fixes`.
+    increments : sequence of Increment
+        From the anchor to the newest fix or later, contiguous.
+    anchor : Anchor
+        Attitude, velocity and biases from before the window: GNSS of the window has no part in them.
+    lever_arm_b : ndarray, shape (3,)
+        [m, body] From the IMU to the antenna.
+    height_rate : callable
+        [m/s] Mean rate of the barometric height between two times, None if it is not known.
+
+    Returns
+    -------
+    Window
+        Without the metrics that could not be evaluated, which are in `missing`.
+
+    Notes
+    -----
+    The mean over a window of a differenced series is its change divided by the length W of the window, so that both
+    sides are filtered equally::
+
+        a_gnss = (v_k - v_0) / W,    a_inertial = (v_free(t_k) - v_free(t_0)) / W
+
+    v_free is the strapdown velocity of the antenna: gravity is removed with the gyroscopes' attitude.
+    """
+    times, velocity, yaw = _propagated(increments, anchor, lever_arm_b)
+    start_ns, end_ns = fixes[0].time_ns, fixes[-1].time_ns
+    duration = (end_ns - start_ns) / SECOND_NS
+    ends = np.array([start_ns - anchor.time_ns, end_ns - anchor.time_ns]) / SECOND_NS
+    free = np.column_stack([np.interp(ends, times, velocity[:, axis]) for axis in range(3)])
+    gnss_change = fixes[-1].velocity_n - fixes[0].velocity_n
+    difference = acceleration_differences(gnss_change / duration, (free[1] - free[0]) / duration)
+    sd = np.hypot(fixes[0].sd, fixes[-1].sd) / duration
+    horizontal = float(max(sd[0], sd[1]))
+    noise = {
+        Metric.ACCELERATION_NORTH: float(sd[0]),
+        Metric.ACCELERATION_EAST: float(sd[1]),
+        Metric.ACCELERATION_UP: float(sd[2]),
+        Metric.ACCELERATION: horizontal,
+    }
+    missing: dict[Metric, str] = {}
+    slowest = min(fix.speed for fix in fixes)
+    inertial_speed = float(np.hypot(free[:, 0], free[:, 1]).min())
+    if slowest > LEAST_SPEED or inertial_speed > MOVING_SPEED:
+        turned = float(np.interp(ends[1], times, yaw) - np.interp(ends[0], times, yaw))
+        difference[Metric.HEADING_RATE] = (_course_change(fixes) - turned) / duration
+        noise[Metric.HEADING_RATE] = horizontal / max(slowest, LEAST_SPEED)
+    else:
+        missing[Metric.HEADING_RATE] = "speed is not above 1 m/s in the whole window"
+    rate = height_rate(start_ns, end_ns)
+    if rate is None:
+        missing[Metric.ALTITUDE_RATE] = "no barometric height"
+    else:
+        difference[Metric.ALTITUDE_RATE] = _climb_rate(fixes) - rate
+        noise[Metric.ALTITUDE_RATE] = float(max(fix.sd[2] for fix in fixes)) / sqrt(len(fixes))
+    inside = [increment for increment in increments if increment.end_ns > start_ns]
+    force = max(abs(increment.excess_force) for increment in inside)
+    speeds = (min(slowest, inertial_speed), max(fix.speed for fix in fixes))
+    return Window(start_ns, end_ns, difference, noise, speeds, force, missing)
+
+
+def _propagated(
+    increments: Sequence[Increment], anchor: Anchor, lever_arm_b: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times since the anchor [s], velocity of the antenna [m/s, NED] and continuous yaw [rad] after each increment."""
+    free = Strapdown(anchor)
+    lever_velocity_b = np.cross([increment.rate_b for increment in increments], lever_arm_b)
+    velocity, yaw = [free.velocity + free.ned_from_body @ lever_velocity_b[0]], [_yaw(free)]
+    for increment, lever_velocity in zip(increments, lever_velocity_b, strict=True):
+        free.advance(increment)
+        velocity.append(free.velocity + free.ned_from_body @ lever_velocity)
+        yaw.append(_yaw(free))
+    times = [0.0] + [(increment.end_ns - anchor.time_ns) / SECOND_NS for increment in increments]
+    return np.array(times), np.array(velocity), np.unwrap(yaw)
+
+
+def _yaw(free: Strapdown) -> float:
+    return float(np.arctan2(free.ned_from_body[1, 0], free.ned_from_body[0, 0]))
+
+
+def _course_change(fixes: Sequence[VelocityFix]) -> float:
+    """Change of course [rad], turn by turn; 0 while GNSS stands, where its course is noise."""
+    change = 0.0
+    for before, after in pairwise(fixes):
+        if min(before.speed, after.speed) > LEAST_SPEED:
+            courses = [float(np.arctan2(fix.velocity_n[1], fix.velocity_n[0])) for fix in (before, after)]
+            change += wrap_angle(courses[1] - courses[0])
+    return change
+
+
+def _climb_rate(fixes: Sequence[VelocityFix]) -> float:
+    """Mean upward velocity [m/s], by the trapezoidal rule."""
+    times = np.array([(fix.time_ns - fixes[0].time_ns) / SECOND_NS for fix in fixes])
+    up = -np.array([fix.velocity_n[2] for fix in fixes])
+    return float(np.trapezoid(up, times) / times[-1])

@@ -1,0 +1,48 @@
+"""Two statements of the verdicts: `inertial_short` of the metrics over 5 s, `inertial_long` of 30 and 60 s."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+
+from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+
+from .metrics import Metric
+from .verdicts import Verdict
+
+SHORT = tuple(metric.value for metric in Metric)
+
+
+def statements(verdicts: Mapping[str, Verdict], time_ns: int) -> tuple[TrustMonitor, TrustMonitor]:
+    """Give the statements of the monitors `inertial_short` and `inertial_long`."""
+    short = {name: verdict for name, verdict in verdicts.items() if name in SHORT}
+    long = {name: verdict for name, verdict in verdicts.items() if name not in SHORT}
+    return _statement("inertial_short", short, time_ns), _statement("inertial_long", long, time_ns)
+
+
+def _statement(monitor: str, verdicts: Mapping[str, Verdict], time_ns: int) -> TrustMonitor:
+    """Statement of the deciding test: accusing before passing before not evaluated, then the largest ratio."""
+    deciding = max(verdicts.values(), key=_weight)
+    suspect = [verdict.suspect_since_ns for verdict in verdicts.values() if verdict.suspect_since_ns is not None]
+    return TrustMonitor(
+        sampled_ns=time_ns, monitor=monitor, outcome=deciding.outcome, reason=deciding.reason,
+        accused=("gnss",) if deciding.outcome is MonitorOutcome.ACCUSES else (),
+        suspect_since_ns=min(suspect, default=None), since_ns=_since(verdicts, deciding.outcome),
+        statistic=deciding.statistic, threshold=deciding.threshold, false_alarm_rate=deciding.false_alarm_rate,
+        window_s=deciding.window_s, tests=tuple(_test(name, verdict) for name, verdict in verdicts.items()),
+    )  # fmt: skip
+
+
+def _since(verdicts: Mapping[str, Verdict], outcome: MonitorOutcome) -> int | None:
+    times = [v.since_ns for v in verdicts.values() if v.outcome is outcome and v.since_ns is not None]
+    return min(times, default=None)
+
+
+def _weight(verdict: Verdict) -> tuple[int, float]:
+    order = (MonitorOutcome.NOT_EVALUATED, MonitorOutcome.PASS, MonitorOutcome.ACCUSES)
+    ratio = verdict.statistic / verdict.threshold if verdict.statistic is not None and verdict.threshold else 0.0
+    return order.index(verdict.outcome), ratio
+
+
+def _test(name: str, verdict: Verdict) -> MonitorTest:
+    fields = asdict(verdict)
+    del fields["suspect_since_ns"]
+    return MonitorTest(name=name, **fields)

@@ -1,0 +1,30 @@
+"""Outcome of one test at one time."""
+
+from dataclasses import dataclass, replace
+
+from shared.messages.trust import MonitorOutcome
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Outcome of one test; it accuses when the statistic is strictly greater than the threshold."""
+
+    outcome: MonitorOutcome
+    reason: str
+    unit: str = "-"
+    statistic: float | None = None
+    threshold: float | None = None
+    false_alarm_rate: float | None = None
+    window_s: float | None = None
+    suspect_since_ns: int | None = None
+    since_ns: int | None = None
+
+
+def dated(new: Verdict, old: Verdict | None, time_ns: int) -> Verdict:
+    """Carry over since when an outcome lasts and, while a test accuses, the earliest suspect time."""
+    if old is None or new.outcome is not old.outcome or old.since_ns is None:
+        return replace(new, since_ns=time_ns)
+    suspect = [t for t in (old.suspect_since_ns, new.suspect_since_ns) if t is not None]
+    if new.outcome is MonitorOutcome.ACCUSES and suspect:
+        new = replace(new, suspect_since_ns=min(suspect))
+    return replace(new, since_ns=old.since_ns)

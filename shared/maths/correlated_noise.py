@@ -1,0 +1,24 @@
+"""Statistics of noise that is correlated over time."""
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def mean_variance(time_s: FloatArray, sd: FloatArray, correlation_s: float) -> float:
+    """Variance of the mean of samples whose errors are correlated as exp(-|Δt|/τ).
+
+    Parameters
+    ----------
+    time_s, sd : ndarray, shape (n,)
+        [s], [any unit] Times and standard deviations of the samples.
+    correlation_s : float
+        [s] Correlation time τ; positive.
+
+    Notes
+    -----
+    1/n² · Σᵢⱼ σᵢ σⱼ exp(-|tᵢ - tⱼ|/τ)
+    """
+    correlation = np.exp(-np.abs(time_s[:, None] - time_s[None, :]) / correlation_s)
+    return float(sd @ correlation @ sd) / len(sd) ** 2

@@ -1,0 +1,200 @@
+"""The process on simulated drives: clean ones, drag-off, missing inputs and bad input."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.core.fusion.process import Config as FusionConfig
+from services.core.fusion.process import Process as Fusion
+from services.core.spoofing.metrics import Metric
+from services.core.spoofing.process import Config, Process
+from services.sensors.simulator.drive import Drive, simulate
+from shared.messages.base import Tick
+from shared.messages.gnss import GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import NavigationPhase, NavigationSolution
+from shared.messages.trust import MonitorOutcome, TrustMonitor
+from shared.messages.vehicle import VehicleSpeed
+from tests.support.spoofing import Input, Result, drag_off, inputs, monitored, run
+
+BEGIN_S = 100.0
+SHORT, LONG = "inertial_short", "inertial_long"
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return simulate("urban", 1, 150.0)
+
+
+@pytest.fixture(scope="module")
+def clean(drive: Drive) -> Result:
+    return monitored(drive)
+
+
+def test_a_clean_drive_passes_both_monitors_and_accuses_nobody(clean: Result) -> None:
+    assert clean.episodes(SHORT) == clean.episodes(LONG) == 0
+    for monitor in (SHORT, LONG):
+        later = [s for s in clean.statements[monitor] if s.sampled_ns > 60e9]
+        assert {s.outcome for s in later} == {MonitorOutcome.PASS}
+        assert all(s.accused == () and s.suspect_since_ns is None for s in later)
+    assert not clean.process.rejects
+
+
+def test_there_is_one_statement_of_each_monitor_a_second_with_all_tests(clean: Result) -> None:
+    short, long = clean.statements[SHORT][-1], clean.statements[LONG][-1]
+    assert [s.sampled_ns for s in clean.statements[SHORT]] == [k * 10**9 for k in range(1, 151)]
+    assert {test.name for test in short.tests} == {metric.value for metric in Metric}
+    assert [(test.name, test.window_s) for test in long.tests] == [("long_30", 30.0), ("long_60", 60.0)]
+    assert all(test.outcome is MonitorOutcome.PASS for test in long.tests)
+    assert short.window_s == 5.0 and short.false_alarm_rate == Config().profile.false_alarm_rate
+    assert long.false_alarm_rate == Config().long.false_alarm_rate
+    assert long.statistic is not None and long.threshold is not None and long.statistic < long.threshold
+
+
+def test_at_standstill_accelerations_are_compared_and_the_heading_rate_is_not(clean: Result) -> None:
+    still = [w for w in clean.windows if max(w.speed_m_s) < 0.5]
+    assert len(still) > 5
+    for window in still:
+        assert Metric.ACCELERATION_EAST in window.difference and Metric.ALTITUDE_RATE in window.difference
+        assert window.missing[Metric.HEADING_RATE] == "speed is not above 1 m/s in the whole window"
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "speed", "within_s"), [(0.3, 3.0, 15.0), (0.1, 1.0, 30.0)], ids=["0.3 m/s2", "0.1 m/s2"]
+)
+def test_a_drag_off_is_accused_by_the_long_window_from_before_it_began(
+    drive: Drive, acceleration: float, speed: float, within_s: float
+) -> None:
+    result = monitored(drag_off(drive, BEGIN_S, acceleration, speed))
+    first_s = result.first_s(LONG)
+    assert first_s is not None and BEGIN_S < first_s <= BEGIN_S + within_s
+    accusing = [s for s in result.statements[LONG] if s.outcome is MonitorOutcome.ACCUSES]
+    for statement in accusing:
+        assert statement.accused == ("gnss",) and statement.suspect_since_ns is not None
+        assert 30e9 < statement.suspect_since_ns <= BEGIN_S * 1e9, "earlier than the attack"
+        assert statement.since_ns == first_s * 1e9
+    assert accusing[-1].sampled_ns == 150e9, "the anchors are kept from before the suspect time"
+
+
+def test_a_drag_off_of_0_3_m_s2_is_accused_by_the_short_window_as_well(drive: Drive) -> None:
+    first_s = monitored(drag_off(drive, BEGIN_S, 0.3, 3.0)).first_s(SHORT)
+    assert first_s is not None and first_s <= BEGIN_S + 10.0
+
+
+def test_a_velocity_that_steps_is_accused_by_the_short_window_within_seconds(drive: Drive) -> None:
+    stepped = drive.fix_velocity_n + np.where(drive.fix_ns > BEGIN_S * 1e9, 1.0, 0.0)[:, None] * [0.0, 0.0, -1.0]
+    result = monitored(replace(drive, fix_velocity_n=stepped))
+    first_s = result.first_s(SHORT)
+    assert first_s is not None and first_s <= BEGIN_S + 4.0
+    up = next(t for t in result.statements[SHORT][int(first_s) - 1].tests if t.name == "acceleration_up")
+    assert up.outcome is MonitorOutcome.ACCUSES
+
+
+def outcomes(statements: list[TrustMonitor], after_s: float) -> set[MonitorOutcome]:
+    return {s.outcome for s in statements if s.sampled_ns > after_s * 1e9}
+
+
+def without(drive: Drive, kind: type, after_s: float) -> Result:
+    """Both processes on a drive whose messages of a kind end."""
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    process = Process(Config().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+
+    def kept() -> Iterator[Input]:
+        now_ns = 0
+        for message in inputs(drive):
+            now_ns = message.now_ns if isinstance(message, Tick) else message.received_ns
+            if now_ns <= after_s * 1e9 or not isinstance(message, kind):
+                yield message
+
+    return run(fusion, process, kept())
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"), [(ImuSamples, "no inertial samples for"), (GnssFix, "no GNSS velocity for")]
+)
+def test_without_an_input_nothing_is_evaluated_and_the_reason_names_it(drive: Drive, kind: type, reason: str) -> None:
+    result = without(drive, kind, 90.0)
+    for monitor in (SHORT, LONG):
+        assert outcomes(result.statements[monitor], 95.0) == {MonitorOutcome.NOT_EVALUATED}
+        assert result.statements[monitor][-1].reason.startswith(reason)
+        assert result.episodes(monitor) == 0
+
+
+def test_without_odometer_and_after_it_ends_both_monitors_go_on(drive: Drive) -> None:
+    result = without(drive, VehicleSpeed, 70.0)
+    assert outcomes(result.statements[SHORT], 75.0) == outcomes(result.statements[LONG], 75.0) == {MonitorOutcome.PASS}
+
+
+def test_without_a_heading_nothing_is_evaluated() -> None:
+    process = Process(Config())
+    found = list(process.handle(Tick(now_ns=10**9)))
+    assert [s.monitor for s in found] == [SHORT, LONG]
+    assert {s.outcome for s in found} == {MonitorOutcome.NOT_EVALUATED}
+    assert found[0].reason == "no inertial samples received yet" and found[0].statistic is None
+    standing = simulate("urban", 1, 15.0)  # fusion gets its heading when the vehicle drives
+    last = monitored(standing).statements
+    assert all(last[m][-1].reason == "no solution with attitude and heading received yet" for m in (SHORT, LONG))
+    waiting = NavigationSolution.model_construct(phase=NavigationPhase.WAITING_FOR_HEADING)
+    assert list(process.handle(waiting)) == []
+
+
+def test_bad_input_is_counted_and_changes_no_outcome(drive: Drive, clean: Result) -> None:
+    def spoiled() -> Iterator[Input]:
+        for message in inputs(drive):
+            yield message
+            now_ns = message.now_ns if isinstance(message, Tick) else message.received_ns
+            if isinstance(message, GnssFix) and now_ns % (10 * 10**9) == 0:
+                later = {"sampled_ns": now_ns + 1, "received_ns": now_ns + 1}
+                yield message  # repeated
+                yield message.model_copy(update={**later, "velocity_ned_m_s": None})
+                yield message.model_copy(update={**later, "velocity_ned_m_s": (1e6, 0.0, 0.0)})
+                yield message.model_copy(update={**later, "velocity_sd_ned_m_s": (50.0, 50.0, 50.0)})
+                yield message.model_copy(update={**later, "source": "gnss1", "velocity_ned_m_s": (9.0, 9.0, 9.0)})
+                speed = VehicleSpeed(sampled_ns=now_ns + 1, received_ns=now_ns, source="can0", speed_m_s=255 / 3.6)
+                yield speed
+                yield speed.model_copy(update={"sampled_ns": 5, "speed_m_s": 3.0})
+            if isinstance(message, ImuSamples) and now_ns % (10 * 10**9) == 0:
+                yield message  # repeated
+                yield message.model_copy(update={"specific_force_body_m_s2": ((1e9, 0.0, 0.0),) * 10})
+                yield message.model_copy(update={"saturated": True})
+
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    process = Process(Config().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    # Only the monitors get what is bad: fusion has its own tests of it.
+    solutions = [s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m)]
+    queue = iter(sorted((s for s in solutions if isinstance(s, NavigationSolution)), key=lambda s: s.sampled_ns))
+    following = next(queue, None)
+    statements: dict[str, list[TrustMonitor]] = {SHORT: [], LONG: []}
+    for message in spoiled():
+        now_ns = message.now_ns if isinstance(message, Tick) else message.received_ns
+        while following is not None and following.sampled_ns <= now_ns:
+            list(process.handle(following))
+            following = next(queue, None)
+        for statement in process.handle(message):
+            statements[statement.monitor].append(statement)
+    for monitor in (SHORT, LONG):
+        assert [s.outcome for s in statements[monitor]] == [s.outcome for s in clean.statements[monitor]]
+    assert process.rejects == {
+        "gnss: stamp is not after the one before": 15,
+        "gnss: fix without velocity": 15,
+        "gnss: speed is above 150 m/s": 15,
+        "gnss: velocity is too inaccurate to compare": 15,
+        "GnssFix of a second source": 15,
+        "odometer: speed is not within 0 to 254 km/h": 15,
+        "odometer: stamp is not after the one before": 15,
+        "imu: stamp is not after the one before": 150,
+        "imu: value is beyond every sensor's range": 150,
+        "imu: saturated": 15,
+    }
+
+
+def test_the_monitors_start_again_with_a_time_line_that_starts_again() -> None:
+    short = simulate("parking_lot", 2, 60.0)
+    process = Process(Config().with_values({"gnss.lever_arm_body_m": short.lever_arm_b}))
+    for _ in range(2):
+        fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": short.lever_arm_b}))
+        result = run(fusion, process, inputs(short))
+        assert result.statements[SHORT][-1].outcome is MonitorOutcome.PASS
+    assert process.rejects == {"time line started again": 1}
