@@ -69,7 +69,9 @@ PROCESSES = (
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
         consumes=("gnss/raw", "gnss/configure"),
-        produces=("gnss/write", "gnss/fix", "gnss/satellites", "gnss/configuration"),
+        produces=(
+            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/configuration",
+        ),
     ),
     ProcessRow(
         "parsers.imu", Kind.STANDING, "turns Xbus bytes into inertial samples in body axes",
@@ -104,6 +106,11 @@ PROCESSES = (
     ProcessRow(
         "core.spoofing", Kind.STANDING, "compares GNSS with the inertial sensors over 5, 30 and 60 s",
         consumes=("imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
+        "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
         produces=("trust/monitor",),
     ),
     ProcessRow(

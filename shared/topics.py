@@ -7,7 +7,16 @@ from difflib import get_close_matches
 from functools import cached_property
 
 from .messages.base import Message, RawBytes
-from .messages.gnss import GnssConfiguration, GnssConfigure, GnssFix, GnssRaw, GnssSatellites, GnssWrite
+from .messages.gnss import (
+    GnssConfiguration,
+    GnssConfigure,
+    GnssFix,
+    GnssNavigationBits,
+    GnssRaw,
+    GnssRawEpoch,
+    GnssSatellites,
+    GnssWrite,
+)
 from .messages.imu import ImuRaw, ImuSamples
 from .messages.navigation import (
     AidingUpdate,
@@ -73,6 +82,8 @@ TOPICS = (
     Topic("gnss/fix", GnssFix, "position and velocity of the antenna, one message an epoch",
           rate_hz=1.0, silent_after_s=5.0),
     Topic("gnss/satellites", GnssSatellites, "satellites in view", rate_hz=1.0, silent_after_s=10.0),
+    Topic("gnss/raw_epoch", GnssRawEpoch, "pseudoranges, carrier phases and Doppler, from receivers that send them"),
+    Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
     Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),

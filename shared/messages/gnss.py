@@ -1,6 +1,9 @@
 """What GNSS receivers say, and what is said to them."""
 
 from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
 
 from .base import (
     Count,
@@ -19,7 +22,11 @@ from .base import (
     Stamped,
     Symmetric3,
     Velocity3,
+    unit,
 )
+
+MAX_RAW_MEASUREMENTS = 128  # of one epoch; the longest RXM-RAWX that the parser reads has 127
+MAX_NAVIGATION_WORDS = 16  # of one subframe or page
 
 
 class GnssRaw(RawBytes):
@@ -109,6 +116,43 @@ class GnssSatellites(Stamped):
     satellites: tuple[Satellite, ...]
 
 
+class RawMeasurement(Message):
+    """Code, carrier and Doppler of one signal; what the receiver does not call valid is None."""
+
+    constellation: Constellation
+    number: Count
+    signal: Name | None = None  # observation code of RINEX 3 without its first letter: 1C is L1 C/A and E1-C
+    pseudorange_m: float | None = None
+    pseudorange_sd_m: Deviation | None = None
+    carrier_phase_cycles: Annotated[float, unit("cycles")] | None = None
+    carrier_phase_sd_cycles: Annotated[float, unit("cycles")] | None = None
+    half_cycle_resolved: bool = False
+    doppler_hz: float | None = None  # positive while the satellite approaches
+    doppler_sd_hz: float | None = None
+    cn0_db_hz: float | None = None
+    lock_time_s: float | None = None
+
+
+class GnssRawEpoch(Stamped):
+    """The raw measurements of one reception time, as the receiver's clock shows it."""
+
+    gps_time_ns: Nanoseconds  # since 1980-01-06, by the receiver's clock
+    leap_seconds: Count | None = None  # GPS - UTC
+    clock_reset: bool = False
+    measurements: Annotated[tuple[RawMeasurement, ...], Field(max_length=MAX_RAW_MEASUREMENTS)]
+
+
+class GnssNavigationBits(Stamped):
+    """One subframe or page of a navigation message, in the words in which the receiver gives it."""
+
+    constellation: Constellation
+    number: Count
+    signal: Name  # as in `RawMeasurement`
+    words: Annotated[
+        tuple[Annotated[int, Field(ge=0, lt=2**32), unit("1")], ...], Field(max_length=MAX_NAVIGATION_WORDS)
+    ]
+
+
 class GnssConfigure(Message):
     """What the controller wants of a receiver."""
 
@@ -116,6 +160,7 @@ class GnssConfigure(Message):
     source: Name
     navigation_period_s: float
     messages: tuple[Name, ...]  # UBX names to be sent every epoch, such as NAV-PVT
+    optional_messages: tuple[Name, ...] = ()  # those that a receiver may refuse, such as RXM-RAWX
 
 
 class GnssConfiguration(Message):

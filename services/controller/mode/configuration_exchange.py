@@ -15,10 +15,10 @@ class ConfigurationExchange:
     `configuring` describes the request in progress, `fault` the reason why the last attempt failed; otherwise None.
     """
 
-    def __init__(self, source: str, period_s: float, messages: tuple[str, ...]) -> None:
+    def __init__(self, source: str, period_s: float, messages: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
         self.configuring: str | None = None
         self.fault: str | None = None
-        self._source, self._period_s, self._messages = source, period_s, messages
+        self._source, self._period_s, self._messages, self._optional = source, period_s, messages, optional
         self._request_id: int | None = None  # of the request that waits for a response
         self._due_ns = 0  # time of the next request, or timeout of the response
         self._attempts = 0
@@ -56,8 +56,9 @@ class ConfigurationExchange:
             f" (attempt {self._attempts} of {len(BACK_OFF_S) + 1})"
         )
         return GnssConfigure(
-            request_id=now_ns, source=self._source, navigation_period_s=self._period_s, messages=self._messages
-        )
+            request_id=now_ns, source=self._source, navigation_period_s=self._period_s, messages=self._messages,
+            optional_messages=self._optional,
+        )  # fmt: skip
 
     def _fail(self, reason: str, now_ns: int) -> None:
         self._request_id = None

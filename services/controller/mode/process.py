@@ -27,6 +27,10 @@ class Config(Section):
         default=("NAV-PVT", "NAV-DOP", "NAV-COV", "NAV-SAT", "NAV-EOE"),
         description="UBX messages requested from the GNSS receiver",
     )
+    optional_gnss_messages: tuple[str, ...] = Field(
+        default=("RXM-RAWX", "RXM-SFRBX"),
+        description="UBX messages requested besides; a receiver that rejects them sends the others all the same",
+    )
     last_position_period_s: float = Field(default=10.0, gt=0.0)  # period at which the last position is stored
 
 
@@ -73,7 +77,13 @@ class Process:
 
     def _exchange(self, source: str) -> ConfigurationExchange:
         return self._exchanges.setdefault(
-            source, ConfigurationExchange(source, self._config.navigation_period_s, self._config.gnss_messages)
+            source,
+            ConfigurationExchange(
+                source,
+                self._config.navigation_period_s,
+                self._config.gnss_messages,
+                self._config.optional_gnss_messages,
+            ),
         )
 
 

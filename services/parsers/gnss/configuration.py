@@ -17,6 +17,7 @@ RAM = 1  # volatile layer of VALSET; VALGET numbers the same layer 0
 MAX_KEYS = 64
 TIMEOUT_TICKS = 3  # seconds without a response
 PORTS = ("UART1", "USB")
+MEASUREMENTS = "RXM-RAWX"
 
 
 class Configurator:
@@ -26,25 +27,35 @@ class Configurator:
         self._source = source
         self._request: GnssConfigure | None = None
         self._rejected = False
+        self._optional: dict[int, int] | None = None  # values of the optional messages, once the receiver has responded
         self._ticks = 0
 
     def request(self, wanted: GnssConfigure, now_ns: int) -> Iterator[GnssWrite | GnssConfiguration]:
-        """Yield the messages that set and poll the requested values, or the reason why the request is invalid."""
+        """Yield the messages that set and poll the requested values, or the reason why the request is invalid.
+
+        A receiver takes over all values of a UBX-CFG-VALSET or none. The optional messages have one of their own, which
+        comes first: responses arrive in the order of the requests, so the last one completes the exchange.
+        """
         self._request, self._rejected, self._ticks = wanted, False, 0
         try:
-            values = wanted_values(wanted)
+            values, optional = wanted_values(wanted), optional_values(wanted)
         except ValueError as error:
             yield from self._result({}, str(error))
             return
-        setting = UBXMessage.config_set(RAM, 0, list(values.items()))
-        for message in (setting, UBXMessage.config_poll(0, 0, list(values))):
-            yield GnssWrite(received_ns=now_ns, source=self._source, data=message.serialize())
+        self._optional = None if optional else {}
+        for asked in (optional, values):
+            if asked:
+                setting = UBXMessage.config_set(RAM, 0, list(asked.items()))
+                for message in (setting, UBXMessage.config_poll(0, 0, list(asked))):
+                    yield GnssWrite(received_ns=now_ns, source=self._source, data=message.serialize())
 
     def take(self, frame: bytes) -> Iterator[GnssConfiguration]:
         """Process a UBX frame; yield the result when the exchange is complete."""
         if self._request is None or len(frame) < 10:
             return
         kind, payload = (frame[2], frame[3]), frame[6:-2]
+        if self._optional is None and self._take_optional(kind, payload):
+            return
         if kind == (CFG, VALGET):
             rejection = "the receiver rejected UBX-CFG-VALSET: it may not support one of the messages"
             yield from self._result(read_values(payload), rejection if self._rejected else None)
@@ -54,6 +65,20 @@ class Configurator:
             yield from self._result(
                 {}, "the receiver rejected UBX-CFG-VALGET: older than generation 9, or a message is not supported"
             )
+
+    def _take_optional(self, kind: tuple[int, int], payload: bytes) -> bool:
+        """Process the response to the request for optional messages; after a rejection there are none."""
+        if kind == (CFG, VALGET):
+            values = read_values(payload)
+            if _database()["CFG_RATE_MEAS"] in values:  # the other response: this one was lost
+                self._optional = {}
+                return False
+            self._optional = values
+            return True
+        if kind == (ACK, 0) and payload[0] == CFG and payload[1] == VALGET:
+            self._optional = {}
+            return True
+        return kind == (ACK, 0)
 
     def tick(self) -> Iterator[GnssConfiguration]:
         """End a pending request after the timeout; called every second."""
@@ -67,7 +92,11 @@ class Configurator:
         self._request = None
         keys = _database()
         period_ms, cycles = values.get(keys["CFG_RATE_MEAS"]), values.get(keys["CFG_RATE_NAV"], 1)
+        values = {**(self._optional or {}), **values}
         messages = tuple(name for name in wanted.messages if any(values.get(key) for key in _message_keys(name)))
+        optional = tuple(
+            name for name in wanted.optional_messages if any(values.get(key) for key in _message_keys(name))
+        )
         period_s = period_ms * cycles / 1000 if period_ms else None
         fault = fault or _difference(wanted, period_s, messages)
         yield GnssConfiguration(
@@ -75,7 +104,7 @@ class Configurator:
             source=self._source,
             accepted=fault is None,
             navigation_period_s=period_s,
-            messages=messages,
+            messages=messages + optional,
             reason=fault,
         )
 
@@ -86,8 +115,26 @@ def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
     period_ms = round(wanted.navigation_period_s * 1000)
     if not 25 <= period_ms <= 65535:
         raise ValueError(f"a navigation period of {wanted.navigation_period_s} s is outside 0.025 to 65.535 s")
-    values = {keys["CFG_RATE_MEAS"]: period_ms, keys["CFG_RATE_NAV"]: 1}
-    for name in wanted.messages:
+    values = {keys["CFG_RATE_MEAS"]: period_ms, keys["CFG_RATE_NAV"]: 1, **_output_values(wanted.messages)}
+    if len(values) > MAX_KEYS:
+        raise ValueError(f"{len(wanted.messages)} messages are too many for one request: at most {MAX_KEYS // 2 - 1}")
+    return values
+
+
+def optional_values(wanted: GnssConfigure) -> dict[int, int]:
+    """Keys and values of the optional messages; measurements come once a second, 1048 bytes of 32 signals."""
+    values = _output_values(wanted.optional_messages)
+    every = max(1, round(1.0 / wanted.navigation_period_s))
+    values.update(dict.fromkeys(set(_message_keys(MEASUREMENTS)) & set(values), every))
+    if len(values) > MAX_KEYS:
+        raise ValueError(f"{len(wanted.optional_messages)} optional messages are too many: at most {MAX_KEYS // 2}")
+    return values
+
+
+def _output_values(messages: tuple[str, ...]) -> dict[int, int]:
+    """Keys of messages that are sent in every epoch; raises ValueError for one that u-blox does not have."""
+    keys, values = _database(), dict[int, int]()
+    for name in messages:
         if not (found := _message_keys(name)):
             known = [
                 key[15:-4].replace("_", "-") for key in keys if key.startswith("CFG_MSGOUT_UBX_") and key[-3:] == "USB"
@@ -95,8 +142,6 @@ def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
             near = get_close_matches(name, known, n=1)
             raise ValueError(f"unknown u-blox message {name}" + (f"; did you mean {near[0]}?" if near else ""))
         values.update(dict.fromkeys(found, 1))
-    if len(values) > MAX_KEYS:
-        raise ValueError(f"{len(wanted.messages)} messages are too many for one request: at most {MAX_KEYS // 2 - 1}")
     return values
 
 

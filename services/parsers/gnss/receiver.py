@@ -4,9 +4,16 @@ from collections import Counter
 from collections.abc import Iterator
 
 from shared.maths.clock_mapping import ClockMapping
-from shared.messages.gnss import GnssConfiguration, GnssFix, GnssRaw, GnssSatellites
+from shared.messages.gnss import (
+    GnssConfiguration,
+    GnssFix,
+    GnssNavigationBits,
+    GnssRaw,
+    GnssRawEpoch,
+    GnssSatellites,
+)
 
-from . import ubx_messages
+from . import ubx_messages, ubx_raw
 from .configuration import Configurator
 from .framer import Frame, Framer, Protocol
 from .gnss_time import DAY_NS, MS, NS, WEEK_NS, Unwrapper
@@ -15,7 +22,9 @@ from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
 NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are published
 
-Output = GnssFix | GnssSatellites | GnssConfiguration
+SAME_EPOCH_MS = 12  # times of week of one epoch are closer: RXM-RAWX has the receiver's own clock
+
+Output = GnssFix | GnssSatellites | GnssRawEpoch | GnssNavigationBits | GnssConfiguration
 
 
 class Receiver:
@@ -29,7 +38,8 @@ class Receiver:
         self._ubx, self._nmea = EpochAssembler(rejects), NmeaAssembler()
         self._week, self._day = Unwrapper(WEEK_NS), Unwrapper(DAY_NS)
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
-        self._satellites: tuple[int, GnssSatellites] | None = None  # pending until the fix of their epoch is stamped
+        # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
+        self._waiting: dict[type[GnssSatellites | GnssRawEpoch], tuple[int, GnssSatellites | GnssRawEpoch]] = {}
         self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and time stamp [ns] of the newest fix
         self._ubx_fix_ns: int | None = None
 
@@ -47,6 +57,9 @@ class Receiver:
                 self._rejects[str(fault)] += 1
 
     def _take_ubx(self, frame: Frame, received_ns: int) -> Iterator[Output]:
+        if frame.data[2] == ubx_raw.RXM:
+            yield from self._take_raw(ubx_raw.KINDS.get(frame.data[3]), frame.data[6:-2], received_ns)
+            return
         kind = ubx_messages.KINDS.get(frame.data[3]) if frame.data[2] == ubx_messages.NAV else None
         if kind is None:
             yield from self.configurator.take(frame.data)
@@ -65,12 +78,12 @@ class Receiver:
         sampled_ns = self._ubx_clock.stamp(self._week.unwrap(epoch.itow_ms * MS), epoch.first_received_ns)
         self._last_stamp = epoch.itow_ms, sampled_ns
         yield fix_from_epoch(epoch, epoch.pvt, sampled_ns=sampled_ns, source=self._source)
-        if self._satellites and self._satellites[0] == epoch.itow_ms:
-            yield self._satellites[1].model_copy(update={"sampled_ns": sampled_ns})
-            self._satellites = None
+        for kind, (itow, message) in list(self._waiting.items()):
+            if _same_epoch(itow, epoch.itow_ms):
+                del self._waiting[kind]
+                yield message.model_copy(update={"sampled_ns": sampled_ns})
 
     def _take_satellites(self, payload: bytes, received_ns: int) -> Iterator[Output]:
-        """Stamp satellites with the time of their epoch's fix; without fixes, with their arrival time."""
         itow = ubx_messages.satellites_itow_ms(payload)
         satellites = GnssSatellites(
             sampled_ns=received_ns,
@@ -78,12 +91,30 @@ class Receiver:
             source=self._source,
             satellites=ubx_messages.decode_satellites(payload),
         )
-        if self._last_stamp and self._last_stamp[0] == itow:
-            yield satellites.model_copy(update={"sampled_ns": self._last_stamp[1]})
+        yield from self._stamped(itow, satellites)
+
+    def _take_raw(self, kind: str | None, payload: bytes, received_ns: int) -> Iterator[Output]:
+        if kind == "RAWX":
+            raw = ubx_raw.decode_raw(payload, self._rejects)
+            epoch = GnssRawEpoch(
+                sampled_ns=received_ns, received_ns=received_ns, source=self._source, gps_time_ns=raw.gps_time_ns,
+                leap_seconds=raw.leap_seconds, clock_reset=raw.clock_reset, measurements=raw.measurements,
+            )  # fmt: skip
+            yield from self._stamped(raw.itow_ms, epoch)
+        elif kind == "SFRBX" and (bits := ubx_raw.decode_navigation_bits(payload)):
+            yield GnssNavigationBits(
+                sampled_ns=received_ns, received_ns=received_ns, source=self._source,
+                constellation=bits.constellation, number=bits.number, signal=bits.signal, words=bits.words,
+            )  # fmt: skip
+
+    def _stamped(self, itow: int, message: GnssSatellites | GnssRawEpoch) -> Iterator[Output]:
+        """Stamp a message with the time of its epoch's fix; without fixes, with its arrival time."""
+        if self._last_stamp and _same_epoch(self._last_stamp[0], itow):
+            yield message.model_copy(update={"sampled_ns": self._last_stamp[1]})
             return
-        if self._satellites:
-            yield self._satellites[1]
-        self._satellites = (itow, satellites)
+        if type(message) in self._waiting:
+            yield self._waiting[type(message)][1]
+        self._waiting[type(message)] = itow, message
 
     def _take_nmea(self, frame: Frame, received_ns: int) -> Iterator[Output]:
         for epoch in self._nmea.take(frame.data, received_ns):
@@ -98,3 +129,9 @@ class Receiver:
             source=f"{self._source}/nmea",
             rejects=self._rejects,
         )
+
+
+def _same_epoch(itow: int, other: int) -> bool:
+    """Whether two times of week [ms] belong to one epoch, across the end of the week too."""
+    apart = abs(itow - other)
+    return min(apart, ubx_messages.WEEK_MS - apart) <= SAME_EPOCH_MS

@@ -204,7 +204,7 @@ def _satellite(
 ) -> Satellite:
     located = -90 <= elevation <= 90 and 0 <= azimuth <= 360
     return Satellite(
-        constellation=_CONSTELLATIONS[system] if system < len(_CONSTELLATIONS) else Constellation.UNKNOWN,
+        constellation=constellation_of(system),
         number=number,
         cn0_db_hz=float(cn0) if cn0 else None,
         elevation_rad=math.radians(elevation) if located else None,
@@ -212,6 +212,11 @@ def _satellite(
         residual_m=residual * 0.1 if flags & 8 else None,
         used=bool(flags & 8),
     )
+
+
+def constellation_of(gnss_id: int) -> Constellation:
+    """Name the constellation of a gnssId; `UNKNOWN` for one that is not assigned."""
+    return _CONSTELLATIONS[gnss_id] if gnss_id < len(_CONSTELLATIONS) else Constellation.UNKNOWN
 
 
 def _in_week(itow_ms: int) -> int:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from math import atan2, degrees, hypot
 
+from .navigation_words import Words
+from .raw_measurements import RawMeasurements
 from .reception import Fix
 from .sky import Constellation, Sky
 
@@ -23,6 +25,16 @@ class Baseline:
 
 
 @dataclass(frozen=True)
+class SentWords:
+    """A subframe or page that a satellite has just sent."""
+
+    gnss_id: int
+    number: int
+    signal: int  # sigId of UBX
+    words: Words
+
+
+@dataclass(frozen=True)
 class Epoch:
     """Time, fix and satellites of one epoch."""
 
@@ -31,11 +43,13 @@ class Epoch:
     sky: Sky
     constellations: tuple[Constellation, ...]
     baseline: Baseline | None = None
+    raw: RawMeasurements | None = None
+    words: tuple[SentWords, ...] = ()
 
     @property
     def itow_ms(self) -> int:
         """GPS time of week [ms]."""
-        return (self.utc_ms - GPS_EPOCH_UNIX_MS + 1000 * LEAP_SECONDS) % WEEK_MS
+        return gps_ms(self.utc_ms) % WEEK_MS
 
     @property
     def utc(self) -> datetime:
@@ -61,3 +75,8 @@ class Epoch:
     def horizontal_sd_m(self) -> float:
         """Horizontal accuracy estimate as u-blox defines it: root sum of squares of the north and east sd [m]."""
         return hypot(*self.fix.position_sd_n[:2])
+
+
+def gps_ms(utc_ms: int) -> int:
+    """GPS time since 1980-01-06 of a UTC time since 1970 [ms]."""
+    return utc_ms - GPS_EPOCH_UNIX_MS + 1000 * LEAP_SECONDS

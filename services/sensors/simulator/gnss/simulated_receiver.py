@@ -11,10 +11,12 @@ from ..devices import Delay, DeviceClock
 from ..scenarios import Scenario
 from ..vehicle import AntennaState, Stream
 from . import nmea_encoder, ubx_encoder
+from .navigation_words import galileo_words, gps_words
+from .raw_measurements import IONOSPHERE, measure
 from .receiver_settings import Settings
 from .reception import Reception
-from .simulated_epoch import Baseline, Epoch
-from .sky import SkyModel
+from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms
+from .sky import Sky, SkyModel
 
 SOURCE = "gnss0"
 MS = 1_000_000
@@ -71,16 +73,31 @@ class Receiver:
         if self._free_ns > epoch_ns + FULL_NS:
             return
         sky = self._sky.at(
-            utc_ms * 1e-3,
+            gps_ms(utc_ms) * 1e-3,
             antenna.position,
             mask_deg=self._scenario.mask_deg,
             loss_db=self._scenario.loss_db,
             covered=antenna.covered,
         )
-        epoch = Epoch(utc_ms, fix, sky, tuple(self._sky.rows), self._baseline(antenna))
+        raw, words = measure(self._sky, sky, fix, gps_ms(utc_ms) * 1e-3), self._words(sky, gps_ms(utc_ms))
+        epoch = Epoch(utc_ms, fix, sky, tuple(self._sky.rows), self._baseline(antenna), raw, words)
         data = b"".join(ENCODERS[name](epoch) for name in self.settings.due(index))
         first = min(len(data), int(self._chunks.integers(*CHUNK_BYTES)))
         yield from self._send(data, self._delay.arrival_ns(epoch_ns) - first * BYTE_NS, first)
+
+    def _words(self, sky: Sky, gps_ms: int) -> tuple[SentWords, ...]:
+        """Subframes and pages of the used satellites that ended since the epoch before."""
+        seconds = range((gps_ms - self._period_ms) // 1000 + 1, gps_ms // 1000 + 1)
+        return tuple(sent for end_s in seconds for sent in self._words_at(sky, end_s))
+
+    def _words_at(self, sky: Sky, end_s: int) -> Iterator[SentWords]:
+        rows = np.flatnonzero(sky.used & np.isin(sky.system, self._sky.navigation_systems))
+        for satellite, system in zip(sky.satellite[rows].tolist(), sky.system[rows].tolist(), strict=True):
+            one = self._sky.orbits.elements(end_s, satellite)
+            gps = self._sky.names[system] == "gps"
+            words = gps_words(one, end_s, IONOSPHERE) if gps else galileo_words(one, end_s)
+            if words is not None:
+                yield SentWords(self._sky.rows[system].gnss_id, one.number, 0 if gps else 1, words)
 
     def _baseline(self, antenna: AntennaState) -> Baseline | None:
         if not self._second_antenna_m:

@@ -6,7 +6,9 @@ from math import hypot, pi, radians, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import EARTH_RATE, GRAVITATIONAL_CONSTANT, Geodetic, ecef_from_geodetic, ned_from_ecef
+from shared.maths.earth import GRAVITATIONAL_CONSTANT, Geodetic, ecef_from_geodetic, ned_from_ecef
+
+from .orbits import Orbits
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -14,6 +16,7 @@ BoolArray = npt.NDArray[np.bool_]
 HORIZON_DEG = 5.0  # elevation below which satellites are not searched
 WEAKEST_DB_HZ = 24.0  # C/N0 below which a signal is tracked but not used
 UNKNOWN_DOP = 99.99
+NAVIGATION = ("gps", "galileo")  # constellations whose measurements and navigation words are simulated
 
 
 @dataclass(frozen=True)
@@ -27,10 +30,11 @@ class Constellation:
     per_plane: int
     inclination_deg: float
     radius_m: float
+    mu: float = GRAVITATIONAL_CONSTANT  # [m³/s²]
 
 
 CONSTELLATIONS = {
-    "gps": Constellation(0, 1, 0, 6, 5, 55.0, 26.560e6),
+    "gps": Constellation(0, 1, 0, 6, 5, 55.0, 26.560e6, 3.986005e14),  # IS-GPS-200N, table 20-IV
     "galileo": Constellation(2, 3, 0, 3, 8, 56.0, 29.600e6),
     "beidou": Constellation(3, 4, 0, 3, 8, 55.0, 27.906e6),
     "glonass": Constellation(6, 2, 64, 3, 8, 64.8, 25.510e6),
@@ -66,6 +70,7 @@ class Dop:
 class Sky:
     """n satellites above the horizon, by descending elevation within each constellation."""
 
+    satellite: npt.NDArray[np.intp]  # shape (n,) index into all satellites of the model
     system: npt.NDArray[np.intp]  # shape (n,) index into the names of the constellations
     number: npt.NDArray[np.intp]  # shape (n,) 1, 2, ... within the constellation
     elevation_deg: FloatArray  # shape (n,)
@@ -81,18 +86,19 @@ class SkyModel:
 
     def __init__(self, names: tuple[str, ...], seed: tuple[int, ...]) -> None:
         rows = [CONSTELLATIONS[name] for name in names]
-        self.rows = rows
+        self.rows, self.names = rows, names
+        self.navigation_systems = [i for i, name in enumerate(names) if name in NAVIGATION]
         counts = [row.planes * row.per_plane for row in rows]
         self._system = np.repeat(np.arange(len(rows)), counts)
         self._number = np.concatenate([np.arange(1, count + 1) for count in counts])
-        self._radius = np.repeat([row.radius_m for row in rows], counts)
-        self._inclination = np.radians(np.repeat([row.inclination_deg for row in rows], counts))
+        radius, mu = (np.repeat(values, counts) for values in zip(*((r.radius_m, r.mu) for r in rows), strict=True))
+        inclination = np.radians(np.repeat([row.inclination_deg for row in rows], counts))
         plane = np.concatenate([np.repeat(np.arange(row.planes) / row.planes, row.per_plane) for row in rows])
         slot = np.concatenate([np.tile(np.arange(row.per_plane) / row.per_plane, row.planes) for row in rows])
         rng = np.random.default_rng(seed)
         turned = np.repeat(rng.random((2, len(rows))), counts, axis=1)
-        self._node = 2.0 * pi * (plane + turned[0])
-        self._phase = 2.0 * pi * (slot + plane / 3.0 + turned[1])
+        node, phase = 2.0 * pi * (plane + turned[0]), 2.0 * pi * (slot + plane / 3.0 + turned[1])
+        self.orbits = Orbits(self._number, mu, radius, inclination, node, phase)
         self._wave = 2.0 * pi * rng.random((2, len(plane)))
 
     def at(self, time_s: float, place: Geodetic, *, mask_deg: float, loss_db: float, covered: bool) -> Sky:
@@ -101,7 +107,7 @@ class SkyModel:
         Parameters
         ----------
         time_s : float
-            [s] Time, in any scale; the satellites move with it.
+            [s] GPS time.
         place : Geodetic
             Position of the antenna.
         mask_deg : float
@@ -125,31 +131,49 @@ class SkyModel:
         cn0 = 36.0 + 12.0 * np.sin(elevation) - 20.0 * np.log10(distance[seen] / 23e6) + 1.5 * waves[0] - loss_db
         hidden = covered | (elevation < radians(mask_deg))
         used = ~hidden & (cn0 >= WEAKEST_DB_HZ)
+        residual = residuals(0.4 * waves[1] / np.sin(elevation), self._system[seen], used, elevation, azimuth)
         return Sky(
+            seen,
             self._system[seen],
             self._number[seen],
             np.degrees(elevation),
             np.degrees(azimuth),
             np.where(hidden, 0.0, cn0),
-            0.4 * waves[1] / np.sin(elevation),
+            residual,
             used,
             dilution(elevation[used], azimuth[used]),
         )
 
     def _directions(self, time_s: float, place: Geodetic) -> tuple[FloatArray, FloatArray, FloatArray]:
-        angle = self._phase + np.sqrt(GRAVITATIONAL_CONSTANT / self._radius**3) * time_s
-        node = self._node - EARTH_RATE * time_s
-        along, across = self._radius * np.cos(angle), self._radius * np.sin(angle)
-        level = across * np.cos(self._inclination)
-        satellite_e = np.stack([
-            along * np.cos(node) - level * np.sin(node),
-            along * np.sin(node) + level * np.cos(node),
-            across * np.sin(self._inclination),
-        ], axis=1)  # fmt: skip
+        of = self.orbits.broadcast(time_s)
+        satellite_e = self.orbits.position_e(of, np.array(time_s - of.toe_s), np.arange(len(self._number)))
         sight_n = (satellite_e - ecef_from_geodetic(place)) @ ned_from_ecef(place.latitude, place.longitude).T
         distance = np.linalg.norm(sight_n, axis=1)
         azimuth = np.arctan2(sight_n[:, 1], sight_n[:, 0]) % (2.0 * pi)
         return distance, np.arcsin(-sight_n[:, 2] / distance), azimuth
+
+
+def residuals(
+    noise: FloatArray, system: npt.NDArray[np.intp], used: BoolArray, elevation: FloatArray, azimuth: FloatArray
+) -> FloatArray:
+    """Take from the noise of n pseudoranges [m] the part that would move position or clock.
+
+    The rest of it, shape (n,), is what least squares leave as residuals; 0 for satellites that are not used.
+
+    Notes
+    -----
+    With H = [-u, 1] of the satellites of one constellation, for each of them, so that any choice of constellations
+    has the same position::
+
+        e = (I - H (H' H)^-1 H') noise
+    """
+    left = np.zeros_like(noise)
+    for one in np.unique(system):
+        rows = used & (system == one)
+        if rows.sum() > 4:
+            H = _design(elevation[rows], azimuth[rows])
+            left[rows] = noise[rows] - H @ np.linalg.lstsq(H, noise[rows], rcond=None)[0]
+    return left
 
 
 def dilution(elevation: FloatArray, azimuth: FloatArray) -> Dop:
@@ -173,8 +197,13 @@ def dilution(elevation: FloatArray, azimuth: FloatArray) -> Dop:
     """
     if len(elevation) < 4:
         return Dop(UNKNOWN_DOP, UNKNOWN_DOP, UNKNOWN_DOP, UNKNOWN_DOP)
-    level = np.cos(elevation)
-    H = np.column_stack([-level * np.cos(azimuth), -level * np.sin(azimuth), np.sin(elevation), np.ones_like(level)])
+    H = _design(elevation, azimuth)
     variances = np.diag(np.linalg.pinv(H.T @ H)).tolist()
     north, east, vertical, time = (min(UNKNOWN_DOP, sqrt(max(0.0, v))) for v in variances)
     return Dop(north, east, vertical, time)
+
+
+def _design(elevation: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """H = [-u, 1] with u in NED axes, shape (n, 4)."""
+    level = np.cos(elevation)
+    return np.column_stack([-level * np.cos(azimuth), -level * np.sin(azimuth), np.sin(elevation), np.ones_like(level)])

@@ -9,9 +9,9 @@ from math import atan2, cos, degrees, hypot, sin
 
 import numpy as np
 
-from .simulated_epoch import GEOID_M, Epoch
+from .simulated_epoch import GEOID_M, LEAP_SECONDS, WEEK_MS, Epoch
 
-NAV, ACK, CFG, MON = 0x01, 0x05, 0x06, 0x0A
+NAV, RXM, ACK, CFG, MON = 0x01, 0x02, 0x05, 0x06, 0x0A
 VALSET, VALGET = 0x8A, 0x8B
 SYNC = b"\xb5\x62"
 
@@ -25,6 +25,12 @@ _RELPOSNED = struct.Struct("<BxHI5i4x4b5I4xI")
 _SATELLITE = np.dtype([
     ("system", "u1"), ("number", "u1"), ("cn0", "u1"), ("elevation", "i1"), ("azimuth", "<i2"), ("residual", "<i2"),
     ("flags", "<u4"),
+])  # fmt: skip
+_RAW_HEAD = struct.Struct("<dHbBBB2x")
+_RAW = np.dtype([
+    ("pseudorange", "<f8"), ("carrier", "<f8"), ("doppler", "<f4"), ("system", "u1"), ("number", "u1"),
+    ("signal", "u1"), ("channel", "u1"), ("lock_ms", "<u2"), ("cn0", "u1"), ("code_sd", "u1"), ("carrier_sd", "u1"),
+    ("doppler_sd", "u1"), ("status", "u1"), ("reserved", "u1"),
 ])  # fmt: skip
 _TIME_VALID = 0x07  # date, time, fully resolved
 _TIME_CONFIRMED = 0xE0
@@ -131,6 +137,30 @@ def nav_eoe(epoch: Epoch) -> bytes:
     return frame(NAV, 0x61, struct.pack("<I", epoch.itow_ms))
 
 
+def rxm_rawx(epoch: Epoch) -> bytes:
+    """Raw measurements, with 0.64 m, 0.004 cycles and 0.256 Hz as their standard deviations."""
+    raw = epoch.raw
+    if raw is None:
+        return b""
+    week, tow_s = divmod(raw.gps_s, WEEK_MS / 1000)
+    rows = np.zeros(len(raw.satellite), _RAW)
+    rows["pseudorange"], rows["carrier"], rows["doppler"] = raw.pseudorange_m, raw.carrier_cycles, raw.doppler_hz
+    rows["system"], rows["number"], rows["cn0"] = raw.gnss_id, raw.number, np.rint(raw.cn0_db_hz)
+    rows["lock_ms"], rows["code_sd"], rows["carrier_sd"], rows["doppler_sd"], rows["status"] = 64500, 6, 1, 7, 7
+    head = _RAW_HEAD.pack(tow_s, int(week) % 2**16, LEAP_SECONDS, len(rows), 1, 1)
+    return frame(RXM, 0x15, head + rows.tobytes())
+
+
+def rxm_sfrbx(epoch: Epoch) -> bytes:
+    """Subframes and pages that ended in the epoch, one message each."""
+    return b"".join(
+        frame(RXM, 0x13, struct.pack(
+            f"<8B{len(sent.words)}I", sent.gnss_id, sent.number, sent.signal, 0, len(sent.words), 0, 2, 0, *sent.words
+        ))
+        for sent in epoch.words
+    )  # fmt: skip
+
+
 def acknowledge(message_class: int, message_id: int, *, accepted: bool) -> bytes:
     """ACK-ACK or ACK-NAK."""
     return frame(ACK, int(accepted), bytes((message_class, message_id)))
@@ -166,4 +196,6 @@ ENCODERS: dict[str, Callable[[Epoch], bytes]] = {
     "UBX_NAV_SAT": nav_sat,
     "UBX_NAV_RELPOSNED": nav_relposned,
     "UBX_NAV_EOE": nav_eoe,
+    "UBX_RXM_RAWX": rxm_rawx,
+    "UBX_RXM_SFRBX": rxm_sfrbx,
 }

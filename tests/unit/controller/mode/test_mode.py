@@ -135,9 +135,10 @@ def test_the_reason_in_a_tunnel_is_the_missing_gnss_fix() -> None:
 
 
 def test_a_receiver_is_configured_with_the_configured_period_and_messages() -> None:
-    process = Process(Config(navigation_period_s=0.2, gnss_messages=("NAV-PVT",)))
+    process = Process(Config(navigation_period_s=0.2, gnss_messages=("NAV-PVT",), optional_gnss_messages=("RXM-RAWX",)))
     (request,) = requests(feed(process, [fix(0.0)]))
     assert (request.source, request.navigation_period_s, request.messages) == ("gnss0", 0.2, ("NAV-PVT",))
+    assert request.optional_messages == ("RXM-RAWX",)
 
 
 def test_a_receiver_with_ubx_and_nmea_output_is_configured_once() -> None:

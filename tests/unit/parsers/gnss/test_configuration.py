@@ -154,6 +154,43 @@ def test_values_of_every_size_are_decoded() -> None:
     assert list(read_values(payload).values()) == [500, 115200, 1]
 
 
+WITH_RAW = REQUEST.model_copy(update={"optional_messages": ("RXM-RAWX", "RXM-SFRBX")})
+OPTIONAL = {
+    "CFG_MSGOUT_UBX_RXM_RAWX_UART1": 5, "CFG_MSGOUT_UBX_RXM_RAWX_USB": 5,
+    "CFG_MSGOUT_UBX_RXM_SFRBX_UART1": 1, "CFG_MSGOUT_UBX_RXM_SFRBX_USB": 1,
+}  # fmt: skip
+
+
+def optional_values() -> bytes:
+    payload = bytes(UBXMessage.config_set(0, 0, list(OPTIONAL.items())).payload)
+    return bytes(UBXMessage("CFG", "CFG-VALGET", 0, payload=b"\x01" + payload[1:]).serialize())
+
+
+def test_optional_messages_are_asked_for_apart_and_measurements_once_a_second() -> None:
+    writes = [one.data for one in send_request(Process(Config()), WITH_RAW) if isinstance(one, GnssWrite)]
+    assert writes[0] == UBXMessage.config_set(1, 0, list(OPTIONAL.items())).serialize()
+    assert writes[2:] == [one.data for one in send_request(Process(Config())) if isinstance(one, GnssWrite)]
+    assert len(writes) == 4
+
+
+def test_granted_optional_messages_are_reported_with_the_others() -> None:
+    process = Process(Config())
+    send_request(process, WITH_RAW)
+    assert not feed(process, acknowledge(0x8A) + optional_values() + acknowledge(0x8B) + acknowledge(0x8A))
+    result = result_of(feed(process, values()))
+    assert result.accepted
+    assert result.messages == ("NAV-PVT", "NAV-COV", "RXM-RAWX", "RXM-SFRBX")
+
+
+@pytest.mark.parametrize("refusals", [(0x8A, 0x8B), (0x8A,), (0x8B,), ()])
+def test_a_receiver_that_refuses_the_optional_messages_keeps_the_others(refusals: tuple[int, ...]) -> None:
+    process = Process(Config())
+    send_request(process, WITH_RAW)
+    assert not feed(process, b"".join(acknowledge(one, good=False) for one in refusals))
+    result = result_of(feed(process, acknowledge(0x8A) + values() + acknowledge(0x8B)))
+    assert (result.accepted, result.reason, result.messages) == (True, None, ("NAV-PVT", "NAV-COV"))
+
+
 @given(st.binary(max_size=80))
 def test_any_response_is_decoded_without_error(payload: bytes) -> None:
     process = Process(Config())

@@ -156,6 +156,9 @@ def test_the_accelerometer_axes_follow_the_configured_mounting() -> None:
 def test_the_messages_of_an_epoch_share_their_time_and_arrive_within_150_ms(minute: list[Message]) -> None:
     epochs: dict[int, list[tuple[int, str]]] = defaultdict(list)
     for received_ns, parsed in frames(minute):
+        if parsed.identity.startswith("RXM"):  # after the epoch's NAV-EOE, so that no fix waits for them
+            assert epochs
+            continue
         epochs[parsed.iTOW].append((received_ns, parsed.identity))
     assert len(epochs) in (59, 60)
     starts = []
@@ -220,7 +223,7 @@ def test_a_saturated_serial_line_skips_whole_epochs() -> None:
     world.write(valset([("CFG_RATE_MEAS", 50)]), DEFAULT_START_NS)
     arrivals = takewhile(lambda a: a[0] < DEFAULT_START_NS + 10 * NS, world)
     pvts = [(r, p) for r, p in frames(message for _, message in arrivals) if p.identity == "NAV-PVT"]
-    assert 80 < len(pvts) < 150, "1 kB per epoch at 11.5 kB/s"
+    assert 50 < len(pvts) < 80, "1.7 kB per epoch at 11.5 kB/s"
     steps = np.diff([p.iTOW for _, p in pvts])
     assert steps.min() == 50
     assert steps.max() < 2000

@@ -1,0 +1,1 @@
+"""The published scenario of DSRC-assisted integrity monitoring, and its Monte Carlo simulation."""

@@ -1,0 +1,1 @@
+"""Plain RAIM: measurement model, weighted least squares, fault detection and exclusion."""

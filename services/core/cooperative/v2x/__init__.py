@@ -1,0 +1,1 @@
+"""V2X-assisted integrity: forward estimate from neighbours and the map, and the tests that use it."""

@@ -1,0 +1,78 @@
+"""From the simulated receiver's bytes to the statement `satellites`, through parsers.gnss and core.cooperative."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from services.core.cooperative.process import Config, Process
+from services.sensors.simulator.world import messages
+from shared.messages.gnss import GnssFix, GnssNavigationBits, GnssRawEpoch
+from shared.messages.trust import MonitorOutcome, TrustMonitor
+from shared.runtime.config import parse_vehicle
+from shared.runtime.offline import OfflineUnit
+
+NAMES = ("parsers.gnss", "core.cooperative")
+PUSH_M = 50.0
+EPHEMERIDES_S = 30  # a satellite sends its ephemeris in 30 s
+PUSHED_EPOCH = 40
+
+
+def statements(scenario: str, seed: int, duration_s: float) -> list[TrustMonitor]:
+    unit = OfflineUnit(parse_vehicle(""), NAMES)
+    found = [one for one in unit.run(messages(scenario, seed, duration_s)) if isinstance(one, TrustMonitor)]
+    for name in NAMES:
+        process: Any = unit.process(name)
+        assert not process.rejects
+    return found
+
+
+@pytest.mark.parametrize(("scenario", "seed"), [("parking_lot", 1), ("urban", 2), ("degraded", 3)])
+def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_there(scenario: str, seed: int) -> None:
+    found = statements(scenario, seed, 60.0)
+    assert {one.monitor for one in found} == {"satellites"} and len(found) > 55
+    begin, rest = found[0], found[EPHEMERIDES_S + 2 :]
+    assert begin.outcome is MonitorOutcome.NOT_EVALUATED and begin.reason
+    assert "ephemerides of 0 of" in found[10].reason
+    assert {one.outcome for one in rest} == {MonitorOutcome.PASS} and len(rest) > 20
+    assert all(one.statistic is not None and one.threshold and one.statistic < one.threshold for one in rest)
+
+
+def test_a_tunnel_is_not_evaluated_and_says_so() -> None:
+    found = statements("tunnel", 1, 80.0)
+    assert found[-1].outcome is MonitorOutcome.NOT_EVALUATED
+    assert found[-1].reason == "no raw measurements of GPS L1 or Galileo E1 in this epoch"
+
+
+def pushed(epoch: GnssRawEpoch, row: int) -> GnssRawEpoch:
+    """The epoch with a longer pseudorange of one satellite."""
+    rows = list(epoch.measurements)
+    pseudorange_m = rows[row].pseudorange_m
+    assert pseudorange_m is not None
+    rows[row] = rows[row].model_copy(update={"pseudorange_m": pseudorange_m + PUSH_M})
+    return epoch.model_copy(update={"measurements": tuple(rows)})
+
+
+def with_push(row: int) -> Iterator[tuple[str, TrustMonitor]]:
+    """Name of the pushed satellite, and the statement of each epoch; the push begins with `PUSHED_EPOCH`."""
+    process, epochs = Process(Config()), 0
+    for message in OfflineUnit(parse_vehicle(""), ("parsers.gnss",)).run(messages("parking_lot", 1, 50.0)):
+        if isinstance(message, GnssRawEpoch):
+            epochs += 1
+            one = message.measurements[row]
+            name = f"{'G' if one.constellation.value == 'gps' else 'E'}{one.number:02d}"
+            for said in process.handle(pushed(message, row) if epochs >= PUSHED_EPOCH else message):
+                yield name, said
+        elif isinstance(message, GnssFix | GnssNavigationBits):
+            assert not list(process.handle(message))
+
+
+@pytest.mark.parametrize("row", [0, 3, 8, 12])
+def test_a_push_of_50_m_on_one_satellite_is_excluded_in_its_epoch(row: int) -> None:
+    found = list(with_push(row))
+    (_, before), (name, at_once), *later = found[PUSHED_EPOCH - 2 :]
+    assert before.outcome is MonitorOutcome.PASS
+    for said in (at_once, *(said for _, said in later)):
+        assert (said.outcome, said.accused) == (MonitorOutcome.ACCUSES, (name,))
+        assert said.suspect_since_ns == before.sampled_ns
+        assert said.statistic is not None and said.threshold is not None and said.statistic < said.threshold

@@ -1,0 +1,156 @@
+"""Raw satellite measurements of real receivers: position, fault detection and broadcast ephemerides.
+
+========================  ======================================================================
+recording                 measured
+========================  ======================================================================
+geonet_rinex_raim, 0759   0.74 m horizontal and 2.21 m 3-D at 95 %, 120 epochs, no alarm
+osnma, ublox_2026_03      satellites within 1.1 deg of NAV-SAT, which rounds to whole degrees
+========================  ======================================================================
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from io import BytesIO
+from math import cos, degrees, radians
+
+import numpy as np
+import pytest
+from pyubx2.ubxreader import UBXReader
+
+from services.core.cooperative.broadcast.ephemeris import satellite_state
+from services.core.cooperative.broadcast.rinex import read_rinex_navigation
+from services.core.cooperative.broadcast.rinex_observation import read_rinex_observations
+from services.core.cooperative.broadcast.store import EphemerisStore
+from services.core.cooperative.measurements import (
+    WEEK_NS,
+    Constellation,
+    Outcome,
+    RawEpoch,
+    SatelliteId,
+    SatelliteVerdict,
+)
+from services.core.cooperative.satellites.model import ErrorModel, Sight, Sky
+from services.core.cooperative.satellites.monitor import SatelliteMonitor
+from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ecef, ned_from_ecef
+from tests.support.data import recording
+
+pytestmark = pytest.mark.recording
+Station = tuple[list[RawEpoch], EphemerisStore, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def station() -> Station:
+    folder = recording("geonet_rinex_raim")
+    ephemerides, ionosphere = read_rinex_navigation((folder / "07590920.05n").read_text())
+    epochs, position = read_rinex_observations((folder / "07590920.05o").read_text())
+    store = EphemerisStore(kept=100)
+    for one in ephemerides:
+        store.add(one)
+    store.ionosphere = ionosphere
+    assert position is not None and len(epochs) == 120 and not store.rejected
+    return epochs, store, np.array(position)
+
+
+def test_a_surveyed_station_is_where_it_was_surveyed(station: Station) -> None:
+    epochs, store, truth = station
+    place = geodetic_from_ecef((truth[0], truth[1], truth[2]))
+    to_ned, monitor = ned_from_ecef(place.latitude, place.longitude), SatelliteMonitor()
+    errors = []
+    for epoch in epochs:
+        verdict = monitor.evaluate(epoch, store)
+        assert verdict.outcome == Outcome.PASS and verdict.solution is not None and verdict.hpl_m is not None
+        error = to_ned @ (np.array(verdict.solution.position_e) - truth)
+        errors.append(error)
+        assert np.hypot(*error[:2]) < verdict.hpl_m
+    found = np.array(errors)
+    assert np.quantile(np.hypot(found[:, 0], found[:, 1]), 0.95) < 2.5
+    assert np.quantile(np.linalg.norm(found, axis=1), 0.95) < 4.0
+
+
+def pushes(
+    station: Station, bias_m: float
+) -> Iterator[tuple[SatelliteVerdict, SatelliteId, float | None, float | None]]:
+    """Push each satellite of every fourth epoch; yields the verdict, the satellite, and its MDB and MIB before."""
+    epochs, store, _ = station
+    for epoch in epochs[::4]:
+        clean = SatelliteMonitor().evaluate(epoch, store)
+        for finding in clean.findings if clean.dof >= 2 else ():
+            measurements = tuple(
+                replace(one, pseudorange_m=one.pseudorange_m + bias_m * (one.satellite == finding.satellite))
+                for one in epoch.measurements
+            )
+            verdict = SatelliteMonitor().evaluate(replace(epoch, measurements=measurements), store)
+            yield verdict, finding.satellite, finding.mdb_m, finding.mib_m
+
+
+@pytest.mark.parametrize("bias_m", [50.0, -50.0])
+def test_a_push_of_50_m_is_excluded_in_its_epoch_where_it_can_be_attributed(station: Station, bias_m: float) -> None:
+    tried = 0
+    for verdict, satellite, _, identifiable in pushes(station, bias_m):
+        if identifiable is not None and identifiable < 50.0:
+            tried += 1
+            assert verdict.excluded == (satellite,)
+    assert tried > 80
+
+
+@pytest.mark.parametrize("bias_m", [50.0, -50.0])
+def test_a_push_of_50_m_is_never_taken_for_gone_while_it_is_in_use(station: Station, bias_m: float) -> None:
+    """Where two satellites cannot be separated the other one may be excluded: then the verdict says so."""
+    wrong = tried = 0
+    for verdict, satellite, detectable, _ in pushes(station, bias_m):
+        if detectable is not None and detectable < 50.0:
+            tried += 1
+            assert verdict.outcome == Outcome.ACCUSES
+            if satellite not in verdict.excluded:
+                wrong += 1
+                assert satellite in verdict.suspects and not verdict.fault_free
+    assert tried > 150 and wrong < 0.04 * tried
+
+
+@pytest.mark.slow
+def test_galileo_ephemerides_of_a_receiver_put_satellites_where_it_says() -> None:
+    path = recording("osnma") / "ublox" / "ublox_2026_03.ubx"
+    store, model, now_ns = EphemerisStore(), ErrorModel(), 0
+    here: np.ndarray | None = None
+    off: list[tuple[float, float]] = []
+    issues: dict[SatelliteId, list[float]] = {}
+    with path.open("rb") as file, BytesIO(file.read(1_000_000)) as stream:  # 27 minutes
+        for epoch, (_, message) in enumerate(UBXReader(stream, protfilter=2)):
+            if message.identity == "NAV-TIMEGAL":
+                now_ns = (message.galWno + 1024) * WEEK_NS + message.galTow * 10**9
+            elif message.identity == "NAV-PVT" and message.fixType == 3:
+                place = Geodetic(radians(message.lat), radians(message.lon), message.height * 1e-3)
+                here = np.array(ecef_from_geodetic(place))
+            elif message.identity == "RXM-SFRBX" and now_ns:
+                satellite = SatelliteId(Constellation.GALILEO, message.svId)
+                words = tuple(getattr(message, f"dwrd_{k:02d}") for k in range(1, message.numWords + 1))
+                before = store.select(satellite, now_ns)
+                after = store.add_words(satellite, words, now_ns)
+                if after is not None and not isinstance(before, str) and before.issue != after.issue:
+                    apart = [np.array(satellite_state(one, now_ns).position_e) for one in (before, after)]
+                    issues.setdefault(satellite, []).append(float(np.linalg.norm(apart[1] - apart[0])))
+            elif message.identity == "NAV-SAT" and here is not None and epoch % 7 == 0:
+                off += list(_angles_off(message, store, now_ns, here, model))
+    assert not store.rejected
+    assert len(off) > 1000 and np.abs(off).max() < 1.1, "[deg]; whole degrees, and updated every few seconds"
+    assert np.abs(np.mean(off, axis=0)).max() < 0.05
+    jumps = [jump for one in issues.values() for jump in one]
+    assert len(jumps) > 10 and np.median(jumps) < 0.5 and max(jumps) < 3.0, "[m] between successive issues"
+
+
+def _angles_off(
+    message: object, store: EphemerisStore, now_ns: int, here: np.ndarray, model: ErrorModel
+) -> Iterator[tuple[float, float]]:
+    """Elevation and azimuth (along the circle) [deg] less those of NAV-SAT, of satellites with an ephemeris."""
+    for k in range(1, message.numSvs + 1):  # type: ignore[attr-defined]
+        gnss, number, source, elevation, azimuth = (
+            getattr(message, f"{name}_{k:02d}") for name in ("gnssId", "svId", "orbitSource", "elev", "azim")
+        )
+        ephemeris = store.select(SatelliteId(Constellation.GALILEO, number), now_ns)
+        if gnss not in (2, "Galileo") or source != 1 or isinstance(ephemeris, str):
+            continue
+        state = satellite_state(ephemeris, now_ns, 0.08)
+        sight = Sight(ephemeris.satellite, 0.0, None, None, state.position_e, state.velocity_e)
+        geometry = Sky((sight,), now_ns, None, model).geometry(here)
+        turn = (degrees(geometry.azimuth[0]) - azimuth + 180.0) % 360.0 - 180.0
+        yield degrees(geometry.elevation[0]) - elevation, turn * cos(radians(elevation))

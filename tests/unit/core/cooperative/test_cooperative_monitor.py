@@ -1,0 +1,219 @@
+"""The bank on raw epochs: start, neighbours and road, exclusion, what is refused, and satellites that come and go."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.core.cooperative.broadcast.store import EphemerisStore
+from services.core.cooperative.measurements import Constellation, Outcome, RawEpoch, SatelliteSolution, SatelliteVerdict
+from services.core.cooperative.satellites.monitor import SatelliteMonitor
+from services.core.cooperative.v2x.monitor import MAX_NEIGHBOURS, CooperativeMonitor, CooperativeSettings
+from services.core.cooperative.v2x.neighbours import NeighbourReport
+from services.core.cooperative.v2x.range_rate import cfo_from_range_rate
+from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
+from tests.support.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch
+
+STORE = filled_store()
+ORIGIN = np.array(ecef_from_geodetic(Geodetic(0.83, 0.16, 300.0)))
+TO_NED = ned_from_ecef(0.83, 0.16)
+SPEED_N = np.array([12.0, 5.0, 0.0])
+ROAD_E = ORIGIN + np.outer([-100.0, 200.0, 500.0], TO_NED.T @ (SPEED_N / 13.0))
+RECEIVER = -3e-7  # [-] of the vehicle's radio
+
+
+def truth(k: int) -> np.ndarray:
+    position: np.ndarray = ORIGIN + TO_NED.T @ (k * SPEED_N)
+    return position
+
+
+def neighbours(k: int, rng: np.random.Generator | None = None) -> tuple[NeighbourReport, ...]:
+    reports = []
+    cars = (
+        ((30.0, 10.0, 0.0), (1.0, 0.5, 0.0)),
+        ((-25.0, -12.0, 0.0), (0.0, 0.0, 0.0)),
+        ((60.0, -50.0, 0.0), (-12.0, -5.0, 0.0)),
+    )
+    for number, (away, relative) in enumerate(cars):
+        offset = 1e-7 * number
+        rate = float(np.dot(relative, away) / np.linalg.norm(away))
+        cfo = cfo_from_range_rate(rate, offset, RECEIVER) + (20.0 * rng.standard_normal() if rng else 0.0)
+        position = truth(k) + TO_NED.T @ np.array(away)
+        velocity = TO_NED.T @ (SPEED_N + np.array(relative))
+        x, y, z = position.tolist()
+        vx, vy, vz = velocity.tolist()
+        reports.append(NeighbourReport(f"car-{number}", (x, y, z), (vx, vy, vz), 1.0, 0.2, cfo, offset))
+    return tuple(reports)
+
+
+def epoch(k: int, rng: np.random.Generator | None = None, **options: object) -> RawEpoch:
+    time_ns = NOW_NS + k * 10**9
+    return raw_epoch(truth(k), velocity_e=TO_NED.T @ SPEED_N, gps_time_ns=time_ns, rng=rng, drift=0.0, **options)  # type: ignore[arg-type]
+
+
+def start(k: int = 0) -> SatelliteSolution | None:
+    return SatelliteMonitor().evaluate(epoch(k), STORE).solution
+
+
+def judged(
+    monitor: CooperativeMonitor, one: RawEpoch, k: int, rng: np.random.Generator | None = None
+) -> SatelliteVerdict:
+    return monitor.evaluate(one, STORE, neighbours(k, rng), road_e=ROAD_E, start=start(k) if k == 0 else None)
+
+
+def test_a_clean_drive_passes_and_is_where_the_vehicle_is() -> None:
+    rng, monitor = np.random.default_rng(1), CooperativeMonitor()
+    for k in range(40):
+        verdict = judged(monitor, epoch(k, rng), k, rng)
+        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.reason}"
+    assert verdict.solution is not None and verdict.solution.velocity_e is not None and verdict.hpl_m is not None
+    error = float(np.linalg.norm(np.array(verdict.solution.position_e) - truth(39)))
+    assert error < 5.0 and error < verdict.hpl_m < 60.0
+    assert np.linalg.norm(np.array(verdict.solution.velocity_e) - TO_NED.T @ SPEED_N) < 1.0
+    assert verdict.statistic is not None and verdict.threshold is not None and verdict.statistic < verdict.threshold
+    assert not verdict.rejected
+
+
+def test_a_ramp_of_1_m_s_is_excluded_before_it_is_40_m_and_nothing_else_is() -> None:
+    rng, monitor = np.random.default_rng(2), CooperativeMonitor()
+    satellite = epoch(0).measurements[3].satellite
+    excluded_at = None
+    for k in range(70):
+        one = pushed(epoch(k, rng), satellite, max(0.0, k - 15.0))
+        verdict = judged(monitor, one, k, rng)
+        assert set(verdict.excluded) <= {satellite}
+        if verdict.excluded and excluded_at is None:
+            excluded_at = k
+            assert verdict.outcome == Outcome.ACCUSES and str(satellite) in str(verdict.reason)
+    assert excluded_at is not None and excluded_at - 15 < 40
+    assert verdict.solution is not None and np.linalg.norm(np.array(verdict.solution.position_e) - truth(69)) < 8.0
+
+
+def test_with_four_satellites_a_fault_is_still_attributed() -> None:
+    """Plain RAIM has no redundancy here: neighbours and map make it."""
+    rng, monitor = np.random.default_rng(3), CooperativeMonitor()
+    satellite = epoch(0, systems=(Constellation.GPS,)).measurements[1].satellite
+    for k in range(25):
+        full = epoch(k, rng, systems=(Constellation.GPS,))
+        four = replace(full, measurements=full.measurements[:4])
+        assert SatelliteMonitor().evaluate(four, STORE).outcome == Outcome.NOT_EVALUATED
+        verdict = judged(monitor, pushed(four, satellite, 100.0 if k >= 15 else 0.0), k, rng)
+        assert verdict.excluded == ((satellite,) if k >= 15 else ()), f"epoch {k}"
+
+
+def test_a_jump_of_the_receivers_clock_is_no_fault() -> None:
+    monitor = CooperativeMonitor()
+    for k in range(20):
+        clock = 45.0 if k < 10 else 45.0 + 299_792.458
+        one = epoch(k, clock_m=clock, galileo_clock_m=clock + 6.0)
+        verdict = judged(monitor, one, k)
+        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.reason}"
+
+
+def test_without_a_start_nothing_is_evaluated() -> None:
+    verdict = CooperativeMonitor().evaluate(epoch(0), STORE, neighbours(0), road_e=ROAD_E, start=None)
+    assert verdict.outcome == Outcome.NOT_EVALUATED and "start" in str(verdict.reason)
+
+
+def test_without_neighbours_and_road_nothing_is_evaluated() -> None:
+    verdict = CooperativeMonitor().evaluate(epoch(0), STORE, (), road_e=None, start=start())
+    assert verdict.outcome == Outcome.NOT_EVALUATED and "neighbour" in str(verdict.reason)
+    assert verdict.solution is not None
+
+
+def test_a_gap_or_a_step_back_in_time_starts_again() -> None:
+    monitor = CooperativeMonitor()
+    assert judged(monitor, epoch(0), 0).outcome == Outcome.PASS
+    for k in (9, 8):
+        verdict = monitor.evaluate(epoch(k), STORE, neighbours(k), road_e=ROAD_E, start=None)
+        assert verdict.outcome == Outcome.NOT_EVALUATED and "start" in str(verdict.reason)
+        assert monitor.evaluate(epoch(9), STORE, neighbours(9), road_e=ROAD_E, start=start(9)).outcome == Outcome.PASS
+
+
+NAN = float("nan")
+BAD = (
+    ("neighbour_without_cfo", {"cfo_hz": None}),
+    ("neighbour_without_cfo", {"cfo_hz": NAN}),
+    ("neighbour_without_oscillator_offset", {"oscillator_offset": None}),
+    ("neighbour_without_oscillator_offset", {"oscillator_offset": 0.3}),
+    ("implausible_cfo", {"cfo_hz": 9e9}),
+    ("implausible_neighbour", {"position_e": (0.0, 0.0, 0.0)}),
+    ("implausible_neighbour", {"position_e": (NAN, 0.0, 0.0)}),
+    ("implausible_neighbour", {"velocity_e": (4000.0, 0.0, 0.0)}),
+    ("neighbour_without_accuracy", {"position_sd_m": 0.0}),
+    ("neighbour_without_accuracy", {"cfo_sd_hz": NAN}),
+)
+
+
+@pytest.mark.parametrize(("reason", "change"), BAD)
+def test_bad_neighbours_are_refused_with_a_counted_reason(reason: str, change: dict[str, object]) -> None:
+    first, *rest = neighbours(0)
+    reports = (replace(first, **change), *rest)  # type: ignore[arg-type]
+    verdict = CooperativeMonitor().evaluate(epoch(0), STORE, reports, road_e=ROAD_E, start=start())
+    assert verdict.outcome == Outcome.PASS and verdict.rejected == {reason: 1}
+
+
+def test_a_crowd_of_neighbours_is_bounded() -> None:
+    crowd = tuple(replace(neighbours(0)[0], name=f"car-{k}") for k in range(500))
+    verdict = CooperativeMonitor().evaluate(epoch(0), STORE, crowd, road_e=None, start=start())
+    assert verdict.rejected == {"too_many_neighbours": 500 - MAX_NEIGHBOURS}
+
+
+def test_bad_satellites_are_counted_too() -> None:
+    one = epoch(0)
+    first = replace(one.measurements[0], pseudorange_m=0.0)
+    bad = replace(one, measurements=(first, *one.measurements[1:]))
+    verdict = CooperativeMonitor().evaluate(bad, STORE, neighbours(0), road_e=ROAD_E, start=start())
+    assert verdict.rejected == {"implausible_pseudorange": 1} and verdict.outcome == Outcome.PASS
+    empty = CooperativeMonitor().evaluate(replace(one, measurements=()), STORE, (), road_e=ROAD_E, start=start())
+    assert empty.outcome == Outcome.NOT_EVALUATED and empty.reason == "no usable satellite"
+
+
+def test_satellites_that_come_and_go_do_not_disturb_the_others() -> None:
+    monitor = CooperativeMonitor()
+    for k in range(30):
+        full = epoch(k)
+        part = full.measurements if k % 7 < 3 else full.measurements[k % 3 :: 2]
+        verdict = judged(monitor, replace(full, measurements=part), k)
+        assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.reason}"
+        assert len(verdict.findings) == len(part)
+
+
+def half_of_the_sky(k: int, rng: np.random.Generator | None = None) -> RawEpoch:
+    """Every second satellite is not received: the others' directions are free for virtual ones."""
+    full = epoch(k, rng)
+    return replace(full, measurements=full.measurements[::2])
+
+
+def test_the_papers_construction_can_be_selected_and_excludes_a_step() -> None:
+    rng, monitor = np.random.default_rng(6), CooperativeMonitor(CooperativeSettings(paper_construction=True))
+    satellite = half_of_the_sky(0).measurements[2].satellite
+    for k in range(20):
+        one = pushed(half_of_the_sky(k, rng), satellite, 150.0 if k in (10, 11) else 0.0)
+        verdict = judged(monitor, one, k, rng)
+        assert verdict.excluded == ((satellite,) if k in (10, 11) else ()), f"epoch {k}"
+
+
+def test_the_bank_excludes_a_ramp_of_1_m_s_earlier_than_the_papers_construction() -> None:
+    satellite = half_of_the_sky(0).measurements[2].satellite
+    found = []
+    for paper in (True, False):
+        rng, monitor = np.random.default_rng(7), CooperativeMonitor(CooperativeSettings(paper_construction=paper))
+        times = [
+            k
+            for k in range(60)
+            if judged(monitor, pushed(half_of_the_sky(k, rng), satellite, max(0.0, k - 15.0)), k, rng).excluded
+        ]
+        found.append(len(times))
+    assert 0 < found[0] < found[1]
+
+
+def test_without_virtual_satellites_the_construction_is_not_evaluated() -> None:
+    one, store = epoch(0), EphemerisStore()
+    received = {measurement.satellite for measurement in one.measurements}
+    for ephemeris in constellation():
+        if ephemeris.satellite in received:
+            store.add(ephemeris)
+    monitor = CooperativeMonitor(CooperativeSettings(paper_construction=True))
+    verdict = monitor.evaluate(one, store, neighbours(0), road_e=ROAD_E, start=start())
+    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.reason == "too few virtual satellites"

@@ -1,0 +1,163 @@
+"""The process core.cooperative: raw epochs and navigation words in, the statement `satellites` out."""
+
+from math import radians
+
+import numpy as np
+import pytest
+
+from services.core.cooperative.measurements import Constellation, RawEpoch, SatelliteId
+from services.core.cooperative.process import Config, Process
+from services.core.cooperative.statements import MAX_TESTS
+from shared.maths.earth import Geodetic, ecef_from_geodetic
+from shared.messages.base import Tick
+from shared.messages.gnss import Constellation as System
+from shared.messages.gnss import FixType, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
+from shared.messages.trust import MonitorOutcome, TrustMonitor
+from tests.support.constellation import NOW_NS, constellation, inav_pages, lnav_subframes, pushed, raw_epoch
+
+NS = 1_000_000_000
+HERE = np.array(ecef_from_geodetic(Geodetic(radians(42.37), radians(13.35), 700.0)))
+
+
+def bits(time_s: float, satellites: tuple[str, ...] | None = None) -> list[GnssNavigationBits]:
+    """The whole ephemerides of all satellites, or of some."""
+    found = []
+    for one in constellation():
+        if satellites is not None and str(one.satellite) not in satellites:
+            continue
+        gps = one.satellite.constellation == Constellation.GPS
+        for words in lnav_subframes(one, NOW_NS) if gps else inav_pages(one, NOW_NS):
+            found.append(GnssNavigationBits(
+                sampled_ns=round(time_s * NS), received_ns=round(time_s * NS), source="gnss0",
+                constellation=System.GPS if gps else System.GALILEO, number=one.satellite.number,
+                signal="1C" if gps else "1B", words=words,
+            ))  # fmt: skip
+    return found
+
+
+def message(epoch: RawEpoch, time_s: float, source: str = "gnss0", signal: str = "1C") -> GnssRawEpoch:
+    return GnssRawEpoch(
+        sampled_ns=round(time_s * NS), received_ns=round(time_s * NS), source=source, gps_time_ns=epoch.gps_time_ns,
+        measurements=tuple(
+            RawMeasurement(
+                constellation=System(one.satellite.constellation.value), number=one.satellite.number, signal=signal,
+                pseudorange_m=one.pseudorange_m, doppler_hz=one.doppler_hz, cn0_db_hz=one.cn0_db_hz,
+            )
+            for one in epoch.measurements
+        ),
+    )  # fmt: skip
+
+
+def at(second: int, seed: int = 1, push: tuple[SatelliteId, float] | None = None) -> RawEpoch:
+    epoch = raw_epoch(HERE, gps_time_ns=NOW_NS + second * NS, rng=np.random.default_rng((seed, second)))
+    return pushed(epoch, *push) if push else epoch
+
+
+def said(process: Process, *messages: GnssRawEpoch | GnssNavigationBits | GnssFix | Tick) -> list[TrustMonitor]:
+    return [statement for one in messages for statement in process.handle(one)]
+
+
+def informed(satellites: tuple[str, ...] | None = None) -> Process:
+    """A process that knows the time and ephemerides."""
+    process = Process(Config())
+    said(process, GnssFix(
+        sampled_ns=0, received_ns=0, source="gnss0", gps_time_ns=NOW_NS, fix_type=FixType.THREE_D,
+    ), *bits(0.0, satellites))  # fmt: skip
+    return process
+
+
+def test_before_raw_measurements_arrive_the_satellites_are_not_evaluated() -> None:
+    process = Process(Config())
+    first, second = said(process, Tick(now_ns=NS), Tick(now_ns=2 * NS))
+    assert (first.monitor, first.outcome) == ("satellites", MonitorOutcome.NOT_EVALUATED)
+    assert "no raw measurements: the receiver has sent no UBX-RXM-RAWX" in first.reason
+    assert (first.since_ns, second.since_ns, second.sampled_ns) == (NS, NS, 2 * NS)
+    assert first.statistic is None and first.threshold is None and not first.tests
+
+
+def test_satellites_that_agree_pass_with_one_test_each() -> None:
+    (statement,) = said(informed(), message(at(1), 1.0))
+    assert statement.outcome is MonitorOutcome.PASS
+    assert statement.statistic is not None and statement.threshold is not None
+    assert statement.statistic < statement.threshold
+    assert statement.false_alarm_rate == 1e-5
+    assert 10 < len(statement.tests) <= MAX_TESTS
+    assert all(
+        test.outcome is MonitorOutcome.PASS and "minimal detectable bias" in test.reason for test in statement.tests
+    )
+
+
+def test_a_push_of_50_m_is_excluded_in_its_epoch_and_the_satellite_returns_when_it_has_agreed() -> None:
+    process, victim = informed(), at(1).measurements[3].satellite
+    (before,) = said(process, message(at(1), 1.0))
+    (accusing,) = said(process, message(at(2, push=(victim, 50.0)), 2.0))
+    assert before.outcome is MonitorOutcome.PASS
+    assert (accusing.outcome, accusing.accused) == (MonitorOutcome.ACCUSES, (str(victim),))
+    assert (accusing.since_ns, accusing.suspect_since_ns) == (2 * NS, NS)
+    assert accusing.tests[0].name == str(victim) and accusing.tests[0].reason.startswith("excluded")
+    later = said(process, *(message(at(k), float(k)) for k in range(3, 13)))
+    assert [one.outcome for one in later[:7]] == [MonitorOutcome.ACCUSES] * 7, "re-admission takes eight epochs"
+    assert {one.since_ns for one in later[:7]} == {2 * NS}
+    assert later[-1].outcome is MonitorOutcome.PASS and not later[-1].accused
+
+
+def test_a_fault_that_cannot_be_attributed_accuses_gnss() -> None:
+    """Five GPS satellites have one degree of freedom: a fault is detected, and all w are equal."""
+    gps = [one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS][:5]
+    process = informed()
+    five = RawEpoch(at(1).gps_time_ns, tuple(gps))
+    (statement,) = said(process, message(pushed(five, gps[0].satellite, 500.0), 1.0))
+    assert (statement.outcome, statement.accused) == (MonitorOutcome.ACCUSES, ("gnss",))
+    assert "no satellite can be singled out" in statement.reason
+
+
+def test_four_satellites_are_not_evaluated() -> None:
+    gps = tuple(one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS)[:4]
+    (statement,) = said(informed(), message(RawEpoch(at(1).gps_time_ns, gps), 1.0))
+    assert statement.outcome is MonitorOutcome.NOT_EVALUATED
+    assert statement.reason == "no redundancy: 4 satellites, 1 clocks"
+
+
+def test_missing_ephemerides_are_the_reason() -> None:
+    gps = tuple(one for one in at(1).measurements if one.satellite.constellation == Constellation.GPS)[:4]
+    process = informed(tuple(str(one.satellite) for one in gps[:2]))
+    (statement,) = said(process, message(RawEpoch(at(1).gps_time_ns, gps), 1.0))
+    assert statement.outcome is MonitorOutcome.NOT_EVALUATED
+    assert statement.reason.startswith("ephemerides of 2 of 4 satellites")
+    assert not process.rejects
+
+
+def test_measurements_that_stop_are_not_evaluated_after_three_seconds() -> None:
+    process = informed()
+    assert not said(process, message(at(1), 1.0), Tick(now_ns=3 * NS))[1:]
+    (statement,) = said(process, Tick(now_ns=5 * NS))
+    assert (statement.outcome, statement.reason) == (MonitorOutcome.NOT_EVALUATED, "no raw measurements for 4 s")
+    assert statement.since_ns == 5 * NS
+
+
+def test_navigation_words_before_the_time_is_known_and_a_second_receiver_are_counted() -> None:
+    process = Process(Config())
+    said(process, *bits(0.0, ("G01",)))
+    assert process.rejects == {"navigation_words_without_time": 3}
+    process = informed()
+    assert len(said(process, message(at(1), 1.0), message(at(2), 2.0, source="gnss1"))) == 1
+    assert process.rejects == {"second_receiver": 1}
+    assert len(said(process, message(at(9), 9.0, source="gnss1"))) == 1, "the first is silent"
+
+
+def test_epochs_that_follow_faster_than_one_a_second_are_not_evaluated() -> None:
+    assert len(said(informed(), *(message(at(0), 1.0 + 0.1 * k) for k in range(21)))) == 3
+
+
+@pytest.mark.parametrize("signal", ["2L", "7Q", "5I"])
+def test_other_frequencies_are_not_used(signal: str) -> None:
+    (statement,) = said(informed(), message(at(1), 1.0, signal=signal))
+    assert statement.reason == "no raw measurements of GPS L1 or Galileo E1 in this epoch"
+
+
+def test_an_implausible_pseudorange_is_refused_with_its_reason() -> None:
+    process = informed()
+    victim = at(1).measurements[0].satellite
+    (statement,) = said(process, message(pushed(at(1), victim, 8e7), 1.0))
+    assert statement.outcome is MonitorOutcome.PASS
+    assert process.rejects == {"implausible_pseudorange": 1}
