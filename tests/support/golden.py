@@ -26,8 +26,8 @@ SCENARIO, SEED, DURATION_S = "urban", 1, 30.0
 FILES: dict[str, type[RawBytes]] = {"gnss.ubx": GnssRaw, "imu.xbus": ImuRaw, "can.log": CanRaw}
 # One message of so many is kept, of each type that comes often; of all others, every message.
 EVERY = {
-    "AidingUpdate": 5, "FilterState": 10, "GnssSatellites": 10, "ImuSamples": 100, "NavigationSolution": 10,
-    "WheelSpeeds": 10,
+    "AidingUpdate": 5, "FilterState": 10, "GnssNavigationBits": 20, "GnssRawEpoch": 10, "GnssSatellites": 10,
+    "ImuSamples": 100, "NavigationSolution": 10, "TrustMonitor": 20, "TrustState": 10, "WheelSpeeds": 10,
 }  # fmt: skip
 Row = dict[str, object]
 
