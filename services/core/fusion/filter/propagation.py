@@ -166,19 +166,21 @@ def propagate(  # noqa: PLR0915  # one loop
     standstill_s, (zx, zy, zz) = state.standstill_s, state.standstill_rotation_b
     non_holonomic_s = state.since_non_holonomic_s
     (abx, aby, abz), (gbx, gby, gbz), (asx, asy, asz), (gsx, gsy, gsz) = errors
+    covariance_s, zero_velocity_s = NEARLY * intervals.covariance_s, NEARLY * intervals.zero_velocity_s
+    constraint_s, gap_s = NEARLY * intervals.non_holonomic_s, intervals.gap_s
     stop, k = Stop.END_OF_SAMPLES, begin
     while k < end:
         step = (times_ns[k] - time_ns) * 1e-9
-        if step > intervals.gap_s:
+        if step > gap_s:
             stop = Stop.GAP
             break
-        if span_s >= NEARLY * intervals.covariance_s:
+        if span_s >= covariance_s:
             stop = Stop.COVARIANCE_DUE
             break
-        if standstill_s >= NEARLY * intervals.zero_velocity_s:
+        if standstill_s >= zero_velocity_s:
             stop = Stop.ZERO_VELOCITY_DUE
             break
-        if non_holonomic_s >= NEARLY * intervals.non_holonomic_s:
+        if non_holonomic_s >= constraint_s:
             stop = Stop.NON_HOLONOMIC_DUE
             break
         row, k = rows[k], k + 1

@@ -183,8 +183,8 @@ def mechanise(
     new_height = height - half * (down + new_down)
     new_latitude = latitude + half * (by_north + new_north / (meridian + new_height))
     new_earth = local_earth(new_latitude)
-    new_cosine = new_earth.cos_latitude
-    new_by_east = new_east / (new_earth.transverse_radius + new_height)
+    _, new_cosine, new_meridian, new_transverse, _, _ = new_earth
+    new_by_east = new_east / (new_transverse + new_height)
     new_longitude = longitude + half * (by_east / cosine + new_by_east / new_cosine)
     if new_longitude > pi:
         new_longitude -= 2.0 * pi
@@ -196,7 +196,7 @@ def mechanise(
         quaternion,
         (half_cosine, scale * ax, scale * ay, scale * az),
         half * (2.0 * earth_n + by_east + new_by_east),
-        -half * (by_north + new_north / (new_earth.meridian_radius + new_height)),
+        -half * (by_north + new_north / (new_meridian + new_height)),
         half * (2.0 * earth_d - carried_d - new_by_east * sine / new_cosine),
     )
     velocity, position = (new_north, new_east, new_down), (new_latitude, new_longitude, new_height)
