@@ -30,7 +30,7 @@ def main() -> None:
 
 
 def run(name: str) -> None:
-    """Run one process of the unit; without Numba, which saves nothing where samples come one by one, and takes 120 MB."""
+    """Run one process of the unit, without Numba: it saves nothing sample by sample, and takes 120 MB."""
     os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
     from shared.runtime.config import load_vehicle
     from shared.runtime.live import run_process
