@@ -17,7 +17,7 @@ from services.core.fusion.filter.propagation import Intervals, samples_of
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.base import Measurement
 from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
-from services.core.fusion.measurements.gnss_error_model import UNKNOWN, Told
+from services.core.fusion.measurements.gnss_error_model import UNKNOWN, KnownGnssErrors
 from services.core.fusion.settings import GnssSettings, Settings
 from services.core.fusion.update.aiding import Aids
 from services.core.fusion.update.standstill_detector import CERTAIN
@@ -98,7 +98,7 @@ def _started(
         (north + x[3], east + x[4], down + x[5]),
         geodetic_from_ned_difference((x[6], x[7], x[8]), Geodetic(*drive.position[first].tolist())),
     )
-    colour = Told(LASTING_S, 1.0 - WHITE_SHARE) if model.told else UNKNOWN
+    colour = KnownGnssErrors(LASTING_S, 1.0 - WHITE_SHARE) if model.told else UNKNOWN
     navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), colour=colour)
     return navigation, -np.array(x[9:])  # of a filter that starts with biases of zero
 

@@ -15,7 +15,7 @@ from ..filter.propagation import ImuErrors
 from ..filter.strapdown import InertialState, rotate
 from ..measurements.dual_antenna import BaselineHeading
 from ..measurements.gnss import GnssPosition, GnssVelocity
-from ..measurements.gnss_error_model import UNKNOWN, Colour, Told
+from ..measurements.gnss_error_model import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from .heading import (
     REST_RATE_SD,
@@ -280,10 +280,10 @@ class Alignment:
         return self.levelling.rate_bias, np.eye(3) * self._settings.imu.gyroscope_bias_sd_rad_s**2
 
 
-def gnss_error_model(settings: Settings) -> Colour | Told:
+def gnss_error_model(settings: Settings) -> GnssErrorBank | KnownGnssErrors:
     """Make the model of GNSS errors before any fix: as the settings say, or unknown."""
     correlation_s = settings.gnss.correlation_time_s
-    return Told(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
+    return KnownGnssErrors(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
 
 
 def _tilt_by_bias_error(ned_from_body: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 
 from ..measurements.gnss import GnssPosition
-from ..measurements.gnss_error_model import Colour, Told, mean_at_rest
+from ..measurements.gnss_error_model import GnssErrorBank, KnownGnssErrors, mean_at_rest
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,10 +28,12 @@ class FirstPlace(NamedTuple):
     error: tuple[float, ...]
     error_cov: FloatArray  # shape (3, 3)
     both: FloatArray  # shape (3, 3) [m] covariance of position and error
-    colour: Colour | Told
+    colour: GnssErrorBank | KnownGnssErrors
 
 
-def first_place(rest: Sequence[GnssPosition], colour: Colour | Told, zero_ns: int | None = None) -> FirstPlace:
+def first_place(
+    rest: Sequence[GnssPosition], colour: GnssErrorBank | KnownGnssErrors, zero_ns: int | None = None
+) -> FirstPlace:
     """Weigh the fixes of a rest, newest last, by what they show of the run of their errors.
 
     An error that lasts is in all of them: the mean of many is hardly better than one, and the filter must know that

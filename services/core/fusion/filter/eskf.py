@@ -11,7 +11,7 @@ from shared.maths.earth import Geodetic
 from shared.maths.kalman import Correction, correct
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
-from ..measurements.gnss_error_model import UNKNOWN, Colour, Told
+from ..measurements.gnss_error_model import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from ..smoothing.history import Trail
 from ..update.standstill_detector import Limits
@@ -58,7 +58,7 @@ class ErrorStateFilter:
         As far as known.
     parameters : tuple of float
         Of the aiding sensors, in the order of `error_model.PARAMETERS`, as far as known.
-    colour : Colour
+    colour : GnssErrorBank
         Statistics of the GNSS errors, as far as known.
     """
 
@@ -69,7 +69,7 @@ class ErrorStateFilter:
         P: FloatArray,
         imu: ImuErrors = NO_ERRORS,
         parameters: tuple[float, ...] = NO_PARAMETERS,
-        colour: Colour | Told = UNKNOWN,
+        colour: GnssErrorBank | KnownGnssErrors = UNKNOWN,
     ) -> None:
         self.state = begun(inertial, ZERO, ZERO)
         self.P = P
@@ -223,7 +223,7 @@ class ErrorStateFilter:
         if self.trail is not None:
             self.trail.stepped(self, F, span_s, gnss_decay)
 
-    def learn(self, colour: Colour | Told) -> None:
+    def learn(self, colour: GnssErrorBank | KnownGnssErrors) -> None:
         """Take over new statistics of GNSS errors: the estimate of the error [m] stays, and its variance follows."""
         if colour is self.colour:
             return

@@ -63,7 +63,7 @@ class BarometricHeight:
         yield self.observe
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold it against the height of the filter plus the offset."""
+        """Innovation against the height of the filter plus the offset."""
         z = self.height - navigation.position.height - navigation.parameter(em.BAROMETER_OFFSET)
         H = np.zeros((1, em.SIZE))
         H[0, em.POSITION.stop - 1] = 1.0  # down is positive in the error, up in the height

@@ -1,4 +1,4 @@
-"""What aids the filter. A new kind of measurement is one file with one class that has these three members."""
+"""Base of all measurements. A new kind is one file with one class that has these members."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class Observation(NamedTuple):
-    """A measurement held against the filter: z = measured - predicted = H x + noise of covariance R."""
+    """One observation of a measurement: z = measured - predicted = H x + noise of covariance R."""
 
     kind: AidingKind
     z: FloatArray
     H: FloatArray
     R: FloatArray
-    unfit: str | None = None  # why it is told and not used
+    unfit: str | None = None  # why it is published and not used
 
 
 class Measurement(Protocol):
@@ -43,19 +43,19 @@ class Measurement(Protocol):
         ...
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
-        """Ways to hold it against the filter, each to be called after the one before has been used."""
+        """Functions that give its observations, each to be called after the one before has been used."""
         ...
 
 
 @dataclass(frozen=True)
 class News:
-    """What the filter is told at an instant, in order with measurements, although nothing was measured."""
+    """An event in the order of the measurements that is none itself, such as a found delay."""
 
     time_ns: int
 
     @property
     def received_ns(self) -> int:
-        """When it became known: of no account."""
+        """When it became known; not used."""
         return self.time_ns
 
     @property

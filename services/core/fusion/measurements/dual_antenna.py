@@ -37,7 +37,7 @@ class BaselineHeading:
         return wrap_angle(self.heading - atan2(y, x))
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold it against the heading that the attitude gives to the line.
+        """Innovation against the heading of the line by the attitude.
 
         Notes
         -----

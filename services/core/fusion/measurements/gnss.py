@@ -22,10 +22,10 @@ from .base import Measurement, Observation
 
 FloatArray = npt.NDArray[np.float64]
 
-LARGEST_SD = 1e4  # [m, m/s] a receiver that knows nothing may say anything
-SMALLEST_SD = 1e-6  # [m, m/s] one that says less does not know
+LARGEST_SD = 1e4  # [m, m/s] upper limit of stated standard deviations
+SMALLEST_SD = 1e-6  # [m, m/s] below it a stated standard deviation is invalid
 LASTING_ABOVE_M = 0.1  # of the larger horizontal axis; errors below it are of a carrier phase
-SMALLEST_EIGENVALUE = 1e-3  # [-] of a correlation matrix that is a matrix of correlations
+SMALLEST_EIGENVALUE = 1e-3  # [-] of a valid correlation matrix
 
 
 class Stamp(NamedTuple):
@@ -64,7 +64,7 @@ class GnssPosition:
         yield self.observe
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold it against the predicted position of the antenna and the part of its error that lasts, in metres."""
+        """Innovation against the predicted antenna position plus the estimated time-correlated error, in metres."""
         arm_n, velocity = rotate(navigation.quaternion, self.lever_arm), navigation.velocity
         z, H = self._beside(navigation, arm_n), em.antenna_position_matrix(arm_n)
         H[:, em.GNSS_DELAY] = np.add(velocity, antenna_velocity(navigation, self.lever_arm))
@@ -84,7 +84,7 @@ class GnssPosition:
         return Observation(AidingKind.GNSS_POSITION, z[:n], H[:n], R[:n, :n])
 
     def teach(self, navigation: ErrorStateFilter) -> None:
-        """Let a filter that has used it learn how GNSS errors run over time."""
+        """Update the model of GNSS errors of the filter that has used it."""
         if self.lasts and self.axes == 3 and navigation.colour.is_due(self.time_ns):
             arm_n = rotate(navigation.quaternion, self.lever_arm)
             path = self._beside(navigation, arm_n) + navigation.moved
@@ -92,7 +92,7 @@ class GnssPosition:
             navigation.learn(navigation.colour.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances))
 
     def _beside(self, navigation: ErrorStateFilter, arm_n: Vector) -> FloatArray:
-        """Find where it is beside the predicted antenna [m, NED] of when it was true."""
+        """Measured minus predicted antenna position [m, NED] at its time of validity."""
         antenna = geodetic_from_ned_difference(arm_n, navigation.position)
         beside = np.array(ned_from_geodetic_difference(self.position, antenna))
         left_s = navigation.parameter(em.GNSS_DELAY) - self.removed_s
@@ -121,7 +121,7 @@ class GnssVelocity:
         yield self.observe
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold it against the predicted velocity of the antenna."""
+        """Innovation against the predicted velocity of the antenna."""
         (north, east, down), (vn, ve, vd) = self.velocity, navigation.velocity
         an, ae, ad = antenna_velocity(navigation, self.lever_arm)
         z = np.array([north - vn - an, east - ve - ae, down - vd - ad])
@@ -159,7 +159,7 @@ def gnss_measurements(
     *,
     fixed: bool = False,
 ) -> list[Measurement]:
-    """Make measurements of one epoch of a receiver, with covariances that can be trusted.
+    """Make measurements of one epoch of a receiver, with plausible covariances.
 
     Parameters
     ----------
@@ -170,17 +170,17 @@ def gnss_measurements(
     position : Geodetic
         Of the antenna.
     reading : Reading
-        The position's covariance [m², NED] and axes; its vector is of no account.
+        The position's covariance [m², NED] and axes; its vector is not used.
     velocity : Reading or None
         [m/s, NED]
     fixed : bool
-        Whether the carrier's ambiguities are resolved, so that no error of metres is left to last.
+        Whether the carrier's ambiguities are resolved, so that no time-correlated error of metres remains.
 
     Returns
     -------
     list of Measurement
         Velocity, if there is one, before position. A stated covariance is scaled by `gnss.position_sd_factor`
-        (positions only) and its diagonal kept between a floor, for some receivers say zero, and a ceiling.
+        (positions only) and its diagonal kept between a floor, because some receivers state zero, and a ceiling.
     """
     true_ns = true_time_ns(settings, stamp.sampled_ns)
     measurements: list[Measurement] = []
@@ -217,7 +217,7 @@ def gnss_measurements(
 def _trusted(cov: FloatArray | None, default_sd: Vector, floor_sd: float, factor: float) -> FloatArray:
     """Covariance that is finite, positive definite and not too small; impossible correlations are dropped.
 
-    A receiver that says zero, or less, of an axis does not know: the default stands for it.
+    A variance of zero or less is invalid and replaced by the default.
     """
     if cov is None or not np.isfinite(cov).all():
         return np.diag(np.square(default_sd))

@@ -1,9 +1,9 @@
-"""How GNSS position errors run over time, learned from the fixes: how large, how much of them lasts, and how long.
+"""Model of time-correlated GNSS position errors, learned from the fixes: scale, white share, correlation time.
 
-A receiver says how large its errors are, not always rightly, and never whether they last. Between two fixes the
-inertial sensors know the way to centimetres, so what the fixes show of themselves beside that way are the changes of
-their errors. A bank of small filters, one for each hypothesis, follows them; each is as likely as the changes are
-under it.
+A receiver states the size of its errors, not always rightly, and never their correlation time. Between two fixes the
+inertial sensors know the displacement to centimetres, so that differences of fixes minus displacement are changes of
+the fixes' errors. A bank of small filters, one per hypothesis, estimates them; the likelihood of each hypothesis
+follows from its innovations.
 """
 
 from dataclasses import dataclass
@@ -19,30 +19,30 @@ FloatArray = npt.NDArray[np.float64]
 TIMES_S = (2.0, 5.0, 10.0, 20.0, 60.0, 200.0, 600.0, 2000.0)
 WHITE_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 0.7)
 # [s], [-] the hypotheses: correlation time, and share of the variance that is white. The first is nearly all white;
-# what is left of it is so constant that no fix can show it, and not to be forgotten for that.
+# its correlated remainder is too constant to be observed.
 HYPOTHESES = ((600.0, 0.95), *product(TIMES_S, WHITE_SHARES))
 CORRELATION_S = np.array([time for time, _ in HYPOTHESES])
 LOG_CORRELATION = np.log(CORRELATION_S)
 LASTING = np.array([1.0 - share for _, share in HYPOTHESES])
 WHITE_PRIOR = 0.3  # probability of the first; the other hypotheses are equally likely
 SCALES = 2.0 ** np.arange(-3.0, 2.5, 0.5)  # [-] each with each of them: how large errors are, over what is stated
-SCALE_PRIOR_SDS = 0.35, 0.7  # [-] of its logarithm, below 1 and above: a filter that was too sure stays it for long
+SCALE_PRIOR_SDS = 0.35, 0.7  # [-] of its logarithm, below 1 and above: an overconfident filter recovers slowly
 SHAPE = (3, len(HYPOTHESES), len(SCALES))  # of the bank, for each axis
-MEMORY_S = 600.0  # after which what was learned counts for 1/e, for places differ
-START_SDS = 100.0  # of the unknown place against the error of a fix
-SURPRISE = 9.0  # d² of one axis beyond which it moves nothing any further
+MEMORY_S = 600.0  # forgetting time constant, because environments differ
+START_SDS = 100.0  # of the unknown initial position over the error of a fix
+SURPRISE = 9.0  # d² of one axis at which its influence is clipped
 FLOOR = log(0.01) - log(10.0)  # of an axis' likelihood: one fix in a hundred may be ten times as wrong as stated
-PERIOD_S = 2.0  # between fixes that teach: nearer ones show how a receiver smooths, and not how it errs
-BREAK_S = 10.0  # without a fix, after which the way is unknown again
+PERIOD_S = 2.0  # between fixes used for learning: closer ones show the receiver's smoothing, not its errors
+BREAK_S = 10.0  # without a fix, after which the displacement is unknown again
 VELOCITY_CORRELATION_S = 2.0  # of the error of the filter's velocity
 
 
 @dataclass(frozen=True)
-class Colour:
-    """A bank of hypotheses with what speaks for each, and where each takes way and error to be.
+class GnssErrorBank:
+    """Bank of hypotheses with their log-likelihoods and estimates.
 
-    Each has, a scale and an axis, two states: the way [m] by which the inertial track is off, and the lasting error
-    over its standard deviation. Their covariance is that of way, both, and error.
+    Each has, for each scale and axis, two states: the error [m] of the inertial displacement, and the time-correlated
+    error over its standard deviation.
     """
 
     evidence: FloatArray  # shape (2, h, s), logarithmic, of horizontal and vertical errors, whose scales may differ
@@ -70,12 +70,12 @@ class Colour:
 
     @cached_property
     def lasting(self) -> float:
-        """Share of the variance that lasts, the mean over all hypotheses."""
+        """Time-correlated share of the variance, the mean over all hypotheses."""
         return float(self.weight @ LASTING)
 
     @cached_property
     def correlation_s(self) -> float:
-        """Correlation time [s] of what lasts, the geometric mean over all hypotheses."""
+        """Correlation time [s], the geometric mean over all hypotheses."""
         weight = self.weight * LASTING + 1e-12
         return exp(float(weight @ LOG_CORRELATION) / float(weight.sum()))
 
@@ -88,27 +88,27 @@ class Colour:
 
     @cached_property
     def unit(self) -> FloatArray:
-        """Of the lasting error, in what the receiver states: north, east and down, shape (3,)."""
+        """Standard deviation of the time-correlated error over the stated one: north, east, down, shape (3,)."""
         return self.scale * sqrt(max(self.lasting, 1e-6))
 
     def scaled(self, cov: FloatArray) -> FloatArray:
-        """Covariance, shape (3, 3), with errors as large as they have shown themselves."""
+        """Covariance, shape (3, 3), scaled to the observed size of the errors."""
         return cov * self._scales
 
     @cached_property
     def _scales(self) -> FloatArray:
         return np.outer(self.scale, self.scale)
 
-    def at_start(self) -> "Colour":
-        """Keep what was learned, of a track that begins anew."""
-        return Colour(self.evidence, *_unknown())
+    def at_start(self) -> "GnssErrorBank":
+        """Keep the learned model for a new track."""
+        return GnssErrorBank(self.evidence, *_unknown())
 
     def is_due(self, time_ns: int) -> bool:
-        """Whether a fix of this stamp teaches."""
+        """Whether a fix of this stamp is used for learning."""
         return self.time_ns is None or (time_ns - self.time_ns) * 1e-9 >= PERIOD_S - 1e-3
 
-    def after(self, time_ns: int, path: FloatArray, sd: FloatArray, velocity_variance: FloatArray) -> "Colour":
-        """Learn from one more fix.
+    def after(self, time_ns: int, path: FloatArray, sd: FloatArray, velocity_variance: FloatArray) -> "GnssErrorBank":
+        """Update the bank by one fix.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class Colour:
 
         Returns
         -------
-        Colour
+        GnssErrorBank
             This one, if the fix is not newer than the last by `PERIOD_S`.
 
         Notes
@@ -155,7 +155,7 @@ class Colour:
         error: FloatArray,
         cov: tuple[FloatArray, FloatArray, FloatArray],
         evidence: FloatArray,
-    ) -> "Colour":
+    ) -> "GnssErrorBank":
         ways, both, errors = cov
         sd = _of_axes(sd)
         h, stated = ROOTS * sd, sd**2
@@ -167,15 +167,15 @@ class Colour:
         gain_way, gain_error = to_way / S, to_error / S
         after = (ways - gain_way * to_way, both - gain_way * to_error, errors - gain_error * to_error)
         way, error = self.way + to_way * used, error + to_error * used
-        if self.time_ns is not None:  # the first fix of a track has nothing to be held against
+        if self.time_ns is not None:  # the first fix of a track has no predecessor
             likelihood = np.maximum(-0.5 * (z * z / S + np.log(S / stated)), FLOOR)
             evidence = evidence + likelihood[1:]
             evidence[0] += likelihood[0]
-        return Colour(evidence, way, error, after, time_ns)
+        return GnssErrorBank(evidence, way, error, after, time_ns)
 
 
 def _of_axes(values: FloatArray) -> FloatArray:
-    """Give each axis of the bank its own of three values."""
+    """Broadcast three values over the axes of the bank."""
     return values[:, np.newaxis, np.newaxis]
 
 
@@ -203,12 +203,12 @@ def _prior() -> FloatArray:
 ROOTS = SCALES * np.sqrt(LASTING)[:, np.newaxis]  # [-] lasting part over what is stated
 WHITES = SCALES**2 * (1.0 - LASTING)[:, np.newaxis]  # [-] variance of the white part over it
 PRIOR = _prior()
-UNKNOWN = Colour(np.zeros((2, *SHAPE[1:])), *_unknown())
+UNKNOWN = GnssErrorBank(np.zeros((2, *SHAPE[1:])), *_unknown())
 
 
 @dataclass(frozen=True)
-class Told:
-    """How GNSS errors run where that is known: a `Colour` that is certain, and learns nothing."""
+class KnownGnssErrors:
+    """Known model of GNSS errors, in place of a learned one."""
 
     correlation_s: float
     lasting: float  # share of the variance
@@ -227,32 +227,34 @@ class Told:
         """Covariance as stated."""
         return cov
 
-    def at_start(self) -> "Told":
-        """Keep what is known, of a track that begins anew."""
+    def at_start(self) -> "KnownGnssErrors":
+        """Keep the known model for a new track."""
         return self
 
     def is_due(self, _time_ns: int) -> bool:
-        """No fix teaches."""
+        """No fix is used for learning."""
         return False
 
-    def after(self, _time_ns: int, _path: FloatArray, _sd: FloatArray, _velocity_variance: FloatArray) -> "Told":
-        """Learn nothing from one more fix."""
+    def after(
+        self, _time_ns: int, _path: FloatArray, _sd: FloatArray, _velocity_variance: FloatArray
+    ) -> "KnownGnssErrors":
+        """The model is known and stays as it is."""
         return self
 
 
 def mean_at_rest(
     times_s: FloatArray, lasting: float, correlation_s: float, zero_s: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Weigh fixes of a place that does not move, as far as their errors last.
+    """Weights of fixes at standstill, given their time-correlated errors.
 
     Parameters
     ----------
     times_s : ndarray, shape (n,)
         [s] When they were true, increasing.
     lasting : float
-        [-] Share of their variance that lasts.
+        [-] Time-correlated share of their variance.
     correlation_s : float
-        [s] How long it does.
+        [s] Its correlation time.
     zero_s : float, optional
         [s] When it was zero, if it ever was.
 

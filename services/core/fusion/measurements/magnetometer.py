@@ -1,4 +1,4 @@
-"""The magnetometer, believed only while it agrees with a heading that is known otherwise."""
+"""Magnetic heading, used only while it agrees with a heading from other sources."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from .base import Observation
 PERIOD_NS = 1_000_000_000
 CORRELATION_S = 20.0  # of the disturbance by iron that the vehicle passes: readings are no independent evidence
 STRENGTH = (0.8, 1.2)  # [-] of the field where it was calibrated
-KNOWN_SD = radians(2.0)  # of a heading that can judge the compass
+KNOWN_SD = radians(2.0)  # of a heading that serves as reference for the compass
 SECTORS = 8  # of the horizon
 JUDGED_SECTORS = 4  # in which it must have been judged: iron of the vehicle errs by the heading
 WORST = radians(10.0)  # mean error of a sector up to which a compass is one
@@ -33,7 +33,7 @@ class CompassCheck:
     errors: tuple[float | None, ...] = (None,) * SECTORS
 
     def judged(self, seen: "MagneticHeading", navigation: ErrorStateFilter) -> "CompassCheck":
-        """Take in a reading, if the filter knows the heading well enough to judge it."""
+        """Check after a reading, if the heading of the filter is accurate enough."""
         known = navigation.P[em.ATTITUDE.stop - 1, em.ATTITUDE.stop - 1] <= KNOWN_SD**2
         if not (known and seen.plausible):
             return self
@@ -41,7 +41,7 @@ class CompassCheck:
         return self.after(atan2(C[1, 0], C[0, 0]), seen.error(navigation))
 
     def after(self, yaw: float, error: float) -> "CompassCheck":
-        """Take in an error [rad] that was seen at a heading."""
+        """Check after an error [rad] observed at a heading."""
         sector = int((yaw % (2.0 * np.pi)) / (2.0 * np.pi) * SECTORS) % SECTORS
         old = self.errors[sector]
         mean = error if old is None else wrap_angle(old + SHARE * wrap_angle(error - old))
@@ -90,7 +90,7 @@ class MagneticHeading:
         return None if spread <= WORST else f"errs by up to {degrees(spread):.0f} degrees"
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold the direction of its level part against magnetic north; the tilt's own error is left out."""
+        """Innovation of its horizontal direction against magnetic north; the error of the tilt is neglected."""
         H = np.zeros((1, em.SIZE))
         H[0, em.ATTITUDE.stop - 1] = -1.0
         spread = self.check.spread if self.check else None

@@ -1,4 +1,4 @@
-"""What the wheels know: how fast they turn, and that they neither slide sideways nor leave the road."""
+"""Wheel speeds, and the non-holonomic constraint (NHC): no sideways and no vertical velocity of the rear axle."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,9 +21,9 @@ PERIOD_S = 0.1
 CORRELATION_S = 1.0  # of the wheels' sideways and vertical motion: successive zeros are no independent evidence
 SLOWEST_M_S = 2.0  # below it a wheel goes where it is steered
 SLIP = 0.006  # [rad per m/s²] by which a tyre runs askew in a bend; 0.006 in a real car
-UNKNOWN_ARM_SD = 1.0  # [m] of the rear axle, where nobody has said where it is
+UNKNOWN_ARM_SD = 1.0  # [m] of the rear axle, where its position is not configured
 HALF_TRACK_M = 0.8  # by which a speed may be that of one side
-STAMP_SD = 0.02  # [s] of the speed's stamp, for the age of what a control unit tells is not known
+STAMP_SD = 0.02  # [s] of the speed's stamp, because the age of a control unit's value is unknown
 DEAD_ZONE_SD = 0.3  # [m/s] of a speed of zero: sensors are silent at a walking pace
 
 
@@ -46,7 +46,7 @@ class WheelSpeed:
         yield self.observe
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold it against (1 + k) times the forward velocity of the rear axle, k being the error of its scale.
+        """Innovation against (1 + k) times the forward velocity of the rear axle, k being the error of its scale.
 
         Most speeds have no sign. The filter's own says which way it was, with a probability: with f the predicted
         speed and S the innovation's variance, the mean of the two is s tanh(s f / S), their variance
@@ -79,7 +79,7 @@ class WheelSpeed:
 
 @dataclass(frozen=True)
 class NonHolonomic:
-    """At this instant the rear axle moves neither sideways nor down."""
+    """Non-holonomic constraint: at this instant the rear axle moves neither sideways nor down."""
 
     time_ns: int
     settings: Settings
@@ -95,11 +95,11 @@ class NonHolonomic:
         yield self.observe
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold two zeros against the velocity of the rear axle, right and down.
+        """Innovation of two zeros against the velocity of the rear axle, right and down.
 
         In bends tyres slip by an angle that is proportional to the acceleration, and an unknown arm swings; straight on
-        they give way less than springs, on which a body pitches and heaves. These errors, as those of camber, last; ten
-        of them in their correlation time count as one.
+        they give way less than springs, on which a body pitches and heaves. These errors, as those of camber, are
+        time-correlated; ten of them in their correlation time count as one.
         """
         ahead, H = _axle(navigation, self.settings)
         turn = abs(navigation.rate[2])

@@ -1,4 +1,4 @@
-"""What a vehicle at rest knows of itself: no velocity, and no angular rate but the Earth's."""
+"""Zero-velocity update (ZUPT) and zero-angular-rate update (ZARU) at standstill."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from .base import Observation
 PERIOD_S = 0.1
 VELOCITY_SD = 0.02  # [m/s]
 RATE_SD = 0.0015  # [rad/s] of one period, independent of the next
-SETTLING_S = 10.0  # for which beside it an error of `REST_RATE_SD` lasts: no rest is perfect
+SETTLING_S = 10.0  # for which beside it an error of `REST_RATE_SD` is correlated: no standstill is perfect
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class Standstill:
         yield self.observe_zero_rate
 
     def observe_zero_rate(self, navigation: ErrorStateFilter) -> Observation:
-        """Hold w - C^T w_ie = -db_g against the filter: H = -I on the gyroscope's bias.
+        """ZARU: observation w - C^T w_ie of the gyroscope bias: H = -I on the gyroscope's bias.
 
-        An error of variance l that lasts for T is as bad as an independent one of 2 l T / period in every period.
+        An error of variance l and correlation time T is as bad as an independent one of 2 l T / period in every period.
         """
         H = np.zeros((3, em.SIZE))
         H[:, em.GYROSCOPE_BIAS] = -np.eye(3)
@@ -53,7 +53,7 @@ class Standstill:
 
 
 def observe_zero_velocity(navigation: ErrorStateFilter) -> Observation:
-    """Hold v = 0 against the filter: z = -v, H = -I on the velocity."""
+    """ZUPT: z = -v, H = -I on the velocity."""
     H = np.zeros((3, em.SIZE))
     H[:, em.VELOCITY] = -np.eye(3)
     z = -np.array(navigation.velocity)

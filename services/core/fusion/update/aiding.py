@@ -1,4 +1,4 @@
-"""Which devices the filter listens to, and what is learnt of each while it does."""
+"""Selection among aiding sensors, and what is learned of each of them."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,7 +21,7 @@ ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
 
 
 class Aids:
-    """Leads measurements to the filter; what it knows is replaced and never changed in place."""
+    """Passes measurements to the filter; its state is replaced and never changed in place."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -30,7 +30,7 @@ class Aids:
         self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
         self._compass = CompassCheck()
         self._epochs = Epochs()
-        self._delay: FoundDelay | None = None  # the newest; a filter that begins with nothing has to be told
+        self._delay: FoundDelay | None = None  # the newest, for a filter that starts without it
 
     def fork(self) -> "Aids":
         """Copy that goes its own way."""
@@ -47,19 +47,19 @@ class Aids:
         self.watch = self.watch.begun(time_ns, started)
 
     def hear(self, news: News) -> None:
-        """Keep what a filter that begins later has to be told as well."""
+        """Keep what a filter that starts later needs as well."""
         if isinstance(news, FoundDelay):
             self._delay = news
 
     def is_told_again(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
-        """Whether a receiver has said this before."""
+        """Whether a measurement repeats an earlier one of its receiver."""
         if not isinstance(measurement, GnssPosition | GnssVelocity):
             return False
         self._epochs, again = self._epochs.after(measurement, navigation)
         return again
 
     def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
-        """Hold a measurement against the filter, unless a better device says the same."""
+        """Use a measurement, unless a better device measures the same."""
         if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, navigation):
             return
         if isinstance(measurement, MagneticHeading):
@@ -84,7 +84,7 @@ class Aids:
         return limits
 
     def _is_spare(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
-        """Whether another odometer is in use; one that takes its place has a scale of its own."""
+        """Whether another odometer is in use; a replacement has a scale of its own."""
         used = self._odometer
         if used is not None and (used.source, used.of_wheels) != (seen.source, seen.of_wheels):
             better = seen.of_wheels and not used.of_wheels

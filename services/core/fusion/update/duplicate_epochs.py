@@ -1,4 +1,4 @@
-"""Epochs that a receiver tells again: the same stamp twice, or a new stamp on values that do not change any more."""
+"""Duplicate epochs of a receiver: the same stamp twice, or new stamps on a held value."""
 
 from math import dist, hypot
 from typing import NamedTuple
@@ -12,11 +12,11 @@ from ..measurements.gnss import GnssPosition, GnssVelocity
 WAY_M = 0.5  # on which every receiver's position changes
 GAIN_M_S = 0.5  # over which every receiver's velocity changes
 ROOM = 64  # sources and kinds that are remembered: devices come and go
-HELD_S = 10.0  # receivers hold a value for so long; one that is the same for longer has to be judged by what it says
+HELD_S = 10.0  # longest time for which receivers hold a value; a longer one goes through the gate as any other
 
 
 class Seen(NamedTuple):
-    """Newest value of a source and kind, when it was told first and last, and what the filter said of the first."""
+    """Newest value of a source and kind, its first and last stamp, and the state of the filter at the first."""
 
     value: Geodetic | Vector
     since_ns: int
@@ -26,14 +26,14 @@ class Seen(NamedTuple):
 
 
 class Epochs(NamedTuple):
-    """What every source told last; replaced and never changed."""
+    """Newest value of every source; replaced and never changed."""
 
     seen: dict[tuple[str, type], Seen] = {}  # noqa: RUF012  # never changed in place
 
     def after(
         self, measurement: GnssPosition | GnssVelocity, navigation: ErrorStateFilter | None
     ) -> tuple["Epochs", bool]:
-        """Take in a measurement and say whether it is told again.
+        """Compare a measurement with the last one of its source; returns the new memory and whether it is a duplicate.
 
         Parameters
         ----------
@@ -46,7 +46,7 @@ class Epochs(NamedTuple):
         -------
         tuple
             A position that is the same to the last bit although the vehicle went `WAY_M`, or a velocity although it
-            changed by `GAIN_M_S`, is held. A receiver that says itself that it stands still is believed.
+            changed by `GAIN_M_S`, is held. Equal values of a receiver that reports standstill are no duplicates.
         """
         value = measurement.position if isinstance(measurement, GnssPosition) else measurement.velocity
         key, own = (measurement.source, type(measurement)), navigation.velocity if navigation else None
@@ -65,7 +65,7 @@ class Epochs(NamedTuple):
         return after, moved and held_s <= HELD_S
 
     def _speed(self, measurement: GnssPosition | GnssVelocity, own: Vector | None) -> float:
-        """Horizontal speed [m/s]: the receiver's own, if it tells one, or the filter's."""
+        """Horizontal speed [m/s]: the receiver's own if it states one, otherwise the filter's."""
         if isinstance(measurement, GnssVelocity):
             return hypot(measurement.velocity[0], measurement.velocity[1])
         beside = self.seen.get((measurement.source, GnssVelocity))

@@ -265,7 +265,7 @@ class Engine:
         return outcomes
 
     def _is_turned(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> bool:
-        """Watch the heading, and begin again if it is wrong by more than a filter can mend."""
+        """Watch the heading, and reset if it is wrong by more than the filter can correct."""
         kept = self.aids.judge.compare(seen, navigation)
         if kept is None:
             return False
@@ -278,7 +278,7 @@ class Engine:
         self._rejections = 0 if outcome.used or outcome.test_ratio <= 1.0 else self._rejections + 1
 
     def _is_astray(self, time_ns: int) -> bool:
-        """Whether the receiver has contradicted the filter for so often and so long that the filter must be wrong."""
+        """Whether so many consecutive positions were rejected for so long that the filter must be wrong."""
         enough = self._rejections >= self._settings.gating.reset_after_rejections
         return enough and time_ns - (self.accepted_ns or 0) >= self._settings.gating.reset_after_s * 1e9
 
@@ -335,7 +335,7 @@ class Engine:
         self.phase, self.since_ns, self.reason = phase, time_ns, reason
 
     def _reset(self, why: str, kept: Heading | None) -> None:
-        """Begin again, because the filter cannot be right."""
+        """Reset the filter."""
         self.counts = self.counts._replace(resets=self.counts.resets + 1)
         self._lose(why, kept, self.filter if kept else None)
         if kept and self._alignment is not None:  # in the same frame; in a gap it may have turned

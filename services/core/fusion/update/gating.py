@@ -1,4 +1,4 @@
-"""Which observations the filter is given, with what weight, and how a device that was wrong earns its way back."""
+"""Gating by the normalised innovation squared, down-weighting, exclusion and readmission of devices."""
 
 from math import radians
 from typing import NamedTuple
@@ -17,32 +17,32 @@ from ..measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from ..settings import Settings
 from . import lever_arm_monitor
 
-# A refused GNSS measurement admits that the filter may be too sure of itself [m, m/s].
+# Standard deviations by which the covariance is inflated at a rejected GNSS measurement [m, m/s].
 WIDENING = {
     AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
     AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
 }
-TURNED_SD = radians(3.0)  # at best, of a heading that is mended
-# So does a refused speed of the wheels, along them and with time: for spinning wheels are refused as well, and rightly.
+TURNED_SD = radians(3.0)  # smallest standard deviation of a corrected heading
+# Rejected wheel speeds inflate it as well, along the vehicle and with time: spinning wheels are rejected rightly.
 DOUBT_M_S_SQRT_S = 0.1
 DOUBT_AFTER_NS, DOUBT_STEP_NS = 2_000_000_000, 1_000_000_000
-TOLD_LIMIT = 9.0  # times the gate: what is beyond it tells nothing of the lever arm
+TOLD_LIMIT = 9.0  # times the gate: innovations beyond it are no evidence on the lever arm
 FORGIVEN_S = 60.0  # without a fault, after which the ones before are forgotten
 
 
 class Standing(NamedTuple):
-    """What a device has to show for one kind of observation."""
+    """Fault status of a device for one kind of observation."""
 
-    wrong_ns: int | None = None  # since when all has been refused
+    wrong_ns: int | None = None  # since when all have been rejected
     sound_ns: int | None = None  # since when a device at fault agrees again
     faults: int = 0
     fault_ns: int = 0  # when the newest began or ended
     excluded: bool = False
 
     def after(self, time_ns: int, agrees: bool, settings: Settings) -> "Standing":
-        """Take in whether an observation was near enough to be used.
+        """Status after an observation that was within the gate or not.
 
-        What is refused for `gating.fault_after_s` is a fault, which excludes the device until all that it says has
+        A device rejected for `gating.fault_after_s` is at fault and excluded until all its observations have
         agreed for `gating.readmission_s`, twice as long after each further fault within a minute, but not longer than
         `gating.readmission_max_s`.
         """
@@ -62,15 +62,15 @@ class Standing(NamedTuple):
 
 
 class Judge:
-    """Holds observations against the filter; what it knows is replaced and never changed in place."""
+    """Tests and uses observations; its state is replaced and never changed in place."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.corrections = Corrections()
         self.comparison = Comparison()  # of the filter's heading with GNSS
         self.arm = lever_arm_monitor.begun()
-        self._height_ns: int | None = None  # since when heights have been refused
-        self._doubt_ns: int | None = None  # when the next doubt is due, while speeds of the wheels are refused
+        self._height_ns: int | None = None  # since when heights have been rejected
+        self._doubt_ns: int | None = None  # when the next inflation is due, while wheel speeds are rejected
         self._standings: dict[tuple[str, AidingKind], Standing] = {}
 
     def fork(self) -> "Judge":
@@ -80,7 +80,7 @@ class Judge:
         return twin
 
     def acquit(self, comparison: Comparison) -> None:
-        """Begin with all devices in good standing: it was the filter that was wrong, and it is a new one."""
+        """Start without faults of devices: the filter was wrong, and is a new one."""
         self._standings, self.corrections, self.arm = {}, Corrections(), lever_arm_monitor.begun()
         self.comparison = comparison
 
@@ -99,8 +99,8 @@ class Judge:
     def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
         """Use an observation if its d² is within the limit, with less weight up to `gating.robust_limit` times it.
 
-        A position that is beyond it, but not beyond what the receiver states, has another lasting error than the ones
-        before it. One whose height alone is beyond it is used without its height.
+        A position that is beyond it, but within what the receiver states, has another time-correlated error than those
+        before. One whose height alone is beyond it is used without its height.
         """
         correction, ratio = self._weigh(navigation, seen)
         limit = self._settings.gating.robust_limit if seen.kind in WIDENING else 1.0
@@ -132,7 +132,7 @@ class Judge:
         return f"height beyond the gate by {-float(seen.z[2]):.0f} m: used without it"
 
     def _follow_height(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int) -> bool:
-        """Take a height over that has been refused for as long as a reset needs, and say whether."""
+        """Reset the height to one that has been rejected for as long as a reset needs; returns whether it was."""
         self._height_ns = time_ns if self._height_ns is None else self._height_ns
         if time_ns - self._height_ns < self._settings.gating.reset_after_s * 1e9:
             return False
@@ -141,7 +141,7 @@ class Judge:
         return True
 
     def _follow_speed(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int, refused: bool) -> None:
-        """Doubt a velocity that the wheels have contradicted for long: once a second, and along the wheels alone."""
+        """Inflate the velocity that wheel speeds have contradicted for long: once a second, along the vehicle only."""
         if not refused:
             self._doubt_ns = None
             return
@@ -199,7 +199,7 @@ class Judge:
         self.arm = self.arm.after(measurement.time_ns, navigation, seen.z, S, gain=gain, position=position)
 
     def _is_excluded(self, measurement: Measurement, kind: AidingKind, agrees: bool) -> bool:
-        """Keep the books of GNSS, and say whether what it says now is of no account."""
+        """Update the fault status of GNSS; returns whether it is excluded now."""
         key = measurement.source, kind
         before = self._standings.get(key, Standing())
         after = before.after(measurement.time_ns, agrees, self._settings)

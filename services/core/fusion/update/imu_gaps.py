@@ -9,7 +9,7 @@ from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..measurements.base import News
 
-FORCE_SD = 2.0  # [m/s²] what a car may do while nobody looks
+FORCE_SD = 2.0  # [m/s²] acceleration and rate of a car that are possible in a gap
 RATE_SD = 0.3  # [rad/s]
 SUSPECT_PERIOD_S = 0.1  # between two inflations for suspect samples
 SUSPECT_CORRELATION_S = 1.0
@@ -23,12 +23,12 @@ def inflate_for_gap(navigation: ErrorStateFilter, span_s: float) -> None:
 
 @dataclass(frozen=True)
 class LostTime(News):
-    """Before this instant samples were refused that told of so much time."""
+    """Time [s] before this instant of which samples were rejected."""
 
     span_s: float
 
     def tell(self, navigation: ErrorStateFilter) -> None:
-        """Admit it as a gap, and besides the way, on which nobody has carried the filter."""
+        """Inflate the covariance as for a gap, and the position by the distance that was not propagated."""
         inflate_for_gap(navigation, self.span_s)
         navigation.inflate_along(em.POSITION, np.multiply(navigation.velocity, self.span_s))
 

@@ -1,8 +1,8 @@
-"""Watches the lever arm from the IMU to the antenna: in turns a wrong one shows in what GNSS says against the filter.
+"""Monitor of the lever arm from the IMU to the antenna: in turns its error shows in the innovations of GNSS.
 
 An arm that is wrong by d (body) puts the antenna C d beside where it is taken to be. On a straight road the filter
-takes that for its own error; when C turns it is held against the old direction. With C_f the mean attitude of the past
-that the filter still believes, and likewise for the velocity C (w x d)::
+takes that for its own error, in the direction of that time, until C turns. With C_f the mean attitude of the past
+that the filter has absorbed, and likewise for the velocity C (w x d)::
 
     z = (C - C_f) d + noise of covariance S
 
@@ -26,7 +26,7 @@ WRONG_SDS = 8.0  # innovations are not independent of each other
 
 
 class ArmWatch(NamedTuple):
-    """Sums of the least squares for the horizontal part of the error [m, body], and what the filter believes."""
+    """Sums of the least squares for the horizontal part of the error [m, body], and what the filter has absorbed."""
 
     information: tuple[float, float, float]  # upper half
     weighted: tuple[float, float]
@@ -66,7 +66,7 @@ class ArmWatch(NamedTuple):
         return error, sqrt(max(0.0, error[0] * forward + error[1] * right))
 
     def wrong(self) -> tuple[float, float] | None:
-        """Error [m, forward and right] of an arm that is wrong beyond doubt, else None."""
+        """Significant error [m, forward and right] of the arm, otherwise None."""
         error, sds = self.error()
         forward, right = error
         return (forward, right) if hypot(forward, right) > WRONG_M and sds > WRONG_SDS else None

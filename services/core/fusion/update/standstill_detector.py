@@ -26,12 +26,14 @@ SPEED_LIMIT = 0.3  # [m/s]
 DRIVING_M_S = 1.0  # beyond it the detector starts anew
 SPEED_SDS = 3.0  # of the velocity, within which it may be zero
 TILT_ACCELERATION_LIMIT = 0.2  # [m/s²] what a tilt that is wrong by 1.2 degrees makes of gravity
-SMOOTHING_S = 0.25  # time constant of the low-pass; an idling engine shakes single samples beyond both limits
+SMOOTHING_S = (
+    0.25  # time constant of the low-pass; the vibration of an idling engine exceeds both limits in single samples
+)
 SLOWEST_PACE = QUIET_S / UNCERTAIN_QUIET_S
 
 
 class Quiet(NamedTuple):
-    """What the detector knows of the samples so far."""
+    """State of the detector."""
 
     rate: Vector  # [rad/s, body] smoothed
     acceleration: Vector  # [m/s², NED] smoothed
@@ -52,7 +54,7 @@ CERTAIN = Limits(SPEED_LIMIT, 1.0)
 
 @compilable
 def detect(quiet: Quiet, rate: Vector, acceleration: Vector, speed: float, step: float, limits: Limits) -> Quiet:
-    """Take in one sample.
+    """Update the detector by one sample.
 
     Parameters
     ----------

@@ -11,6 +11,10 @@ from cli.demo import demo
 from cli.demo.demo import DemoOptions
 from cli.demo.local import port_or_free
 from shared.errors import UserError
+from shared.processes import PROCESSES, Kind
+
+# What a demo starts: the standing processes, the simulator, and the broker.
+EXPECTED = sum(row.kind in (Kind.STANDING, Kind.SIMULATOR) for row in PROCESSES) + 1
 
 
 def options(scenario: str = "urban", port: int = 0) -> DemoOptions:
@@ -49,7 +53,7 @@ def test_a_port_in_use_is_told_with_the_one_that_is_used_instead(
     assert used != taken
     assert f"port {taken} is taken: the dashboard takes {used}; to choose one: `obu demo --port NUMBER`" in err
     assert json.loads(out)["healthy"] is False, "standard output is the balance alone"
-    assert "not healthy: 0 of 10 processes were alive at the end: see the logs" in err
+    assert f"not healthy: 0 of {EXPECTED} processes were alive at the end: see the logs" in err
 
 
 def test_the_end_says_where_the_drive_is_kept_until_the_next(

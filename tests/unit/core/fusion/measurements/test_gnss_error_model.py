@@ -6,7 +6,7 @@ import pytest
 
 from services.core.fusion.alignment.initial_position import first_place
 from services.core.fusion.measurements.gnss import GnssPosition
-from services.core.fusion.measurements.gnss_error_model import UNKNOWN, Colour, mean_at_rest
+from services.core.fusion.measurements.gnss_error_model import UNKNOWN, GnssErrorBank, mean_at_rest
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError, position_errors
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 
@@ -16,7 +16,7 @@ SD = np.array([3.0, 2.0, 5.0])
 ORIGIN = Geodetic(0.74, 0.23, 700.0)
 
 
-def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, size: float = 1.0) -> Colour:
+def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, size: float = 1.0) -> GnssErrorBank:
     """What errors of a kind and size teach in n seconds, beside a track whose velocity is wrong by 3 cm/s."""
     rmse = (float(SD[0]), float(SD[1]), float(SD[2]))
     drawn = position_errors(InjectedError(kind, rmse, correlation_s), n, 1.0, seed=(seed,))

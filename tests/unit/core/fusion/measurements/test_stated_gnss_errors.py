@@ -13,7 +13,14 @@ from services.core.fusion.alignment import alignment
 from services.core.fusion.alignment.alignment import Alignment
 from services.core.fusion.alignment.initial_position import first_place
 from services.core.fusion.measurements.gnss import GnssPosition
-from services.core.fusion.measurements.gnss_error_model import HYPOTHESES, SCALES, UNKNOWN, Colour, Told, mean_at_rest
+from services.core.fusion.measurements.gnss_error_model import (
+    HYPOTHESES,
+    SCALES,
+    UNKNOWN,
+    GnssErrorBank,
+    KnownGnssErrors,
+    mean_at_rest,
+)
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from services.sensors.simulator.drive import Drive, simulate
@@ -31,7 +38,7 @@ GIVEN: dict[str, float | bool] = {"gnss.correlation_time_s": TIME_S, "gnss.white
 ORIGIN = Geodetic(0.74, 0.23, 700.0)
 
 
-def certain() -> Colour:
+def certain() -> GnssErrorBank:
     """Bank in which nothing speaks against one hypothesis and one scale."""
     evidence = np.zeros_like(UNKNOWN.evidence)
     evidence[:, HYPOTHESES.index((TIME_S, SHARE)), SCALES.tolist().index(1.0)] = 1e6
@@ -61,7 +68,7 @@ def fixes_at_rest() -> list[GnssPosition]:
 
 
 def test_what_is_told_is_what_a_bank_says_that_is_certain() -> None:
-    told, bank = Told(TIME_S, 1.0 - SHARE), certain()
+    told, bank = KnownGnssErrors(TIME_S, 1.0 - SHARE), certain()
     assert (bank.correlation_s, bank.lasting) == pytest.approx((TIME_S, 1.0 - SHARE))
     assert told.unit == pytest.approx(bank.unit)
     assert told.scaled(np.diag(SD**2)) == pytest.approx(bank.scaled(np.diag(SD**2)))
@@ -85,10 +92,10 @@ def test_a_drive_told_is_a_drive_with_a_bank_that_is_certain(monkeypatch: pytest
 
 def test_what_is_not_told_is_learned() -> None:
     filter_ = led(drive_of(ErrorKind.GAUSS_MARKOV, 1)).engine.filter
-    assert filter_ is not None and isinstance(filter_.colour, Colour)
+    assert filter_ is not None and isinstance(filter_.colour, GnssErrorBank)
     assert filter_.colour.time_ns is not None, "and has been taught"
     told = led(drive_of(ErrorKind.GAUSS_MARKOV, 1), **GIVEN).engine.filter
-    assert told is not None and told.colour == Told(TIME_S, 1.0 - SHARE)
+    assert told is not None and told.colour == KnownGnssErrors(TIME_S, 1.0 - SHARE)
 
 
 def test_an_error_that_was_never_zero_starts_as_it_did_to_the_bit() -> None:
@@ -114,7 +121,7 @@ def test_the_covariance_of_a_start_from_zero_is_that_of_its_errors() -> None:
 
 def test_a_start_from_zero_is_where_its_first_fix_is() -> None:
     """The error that grows from there is known to grow, and the place is as good as a fix's white part."""
-    first = first_place(fixes_at_rest(), Told(240.0, 1.0 - 1e-4), zero_ns=0)
+    first = first_place(fixes_at_rest(), KnownGnssErrors(240.0, 1.0 - 1e-4), zero_ns=0)
     assert ned_from_geodetic_difference(first.position, ORIGIN) == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
     assert np.sqrt(np.diag(first.cov)) == pytest.approx(0.01 * SD, rel=0.05)
     assert first.error[0] * SD[0] == pytest.approx(0.9, abs=0.05)
