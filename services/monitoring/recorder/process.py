@@ -6,9 +6,9 @@ from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope
 from shared.messages.operation import RecordingState
+from shared.processes import Role
 from shared.recording.folder import RecordingFolder
 from shared.recording.writer import Opener, open_new
-from shared.processes import Role
 from shared.runtime.config import Section, parse_vehicle
 from shared.topics import TOPICS
 

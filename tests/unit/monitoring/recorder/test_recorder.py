@@ -264,8 +264,8 @@ def test_a_file_without_a_message_is_not_left_behind(tmp_path: Path, calls: int)
 @pytest.mark.parametrize(("role", "kept"), [("obu", 3), ("rsu", 1)])
 def test_a_road_side_unit_records_nothing_that_describes_other_road_users(tmp_path: Path, role: str, kept: int) -> None:
     topics = ["toll/passage", "toll/tracks", "toll/delta"]
-    bus = FakeBus(tmp_path, lambda call: [sent_bytes(topics[call], b"{}", START_NS, sequence=call)] if call < 3 else None,
-                  start_ns=START_NS)  # fmt: skip
+    messages = [sent_bytes(topic, b"{}", START_NS, sequence=n) for n, topic in enumerate(topics)]
+    bus = FakeBus(tmp_path, lambda call: messages if call == 0 else None, start_ns=START_NS)
     bus.vehicle_toml = f'[vehicle]\nrole = "{role}"\n'
     Process(EASY).run(bus.as_bus())
     assert len(recorded(tmp_path / "recordings")) == kept
