@@ -63,8 +63,8 @@ PROCESSES = (
     ),
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
-        consumes=("gnss/write",),
-        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state"),
+        consumes=("gnss/write", "simulation/attack"),
+        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state", "simulation/state"),
     ),
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
@@ -127,7 +127,8 @@ PROCESSES = (
         produces=("deadline/report", "outage/event"), observes_all=True,
     ),
     ProcessRow(
-        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard", observes_all=True,
+        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
+        produces=("simulation/attack",), observes_all=True,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}
