@@ -4,8 +4,6 @@ from collections.abc import Iterable
 from itertools import takewhile
 from pathlib import Path
 
-from rich.console import Console
-
 from services.core.fusion.process import Config as Fusion
 from services.sensors.simulator.process import Config as Simulator
 from services.sensors.simulator.scenarios import scenario_of
