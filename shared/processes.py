@@ -145,7 +145,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
-        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt"),
+        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt", "origin/state"),
         produces=("toll/open_passages", "toll/transaction", "ledger/state"),
         roles=(Role.RSU,),
     ),
