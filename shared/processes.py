@@ -82,8 +82,8 @@ PROCESSES = (
     ),
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
-        consumes=("gnss/write",),
-        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state"),
+        consumes=("gnss/write", "simulation/attack"),
+        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state", "simulation/state"),
     ),
     ProcessRow(
         "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
@@ -176,8 +176,8 @@ PROCESSES = (
         produces=("deadline/report", "outage/event"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
-        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard", observes_all=True,
-        roles=BOTH,
+        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
+        produces=("simulation/attack",), observes_all=True, roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}

@@ -27,6 +27,7 @@ from .messages.navigation import (
     TruthState,
 )
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.simulation import SimulationAttack, SimulationState
 from .messages.toll import (
     GateCommand,
     LedgerState,
@@ -147,6 +148,9 @@ TOPICS = (
           rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
           rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
+    Topic("simulation/attack", SimulationAttack, "starts or stops an attack on a simulated vehicle", qos=1),
+    Topic("simulation/state", SimulationState, "the attacks of a simulated drive, and the answer to the last command",
+          qos=1, retain=True),
     Topic("truth/state", TruthState, "where the simulated vehicle really is", rate_hz=10.0, silent_after_s=5.0),
     Topic("health/+", ProcessHealth, "birth, heartbeat, farewell and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),

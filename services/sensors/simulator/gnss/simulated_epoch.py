@@ -45,6 +45,7 @@ class Epoch:
     baseline: Baseline | None = None
     raw: RawMeasurements | None = None
     words: tuple[SentWords, ...] = ()
+    noise_rise_db: float = 0.0  # by interference
 
     @property
     def itow_ms(self) -> int:
