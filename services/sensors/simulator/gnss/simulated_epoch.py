@@ -35,6 +35,18 @@ class SentWords:
 
 
 @dataclass(frozen=True)
+class Signal:
+    """What the receiver's detectors and its radio path show; the counts are those of UBX."""
+
+    jamming: int = 1  # 1: none, 2: indicated, 3: no fix because of it
+    spoofing: int = 1  # 1: none, 2: indicated, 3: by several indications
+    gain: int = 4500  # of the gain control, 0 to 8191; it falls as the received power rises
+    noise: int = 90
+    narrowband: int = 20  # 0 to 255
+    clock_s: float = 0.0  # added to the clock's bias, as a rebroadcast signal does
+
+
+@dataclass(frozen=True)
 class Epoch:
     """Time, fix and satellites of one epoch."""
 
@@ -45,6 +57,7 @@ class Epoch:
     baseline: Baseline | None = None
     raw: RawMeasurements | None = None
     words: tuple[SentWords, ...] = ()
+    signal: Signal = Signal()
 
     @property
     def itow_ms(self) -> int:
