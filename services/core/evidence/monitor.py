@@ -140,7 +140,7 @@ class EvidenceMonitor:
         elevations = [one.elevation_rad for one in known if one.elevation_rad is not None]
         if elevations and degrees(max(elevations) - min(elevations)) >= s.least_elevation_range_deg:
             spread = max(float(np.std(cn0, ddof=1)), 0.1)
-            reason = f"C/N0 of {len(cn0)} satellites differ by {spread:.1f} dB, at least {s.least_spread_db:.1f} expected"
+            reason = f"C/N0 of {len(cn0)} satellites differ by {spread:.1f} dB, at least {s.least_spread_db:.1f} dB"
             finding = Finding(time_ns, 1.0 / spread, 1.0 / s.least_spread_db, "1/dB", reason)
             self.tests["cn0_spread"].evaluated(finding)
 

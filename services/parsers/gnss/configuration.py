@@ -130,7 +130,7 @@ def optional_values(wanted: GnssConfigure) -> list[dict[int, int]]:
 
 
 def _output_values(messages: tuple[str, ...], every: int = 1) -> dict[int, int]:
-    """Keys of messages, and after how many epochs they are sent; raises ValueError for one that u-blox does not have."""
+    """Keys of messages that are sent every so many epochs; raises ValueError for one that u-blox does not have."""
     keys, values = _database(), dict[int, int]()
     for name in messages:
         if not (found := _message_keys(name)):

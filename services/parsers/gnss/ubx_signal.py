@@ -7,6 +7,7 @@ version 2 of SEC-SIG as pyubx2 has it.
 """
 
 import struct
+from collections.abc import Callable
 
 from shared.messages.gnss import MAX_RADIO_PATHS, InterferenceState, RadioPath, ReceiverClock, SignalFlags
 
@@ -86,4 +87,9 @@ def _exactly(layout: struct.Struct, payload: bytes) -> tuple[int, ...]:
     return layout.unpack(payload)
 
 
-_DECODERS = {"STATUS": _status, "CLOCK": _clock, "RF": _radio_paths, "SIG": _security}
+_DECODERS: dict[str, Callable[[bytes], Part]] = {
+    "STATUS": _status,
+    "CLOCK": _clock,
+    "RF": _radio_paths,
+    "SIG": _security,
+}

@@ -12,6 +12,7 @@ from services.parsers.gnss.framer import UBX_SYNC, ubx_checksum
 from services.parsers.gnss.process import Config, Process
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite
+from tests.support.ublox import valset
 
 NS = 1_000_000_000
 REQUEST = GnssConfigure(request_id=7, source="gnss0", navigation_period_s=0.2, messages=("NAV-PVT", "NAV-COV"))
@@ -166,7 +167,7 @@ def optional_values(*kept: str) -> bytes:
     answers = b""
     for name in kept:
         pair = [(key, value) for key, value in OPTIONAL.items() if name.replace("-", "_") in key]
-        payload = bytes(UBXMessage.config_set(0, 0, pair).payload)
+        payload = valset(pair)[6:-2]
         answers += UBXMessage("CFG", "CFG-VALGET", 0, payload=b"\x01" + payload[1:]).serialize() + acknowledge(0x8B)
     return answers
 
@@ -174,8 +175,8 @@ def optional_values(*kept: str) -> bytes:
 def test_each_optional_message_is_asked_for_apart_and_measurements_once_a_second() -> None:
     writes = [one.data for one in send_request(Process(Config()), WITH_RAW) if isinstance(one, GnssWrite)]
     pairs = list(OPTIONAL.items())
-    assert writes[0] == UBXMessage.config_set(1, 0, pairs[:2]).serialize()
-    assert writes[2] == UBXMessage.config_set(1, 0, pairs[2:]).serialize()
+    assert writes[0] == valset(pairs[:2])
+    assert writes[2] == valset(pairs[2:])
     assert writes[4:] == [one.data for one in send_request(Process(Config())) if isinstance(one, GnssWrite)]
     assert len(writes) == 6
 

@@ -1,4 +1,4 @@
-"""NAV-STATUS, NAV-CLOCK, MON-RF and SEC-SIG against pyubx2 as an independent reader, and against bytes that cannot be."""
+"""NAV-STATUS, NAV-CLOCK, MON-RF and SEC-SIG against pyubx2 as an independent reader, and against invalid bytes."""
 
 import struct
 from collections import Counter
@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
-from pyubx2.ubxreader import UBXReader
 
 from services.parsers.gnss import ubx_signal
 from services.parsers.gnss.framer import UBX_SYNC, Framer, Protocol, ubx_checksum
@@ -23,11 +22,11 @@ from shared.messages.gnss import (
     SignalFlags,
 )
 from tests.support.data import recording
+from tests.support.ublox import parse_ubx
 
 NS = 1_000_000_000
 UNKNOWN, NONE, INDICATED, SEVERE = InterferenceState
 ITOW_MS = 136_819_000
-Quiet = GnssSignalQuality
 
 
 def frame(group: int, number: int, payload: bytes) -> bytes:
@@ -98,7 +97,7 @@ def test_every_field_of_mon_rf_is_what_pyubx2_reads(paths: list[bytes]) -> None:
 @given(st.integers(0, 255), st.integers(0, 255))
 def test_the_flags_of_sec_sig_version_1_are_what_pyubx2_reads(jamming: int, spoofing: int) -> None:
     payload = security(jamming, spoofing)
-    read = UBXReader.parse(frame(0x27, 9, payload))
+    read = parse_ubx(frame(0x27, 9, payload))
     expected = (
         list(InterferenceState)[read.jammingState] if read.jamDetEnabled else UNKNOWN,
         (list(InterferenceState) + [UNKNOWN] * 4)[read.spoofingState] if read.spfDetEnabled else UNKNOWN,
@@ -110,7 +109,7 @@ def test_the_flags_of_sec_sig_version_1_are_what_pyubx2_reads(jamming: int, spoo
 @given(st.integers(0, 127), st.integers(0, 3))
 def test_the_flags_of_sec_sig_version_2_are_what_pyubx2_reads(flags: int, frequencies: int) -> None:
     payload = struct.pack("<4B", 2, flags, 0, frequencies) + b"\1\2\3\1" * frequencies
-    read = UBXReader.parse(frame(0x27, 9, payload))
+    read = parse_ubx(frame(0x27, 9, payload))
     expected = (
         list(InterferenceState)[read.jammingState] if read.jamDetEnabled else UNKNOWN,
         (list(InterferenceState) + [UNKNOWN] * 4)[read.spoofingState] if read.spfDetEnabled else UNKNOWN,
@@ -221,7 +220,7 @@ def test_a_recorded_receivers_signal_quality_is_what_pyubx2_reads(folder: str, n
         if kind is None:
             continue
         found += 1
-        part, read = ubx_signal.decode(kind, data[6:-2]), UBXReader.parse(data)
+        part, read = ubx_signal.decode(kind, data[6:-2]), parse_ubx(data)
         match part:
             case SignalFlags():
                 assert part.spoofing is list(InterferenceState)[read.spoofDetState]
