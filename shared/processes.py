@@ -95,7 +95,8 @@ PROCESSES = (
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
         consumes=("gnss/raw", "gnss/configure"),
         produces=(
-            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/configuration",
+            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits",
+            "gnss/signal_quality", "gnss/configuration",
         ),
         roles=BOTH,
     ),
@@ -148,6 +149,11 @@ PROCESSES = (
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
         consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
+        "core.evidence", Kind.STANDING, "judges what the receiver says of jamming, spoofing, its signals and its clock",
+        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix"),
         produces=("trust/monitor",),
     ),
     ProcessRow(

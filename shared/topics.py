@@ -15,6 +15,7 @@ from .messages.gnss import (
     GnssRaw,
     GnssRawEpoch,
     GnssSatellites,
+    GnssSignalQuality,
     GnssWrite,
 )
 from .messages.imu import ImuRaw, ImuSamples
@@ -102,6 +103,7 @@ TOPICS = (
     Topic("gnss/satellites", GnssSatellites, "satellites in view", rate_hz=1.0, silent_after_s=10.0),
     Topic("gnss/raw_epoch", GnssRawEpoch, "pseudoranges, carrier phases and Doppler, from receivers that send them"),
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
+    Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
