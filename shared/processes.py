@@ -64,7 +64,7 @@ PROCESSES = (
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
         consumes=("gnss/write",),
-        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state"),
+        produces=("gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state"),
     ),
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
@@ -110,7 +110,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
-        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "navigation/state"),
         produces=("trust/monitor",),
     ),
     ProcessRow(

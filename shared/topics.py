@@ -26,6 +26,7 @@ from .messages.navigation import (
     NavigationState,
     TruthState,
 )
+from .messages.neighbours import NeighbourStates
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
 from .messages.trust import TrustEvent, TrustMonitor, TrustState
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
@@ -88,6 +89,8 @@ TOPICS = (
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
+    Topic("v2x/neighbours", NeighbourStates, "neighbouring vehicles: states, and frequency offsets of their carriers",
+          rate_hz=1.0, silent_after_s=5.0),
     Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to", qos=1),
     Topic("mode/state", ModeState, "what the unit is doing",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),

@@ -7,6 +7,7 @@ from itertools import count, takewhile
 
 import numpy as np
 
+from shared.maths.earth import Geodetic
 from shared.messages.base import Message
 from shared.messages.navigation import TruthState
 from shared.messages.operation import Origin, OriginKind
@@ -16,6 +17,7 @@ from .gnss.simulated_receiver import Receiver
 from .imu.simulated_xsens import Tracker
 from .motion.trajectory import Motion
 from .scenarios import Scenario, scenario_of
+from .v2x.radio import Radio
 from .vehicle import Readings, Stream, Vehicle, antenna_at
 
 NS = 1_000_000_000
@@ -33,12 +35,13 @@ class Equipment:
     protocols: tuple[str, ...] = ("ubx", "nmea")
     mounting_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the IMU, in addition to `FLAT`
     second_antenna_m: float = 0.0  # distance ahead of the first; 0: single antenna
+    neighbours: int = 4  # vehicles with V2X radios around it
 
 
 class World:
     """Simulates without end, one second at a time, in bounded memory.
 
-    Iterating yields (arrival time, message); `write` may be called between two messages.
+    Iterating yields (arrival time, message); `write` may be called, and `radio.deception` set, between two messages.
     """
 
     def __init__(self, scenario: Scenario, seed: int, start_ns: int, equipment: Equipment | None = None) -> None:
@@ -50,6 +53,7 @@ class World:
         self._vehicle = Vehicle(scenario, seed, self._step_ns * 1e-9)
         self._receiver = Receiver(scenario, seed, start_ns, clocks, equipment.protocols, equipment.second_antenna_m)
         self._can = CanBus(seed, start_ns, clocks)
+        self.radio = Radio(scenario, seed, equipment.neighbours)
         self._heap: list[tuple[int, int, Message | None]] = []  # None: a navigation epoch of the receiver
         self._order = count()
         self._motion: Motion | None = None
@@ -82,6 +86,7 @@ class World:
         self._push_all(self._tracker.sample(readings, self._step_ns))
         self._push_all(self._can.transmit(readings.motion, begin_ns, end_ns))
         self._push_all(self._truth(readings))
+        self._push_all(self._neighbours(readings.motion, end_ns))
         while self._origin_ns < end_ns:
             origin = Origin(
                 now_ns=self._origin_ns, kind=OriginKind.SIMULATED, name=self._scenario.name, seed=self._seed
@@ -110,6 +115,12 @@ class World:
                     angular_rate_body_rad_s=tuple(motion.rate_b[i - 1].tolist()),
                 ),
             )
+
+    def _neighbours(self, motion: Motion, sampled_ns: int) -> Iterator[tuple[int, Message]]:
+        node = motion.first + BLOCK
+        here = Geodetic(*motion.position[BLOCK].tolist())
+        states = self.radio.receive(node * self._step_ns * 1e-9, sampled_ns, here, antenna_at(motion, node))
+        yield states.received_ns, states
 
     def _push_all(self, arrivals: Iterator[tuple[int, Message]]) -> None:
         for due_ns, message in arrivals:
