@@ -12,8 +12,8 @@ from services.sensors.simulator.vehicle import Vehicle, antenna_at
 from services.sensors.simulator.world import DEFAULT_START_NS, Equipment, World
 from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ned_difference, ned_from_ecef
 from shared.maths.frequency_offset import range_rate_from_cfo
-from shared.messages.navigation import TruthState
 from shared.messages.base import Message
+from shared.messages.navigation import TruthState
 from shared.messages.neighbours import Neighbour, NeighbourStates
 
 STEP_S = 0.01
