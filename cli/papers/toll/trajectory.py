@@ -142,8 +142,13 @@ def cam_of(
     runs = len(position_error)
     z = np.repeat(trajectory.states[None], runs, axis=0)
     z[..., :2] += position_error
-    for column, noise_sd in NOISE_SD.items():
-        noisy = z[..., column] + noise_sd * rng.standard_normal(z.shape[:2])
-        z[..., column] = np.round(noisy / QUANTUM[column]) * QUANTUM[column]
+    quantised(z, rng)
     sd = np.array([position_sd, position_sd, *TUNED_SD])
     return [Observation.of(z[:, k], sd) for k in range(z.shape[1])]
+
+
+def quantised(z: FloatArray, rng: np.random.Generator) -> None:
+    """Add noise to heading, speed, acceleration and yaw rate of true states, shape (runs, n, 6), and quantise them."""
+    for column, sd in NOISE_SD.items():
+        noisy = z[..., column] + sd * rng.standard_normal(z.shape[:2])
+        z[..., column] = np.round(noisy / QUANTUM[column]) * QUANTUM[column]
