@@ -1,1 +1,1 @@
-"""Tracks vehicles from their CAM messages, decides their lanes and follows their passages through a toll plaza."""
+"""Vehicles at a toll plaza: their tracks, their lanes, their passages."""
