@@ -136,7 +136,8 @@ def simulate(errors: Errors, runs: int, seed: int, *, corrected: bool = False) -
 
 
 def _locate(fixes: Fixes, errors: Errors) -> Location:
-    return locate(road(), fixes, np.ones((len(fixes.position), LANES), dtype=bool), errors.model, Agreement())
+    projection = road().project(fixes.position)
+    return locate(projection, fixes, np.ones((len(fixes.position), LANES), dtype=bool), errors.model, Agreement())
 
 
 def _delta(errors: Errors, unit: FloatArray) -> tuple[float, float, float]:

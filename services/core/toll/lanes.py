@@ -37,7 +37,7 @@ class LaneGeometry:
     def of(
         cls, centres: Sequence[FloatArray], widths: Sequence[float], lines: Sequence[tuple[float, float, float]]
     ) -> "LaneGeometry":
-        """Geometry of centre lines, each of shape (k, 2), whose approach, gate and exit are at the distances `lines`."""
+        """Geometry of centre lines, each of shape (k, 2); `lines` are the distances of approach, gate and exit."""
         most = max(len(centre) for centre in centres) - 1
         padded = [np.vstack([c[:-1], np.repeat(c[-2:-1], most + 1 - len(c), axis=0)]) for c in centres]
         steps = [np.diff(c, axis=0) for c in centres]

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .delta import ErrorModel
-from .lanes import LaneGeometry, lane_likelihood
+from .lanes import Projection, lane_likelihood
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -50,14 +50,14 @@ class Location(NamedTuple):
 
 
 def locate(
-    geometry: LaneGeometry, fixes: Fixes, allowed: BoolArray, model: ErrorModel, agreement: Agreement
+    projection: Projection, fixes: Fixes, allowed: BoolArray, model: ErrorModel, agreement: Agreement
 ) -> Location:
     """Compute lane probabilities, and whether the delta position is applied.
 
     Parameters
     ----------
-    geometry : LaneGeometry
-        L lanes.
+    projection : Projection
+        The positions of `fixes`, relative to L lanes.
     fixes : Fixes
         n vehicles.
     allowed : ndarray, shape (n, L)
@@ -85,7 +85,6 @@ def locate(
     The lanes' probabilities are the sums over h, those of h the sums over the lanes and "beside the road". Where there
     is no delta, `shift_sd` is the common error's, and nothing is added.
     """
-    projection = geometry.project(fixes.position)
     prior = (1.0 - agreement.beside_prior) * allowed / allowed.sum(axis=1, keepdims=True)
     beside = agreement.beside_prior / BESIDE_M
     d = projection.direction
