@@ -1,4 +1,4 @@
-"""Simulates lane decisions at a gate with and without delta position, which the paper proposes and does not evaluate."""
+"""Simulates lane decisions at a gate with and without delta position: ours, the paper does not evaluate them."""
 
 from dataclasses import dataclass, replace
 
@@ -120,12 +120,15 @@ def simulate(errors: Errors, runs: int, seed: int, *, corrected: bool = False) -
     careless = lane_likelihood(left, fixes.cov[:, 1, 1, None] + CARELESS_SD**2, np.full(left.shape, 1.0 / LANES))
     sure = careless.max(axis=1) >= CONFIDENT * careless.sum(axis=1)
     filtered, correction = fixes.position[:, 1], shift[:, 1]
+    lateral_positions = (raw, raw + correction, filtered, filtered + correction, filtered - correction)
+    right = [float((np.abs(y - WIDTH_M * (lane - 1)) < 0.5 * WIDTH_M).mean()) for y in lateral_positions]
     return Decisions(
         errors,
-        *(
-            float((np.abs(y - WIDTH_M * (lane - 1)) < 0.5 * WIDTH_M).mean())
-            for y in (raw, raw + correction, filtered, filtered + correction, filtered - correction)
-        ),
+        right[0],
+        right[1],
+        right[2],
+        right[3],
+        right[4],
         float(np.sqrt((lateral**2).mean())),
         float((most_probable == lane).mean()),
         float(decided.mean()),
@@ -141,7 +144,7 @@ def _locate(fixes: Fixes, errors: Errors) -> Location:
 
 
 def _delta(errors: Errors, unit: FloatArray) -> tuple[float, float, float]:
-    """Delta position (east, north, standard deviation) from the unit's fixes, one a second, until 1 s before the end."""
+    """Delta position (east, north, standard deviation) from a fix a second of the unit, until 1 s before the end."""
     estimator = DeltaEstimator(errors.model, window_s=WINDOW_S, least_s=10.0, max_age_s=10.0)
     last_s = DURATION_S - LATENCY_S
     for second in range(int(last_s) + 1):

@@ -7,7 +7,6 @@ from math import cos, hypot, pi, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
-from shared.messages.v2x import Cam, StationType
 
 from shared.maths.earth import FloatArray
 from shared.messages.base import LARGEST_NS
@@ -27,6 +26,7 @@ from shared.messages.toll import (
     TollTrack,
     TollTracks,
 )
+from shared.messages.v2x import Cam, StationType
 from shared.toll.plaza import Plaza, along
 
 from .delta import DeltaEstimator
@@ -295,7 +295,8 @@ class Core:
             self._adopt(journey, track, here)
         if journey.passage is None and self._may_open(track, here):
             here = self._reborn(update)
-            yield self._opened(journey, update, here)
+            if self._may_open(track, here):
+                yield self._opened(journey, update, here)
         self._note(journey, here, self._settings.passage.decided)
         passage = journey.passage
         if passage is None:
@@ -561,13 +562,16 @@ class Core:
         )
 
     def _evidence(self, passage: Passage, track: Track) -> PassageEvidence:
-        first_ns, last_ns = track.frames[0][0], track.frames[-1][0]
+        first_ns, last_ns = track.cams[0].received_ns, track.cams[-1].received_ns
         before_ns = round((self._settings.delta.max_age_s + self._settings.delta.latency_s) * SECOND_NS)
         return PassageEvidence(
             version=VERSION,
             settings=self._settings.model_dump_json(),
             track_since_ns=track.since_ns,
-            frames=tuple(EvidenceFrame(received_ns=received, data=data) for received, data in track.frames),
+            frames=tuple(
+                EvidenceFrame(sampled_ns=cam.sampled_ns, received_ns=cam.received_ns, data=cam.frame)
+                for cam in track.cams
+            ),
             deltas=tuple(d for d in self._deltas if first_ns - before_ns <= d.sampled_ns <= last_ns),
             lanes=tuple(
                 LanePosterior(sampled_ns=time_ns, lanes=self._probabilities(lanes))

@@ -8,7 +8,6 @@ from shared.messages.toll import PassageState
 
 from .settings import PassageSettings
 
-
 MAX_POSTERIORS = 600  # ten minutes
 
 
@@ -55,13 +54,15 @@ class Crossing:
 def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
     """Interpolate the crossing of the gate line between two positions, before it and behind it.
 
-    The lane is that of the position behind the line. The standard deviation is the along-track one over the speed.
+    The lane is that of the position behind the line; if that is undecided, of the position before it, which may be the
+    last one before a restart. The standard deviation is the along-track one over the speed.
     """
     share = -before.along / (after.along - before.along)
     elapsed_ns = after.time_ns - before.time_ns
     speed = max(after.speed, (after.along - before.along) / (elapsed_ns * 1e-9), 0.1)
     time_ns = before.time_ns + round(share * elapsed_ns)
-    return Crossing(time_ns, after.along_sd / speed, after.decided(decided), after.lanes, after.delta_ns)
+    witness = before if after.decided(decided) is None and before.decided(decided) is not None else after
+    return Crossing(time_ns, after.along_sd / speed, witness.decided(decided), witness.lanes, witness.delta_ns)
 
 
 def passage_id(plaza: str, frame: bytes) -> str:

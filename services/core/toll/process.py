@@ -2,8 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-
-from shared.messages.v2x import CamList
+from pathlib import Path
 
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix
@@ -16,6 +15,7 @@ from shared.messages.toll import (
     TollRegistration,
     TollTracks,
 )
+from shared.messages.v2x import CamList
 from shared.toll.plaza import load_plaza
 
 from .core import Core
@@ -29,13 +29,16 @@ TRACKS_NS = 500_000_000  # period of `toll/tracks` while CAM arrive
 class Config(Settings):
     """Settings of core.toll."""
 
+    plaza_file: Path = Path("deploy/plazas/example.geojson")  # GeoJSON, relative to the working folder or repository
+
 
 class Process:
     """Publishes passages and gate commands as they happen, tracks twice and the delta once a second."""
 
     def __init__(self, config: Config) -> None:
         self._plaza = load_plaza(config.plaza_file)
-        self._core = Core(self._plaza, config)
+        settings = Settings.model_validate(config.model_dump(exclude={"plaza_file"}))
+        self._core = Core(self._plaza, settings)
         self._described = False
         self._tracks_ns = 0
 

@@ -1,7 +1,5 @@
 """Settings of core.toll."""
 
-from pathlib import Path
-
 from pydantic import Field
 
 from shared.runtime.config import Section
@@ -90,7 +88,6 @@ class PassageSettings(Section):
 class Settings(Section):
     """Settings of core.toll."""
 
-    plaza_file: Path = Path("deploy/plazas/example.geojson")  # GeoJSON, relative to the working folder or repository
     source: str | None = Field(default=None, description="GNSS receiver of the unit; without it the first that sends")
     errors: ErrorSettings = ErrorSettings()
     delta: DeltaSettings = DeltaSettings()

@@ -1,14 +1,14 @@
 """Tracks of up to some hundred vehicles: birth, gating, association by station ID, pseudonym changes, deletion."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from math import hypot
 
 import numpy as np
-from shared.messages.v2x import Cam
 
+from shared.messages.v2x import Cam
 from shared.toll.plaza import Plaza
 
 from .measurement import Measured, observation
@@ -31,7 +31,7 @@ class Track:
     received_ns: int
     clock_offset_ns: int  # added to the CAM's times
     length_m: float | None = None
-    frames: list[tuple[int, bytes]] = field(default_factory=list)
+    cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))  # used, in the order of use
     jumps: int = 0  # consecutive CAM outside the gate
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID
     predecessor_ns: int = 0  # its last CAM when this one was born
@@ -99,7 +99,7 @@ class TrackTable:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
         track = update.track
         track.since_ns = update.measured.time_ns
-        track.frames = track.frames[-1:]
+        track.cams = deque([update.measured.cam], maxlen=MAX_FRAMES)
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
     def delete_silent(self, now_ns: int) -> list[Track]:
@@ -212,8 +212,7 @@ class TrackTable:
     def _noted(self, track: Track, one: Measured, *, born: bool) -> Update:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
         track.length_m = one.cam.vehicle_length_m or track.length_m
-        track.frames.append((one.cam.received_ns, one.cam.frame))
-        del track.frames[:-MAX_FRAMES]
+        track.cams.append(one.cam)
         return Update(track, one, born, self._confirmed_predecessor(track))
 
     def _confirmed_predecessor(self, track: Track) -> Track | None:
@@ -228,7 +227,7 @@ class TrackTable:
             return None
         track.predecessor = None
         track.station_ids = old.station_ids + track.station_ids
-        track.frames = old.frames + track.frames
+        track.cams = deque([*old.cams, *track.cams], maxlen=MAX_FRAMES)
         track.since_ns = old.since_ns
         track.length_m = track.length_m or old.length_m
         if self.by_station.get(old.station_id) is old:

@@ -1,6 +1,6 @@
 """Tracks many vehicles at once: Kalman filters of one motion model, and the interacting multiple model (IMM)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +9,7 @@ from shared.maths.kalman import correct, predict
 
 from .models import Cruise, Ctra, Model
 from .motion import FloatArray, wrap
-from .observation import BoolArray, Observation
+from .observation import ACCELERATION, HEADING, SIZE, SPEED, BoolArray, Observation
 
 # Standard deviations at the start of what the first CAM does not say, by component of a CAM.
 START_SD = np.array([100.0, 100.0, np.pi, 30.0, 3.0, 0.5])  # [m, m, rad, m/s, m/s², rad/s]
@@ -97,7 +97,10 @@ class Tracker:
         """Estimates after a CAM of each vehicle; components that are not available change nothing."""
         seen = [model.observed(observation) for model in self.models]
         has = np.stack([one.available for one in seen], axis=1)
-        z = np.stack([one.z for one in seen], axis=1) - predicted.x
+        measured = np.stack([one.z for one in seen], axis=1)
+        if predicted.heading is not None:
+            predicted = _turned(predicted, measured, has)
+        z = measured - predicted.x
         if predicted.heading is not None:
             z[..., predicted.heading] = wrap(z[..., predicted.heading])
         R = np.stack([one.R for one in seen], axis=1)
@@ -116,6 +119,23 @@ class Tracker:
 def imm() -> Tracker:
     """The tracker of core.toll: constant velocity on a straight line (`Cruise`) and `Ctra`."""
     return Tracker((Cruise(), Ctra()))
+
+
+def _turned(predicted: Estimates, z: FloatArray, has: BoolArray) -> Estimates:
+    """Express states whose heading is more than 90 degrees off the measured one by the opposite heading.
+
+    The heading of a CAM is that of the movement: it turns by 180 degrees when a vehicle begins to reverse. The states
+    (θ, v, a, w) and (θ + π, -v, -a, w) describe the same motion, so this changes no prediction.
+    """
+    heading = predicted.x[..., HEADING]
+    opposite = has[..., HEADING] & (np.abs(wrap(z[..., HEADING] - heading)) > 0.5 * np.pi)
+    sign = np.ones_like(predicted.x)
+    sign[..., SPEED] = np.where(opposite, -1.0, 1.0)
+    if predicted.x.shape[-1] == SIZE:
+        sign[..., ACCELERATION] = sign[..., SPEED]
+    x = predicted.x * sign
+    x[..., HEADING] = np.where(opposite, wrap(heading + np.pi), heading)
+    return replace(predicted, x=x, P=predicted.P * sign[..., :, None] * sign[..., None, :])
 
 
 def _without(R: FloatArray, has: BoolArray) -> FloatArray:

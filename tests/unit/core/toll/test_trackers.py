@@ -235,3 +235,23 @@ def test_the_covariance_of_ctra_is_consistent_with_its_own_noise() -> None:
         error[:, 2] = wrap(error[:, 2])
         nees.append(np.vecdot(error, np.linalg.solve(estimates.cov, error[..., None])[..., 0]).mean())
     assert isclose(float(np.mean(nees)), 6.0, abs_tol=0.3)
+
+
+@pytest.mark.parametrize("tracker", [imm(), Tracker((Ctra(),)), Tracker((Ctrv(),))], ids=repr)
+def test_a_vehicle_that_begins_to_reverse_is_tracked_on(tracker: Tracker) -> None:
+    """Brakes from 2 m/s, and goes on with the same deceleration: the heading of its movement turns by 180 degrees."""
+    sd = np.array([0.5, 0.5, radians(1.0), 0.15, 0.2, radians(0.4)])
+    estimates = None
+    for k in range(41):
+        t = 0.1 * k
+        v = 2.0 - t
+        z = Observation.of(
+            np.array([[2.0 * t - 0.5 * t**2, 0.0, 0.0 if v >= 0.0 else pi, abs(v), -np.sign(v), 0.0]]), sd
+        )
+        estimates = (
+            tracker.start(z) if estimates is None else tracker.update(tracker.predict(estimates, np.array([0.1])), z)
+        )
+    assert estimates is not None
+    assert_allclose(estimates.mean[0, :2], 0.0, atol=0.3)
+    assert abs(wrap(estimates.mean[0, 2:3] - pi)[0]) < 0.02
+    assert isclose(estimates.mean[0, 3], 2.0, abs_tol=0.3)
