@@ -70,7 +70,7 @@ def saved_state(
 ) -> SavedState | None:
     """Take the state out of a filter, which stays as it is; None if its covariance is no longer sound."""
     twin = navigation.fork()
-    twin.trail = None
+    twin.recorder = None
     try:
         twin.propagate_covariance()
     except FilterDiverged:

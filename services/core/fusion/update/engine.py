@@ -23,7 +23,7 @@ from ..measurements.odometer import NonHolonomic
 from ..measurements.zupt import Standstill
 from ..plausibility.imu_faults import Sample, mean
 from ..settings import Settings
-from ..smoothing.history import Trail
+from ..smoothing.history import HistoryRecorder
 from ..timing.delay_compensation import FoundDelay
 from .aiding import Aids
 from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, OdometerExclusion
@@ -56,7 +56,7 @@ class Engine:
         self.counts = counts or Counts()
         self.last: Sample | None = None  # newest sample, as far as it was taken
         self.filter: ErrorStateFilter | None = None
-        self.trail: Trail | None = None  # of whatever filter runs, for the smoother
+        self.recorder: HistoryRecorder | None = None  # of whatever filter runs, for the smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self._alignment: Alignment | None = Alignment(settings, first=not why)
         self._saved: SavedState | None = None  # to go on from with the first sample
@@ -75,10 +75,10 @@ class Engine:
         twin.aids = self.aids.fork()
         return twin
 
-    def remember(self, prior: Prior) -> None:
+    def use_prior(self, prior: Prior) -> None:
         """Take a saved position and heading, of use until the filter runs for the first time."""
         if self._alignment is not None and self.accepted_ns is None:
-            self._alignment.remember(prior)
+            self._alignment.use_prior(prior)
 
     def restore(self, saved: SavedState) -> None:
         """Go on from a saved state with the first sample, which must be the next."""
@@ -246,11 +246,10 @@ class Engine:
             return []
         if (why := self.exclusions.reason(measurement)) is not None:
             return self._leave_out(measurement, why)
-        if self.aids.is_told_again(measurement, self.filter):
+        if self.aids.is_duplicate(measurement, self.filter):
             self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
             return []
-        gnss = isinstance(measurement, GnssPosition | GnssVelocity)
-        if self.filter is None or (gnss and self._is_turned(measurement, self.filter)):
+        if self.filter is None or self._is_turned(measurement, self.filter):
             self._align(measurement)
             return []
         outcomes = []
@@ -273,8 +272,8 @@ class Engine:
         largest pull of it.
         """
         if isinstance(event, FoundDelay | LostTime):
-            self.aids.hear(event)
-            self._try(event.tell)
+            self.aids.receive(event)
+            self._try(event.apply)
             return
         begins = isinstance(event, OdometerExclusion) and event.excluded and not self.exclusions.odometer
         self.exclusions = self.exclusions.after(event)
@@ -296,9 +295,9 @@ class Engine:
             self.exclusions = replace(self.exclusions, fixes=self.exclusions.fixes + 1, test_ratio=ratio)
         return outcomes
 
-    def _is_turned(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> bool:
-        """Watch the heading, and reset if it is wrong by more than the filter can correct."""
-        kept = self.aids.judge.compare(seen, navigation)
+    def _is_turned(self, seen: Measurement, navigation: ErrorStateFilter) -> bool:
+        """Watch the heading by GNSS, and reset if it is wrong by more than the filter can correct."""
+        kept = self.aids.judge.compare(seen, navigation) if isinstance(seen, GnssPosition | GnssVelocity) else None
         if kept is None:
             return False
         self._reset(f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
@@ -344,8 +343,8 @@ class Engine:
         """Go on with a filter that has just started."""
         self.aids.begin(time_ns, started, comparison)
         self.filter, self._alignment, self._why, self._rejections = started, None, "", 0
-        if self.trail is not None:
-            self.trail.follow(started)
+        if self.recorder is not None:
+            self.recorder.start(started)
 
     def _start_warm(self, saved: SavedState, sample: Sample) -> None:
         """Go on from a saved state, or align anew if state and sample make no sense together."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from shared.messages.navigation import AidingKind
 
-from ..measurements.base import Measurement, News
+from ..measurements.base import FilterEvent, Measurement
 from ..measurements.dual_antenna import BaselineHeading
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.odometer import WheelSpeed
@@ -14,7 +14,7 @@ GNSS_KINDS = (AidingKind.GNSS_POSITION, AidingKind.GNSS_VELOCITY, AidingKind.BAS
 
 
 @dataclass(frozen=True)
-class GnssExcluded(News):
+class GnssExcluded(FilterEvent):
     """From this instant on GNSS is not used.
 
     `since_ns` is the suspect time from which no GNSS is part of the state. Where the state at this instant does contain
@@ -26,12 +26,12 @@ class GnssExcluded(News):
 
 
 @dataclass(frozen=True)
-class GnssReadmitted(News):
+class GnssReadmitted(FilterEvent):
     """From this instant on GNSS is used again."""
 
 
 @dataclass(frozen=True)
-class OdometerExclusion(News):
+class OdometerExclusion(FilterEvent):
     """From this instant on the odometer is excluded, or used again."""
 
     excluded: bool
