@@ -14,7 +14,7 @@ from rich.table import Table
 from shared.errors import UserError
 
 from ..recordings.common import progress_on
-from .cases import ATTACKS, CLEAN, Case, plan, refused
+from .cases import ATTACKS, CLEAN, Case, plan
 from .report import detection_rows, document, write
 from .run import run
 from .score import WARM_UP_S, Run
@@ -61,11 +61,8 @@ def attack_lab(  # one argument an option
     except OSError as error:
         raise UserError(f"cannot create the folder {out}: {error.strerror}; choose another one with --out") from error
     console = Console(stderr=True)
-    impossible = refused(attacks)
-    for name, reason in impossible.items():
-        console.print(f"{name} is left out: {reason}", markup=False, highlight=False)
     runs = _run_all(cases, jobs or os.cpu_count() or 1, console)
-    card = document(runs, impossible)
+    card = document(runs)
     write(out, card, runs)
     if as_json:
         print(json.dumps(card))

@@ -8,6 +8,8 @@ from services.sensors.simulator.scenarios import scenario_of
 from shared.attacks import BY_NAME, ScheduledAttack, schedule
 from shared.errors import UserError
 
+from .recorded import POSSIBLE
+
 CLEAN = "clean"
 # Each attack with its default parameters, and the variants of the reference numbers.
 ATTACKS = (
@@ -72,7 +74,7 @@ def plan(
     UserError
         An attack or a scenario is unknown.
     """
-    scheduled = [attack for text in attacks if (attack := _scheduled(text)) is not None]
+    scheduled = [_scheduled(text) for text in attacks]
     for name in scenarios:
         try:
             scenario_of(name, 1)
@@ -85,18 +87,11 @@ def plan(
     for path in recordings:
         yield Case(str(path), 0, 0.0, recorded=True)
         for attack in scheduled:
-            yield Case(str(path), 0, 0.0, attack, recorded=True)
+            if attack.attack in POSSIBLE:
+                yield Case(str(path), 0, 0.0, attack, recorded=True)
 
 
-def refused(attacks: Sequence[str]) -> dict[str, str]:
-    """Attacks that are not possible in this version, with the reason."""
-    names = {text.partition("(")[0].partition("@")[0] for text in attacks}
-    return {name: row.refused for name, row in BY_NAME.items() if name in names and row.refused}
-
-
-def _scheduled(text: str) -> ScheduledAttack | None:
-    if refused([text]):
-        return None
+def _scheduled(text: str) -> ScheduledAttack:
     try:
         attack = schedule(text if "@" in text else f"{text}@{START_S:g}:{ATTACK_S:g}")
     except ValueError as error:

@@ -20,6 +20,7 @@ from .score import (
     RECOVERY_S,
     WARM_UP_S,
     Detection,
+    FalseAlarms,
     Run,
     detections,
     false_alarms,
@@ -39,7 +40,7 @@ COLOURS = {
 }
 
 
-def document(runs: Sequence[Run], impossible: dict[str, str]) -> dict[str, object]:
+def document(runs: Sequence[Run]) -> dict[str, object]:
     """Compute all rates; the same runs give the same document."""
     return {
         "confidence": CONFIDENCE,
@@ -48,9 +49,8 @@ def document(runs: Sequence[Run], impossible: dict[str, str]) -> dict[str, objec
         "runs": [_run_row(run) for run in runs],
         "safe_share_clean": safe_share(runs),
         "detection": [asdict(row) for row in detections(runs)],
-        "false_alarms": [_finite(asdict(row)) for row in false_alarms(runs)],
+        "false_alarms": [_finite(row) for row in false_alarms(runs)],
         "harm": [asdict(row) for row in harms(runs)],
-        "not_possible": impossible,
         "remarks": [COLLUSION],
     }
 
@@ -61,14 +61,15 @@ def _run_row(run: Run) -> dict[str, object]:
     seconds = {level.value: round(timeline.seconds_in([level], 0.0, timeline.duration_s), 1) for level in TrustLevel}
     return {
         "drive": Path(case.drive).name, "seed": case.seed, "attack": case.label,
-        "started_s": begin_s if case.attack else None, "duration_s": round(timeline.duration_s, 1), "verdict_s": seconds,
+        "started_s": begin_s if case.attack else None, "duration_s": round(timeline.duration_s, 1),
+        "verdict_s": seconds,
     }  # fmt: skip
 
 
-def _finite(row: dict[str, object]) -> dict[str, object]:
+def _finite(row: FalseAlarms) -> dict[str, object]:
     """Replace an unbounded limit of an interval by None, which JSON has."""
-    low, high = row["per_hour_interval"]  # type: ignore[misc]
-    return row | {"per_hour_interval": (low, high if isfinite(high) else None)}
+    low, high = row.per_hour_interval
+    return asdict(row) | {"per_hour_interval": (low, high if isfinite(high) else None)}
 
 
 def write(folder: Path, card: dict[str, object], runs: Sequence[Run]) -> None:
@@ -84,12 +85,9 @@ def page(card: dict[str, object], runs: Sequence[Run]) -> str:
         for one in _figures(runs)
     )
     share = card["safe_share_clean"]
-    lead = "No clean drive was run." if share is None else f"Clean drives are SAFE for {100 * float(str(share)):.1f} % " \
-        f"of the time after the first {WARM_UP_S:.0f} s."  # fmt: skip
-    remarks = "".join(f"<p>{escape(str(text))}</p>" for text in [
-        *(f"{name}: not possible, {why}" for name, why in card["not_possible"].items()),  # type: ignore[attr-defined]
-        *card["remarks"],  # type: ignore[misc]
-    ])  # fmt: skip
+    lead = "No clean drive was run."
+    if isinstance(share, float):
+        lead = f"Clean drives are SAFE for {100.0 * share:.1f} % of the time after the first {WARM_UP_S:.0f} s."
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -103,16 +101,16 @@ table {{ font-variant-numeric: tabular-nums; font-size: .92em; }} .wide {{ overf
 <main>
 <h1>Attack laboratory</h1>
 <p class="lead">{escape(lead)} {len(runs)} runs.</p>
-{remarks}
+<p>{escape(COLLUSION)}</p>
 <h2>Detection</h2>
 <p class="muted">Runs in which the monitor accuses, or the verdict withdraws the position (UNSAFE, DEAD RECKONING or NO
-FIX), between the start and the end of the attack, of all runs; in brackets the median delay. The last two columns: largest horizontal
-error of the fused position before the verdict withdraws it, and time with the verdict SAFE although an error is above
-the alert limit.</p>
+FIX), between the start and the end of the attack, of all runs; in brackets the median delay. The last two columns:
+largest horizontal error of the fused position before the verdict withdraws it, and time with the verdict SAFE although
+an error is above the alert limit.</p>
 <div class="wide">{_detection_table(runs)}</div>
 <h2>False alarms</h2>
-<p class="muted">Accusations that begin outside an attack and the {RECOVERY_S:.0f} s after it, overlapping windows as one
-episode; {100 * CONFIDENCE:.0f} % intervals.</p>
+<p class="muted">Accusations that begin outside an attack and the {RECOVERY_S:.0f} s after it, overlapping windows as
+one episode; {100 * CONFIDENCE:.0f} % intervals.</p>
 <div class="wide">{_false_alarm_table(runs)}</div>
 {figures}
 </main>

@@ -156,13 +156,13 @@ def _harm(attack: str, group: Sequence[Run]) -> Harm:
             continue
         safe = np.array([verdict is TrustLevel.SAFE for verdict in timeline.verdict_at(times)])
         withdrawn_s = min((start for start in _withdrawals(timeline) if start >= begin_s), default=inf)
-        beyond = (error > np.array(timeline.alert_limits_m)).any(axis=1)
+        beyond = np.any(error > np.array(timeline.alert_limits_m), axis=1)
         largest.append(float(error[:, 0].max()))
         undetected.append(_largest(error[times < withdrawn_s, 0]))
         while_safe.append(_largest(error[safe, 0]))
         hazardous_s += float(np.sum(safe & beyond)) * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         known = np.isfinite(level).all(axis=1)
-        above.append(float(np.mean((error > level).any(axis=1)[known])) if known.any() else 0.0)
+        above.append(float(np.mean(np.any(error > level, axis=1)[known])) if known.any() else 0.0)
     return Harm(
         attack, len(group), max(largest, default=None), max(undetected, default=None), max(while_safe, default=None),
         hazardous_s, safe_s, float(np.mean(above)) if above else None,

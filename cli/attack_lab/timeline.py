@@ -78,7 +78,9 @@ class Collector:
         """
         start_ns, end_ns = interval_ns
         reference = reference or (from_states(self.truth) if self.truth else None)
-        times, errors, levels = np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2))
+        times: FloatArray = np.zeros(0)
+        errors: FloatArray = np.zeros((0, 2))
+        levels: FloatArray = np.zeros((0, 2))
         track = self.builder.track().valid()
         if reference is not None and len(track):
             found = errors_against(reference, track, lever_arm_b=lever_arm_body_m)
