@@ -1,7 +1,8 @@
-"""`obu papers navigation`: compares simulated drives and outages with the OBU paper and with a correct filter."""
+"""`obu papers`: compares simulations and recordings with published results."""
 
 import json as json_module
 import sys
+from pathlib import Path
 
 from rich.console import Console
 
@@ -9,6 +10,7 @@ from shared.errors import UserError
 
 from . import navigation as drives_table
 from . import outages as outages_table
+from .report import publish
 
 
 def navigation(runs: int, json: bool) -> int:
@@ -34,3 +36,10 @@ def navigation(runs: int, json: bool) -> int:
     if not faults:
         console.print("[green]all limits met[/]")
     return 1 if faults else 0
+
+
+def motion_conflict(drives: int, json: bool, out: Path | None) -> int:
+    """Reproduce the speed check of the smart tachograph; return 1 if a number is outside its tolerance."""
+    from .motion_conflict.paper import reproduce
+
+    return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)
