@@ -251,6 +251,25 @@ def motion_conflict(
     raise typer.Exit(repeat(drives, as_json, out))
 
 
+@papers.command()
+def cooperative(
+    runs: Annotated[int, typer.Option(min=1, help="Runs of 90 epochs of each of the ten ratios.")] = 500,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Repeat the ten ratios of V2X-assisted fault detection, with the leave-one-out bank beside the paper's test.
+
+    Prints position errors with and without exclusion too. Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers cooperative --out figures[/]
+    [bold]obu papers cooperative --runs 50 --json[/]
+    """
+    from .papers.papers import cooperative as repeat
+
+    raise typer.Exit(repeat(runs, as_json, out))
+
+
 @recordings.callback(invoke_without_command=True)
 def _record(
     context: typer.Context,

@@ -43,3 +43,10 @@ def motion_conflict(drives: int, json: bool, out: Path | None) -> int:
     from .motion_conflict.paper import reproduce
 
     return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)
+
+
+def cooperative(runs: int, json: bool, out: Path | None) -> int:
+    """Reproduce V2X-assisted fault detection; return 1 if a number is outside its tolerance."""
+    from .cooperative import reproduce
+
+    return publish(reproduce(runs, sys.stderr.isatty()), json=json, out=out)

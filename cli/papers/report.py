@@ -100,10 +100,10 @@ def _write(paper: Paper, out: Path) -> None:
 
 def _print(paper: Paper, console: Console, out: Path | None) -> None:
     for table in paper.tables:
-        printed = RichTable(title=table.title, title_justify="left", box=SIMPLE_HEAD)
+        printed = RichTable(title=escape(table.title), title_justify="left", box=SIMPLE_HEAD)
         printed.pad_edge = printed.show_edge = False
         for number, heading in enumerate(table.columns):
-            printed.add_column(heading, justify="right" if number else "left", no_wrap=True)
+            printed.add_column(escape(heading), justify="right" if number else "left", no_wrap=True)
         for row in table.rows:
             printed.add_row(*map(escape, row))
         console.print(printed)
