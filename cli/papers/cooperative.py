@@ -51,8 +51,8 @@ ASSUMPTIONS = (
 NO_TOLERANCE = "closed, variance x 100"  # reported: the gain of the reference simulation is not specified
 FITTED = (
     "Split of the satellites, road, oncoming and parked cars, and the receiver clock's drift: not published, and "
-    "chosen so that the published missed ramps come about. Missed ramps are a constant of the geometry; agreement is not "
-    "independent evidence.",
+    "chosen so that the published missed ramps come about. Missed ramps are a constant of the geometry; agreement is "
+    "not independent evidence.",
     "The reference is read as independent of the satellites under test (open loop); the paper does not say so.",
 )
 NOT_REPRODUCED = (
