@@ -270,6 +270,26 @@ def cooperative(
     raise typer.Exit(repeat(runs, as_json, out))
 
 
+@papers.command()
+def spoofing(
+    drives: Annotated[int, typer.Option(min=3, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Repeat spoofing detection by a phone's sensors, with the improved methods beside the paper's.
+
+    False detections, standard deviations by dynamics, a sweep of the cut-off, attacks, a phone without barometer, and
+    drives that phones recorded (OBU_DATA). Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers spoofing --out figures[/]
+    [bold]obu papers spoofing --drives 6 --json[/]
+    """
+    from .papers.papers import spoofing as repeat
+
+    raise typer.Exit(repeat(drives, as_json, out))
+
+
 @recordings.callback(invoke_without_command=True)
 def _record(
     context: typer.Context,

@@ -12,6 +12,8 @@ from . import navigation as drives_table
 from . import outages as outages_table
 from .report import publish
 
+LEAST_DRIVES = 3
+
 
 def navigation(runs: int, json: bool) -> int:
     """Print drives and outages; return 1 if a limit is exceeded. Goals missed with default settings are only named."""
@@ -50,3 +52,12 @@ def cooperative(runs: int, json: bool, out: Path | None) -> int:
     from .cooperative import reproduce
 
     return publish(reproduce(runs, sys.stderr.isatty()), json=json, out=out)
+
+
+def spoofing(drives: int, json: bool, out: Path | None) -> int:
+    """Reproduce spoofing detection by a phone's sensors; return 1 if a number is outside its tolerance."""
+    if drives < LEAST_DRIVES:
+        raise UserError(f"{drives} drives: 3 are required, two to learn of: try `obu papers spoofing --drives 6`")
+    from .spoofing.paper import reproduce
+
+    return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)

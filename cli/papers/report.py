@@ -102,6 +102,7 @@ def _print(paper: Paper, console: Console, out: Path | None) -> None:
     for table in paper.tables:
         printed = RichTable(title=escape(table.title), title_justify="left", box=SIMPLE_HEAD)
         printed.pad_edge = printed.show_edge = False
+        printed.padding = (0, 1, 0, 0)
         for number, heading in enumerate(table.columns):
             printed.add_column(escape(heading), justify="right" if number else "left", no_wrap=True)
         for row in table.rows:
