@@ -15,6 +15,7 @@ from .messages.gnss import (
     GnssRaw,
     GnssRawEpoch,
     GnssSatellites,
+    GnssSignalQuality,
     GnssWrite,
 )
 from .messages.imu import ImuRaw, ImuSamples
@@ -27,10 +28,26 @@ from .messages.navigation import (
     TruthState,
 )
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.simulation import SimulationAttack, SimulationState
+from .messages.toll import (
+    GateCommand,
+    LedgerState,
+    OpenPassages,
+    PlazaDescription,
+    PlazaDetector,
+    PlazaTruth,
+    TollDelta,
+    TollPassage,
+    TollReceipt,
+    TollRegistration,
+    TollTracks,
+    TollTransaction,
+)
 from .messages.trust import TrustEvent, TrustMonitor, TrustState
+from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
-from .processes import LAYERS, PROCESSES, ProcessRow
+from .processes import LAYERS, PROCESSES, ProcessRow, Role
 
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
 PROCESS_NAME = re.compile(rf"({'|'.join(LAYERS)})\.[a-z][a-z0-9_]*")
@@ -41,7 +58,8 @@ class Topic:
     """One kind of message on the bus.
 
     `rate_hz` is the expected rate (None: whenever it happens), `silent_after_s` the age after which
-    the newest message is stale, and `persist` says that the newest message outlives a power-off.
+    the newest message is stale, `persist` says that the newest message outlives a power-off, and `personal` that
+    it describes other road users: a road-side unit does not record it.
     """
 
     name: str
@@ -52,6 +70,7 @@ class Topic:
     qos: int = 0
     retain: bool = False
     persist: bool = False
+    personal: bool = False
 
     @cached_property
     def per_process(self) -> bool:
@@ -84,10 +103,15 @@ TOPICS = (
     Topic("gnss/satellites", GnssSatellites, "satellites in view", rate_hz=1.0, silent_after_s=10.0),
     Topic("gnss/raw_epoch", GnssRawEpoch, "pseudoranges, carrier phases and Doppler, from receivers that send them"),
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
+    Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
+    Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms", personal=True),
+    Topic("v2x/cam", CamList, "Cooperative Awareness Messages of other stations, in SI units", personal=True),
+    Topic("v2x/own_cam", OwnCam, "Cooperative Awareness Message of this vehicle, by the generation rules"),
+    Topic("v2x/send", V2xSend, "frames to be sent by the V2X radio"),
     Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to", qos=1),
     Topic("mode/state", ModeState, "what the unit is doing",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
@@ -104,6 +128,21 @@ TOPICS = (
     Topic("trust/state", TrustState, "whether the position can be used, and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("trust/event", TrustEvent, "each change of the verdict, with the evidence", qos=1),
+    Topic("plaza/description", PlazaDescription, "lanes and lines of the toll plaza", qos=1, retain=True),
+    Topic("toll/registration", TollRegistration, "contract and present station ID of a vehicle", qos=1, personal=True),
+    Topic("plaza/detector", PlazaDetector, "a vehicle at the gate line of a lane, by its detector", qos=1),
+    Topic("toll/delta", TollDelta, "common GNSS error at the plaza", rate_hz=1.0, silent_after_s=10.0, qos=1),
+    Topic("toll/tracks", TollTracks, "vehicles tracked at the plaza", rate_hz=2.0, silent_after_s=5.0, personal=True),
+    Topic("toll/passage", TollPassage, "progress of each passage, with its evidence", qos=1, personal=True),
+    Topic("toll/gate", GateCommand, "when the gate of a lane opens, and for which passage", qos=1),
+    Topic("toll/open_passages", OpenPassages, "passages in progress and settled, as the ledger holds them",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),
+    Topic("toll/transaction", TollTransaction, "charges and reversals for the operator", qos=1, personal=True),
+    Topic("toll/receipt", TollReceipt, "answers of the operator", qos=1, personal=True),
+    Topic("ledger/state", LedgerState, "charges, outbox and reconciliation",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),
+    Topic("plaza/truth", PlazaTruth, "where the simulated vehicles really are",
+          rate_hz=2.0, silent_after_s=5.0, personal=True),
     Topic("deadline/report", DeadlineReport, "age and status of every topic and process, and problems by root cause",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("outage/event", Outage, "begin and end of an outage, with its root cause", qos=1),
@@ -111,6 +150,9 @@ TOPICS = (
           rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
           rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
+    Topic("simulation/attack", SimulationAttack, "starts or stops an attack on a simulated vehicle", qos=1),
+    Topic("simulation/state", SimulationState, "the attacks of a simulated drive, and the answer to the last command",
+          qos=1, retain=True),
     Topic("truth/state", TruthState, "where the simulated vehicle really is", rate_hz=10.0, silent_after_s=5.0),
     Topic("health/+", ProcessHealth, "birth, heartbeat, farewell and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
@@ -147,14 +189,14 @@ def measurements() -> tuple[Topic, ...]:
 
 
 def hot_path() -> tuple[str, ...]:
-    """List the processes upstream of the navigation solution along topics with a rate: their delays are its own."""
+    """List an on-board unit's processes upstream of the solution along topics with a rate: their delays are its own."""
     found: set[str] = set()
     waiting = [BY_NAME["navigation/solution"]]
     while waiting:
         new = set(waiting.pop().producers) - found
         found |= new
         waiting += [topic for name in new for topic in subscriptions(name) if topic.rate_hz is not None]
-    return tuple(row.name for row in PROCESSES if row.name in found)
+    return tuple(row.name for row in PROCESSES if row.name in found and Role.OBU in row.roles)
 
 
 def contradictions(processes: Sequence[ProcessRow], topics: Sequence[Topic]) -> list[str]:
