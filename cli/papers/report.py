@@ -98,16 +98,21 @@ def _write(paper: Paper, out: Path) -> None:
         raise UserError(f"cannot write to {out}: {error.strerror}; choose another folder with --out") from error
 
 
+def printed(table: Table) -> RichTable:
+    """Lay out a table for the terminal."""
+    rich = RichTable(title=escape(table.title), title_justify="left", box=SIMPLE_HEAD)
+    rich.pad_edge = rich.show_edge = False
+    rich.padding = (0, 1, 0, 0)
+    for number, heading in enumerate(table.columns):
+        rich.add_column(escape(heading), justify="right" if number else "left", no_wrap=True)
+    for row in table.rows:
+        rich.add_row(*map(escape, row))
+    return rich
+
+
 def _print(paper: Paper, console: Console, out: Path | None) -> None:
     for table in paper.tables:
-        printed = RichTable(title=escape(table.title), title_justify="left", box=SIMPLE_HEAD)
-        printed.pad_edge = printed.show_edge = False
-        printed.padding = (0, 1, 0, 0)
-        for number, heading in enumerate(table.columns):
-            printed.add_column(escape(heading), justify="right" if number else "left", no_wrap=True)
-        for row in table.rows:
-            printed.add_row(*map(escape, row))
-        console.print(printed)
+        console.print(printed(table))
         console.print()
     for heading, remarks in (
         ("Fitted", paper.fitted), ("Not reproduced", paper.not_reproduced), ("Skipped", paper.skipped)

@@ -1,4 +1,4 @@
-"""`obu papers spoofing` with six drives instead of 36; with 36 it is marked slow."""
+"""`obu papers spoofing` with nine drives instead of 36; with 36 it is marked slow."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.xdist_group("papers_spoofing")  # one worker, for the d
 def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OBU_DATA", str(tmp_path_factory.mktemp("none")))
-        return reproduce(6, progress=False)
+        return reproduce(9, progress=False)
 
 
 def test_the_acceptance_limits_hold_and_recordings_that_are_not_there_are_skipped(paper: Paper) -> None:
@@ -41,7 +41,9 @@ def test_standard_deviations_have_the_size_of_the_reference(
     heading = Metric.HEADING_RATE
     assert all(4.6 < np.degrees(value) < 19.0 for value in sigma("paper_raw", heading))
     assert all(1.6 < np.degrees(value) < 4.4 for value in sigma("paper", heading))
-    assert all(0.11 * 0.75 < np.degrees(value) < 0.4 * 1.25 for value in sigma("gyroscope", heading))
+    assert all(0.11 * 0.75 < np.degrees(value) < 0.4 * 1.25 for value in sigma("gyroscope", heading)[1:3]), (
+        "5 to 20 m/s"
+    )
     assert all(0.54 * 0.75 < value < 2.31 for value in sigma("paper_raw", Metric.ACCELERATION_EAST))
     assert max(sigma("matched", Metric.ACCELERATION_EAST)) < 0.3 * max(sigma("paper", Metric.ACCELERATION_EAST))
     assert sigma("gyroscope", Metric.ACCELERATION_EAST)[0] == pytest.approx(0.08, rel=0.25)
