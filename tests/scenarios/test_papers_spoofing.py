@@ -8,7 +8,16 @@ import pytest
 
 from cli.papers.report import Paper, publish
 from cli.papers.spoofing.campaign import Detection, Mode, episodes, measure
-from cli.papers.spoofing.paper import ModeResult, deviations, evaluate, reproduce
+from cli.papers.spoofing.paper import (
+    COLUMNS,
+    REFERENCE_DETECTED,
+    REFERENCE_FALSE,
+    ModeResult,
+    deviations,
+    evaluate,
+    outside_tolerance,
+    reproduce,
+)
 from services.core.spoofing.metrics import Metric
 
 pytestmark = pytest.mark.xdist_group("papers_spoofing")  # one worker, for the drives are shared
@@ -86,6 +95,15 @@ def test_limits_that_are_exceeded_are_deviations() -> None:
         "other drive replayed": Detection([2], 1), "drag-off to 3 m/s": Detection([31, 20], 40),
     })  # fmt: skip
     assert len(deviations({Mode.PAPER_RAW: poor, Mode.GYROSCOPE: poor})) == 5
+
+
+def test_numbers_beyond_a_quarter_of_the_reference_are_named() -> None:
+    exact = dict(zip(COLUMNS, REFERENCE_FALSE[Mode.PAPER_RAW], strict=True))
+    shares = {name: Detection([1] * row[0], 100) for name, row in REFERENCE_DETECTED.items()}
+    assert outside_tolerance({Mode.PAPER_RAW: ModeResult({}, exact, 3.5, 0.0, shares)}) == []
+    off = ModeResult({}, exact | {"any": 0.8}, 3.5, 0.0, shares | {"static replay": Detection([1] * 41, 100)})
+    (text,) = outside_tolerance({Mode.PAPER_RAW: off})
+    assert "any 0.80 (0.22) %" in text and "static replay 41 (55) %" in text and "climb" not in text
 
 
 @pytest.mark.recording
