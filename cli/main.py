@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from shared.errors import UserError
-from shared.processes import BY_NAME
+from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
 from .import_drive.import_drive import import_drive
@@ -80,16 +80,23 @@ def demo(
 
 
 @app.command()
-def up(vehicle: VehicleOption = None) -> None:
-    """Run every process of a vehicle under a small supervisor, on the broker of OBU_BROKER.
+def up(
+    vehicle: VehicleOption = None,
+    role: Annotated[
+        Role | None, typer.Option(help="What the file must be of; rsu without a file: the example.")
+    ] = None,
+) -> None:
+    """Run every process of a unit under a small supervisor, on the broker of OBU_BROKER.
 
-    Example: [bold]OBU_BROKER=mqtt://127.0.0.1:1883 obu up --vehicle deploy/vehicles/pi.toml[/]
+    Examples:
+    [bold]OBU_BROKER=mqtt://127.0.0.1:1883 obu up --vehicle deploy/vehicles/pi.toml[/]
+    [bold]obu up --role rsu[/]
     """
-    from .demo.local import unit
+    from .demo.local import unit, unit_file
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    file = load_vehicle(vehicle)
-    environment = {"OBU_VEHICLE": str(vehicle.resolve())} if vehicle else {}
+    file = unit_file(vehicle, role)
+    environment = {"OBU_VEHICLE": str(Path(file.path).resolve())} if Path(file.path).is_file() else {}
     supervisor = unit(file, environment)
     _end_on_sigterm()
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
-from shared.processes import PROCESSES, Kind
+from shared.processes import PROCESSES, Role, running
 from shared.runtime.config import Section
 
 from .solve.metrics.metrics import METRICS, TIMINGS
@@ -91,7 +91,8 @@ def pages() -> dict[str, str]:
         "topics.md": f"{HEAD}# Topics\n\nEach topic is `obu/<vehicle>/` and the name below.\n\n{topics_table()}\n",
         "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
         "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file per vehicle, one section per process; "
-        f"the section `[vehicle]` holds its `name`.\n\n{configuration_pages()}",
+        f"the section `[vehicle]` holds its `name` and its `role` "
+        "(`obu`, an on-board unit, or `rsu`, a road-side unit).\n\n{configuration_pages()}",
         "metrics.md": HEAD + metrics_page(),
         "asyncapi.json": asyncapi_json() + "\n",
     }
@@ -99,13 +100,17 @@ def pages() -> dict[str, str]:
 
 def blocks() -> dict[str, str]:
     """Make what is printed between two markers of files that are otherwise written by hand: path and text."""
-    layers = ([row for row in PROCESSES if row.kind is Kind.STANDING and row.layer == n] for n in range(1, 6))
-    wants = [f"Wants={' '.join(f'obu@{row.name}.service' for row in rows)}\n" for rows in layers if rows]
     return {
         "README.md": f"```\n{diagram()}\n```\n",
         "docs/explanation/architecture.md": f"```\n{diagram()}\n```\n",
-        "deploy/systemd/obu.target": "".join(wants),
+        **{f"deploy/systemd/{role}.target": _wants(role) for role in Role},
     }
+
+
+def _wants(role: Role) -> str:
+    """List the standing processes of a role as units of systemd, one line a layer."""
+    layers = ([row for row in running(role) if row.layer == n] for n in range(1, 6))
+    return "".join(f"Wants={' '.join(f'obu@{row.name}.service' for row in rows)}\n" for rows in layers if rows)
 
 
 def printed(root: Path) -> dict[Path, str]:

@@ -1,5 +1,6 @@
 """The processes of the on-board unit, in the order in which data flow: one row a process."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -12,13 +13,23 @@ LAYERS = {
 }
 
 
-class Kind(StrEnum):
-    """Where a process runs: a standing one in every unit, the others where the vehicle's file has their section."""
+class Role(StrEnum):
+    """What a unit is: its file says which, and the role decides which processes run."""
 
-    DEVICE_DRIVER = "device driver"  # reads a device that a vehicle may have
+    OBU = "obu"  # on-board unit of a vehicle
+    RSU = "rsu"  # road-side unit of a toll plaza
+
+
+BOTH = (Role.OBU, Role.RSU)
+
+
+class Kind(StrEnum):
+    """When a process runs in its roles: a standing one always, the others where the unit's file has their section."""
+
+    DEVICE_DRIVER = "device driver"  # reads a device that a unit may have
     SIMULATOR = "simulator"  # stands in for devices
     STANDING = "standing"
-    ROLE = "role"  # belongs to a role that not every unit plays
+    OPTIONAL = "optional"  # belongs to a function that not every unit has
 
 
 @dataclass(frozen=True)
@@ -35,6 +46,7 @@ class ProcessRow:
     consumes: tuple[str, ...] = ()
     produces: tuple[str, ...] = ()
     observes_all: bool = False
+    roles: tuple[Role, ...] = (Role.OBU,)
 
     @property
     def layer(self) -> int:
@@ -52,6 +64,7 @@ PROCESSES = (
         "sensors.gnss", Kind.DEVICE_DRIVER, "reads the GNSS receiver and writes what it is told",
         consumes=("gnss/write",),
         produces=("gnss/raw", "origin/state"),
+        roles=BOTH,
     ),
     ProcessRow(
         "sensors.imu", Kind.DEVICE_DRIVER, "reads the inertial measurement unit",
@@ -65,6 +78,7 @@ PROCESSES = (
         "sensors.v2x", Kind.DEVICE_DRIVER, "receives and sends the frames of the V2X radio",
         consumes=("v2x/send",),
         produces=("v2x/raw",),
+        roles=BOTH,
     ),
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
@@ -72,11 +86,18 @@ PROCESSES = (
         produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state"),
     ),
     ProcessRow(
+        "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
+        consumes=("toll/transaction",),
+        produces=("gnss/raw", "origin/state", "toll/registration", "plaza/detector", "toll/receipt", "plaza/truth"),
+        roles=(Role.RSU,),
+    ),
+    ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
         consumes=("gnss/raw", "gnss/configure"),
         produces=(
             "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/configuration",
         ),
+        roles=BOTH,
     ),
     ProcessRow(
         "parsers.imu", Kind.STANDING, "turns Xbus bytes into inertial samples in body axes",
@@ -89,9 +110,10 @@ PROCESSES = (
         produces=("vehicle/speed", "vehicle/wheel_speed"),
     ),
     ProcessRow(
-        "parsers.v2x", Kind.ROLE, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",
+        "parsers.v2x", Kind.OPTIONAL, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",
         consumes=("v2x/raw", "v2x/own_cam", "gnss/fix"),
         produces=("v2x/cam", "v2x/send"),
+        roles=BOTH,
     ),
     ProcessRow(
         "controller.mode", Kind.STANDING, "decides what the unit should be doing now",
@@ -101,7 +123,7 @@ PROCESSES = (
         produces=("gnss/configure", "mode/state", "navigation/last_position"),
     ),
     ProcessRow(
-        "controller.cam", Kind.ROLE, "decides when the vehicle sends its own CAM, and what it states",
+        "controller.cam", Kind.OPTIONAL, "decides when the vehicle sends its own CAM, and what it states",
         consumes=("navigation/solution", "trust/state", "gnss/fix"),
         produces=("v2x/own_cam",),
     ),
@@ -134,15 +156,33 @@ PROCESSES = (
         produces=("trust/state", "trust/event"),
     ),
     ProcessRow(
+        "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
+        consumes=("gnss/fix", "toll/registration", "toll/open_passages"),
+        produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate"),
+        roles=(Role.RSU,),
+    ),
+    ProcessRow(
+        "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
+        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt"),
+        produces=("toll/open_passages", "toll/transaction", "ledger/state"),
+        roles=(Role.RSU,),
+    ),
+    ProcessRow(
         "monitoring.recorder", Kind.STANDING, "writes every message to disk",
-        produces=("recording/state",), observes_all=True,
+        produces=("recording/state",), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
         "monitoring.health", Kind.STANDING, "holds every topic and process against its deadline",
-        produces=("deadline/report", "outage/event"), observes_all=True,
+        produces=("deadline/report", "outage/event"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
         "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard", observes_all=True,
+        roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}
+
+
+def running(role: Role, sections: Collection[str] = ()) -> tuple[ProcessRow, ...]:
+    """List the processes that run in a role: the standing ones, and the others that have a section."""
+    return tuple(row for row in PROCESSES if role in row.roles and (row.kind is Kind.STANDING or row.name in sections))

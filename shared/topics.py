@@ -27,11 +27,25 @@ from .messages.navigation import (
     TruthState,
 )
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.toll import (
+    GateCommand,
+    LedgerState,
+    OpenPassages,
+    PlazaDescription,
+    PlazaDetector,
+    PlazaTruth,
+    TollDelta,
+    TollPassage,
+    TollReceipt,
+    TollRegistration,
+    TollTracks,
+    TollTransaction,
+)
 from .messages.trust import TrustEvent, TrustMonitor, TrustState
 from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
-from .processes import LAYERS, PROCESSES, ProcessRow
+from .processes import LAYERS, PROCESSES, ProcessRow, Role
 
 TOPIC_NAME = re.compile(r"[a-z][a-z0-9_]*/([a-z][a-z0-9_]*|\+)")
 PROCESS_NAME = re.compile(rf"({'|'.join(LAYERS)})\.[a-z][a-z0-9_]*")
@@ -42,7 +56,8 @@ class Topic:
     """One kind of message on the bus.
 
     `rate_hz` is the expected rate (None: whenever it happens), `silent_after_s` the age after which
-    the newest message is stale, and `persist` says that the newest message outlives a power-off.
+    the newest message is stale, `persist` says that the newest message outlives a power-off, and `personal` that
+    it describes other road users: a road-side unit does not record it.
     """
 
     name: str
@@ -53,6 +68,7 @@ class Topic:
     qos: int = 0
     retain: bool = False
     persist: bool = False
+    personal: bool = False
 
     @cached_property
     def per_process(self) -> bool:
@@ -109,6 +125,21 @@ TOPICS = (
     Topic("trust/state", TrustState, "whether the position can be used, and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
     Topic("trust/event", TrustEvent, "each change of the verdict, with the evidence", qos=1),
+    Topic("plaza/description", PlazaDescription, "lanes and lines of the toll plaza", qos=1, retain=True),
+    Topic("toll/registration", TollRegistration, "contract and present station ID of a vehicle", qos=1, personal=True),
+    Topic("plaza/detector", PlazaDetector, "a vehicle at the gate line of a lane, by its detector", qos=1),
+    Topic("toll/delta", TollDelta, "common GNSS error at the plaza", rate_hz=1.0, silent_after_s=10.0, qos=1),
+    Topic("toll/tracks", TollTracks, "vehicles tracked at the plaza", rate_hz=2.0, silent_after_s=5.0, personal=True),
+    Topic("toll/passage", TollPassage, "progress of each passage, with its evidence", qos=1, personal=True),
+    Topic("toll/gate", GateCommand, "when the gate of a lane opens, and for which passage", qos=1),
+    Topic("toll/open_passages", OpenPassages, "passages in progress and settled, as the ledger holds them",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),
+    Topic("toll/transaction", TollTransaction, "charges and reversals for the operator", qos=1, personal=True),
+    Topic("toll/receipt", TollReceipt, "answers of the operator", qos=1, personal=True),
+    Topic("ledger/state", LedgerState, "charges, outbox and reconciliation",
+          rate_hz=1.0, silent_after_s=5.0, qos=1, personal=True),
+    Topic("plaza/truth", PlazaTruth, "where the simulated vehicles really are",
+          rate_hz=2.0, silent_after_s=5.0, personal=True),
     Topic("deadline/report", DeadlineReport, "age and status of every topic and process, and problems by root cause",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("outage/event", Outage, "begin and end of an outage, with its root cause", qos=1),
@@ -152,14 +183,14 @@ def measurements() -> tuple[Topic, ...]:
 
 
 def hot_path() -> tuple[str, ...]:
-    """List the processes upstream of the navigation solution along topics with a rate: their delays are its own."""
+    """List an on-board unit's processes upstream of the solution along topics with a rate: their delays are its own."""
     found: set[str] = set()
     waiting = [BY_NAME["navigation/solution"]]
     while waiting:
         new = set(waiting.pop().producers) - found
         found |= new
         waiting += [topic for name in new for topic in subscriptions(name) if topic.rate_hz is not None]
-    return tuple(row.name for row in PROCESSES if row.name in found)
+    return tuple(row.name for row in PROCESSES if row.name in found and Role.OBU in row.roles)
 
 
 def contradictions(processes: Sequence[ProcessRow], topics: Sequence[Topic]) -> list[str]:

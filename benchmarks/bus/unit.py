@@ -17,7 +17,7 @@ from cli.demo.supervisor import Supervisor
 from shared.bus.bus import Bus
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationPhase, NavigationSolution
-from shared.processes import PROCESSES, Kind
+from shared.processes import Role, running
 from shared.runtime.config import BrokerAddress, parse_vehicle
 from shared.topics import BY_NAME, hot_path
 
@@ -38,7 +38,7 @@ lever_arm_body_m = [0.3, 0.0, -1.2]
 [monitoring.status]
 port = 0
 """
-COLD = tuple(row.name for row in PROCESSES if row.kind is Kind.STANDING and row.name not in hot_path())
+COLD = tuple(row.name for row in running(Role.OBU) if row.name not in hot_path())
 READY_S = 60.0
 ROUNDS = 5  # beside the yardstick
 SETTLING_S = 10.0  # start-up costs more than running

@@ -36,7 +36,7 @@ def run(unit: Unit, scenario: str, seed: int, duration_s: float) -> Sizes:
     drive = simulate(with_error(scenario_of(scenario, seed), unit.error), seed, duration_s)
     settings = Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **unit.changes})
     navigator = Navigator(settings)
-    navigator.remember(saved_heading(drive, YAW_SD))
+    navigator.use_prior(saved_heading(drive, YAW_SD))
     engine, biases = navigator.engine, true_biases(drive)
     samples = samples_of(drive.t_ns, np.hstack([drive.force_b, drive.rate_b]), {})
     due = sorted(fixes_of(drive, settings), key=order)

@@ -94,7 +94,7 @@ def _hidden(stamps_ns: "np.typing.NDArray[np.int64]") -> "np.typing.NDArray[np.b
 
 def _judged(case: Case, drive: Drive, settings: Settings) -> Judged:
     navigator = Navigator(settings)
-    navigator.remember(saved_heading(drive, YAW_SD))
+    navigator.use_prior(saved_heading(drive, YAW_SD))
     told = fixes_of(drive, settings) + (speeds_of(drive, settings) if drive.seed % 2 else [])
     readings = np.hstack([drive.force_b, drive.rate_b])
     found = list(solve(navigator, drive.t_ns, readings, told, every_ns=EVERY_NS))

@@ -188,7 +188,7 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
 
     def fresh() -> Navigator:
         navigator = Navigator(settings)
-        navigator.remember(prior)
+        navigator.use_prior(prior)
         return navigator
 
     stamps, samples = log[f"t{rate_hz}"], log[f"s{rate_hz}"]

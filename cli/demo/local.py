@@ -12,9 +12,12 @@ from pathlib import Path
 
 from broker import local_config
 from shared.errors import UserError
-from shared.runtime.config import VehicleFile
+from shared.processes import Role
+from shared.runtime.config import VehicleFile, load_vehicle
 
 from .supervisor import Supervisor
+
+ROADSIDE = Path(__file__).parents[2] / "deploy" / "vehicles" / "rsu.toml"
 
 
 def free_port() -> int:
@@ -75,6 +78,16 @@ def broker_command(folder: Path, port: int, kind: str) -> list[str]:
         return [mosquitto, "-c", str(local_config.write(folder, port))]
     acl = Path(__file__).parents[2] / "broker" / "acl.conf"
     return [sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl)]
+
+
+def unit_file(path: Path | None, role: Role | None) -> VehicleFile:
+    """Read the file of a unit, and insist on the role that was asked for."""
+    if path is None and role is Role.RSU and "OBU_VEHICLE" not in os.environ:
+        path = ROADSIDE
+    file = load_vehicle(path)
+    if role not in (None, file.role):
+        raise UserError(f'{file.path} is of role {file.role}: write role = "{role}" in [vehicle], or take another file')
+    return file
 
 
 def unit(

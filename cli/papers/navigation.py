@@ -194,7 +194,7 @@ def measure(job: tuple[Case, int]) -> tuple[str, FloatArray]:
     drive = simulate(with_error(scenario_of("parking_lot"), case.error), seed)
     settings = settings_for(drive, wheels=case.wheels)
     navigator = Navigator(with_known_errors(settings, drive, case.error) if case.errors_known else settings)
-    navigator.remember(saved_heading(drive, YAW_SD))
+    navigator.use_prior(saved_heading(drive, YAW_SD))
     track = navigate(drive, navigator, wheels=case.wheels)
     errors = (
         drive.fix_error_n[drive.fix_ns >= SETTLED_NS],

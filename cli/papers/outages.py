@@ -67,7 +67,7 @@ def measure(job: tuple[Aids, int]) -> tuple[str, list[float]]:
     settings = settings_for(drive, wheels=aids.wheels)
     switches = {"standstill.enabled": aids.zero_velocity, "non_holonomic.enabled": aids.wheels}
     navigator = Navigator(settings.with_values(switches))
-    navigator.remember(saved_heading(drive, YAW_SD))
+    navigator.use_prior(saved_heading(drive, YAW_SD))
     track = navigate(drive, navigator, wheels=aids.wheels)
     errors, times_s = position_errors(drive, track), drive.t_ns[track.index] * 1e-9
     ends = [int(np.argmin(np.abs(times_s - start_s - length))) for length in LENGTHS_S]

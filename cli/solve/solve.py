@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from services.core.fusion.process import Config, Process
-from services.core.fusion.smoothing.history import Trail
+from services.core.fusion.smoothing.history import HistoryRecorder
 from services.core.fusion.smoothing.rts import smoothed_filters
 from shared.errors import ConfigError, UserError
 from shared.messages.base import Message
@@ -214,7 +214,7 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress, history: His
     unit, builder, counters = OfflineUnit(drive.vehicle), TrackBuilder(), Counters()
     if history is not None:
         period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
-        cast(Process, unit.process("core.fusion")).leave(Trail(history, period_ns))
+        cast(Process, unit.process("core.fusion")).record_history(HistoryRecorder(history, period_ns))
     fixes: list[GnssFix] = []
     started = time.perf_counter()
     for message in unit.run(_fed(drive.inputs, outages, counters, progress)):

@@ -16,7 +16,7 @@ install -d -m 755 /etc/obu
 [ -e /etc/obu/obu.env ] || install -m 644 deploy/systemd/obu.env /etc/obu/obu.env
 .venv/bin/python -m broker.local_config --store /var/lib/obu-broker --acl /opt/obu/broker/acl.conf >/etc/obu/mosquitto.conf
 
-cp -r deploy/systemd/obu.target deploy/systemd/obu-broker.service deploy/systemd/obu@* /etc/systemd/system/
+cp -r deploy/systemd/{obu,rsu}.target deploy/systemd/obu-broker.service deploy/systemd/obu@* /etc/systemd/system/
 # Some kernels give no real-time priority to services (CONFIG_RT_GROUP_SCHED): Nice=-10 is used instead.
 if ! chrt --rr 1 true 2>/dev/null; then
     echo "no real-time priority for services with this kernel: the hot path gets Nice=-10"
@@ -28,7 +28,10 @@ if command -v udevadm >/dev/null; then udevadm control --reload && udevadm trigg
 
 systemctl daemon-reload
 systemctl disable --quiet --now mosquitto.service
-# In addition to those of obu.target, processes with a section in the vehicle file are enabled.
+# The role of the unit's file decides which target is started.
+role=$(.venv/bin/python -c 'from shared.runtime.config import *; print(load_vehicle("/etc/obu/vehicle.toml").role)')
+systemctl disable --quiet --now "$([ "$role" = obu ] && echo rsu || echo obu).target"
+# In addition to those of the target, processes with a section in the vehicle file are enabled.
 optional='from shared.processes import *; print(*(row.name for row in PROCESSES if row.kind is not Kind.STANDING))'
 for name in $(.venv/bin/python -c "$optional"); do
     if grep -q "^\[${name//./\\.}[].]" /etc/obu/vehicle.toml; then
@@ -37,6 +40,6 @@ for name in $(.venv/bin/python -c "$optional"); do
         systemctl disable --quiet --now "obu@$name.service"
     fi
 done
-systemctl enable --quiet obu.target
-systemctl restart obu.target
-echo "the unit runs; status: 'systemctl list-dependencies obu.target', logs: 'journalctl -fu \"obu@*\"'"
+systemctl enable --quiet "$role.target"
+systemctl restart "$role.target"
+echo "the unit runs; status: 'systemctl list-dependencies $role.target', logs: 'journalctl -fu \"obu@*\"'"

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ConfigError, UserError
-from ..processes import BY_NAME, PROCESSES, Kind
+from ..processes import BY_NAME, Role, running
 
 S = TypeVar("S", bound="Section")
 Table = dict[str, object]
@@ -30,9 +30,10 @@ class Section(BaseModel):
 
 
 class VehicleSection(Section):
-    """Who this vehicle is."""
+    """Name and role of this unit."""
 
     name: str = Field(default="vehicle", pattern=r"^[A-Za-z0-9_-]{1,48}$")  # the second level of every topic
+    role: Role = Role.OBU  # obu: on-board unit of a vehicle; rsu: road-side unit of a toll plaza
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,14 @@ class VehicleFile:
         return self.section("vehicle", VehicleSection).name
 
     @property
+    def role(self) -> Role:
+        """What this unit is; it decides which processes run."""
+        return self.section("vehicle", VehicleSection).role
+
+    @property
     def processes(self) -> tuple[str, ...]:
-        """Processes that run in this vehicle: the standing ones, and each other one that has a section."""
-        return tuple(row.name for row in PROCESSES if row.kind is Kind.STANDING or row.name in self.tables)
+        """Processes that run in this unit: the standing ones of its role, and each other one that has a section."""
+        return tuple(row.name for row in running(self.role, self.tables))
 
     def section(self, name: str, kind: type[S]) -> S:
         """Read the settings of one process, or its defaults where the file is silent."""
@@ -139,7 +145,12 @@ def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
                 hint = f"did you mean [{near[0]}]?" if near else "`obu topics --processes` lists them"
                 raise ConfigError(f"{path}: [{name}] is no process; {hint}")
             tables[name] = table
-    return VehicleFile(path, text, tables)
+    file = VehicleFile(path, text, tables)
+    role = file.role
+    for name in tables.keys() - {"vehicle"}:
+        if role not in BY_NAME[name].roles:
+            raise ConfigError(f"{path}: [{name}] does not run in role {role}; remove the section, or set the role")
+    return file
 
 
 def load_vehicle(path: str | Path | None = None) -> VehicleFile:

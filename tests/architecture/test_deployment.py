@@ -8,16 +8,18 @@ from typing import cast
 import pytest
 import yaml
 
-from shared.processes import PROCESSES, Kind, ProcessRow
+from shared.processes import PROCESSES, Kind, ProcessRow, Role, running
 from shared.topics import hot_path
 
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEMD = ROOT / "deploy" / "systemd"
-SIMULATED, VEHICLE = "docker-compose.yml", "deploy/compose.vehicle.yml"
+SIMULATED, VEHICLE, ROADSIDE = "docker-compose.yml", "deploy/compose.vehicle.yml", "deploy/compose.rsu.yml"
 
 Service = dict[str, object]
-DEVICES = [row for row in PROCESSES if row.kind is Kind.DEVICE_DRIVER]
-OPTIONAL = [row for row in PROCESSES if row.kind in (Kind.DEVICE_DRIVER, Kind.ROLE)]  # where a profile asks for them
+OBU = [row for row in PROCESSES if Role.OBU in row.roles]
+RSU = [row for row in PROCESSES if Role.RSU in row.roles]
+ON_REQUEST = (Kind.DEVICE_DRIVER, Kind.OPTIONAL)  # run where a profile asks for them
+DEVICES = [row for row in OBU if row.kind is Kind.DEVICE_DRIVER]
 
 
 class ComposeLoader(yaml.SafeLoader):
@@ -49,20 +51,39 @@ def container(row: ProcessRow) -> str:
 def entry(row: ProcessRow) -> str:
     """Write the container of a process as it stands in its Compose file."""
     anchor = "serial" if row in DEVICES else "hot-path" if row.name in hot_path() else "process"
-    profiles = [f"    profiles: [{row.short}]"] if row in OPTIONAL else []
+    profiles = [f"    profiles: [{row.short}]"] if row.kind in ON_REQUEST else []
     return "\n".join([f"  {container(row)}:", f"    <<: *{anchor}", *profiles, f"    command: [run, {row.name}]"])
 
 
-@pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", OBU, ids=lambda row: row.name)
 def test_every_process_has_a_container_that_runs_it(row: ProcessRow) -> None:
     file = VEHICLE if row in DEVICES else SIMULATED
     service = services_of(file).get(container(row), {})
     found = (service.get("command"), service.get("profiles"))
-    wanted = (["run", row.name], [row.short] if row in OPTIONAL else None)
+    wanted = (["run", row.name], [row.short] if row.kind in ON_REQUEST else None)
     assert found == wanted, f"paste into the services of {file}:\n\n{entry(row)}\n"
 
 
-@pytest.mark.parametrize("row", [row for row in PROCESSES if row not in DEVICES], ids=lambda row: row.name)
+@pytest.mark.parametrize("row", RSU, ids=lambda row: row.name)
+def test_every_process_of_a_road_side_unit_has_a_container_there_with_the_limits_of_another(row: ProcessRow) -> None:
+    service = services_of(ROADSIDE).get(container(row), {})
+    base = cast("dict[str, str]", service.get("extends", {"file": "", "service": ""}))
+    origin = services_of(str((ROOT / "deploy" / base["file"]).resolve().relative_to(ROOT)))[base["service"]]
+    command = service.get("command", origin["command"])
+    wanted = f"  {container(row)}:\n    extends: {{file: ../{SIMULATED}, service: core-trust}}\n" \
+        f"    environment: *environment\n    command: [run, {row.name}]"  # fmt: skip
+    assert command == ["run", row.name], f"paste into the services of {ROADSIDE}:\n\n{wanted}\n"
+
+
+def test_a_road_side_unit_has_no_other_container_and_reads_its_own_file() -> None:
+    services = services_of(ROADSIDE)
+    assert services.keys() == {"broker", *map(container, RSU)}
+    files = {name: cast("dict[str, str]", s.get("environment", {})).get("OBU_VEHICLE") for name, s in services.items()}
+    assert set(files.values()) == {None, "${OBU_VEHICLE:-deploy/vehicles/rsu.toml}"} and files["broker"] is None
+    assert not any("ports" in service or "privileged" in service for service in services.values())
+
+
+@pytest.mark.parametrize("row", [row for row in OBU if row not in DEVICES], ids=lambda row: row.name)
 def test_containers_of_the_hot_path_get_the_processor_first(row: ProcessRow, simulated: dict[str, Service]) -> None:
     first = "cpu_shares" in simulated.get(container(row), {})
     assert first is (row.name in hot_path()), f"in {SIMULATED}, write it as\n\n{entry(row)}\n"
@@ -71,7 +92,7 @@ def test_containers_of_the_hot_path_get_the_processor_first(row: ProcessRow, sim
 def test_there_is_no_container_besides_them_but_the_broker(
     simulated: dict[str, Service], vehicle: dict[str, Service]
 ) -> None:
-    spare = (simulated.keys() | vehicle.keys()) - {"broker", *map(container, PROCESSES)}
+    spare = (simulated.keys() | vehicle.keys()) - {"broker", *map(container, OBU)}
     assert not spare, f"no process of shared/processes.py runs in {spare}: remove it from {SIMULATED} and {VEHICLE}"
 
 
@@ -80,7 +101,7 @@ def test_on_a_desk_no_container_needs_a_device(simulated: dict[str, Service]) ->
 
 
 def test_in_a_vehicle_nothing_is_simulated_unless_asked_for(vehicle: dict[str, Service]) -> None:
-    for row in PROCESSES:
+    for row in OBU:
         if row.kind is Kind.SIMULATOR:
             wanted = f"  {container(row)}:\n    profiles: [{row.short}]\n"
             assert vehicle.get(container(row)) == {"profiles": [row.short]}, f"paste into {VEHICLE}:\n\n{wanted}"
@@ -136,12 +157,13 @@ def test_the_image_is_not_run_by_root_and_is_built_from_what_the_repository_has(
     assert not [path for path in paths if not any(path.is_relative_to(allowed) for allowed in given)]
 
 
-def test_the_target_wants_every_standing_process_and_no_other() -> None:
-    """The rest is enabled by install.sh where the vehicle's file has a section for it."""
-    text = (SYSTEMD / "obu.target").read_text()
+@pytest.mark.parametrize("role", Role)
+def test_the_target_wants_every_standing_process_of_its_role_and_no_other(role: Role) -> None:
+    """The rest is enabled by install.sh where the unit's file has a section for it."""
+    text = (SYSTEMD / f"{role}.target").read_text()
     wanted = [word for line in text.splitlines() if line.startswith("Wants=") for word in line[6:].split()]
     units = [word.removeprefix("obu@").removesuffix(".service") for word in wanted if word.startswith("obu@")]
-    assert units == [row.name for row in PROCESSES if row.kind is Kind.STANDING], "print it anew with `make docs`"
+    assert units == [row.name for row in running(role)], "print it anew with `make docs`"
     assert "obu-broker.service" in wanted
 
 

@@ -23,6 +23,7 @@ PURE_SHARED = {
     "shared.processes",
     "shared.topics",
     "shared.errors",
+    "shared.toll",
 }
 PURE_SHARED |= {"shared.v2x.generation", "shared.v2x.its_time"}
 PURE_SHARED |= {"shared.runtime.config"}  # for `Section`, the base of settings

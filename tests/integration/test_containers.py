@@ -19,13 +19,13 @@ from typing import cast
 
 import pytest
 
-from shared.processes import PROCESSES, Kind
+from shared.processes import Role, running
 
 pytestmark = [pytest.mark.container, pytest.mark.slow, pytest.mark.xdist_group("containers")]
 
 ROOT = Path(__file__).resolve().parents[2]
 BASE_IMAGES = ("python:3.11-slim-bookworm", "eclipse-mosquitto:2")
-EXPECTED = [row.name for row in PROCESSES if row.kind in (Kind.STANDING, Kind.SIMULATOR)]
+EXPECTED = [row.name for row in running(Role.OBU, ["sensors.simulator"])]
 SERVICES = [name.replace(".", "-") for name in EXPECTED]
 MEMORY_BYTES = 700e6
 

@@ -20,7 +20,7 @@ from shared.bus.bus import Bus
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message, RawBytes
 from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
-from shared.processes import PROCESSES, Kind
+from shared.processes import Role, running
 from shared.recording import Recording
 from shared.runtime.config import BrokerAddress, load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
@@ -30,7 +30,7 @@ from tests.support import mqtt
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
 # What a demo starts: the standing processes, the simulator, and the broker.
-EXPECTED = sum(row.kind in (Kind.STANDING, Kind.SIMULATOR) for row in PROCESSES) + 1
+EXPECTED = len(running(Role.OBU, ["sensors.simulator"])) + 1
 
 KINDS = ("mosquitto", "simulated")
 SIMULATED = set(load_vehicle(Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml").processes)

@@ -101,7 +101,7 @@ def test_a_saved_heading_that_is_wrong_is_found_out_soon_after_driving_off(
     """The vehicle was turned on a tow truck; it drives off at 3 s with 1.5 m/s²."""
     start = Start(manoeuvre(DRIVING_OFF, seed=3, yaw=1.0), receiver, 0.0, 0.3, 1)
     made, place = plain(start), Geodetic(*start.drive.position[0].tolist())
-    made.remember(Prior(place, (1.0, 1.0, 2.0), 1.0 + radians(wrong_deg), radians(1.0)))
+    made.use_prior(Prior(place, (1.0, 1.0, 2.0), 1.0 + radians(wrong_deg), radians(1.0)))
     reasons = set()
     errors = {}
     for i, navigator in start.lead(made, 25.0):

@@ -35,7 +35,7 @@ def drive_with(wrong: Wrong, scenario: str = "urban", seed: int = 3) -> Seen:
         wrong(drive, k)
     settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
     navigator = Navigator(settings)
-    navigator.remember(saved_heading(drive, YAW_SD))
+    navigator.use_prior(saved_heading(drive, YAW_SD))
     readings, before, rows = np.hstack([drive.force_b, drive.rate_b]), Counts(), []
     for solution in solve(navigator, drive.t_ns, readings, fixes_of(drive, settings), every_ns=500_000_000):
         if solution.time_ns <= BEGIN_S * 10**9:

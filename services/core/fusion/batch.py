@@ -30,7 +30,7 @@ def solve(
     Parameters
     ----------
     navigator : Navigator
-        Fresh, or told of a saved position.
+        New, or with a saved position.
     stamps_ns : ndarray of int64, shape (n,)
         Ends of the samples; what does not ascend is left out and counted.
     samples : ndarray, shape (n, 6)
@@ -43,7 +43,7 @@ def solve(
     Raises
     ------
     ValueError
-        Delays shall be estimated: measurements are used at their stamps, and all of them are believed to be possible.
+        Delays shall be estimated: measurements are used at their stamps, and all of them pass the plausibility limits.
 
     Yields
     ------

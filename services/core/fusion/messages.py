@@ -69,7 +69,7 @@ def give(navigator: Navigator, message: Given) -> bool:
         case GnssFix():
             return give_fix(navigator, message)
         case LastPosition():
-            navigator.remember(prior_from_last_position(message))
+            navigator.use_prior(prior_from_last_position(message))
         case _:
             give_speed(navigator, message)
     return True
@@ -105,7 +105,7 @@ def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
 
 
 def give_speed(navigator: Navigator, speed: VehicleSpeed | WheelSpeeds) -> None:
-    """Hand a speed to the navigator: the mean of the rear wheels, or of all if none of them is told."""
+    """Hand a speed to the navigator: the mean of the rear wheels, or of all if no rear wheel is given."""
     if isinstance(speed, VehicleSpeed):
         value, resolution, of_wheels, exact = speed.speed_m_s, speed.resolution_m_s or 0.0, False, False
     else:

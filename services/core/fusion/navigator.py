@@ -27,7 +27,7 @@ from .measurements.odometer import WheelSpeed
 from .plausibility.imu_faults import Repeats, Sample, credible, unremarkable
 from .plausibility.measurements import Devices, impossible
 from .settings import Settings
-from .smoothing.history import Trail
+from .smoothing.history import HistoryRecorder
 from .solution import Bounds, Solution, solution_of
 from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
 from .timing.out_of_sequence import OutOfSequenceEngine
@@ -38,7 +38,7 @@ FloatArray = npt.NDArray[np.float64]
 
 NEWEST_LIMIT = 256  # kinds of measurements of devices
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
-SPEED_PERIOD_NS = 95_000_000  # wheels say more often what they say
+SPEED_PERIOD_NS = 95_000_000  # wheel speeds are used at most this often
 
 
 class Navigator:
@@ -58,7 +58,7 @@ class Navigator:
         self._bounds = Bounds(self.settings)
         self._clock: Clock | None = None  # while samples are refused for their stamps
         self._repeats: Repeats | None = None
-        self._remarkable = True  # the last sample was looked at, and is known to `_repeats`
+        self._remarkable = True  # the last sample was checked, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
         self._devices = Devices(self.rejects, self._now_ns)
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
@@ -206,13 +206,13 @@ class Navigator:
         declination = self.settings.magnetometer.declination_rad
         self.measure(magnetometer.MagneticHeading(time_ns, arrival_ns, source, field_b, declination))
 
-    def leave(self, trail: Trail) -> None:
-        """Keep a trail for a smoother, from the first sample on."""
-        self._oosm.leave(trail)
+    def record_history(self, recorder: HistoryRecorder) -> None:
+        """Record a history for the smoother, from the first sample on."""
+        self._oosm.record_history(recorder)
 
-    def remember(self, prior: Prior) -> None:
+    def use_prior(self, prior: Prior) -> None:
         """Take the position and heading that were saved before the power went."""
-        self._oosm.remember(prior)
+        self._oosm.use_prior(prior)
 
     def restore(self, saved: SavedState, time_ns: int) -> None:
         """Go on from the state of an earlier process if it is sound and fresh at the stamp of the first sample."""
@@ -259,7 +259,7 @@ class Navigator:
         return self._oosm.engine.aids.judge.arm.wrong()
 
     def solution(self) -> Solution | None:
-        """State at the newest inertial sample, or None while there is none to be believed."""
+        """State at the newest inertial sample, or None while there is no valid one."""
         return solution_of(self._oosm.engine, self._bounds)
 
     def release(self, received_ns: int) -> list[Outcome]:
@@ -319,7 +319,7 @@ class Navigator:
             self._clock = clock
             return "sample from the future"
         self._clock = clock
-        if clock.goes_back(sample.time_ns, known=self._oosm.knows(sample)):
+        if clock.goes_back(sample.time_ns, known=self._oosm.is_known(sample)):
             self._oosm = self._oosm.restarted("the inertial clock went back")
             self._clock, self._repeats, self._remarkable, self._newest = None, None, True, {}
         return "sample doubled or out of order"

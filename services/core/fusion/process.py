@@ -1,4 +1,4 @@
-"""core.fusion: says where the vehicle is and how well that is known."""
+"""core.fusion: position, velocity and attitude of the vehicle with covariance and protection levels."""
 
 from collections.abc import Iterator
 
@@ -33,7 +33,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self._navigator = Navigator(config)
-        self.rejects, self.leave = self._navigator.rejects, self._navigator.leave  # a trail, for a smoother
+        self.rejects, self.record_history = self._navigator.rejects, self._navigator.record_history
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, int] | None = None

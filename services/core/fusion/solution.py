@@ -1,4 +1,4 @@
-"""What the navigator tells of its state."""
+"""The navigation solution: state, covariance and counts at the newest sample."""
 
 from typing import NamedTuple
 
@@ -81,7 +81,7 @@ class Bounds:
 
 
 def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
-    """State at the newest inertial sample, or None while there is none to be believed."""
+    """State at the newest inertial sample, or None while there is no valid one."""
     navigation = engine.filter
     if navigation is None:
         return None

@@ -6,9 +6,11 @@ from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope
 from shared.messages.operation import RecordingState
+from shared.processes import Role
 from shared.recording.folder import RecordingFolder
 from shared.recording.writer import Opener, open_new
-from shared.runtime.config import Section
+from shared.runtime.config import Section, parse_vehicle
+from shared.topics import TOPICS
 
 from .retention import Limits, decide, file_name
 
@@ -35,11 +37,14 @@ class Process:
     def __init__(self, config: Config, opener: Opener = open_new) -> None:
         self._config, self._opener = config, opener
         self._limits = Limits(config.maximum_total_bytes, config.minimum_free_bytes)
+        self._kept_out: set[str] = set()
         self._reason: str | None = None
         self._opened_ns = self._flush_ns = self._state_ns = self._retry_ns = 0
 
     def run(self, bus: Bus) -> None:
-        """Record until told to stop."""
+        """Record until told to stop; a road-side unit keeps nothing that describes other road users."""
+        if parse_vehicle(bus.vehicle_toml).role is Role.RSU:
+            self._kept_out = {topic.name for topic in TOPICS if topic.personal}
         self._folder = RecordingFolder(bus.state_dir / self._config.folder, self._opener)
         while not bus.stopping:
             if bus.now_ns() >= self._state_ns:
@@ -52,7 +57,7 @@ class Process:
 
     def _write(self, envelopes: list[Envelope], now_ns: int) -> None:
         try:
-            self._folder.write(envelopes)
+            self._folder.write([e for e in envelopes if e.topic not in self._kept_out])
             if now_ns >= self._flush_ns:
                 self._flush_ns = now_ns + round(self._config.flush_period_s * 1e9)
                 self._folder.flush()

@@ -46,19 +46,19 @@ BASELINE_TILT_SD = 0.02  # [rad] by which a tilt that is not yet known turns it
 
 
 class Alignment:
-    """Collects until a filter can be started, and says what it waits for.
+    """Initial alignment: collects measurements until a filter can be started.
 
     Parameters
     ----------
     settings : Settings
         Of the filter to be.
     lost : ErrorStateFilter, optional
-        One that ran before, whose biases are still good.
+        The filter before, whose biases are reused.
     kept : Heading, optional
-        How well its attitude is still known; if not given, not at all. If it was found to be wrong by a turn, tilt,
-        biases and parameters that it has learnt are doubtful.
+        Uncertainty of its attitude; without it the attitude is found anew. If its heading was wrong, tilt,
+        biases and learned parameters are found anew as well.
     first : bool
-        Whether there was none before; if there was, errors of GNSS are no longer those of the first fix.
+        Whether no filter ran before; `gnss.zero_error_at_start` holds for the first fix only.
     """
 
     def __init__(
@@ -82,35 +82,35 @@ class Alignment:
         )
         self.comparison = Comparison()
         self._from_zero = first and settings.gnss.zero_error_at_start
-        self._zero_ns: int | None = None  # stamp of a fix without lasting error
+        self._zero_ns: int | None = None  # stamp of a fix without time-correlated error
         self._has_velocity = False
         self._motion: Motion | None = None
         self._course: Heading | None = None
-        self._baseline: tuple[int, Heading] | None = None  # stamp, and what two antennas say
+        self._baseline: tuple[int, Heading] | None = None  # stamp and heading of two antennas
         self._track: tuple[Point, ...] = ()  # newest last
         self._fixes_at_rest: tuple[GnssPosition, ...] = ()
 
     def fork(self) -> "Alignment":
-        """Copy that goes its own way."""
+        """Independent copy."""
         twin = Alignment.__new__(Alignment)
         twin.__dict__.update(self.__dict__)
         twin.levelling = self.levelling.fork()
         return twin
 
-    def remember(self, prior: Prior) -> None:
-        """Take a position and heading that were saved before the power went; only the first counts."""
+    def use_prior(self, prior: Prior) -> None:
+        """Use a position and heading that were saved before the power went; only the first counts."""
         self._saved = self._saved or prior
 
     @property
     def phase(self) -> NavigationPhase:
-        """What this alignment waits for."""
+        """Phase of the alignment."""
         if not self.levelling.ready:
             return NavigationPhase.LEVELLING
         return NavigationPhase.WAITING_FOR_HEADING if self.seen_fix else NavigationPhase.WAITING_FOR_GNSS
 
     @property
     def reason(self) -> str:
-        """The same in words."""
+        """Phase in words."""
         match self.phase:
             case NavigationPhase.LEVELLING:
                 return f"levelling, up to {self._settings.alignment.levelling_s:g} s at rest"
@@ -120,7 +120,7 @@ class Alignment:
                 return f"no heading yet: drive at more than {self._settings.alignment.course_speed_m_s:g} m/s"
 
     def see_velocity(self, seen: GnssVelocity) -> None:
-        """Take a velocity in, and the heading that it gives."""
+        """Use a velocity, and the heading that follows from it."""
         self._has_velocity = True
         self.levelling.see_speed(hypot(seen.velocity[0], seen.velocity[1]))
         north, east, down = np.sqrt(seen.cov.diagonal()).tolist()
@@ -130,12 +130,12 @@ class Alignment:
         self._move(Motion(seen.time_ns, seen.velocity, sd, swing))
 
     def see_heading(self, seen: BaselineHeading) -> None:
-        """Take in the heading of the line between two antennas."""
+        """Use the heading of the line between two antennas."""
         turn = seen.turn_from(self.levelling.quaternion)
         self._baseline = seen.time_ns, Heading(turn, hypot(seen.sd, BASELINE_TILT_SD), "two antennas")
 
     def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
-        """Take a position in, and start the filter with it if all that it needs is known."""
+        """Use a position, and start the filter with it if attitude and velocity are known."""
         if self._from_zero and not self.seen_fix:
             self._zero_ns = fix.time_ns
         self.seen_fix = True
@@ -150,7 +150,7 @@ class Alignment:
         return self._start(fix, self._motion, heading) if heading else None
 
     def _heading(self, fix: GnssPosition) -> Heading | None:
-        """Choose the best of all headings that the motion so far does not contradict."""
+        """Most accurate of all headings that the motion so far does not contradict."""
         drift = drift_sd(self.levelling)
         kept = self._kept and self._kept._replace(sd=self._kept.sd + drift)
         saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
@@ -164,7 +164,7 @@ class Alignment:
         )
 
     def _compare(self, seen: GnssPosition | GnssVelocity, swing: Vector) -> None:
-        """Hold the velocity of the antenna by inertial sensors alone against GNSS."""
+        """Compare the velocity of the antenna by inertial sensors alone with GNSS."""
         if self.levelling.quaternion_at_rest is not None and self.comparison.offset_sd != REST_OFFSET_SD:
             self.comparison = Comparison(offset_sd=REST_OFFSET_SD)
         (north, east), (x, y) = self.levelling.velocity, self.levelling.before
@@ -175,7 +175,7 @@ class Alignment:
         return self._baseline[1] if self._baseline and fresh else None
 
     def _follow(self, fix: GnssPosition) -> None:
-        """Follow the track, and for want of a velocity tell the levelling of a motion that it shows."""
+        """Update the track; without a velocity, pass the motion of the track to the levelling."""
         level, now_ns = self.levelling, fix.time_ns
         x, y, _ = rotate(level.quaternion, self._settings.gnss.lever_arm_body_m)
         recent = (point for point in self._track if now_ns - TRACK_S * 1e9 <= point.fix.time_ns < now_ns)
@@ -205,7 +205,7 @@ class Alignment:
             self._motion, self._course = track(self._track, self.levelling, self._settings) or (None, None)
 
     def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
-        """Make the filter at the instant of the fix."""
+        """Initialise the filter at the instant of the fix."""
         self.how, self.comparison = heading.how, self.comparison.turned(heading.turn).interrupted()
         settings, arm = self._settings, self._settings.gnss.lever_arm_body_m
         north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
@@ -243,7 +243,7 @@ class Alignment:
         return ErrorStateFilter(settings, inertial, P, imu, parameters, first.colour)
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
-        """Weigh the fixes of a rest, or take the one fix of a vehicle that drives."""
+        """Weighted mean of the fixes of a standstill, or the one fix of a moving vehicle."""
         rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
         colour = self._lost.colour.at_start() if self._lost else gnss_error_model(self._settings)
         return first_place(rest or [fix], colour, self._zero_ns)
@@ -281,7 +281,7 @@ class Alignment:
 
 
 def gnss_error_model(settings: Settings) -> GnssErrorBank | KnownGnssErrors:
-    """Make the model of GNSS errors before any fix: as the settings say, or unknown."""
+    """Model of GNSS errors before any fix: by the settings, or unknown."""
     correlation_s = settings.gnss.correlation_time_s
     return KnownGnssErrors(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
 

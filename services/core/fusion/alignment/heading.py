@@ -1,4 +1,4 @@
-"""Ways to tell north in the level frame of `levelling`, before the filter runs."""
+"""Methods of finding the heading of the level frame of `levelling`, before the filter runs."""
 
 from dataclasses import dataclass
 from math import atan2, cos, hypot, pi, radians, sin, sqrt
@@ -17,11 +17,11 @@ MATCH_ACCELERATION_SD = 0.05  # [m/s²] by which it drifts: tilt
 REST_RATE_SD = 2e-4  # [rad/s] of the mean rate over a rest of a few seconds
 SAVED_YAW_SD_FLOOR = radians(0.5)
 SAVED_YAW_SD_LIMIT = radians(30.0)  # beyond it nothing was known
-MOVED_M = 20.0  # a first fix so far from the saved position says that the vehicle was moved
+MOVED_M = 20.0  # distance of the first fix from the saved position above which the vehicle was moved
 FASTEST_M_S = 60.0
 ACCELERATIONS_SD = radians(2.0)  # tilt changes while nobody levels
 ACCELERATIONS_LIMIT = radians(10.0)
-SENSE_LIMIT = radians(25.0)  # to tell forwards from backwards
+SENSE_LIMIT = radians(25.0)  # to distinguish forward from backward motion
 COURSE = "course over ground"
 
 
@@ -58,7 +58,7 @@ def drift_sd(levelling: Levelling) -> float:
 
 
 def saved_heading(saved: Prior, levelling: Levelling, fix: GnssPosition) -> Heading | None:
-    """Use the saved heading, unless the vehicle did not stand at first, or the first fix says that it was moved."""
+    """Use the saved heading if the vehicle stood still at first and the first fix is at the saved position."""
     if levelling.yaw_at_start is None or saved.yaw_sd > SAVED_YAW_SD_LIMIT:
         return None
     away = hypot(*ned_from_geodetic_difference(fix.position, saved.position)[:2])
@@ -70,9 +70,10 @@ def saved_heading(saved: Prior, levelling: Levelling, fix: GnssPosition) -> Head
 
 
 def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) -> Heading | None:
-    """Match the velocity gained since a rest, or else take the vehicle to go where its nose points.
+    """Match the velocity gained since a rest, or else assume that the vehicle moves along its longitudinal axis.
 
-    Only the first tells forward from backward, and it needs no straight mount. Neither works at a walking pace.
+    Only the first distinguishes forward from backward, and it needs no alignment of the
+    mount. Neither works at walking pace.
     """
     north, east, _ = motion.velocity
     speed, course = hypot(north, east), atan2(east, north)

@@ -166,7 +166,7 @@ class Levelling:
         self._fast_s = FAST_S if speed > FAST_M_S else 0.0
 
     def forget_rest(self) -> None:
-        """Take back what a rest has taught that was none: the vehicle drove evenly, as GNSS says."""
+        """Discard a standstill that was none: by GNSS the vehicle moved at constant velocity."""
         self._unrest_s += self._rest.length_s
         self._rest, self._longest_s, self._fast_s = _Rest(), 0.0, FAST_S
         self.quaternion_at_rest, self.rate_bias, self.yaw_at_start = None, self._bias_before, None
@@ -195,7 +195,7 @@ class Levelling:
             self._block = _Block()
 
     def _level_slowly(self, north: float, east: float, step_s: float) -> None:
-        """Turn the level frame to where the mean force of the time so far says that up is."""
+        """Align the vertical of the level frame with the mean specific force so far."""
         share = step_s / min(self._elapsed_s, SLOW_S) / STANDARD_GRAVITY
         correction = quaternion_from_rotation_vector((-east * share, north * share, 0.0))
         self.quaternion = normalised(quaternion_product(correction, self.quaternion))

@@ -1,4 +1,4 @@
-"""Heading and velocity where a receiver tells positions alone: the track, by the fixes and by the inertial sensors.
+"""Heading and velocity for receivers that send positions only: the track by fixes and by inertial sensors.
 
 In complex numbers (north + i east), with p the antenna's positions and d the same way in the frame of `levelling`::
 

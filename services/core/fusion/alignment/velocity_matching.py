@@ -23,7 +23,7 @@ MEMORY_S = 30.0  # time constant with which the past is forgotten
 SHORTEST_S = 0.45  # of an interval of velocities, and
 CHORD_S = 0.95  # of positions, whose differences are noisier
 LONGEST_S = 3.0  # over which tilt and biases are even
-FEWEST = 2.5  # intervals that tell something
+FEWEST = 2.5  # informative intervals
 MANY = 4.5  # that say themselves how noisy they are
 FEW_FACTOR = 4.0  # on the stated variance if they are fewer
 REST_OFFSET_SD = 0.05  # [m/s²] of a vehicle that was levelled at rest: tilt and bias
@@ -158,7 +158,7 @@ class Chords(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """What one receiver says against the inertial sensors: by its velocities, or by its positions if it has none."""
+    """Comparison of one receiver with the inertial sensors: by velocity, or by position if it has none."""
 
     velocities: Match = Match()
     chords: Chords = Chords()
@@ -167,7 +167,7 @@ class Comparison(NamedTuple):
     wrong_ns: int | None = None  # since when the result has been far from zero
 
     def after(self, seen: Measurement, own: complex) -> "Comparison":
-        """Take in what GNSS says, and the velocity of the antenna [m/s] by inertial sensors alone."""
+        """Use a GNSS measurement and the velocity of the antenna [m/s] by inertial sensors alone."""
         if seen.source != self.source and not self._is_silent(seen.time_ns):
             return self
         if isinstance(seen, GnssVelocity):
@@ -219,7 +219,7 @@ class Comparison(NamedTuple):
 
 
 class Corrections(NamedTuple):
-    """What was taken out of a filter since it started, so that its velocity can be told without it.
+    """Sum of the corrections of a filter since its start, so that its uncorrected velocity is known.
 
     A filter whose heading is wrong explains accelerations by a tilt, and seems right.
     """

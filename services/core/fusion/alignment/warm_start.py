@@ -67,7 +67,7 @@ def fingerprint(settings: Settings) -> str:
 def saved_state(navigation: ErrorStateFilter, sample: Sample, accepted_ns: int | None) -> SavedState | None:
     """Take the state out of a filter, which stays as it is; None if its covariance is no longer sound."""
     twin = navigation.fork()
-    twin.trail = None
+    twin.recorder = None
     try:
         twin.propagate_covariance()
     except FilterDiverged:

@@ -13,7 +13,7 @@ from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ne
 
 from ..measurements.gnss_error_model import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
-from ..smoothing.history import Trail
+from ..smoothing.history import HistoryRecorder
 from ..update.standstill_detector import Limits
 from . import error_model as em
 from .kalman import predict, resized, variances
@@ -77,7 +77,7 @@ class ErrorStateFilter:
         self.parameters = parameters
         self.colour = colour
         self.moved: Vector = ZERO  # [m, NED] by all corrections together
-        self.trail: Trail | None = None  # records steps and corrections for the smoother
+        self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
         self._settings = settings
         self._has_sample = False
         self._noise_psd = em.process_noise_psd(
@@ -220,8 +220,8 @@ class ErrorStateFilter:
             self.gnss_error = gnss_decay * self.gnss_error
         self.state = state._replace(span_s=0.0, velocity_gain_n=ZERO, rotation_b=ZERO)
         self._check()
-        if self.trail is not None:
-            self.trail.stepped(self, F, span_s, gnss_decay)
+        if self.recorder is not None:
+            self.recorder.record_step(self, F, span_s, gnss_decay)
 
     def learn(self, colour: GnssErrorBank | KnownGnssErrors) -> None:
         """Take over new statistics of GNSS errors: the estimate of the error [m] stays, and its variance follows."""
@@ -231,8 +231,8 @@ class ErrorStateFilter:
         self.colour = colour
         if self.P[place.start, place.start] == 0.0 or (ratios == 1.0).all():
             return
-        if self.trail is not None:
-            self.trail.resized(self.time_ns, place, ratios, self.P[place])
+        if self.recorder is not None:
+            self.recorder.record_rescaling(self.time_ns, place, ratios, self.P[place])
         self.P = resized(self.P, place.start, place.stop, ratios)
         self.gnss_error = self.gnss_error / ratios
 
@@ -278,8 +278,8 @@ class ErrorStateFilter:
         self.P = self.P.copy()
         self.P[place] = self.P[:, place] = 0.0
         self.P[place, place] = sd**2
-        if self.trail is not None:
-            self.trail.forgot(self.time_ns, place)
+        if self.recorder is not None:
+            self.recorder.record_reset(self.time_ns, place)
 
     def innovate(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
         """Compute the correction by a measurement z = H x + noise of covariance R, without applying it."""
@@ -289,8 +289,8 @@ class ErrorStateFilter:
     def apply(self, correction: Correction) -> None:
         """Take the estimated errors out of the state, where they are zero from then on."""
         self.take_out(correction.x, correction.P)
-        if self.trail is not None:
-            self.trail.corrected(self.time_ns, correction)
+        if self.recorder is not None:
+            self.recorder.record_correction(self.time_ns, correction)
 
     def take_out(self, errors: FloatArray, P: FloatArray) -> None:
         """Subtract errors, shape (31,), that leave the covariance P: true = estimated - x."""

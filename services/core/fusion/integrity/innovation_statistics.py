@@ -1,4 +1,4 @@
-"""What innovations tell of errors that the covariance does not know of: too large, too alike, or too small to be true.
+"""Errors outside the covariance, by the statistics of innovations: too large, too correlated, or implausibly small.
 
 All of it is normalised: u is an innovation over its standard deviation, which a filter that knows its errors makes
 white and of variance one.

@@ -112,7 +112,7 @@ def protection_levels(
     time_ns : int
         Stamp of the solution.
     watch : Watch
-        What the measurements have told of errors that the covariance does not know of.
+        Statistics of the innovations: errors outside the covariance.
     risk : float
         [-] Probability with which the error may be beyond a level, of each of the two.
     time_sd_s : float

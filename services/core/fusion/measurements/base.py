@@ -48,7 +48,7 @@ class Measurement(Protocol):
 
 
 @dataclass(frozen=True)
-class News:
+class FilterEvent:
     """An event in the order of the measurements that is none itself, such as a found delay."""
 
     time_ns: int
@@ -60,7 +60,7 @@ class News:
 
     @property
     def source(self) -> str:
-        """Who found it."""
+        """Process that found it."""
         return "core.fusion"
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:

@@ -12,41 +12,44 @@ from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.magnetometer import MagneticHeading
 from ..measurements.odometer import WheelSpeed
 
-LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # no road, and no balloon of a test either
-STRONGEST_FIELD = 100.0  # times the Earth's
-LATE_PERIODS = 100  # by which a value may come after a newer one; more, and the clock of its device was set back
-SILENT_NS = 3_600_000_000_000  # after which a device is not there any more, or has another name
-DEVICES = 32  # no vehicle has more; what is learnt of each takes memory
+LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # limits of heights
+STRONGEST_FIELD = 100.0  # largest field, in units of the Earth's
+LATE_PERIODS = 100  # largest age of a value after a newer one; beyond it the clock of the device was set back
+SILENT_NS = 3_600_000_000_000  # silence after which a device is dropped
+DEVICES = 32  # most devices of a vehicle; the state kept for each takes memory
 
 
 class Devices:
-    """Who is heard: those who spoke first, as many as a vehicle can have; the others are counted in `rejects`.
+    """Devices whose messages are accepted: the first ones, up to a limit; others are counted in `rejects`.
 
-    One that was silent for an hour makes room, by the clock of the inertial samples: stamps of devices may be anything.
+    A device that was silent for an hour is dropped, by the clock of the inertial samples.
     """
 
     def __init__(self, rejects: Counter[str], clock: Callable[[], int]) -> None:
         self._rejects, self._clock = rejects, clock
-        self._heard: dict[str, int] = {}  # when each was heard last
+        self._last_ns: dict[str, int] = {}  # stamp of the last message of each
         self._used: dict[tuple[str, str], int] = {}  # period of the newest value that was taken
 
+    def __len__(self) -> int:
+        return len(self._last_ns)
+
     def is_known(self, source: str) -> bool:
-        """Whether a device is heard."""
+        """Whether messages of a device are accepted."""
         now_ns = self._clock()
-        if source not in self._heard and len(self._heard) >= DEVICES:
-            self._forget_the_silent(now_ns)
-            if len(self._heard) >= DEVICES:
+        if source not in self._last_ns and len(self._last_ns) >= DEVICES:
+            self._drop_silent(now_ns)
+            if len(self._last_ns) >= DEVICES:
                 self._rejects["more devices than a vehicle has"] += 1
                 return False
-        self._heard[source] = now_ns
+        self._last_ns[source] = now_ns
         return True
 
-    def _forget_the_silent(self, now_ns: int) -> None:
-        self._heard = {name: at for name, at in self._heard.items() if abs(now_ns - at) <= SILENT_NS}
-        self._used = {key: period for key, period in self._used.items() if key[0] in self._heard}
+    def _drop_silent(self, now_ns: int) -> None:
+        self._last_ns = {name: at for name, at in self._last_ns.items() if abs(now_ns - at) <= SILENT_NS}
+        self._used = {key: period for key, period in self._used.items() if key[0] in self._last_ns}
 
     def is_due(self, source: str, quantity: str, time_ns: int, period_ns: int) -> bool:
-        """Whether it is the first value of its period to come: by the stamps, whenever the device was switched on."""
+        """Whether a value is the first of its period, by its stamp."""
         if not self.is_known(source):
             return False
         key, period = (source, quantity), time_ns // period_ns
@@ -58,7 +61,7 @@ class Devices:
 
 
 def impossible(measurement: Measurement) -> str | None:
-    """Say why a measurement cannot be true, or None if it can."""
+    """Reason why a measurement violates a plausibility limit, or None."""
     match measurement:
         case GnssPosition():
             return _no_place(measurement.position)

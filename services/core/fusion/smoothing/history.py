@@ -21,17 +21,17 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class Start(NamedTuple):
-    """A filter begins; nothing is known of its errors' way from the filter before."""
+    """Start of a filter, whose errors are not related to those of the filter before."""
 
     time_ns: int
 
 
 class Step(NamedTuple):
-    """The errors propagated: x+ = Phi x + noise, with Phi = I + F t but for the time-correlated error of GNSS."""
+    """Covariance step x+ = Phi x + noise, with Phi = I + F t except for the time-correlated GNSS error."""
 
     time_ns: int  # of its end
     Ft: FloatArray  # the part of F t that is not zero, shape (9, 21)
-    gnss_decay: float  # on the diagonal of the error of GNSS
+    gnss_decay: float  # diagonal of Phi for the time-correlated GNSS error
 
     @property
     def transition(self) -> FloatArray:
@@ -42,8 +42,8 @@ class Step(NamedTuple):
         return Phi
 
 
-class Corrected(NamedTuple):
-    """A measurement was used, and the errors that it showed were taken out of the state."""
+class CorrectionRecord(NamedTuple):
+    """Use of a measurement: the estimated errors were removed from the state."""
 
     time_ns: int
     z: FloatArray  # measured - predicted, shape (m,)
@@ -52,15 +52,15 @@ class Corrected(NamedTuple):
     S_inverse: FloatArray  # of the covariance of z, shape (m, m)
 
 
-class Forgotten(NamedTuple):
-    """An error became that of something else, of which what came before says nothing."""
+class ParameterReset(NamedTuple):
+    """Replacement of a parameter (another odometer, say): its error is independent of the error before."""
 
     time_ns: int
     place: int
 
 
-class Resized(NamedTuple):
-    """The unit of some errors u was found to be another one, in which they are as large as before."""
+class Rescaled(NamedTuple):
+    """Change of unit of some errors u; their numerical values are kept."""
 
     time_ns: int
     place: slice
@@ -69,86 +69,86 @@ class Resized(NamedTuple):
 
 
 class Knot(NamedTuple):
-    """The filter as it was; its covariance holds the errors of `known` only, all others are zero."""
+    """State and covariance of the filter; P is stored for the states `known`, and zero for all others."""
 
     time_ns: int
     filter: "ErrorStateFilter"
     known: npt.NDArray[np.intp]
 
 
-Record = Start | Step | Corrected | Forgotten | Resized | Knot
+Record = Start | Step | CorrectionRecord | ParameterReset | Rescaled | Knot
 
 
 class Store(Protocol):
-    """Where records go."""
+    """Storage of the records."""
 
     def push(self, record: Record) -> None:
-        """Add one behind all others."""
+        """Append a record."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of records."""
         ...
 
     def cut(self, count: int) -> None:
-        """Take records off the end until so many are left."""
+        """Remove the newest records until `count` are left."""
 
     def newest_first(self) -> Iterator[Record]:
-        """Give all back, from the end."""
+        """Yield all records, newest first."""
 
 
-class Trail:
-    """Writes down what a filter does to its errors.
+class HistoryRecorder:
+    """Records every operation of a filter on its errors.
 
     Parameters
     ----------
     store : Store
-        Where the records go.
+        Storage of the records.
     period_ns : int
-        Between two knots, each at the first covariance step that ends in a new period.
+        [ns] Interval of the knots, each at the first covariance step that ends in a new period.
     """
 
     def __init__(self, store: Store, period_ns: int) -> None:
         self._store = store
         self._period_ns = period_ns
 
-    def follow(self, filter_: "ErrorStateFilter") -> None:
-        """Note a new filter, and whatever it does from now on."""
-        filter_.trail = self
+    def start(self, filter_: "ErrorStateFilter") -> None:
+        """Record a new filter, and its operations from now on."""
+        filter_.recorder = self
         self._store.push(Start(filter_.inertial.time_ns))
-        self._tie(filter_)
+        self._add_knot(filter_)
 
-    def stepped(self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, gnss_decay: float) -> None:
+    def record_step(self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, gnss_decay: float) -> None:
         """Record a covariance step over a time, with the system matrix F [1/s] of that time."""
         time_ns = filter_.time_ns
         self._store.push(Step(time_ns, F[: em.MOVING, : em.DRIVING] * step_s, gnss_decay))
         before_ns = time_ns - round(step_s * 1e9)
         if time_ns // self._period_ns != before_ns // self._period_ns:
-            self._tie(filter_)
+            self._add_knot(filter_)
 
-    def corrected(self, time_ns: int, correction: Correction) -> None:
-        """Note a correction that was accepted."""
-        self._store.push(Corrected(time_ns, correction.z, correction.H, correction.K, correction.S_inverse))
+    def record_correction(self, time_ns: int, correction: Correction) -> None:
+        """Record a correction."""
+        self._store.push(CorrectionRecord(time_ns, correction.z, correction.H, correction.K, correction.S_inverse))
 
-    def forgot(self, time_ns: int, place: int) -> None:
-        """Note that an error was made one of which nothing is known yet."""
-        self._store.push(Forgotten(time_ns, place))
+    def record_reset(self, time_ns: int, place: int) -> None:
+        """Record that a parameter was replaced by one with an independent error."""
+        self._store.push(ParameterReset(time_ns, place))
 
-    def resized(self, time_ns: int, place: slice, ratios: FloatArray, rows: FloatArray) -> None:
-        """Note that errors got another unit, before which P had these rows."""
-        self._store.push(Resized(time_ns, place, ratios, rows))
+    def record_rescaling(self, time_ns: int, place: slice, ratios: FloatArray, rows: FloatArray) -> None:
+        """Record a change of unit; `rows` are those of P before it."""
+        self._store.push(Rescaled(time_ns, place, ratios, rows))
 
     @property
-    def written(self) -> int:
-        """How much has been written, for a way back to now."""
+    def size(self) -> int:
+        """Number of records, to which a roll-back can truncate."""
         return len(self._store)
 
-    def rewind(self, written: int) -> None:
-        """Forget what was written since then: the engine has gone back."""
-        self._store.cut(written)
+    def truncate(self, size: int) -> None:
+        """Remove the records after a roll-back of the engine."""
+        self._store.cut(size)
 
-    def _tie(self, filter_: "ErrorStateFilter") -> None:
+    def _add_knot(self, filter_: "ErrorStateFilter") -> None:
         twin = filter_.fork()
-        twin.trail = None
+        twin.recorder = None
         known = np.flatnonzero(filter_.P.diagonal())
         twin.P = filter_.P[np.ix_(known, known)]
         self._store.push(Knot(filter_.inertial.time_ns, twin, known))

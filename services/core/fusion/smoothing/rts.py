@@ -1,7 +1,7 @@
-"""The fixed-interval smoother: what the filter would have said, had it known the whole drive.
+"""Fixed-interval smoother: state and covariance given all measurements of the drive.
 
-Backwards over the filter's trail goes what all later measurements say about the errors: lambda, and its covariance
-Lambda. At any instant, with P of the filter, whose own estimate of the errors is zero because it feeds them back::
+The adjoint lambda and its information matrix Lambda are propagated backwards over the recorded history. The filter
+feeds its error estimate back, so its own estimate of the errors is zero; with its covariance P::
 
     smoothed errors = -P lambda,    smoothed covariance = P - P Lambda P
 """
@@ -15,14 +15,14 @@ from shared.errors import FilterDiverged
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from .history import Corrected, Forgotten, Knot, Record, Resized, Start, Step
+from .history import CorrectionRecord, Knot, ParameterReset, Record, Rescaled, Start, Step
 
 FloatArray = npt.NDArray[np.float64]
-LEAST_SHARE = 1e-12  # of a variance, that rounding may leave of it
+LEAST_SHARE = 1e-12  # lower limit of a smoothed variance, relative to the filtered one
 
 
 class Backwards:
-    """What the measurements after an instant say about the errors at that instant.
+    """Backward recursion: information on the errors at an instant from all later measurements.
 
     Parameters
     ----------
@@ -31,15 +31,15 @@ class Backwards:
 
     Notes
     -----
-    The adjoint form of the Rauch-Tung-Striebel smoother. Both give the same numbers, but this one divides by no
-    covariance: errors without variance, and noise from whatever source, need no special case. Backwards over a step
+    The adjoint form of the Rauch-Tung-Striebel smoother. Both give the same numbers, but this one needs no
+    inverse of a covariance: errors without variance and process noise of any form need no special case. Over a step
     x+ = Phi x + noise, and over a measurement z = H x + noise with gain K and innovation covariance S::
 
         lambda = Phi^T lambda,                          Lambda = Phi^T Lambda Phi
         lambda = (I - K H)^T lambda - H^T S^-1 z,       Lambda = (I - K H)^T Lambda (I - K H) + H^T S^-1 H
 
-    The filter takes the estimate x = K z out of its state at once. The state moves by it and so does what is called
-    its error, so that neither the innovations, which are measured from the moved state, nor lambda change by it.
+    The filter feeds the estimate x = K z back at once. State and error change by the same amount, so that neither the
+    later innovations nor lambda depend on it.
 
     References
     ----------
@@ -53,27 +53,27 @@ class Backwards:
         self.information: FloatArray = np.zeros((size, size))  # Lambda
 
     def step(self, Phi: FloatArray) -> None:
-        """Go back over a covariance step."""
+        """Propagate backwards over a covariance step."""
         self.adjoint = Phi.T @ self.adjoint
         information = Phi.T @ self.information @ Phi
         self.information = 0.5 * (information + information.T)
 
     def correction(self, z: FloatArray, H: FloatArray, K: FloatArray, S_inverse: FloatArray) -> None:
-        """Go back over a measurement that was used."""
-        told = self.information @ K
+        """Propagate backwards over the use of a measurement."""
+        information_K = self.information @ K
         self.adjoint = self.adjoint - H.T @ (K.T @ self.adjoint + S_inverse @ z)
-        cross = told @ H
-        information = self.information - cross - cross.T + H.T @ (K.T @ told + S_inverse) @ H
+        cross = information_K @ H
+        information = self.information - cross - cross.T + H.T @ (K.T @ information_K + S_inverse) @ H
         self.information = 0.5 * (information + information.T)
 
-    def forget(self, place: int) -> None:
-        """Go back over the beginning of an error, of which nothing is known before."""
+    def reset_parameter(self, place: int) -> None:
+        """Propagate backwards over the start of an error that is independent of the one before."""
         self.adjoint, self.information = self.adjoint.copy(), self.information.copy()
         self.adjoint[place] = 0.0
         self.information[place] = self.information[:, place] = 0.0
 
-    def resize(self, place: slice, ratios: FloatArray, rows: FloatArray) -> None:
-        """Go back over a new unit of some errors u, across which all errors are the same in their old units.
+    def rescale(self, place: slice, ratios: FloatArray, rows: FloatArray) -> None:
+        """Propagate backwards over a change of unit of some errors u.
 
         Notes
         -----
@@ -82,7 +82,7 @@ class Backwards:
             lambda = B D^-1 lambda,    Lambda = B D^-1 Lambda D^-1 B^T + E (N - N D P_uu D N) E^T
             B = (I + E N (D - I) P_u.) (I + E (D - I) N P_u.)
 
-        for then P lambda, and P - P Lambda P, have the values that they have behind it.
+        so that P lambda and P - P Lambda P are the same on both sides of it.
         """
         own = rows[:, place]
         inverse = np.linalg.inv(own)
@@ -99,38 +99,38 @@ class Backwards:
 
     def smoothed(self, P: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Smoothed errors, shape (n,), and their covariance, shape (n, n), where the filter has P."""
-        told = P @ self.information @ P
-        covariance = P - 0.5 * (told + told.T)
-        # Subtraction leaves rounding errors of the size of P: a variance never falls below them.
+        reduction = P @ self.information @ P
+        covariance = P - 0.5 * (reduction + reduction.T)
+        # Rounding of the difference is of the order of eps * P: variances are kept above it.
         np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), LEAST_SHARE * P.diagonal()))
         return -P @ self.adjoint, covariance
 
 
 def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilter]:
-    """Smooth every knot of a trail, each stretch from a start to the next one by itself.
+    """Smooth every knot of a history; each filter from its start to the next start by itself.
 
     Parameters
     ----------
     newest_first : iterable of Record
-        The whole trail, from its end.
+        The whole history, newest first.
 
     Returns
     -------
     iterator of ErrorStateFilter
-        State and covariance of each knot as all measurements of its stretch have them, from the newest to the oldest;
-        none for knots of a filter that had lost its way so far that no meaning is left.
+        Smoothed state and covariance of each knot, newest first; knots at which the correction of a diverged filter
+        is beyond its limits are left out.
     """
     back = Backwards(em.SIZE)
     for record in newest_first:
         match record:
             case Step():
                 back.step(record.transition)
-            case Corrected():
+            case CorrectionRecord():
                 back.correction(record.z, record.H, record.K, record.S_inverse)
-            case Forgotten():
-                back.forget(record.place)
-            case Resized():
-                back.resize(record.place, record.ratios, record.rows)
+            case ParameterReset():
+                back.reset_parameter(record.place)
+            case Rescaled():
+                back.rescale(record.place, record.ratios, record.rows)
             case Start():
                 back = Backwards(em.SIZE)
             case Knot():
@@ -140,7 +140,7 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
 
 
 def _smoothed(knot: Knot, back: Backwards) -> ErrorStateFilter | None:
-    """Move a filter by the errors that were found behind it, in the way in which it moves by its own."""
+    """Apply the smoothed errors to the state of a knot, as the filter applies its own."""
     P = np.zeros((em.SIZE, em.SIZE))
     P[np.ix_(knot.known, knot.known)] = knot.filter.P
     errors, covariance = back.smoothed(P)

@@ -1,9 +1,9 @@
-"""Takes the delays that were found out of the stamps of measurements, so that each is used when it was true.
+"""Corrects the stamps of measurements by their estimated delays.
 
-The filter estimates by how much older a measurement is than its stamp says (`error_model.DELAYS`). What is left of it
-after the stamp was moved, it takes into account to first order only; so stamps are moved as soon as that is worth it.
-Decided is by what no late measurement can change any more, the filter at the end of the memory, and it takes effect on
-stamps that are not yet in use. So the result still depends on stamps alone.
+The filter estimates the delay of each kind of measurement (`error_model.DELAYS`) to first order only, so stamps are
+corrected as soon as the estimate is larger than `WORTH_S`. The decision uses the oldest snapshot, which no
+out-of-sequence measurement can change any more, and takes effect on stamps that are not yet in use. The result
+therefore depends on stamps alone.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from shared.maths.rotation import Vector
 
 from ..filter import error_model as em
-from ..measurements.base import Measurement, News
+from ..measurements.base import FilterEvent, Measurement
 from ..measurements.dual_antenna import BaselineHeading
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.odometer import WheelSpeed
@@ -23,27 +23,27 @@ from .delay_search import DelaySearch
 if TYPE_CHECKING:
     from ..filter.eskf import ErrorStateFilter
 
-WORTH_S = 0.005  # that the stamps are moved by it
-KNOWN_S = 0.05  # standard deviation above which it is not known
-AHEAD_NS = 2_500_000_000  # no stamp in use is so far ahead of the inertial samples
-BEYOND_S = 0.15  # that a search finds, and a filter that is linear does not
-KEPT = 8  # steps; older ones are of stamps that no memory holds
-VELOCITY_SD_S = 0.1  # by which position and velocity may differ in age
+WORTH_S = 0.005  # smallest correction of a stamp
+KNOWN_S = 0.05  # standard deviation above which a delay counts as unknown
+AHEAD_NS = 2_500_000_000  # stamps in use are less far ahead of the inertial samples
+BEYOND_S = 0.15  # difference from which the search replaces the linear estimate of the filter
+KEPT = 8  # corrections; older ones concern stamps before the oldest snapshot
+VELOCITY_SD_S = 0.1  # of the difference between the delays of position and velocity
 
 
 @dataclass(frozen=True)
-class FoundDelay(News):
-    """From this instant on GNSS is known to be older than was thought."""
+class FoundDelay(FilterEvent):
+    """New delay of GNSS, found by the search."""
 
     delay_s: float
     sd_s: float
     change_s: float
 
-    def tell(self, navigation: "ErrorStateFilter") -> None:
-        """Take the delay of velocities for the one found, and what was learned with the wrong one for doubtful."""
+    def apply(self, navigation: "ErrorStateFilter") -> None:
+        """Set the delay of velocities to the one found, and inflate the covariance for the error of the old one."""
         navigation.set_parameter(em.GNSS_VELOCITY_DELAY, 0.0, VELOCITY_SD_S)
         navigation.set_parameter(em.GNSS_DELAY, self.delay_s, hypot(self.sd_s, VELOCITY_SD_S))
-        P = navigation.P.copy()  # the sum of the two is known better than each
+        P = navigation.P.copy()  # the sum of the two is better known than each
         P[em.GNSS_DELAY, em.GNSS_VELOCITY_DELAY] = P[em.GNSS_VELOCITY_DELAY, em.GNSS_DELAY] = -(VELOCITY_SD_S**2)
         navigation.P = P
         wrong_s = abs(self.change_s)
@@ -51,20 +51,20 @@ class FoundDelay(News):
 
 
 class Timing:
-    """What was taken out of the stamps, by what they are stamps of, and from which stamp on."""
+    """Corrections of stamps by kind of measurement, each valid from a stamp on."""
 
     def __init__(self, settings: Settings) -> None:
         self._search = DelaySearch(settings.history_s) if settings.estimate_delays else None
         self._removed: dict[type, list[tuple[int, float]]] = {}
-        self._told_s = 0.0  # by the search
+        self._found_s = 0.0  # by the search
 
     def sample(self, time_ns: int, force: Vector, rate: Vector) -> None:
-        """Show the next inertial sample to the search."""
+        """Pass the next inertial sample to the search."""
         if self._search is not None:
             self._search.sample(time_ns, force, rate)
 
     def corrected(self, measurement: Measurement) -> Measurement:
-        """Give a measurement with the stamp at which it was true, as far as that is known."""
+        """Correct the stamp of a measurement by the delay known for it."""
         if self._search is None:
             return measurement
         if isinstance(measurement, GnssVelocity):
@@ -78,35 +78,35 @@ class Timing:
         return measurement
 
     def learn(self, now_ns: int, navigation: "ErrorStateFilter | None") -> FoundDelay | None:
-        """Decide what is taken out of stamps beyond `AHEAD_NS` from now on.
+        """Decide the corrections of stamps later than `AHEAD_NS` from now.
 
         Parameters
         ----------
         now_ns : int
             Stamp of the newest sample.
         navigation : ErrorStateFilter or None
-            As it was at the end of the memory.
+            Of the oldest snapshot.
 
         Returns
         -------
         FoundDelay or None
-            What the filter has to be told at its time.
+            To be applied to the filter at its time.
         """
         if self._search is None:
             return None
-        from_ns, told_s = now_ns + AHEAD_NS, self._told_s
+        from_ns, current_s = now_ns + AHEAD_NS, self._found_s
         if navigation is not None:
-            told_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
+            current_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
         newest_ns = max((steps[-1][0] for steps in self._removed.values()), default=0)
-        waiting = newest_ns + 2 * AHEAD_NS > now_ns  # the filter of the end of the memory does not know of it yet
-        found = self._search.result(told_s)
-        if abs(found.delay_s - told_s) > max(BEYOND_S, 2.0 * found.sd_s) and not waiting:
+        waiting = newest_ns + 2 * AHEAD_NS > now_ns  # the oldest snapshot does not contain it yet
+        found = self._search.result(current_s)
+        if abs(found.delay_s - current_s) > max(BEYOND_S, 2.0 * found.sd_s) and not waiting:
             delay_s = round(found.delay_s, 3)
-            self._told_s = delay_s
+            self._found_s = delay_s
             for kind in (GnssPosition, GnssVelocity):
                 self._remove(kind, from_ns, delay_s)
             early_ns = from_ns - round(max(0.0, delay_s) * 1e9)
-            return FoundDelay(early_ns, delay_s, found.sd_s, delay_s - told_s)
+            return FoundDelay(early_ns, delay_s, found.sd_s, delay_s - current_s)
         if navigation is not None and not waiting:
             self._follow(from_ns, navigation)
         return None

@@ -75,9 +75,9 @@ class _Fit:
 
 
 class DelaySearch:
-    """Collects inertial samples and GNSS velocities, and says at which delay they agree.
+    """Finds the delay at which inertial samples and GNSS velocities agree.
 
-    It depends on the stamps alone, if what comes after newer samples than `memory_s` is not told to it.
+    The result depends on stamps alone, provided that measurements older than `memory_s` are not passed to it.
     """
 
     def __init__(self, memory_s: float) -> None:
@@ -129,7 +129,7 @@ class DelaySearch:
         return Found(delay_s, sd_s) if sd_s < NOT_SURE_S else Found()
 
     def _begin(self, time_ns: int) -> None:
-        """Begin a new inertial account; after a gap the old one says nothing of what comes."""
+        """Start a new inertial velocity after a gap."""
         self._nodes.clear()
         self._nodes.append((0.0,) * 7)
         self._sums, self._start_ns, self._last_ns, self._before = [0.0] * 6, time_ns, time_ns, None

@@ -1,4 +1,4 @@
-"""What the stamps of inertial samples that are refused tell of their clock."""
+"""Estimates the state of the IMU clock from the stamps of rejected samples."""
 
 from ..filter.propagation import GAP_S
 from ..update.engine import LOST_S

@@ -17,7 +17,7 @@ from ..filter.propagation import Samples, samples_of
 from ..measurements.base import Measurement, Outcome
 from ..plausibility.imu_faults import Sample
 from ..settings import Settings
-from ..smoothing.history import Trail
+from ..smoothing.history import HistoryRecorder
 from ..update.engine import BEFORE_ALL_NS, Engine
 from .delay_compensation import Timing
 
@@ -35,7 +35,7 @@ class Snapshot(NamedTuple):
 
 
 def key_of(measurement: Measurement) -> Key:
-    """What a measurement has in common with a repetition of it."""
+    """Key that a measurement shares with its repetition."""
     return measurement.time_ns, measurement.source, type(measurement)
 
 
@@ -58,12 +58,12 @@ class OutOfSequenceEngine:
         self._learnt_ns = BEFORE_ALL_NS  # newest snapshot at which delays were estimated
         self._measurements: list[Measurement] = []  # since the oldest snapshot, and of the future
         self._late: list[Measurement] = []  # those older than the state that were not used yet
-        self._repeated: set[Key] = set()  # late ones whose like was used before
+        self._repeated: set[Key] = set()  # late ones that repeat a measurement used before
         self._outcomes: list[Outcome] = []  # not reported yet
         self._timing = Timing(settings)
 
-    def knows(self, sample: Sample) -> bool:
-        """Whether a sample of the past came before, to the last bit, or its time was bridged."""
+    def is_known(self, sample: Sample) -> bool:
+        """Whether a sample of the past was used before, or falls into a bridged gap."""
         samples = self._samples
         bridged = len(samples) > 1 and samples[-2].time_ns < sample.time_ns
         return bridged or (sample.time_ns > self._oldest_ns and any(one[:3] == sample[:3] for one in reversed(samples)))
@@ -75,40 +75,40 @@ class OutOfSequenceEngine:
         self._timing.sample(sample.time_ns, sample.force, sample.rate)
         self._process([sample])
 
-    def remember(self, prior: Prior) -> None:
+    def use_prior(self, prior: Prior) -> None:
         """Take a saved position and heading, now and in all snapshots."""
         for engine in (self.engine, *(snapshot.engine for snapshot in self._snapshots)):
-            engine.remember(prior)
+            engine.use_prior(prior)
 
     def restore(self, saved: SavedState) -> None:
         """Go on from a saved state with the first sample, which must be the next."""
         self.engine.restore(saved)
 
-    def leave(self, trail: Trail) -> None:
+    def record_history(self, recorder: HistoryRecorder) -> None:
         """Record a history for the smoother, from the first sample on."""
-        self.engine.trail = trail
+        self.engine.recorder = recorder
 
     def restarted(self, why: str) -> "OutOfSequenceEngine":
-        """Begin again from nothing, with the counts kept."""
+        """New engine with an empty history; counts are kept."""
         counts = self.engine.counts
         fresh = OutOfSequenceEngine(
             self._settings, Engine(self._settings, counts._replace(resets=counts.resets + 1), why)
         )
-        fresh.engine.trail, fresh._outcomes = self.engine.trail, self._outcomes
+        fresh.engine.recorder, fresh._outcomes = self.engine.recorder, self._outcomes
         return fresh
 
     def insert(self, measurement: Measurement) -> None:
-        """Have a measurement used at its stamp: in the future when that is reached, in the past by `outcomes`.
+        """Use a measurement at its stamp: a future one when that time is reached, a past one by `outcomes`.
 
         Raises
         ------
         LookupError
-            It is older than the memory.
+            It is older than the oldest snapshot.
         """
         measurement = self._timing.corrected(measurement)
         time_ns = measurement.time_ns
         if self._snapshots and time_ns <= max(self._oldest_ns, self._snapshots[0].time_ns):
-            raise LookupError("older than the memory")
+            raise LookupError("older than the oldest snapshot")
         if time_ns <= self.engine.time_ns:
             key = key_of(measurement)
             if key in map(key_of, self._between(time_ns - 1, time_ns)) and key not in map(key_of, self._late):
@@ -125,27 +125,27 @@ class OutOfSequenceEngine:
 
     @property
     def _oldest_ns(self) -> int:
-        """What is no newer is forgotten."""
+        """Stamp before which measurements are rejected."""
         return self.newest.time_ns - self._horizon_ns if self.newest else BEFORE_ALL_NS
 
     def _roll_back(self) -> None:
-        """Go back to before all late measurements, and process everything since then again."""
+        """Roll back to the snapshot before all late measurements, and process everything since then again."""
         reported, reported_ns = self._outcomes, self.engine.time_ns
         first_ns = min(measurement.time_ns for measurement in self._late)
-        news = {key_of(measurement) for measurement in self._late} - self._repeated
+        new_keys = {key_of(measurement) for measurement in self._late} - self._repeated
         self._late, self._repeated, self._outcomes = [], set(), []
         while self._snapshots[-1].time_ns >= first_ns:
             self._snapshots.pop()
         snapshot = self._snapshots[-1]
         self.engine, self._since_snapshot = snapshot.engine.fork(), 0
-        if self.engine.trail is not None:
-            self.engine.trail.rewind(snapshot.records)
+        if self.engine.recorder is not None:
+            self.engine.recorder.truncate(snapshot.records)
         count = len(self._samples) - bisect_right(self._samples, snapshot.time_ns, key=lambda sample: sample.time_ns)
         again = list(islice(reversed(self._samples), count))[::-1]
         for begin in range(0, count, PERIOD):
             self._process(again[begin : begin + PERIOD])
         self._outcomes = reported + [
-            o for o in self._outcomes if o.time_ns > reported_ns or (o.time_ns, o.source, o.measurement) in news
+            o for o in self._outcomes if o.time_ns > reported_ns or (o.time_ns, o.source, o.measurement) in new_keys
         ]
 
     def _process(self, samples: Sequence[Sample]) -> None:
@@ -155,15 +155,15 @@ class OutOfSequenceEngine:
         self._outcomes += self.engine.process(_together(samples), measurements)
         self._since_snapshot += len(samples)
         if self._since_snapshot >= PERIOD or not self._snapshots:
-            records = self.engine.trail.written if self.engine.trail is not None else 0
+            records = self.engine.recorder.size if self.engine.recorder is not None else 0
             self._snapshots.append(Snapshot(end_ns, self.engine.fork(), records))
             self._since_snapshot = 0
             if end_ns > self._learnt_ns:
                 self._learnt_ns = end_ns
-                self._forget(end_ns)
+                self._drop_oldest(end_ns)
 
-    def _forget(self, time_ns: int) -> None:
-        """Drop what is beyond the memory, and estimate delays by the filter as it was there."""
+    def _drop_oldest(self, time_ns: int) -> None:
+        """Drop snapshots beyond the horizon, and estimate delays by the oldest one."""
         oldest_ns, snapshots = time_ns - self._horizon_ns, self._snapshots
         while len(snapshots) > 1 and (snapshots[1].time_ns <= oldest_ns or len(snapshots) > MOST):
             snapshots.popleft()

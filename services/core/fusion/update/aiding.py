@@ -1,4 +1,4 @@
-"""Selection among aiding sensors, and what is learned of each of them."""
+"""Selection among aiding sensors, and the state that is kept of each."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,7 +7,7 @@ from ..alignment.velocity_matching import Comparison
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..integrity.error_monitor import NO_BLOCK, Watch, block
-from ..measurements.base import Measurement, News, Outcome
+from ..measurements.base import FilterEvent, Measurement, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.magnetometer import CompassCheck, MagneticHeading
 from ..measurements.odometer import WheelSpeed
@@ -17,7 +17,7 @@ from .duplicate_epochs import Epochs
 from .gating import Judge
 from .standstill_detector import Limits, limits_of
 
-ODOMETER_SILENT_NS = 2_000_000_000  # then another one may take its place
+ODOMETER_SILENT_NS = 2_000_000_000  # after which another odometer is used
 
 
 class Aids:
@@ -27,31 +27,31 @@ class Aids:
         self._settings = settings
         self.judge = Judge(settings)
         self.watch = Watch()
-        self._odometer: WheelSpeed | None = None  # newest speed that was not of a spare
+        self._odometer: WheelSpeed | None = None  # newest speed of the odometer in use
         self._compass = CompassCheck()
         self._epochs = Epochs()
-        self._delay: FoundDelay | None = None  # the newest, for a filter that starts without it
+        self._delay: FoundDelay | None = None  # newest one, for a filter that starts after it
 
     def fork(self) -> "Aids":
-        """Copy that goes its own way."""
+        """Independent copy."""
         twin = Aids.__new__(Aids)
         twin.__dict__.update(self.__dict__)
         twin.judge = self.judge.fork()
         return twin
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
-        """Go on with a filter that has just started, and with what is known of its heading."""
+        """Continue with a filter that has just started, and with the comparison that found its heading."""
         if self._delay is not None and not started.parameter(em.GNSS_DELAY):
-            self._delay.tell(started)
+            self._delay.apply(started)
         self.judge.acquit(comparison)
         self.watch = self.watch.begun(time_ns, started)
 
-    def hear(self, news: News) -> None:
-        """Keep what a filter that starts later needs as well."""
-        if isinstance(news, FoundDelay):
-            self._delay = news
+    def receive(self, event: FilterEvent) -> None:
+        """Keep a found delay for filters that start later."""
+        if isinstance(event, FoundDelay):
+            self._delay = event
 
-    def is_told_again(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
+    def is_duplicate(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a measurement repeats an earlier one of its receiver."""
         if not isinstance(measurement, GnssPosition | GnssVelocity):
             return False
@@ -60,7 +60,7 @@ class Aids:
 
     def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
         """Use a measurement, unless a better device measures the same."""
-        if isinstance(measurement, WheelSpeed) and self._is_spare(measurement, navigation):
+        if isinstance(measurement, WheelSpeed) and self._is_redundant(measurement, navigation):
             return
         if isinstance(measurement, MagneticHeading):
             self._compass = self._compass.judged(measurement, navigation)
@@ -77,14 +77,14 @@ class Aids:
                 measurement.teach(navigation)
 
     def standstill_limits(self, time_ns: int, navigation: ErrorStateFilter) -> Limits:
-        """Limits of the standstill detector; wheels that stand still are as good as a filter that knows its speed."""
+        """Limits of the standstill detector; wheels at zero speed replace the condition on the filter's speed."""
         limits, seen = limits_of(navigation.P), self._odometer
         if seen is not None and seen.speed == 0.0 and time_ns - seen.time_ns <= ODOMETER_SILENT_NS:
             return limits._replace(pace=1.0)
         return limits
 
-    def _is_spare(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
-        """Whether another odometer is in use; a replacement has a scale of its own."""
+    def _is_redundant(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
+        """Whether another odometer is in use. When the odometer changes, its scale is estimated anew."""
         used = self._odometer
         if used is not None and (used.source, used.of_wheels) != (seen.source, seen.of_wheels):
             better = seen.of_wheels and not used.of_wheels

@@ -9,10 +9,10 @@ from shared.maths.rotation import Vector
 from ..filter.eskf import ErrorStateFilter
 from ..measurements.gnss import GnssPosition, GnssVelocity
 
-WAY_M = 0.5  # on which every receiver's position changes
-GAIN_M_S = 0.5  # over which every receiver's velocity changes
-ROOM = 64  # sources and kinds that are remembered: devices come and go
-HELD_S = 10.0  # longest time for which receivers hold a value; a longer one goes through the gate as any other
+WAY_M = 0.5  # distance over which the position of every receiver changes
+GAIN_M_S = 0.5  # change of velocity that every receiver shows
+ROOM = 64  # most pairs of source and kind that are kept
+HELD_S = 10.0  # longest time for which receivers hold a value; later ones are gated as any other
 
 
 class Seen(NamedTuple):
@@ -77,5 +77,5 @@ class Epochs(NamedTuple):
         known = self.seen
         if key not in known and len(known) >= ROOM:
             oldest = min(known, key=lambda one: known[one].time_ns)
-            known = {one: told for one, told in known.items() if one != oldest}
+            known = {one: value for one, value in known.items() if one != oldest}
         return Epochs({**known, key: seen})

@@ -22,7 +22,7 @@ from ..measurements.odometer import NonHolonomic
 from ..measurements.zupt import Standstill
 from ..plausibility.imu_faults import Sample, mean
 from ..settings import Settings
-from ..smoothing.history import Trail
+from ..smoothing.history import HistoryRecorder
 from ..timing.delay_compensation import FoundDelay
 from .aiding import Aids
 from .imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
@@ -54,7 +54,7 @@ class Engine:
         self.counts = counts or Counts()
         self.last: Sample | None = None  # newest sample, as far as it was taken
         self.filter: ErrorStateFilter | None = None
-        self.trail: Trail | None = None  # of whatever filter runs, for the smoother
+        self.recorder: HistoryRecorder | None = None  # of whatever filter runs, for the smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
         self._alignment: Alignment | None = Alignment(settings, first=not why)
         self._saved: SavedState | None = None  # to go on from with the first sample
@@ -72,10 +72,10 @@ class Engine:
         twin.aids = self.aids.fork()
         return twin
 
-    def remember(self, prior: Prior) -> None:
+    def use_prior(self, prior: Prior) -> None:
         """Take a saved position and heading, of use until the filter runs for the first time."""
         if self._alignment is not None and self.accepted_ns is None:
-            self._alignment.remember(prior)
+            self._alignment.use_prior(prior)
 
     def restore(self, saved: SavedState) -> None:
         """Go on from a saved state with the first sample, which must be the next."""
@@ -239,10 +239,10 @@ class Engine:
     def _use(self, measurement: Measurement) -> list[Outcome]:
         """Use a measurement in the filter, or in the alignment."""
         if isinstance(measurement, FoundDelay | LostTime):
-            self.aids.hear(measurement)
-            self._try(measurement.tell)
+            self.aids.receive(measurement)
+            self._try(measurement.apply)
             return []
-        if self.aids.is_told_again(measurement, self.filter):
+        if self.aids.is_duplicate(measurement, self.filter):
             self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
             return []
         if self.filter is None:
@@ -302,8 +302,8 @@ class Engine:
         """Go on with a filter that has just started."""
         self.aids.begin(time_ns, started, comparison)
         self.filter, self._alignment, self._why, self._rejections = started, None, "", 0
-        if self.trail is not None:
-            self.trail.follow(started)
+        if self.recorder is not None:
+            self.recorder.start(started)
 
     def _start_warm(self, saved: SavedState, sample: Sample) -> None:
         """Go on from a saved state, or align anew if state and sample make no sense together."""

@@ -106,7 +106,7 @@ class Judge:
         limit = self._settings.gating.robust_limit if seen.kind in WIDENING else 1.0
         if ratio > limit and isinstance(measurement, GnssPosition) and seen.H[:, em.GNSS_ERROR].any():
             other = navigation.fork()
-            other.trail = None
+            other.recorder = None
             other.forget_gnss_error()
             anew = measurement.observe(other)
             if self._weigh(other, anew)[1] <= 1.0:
@@ -117,10 +117,10 @@ class Judge:
             level = Observation(seen.kind, seen.z[:2], seen.H[:2], seen.R[:2, :2])
             flat, flat_ratio = self._weigh(navigation, level)
             if flat_ratio <= 1.0:
-                told = self._judge(navigation, measurement, level, flat, flat_ratio, self._height(seen))
+                outcome = self._judge(navigation, measurement, level, flat, flat_ratio, self._height(seen))
                 taken_over = self._follow_height(navigation, seen, measurement.time_ns)
                 height = Height(float(seen.z[2]), float(correction.innovation_sd[2]), taken_over)
-                return told._replace(height=height)
+                return outcome._replace(height=height)
         return self._judge(navigation, measurement, seen, correction, ratio, None)
 
     def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:

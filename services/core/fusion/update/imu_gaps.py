@@ -7,7 +7,7 @@ import numpy as np
 
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..measurements.base import News
+from ..measurements.base import FilterEvent
 
 FORCE_SD = 2.0  # [m/s²] acceleration and rate of a car that are possible in a gap
 RATE_SD = 0.3  # [rad/s]
@@ -22,12 +22,12 @@ def inflate_for_gap(navigation: ErrorStateFilter, span_s: float) -> None:
 
 
 @dataclass(frozen=True)
-class LostTime(News):
+class LostTime(FilterEvent):
     """Time [s] before this instant of which samples were rejected."""
 
     span_s: float
 
-    def tell(self, navigation: ErrorStateFilter) -> None:
+    def apply(self, navigation: ErrorStateFilter) -> None:
         """Inflate the covariance as for a gap, and the position by the distance that was not propagated."""
         inflate_for_gap(navigation, self.span_s)
         navigation.inflate_along(em.POSITION, np.multiply(navigation.velocity, self.span_s))

@@ -11,10 +11,10 @@ from cli.demo import demo
 from cli.demo.demo import DemoOptions
 from cli.demo.local import port_or_free
 from shared.errors import UserError
-from shared.processes import PROCESSES, Kind
+from shared.processes import Role, running
 
 # What a demo starts: the standing processes, the simulator, and the broker.
-EXPECTED = sum(row.kind in (Kind.STANDING, Kind.SIMULATOR) for row in PROCESSES) + 1
+EXPECTED = len(running(Role.OBU, ["sensors.simulator"])) + 1
 
 
 def options(scenario: str = "urban", port: int = 0) -> DemoOptions:

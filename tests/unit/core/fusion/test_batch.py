@@ -53,7 +53,9 @@ def settings(**changes: object) -> Settings:
 def fresh(**changes: object) -> Navigator:
     d = drive()
     navigator = Navigator(settings(**changes))
-    navigator.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    navigator.use_prior(
+        Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0))
+    )
     return navigator
 
 

@@ -34,7 +34,7 @@ def navigator(**changes: object) -> Navigator:
     made = Navigator(
         Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
     )
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     return made
 
 

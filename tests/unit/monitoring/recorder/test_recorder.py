@@ -259,3 +259,13 @@ def test_a_file_without_a_message_is_not_left_behind(tmp_path: Path, calls: int)
     run(tmp_path, EASY, calls)
 
     assert len(list((tmp_path / "recordings").iterdir())) == (1 if calls else 0)
+
+
+@pytest.mark.parametrize(("role", "kept"), [("obu", 3), ("rsu", 1)])
+def test_a_road_side_unit_records_nothing_that_describes_other_road_users(tmp_path: Path, role: str, kept: int) -> None:
+    topics = ["toll/passage", "toll/tracks", "toll/delta"]
+    messages = [sent_bytes(topic, b"{}", START_NS, sequence=n) for n, topic in enumerate(topics)]
+    bus = FakeBus(tmp_path, lambda call: messages if call == 0 else None, start_ns=START_NS)
+    bus.vehicle_toml = f'[vehicle]\nrole = "{role}"\n'
+    Process(EASY).run(bus.as_bus())
+    assert len(recorded(tmp_path / "recordings")) == kept

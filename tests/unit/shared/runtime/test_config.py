@@ -73,6 +73,22 @@ def test_an_extra_process_runs_only_where_it_has_a_section() -> None:
     assert "core.fusion" in parse_vehicle("").processes
 
 
+def test_the_role_decides_which_processes_run() -> None:
+    processes = parse_vehicle('[vehicle]\nrole = "rsu"\n[sensors.traffic]').processes
+    assert {"sensors.traffic", "core.toll", "monitoring.ledger", "monitoring.recorder"} <= set(processes)
+    assert "core.fusion" not in processes and "core.toll" not in parse_vehicle("").processes
+
+
+def test_a_section_of_a_process_of_another_role_is_an_error() -> None:
+    with pytest.raises(UserError, match=r"\[core.fusion\] does not run in role rsu"):
+        parse_vehicle('[vehicle]\nrole = "rsu"\n[core.fusion]')
+
+
+def test_an_unknown_role_is_an_error_that_names_the_roles() -> None:
+    with pytest.raises(UserError, match="'obu' or 'rsu'"):
+        parse_vehicle('[vehicle]\nrole = "ship"')
+
+
 @pytest.mark.parametrize(
     ("url", "expected"),
     [

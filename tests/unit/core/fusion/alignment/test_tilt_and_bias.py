@@ -21,7 +21,7 @@ def started(bias: Vector) -> ErrorStateFilter:
     navigator = Navigator(Settings(merge_delay_s=0.0, imu=ImuSettings(accelerometer_bias_sd_m_s2=BIAS_SD)))
     x, y, z = (TILTED.T @ np.array([0.0, 0.0, -STANDARD_GRAVITY]) + bias).tolist()
     here = Geodetic(0.74, 0.23, 700.0)
-    navigator.remember(Prior(here, (1.0, 1.0, 1.0), 0.7, 0.01))
+    navigator.use_prior(Prior(here, (1.0, 1.0, 1.0), 0.7, 0.01))
     for k in range(1, 1700):
         if k % 100 == 0:
             navigator.fix(k * 10**7, position=here, velocity=(0.0, 0.0, 0.0))

@@ -67,7 +67,7 @@ def led(made: Navigator, first: int, end: int) -> Iterator[tuple[int, Navigator]
 def states() -> dict[int, SavedState]:
     """What a unit that never crashes would have saved, by the number of the sample."""
     d, made = drive(), Navigator(settings())
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     found = {}
     for i, navigator in led(made, 0, len(d.t_ns)):
         if i % SAVED_EVERY == 0 and (saved := navigator.saved_state()):
@@ -111,7 +111,7 @@ def test_a_state_that_is_restored_at_once_is_the_same_estimate() -> None:
 def led_to(end: int) -> ErrorStateFilter:
     """Filter of a process that never ended."""
     d, made = drive(), Navigator(settings())
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     for _ in led(made, 0, end):
         pass
     assert made.engine.filter is not None

@@ -28,7 +28,7 @@ def follow(drive: Drive, instants_s: tuple[float, ...], covariance_period_s: flo
     """Solutions at given instants."""
     settings = Settings(covariance_period_s=covariance_period_s, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b))
     navigator = Navigator(settings)
-    navigator.remember(saved_heading(drive, radians(1.5)))
+    navigator.use_prior(saved_heading(drive, radians(1.5)))
     times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
     found, fix = [], 0
     for i, time_ns in enumerate(times):
@@ -121,7 +121,7 @@ def test_a_perfect_receiver_leaves_millimetres() -> None:
     drive, rng = simulate("parking_lot", seed=5, duration_s=60.0), np.random.default_rng(1)
     precise = {"gnss.position_sd_floor_m": 1e-3, "gnss.velocity_sd_floor_m_s": 1e-4, "gnss.time_sd_s": 0.0}
     navigator = Navigator(Settings().with_values(precise))
-    navigator.remember(saved_heading(drive, radians(0.1)))
+    navigator.use_prior(saved_heading(drive, radians(0.1)))
     found = []
     for i, time_ns in enumerate(drive.t_ns.tolist()):
         if time_ns % 10**9 == 0:
@@ -146,7 +146,7 @@ def test_an_outage_of_ten_seconds_costs_less_than_a_metre_or_two() -> None:
         hidden = (drive.fix_ns > 80e9) & (drive.fix_ns <= 90e9)
         drive.fix_valid[hidden] = False
         navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
-        navigator.remember(saved_heading(drive, radians(1.5)))
+        navigator.use_prior(saved_heading(drive, radians(1.5)))
         track = navigate(drive, navigator)
         at_end = np.argmin(np.abs(drive.t_ns[track.index] - 90e9))
         ends.append(float(np.hypot(*position_errors(drive, track)[at_end, :2])))

@@ -48,7 +48,7 @@ def navigator(**changes: object) -> Navigator:
         )
     )
     yaw = float(d.attitude[0, 2]) + MOUNTING[2]
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), yaw, radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), yaw, radians(1.0)))
     return made
 
 

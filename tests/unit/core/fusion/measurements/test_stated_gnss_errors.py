@@ -53,7 +53,7 @@ def drive_of(kind: ErrorKind, seed: int) -> Drive:
 def led(drive: Drive, **settings: float | bool) -> Navigator:
     """Navigator at the end of a drive."""
     navigator = Navigator(Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
-    navigator.remember(saved_heading(drive, radians(1.5)))
+    navigator.use_prior(saved_heading(drive, radians(1.5)))
     navigate(drive, navigator)
     return navigator
 

@@ -78,7 +78,7 @@ def run(
     """
     d = drive()
     made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0}))
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     found, k = Run(made), 0
     for i, time_ns in enumerate(d.t_ns.tolist()):
         time_s = time_ns * 1e-9
@@ -311,7 +311,7 @@ def test_of_two_receivers_that_disagree_the_one_that_agreed_so_far_is_followed(n
     made = Navigator(
         Settings(gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b), alignment=AlignmentSettings(levelling_s=2.0))
     )
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     found = Run(made)
     for i, time_ns in enumerate(d.t_ns.tolist()):
         if i % 20 == 19:
@@ -358,7 +358,7 @@ def test_a_lever_arm_that_is_wrong_by_two_metres_is_told_and_no_other(wrong: tup
     d = drive()
     x, y, z = d.lever_arm_b
     made = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=(x + wrong[0], y + wrong[1], z))))
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     for i, time_ns in enumerate(d.t_ns.tolist()):
         if i % 20 == 19:
             give_fix(made, i // 20, 0, None)

@@ -17,7 +17,7 @@ from services.core.fusion.filter.propagation import Intervals, samples_of
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
-from services.core.fusion.smoothing.history import Corrected, Knot, Start, Step, Trail
+from services.core.fusion.smoothing.history import CorrectionRecord, HistoryRecorder, Knot, Start, Step
 from services.core.fusion.smoothing.rts import Backwards, smoothed_filters
 from services.core.fusion.update.standstill_detector import CERTAIN
 from services.sensors.simulator.drive import Drive, simulate
@@ -26,7 +26,7 @@ from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.kalman import correct
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix
-from tests.support.trails import Records
+from tests.support.histories import Records
 
 FloatArray = npt.NDArray[np.float64]
 PERIOD_NS = 500_000_000
@@ -39,7 +39,7 @@ class Way:
     Ps: list[FloatArray]  # after each measurement
     states: list[FloatArray]
     steps: list[FloatArray]  # Phi
-    corrections: list[Corrected]
+    corrections: list[CorrectionRecord]
     predicted: list[FloatArray]  # covariance before each measurement
 
 
@@ -58,7 +58,7 @@ def filtered(measured: FloatArray, P0: FloatArray, F: FloatArray, noise: FloatAr
         correction = correct(P, value - H @ state, H, R)
         P, state = correction.P, state + correction.x
         way.steps.append(Phi)
-        way.corrections.append(Corrected(0, correction.z, H, correction.K, correction.S_inverse))
+        way.corrections.append(CorrectionRecord(0, correction.z, H, correction.K, correction.S_inverse))
         way.Ps.append(P)
         way.states.append(state)
     return way
@@ -143,7 +143,7 @@ def test_what_is_seen_of_a_new_error_says_nothing_of_the_old_one() -> None:
     seen = correct(np.eye(2), np.array([1.0]), np.array([[0.0, 1.0]]), np.eye(1))
     back = Backwards(2)
     back.correction(seen.z, seen.H, seen.K, seen.S_inverse)
-    back.forget(1)
+    back.reset_parameter(1)
     errors, cov = back.smoothed(np.eye(2))
     assert not errors.any() and (cov == np.eye(2)).all()
 
@@ -170,8 +170,8 @@ def follow(
         merge_delay_s=0.0, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=lasting)
     )
     navigator = Navigator(settings)
-    navigator.leave(Trail(records, PERIOD_NS))
-    navigator.remember(saved_heading(drive, radians(1.5)))
+    navigator.record_history(HistoryRecorder(records, PERIOD_NS))
+    navigator.use_prior(saved_heading(drive, radians(1.5)))
     times, forces, rates = drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist()
     fix = 0
     for i, time_ns in enumerate(times):
@@ -250,14 +250,14 @@ def test_a_constant_is_the_same_from_the_start_to_the_end(one: tuple[Drive, Reco
     assert np.ptp(course, axis=0).max() < 0.3 * np.sqrt(at_first.P.diagonal()[em.GYROSCOPE_BIAS].max())
 
 
-def test_filtering_is_the_same_with_and_without_a_trail() -> None:
+def test_filtering_is_the_same_with_and_without_a_history() -> None:
     drive = drive_of(1, 60.0)
     states = []
     for store in (Records(), None):
         navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
         if store is not None:
-            navigator.leave(Trail(store, PERIOD_NS))
-        navigator.remember(saved_heading(drive, radians(1.5)))
+            navigator.record_history(HistoryRecorder(store, PERIOD_NS))
+        navigator.use_prior(saved_heading(drive, radians(1.5)))
         for i, time_ns in enumerate(drive.t_ns.tolist()):
             if time_ns % 10**9 == 0:
                 navigator.fix(time_ns, position=Geodetic(*drive.position[i].tolist()), position_sd=(1.0, 1.0, 1.0))
@@ -280,7 +280,7 @@ def test_a_fix_that_came_late_is_smoothed_as_one_in_time() -> None:
         assert np.abs(a.P - b.P).max() < 1e-12
 
 
-def test_a_trail_that_goes_back_keeps_starts_steps_and_corrections_in_order() -> None:
+def test_a_history_keeps_starts_steps_and_corrections_in_order() -> None:
     records = follow(drive_of(2, 60.0), late_ns=230_000_000)
     stamps = [record.time_ns for record in records.all]
     assert stamps == sorted(stamps)
@@ -294,8 +294,8 @@ def test_a_way_back_over_a_gap_writes_no_step_twice(begin: int) -> None:
     """The step before a gap is made when it is bridged, and has the stamp of the sample before it."""
     drive, records = drive_of(2, 60.0), Records()
     navigator = Navigator(Settings(merge_delay_s=0.0, gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b)))
-    navigator.leave(Trail(records, PERIOD_NS))
-    navigator.remember(saved_heading(drive, radians(1.5)))
+    navigator.record_history(HistoryRecorder(records, PERIOD_NS))
+    navigator.use_prior(saved_heading(drive, radians(1.5)))
     for i in (*range(begin), *range(begin + 30, begin + 80)):
         time_ns = int(drive.t_ns[i])
         if i == begin + 40:  # late, and true within the gap
@@ -356,7 +356,7 @@ def test_the_smoothed_errors_are_the_same_on_both_sides_of_a_new_unit() -> None:
     S_inverse: FloatArray = np.asarray(np.linalg.inv(H @ behind @ H.T + np.eye(2)), dtype=np.float64)
     back.correction(np.array([1.0, -2.0]), H, behind @ H.T @ S_inverse, S_inverse)
     errors_behind, cov_behind = back.smoothed(behind)
-    back.resize(place, ratios, P[place])
+    back.rescale(place, ratios, P[place])
     errors_before, cov_before = back.smoothed(P)
     assert errors_before == pytest.approx(units * errors_behind, abs=1e-12)
     assert cov_before == pytest.approx(cov_behind * np.outer(units, units), abs=1e-12)
@@ -390,7 +390,7 @@ def test_a_long_silence_of_the_imu_parts_the_drive_and_each_part_is_smoothed_by_
 
 @dataclass
 class World:
-    """A filter's trail, and the truth that it looks for in the middle of an outage."""
+    """The history of a filter, and the true errors in the middle of an outage."""
 
     drive: Drive
     records: Records
@@ -414,7 +414,7 @@ def matched(seed: int) -> World:
     navigation.take_out(start, np.diag(sd**2))
     force_bias, rate_bias = np.zeros(3), np.zeros(3)
     records = Records()
-    Trail(records, PERIOD_NS).follow(navigation)
+    HistoryRecorder(records, PERIOD_NS).start(navigation)
     noise = np.array([settings.imu.velocity_random_walk_m_s_sqrt_s, settings.imu.angle_random_walk_rad_sqrt_s]) * 10.0
     walk = np.sqrt(
         np.array([settings.imu.accelerometer_bias_psd_m2_s5, settings.imu.gyroscope_bias_psd_rad2_s3]) * 0.01

@@ -38,7 +38,7 @@ def follow(d: Drive, delay_s: float, *, late_s: float = 0.0, quiet_s: float = 0.
         **changes,
     }
     made = Navigator(Settings().with_values(settings))
-    made.remember(saved_heading(d, radians(1.5)))
+    made.use_prior(saved_heading(d, radians(1.5)))
     fixes = [k for k in range(len(d.fix_ns)) if d.fix_valid[k] and d.fix_ns[k] < d.t_ns[-1] - quiet_s * 1e9]
     speeds = list(range(len(d.odometer_ns)))
     for i, now in enumerate(d.t_ns.tolist()):

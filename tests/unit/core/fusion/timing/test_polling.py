@@ -76,7 +76,7 @@ def followed(seed: int, look: Look, **changes: object) -> Iterator[Any]:
     d = drive()
     made = Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
     navigator = Navigator(made)
-    navigator.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), d.attitude[0, 2], radians(1.0)))
+    navigator.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), d.attitude[0, 2], radians(1.0)))
     outcomes: list[Outcome] = []
     for k, step in enumerate(messy(seed)):
         for j in step.fixes:

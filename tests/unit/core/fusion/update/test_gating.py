@@ -54,7 +54,7 @@ def run(shift: "Fault", **changes: object) -> Run:
     made = Navigator(
         Settings().with_values({"gnss.lever_arm_body_m": d.lever_arm_b, "alignment.levelling_s": 2.0, **changes})
     )
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     result, k = Run(made, [], {}, {}), 0
     for i, time_ns in enumerate(d.t_ns.tolist()):
         if k < len(d.fix_ns) and d.fix_ns[k] <= time_ns:
@@ -305,7 +305,7 @@ def sd_at_end(fault: Fault | None) -> float:
             gating=GatingSettings(reset_after_s=60.0),
         )
     )
-    made.remember(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
+    made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     for i, time_ns in enumerate(d.t_ns.tolist()[: round((FAULT_S + 4.0) * 100)]):
         faulty = time_ns >= FAULT_S * 1e9
         if i % 20 == 19 and (fault or not faulty):

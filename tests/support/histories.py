@@ -1,4 +1,4 @@
-"""A trail in memory, for tests of the smoother."""
+"""A history in memory, for tests of the smoother."""
 
 from collections.abc import Iterator
 
@@ -12,16 +12,16 @@ class Records:
         self.all: list[Record] = []
 
     def push(self, record: Record) -> None:
-        """Add one behind all others."""
+        """Append a record."""
         self.all.append(record)
 
     def __len__(self) -> int:
         return len(self.all)
 
     def cut(self, count: int) -> None:
-        """Take records off the end until so many are left."""
+        """Remove the newest records until `count` are left."""
         del self.all[count:]
 
     def newest_first(self) -> Iterator[Record]:
-        """Give all back, from the end."""
+        """Yield all records, newest first."""
         yield from reversed(self.all)

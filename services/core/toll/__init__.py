@@ -1,0 +1,1 @@
+"""Vehicles at a toll plaza: their tracks, their lanes, their passages."""

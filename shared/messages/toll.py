@@ -1,0 +1,364 @@
+"""Tolling at a road-side unit: plaza, registrations, passages, charges, receipts, reconciliation."""
+
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
+
+from .base import (
+    Base64,
+    Count,
+    Deviation,
+    Height,
+    Latitude,
+    Longitude,
+    Message,
+    Name,
+    Nanoseconds,
+    Ratio,
+    Reason,
+    Speed,
+    unit,
+)
+
+StationId = Annotated[int, Field(ge=0, le=4_294_967_295), unit("1")]  # pseudonym that a CAM carries
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecimal
+Cents = Annotated[int, Field(ge=-10_000_000, le=10_000_000), unit("1/100 of the currency")]
+PASSAGES = 400  # at most in one message
+
+
+class Position(Message):
+    """A point on the ground, at the height of the plaza."""
+
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+
+
+class GateMode(StrEnum):
+    """How vehicles pass a lane: at a barrier, or without slowing down."""
+
+    STOP_AND_GO = "stop_and_go"
+    FREE_FLOW = "free_flow"
+
+
+class LaneDescription(Message):
+    """One lane: its centre line in driving direction, and the lines that its vehicles cross one after the other."""
+
+    lane: Name
+    direction: Name  # of the carriageway
+    mode: GateMode
+    width_m: Deviation
+    centre: tuple[Position, ...]
+    approach_line: tuple[Position, Position]
+    gate_line: tuple[Position, Position]
+    exit_line: tuple[Position, Position]
+
+
+class PlazaDescription(Message):
+    """The toll plaza as its file describes it."""
+
+    sampled_ns: Nanoseconds
+    plaza: Name
+    plaza_digest: Digest  # of the file's bytes
+    antenna: Position  # surveyed
+    antenna_height_ellipsoid_m: Height
+    lanes: tuple[LaneDescription, ...]
+
+
+class TollRegistration(Message):
+    """A contract and the station ID that its vehicle uses now, from the vehicle's application or the operator.
+
+    Repeated every few seconds on the approach and after each change of the station ID.
+    """
+
+    sampled_ns: Nanoseconds
+    contract: Name  # token, no name and no number plate
+    tariff_class: Name
+    station_id: StationId
+    valid_until_ns: Nanoseconds
+
+
+class PlazaDetector(Message):
+    """A pulse of a lane's detector (loop or laser): a vehicle's front is at the gate line, whoever it is."""
+
+    sampled_ns: Nanoseconds
+    plaza: Name
+    lane: Name
+    pulse: Count  # running number of the lane's detector
+
+
+class TollDelta(Message):
+    """Common GNSS error at the plaza: surveyed position of the unit's antenna minus its receiver's fix, smoothed.
+
+    Added to a vehicle's position, it removes the error that the vehicle and the unit have in common.
+    """
+
+    sampled_ns: Nanoseconds  # of the newest fix in it
+    plaza: Name
+    valid: bool
+    reason: Reason
+    north_m: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
+    east_m: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
+    sd_m: Deviation | None = None  # of each axis
+    fixes: Count = 0  # in the smoothing window
+    window_s: float | None = None
+
+
+class LaneProbability(Message):
+    """Probability that a vehicle is in a lane; what is missing to 1 is off every lane."""
+
+    lane: Name
+    probability: Ratio
+
+
+class TollTrack(Message):
+    """One vehicle as `core.toll` tracks it: front point, motion, uncertainty, lane."""
+
+    track: Count  # number of the track in this life of the process
+    station_id: StationId
+    updated_ns: Nanoseconds  # of the last CAM
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    speed_m_s: Speed
+    heading_rad: float
+    ellipse_major_m: Deviation  # semi-axes of the 95 % ellipse
+    ellipse_minor_m: Deviation
+    ellipse_orientation_rad: float  # of the major axis, clockwise from north
+    lanes: tuple[LaneProbability, ...] = ()
+    lane: Name | None = None  # None: undecided
+    delta_applied: bool = False
+    registered: bool = False
+    passage_id: Digest | None = None
+
+
+class TollTracks(Message):
+    """Every vehicle that is tracked now."""
+
+    sampled_ns: Nanoseconds
+    tracks: tuple[TollTrack, ...]
+    cams: Count = 0  # used since the start of the process
+    rejected: Count = 0
+    trust: Reason = ""  # state of the surveyed antenna and its receiver
+
+
+class PassageState(StrEnum):
+    """How far a passage has come, and what came of it."""
+
+    OPEN = "open"  # behind the approach line
+    CROSSED = "crossed"  # the front point has passed the gate line forward
+    CHARGED = "charged"  # `core.toll`: the exit line is passed, charge it; the ledger: it is charged
+    UNDECIDED = "undecided"  # the exit line is passed, and no lane is certain
+    UNREGISTERED = "unregistered"  # the exit line is passed, and no contract is known
+    SUSPECT = "suspect"  # overlaps another passage in its lane
+    VOID = "void"  # did not pass the exit line: turned around or left
+    MISSED = "missed"  # a detector pulse without a passage
+
+    @property
+    def is_final(self) -> bool:
+        """Whether nothing follows."""
+        return self not in (PassageState.OPEN, PassageState.CROSSED)
+
+
+class EvidenceFrame(Message):
+    """One received frame, as it is."""
+
+    received_ns: Nanoseconds
+    data: Base64
+
+
+class LanePosterior(Message):
+    """Lane probabilities at one time."""
+
+    sampled_ns: Nanoseconds
+    lanes: tuple[LaneProbability, ...]
+
+
+class PassageEvidence(Message):
+    """Everything from which the lane and the crossing of a passage are computed again, bit for bit."""
+
+    version: Name  # of the algorithms
+    settings: Annotated[str, Field(max_length=20_000)]  # of core.toll, as JSON
+    track_since_ns: Nanoseconds  # start of the track that made the decision
+    frames: tuple[EvidenceFrame, ...]  # used by that track, in the order of use
+    deltas: tuple[TollDelta, ...]  # received while it existed
+    lanes: tuple[LanePosterior, ...]  # once a second, and at the crossing
+
+
+class TollPassage(Message):
+    """A statement of `core.toll` on one passage: each change of its state, and a checkpoint once a second.
+
+    A final state is repeated once a second until the ledger lists it as settled.
+    """
+
+    sampled_ns: Nanoseconds
+    passage_id: Digest  # of the plaza and the digest of the track's first CAM at the approach line
+    plaza: Name
+    plaza_digest: Digest
+    state: PassageState
+    reason: Reason = ""
+    checkpoint: bool = False  # the state is that of an earlier statement
+    station_ids: tuple[StationId, ...]  # used on this passage, in their order
+    opened_ns: Nanoseconds
+    crossing_ns: Nanoseconds | None = None
+    crossing_sd_s: Deviation | None = None
+    exit_ns: Nanoseconds | None = None
+    lane: Name | None = None  # None: undecided
+    lanes: tuple[LaneProbability, ...] = ()
+    # Where the front point is, for a process that continues the passage after a restart.
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    heading_rad: float
+    speed_m_s: Speed
+    position_sd_m: Deviation
+    delta_ns: Nanoseconds | None = None  # stamp of the delta that was applied; None: none was
+    trust: Reason = ""  # state of the surveyed antenna and its receiver
+    authenticated: bool = False  # whether signatures of its CAM were verified
+    evidence: PassageEvidence | None = None  # of a registered vehicle, with CROSSED and CHARGED
+
+
+class GateCommand(Message):
+    """Open the gate of a lane for one passage, or hold it."""
+
+    sampled_ns: Nanoseconds
+    plaza: Name
+    lane: Name
+    passage_id: Digest
+    open: bool
+    mode: GateMode
+    crossing_ns: Nanoseconds | None = None  # predicted
+    crossing_sd_s: Deviation | None = None
+    valid_until_ns: Nanoseconds
+    reason: Reason = ""
+
+
+class TransactionKind(StrEnum):
+    """A correction is a reversal: nothing is edited."""
+
+    CHARGE = "charge"
+    REVERSAL = "reversal"
+
+
+class TollTransaction(Message):
+    """A charge or its reversal, sent to the operator until the receipt is here."""
+
+    transaction_id: Digest
+    passage_id: Digest
+    kind: TransactionKind
+    booked_ns: Nanoseconds
+    plaza: Name
+    lane: Name
+    lane_probability: Ratio
+    crossing_ns: Nanoseconds
+    crossing_sd_s: Deviation
+    contract: Name
+    tariff_class: Name
+    tariff_version: Name
+    amount_cents: Cents
+    currency: Annotated[str, Field(pattern=r"^[A-Z]{3}$")]
+    authenticated: bool  # False: from unsigned CAM, which can be forged
+    evidence_digest: Digest
+    attempt: Count = 1  # how often it was sent
+    reason: Reason = ""
+
+
+class TollReceipt(Message):
+    """Answer of the operator to a transaction; a repeated transaction gets the same answer."""
+
+    received_ns: Nanoseconds  # by the operator
+    transaction_id: Digest
+    passage_id: Digest
+    operator: Name
+    accepted: bool
+    duplicate: bool = False  # it was there before, and was ignored
+    reason: Reason = ""
+
+
+class OpenPassages(Message):
+    """What the ledger holds: passages to continue after a restart of `core.toll`, and those that are settled."""
+
+    sampled_ns: Nanoseconds
+    passages: Annotated[tuple[TollPassage, ...], Field(max_length=PASSAGES)]  # newest statement of each, no evidence
+    settled: tuple[Digest, ...]  # final and stored in the last minutes: their statements need not be repeated
+
+
+class LaneBalance(Message):
+    """One hour of a lane: detections = charged + undecided + unregistered + suspect + void + missed."""
+
+    lane: Name
+    hour_ns: Nanoseconds  # its begin
+    detections: Count = 0
+    charged: Count = 0
+    undecided: Count = 0
+    unregistered: Count = 0
+    suspect: Count = 0
+    void: Count = 0
+    missed: Count = 0
+    charged_without_detection: Count = 0
+    pending: Count = 0  # detections not yet matched
+    agrees: bool = True
+
+
+class PassageSummary(Message):
+    """One passage for a table: no station ID, no contract."""
+
+    passage_id: Digest
+    state: PassageState
+    lane: Name | None = None
+    crossing_ns: Nanoseconds | None = None
+    probability: Ratio | None = None
+    tariff_class: Name | None = None
+    amount_cents: Cents | None = None
+    currency: Name | None = None
+    receipt: bool = False
+    evidence_digest: Digest | None = None
+    reason: Reason = ""
+
+
+class LedgerState(Message):
+    """Charges, outbox and reconciliation of the ledger."""
+
+    now_ns: Nanoseconds
+    plaza: Name
+    problem: Reason | None = None  # why nothing is charged now
+    transactions: Count = 0
+    reversals: Count = 0
+    amount_cents: Cents = 0
+    outbox: Count = 0  # transactions without a receipt
+    last_receipt_ns: Nanoseconds | None = None
+    lanes: tuple[LaneBalance, ...] = ()  # of this hour and the last
+    recent: tuple[PassageSummary, ...] = ()
+
+
+class TrafficVehicle(Message):
+    """A simulated vehicle where it really is, and what it is."""
+
+    vehicle: Count
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    heading_rad: float
+    speed_m_s: Speed
+    lane: Name
+    equipped: bool
+    registered: bool
+    station_id: StationId | None = None
+
+
+class TrafficPassage(Message):
+    """A simulated vehicle that has passed the gate line."""
+
+    vehicle: Count
+    lane: Name
+    crossing_ns: Nanoseconds
+    equipped: bool
+    registered: bool
+    contract: Name | None = None
+
+
+class PlazaTruth(Message):
+    """Where the simulated vehicles really are, and who has passed the gate since the last message."""
+
+    sampled_ns: Nanoseconds
+    vehicles: tuple[TrafficVehicle, ...]
+    passages: tuple[TrafficPassage, ...] = ()
+    frames: Count = 0  # sent since the start
+    turned: Count = 0  # vehicles that turned around before the gate
