@@ -61,9 +61,7 @@ def connected(port: int, far: mqtt.Client, rejects: Counter[str]) -> Radio:
     return radio
 
 
-def test_bare_cams_arrive_with_their_ages_and_frames_that_are_too_long_are_counted(
-    port: int, far: mqtt.Client
-) -> None:
+def test_bare_cams_arrive_with_their_ages_and_frames_that_are_too_long_are_counted(port: int, far: mqtt.Client) -> None:
     rejects: Counter[str] = Counter()
     radio = connected(port, far, rejects)
     for payload in (b"cam 1", b"", bytes(MAX_FRAME_BYTES + 1), b"cam 2"):
