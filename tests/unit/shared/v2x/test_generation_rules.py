@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 
 import pytest
 
@@ -24,7 +25,7 @@ def sent_ms(motion: Callable[[float], tuple[float, float | None, float]], second
 
 
 def periods(times: list[int]) -> set[int]:
-    return {later - earlier for earlier, later in zip(times, times[1:], strict=False)}
+    return {later - earlier for earlier, later in pairwise(times)}
 
 
 def test_a_standing_vehicle_sends_once_a_second() -> None:
