@@ -43,8 +43,8 @@ SETTLING_S = 5.0
 TITLE = """# Receiving CAM: cost and latency
 
 By `make v2x`: {vehicles} vehicles at {rate} Hz, two of ten CAM with a path of {points} points, over UDP on this machine
-({cores} cores, {broker}, {priority} priority). Latency is from the arrival of a frame at the kernel to the arrival of its CAM at a
-subscriber of v2x/cam; batches of 20 ms are part of it.
+({cores} cores, {broker}, {priority} priority). Latency is from the arrival of a frame at the kernel to the arrival of
+its CAM at a subscriber of v2x/cam; batches of 20 ms are part of it.
 
 """
 
