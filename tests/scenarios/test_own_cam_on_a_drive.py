@@ -83,7 +83,7 @@ def test_cams_follow_one_another_by_0_1_to_1_second(drive: tuple[list[Cam], list
 
 
 def test_the_stated_ellipses_hold_the_true_position_of_the_front(drive: tuple[list[Cam], list[TruthState]]) -> None:
-    """95 % by design; the errors of a drive are correlated over minutes, so that fewer CAM are independent than sent."""
+    """95 % by design; the errors of a drive are correlated, so that fewer CAM are independent than sent."""
     received, truth = drive
     inside = []
     for cam in received:

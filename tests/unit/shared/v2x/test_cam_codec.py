@@ -30,7 +30,7 @@ def test_the_test_systems_cam_decodes_to_what_it_states_and_encodes_to_the_same_
 
 
 def test_a_cam_of_another_implementation_decodes_to_what_others_read_in_it() -> None:
-    """From issue 156 of pycrate, 2021: a parked car with three optional elements; read there and by an online decoder."""
+    """From issue 156 of pycrate, 2021: a parked car with three optional elements, also read by an online decoder."""
     payload = bytes.fromhex(
         "02020000D900B1E74059D824554CC4C2D79FFFFFFC2230D41E58622FC0000082B88A800FFD01FFF8807FE013C0400009FFFF7FFFD8CE00"
     )
@@ -38,7 +38,7 @@ def test_a_cam_of_another_implementation_decodes_to_what_others_read_in_it() -> 
     assert (content.station_id, generation_delta_time) == (55552, 45543)
     assert content.station_type is StationType.PASSENGER_CAR
     assert (content.latitude_deg, content.longitude_deg) == (42.128017, -8.622778)
-    assert content.position_semi_major_m is content.height_confidence_m is content.drive_direction is None
+    assert (content.position_semi_major_m, content.height_confidence_m, content.drive_direction) == (None, None, None)
     assert (content.vehicle_length_m, content.vehicle_width_m) == (4.4, 1.8)
     assert content.low_frequency is not None
     assert len(content.low_frequency.path) == 1
