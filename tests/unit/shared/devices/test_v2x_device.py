@@ -10,7 +10,7 @@ import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
 from shared.devices.device import DeviceBusy, DeviceLost
-from shared.devices.v2x_device import MqttRadio, Radio, open_radio
+from shared.devices.v2x_device import Radio, open_radio
 from shared.messages.v2x import MAX_FRAME_BYTES, Encapsulation
 from shared.v2x import cam, geonetworking
 from tests.support import brokers, cams
@@ -19,10 +19,15 @@ OPEN_TO_ALL = "topic readwrite #\n"
 
 
 @pytest.fixture
-def port(tmp_path: Path) -> Iterator[int]:
-    broker = brokers.start(brokers.SIMULATED, tmp_path, OPEN_TO_ALL)
-    yield broker.port
-    broker.stop()
+def broker(tmp_path: Path) -> Iterator[brokers.RunningBroker]:
+    running = brokers.start(brokers.SIMULATED, tmp_path, OPEN_TO_ALL)
+    yield running
+    running.stop()
+
+
+@pytest.fixture
+def port(broker: brokers.RunningBroker) -> int:
+    return broker.port
 
 
 @pytest.fixture
@@ -90,12 +95,12 @@ def test_a_packet_is_sent_as_bare_cam(port: int, far: mqtt.Client) -> None:
     radio.close()
 
 
-def test_a_broker_that_is_not_there_or_goes_away_is_a_lost_device(tmp_path: Path) -> None:
-    broker = brokers.start(brokers.SIMULATED, tmp_path, OPEN_TO_ALL)
-    url = f"mqtt://127.0.0.1:{broker.port}/plaza"
-    radio = open_radio(url, None, Counter())
-    assert isinstance(radio, MqttRadio)
-    read_until(radio, lambda _: radio.read(1) == [])
+def test_a_broker_that_goes_away_or_is_not_there_is_a_lost_device(
+    broker: brokers.RunningBroker, far: mqtt.Client
+) -> None:
+    radio = connected(broker.port, far, Counter())
+    far.loop_stop()
+    far.disconnect()
     broker.stop()
     with pytest.raises(DeviceLost, match="check the broker"):
         deadline = time.monotonic() + 10.0
@@ -103,4 +108,4 @@ def test_a_broker_that_is_not_there_or_goes_away_is_a_lost_device(tmp_path: Path
             radio.read(1)
             time.sleep(0.02)
     with pytest.raises(DeviceLost, match="cannot open"):
-        open_radio(url, None, Counter())
+        open_radio(f"mqtt://127.0.0.1:{broker.port}/plaza", None, Counter())
