@@ -82,8 +82,10 @@ PROCESSES = (
     ),
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
-        consumes=("gnss/write",),
-        produces=("gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state"),
+        consumes=("gnss/write", "simulation/attack"),
+        produces=(
+            "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state", "simulation/state",
+        ),
     ),
     ProcessRow(
         "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
@@ -95,7 +97,8 @@ PROCESSES = (
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
         consumes=("gnss/raw", "gnss/configure"),
         produces=(
-            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/configuration",
+            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits",
+            "gnss/signal_quality", "gnss/configuration",
         ),
         roles=BOTH,
     ),
@@ -151,19 +154,24 @@ PROCESSES = (
         produces=("trust/monitor",),
     ),
     ProcessRow(
+        "core.evidence", Kind.STANDING, "judges what the receiver says of jamming, spoofing, its signals and its clock",
+        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
         consumes=("trust/monitor", "navigation/solution", "navigation/state"),
         produces=("trust/state", "trust/event"),
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
-        consumes=("gnss/fix", "toll/registration", "toll/open_passages"),
+        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages"),
         produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
-        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt"),
+        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt", "origin/state"),
         produces=("toll/open_passages", "toll/transaction", "ledger/state"),
         roles=(Role.RSU,),
     ),
@@ -176,8 +184,8 @@ PROCESSES = (
         produces=("deadline/report", "outage/event"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
-        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard", observes_all=True,
-        roles=BOTH,
+        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
+        produces=("simulation/attack",), observes_all=True, roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}
