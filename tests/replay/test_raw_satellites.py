@@ -117,11 +117,11 @@ def test_the_base_station_of_an_rtcm_stream_is_where_it_says() -> None:
     """
     data = (recording("gpsd_receiver_logs") / "ublox-zed-f9r.log").read_bytes()
     midnight = datetime(2025, 4, 11, 23, 14, 26) - datetime(1980, 1, 6)  # GPS time has no zone
-    ephemerides, epochs = read_rtcm(data, round(midnight.total_seconds()) * 10**9)
+    messages = [message for _, message in UBXReader(BytesIO(data), protfilter=4)]
+    ephemerides, epochs = read_rtcm(messages, round(midnight.total_seconds()) * 10**9)
     store, monitor, errors = EphemerisStore(), SatelliteMonitor(), []
     for one in ephemerides:
         store.add(one)
-    messages = [message for _, message in UBXReader(BytesIO(data), protfilter=4)]
     base = next(message for message in messages if message.identity == "1006")
     truth = (base.DF025, base.DF026, base.DF027)
     place = geodetic_from_ecef(truth)

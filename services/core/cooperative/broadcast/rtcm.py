@@ -1,4 +1,4 @@
-"""Reads logs of RTCM 3: ephemerides (1019, 1046) and raw measurements of GPS L1 C/A and Galileo E1 (MSM5).
+"""RTCM 3 messages: ephemerides (1019, 1046) and raw measurements of GPS L1 C/A and Galileo E1 (MSM5).
 
 1046 is Galileo's I/NAV, whose clock and group delay are those of E1 with E5b; 1045 (F/NAV) is for E1 with E5a.
 
@@ -7,12 +7,8 @@ References
 RTCM 10403.3, tables 3.5-21, 3.5-102, 3.5-78, 3.5-82 and 3.5-87.
 """
 
-from collections.abc import Iterator
-from io import BytesIO
+from collections.abc import Iterable, Iterator
 from typing import Any
-
-from pyubx2.ubxreader import UBXReader
-from pyubx2.ubxtypes_core import RTCM3_PROTOCOL
 
 from shared.maths.gnss_signals import L1_FREQUENCY, SPEED_OF_LIGHT
 from shared.maths.navigation_words import GPS_PI
@@ -42,13 +38,13 @@ ANGLES = {  # in semicircles
 }  # fmt: skip
 
 
-def read_rtcm(data: bytes, near_ns: int) -> tuple[list[Ephemeris], list[RawEpoch]]:
+def read_rtcm(messages: Iterable[Any], near_ns: int) -> tuple[list[Ephemeris], list[RawEpoch]]:
     """Read all ephemerides and raw epochs of a log.
 
     Parameters
     ----------
-    data : bytes
-        RTCM 3, with anything in between; what is damaged is passed over.
+    messages : iterable of pyrtcm.RTCMMessage
+        In the order of the log; others are passed over.
     near_ns : int
         [ns] GPS time within half a week of the log: measurements carry the time of week alone.
 
@@ -60,7 +56,7 @@ def read_rtcm(data: bytes, near_ns: int) -> tuple[list[Ephemeris], list[RawEpoch
     """
     ephemerides: list[Ephemeris] = []
     epochs: dict[int, list[Measurement]] = {}
-    for _, message in UBXReader(BytesIO(data), protfilter=RTCM3_PROTOCOL, quitonerror=0):
+    for message in messages:
         kind = getattr(message, "identity", None)
         if kind in EPHEMERIDES:
             ephemerides.append(_gps(message, near_ns) if kind == "1019" else _galileo(message, near_ns))

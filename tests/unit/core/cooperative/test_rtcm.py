@@ -1,10 +1,12 @@
 """RTCM 3 logs: ephemerides come back from their bits, and damage is passed over."""
 
 from dataclasses import fields
+from io import BytesIO
 from math import pi
 from types import SimpleNamespace
 
 import pytest
+from pyubx2.ubxreader import UBXReader
 
 from services.core.cooperative.broadcast.ephemeris import Ephemeris
 from services.core.cooperative.broadcast.rtcm import _measurements, read_rtcm
@@ -39,12 +41,16 @@ def framed(bits: str) -> bytes:
     return int(head + format(crc24q(int(head, 2), len(head)), "024b"), 2).to_bytes(len(head) // 8 + 3, "big")
 
 
+def messages(log: bytes) -> list[object]:
+    return [message for _, message in UBXReader(BytesIO(log), protfilter=4, quitonerror=0)]
+
+
 GPS = [one for one in constellation() if one.satellite.constellation is Constellation.GPS][:3]
 
 
 def test_ephemerides_come_back_from_their_bits_with_anything_in_between() -> None:
     log = b"$GNRMC,*00\r\n".join(framed(bits_1019(one)) for one in GPS)
-    ephemerides, epochs = read_rtcm(log, NOW_NS)
+    ephemerides, epochs = read_rtcm(messages(log), NOW_NS)
     assert [one.satellite for one in ephemerides] == [one.satellite for one in GPS] and not epochs
     for found, sent in zip(ephemerides, GPS, strict=True):
         assert (found.toe_ns, found.toc_ns, found.issue, found.healthy) == (sent.toe_ns, sent.toc_ns, sent.issue, True)
@@ -57,8 +63,8 @@ def test_ephemerides_come_back_from_their_bits_with_anything_in_between() -> Non
 def test_a_damaged_or_cut_message_is_passed_over() -> None:
     whole = framed(bits_1019(GPS[0]))
     wrong = bytes([*whole[:20], whole[20] ^ 1, *whole[21:]])
-    assert read_rtcm(wrong + framed(bits_1019(GPS[1])), NOW_NS)[0][0].satellite == GPS[1].satellite
-    assert read_rtcm(whole[:-4], NOW_NS) == ([], [])
+    assert read_rtcm(messages(wrong + framed(bits_1019(GPS[1]))), NOW_NS)[0][0].satellite == GPS[1].satellite
+    assert read_rtcm(messages(whole[:-4]), NOW_NS) == ([], [])
 
 
 CELL = {
