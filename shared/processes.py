@@ -29,6 +29,7 @@ class Kind(StrEnum):
     DEVICE_DRIVER = "device driver"  # reads a device that a unit may have
     SIMULATOR = "simulator"  # stands in for devices
     STANDING = "standing"
+    OPTIONAL = "optional"  # belongs to a function that not every unit has
 
 
 @dataclass(frozen=True)
@@ -74,9 +75,15 @@ PROCESSES = (
         produces=("can/raw", "origin/state"),
     ),
     ProcessRow(
+        "sensors.v2x", Kind.DEVICE_DRIVER, "receives and sends the frames of the V2X radio",
+        consumes=("v2x/send",),
+        produces=("v2x/raw",),
+        roles=BOTH,
+    ),
+    ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
-        consumes=("gnss/write",),
-        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state"),
+        consumes=("gnss/write", "simulation/attack"),
+        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state", "simulation/state"),
     ),
     ProcessRow(
         "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
@@ -88,7 +95,8 @@ PROCESSES = (
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
         consumes=("gnss/raw", "gnss/configure"),
         produces=(
-            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/configuration",
+            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits",
+            "gnss/signal_quality", "gnss/configuration",
         ),
         roles=BOTH,
     ),
@@ -103,11 +111,22 @@ PROCESSES = (
         produces=("vehicle/speed", "vehicle/wheel_speed"),
     ),
     ProcessRow(
+        "parsers.v2x", Kind.OPTIONAL, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",
+        consumes=("v2x/raw", "v2x/own_cam", "gnss/fix"),
+        produces=("v2x/cam", "v2x/send"),
+        roles=BOTH,
+    ),
+    ProcessRow(
         "controller.mode", Kind.STANDING, "decides what the unit should be doing now",
         consumes=(
             "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution", "navigation/state",
         ),
         produces=("gnss/configure", "mode/state", "navigation/last_position"),
+    ),
+    ProcessRow(
+        "controller.cam", Kind.OPTIONAL, "decides when the vehicle sends its own CAM, and what it states",
+        consumes=("navigation/solution", "trust/state", "gnss/fix"),
+        produces=("v2x/own_cam",),
     ),
     ProcessRow(
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
@@ -133,19 +152,24 @@ PROCESSES = (
         produces=("trust/monitor",),
     ),
     ProcessRow(
+        "core.evidence", Kind.STANDING, "judges what the receiver says of jamming, spoofing, its signals and its clock",
+        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
         consumes=("trust/monitor", "navigation/solution", "navigation/state"),
         produces=("trust/state", "trust/event"),
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
-        consumes=("gnss/fix", "toll/registration", "toll/open_passages"),
+        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages"),
         produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
-        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt"),
+        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt", "origin/state"),
         produces=("toll/open_passages", "toll/transaction", "ledger/state"),
         roles=(Role.RSU,),
     ),
@@ -158,8 +182,8 @@ PROCESSES = (
         produces=("deadline/report", "outage/event"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
-        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard", observes_all=True,
-        roles=BOTH,
+        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
+        produces=("simulation/attack",), observes_all=True, roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}

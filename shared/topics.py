@@ -15,6 +15,7 @@ from .messages.gnss import (
     GnssRaw,
     GnssRawEpoch,
     GnssSatellites,
+    GnssSignalQuality,
     GnssWrite,
 )
 from .messages.imu import ImuRaw, ImuSamples
@@ -27,6 +28,7 @@ from .messages.navigation import (
     TruthState,
 )
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.simulation import SimulationAttack, SimulationState
 from .messages.toll import (
     GateCommand,
     LedgerState,
@@ -42,6 +44,7 @@ from .messages.toll import (
     TollTransaction,
 )
 from .messages.trust import TrustEvent, TrustMonitor, TrustState
+from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow, Role
@@ -100,10 +103,15 @@ TOPICS = (
     Topic("gnss/satellites", GnssSatellites, "satellites in view", rate_hz=1.0, silent_after_s=10.0),
     Topic("gnss/raw_epoch", GnssRawEpoch, "pseudoranges, carrier phases and Doppler, from receivers that send them"),
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
+    Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
+    Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms", personal=True),
+    Topic("v2x/cam", CamList, "Cooperative Awareness Messages of other stations, in SI units", personal=True),
+    Topic("v2x/own_cam", OwnCam, "Cooperative Awareness Message of this vehicle, by the generation rules"),
+    Topic("v2x/send", V2xSend, "frames to be sent by the V2X radio"),
     Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to", qos=1),
     Topic("mode/state", ModeState, "what the unit is doing",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
@@ -142,6 +150,9 @@ TOPICS = (
           rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
           rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
+    Topic("simulation/attack", SimulationAttack, "starts or stops an attack on a simulated vehicle", qos=1),
+    Topic("simulation/state", SimulationState, "the attacks of a simulated drive, and the answer to the last command",
+          qos=1, retain=True),
     Topic("truth/state", TruthState, "where the simulated vehicle really is", rate_hz=10.0, silent_after_s=5.0),
     Topic("health/+", ProcessHealth, "birth, heartbeat, farewell and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),

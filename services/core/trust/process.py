@@ -37,8 +37,7 @@ class Config(Section):
         default=5.0, gt=0.0, description="age of a monitor's statement from which it counts as not evaluated"
     )
     required_monitors: tuple[Monitor, ...] = Field(
-        default=tuple(monitor for monitor in Monitor if monitor is not Monitor.EVIDENCE),
-        description="monitors without which the verdict is at best CAUTION; no process publishes `evidence` yet",
+        default=tuple(Monitor), description="monitors without whose statements the verdict is at best CAUTION"
     )
 
 

@@ -5,10 +5,12 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
+from shared.attacks import ScheduledAttack, schedule
 from shared.bus.bus import Bus
 from shared.errors import BadPayload
 from shared.messages.base import Vector3
 from shared.messages.gnss import GnssWrite
+from shared.messages.simulation import SimulationAttack
 from shared.runtime.config import Section
 
 from .gnss.simulated_receiver import SOURCE
@@ -33,6 +35,22 @@ class Config(Section):
     pause_s: float = Field(
         default=1.5, ge=0.0, le=60.0, description="delay of the drive, so that other processes can subscribe before it"
     )
+
+    attacks: tuple[str, ...] = Field(
+        default=(), max_length=32, description='attacks, each as name(parameters)@start:duration, such as "drag_off@60"'
+    )
+
+    @property
+    def scheduled(self) -> tuple[ScheduledAttack, ...]:
+        """The attacks as they are scheduled."""
+        return tuple(schedule(text) for text in self.attacks)
+
+    @field_validator("attacks")
+    @classmethod
+    def _are_attacks(cls, attacks: tuple[str, ...]) -> tuple[str, ...]:
+        for text in attacks:
+            schedule(text)
+        return attacks
 
     @field_validator("scenario")
     @classmethod
@@ -63,8 +81,9 @@ class Process:
             bus.receive(0.1)
         scenario = scenario_of(self._config.scenario, self._config.seed)
         equipment = Equipment(self._config.protocols, self._config.mounting_rpy_deg, self._config.second_antenna_m)
-        world = World(scenario, self._config.seed, bus.now_ns(), equipment)
+        world = World(scenario, self._config.seed, bus.now_ns(), equipment, self._config.scheduled)
         log.info("simulating %s with seed %d: %s", scenario.name, self._config.seed, scenario.purpose)
+        bus.publish(world.attack_state(bus.now_ns()))
         for due_ns, message in world:
             self._wait(bus, due_ns, world)
             if bus.stopping:
@@ -87,5 +106,7 @@ class Process:
                     continue
                 if isinstance(written, GnssWrite) and written.source == SOURCE:
                     world.write(written.data, bus.now_ns())
+                elif isinstance(written, SimulationAttack):
+                    world.command(written)
             if due_ns <= bus.now_ns():
                 return

@@ -30,6 +30,7 @@ class Stream(IntEnum):
     WHEELS = 6
     CLOCKS = 7
     ENVIRONMENT = 8
+    ATTACKS = 9
 
 
 @dataclass(frozen=True)
