@@ -63,6 +63,7 @@ class NavigationSolution(Message):
     protection_level_horizontal_m: Deviation | None = None
     protection_level_vertical_m: Deviation | None = None
     integrity_risk: Ratio | None = None
+    gyroscope_bias_sd_rad_s: Deviation3 | None = None
     # No GNSS with a later stamp is part of this solution, because core.trust excludes it; None while GNSS is used.
     gnss_excluded_since_ns: Nanoseconds | None = None
 

@@ -188,6 +188,7 @@ def solution_message(solution: Solution) -> NavigationSolution:
         protection_level_horizontal_m=solution.protection_level_horizontal,
         protection_level_vertical_m=solution.protection_level_vertical,
         integrity_risk=solution.integrity_risk,
+        gyroscope_bias_sd_rad_s=solution.gyroscope_bias_sd,
         gnss_excluded_since_ns=solution.gnss_excluded_since_ns,
     )
 
