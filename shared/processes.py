@@ -132,7 +132,7 @@ PROCESSES = (
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state", "trust/state",
+            "navigation/filter_state", "trust/state", "gnss/fault_free_fix",
         ),
         produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
     ),
@@ -149,7 +149,7 @@ PROCESSES = (
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
         consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
-        produces=("trust/monitor",),
+        produces=("trust/monitor", "gnss/fault_free_fix"),
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "judges what the receiver says of jamming, spoofing, its signals and its clock",

@@ -100,6 +100,7 @@ class NavigationState(Message):
     # of the newest excluded position against the solution without GNSS: normalised innovation squared over its limit
     excluded_test_ratio: Ratio | None = None
     odometer_excluded: bool = False
+    satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
 
 
 class AidingKind(StrEnum):

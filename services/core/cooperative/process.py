@@ -8,17 +8,19 @@ from math import radians
 from pydantic import Field
 
 from shared.messages.base import Tick
-from shared.messages.gnss import GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
+from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.trust import TrustMonitor
 from shared.runtime.config import Section
 
 from .broadcast.store import EphemerisStore
+from .fault_free import fault_free_fix
 from .measurements import Constellation, Measurement, RawEpoch, SatelliteId
 from .satellites.model import ErrorModel
 from .satellites.monitor import RaimSettings, SatelliteMonitor
-from .statements import Since, after, not_evaluated, statement
+from .statements import Since, after, silent, statement
 
 In = GnssRawEpoch | GnssNavigationBits | GnssFix | Tick
+Out = TrustMonitor | FaultFreeFix
 PERIOD_NS = 900_000_000  # epochs that follow faster are not evaluated: one a second is enough
 SIGNALS = {("gps", "1C"), ("galileo", "1C"), ("galileo", "1B")}  # on 1575.42 MHz, with broadcast ephemerides
 # Reasons for which a measurement is not used in the ordinary course of things; the others are rejects.
@@ -61,7 +63,7 @@ class Process:
         """Rejected measurements and navigation words by reason."""
         return self._rejected + Counter(self._store.rejected)
 
-    def handle(self, message: In) -> Iterator[TrustMonitor]:
+    def handle(self, message: In) -> Iterator[Out]:
         """Use measurements and navigation words."""
         match message:
             case GnssRawEpoch():
@@ -73,9 +75,10 @@ class Process:
                     self._gps_minus_obu_ns = message.gps_time_ns - message.sampled_ns
             case Tick():
                 if self._is_silent(message.now_ns):
-                    yield self._remembered(not_evaluated(self._why_silent(message.now_ns), message.now_ns, self._since))
+                    why = self._why_silent(message.now_ns)
+                    yield self._remembered(silent(why, message.now_ns, self._epoch_ns, self._since))
 
-    def _use_epoch(self, message: GnssRawEpoch) -> Iterator[TrustMonitor]:
+    def _use_epoch(self, message: GnssRawEpoch) -> Iterator[Out]:
         if message.source != self._source:
             if not self._is_silent(message.sampled_ns):
                 self._rejected["second_receiver"] += 1
@@ -90,6 +93,8 @@ class Process:
         verdict = self._monitor.evaluate(epoch, self._store)
         self._rejected.update({reason: n for reason, n in verdict.rejected.items() if reason not in ORDINARY})
         yield self._remembered(statement(verdict, epoch, message.sampled_ns, self._since))
+        if (fix := fault_free_fix(verdict, message)) is not None:
+            yield fix
 
     def _use_bits(self, message: GnssNavigationBits) -> None:
         if (message.constellation.value, message.signal) not in SIGNALS:

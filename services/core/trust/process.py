@@ -138,6 +138,7 @@ class Process:
             gnss_excluded=suspect_since_ns is not None,
             exclusion_confirmed=confirmed,
             excluded_test_ratio=None if state is None else state.excluded_test_ratio,
+            satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
             limits=self._limits(),
         )
 
