@@ -16,14 +16,14 @@ from shared.runtime.offline import OfflineUnit
 
 PARSERS = ("parsers.gnss", "parsers.imu", "parsers.can")
 CORE = ("core.fusion", "core.cooperative", "core.trust")
-BEGIN_NS, END_NS = 45_000_000_000, 55_000_000_000
+BEGIN_NS, END_NS = 45_000_000_000, 50_000_000_000
 PUSH_M, MOVED_M = 50.0, 6.0
 ROW = 3  # satellite of an epoch
 
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    parsed = OfflineUnit(parse_vehicle(""), PARSERS).run(messages("parking_lot", 1, 62.0))
+    parsed = OfflineUnit(parse_vehicle(""), PARSERS).run(messages("parking_lot", 1, 66.0))
     return [one for one in parsed if hasattr(one, "sampled_ns")]
 
 
@@ -53,7 +53,7 @@ def published(drive: list[Message]) -> list[Message]:
 
 def test_the_fault_free_fix_takes_the_place_of_the_receivers_own(published: list[Message]) -> None:
     replaced = {one.sampled_ns for one in published if isinstance(one, FaultFreeFix)}
-    assert len(replaced) >= 10
+    assert len(replaced) >= 5
     used = {
         one.sampled_ns: one
         for one in published
