@@ -167,6 +167,7 @@ class PassageState(StrEnum):
 class EvidenceFrame(Message):
     """One received frame, as it is."""
 
+    sampled_ns: Nanoseconds  # generation time, as it was reconstructed on reception
     received_ns: Nanoseconds
     data: Base64
 

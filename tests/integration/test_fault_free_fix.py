@@ -36,7 +36,9 @@ def faulty(drive: list[Message]) -> Iterator[Message]:
             yield one
         elif isinstance(one, GnssRawEpoch):
             rows = list(one.measurements)
-            rows[ROW] = rows[ROW].model_copy(update={"pseudorange_m": rows[ROW].pseudorange_m + PUSH_M})
+            true_m = rows[ROW].pseudorange_m
+            assert true_m is not None
+            rows[ROW] = rows[ROW].model_copy(update={"pseudorange_m": true_m + PUSH_M})
             yield one.model_copy(update={"measurements": tuple(rows)})
         elif isinstance(one, GnssFix) and one.latitude_deg is not None and one.longitude_deg is not None:
             place = Geodetic(radians(one.latitude_deg), radians(one.longitude_deg), 0.0)

@@ -1,4 +1,4 @@
-"""Fusion, the monitors and the verdict on a simulated drive, in one thread: what each publishes goes to its consumers."""
+"""Fusion, the monitors and the verdict on a simulated drive in one thread: messages go to their consumers at once."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ KMH = 1.0 / 3.6
 def attacked(
     drive: Drive, begin_s: float, end_s: float, acceleration: float, speed: float, *, held: bool = False
 ) -> Drive:
-    """A drag-off with an end, after which velocities are authentic again, and positions too unless the offset is held."""
+    """A drag-off with an end, after which velocities are authentic again, and positions unless the offset is held."""
     dragged = drag_off(drive, begin_s, acceleration, speed)
     on = (drive.fix_ns < end_s * SECOND_NS)[:, None]
     after = drive.fix_position
