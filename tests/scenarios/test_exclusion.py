@@ -18,7 +18,7 @@ from shared.messages.trust import TrustLevel, TrustState
 from tests.support.chain import Chain, attacked
 from tests.support.spoofing import SECOND_NS
 
-BEGIN_S, END_S, DURATION_S = 80.0, 120.0, 175.0
+BEGIN_S, END_S, DURATION_S = 100.0, 130.0, 180.0
 pytestmark = pytest.mark.xdist_group("exclusion")  # one worker, for the runs are shared
 
 
@@ -141,7 +141,7 @@ def test_fusion_repeats_its_words_from_what_it_consumed_in_that_order(chain: Cha
 
 
 def test_an_attack_that_holds_its_offset_is_not_readmitted_for_its_velocity(drive: Drive) -> None:
-    """40 s of drag-off at 3 m/s, then authentic velocities on positions that stay off."""
+    """30 s of drag-off to 3 m/s, then authentic velocities on positions that stay off."""
     held = list(Chain(attacked(drive, BEGIN_S, END_S, 0.3, 3.0, held=True)).run())
     last = verdicts(held)[-1]
     passing = {one.monitor for one in last.monitors if one.outcome.value == "pass"}
