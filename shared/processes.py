@@ -160,7 +160,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
-        consumes=("trust/monitor", "navigation/solution", "navigation/state"),
+        consumes=("trust/monitor", "navigation/solution", "navigation/state", "trust/state"),
         produces=("trust/state", "trust/event"),
     ),
     ProcessRow(
