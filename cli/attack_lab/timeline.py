@@ -87,7 +87,7 @@ class Collector:
             if found.position_n is not None and found.protection_m is not None:
                 ned = found.position_n
                 times = (found.stamps_ns - start_ns) * 1e-9
-                errors = np.column_stack([np.hypot(ned[:, 0], ned[:, 1]), np.abs(ned[:, 2])])
+                errors = np.abs(np.column_stack([np.hypot(ned[:, 0], ned[:, 1]), ned[:, 2]]))
                 levels = found.protection_m
         accused, evaluated = _monitors(self.states, start_ns, end_ns)
         last = self.states[-1] if self.states else None
