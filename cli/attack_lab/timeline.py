@@ -86,7 +86,7 @@ class Collector:
             found = errors_against(reference, track, lever_arm_b=lever_arm_body_m)
             if found.position_n is not None and found.protection_m is not None:
                 ned = found.position_n
-                times = (found.stamps_ns - start_ns) * 1e-9
+                times = np.asarray((found.stamps_ns - start_ns) * 1e-9, dtype=np.float64)
                 errors = np.abs(np.column_stack([np.hypot(ned[:, 0], ned[:, 1]), ned[:, 2]]))
                 levels = found.protection_m
         accused, evaluated = _monitors(self.states, start_ns, end_ns)
