@@ -54,7 +54,8 @@ def at(second: int, seed: int = 1, push: tuple[SatelliteId, float] | None = None
 
 
 def said(process: Process, *messages: In) -> list[TrustMonitor]:
-    return [statement for one in messages for statement in process.handle(one)]
+    every = [published for one in messages for published in process.handle(one)]
+    return [statement for statement in every if isinstance(statement, TrustMonitor)]
 
 
 def informed(satellites: tuple[str, ...] | None = None, config: Config | None = None) -> Process:
