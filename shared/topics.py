@@ -27,6 +27,7 @@ from .messages.navigation import (
     NavigationState,
     TruthState,
 )
+from .messages.neighbours import NeighbourStates
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
 from .messages.simulation import SimulationAttack, SimulationState
 from .messages.toll import (
@@ -108,6 +109,8 @@ TOPICS = (
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
+    Topic("v2x/neighbours", NeighbourStates, "neighbouring vehicles: states, and frequency offsets of their carriers",
+          rate_hz=1.0, silent_after_s=5.0),
     Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms", personal=True),
     Topic("v2x/cam", CamList, "Cooperative Awareness Messages of other stations, in SI units", personal=True),
     Topic("v2x/own_cam", OwnCam, "Cooperative Awareness Message of this vehicle, by the generation rules"),
