@@ -65,6 +65,8 @@ def demo(
     json: Annotated[bool, typer.Option("--json", help="Print the balance as one JSON object.")] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
     broker: Annotated[BrokerKind, typer.Option(help="auto: Mosquitto if it is there, else our own.")] = BrokerKind.AUTO,
+    role: Annotated[Role, typer.Option(help="obu: a vehicle; rsu: a toll plaza.")] = Role.OBU,
+    vehicles: Annotated[int, typer.Option(min=1, max=200, help="Vehicles at the toll plaza at a time.")] = 50,
 ) -> None:
     """Run the whole unit here with simulated sensors: no Docker, no hardware, no account.
 
@@ -72,11 +74,13 @@ def demo(
     [bold]obu demo[/]
     [bold]obu demo --scenario tunnel --port 8090[/]
     [bold]obu demo --scenario parking_lot --duration 60 --json[/]
+    [bold]obu demo --role rsu --vehicles 50 --duration 60 --json[/]
     """
     from .demo.demo import DemoOptions, run
 
     _end_on_sigterm()
-    raise typer.Exit(run(DemoOptions(scenario, seed, duration, json, port, broker.value)))
+    options = DemoOptions(scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles)
+    raise typer.Exit(run(options))
 
 
 @app.command()

@@ -134,7 +134,7 @@ PROCESSES = (
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state",
+            "navigation/filter_state", "trust/state",
         ),
         produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
     ),

@@ -191,14 +191,26 @@ def measurements() -> tuple[Topic, ...]:
     )  # fmt: skip
 
 
+def needs(process: str) -> tuple[Topic, ...]:
+    """List the topics with a rate that a process needs: feedback of processes that follow it in the table is not."""
+    order = list(PROCESS_ROWS)
+    if process not in order or PROCESS_ROWS[process].observes_all:
+        return ()
+    place = order.index(process)
+    return tuple(
+        topic for topic in subscriptions(process)
+        if topic.rate_hz is not None and any(order.index(name) < place for name in topic.producers)
+    )  # fmt: skip
+
+
 def hot_path() -> tuple[str, ...]:
-    """List an on-board unit's processes upstream of the solution along topics with a rate: their delays are its own."""
+    """List an on-board unit's processes upstream of the solution along topics that each needs."""
     found: set[str] = set()
     waiting = [BY_NAME["navigation/solution"]]
     while waiting:
         new = set(waiting.pop().producers) - found
         found |= new
-        waiting += [topic for name in new for topic in subscriptions(name) if topic.rate_hz is not None]
+        waiting += [topic for name in new for topic in needs(name)]
     return tuple(row.name for row in PROCESSES if row.name in found and Role.OBU in row.roles)
 
 
