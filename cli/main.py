@@ -238,6 +238,28 @@ def navigation(
     raise typer.Exit(repeat(runs, as_json))
 
 
+@papers.command()
+def toll(
+    runs: Annotated[
+        int, typer.Option(min=2, help="Runs of the filters per noise model; 30 times as many of lanes.")
+    ] = 20,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the tables.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder of the figures (SVG); without it none are written.")] = None,
+) -> None:
+    """Track vehicles by CAM with the filters of the C-ITS toll paper, and decide lanes with and without delta position.
+
+    Table III is printed beside ours, with processor times. Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers toll --out figures[/]
+    [bold]obu papers toll --runs 4 --json[/]
+    """
+    from .papers.report import publish
+    from .papers.toll.paper import reproduce
+
+    raise typer.Exit(publish(reproduce(runs, sys.stderr.isatty()), json=as_json, out=out))
+
+
 @recordings.callback(invoke_without_command=True)
 def _record(
     context: typer.Context,
