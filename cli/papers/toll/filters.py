@@ -17,16 +17,16 @@ from .trajectory import STEP_S, Trajectory, cam_of, mixed
 FloatArray = npt.NDArray[np.float64]
 
 TRACKERS = {
-    "KF CV, position only": Tracker((Linear(2, 1.5, position_only=True),)),
+    "KF CV, x y only": Tracker((Linear(2, 1.5, position_only=True),)),
     "KF CV": Tracker((Linear(2, 1.5),)),
-    "KF CA, position only": Tracker((Linear(3, 1.0, position_only=True),)),
+    "KF CA, x y only": Tracker((Linear(3, 1.0, position_only=True),)),
     "KF CA": Tracker((Linear(3, 1.0),)),
     "EKF CTRV": Tracker((Ctrv(),)),
     "EKF CTRA": Tracker((Ctra(),)),
-    "four states, switched": Tracker((FourState(),)),
+    "four states": Tracker((FourState(),)),
     "IMM of CV and CTRA": imm(),
 }
-SINGLE = [name for name in TRACKERS if "IMM" not in name and "switched" not in name]
+SINGLE = [name for name in TRACKERS if "IMM" not in name and "four" not in name]
 PAPER_MSE = {"KF CV": 36.18, "KF CA": 37.74, "EKF CTRV": 37.76, "EKF CTRA": 35.40}  # [m²], table III
 PAPER_RAW = 37.76
 BIAS_M, BIAS_WHITE_M = 5.94, 1.13  # fitted to table III
@@ -58,7 +58,7 @@ class Noise:
 
 
 def _reference(*ratios: float) -> dict[str, float]:
-    names = [name for name in TRACKERS if name != "four states, switched"]
+    names = [name for name in TRACKERS if name != "four states"]
     return dict(zip(names, ratios, strict=True))
 
 
@@ -66,7 +66,7 @@ NOISES = (
     Noise("white 3 m", 3.0, _reference(0.172, 0.0150, 0.173, 0.0147, 0.0136, 0.0135, 0.0126)),
     Noise("table III", BIAS_WHITE_M, _reference(0.949, 0.936, 0.949, 0.936, 0.936, 0.936, 0.935), bias_m=BIAS_M),
     Noise(
-        "correlated 300 s",
+        "300 s",
         1.13,
         _reference(0.902, 0.853, 0.903, 0.851, 0.844, 0.844, 0.844),
         correlated=((4.2, 300.0),),

@@ -154,10 +154,10 @@ def _table_iii(results: Sequence[Result]) -> Table:
 def _all_noises(results: Sequence[Result]) -> Table:
     def cell(one: Result, name: str) -> str:
         reference = one.noise.reference.get(name)
-        return f"{one.mse[name] / one.raw:.4f}" + (f" ({reference:.4f})" if reference else "")
+        return f"{one.mse[name] / one.raw:.4f}/" + (f"{reference:.4f}" if reference else "-")
 
     return Table(
-        "MSE over that of raw positions, by model of the GNSS error (reference simulation)",
+        "MSE over that of raw positions: ours/reference simulation, by model of the GNSS error",
         ("filter", *(one.noise.name for one in results)),
         [(name, *(cell(one, name) for one in results)) for name in TRACKERS],
     )
@@ -184,7 +184,7 @@ def _times(times: dict[str, list[float]]) -> Table:
 
 def _name(one: Decisions) -> str:
     errors = one.errors
-    return f"{errors.common} / {errors.vehicle} / {errors.white} / {errors.unit} m"
+    return f"{errors.common}/{errors.vehicle}/{errors.white}/{errors.unit}"
 
 
 def _percent(value: float, reference: int | None = None) -> str:
@@ -207,8 +207,8 @@ def _lanes(decisions: Sequence[Decisions]) -> Table:
         for one, row in zip(decisions, REFERENCE, strict=False)
     ]
     return Table(
-        "Ours, not in the paper: right lane in % (reference); errors common / vehicle / white / road-side unit",
-        ("errors", "raw", "raw+delta", "filtered", "filtered+delta", "wrong sign", "lateral rms m"),
+        "Ours, not in the paper: right lane in % (reference), lateral rms; errors common/vehicle/white/unit",
+        ("errors m", "raw", "raw + Δ", "filtered", "filtered + Δ", "- Δ", "rms m"),
         rows,
     )
 
@@ -226,12 +226,13 @@ def _shares(decisions: Sequence[Decisions]) -> Table:
         )
         for name, one in [
             *((_name(one), one) for one in decisions[:-1]),
-            (f"{_name(decisions[-1])}, corrected already", decisions[-1]),
+            (f"{_name(decisions[-1])}, corrected", decisions[-1]),
         ]
     ]
     return Table(
-        "Lane posterior with filter and delta, in %; claimed: without delta, and with a claimed GNSS error of 0.2 m",
-        ("errors", "most probable right", "decided", "of them wrong", "undecided", "claimed: decided", "of them wrong"),
+        "Posterior with filter and delta: most probable lane right, lanes decided and of them wrong, in %; "
+        "claimed: decided, and of them wrong, without delta and with a claimed GNSS error of 0.2 m",
+        ("errors m", "right", "decided", "wrong", "undecided", "claimed", "wrong"),
         rows,
     )
 
@@ -243,8 +244,7 @@ def _figures(results: Sequence[Result], decisions: Sequence[Decisions]) -> list[
     errors = 3.0 * rng.standard_normal((1, len(trajectory.time_s), 2))
     cams = cam_of(trajectory, errors, 3.0, rng)
     tracks = {
-        name: filters.follow(TRACKERS[name], cams)
-        for name in ("KF CV, position only", "EKF CTRA", "IMM of CV and CTRA")
+        name: filters.follow(TRACKERS[name], cams) for name in ("KF CV, x y only", "EKF CTRA", "IMM of CV and CTRA")
     }
     with figure("Speed profile", found.append, columns=2) as axes:
         speed, mode = axes
@@ -253,8 +253,8 @@ def _figures(results: Sequence[Result], decisions: Sequence[Decisions]) -> list[
         speed.plot(trajectory.time_s, imm.states[:, 0, 3], label="IMM", linestyle="--")
         speed.plot(
             trajectory.time_s,
-            np.hypot(*tracks["KF CV, position only"].states[:, 0, 2:4].T),
-            label="KF CV, position only",
+            np.hypot(*tracks["KF CV, x y only"].states[:, 0, 2:4].T),
+            label="KF CV, x y only",
         )
         speed.set(xlabel="time [s]", ylabel="speed [m/s]")
         speed.legend()
