@@ -52,7 +52,9 @@ class Vehicle:
         crossed = state not in (PassageState.OPEN, PassageState.VOID)
         evidence = PassageEvidence(
             version="1", settings="{}", track_since_ns=self.opened_ns, deltas=(), lanes=(),
-            frames=tuple(EvidenceFrame(received_ns=self.opened_ns, data=data) for data in self.frames),
+            frames=tuple(
+                EvidenceFrame(sampled_ns=self.opened_ns, received_ns=self.opened_ns, data=data) for data in self.frames
+            ),
         )  # fmt: skip
         statement = TollPassage(
             sampled_ns=sampled_ns or (self.crossing_ns if crossed else self.opened_ns),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import pi, radians
 
 import numpy as np
+
 from shared.messages.v2x import Cam
 
 from .trackers.observation import SIZE, Observation
