@@ -83,7 +83,9 @@ PROCESSES = (
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
         consumes=("gnss/write", "simulation/attack"),
-        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state", "simulation/state"),
+        produces=(
+            "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state", "simulation/state",
+        ),
     ),
     ProcessRow(
         "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
@@ -132,7 +134,7 @@ PROCESSES = (
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state",
+            "navigation/filter_state", "trust/state",
         ),
         produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
     ),
@@ -148,7 +150,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
-        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "navigation/state"),
         produces=("trust/monitor",),
     ),
     ProcessRow(
