@@ -55,8 +55,9 @@ class Update:
 class TrackTable:
     """The tracks and their estimates, which are rows of arrays: one round of the IMM updates many vehicles."""
 
-    def __init__(self, settings: Settings, plaza: Plaza) -> None:
+    def __init__(self, settings: Settings, plaza: Plaza, *, on_time: bool = False) -> None:
         self._settings, self._plaza = settings.track, plaza
+        self._on_time = on_time  # the CAM's times are corrected already
         self._white_sd = settings.errors.white_sd_m
         self._imm = imm()
         self._numbers = count(1)
@@ -125,12 +126,15 @@ class TrackTable:
         """Place and time of a CAM; a station whose clock is wrong keeps the offset of its first CAM."""
         track = self.by_station.get(cam.station_id)
         age_ns = cam.received_ns - cam.sampled_ns
+        offset_ns = 0
         if track is not None:
             offset_ns = track.clock_offset_ns
-        else:
-            offset_ns = age_ns if not 0 <= age_ns <= self._settings.clock_limit_s * 1e9 else 0
+        elif not self._on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
+            offset_ns = age_ns
+        if offset_ns:
+            cam = cam.model_copy(update={"sampled_ns": cam.sampled_ns + offset_ns})
         north, east = self._plaza.plane(cam.latitude_deg or 0.0, cam.longitude_deg or 0.0)
-        return Measured(cam, cam.sampled_ns + offset_ns, east, north)
+        return Measured(cam, offset_ns, east, north)
 
     def _round(self, cams: Sequence[Cam]) -> list[Update]:
         """Use one CAM of each of several stations."""
@@ -185,7 +189,7 @@ class TrackTable:
             since_ns=one.time_ns,
             updated_ns=one.time_ns,
             received_ns=one.cam.received_ns,
-            clock_offset_ns=one.time_ns - one.cam.sampled_ns,
+            clock_offset_ns=one.clock_offset_ns,
         )
         track.predecessor = self._silent_here(one)
         track.predecessor_ns = track.predecessor.updated_ns if track.predecessor else 0
