@@ -23,6 +23,7 @@ from .recordings.record import record, repair
 from .recordings.replay import replay
 from .recordings.verify import verify
 from .solve.solve import solve
+from .verify_toll import verify_toll
 
 app = typer.Typer(
     help="A vehicle on-board unit: position, velocity and attitude of the vehicle, with their integrity.",
@@ -350,3 +351,4 @@ app.command("attack-lab")(_ended(attack_lab))
 recordings.command("repair")(_ended(repair))
 app.command("replay")(_ended(replay))
 app.command("verify")(_ended(verify))
+app.command("verify-toll")(_ended(verify_toll))

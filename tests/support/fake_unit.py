@@ -10,6 +10,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 from services.core.trust.process import Config as TrustConfig
 from services.core.trust.process import Process as TrustProcess
@@ -41,6 +42,15 @@ VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
 SIMULATED = parse_vehicle(VEHICLE_TOML).processes
 
 
+class FakePlaza(Protocol):
+    """What else may feed the bus."""
+
+    watchdog: Watchdog
+
+    def step(self) -> None:
+        """Feed everything that is due now."""
+
+
 class FakeBus:
     """Has the face of `shared.bus.bus.Bus`; what is fed is what is received."""
 
@@ -50,7 +60,7 @@ class FakeBus:
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
         self.offset_ns = 1_795_000_000 * 10**9 - time.monotonic_ns()
-        self.unit: FakeUnit | None = None
+        self.unit: FakeUnit | FakePlaza | None = None
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
         self._next_heartbeat_ns = 0
