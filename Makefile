@@ -9,7 +9,7 @@ PORT ?= 8080
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers alarms bench drives integrity consistency starts golden picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers alarms bench drives integrity consistency starts v2x golden picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -100,6 +100,9 @@ consistency: setup ## hold errors against the filter's covariance: 50 drives a c
 
 starts: setup ## switch on anywhere in simulated drives: how soon the heading is known (ten minutes)
 	@$(PYTHON) -m benchmarks.starts
+
+v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
+	@$(PYTHON) -m benchmarks.v2x
 
 golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
 	@$(PYTHON) -m tests.support.golden
