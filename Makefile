@@ -83,7 +83,7 @@ papers: setup ## reproduce the papers' numbers (minutes)
 	@$(PYTHON) -m cli papers spoofing --out .obu/papers/spoofing
 	@$(PYTHON) -m cli papers navigation
 
-alarms: setup ## count false alarms of the motion and inertial monitors in 100,000 fault-free epochs (three hours on two cores)
+alarms: setup ## count false alarms of the motion and inertial monitors in 100,000 fault-free epochs (two hours)
 	@$(PYTHON) -m benchmarks.false_alarms
 
 bench: $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
