@@ -285,7 +285,7 @@ def cooperative(
 
 @papers.command()
 def spoofing(
-    drives: Annotated[int, typer.Option(min=3, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
+    drives: Annotated[int, typer.Option(min=6, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
     as_json: JsonOption = False,
     out: FiguresOption = None,
 ) -> None:
