@@ -83,6 +83,12 @@ class CooperativeMonitor:
         gap_s = (gps_time_ns - self._time_ns) * 1e-9
         return self._bank is not None and 0.0 < gap_s <= self._settings.longest_gap_s
 
+    def exclude(self, satellites: frozenset[SatelliteId]) -> None:
+        """Exclude satellites that another test has found in the epoch that was evaluated last."""
+        for number, satellite in enumerate(self._satellites):
+            if self._bank is not None and satellite in satellites:
+                self._bank.exclude(number)
+
     def evaluate(
         self,
         epoch: RawEpoch,

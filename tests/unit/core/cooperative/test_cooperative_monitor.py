@@ -261,6 +261,15 @@ def test_satellites_that_come_and_go_do_not_disturb_the_others() -> None:
         assert len(verdict.findings) == len(part)
 
 
+def test_what_another_test_excludes_is_no_longer_used_until_it_has_agreed_for_eight_epochs() -> None:
+    monitor = started()
+    satellite = epoch(1).measurements[2].satellite
+    monitor.exclude(frozenset({satellite}))
+    for k in range(1, 12):
+        verdict = judged(monitor, epoch(k), k)
+        assert verdict.excluded == ((satellite,) if k < 8 else ()), f"epoch {k}"
+
+
 def half_of_the_sky(k: int, rng: np.random.Generator | None = None) -> RawEpoch:
     """Every second satellite is not received: the others' directions are free for virtual ones."""
     full = epoch(k, rng)
