@@ -83,8 +83,9 @@ papers: setup ## reproduce the papers' numbers (minutes)
 	@$(PYTHON) -m cli papers spoofing --out .obu/papers/spoofing
 	@$(PYTHON) -m cli papers navigation
 
-alarms: setup ## count false alarms of the motion and inertial monitors in 100,000 fault-free epochs (three hours)
+alarms: setup ## count false alarms of the monitors in 100,000 fault-free epochs (three hours)
 	@$(PYTHON) -m benchmarks.false_alarms
+	@$(PYTHON) -m benchmarks.false_alarms_satellites
 
 bench: $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks
