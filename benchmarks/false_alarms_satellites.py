@@ -40,12 +40,12 @@ from services.core.cooperative.v2x.forward import (
     POSITION,
     VELOCITY,
     Estimate,
-    ForwardSettings,
     Neighbours,
     correct_range_rates,
     predict,
     range_rates,
 )
+from services.core.cooperative.v2x.monitor import CAR
 from services.sensors.simulator.gnss.navigation_words import inav_page, lnav_subframe
 from services.sensors.simulator.gnss.raw_measurements import IONOSPHERE, RangeErrors, measure
 from services.sensors.simulator.gnss.reception import Fix
@@ -118,7 +118,7 @@ class Drives:
     """Many vehicles side by side, with true states that follow the forward model."""
 
     def __init__(self, geometry: Geometry, systems: tuple[int, ...], runs: int, seed: int) -> None:
-        self._rng, self._forward, self._runs = np.random.default_rng((seed, 2)), ForwardSettings(), runs
+        self._rng, self._forward, self._runs = np.random.default_rng((seed, 2)), CAR, runs
         n = len(geometry.sd)
         self._correlated_sd = np.sqrt(np.maximum(geometry.sd**2 - geometry.noise_sd**2, 0.0))
         self.ranges = Pseudoranges(
@@ -174,7 +174,7 @@ def bank(rate: float, runs: int, epochs: int, *, white: bool, seed: int = 1) -> 
     filters = LeaveOneOutBank(drives.start, len(systems), BankSettings(rate))
     for second in range(epochs):
         ranges, neighbours = drives.advance()
-        predicted = predict(filters.estimate, 1.0, ForwardSettings())
+        predicted = predict(filters.estimate, 1.0, CAR)
         if second:
             seen_by_all = Neighbours(*(column[:, np.newaxis] for column in neighbours))
             predicted = correct_range_rates(predicted, seen_by_all)
