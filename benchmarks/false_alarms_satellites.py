@@ -49,7 +49,7 @@ from services.core.cooperative.v2x.forward import (
     range_rates,
 )
 from services.sensors.simulator.gnss.navigation_words import inav_page, lnav_subframe
-from services.sensors.simulator.gnss.raw_measurements import IONOSPHERE, measure
+from services.sensors.simulator.gnss.raw_measurements import IONOSPHERE, RangeErrors, measure
 from services.sensors.simulator.gnss.reception import Fix
 from services.sensors.simulator.gnss.sky import SkyModel
 from shared.maths.earth import Geodetic
@@ -100,7 +100,8 @@ def exact_epochs() -> Iterator[tuple[RawEpoch, EphemerisStore, Geometry]]:
         still = (0.0, 0.0, 0.0)
         fix = Fix(True, "none", place, still, still, still, still)
         sky = model.at(time_s, place, mask_deg=10.0, loss_db=0.0, covered=False)
-        raw = measure(model, replace(sky, residual_m=np.zeros_like(sky.residual_m)), fix, time_s)
+        zero = np.zeros_like(sky.residual_m)
+        raw = measure(model, replace(sky, residual_m=zero), fix, time_s, RangeErrors(zero, zero))
         names = [Constellation.GPS if gnss_id == 0 else Constellation.GALILEO for gnss_id in raw.gnss_id.tolist()]
         numbers = zip(names, raw.number.tolist(), strict=True)
         satellites = [SatelliteId(name, number) for name, number in numbers]

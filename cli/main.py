@@ -17,6 +17,7 @@ from shared.errors import UserError
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
+from .attack_lab.attack_lab import attack_lab
 from .import_drive.import_drive import import_drive
 from .recordings.record import record, repair
 from .recordings.replay import replay
@@ -301,6 +302,27 @@ def spoofing(
     raise typer.Exit(repeat(drives, as_json, out))
 
 
+@papers.command()
+def toll(
+    runs: Annotated[
+        int, typer.Option(min=2, help="Runs of the filters per noise model; 30 times as many of lanes.")
+    ] = 20,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Track vehicles by CAM with the filters of the C-ITS toll paper, and decide lanes with and without delta position.
+
+    Table III is printed beside ours, with processor times. Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers toll --out figures[/]
+    [bold]obu papers toll --runs 4 --json[/]
+    """
+    from .papers.papers import toll as repeat
+
+    raise typer.Exit(repeat(runs, as_json, out))
+
+
 @recordings.callback(invoke_without_command=True)
 def _record(
     context: typer.Context,
@@ -324,6 +346,7 @@ def _record(
 
 app.command("import")(_ended(import_drive))
 app.command("solve")(_ended(solve))
+app.command("attack-lab")(_ended(attack_lab))
 recordings.command("repair")(_ended(repair))
 app.command("replay")(_ended(replay))
 app.command("verify")(_ended(verify))
