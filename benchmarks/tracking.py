@@ -27,7 +27,8 @@ COMMON = (2.5, -1.5)  # [m, north and east] error that all receivers have in com
 TITLE = """# Tracking at a toll plaza: cost of core.toll
 
 By `python -m benchmarks.tracking`: {vehicles} vehicles at {rate} Hz, in batches of 20 ms; reading the JSON, tracking,
-and writing the statements. Processor time of one process, without a broker. Receiving and decoding the frames: [v2x.md](v2x.md).
+and writing the statements. Processor time of one process, without a broker.
+Receiving and decoding the frames: [v2x.md](v2x.md).
 
 | quantity | value |
 | --- | --- |
