@@ -9,7 +9,7 @@ PORT ?= 8080
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers alarms bench drives integrity consistency starts v2x golden picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -82,6 +82,9 @@ papers: setup ## reproduce the papers' numbers (minutes)
 	@$(PYTHON) -m cli papers cooperative --out .obu/papers/cooperative
 	@$(PYTHON) -m cli papers spoofing --out .obu/papers/spoofing
 	@$(PYTHON) -m cli papers navigation
+
+attack-lab: setup ## attack simulated drives: rates of detection and of false alarms (an hour on two cores)
+	@$(PYTHON) -m cli attack-lab --out .obu/attack-lab
 
 alarms: setup ## count false alarms of the motion and inertial monitors in 100,000 fault-free epochs (three hours)
 	@$(PYTHON) -m benchmarks.false_alarms

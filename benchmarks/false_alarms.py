@@ -48,6 +48,7 @@ class Count:
     design: float | None
     evaluations: int
     episodes: int
+    accusing: int  # evaluations that accuse: an episode has one or more
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -75,14 +76,20 @@ def counted(epochs: Iterator[Sequence[Outcome]]) -> list[Count]:
     design: dict[str, float | None] = {}
     evaluations: dict[str, int] = {}
     episodes: dict[str, int] = {}
-    accusing: dict[str, bool] = {}
+    accusing: dict[str, int] = {}
+    before: dict[str, bool] = {}
     for outcomes in epochs:
         for test, rate, accuses in outcomes:
             design[test] = rate
             evaluations[test] = evaluations.get(test, 0) + (accuses is not None)
-            episodes[test] = episodes.get(test, 0) + (accuses is True and not accusing.get(test, False))
-            accusing[test] = accuses is True
-    return [Count(test, rate, evaluations[test], episodes[test]) for test, rate in design.items() if evaluations[test]]
+            episodes[test] = episodes.get(test, 0) + (accuses is True and not before.get(test, False))
+            accusing[test] = accusing.get(test, 0) + (accuses is True)
+            before[test] = accuses is True
+    return [
+        Count(test, rate, evaluations[test], episodes[test], accusing[test])
+        for test, rate in design.items()
+        if evaluations[test]
+    ]
 
 
 def motion(job: Job) -> list[Count]:
@@ -149,9 +156,13 @@ def campaign(monitor: str, epochs: int, progress: bool) -> list[Count]:
     total: dict[tuple[str, float | None], Count] = {}
     for counts in in_parallel(work, jobs, WORKERS, progress):
         for one in counts:
-            known = total.get((one.test, one.design), Count(one.test, one.design, 0, 0))
+            known = total.get((one.test, one.design), Count(one.test, one.design, 0, 0, 0))
             total[one.test, one.design] = Count(
-                one.test, one.design, known.evaluations + one.evaluations, known.episodes + one.episodes
+                one.test,
+                one.design,
+                known.evaluations + one.evaluations,
+                known.episodes + one.episodes,
+                known.accusing + one.accusing,
             )
     return list(total.values())
 
@@ -159,11 +170,17 @@ def campaign(monitor: str, epochs: int, progress: bool) -> list[Count]:
 def table(monitor: str, counts: Sequence[Count]) -> Table:
     """Observed rates with their intervals."""
     rows = [
-        (one.test, "-" if one.design is None else f"{one.design:.0e}", str(one.evaluations), str(one.episodes),
-         f"{one.interval[0]:.1e} to {one.interval[1]:.1e}", one.verdict)
+        (
+            one.test,
+            "-" if one.design is None else f"{one.design:.0e}",
+            *map(str, (one.evaluations, one.accusing, one.episodes)),
+            f"{one.interval[0]:.1e} to {one.interval[1]:.1e}",
+            one.verdict,
+        )
         for one in counts
-    ]  # fmt: skip
-    columns = ("test", "design", "evaluations", "episodes", f"{100 * CONFIDENCE:.0f} % interval", "design rate")
+    ]
+    interval = f"{100 * CONFIDENCE:.0f} % interval"
+    columns = ("test", "design", "evaluations", "accusing", "episodes", interval, "design rate")
     return Table(f"False alarms of {monitor} on fault-free simulated drives", columns, rows)
 
 

@@ -17,6 +17,7 @@ from shared.errors import UserError
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
+from .attack_lab.attack_lab import attack_lab
 from .import_drive.import_drive import import_drive
 from .recordings.record import record, repair
 from .recordings.replay import replay
@@ -345,6 +346,7 @@ def _record(
 
 app.command("import")(_ended(import_drive))
 app.command("solve")(_ended(solve))
+app.command("attack-lab")(_ended(attack_lab))
 recordings.command("repair")(_ended(repair))
 app.command("replay")(_ended(replay))
 app.command("verify")(_ended(verify))

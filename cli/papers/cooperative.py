@@ -224,7 +224,7 @@ def _figures(rows: Sequence[Row]) -> list[Figure]:
         chosen = next(one for one in rows if one.ratio == 0.5).position_m
         for offset, (method, errors) in enumerate(chosen.items()):
             axes.bar(np.arange(len(errors)) + 0.16 * offset, list(errors.values()), 0.15, label=method)
-        axes.set(yscale="log", ylabel="horizontal RMS [m], ratio 0.5")
+        axes.set(ylabel="horizontal RMS [m], ratio 0.5")
         axes.set_xticks(np.arange(len(scenario.PHASES)) + 0.32, list(scenario.PHASES))
-        axes.legend()
+        axes.legend(loc="upper left")
     return drawn

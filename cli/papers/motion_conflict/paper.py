@@ -297,4 +297,4 @@ def _draw_sweeps(drawn: list[Figure]) -> None:
         for axes in panels:
             axes.axhline(LIMIT_KM_H, color="grey", linewidth=0.8)
         panels[0].set_ylabel("largest statistic [km/h]")
-        panels[0].legend()
+        panels[2].legend(loc="lower right")

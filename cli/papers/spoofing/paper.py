@@ -378,6 +378,9 @@ def _figures(found: Findings) -> list[Figure]:
             values = np.array([found.cut_offs[mode, cut_off] for cut_off in CUT_OFFS_HZ])
             panels[0].loglog(CUT_OFFS_HZ, values[:, 0], marker=".", label=label)
             panels[1].semilogx(CUT_OFFS_HZ, values[:, 1], marker=".", label=label)
+        for axes in panels:
+            axes.set_xticks(CUT_OFFS_HZ, [f"{cut_off:g}" for cut_off in CUT_OFFS_HZ])
+            axes.minorticks_off()
         panels[0].set(xlabel="cut-off [Hz]", ylabel="sigma of the east acceleration [m/s²]")
         panels[1].set(xlabel="cut-off [Hz]", ylabel="false detections of any metric [%]")
         panels[0].legend()
@@ -385,7 +388,7 @@ def _figures(found: Findings) -> list[Figure]:
         for offset, (mode, result) in enumerate(found.modes.items()):
             shares = [one.share(SOON_S) for one in result.detected.values()]
             axes.bar(np.arange(len(ATTACKS)) + 0.2 * offset, shares, 0.18, label=mode.value)
-        axes.set_xticks(np.arange(len(ATTACKS)) + 0.3, [name.replace(" at", "\nat") for name in ATTACKS], fontsize=7)
-        axes.set(ylabel="detected within 30 s [%]")
-        axes.legend()
+        axes.set_xticks(np.arange(len(ATTACKS)) + 0.3, list(ATTACKS), fontsize=7)
+        axes.set(ylabel="detected within 30 s [%]", ylim=(0.0, 125.0))
+        axes.legend(ncols=4, loc="upper center")
     return drawn

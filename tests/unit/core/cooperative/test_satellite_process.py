@@ -54,7 +54,8 @@ def at(second: int, seed: int = 1, push: tuple[SatelliteId, float] | None = None
 
 
 def said(process: Process, *messages: In) -> list[TrustMonitor]:
-    return [statement for one in messages for statement in process.handle(one)]
+    produced = (one for message in messages for one in process.handle(message))
+    return [one for one in produced if isinstance(one, TrustMonitor)]
 
 
 def informed(satellites: tuple[str, ...] | None = None, config: Config | None = None) -> Process:
