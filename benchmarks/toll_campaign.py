@@ -2,8 +2,7 @@
 
 The simulated plaza, `parsers.v2x`, `parsers.gnss`, `core.toll` and the ledger run in one thread on simulated time. A
 kill ends `core.toll` between any two of its answers, or the ledger at any statement of a transaction; what was on the
-way to the dead process is lost, as on a bus without sessions, and the next life begins half a second to two seconds
-later.
+way to the dead process is lost, as on a bus without sessions. The next life begins 0.5 to 2 s later.
 """
 
 import argparse

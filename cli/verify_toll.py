@@ -3,7 +3,7 @@
 import hashlib
 import sqlite3
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -55,7 +55,8 @@ def verify_toll(
         number += 1
         differences = differences_of(found, pack)
         wrong += bool(differences)
-        print(f"{pack.charged.passage_id}  lane {pack.lane}  {'; '.join(differences) or 'verified'}")
+        good = "lane verified, of a continued passage" if is_continued(pack) else "verified"
+        print(f"{pack.charged.passage_id}  lane {pack.lane}  {'; '.join(differences) or good}")
         if export:
             export.mkdir(parents=True, exist_ok=True)
             (export / f"{pack.charged.passage_id}.json").write_bytes(found.pack)
@@ -128,16 +129,30 @@ def _derivation(pack: EvidencePack) -> Iterator[str]:
     settings = Settings.model_validate_json(evidence.settings)
     derived = derive(plaza, settings, [cam_of(frame) for frame in evidence.frames], evidence.deltas)
     again = next((said for said in derived if said.state is PassageState.CROSSED), None)
+    continued = is_continued(pack)
     if again is None:
-        yield "no crossing follows from the evidence"
+        yield (
+            "cannot be derived: the crossing lies before the track that continued the passage"
+            if continued
+            else ("no crossing follows from the evidence")
+        )
         return
-    yield from _compared(again, pack.crossed)
+    yield from _compared(again, pack.crossed, COMPARED if not continued else ("lane",))
     if pack.charged.lane != pack.crossed.lane or pack.charged.crossing_ns != pack.crossed.crossing_ns:
         yield "the final statement differs from that of the crossing"
 
 
-def _compared(again: TollPassage, said: TollPassage) -> Iterator[str]:
-    for name in COMPARED:
+def is_continued(pack: EvidencePack) -> bool:
+    """Whether another track than the one that opened the passage decided it: after a gap, or a restart of core.toll.
+
+    Its frames alone are evidence, so that its lane is derived again, and not what rests on the earlier track.
+    """
+    evidence = pack.crossed.evidence
+    return evidence is not None and evidence.track_since_ns != pack.crossed.opened_ns
+
+
+def _compared(again: TollPassage, said: TollPassage, names: Sequence[str]) -> Iterator[str]:
+    for name in names:
         derived, stated = getattr(again, name), getattr(said, name)
         if derived != stated:
             yield f"{name} is {stated}, derived {derived}"
