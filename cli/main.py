@@ -65,6 +65,12 @@ def demo(
     json: Annotated[bool, typer.Option("--json", help="Print the balance as one JSON object.")] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
     broker: Annotated[BrokerKind, typer.Option(help="auto: Mosquitto if it is there, else our own.")] = BrokerKind.AUTO,
+    attack: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="An attack as name@start, name@start:duration or name(parameter=value,...)@start; [s]. Repeatable."
+        ),
+    ] = None,
 ) -> None:
     """Run the whole unit here with simulated sensors: no Docker, no hardware, no account.
 
@@ -72,11 +78,16 @@ def demo(
     [bold]obu demo[/]
     [bold]obu demo --scenario tunnel --port 8090[/]
     [bold]obu demo --scenario parking_lot --duration 60 --json[/]
+    [bold]obu demo --attack drag_off@60[/]
+    [bold]obu demo --attack "drag_off(accel=0.1,speed=1)@60:120" --attack odometer_freeze@240 --duration 300[/]
+
+    Attacks: tunnel, jam, freeze, static_replay, straight_replay, replay_drive, delay, position_jump, drag_off, climb,
+    time_push, satellite_step, satellite_ramp, odometer_scale, odometer_freeze, tyre_change.
     """
     from .demo.demo import DemoOptions, run
 
     _end_on_sigterm()
-    raise typer.Exit(run(DemoOptions(scenario, seed, duration, json, port, broker.value)))
+    raise typer.Exit(run(DemoOptions(scenario, seed, duration, json, port, broker.value, attacks=tuple(attack or ()))))
 
 
 @app.command()

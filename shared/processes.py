@@ -29,6 +29,7 @@ class Kind(StrEnum):
     DEVICE_DRIVER = "device driver"  # reads a device that a unit may have
     SIMULATOR = "simulator"  # stands in for devices
     STANDING = "standing"
+    OPTIONAL = "optional"  # belongs to a function that not every unit has
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,12 @@ PROCESSES = (
         produces=("can/raw", "origin/state"),
     ),
     ProcessRow(
+        "sensors.v2x", Kind.DEVICE_DRIVER, "receives and sends the frames of the V2X radio",
+        consumes=("v2x/send",),
+        produces=("v2x/raw",),
+        roles=BOTH,
+    ),
+    ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
         consumes=("gnss/write", "simulation/attack"),
         produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state", "simulation/state"),
@@ -103,11 +110,22 @@ PROCESSES = (
         produces=("vehicle/speed", "vehicle/wheel_speed"),
     ),
     ProcessRow(
+        "parsers.v2x", Kind.OPTIONAL, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",
+        consumes=("v2x/raw", "v2x/own_cam", "gnss/fix"),
+        produces=("v2x/cam", "v2x/send"),
+        roles=BOTH,
+    ),
+    ProcessRow(
         "controller.mode", Kind.STANDING, "decides what the unit should be doing now",
         consumes=(
             "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution", "navigation/state",
         ),
         produces=("gnss/configure", "mode/state", "navigation/last_position"),
+    ),
+    ProcessRow(
+        "controller.cam", Kind.OPTIONAL, "decides when the vehicle sends its own CAM, and what it states",
+        consumes=("navigation/solution", "trust/state", "gnss/fix"),
+        produces=("v2x/own_cam",),
     ),
     ProcessRow(
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",

@@ -43,6 +43,7 @@ from .messages.toll import (
     TollTransaction,
 )
 from .messages.trust import TrustEvent, TrustMonitor, TrustState
+from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow, Role
@@ -105,6 +106,10 @@ TOPICS = (
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
+    Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms"),
+    Topic("v2x/cam", CamList, "Cooperative Awareness Messages of other stations, in SI units"),
+    Topic("v2x/own_cam", OwnCam, "Cooperative Awareness Message of this vehicle, by the generation rules"),
+    Topic("v2x/send", V2xSend, "frames to be sent by the V2X radio"),
     Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to", qos=1),
     Topic("mode/state", ModeState, "what the unit is doing",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),

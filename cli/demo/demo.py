@@ -8,24 +8,27 @@ import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
 from services.sensors.simulator.scenarios import scenario_of
+from shared.attacks import schedule
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, UserError
 from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
 from shared.topics import TOPICS
 
 from .balance import Balance, Summary
+from .detection import AttackSummary
 from .local import broker_command, free_port, fresh_folder, only_one, port_or_free, unit
 from .supervisor import Supervisor
 
 SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
-OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw")
+OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw",
+            "trust/state", "simulation/state")  # fmt: skip
 START_LIMIT_S = 60.0
 
 
@@ -40,6 +43,7 @@ class DemoOptions:
     http_port: int
     broker: str  # auto, mosquitto or simulated
     vehicle: Path = SIMULATED
+    attacks: tuple[str, ...] = ()  # each as name(parameters)@start:duration
 
 
 def run(options: DemoOptions) -> int:
@@ -66,6 +70,8 @@ def _insist_on_scenario(options: DemoOptions) -> None:
     """Refuse what the simulator would refuse, before anything is started."""
     try:
         scenario_of(options.scenario, options.seed)
+        for text in options.attacks:
+            schedule(text)
     except ValueError as error:
         raise UserError(str(error)) from error
 
@@ -122,7 +128,7 @@ def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
     base = load_vehicle(options.vehicle)
     tables: dict[str, Table] = {name: dict(table) for name, table in base.tables.items()}
     simulator = tables.setdefault("sensors.simulator", {})
-    simulator.update(scenario=options.scenario, seed=options.seed)
+    simulator.update(scenario=options.scenario, seed=options.seed, attacks=list(options.attacks))
     tables.setdefault("monitoring.status", {}).update(port=http_port)
     lines = [
         line
@@ -198,6 +204,13 @@ def _why_unhealthy(summary: Summary) -> str:
     return "not every process was heard to be ready: see the logs"
 
 
+def _detection(attack: AttackSummary) -> str:
+    if attack.detected_after_s is None:
+        return f"attack {attack.name} at {attack.started_s:.0f} s: not detected"
+    by = "; ".join(attack.detected_by)
+    return f"attack {attack.name} at {attack.started_s:.0f} s: detected after {attack.detected_after_s:.1f} s by {by}"
+
+
 def _print(summary: Summary, options: DemoOptions, console: Console) -> None:
     if not summary.healthy:
         console.print(f"not healthy: {_why_unhealthy(summary)}", soft_wrap=True, highlight=False)
@@ -205,7 +218,9 @@ def _print(summary: Summary, options: DemoOptions, console: Console) -> None:
         print(json.dumps(asdict(summary)))
         return
     console.print("\n[bold]What was seen[/]")
-    for name, value in asdict(summary).items():
+    for attack in summary.attacks:
+        console.print(f"  {_detection(attack)}", highlight=False)
+    for name, value in asdict(replace(summary, attacks=())).items():
         console.print(f"  {name:32} {value if value is not None else '-'}")
     sys.stderr.flush()
 
