@@ -118,10 +118,11 @@ class Receiver:
 
     def _faulty_fix(self, fix: Fix, sky: Sky, errors: FloatArray, rates: FloatArray) -> tuple[Fix, Sky]:
         """Move position, velocity and residuals as errors of pseudoranges and their derivatives do."""
-        if not fix.valid or not errors.any():
+        if not (fix.valid and (errors.any() or rates.any())):
             return fix, sky
         directions = (sky.system, sky.used, np.radians(sky.elevation_deg), np.radians(sky.azimuth_deg))
-        (shift, residual), (speed, _) = (self._sky.split(values, *directions) for values in (errors, rates))
+        shift, residual = self._sky.split(errors, *directions)
+        speed, _ = self._sky.split(rates, *directions, one_clock=True)
         (north, east, down), (v_north, v_east, v_down) = shift.tolist(), (speed + fix.velocity_n).tolist()
         moved = replace(
             fix,
