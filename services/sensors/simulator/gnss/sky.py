@@ -196,8 +196,9 @@ class SkyModel:
         if solved.any():
             H = _design(elevation[solved], azimuth[solved])
             if not one_clock:
-                H = np.column_stack([H[:, :3], system[solved, np.newaxis] == np.unique(system[solved])])
-            solution = np.linalg.lstsq(H, error[solved], rcond=None)[0]
+                clocks = system[solved, np.newaxis] == np.unique(system[solved])
+                H = np.hstack([H[:, :3], clocks.astype(np.float64)])
+            solution = np.linalg.lstsq(H, error[solved], rcond=None)[0].astype(np.float64, copy=False)
             shift, residual[solved] = solution[:3], error[solved] - H @ solution
         for other in np.unique(system[used & ~solved]):
             rows = used & (system == other)
