@@ -468,7 +468,7 @@ def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_pag
             page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]  # a literal of playwright
             keep_picture(page, f"attacks-{theme}")
         page.set_viewport_size(THEMES["phone"])
-        card.scroll_into_view_if_needed()
+        card.get_by_role("status").scroll_into_view_if_needed()
         keep_picture(page, "attacks-phone")
         assert not faults(page)
         card.get_by_role("button", name="Stop drag off").click()

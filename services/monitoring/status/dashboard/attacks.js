@@ -98,7 +98,7 @@ function Truth({ s, limits }) {
   const [icon, text] = judgement(s);
   const rows = Object.entries(s.seconds).filter(([, t]) => t.within + t.above > 0);
   return html`<div><h3>${w.truth}</h3>
-    <p class="with-icon"><${StateIcon} state=${icon} word="" /><strong>${text}</strong></p>
+    <p class="right-or-wrong"><${StateIcon} state=${icon} word="" /><strong>${text}</strong></p>
     <dl class="rows">
       <${Row} label=${w.horizontal} value=${metres(s.error_horizontal_m)} extra=${limits && words.trustPage.alertLimit(metres(limits.alert_limit_horizontal_m))} />
       <${Row} label=${w.vertical} value=${metres(s.error_vertical_m)} extra=${limits && words.trustPage.alertLimit(metres(limits.alert_limit_vertical_m))} />
