@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from shared.errors import UserError
+from shared.messages.simulation import AttackName
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
@@ -53,7 +54,7 @@ class BrokerKind(StrEnum):
 
 
 @app.command()
-def demo(
+def demo(  # noqa: PLR0913, PLR0917  # one argument an option
     scenario: Annotated[
         str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
     ] = "urban",
@@ -68,9 +69,12 @@ def demo(
     attack: Annotated[
         list[str] | None,
         typer.Option(
-            help="An attack as name@start, name@start:duration or name(parameter=value,...)@start; [s]. Repeatable."
+            help="Repeatable; name@start, name@start:duration or name(parameter=value,...)@start, in seconds. "
+            f"Names: {', '.join(AttackName)}."
         ),
     ] = None,
+    role: Annotated[Role, typer.Option(help="obu: a vehicle; rsu: a toll plaza.")] = Role.OBU,
+    vehicles: Annotated[int, typer.Option(min=1, max=200, help="Vehicles at the toll plaza at a time.")] = 50,
 ) -> None:
     """Run the whole unit here with simulated sensors: no Docker, no hardware, no account.
 
@@ -78,16 +82,17 @@ def demo(
     [bold]obu demo[/]
     [bold]obu demo --scenario tunnel --port 8090[/]
     [bold]obu demo --scenario parking_lot --duration 60 --json[/]
+    [bold]obu demo --role rsu --vehicles 50 --duration 60 --json[/]
     [bold]obu demo --attack drag_off@60[/]
     [bold]obu demo --attack "drag_off(accel=0.1,speed=1)@60:120" --attack odometer_freeze@240 --duration 300[/]
-
-    Attacks: tunnel, jam, freeze, static_replay, straight_replay, replay_drive, delay, position_jump, drag_off, climb,
-    time_push, satellite_step, satellite_ramp, odometer_scale, odometer_freeze, tyre_change.
     """
     from .demo.demo import DemoOptions, run
 
     _end_on_sigterm()
-    raise typer.Exit(run(DemoOptions(scenario, seed, duration, json, port, broker.value, attacks=tuple(attack or ()))))
+    options = DemoOptions(
+        scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles, attacks=tuple(attack or ())
+    )
+    raise typer.Exit(run(options))
 
 
 @app.command()

@@ -35,7 +35,6 @@ class AttackRow:
     purpose: str
     accused: str  # gnss, satellite, odometer, neighbour; empty where a loss of signals is all there is to see
     parameters: tuple[Parameter, ...] = ()
-    refused: str | None = None  # why the simulator cannot do it
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -44,8 +43,6 @@ class AttackRow:
 
     def complete(self, given: Mapping[str, float]) -> dict[str, float]:
         """Fill up given parameters, possibly shortened, with the defaults; raises ValueError for what cannot be."""
-        if self.refused:
-            raise ValueError(f"{self.name} is not possible: {self.refused}")
         return self.defaults | dict(self._checked(name, value) for name, value in given.items())
 
     def _checked(self, name: str, value: float) -> tuple[str, float]:
@@ -66,7 +63,10 @@ def _direction(default: float, purpose: str = "clockwise from the vehicle's head
 
 
 _SATELLITES = Parameter("satellites", 1.0, 1.0, 2.0, "satellites", "how many of those in use, drawn by the seed")
-_NO_NEIGHBOURS = "the simulator has no V2X neighbours yet"
+_LIE = (
+    Parameter("ahead", 0.0, -1000.0, 1000.0, "m", "added to the position, along the course"),
+    Parameter("speed", 5.0, -60.0, 60.0, "m/s", "added to the velocity, along the course"),
+)
 
 ATTACKS = (
     AttackRow(AttackName.TUNNEL, "all GNSS signals are blocked", ""),
@@ -142,11 +142,11 @@ ATTACKS = (
         (Parameter("factor", 1.05, 0.9, 1.1, "", "reported speed over true speed"),),
     ),
     AttackRow(
-        AttackName.NEIGHBOUR_LIE, "one V2X neighbour states a wrong position", "neighbour", refused=_NO_NEIGHBOURS
+        AttackName.NEIGHBOUR_LIE, "one V2X neighbour states a wrong position and velocity", "neighbour", _LIE,
     ),
     AttackRow(
-        AttackName.NEIGHBOUR_COLLUSION, "most V2X neighbours state positions that are wrong alike", "neighbour",
-        refused=_NO_NEIGHBOURS,
+        AttackName.NEIGHBOUR_COLLUSION, "several V2X neighbours state positions and velocities that are wrong alike",
+        "neighbour", (Parameter("neighbours", 3.0, 2.0, 6.0, "neighbours", "how many of them lie"), *_LIE),
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in ATTACKS}

@@ -83,7 +83,9 @@ PROCESSES = (
     ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
         consumes=("gnss/write", "simulation/attack"),
-        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state", "simulation/state"),
+        produces=(
+            "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state", "simulation/state",
+        ),
     ),
     ProcessRow(
         "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
@@ -95,7 +97,8 @@ PROCESSES = (
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
         consumes=("gnss/raw", "gnss/configure"),
         produces=(
-            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/configuration",
+            "gnss/write", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits",
+            "gnss/signal_quality", "gnss/configuration",
         ),
         roles=BOTH,
     ),
@@ -131,7 +134,7 @@ PROCESSES = (
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state",
+            "navigation/filter_state", "trust/state",
         ),
         produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
     ),
@@ -147,7 +150,12 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
-        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "navigation/state"),
+        produces=("trust/monitor",),
+    ),
+    ProcessRow(
+        "core.evidence", Kind.STANDING, "judges what the receiver says of jamming, spoofing, its signals and its clock",
+        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix"),
         produces=("trust/monitor",),
     ),
     ProcessRow(
@@ -157,13 +165,13 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
-        consumes=("gnss/fix", "toll/registration", "toll/open_passages"),
+        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages"),
         produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
-        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt"),
+        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt", "origin/state"),
         produces=("toll/open_passages", "toll/transaction", "ledger/state"),
         roles=(Role.RSU,),
     ),

@@ -42,6 +42,7 @@ class ClockMapping:
 
     def __init__(self, minimum_delay_s: float = 0.0, window_s: float = 60.0, maximum_drift: float = 200e-6) -> None:
         self.resets = -1  # the first arrival is not a reset
+        self.step_s = 0.0  # by which the device clock jumped ahead at the last reset
         self._minimum_delay_ns = round(minimum_delay_s * NS)
         self._window_s = window_s
         self._maximum_drift = maximum_drift
@@ -119,6 +120,9 @@ class ClockMapping:
         return time_s - self._late_since > 10 * self.STEP_S
 
     def _restart(self, device_ns: int, received_ns: int) -> None:
+        if self.resets >= 0:
+            time_s, offset_s = self._relative(device_ns, received_ns)
+            self.step_s = self._intercept + self._slope * time_s - offset_s
         self.resets += 1
         self._points.clear()
         self._device_origin_ns, self._offset_origin_ns = device_ns, received_ns - device_ns

@@ -27,6 +27,7 @@ from .base import (
 
 MAX_RAW_MEASUREMENTS = 128  # of one epoch; the longest RXM-RAWX that the parser reads has 127
 MAX_NAVIGATION_WORDS = 16  # of one subframe or page
+MAX_RADIO_PATHS = 8  # of one receiver: one a band
 
 
 class GnssRaw(RawBytes):
@@ -151,6 +152,51 @@ class GnssNavigationBits(Stamped):
     words: Annotated[
         tuple[Annotated[int, Field(ge=0, lt=2**32), unit("1")], ...], Field(max_length=MAX_NAVIGATION_WORDS)
     ]
+
+
+class InterferenceState(StrEnum):
+    """What a receiver's own detector of jamming or of spoofing says."""
+
+    UNKNOWN = "unknown"  # off, or not able to tell
+    NONE = "none"
+    INDICATED = "indicated"
+    SEVERE = "severe"  # spoofing: by several indications; jamming: no fix
+
+
+class SignalFlags(Message):
+    """Flags of the detectors of one message; None for a detector that the message does not have."""
+
+    jamming: InterferenceState | None = None
+    spoofing: InterferenceState | None = None
+
+
+class RadioPath(Message):
+    """State of one radio-frequency path of a receiver, which is that of one band."""
+
+    number: Count
+    jamming: InterferenceState = InterferenceState.UNKNOWN
+    gain_ratio: Ratio | None = None  # of the automatic gain control, 1 at its largest count
+    noise_level: Count | None = None  # as the receiver counts it
+    narrowband_ratio: Ratio | None = None  # of the indicator of narrowband interference
+
+
+class ReceiverClock(Message):
+    """Clock of a receiver against GPS time; it jumps by milliseconds to stay near it."""
+
+    bias_s: float
+    drift_ratio: Ratio  # seconds a second
+    bias_sd_s: Deviation
+    drift_sd_ratio: Ratio
+
+
+class GnssSignalQuality(Stamped):
+    """What a receiver says of its signals and clock in one epoch; None for what it did not send."""
+
+    status: SignalFlags | None = None  # of UBX-NAV-STATUS
+    security: SignalFlags | None = None  # of UBX-SEC-SIG
+    radio_paths: Annotated[tuple[RadioPath, ...], Field(max_length=MAX_RADIO_PATHS)] = ()  # of UBX-MON-RF
+    clock: ReceiverClock | None = None  # of UBX-NAV-CLOCK
+    time_step_s: float | None = None  # by which the receiver's time jumped ahead against the OBU time line
 
 
 class GnssConfigure(Message):

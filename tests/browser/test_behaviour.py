@@ -474,8 +474,11 @@ def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_pag
         card.get_by_role("button", name="Stop drag off").click()
         expect(card.get_by_text("No attack is active.")).to_be_visible()
         expect(card.get_by_text("Ended: drag off")).to_be_visible()
-        card.get_by_label("Attack").select_option("neighbour_lie")
-        expect(card.get_by_role("button", name="Start neighbour lie")).to_be_disabled()
+        card.get_by_label("Attack").select_option("jam")
+        card.get_by_label("power").fill("61")
+        card.get_by_role("button", name="Start jam").click()
+        expect(card.get_by_text("Ended: drag off")).to_be_visible()
+        expect(card.get_by_text("No attack is active.")).to_be_visible()
 
 
 def test_attacks_are_offered_only_where_the_data_are_simulated(

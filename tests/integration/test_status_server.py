@@ -363,7 +363,7 @@ def test_an_attack_is_started_and_stopped_and_its_answer_is_shown(server: Runnin
     [
         ({"command": "start", "attack": "flood"}, 422, "attack: Input should be 'tunnel'"),
         ({"command": "start"}, 422, "name the attack that shall start"),
-        ({"command": "start", "attack": "neighbour_lie"}, 422, "has no V2X neighbours"),
+        ({"command": "start", "attack": "jam", "parameters": {"x": 1.0}}, 422, "jam has no parameter 'x'"),
         ({"command": "start", "attack": "jam", "parameters": {"power": 1e9}}, 422, "jam: power must be 1 to 60 dB"),
         ({"command": "start", "attack": "jam", "duration_s": -1}, 422, "duration_s"),
         ({"command": "explode"}, 422, "command"),

@@ -18,6 +18,7 @@ from shared.messages.navigation import (
     NavigationSolution,
     NavigationState,
 )
+from shared.messages.trust import TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from .alignment.heading import Prior
@@ -93,6 +94,12 @@ def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
     for measurement in measurements:
         navigator.measure(measurement)
     return bool(measurements)
+
+
+def give_verdict(navigator: Navigator, verdict: TrustState) -> None:
+    """Hand the exclusions of core.trust to the navigator."""
+    since_ns = verdict.sampled_ns if verdict.suspect_since_ns is None else verdict.suspect_since_ns
+    navigator.follow_trust(since_ns if verdict.gnss_excluded else None, odometer_excluded=verdict.odometer_excluded)
 
 
 def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
@@ -181,6 +188,7 @@ def solution_message(solution: Solution) -> NavigationSolution:
         protection_level_horizontal_m=solution.protection_level_horizontal,
         protection_level_vertical_m=solution.protection_level_vertical,
         integrity_risk=solution.integrity_risk,
+        gnss_excluded_since_ns=solution.gnss_excluded_since_ns,
     )
 
 
@@ -208,6 +216,7 @@ def filter_states(navigator: Navigator, imu: str) -> Iterator[FilterState]:
         angular_rate_body_rad_s=saved.sample[1],
         covariance=saved.covariance,
         position_used_ns=saved.accepted_ns,
+        gnss_excluded_since_ns=saved.gnss_excluded_since_ns,
     )
 
 
@@ -229,6 +238,7 @@ def give_filter_state(navigator: Navigator, state: FilterState, first: ImuSample
             (state.specific_force_body_m_s2, state.angular_rate_body_rad_s),
             state.covariance,
             state.position_used_ns,
+            state.gnss_excluded_since_ns,
         )
         navigator.restore(saved, first.sampled_ns[0])
 
@@ -250,7 +260,7 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
 
 def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
     """Put what the navigator is doing on the bus, or that it does nothing since the inertial samples stopped."""
-    counts = navigator.counts
+    counts, exclusions = navigator.counts, navigator.engine.exclusions
     silent = silent_since_ns is not None
     estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None
     gnss, odometer, velocity = estimated or ((None, None),) * 3
@@ -276,4 +286,8 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         lever_arm_error_body_m=navigator.lever_arm_error,
         alert_limit_horizontal_m=navigator.settings.integrity.alert_limit_horizontal_m,
         alert_limit_vertical_m=navigator.settings.integrity.alert_limit_vertical_m,
+        gnss_excluded_since_ns=exclusions.gnss_since_ns,
+        fixes_excluded=exclusions.fixes,
+        excluded_test_ratio=exclusions.test_ratio,
+        odometer_excluded=exclusions.odometer,
     )

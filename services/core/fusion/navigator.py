@@ -31,6 +31,7 @@ from .smoothing.history import HistoryRecorder
 from .solution import Bounds, Solution, solution_of
 from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
 from .timing.out_of_sequence import OutOfSequenceEngine
+from .timing.roll_back import RollBack
 from .update.engine import Engine
 from .update.imu_gaps import LostTime
 
@@ -54,7 +55,7 @@ class Navigator:
         self.samples_used = 0
         self.samples_rejected = 0
         self.measurements_late = 0  # used at their own time, after newer ones of the same device
-        self._oosm = OutOfSequenceEngine(self.settings)
+        self._roll_back = RollBack(self.settings)
         self._bounds = Bounds(self.settings)
         self._clock: Clock | None = None  # while samples are refused for their stamps
         self._repeats: Repeats | None = None
@@ -122,7 +123,7 @@ class Navigator:
                 self.rejects[fault] += 1
                 sample = sample._replace(fault=fault)
         self.samples_used += 1
-        self._oosm.add(sample)
+        self._roll_back.add(sample)
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -226,7 +227,15 @@ class Navigator:
         engine = self._oosm.engine
         if engine.filter is None or engine.last is None:
             return None
-        return saved_state(engine.filter, engine.last, engine.accepted_ns)
+        return saved_state(engine.filter, engine.last, engine.accepted_ns, engine.exclusions.gnss_since_ns)
+
+    def follow_trust(self, gnss_suspect_since_ns: int | None, *, odometer_excluded: bool) -> None:
+        """Exclude GNSS since a suspect time, None to use it, and the odometer, as core.trust has decided."""
+        self._roll_back.follow(gnss_suspect_since_ns, odometer_excluded=odometer_excluded)
+
+    @property
+    def _oosm(self) -> OutOfSequenceEngine:
+        return self._roll_back.engine
 
     @property
     def engine(self) -> Engine:
@@ -270,13 +279,11 @@ class Navigator:
             if last is not None and measurement.time_ns > last.time_ns + FUTURE_LIMIT_NS:
                 self.rejects["measurement from the future"] += 1  # by the clock of the inertial samples
                 continue
-            try:
-                self._oosm.insert(measurement)
-            except LookupError:
-                self.rejects["measurement older than the memory"] += 1
-            else:
+            if self._roll_back.insert(measurement):
                 self._count_if_late(measurement)
-        return self._oosm.outcomes()
+            else:
+                self.rejects["measurement older than the memory"] += 1
+        return self._roll_back.outcomes()
 
     def _now_ns(self) -> int:
         newest = self._oosm.newest
@@ -320,7 +327,7 @@ class Navigator:
             return "sample from the future"
         self._clock = clock
         if clock.goes_back(sample.time_ns, known=self._oosm.is_known(sample)):
-            self._oosm = self._oosm.restarted("the inertial clock went back")
+            self._roll_back.restart("the inertial clock went back")
             self._clock, self._repeats, self._remarkable, self._newest = None, None, True, {}
         return "sample doubled or out of order"
 
@@ -329,7 +336,7 @@ class Navigator:
         self._clock = None
         if lost_s:
             self.rejects["time lost as the inertial clock went back"] += 1
-            self._oosm.insert(LostTime(time_ns, lost_s))
+            self._roll_back.insert(LostTime(time_ns, lost_s))
 
 
 def _diagonal(sd: Vector | None) -> FloatArray | None:

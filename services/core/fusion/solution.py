@@ -42,6 +42,7 @@ class Solution(NamedTuple):
     protection_level_vertical: float  # [m] the same of the height
     integrity_risk: float
     triangles: tuple[Symmetric3, Symmetric3, Symmetric3]  # upper halves of the three covariances
+    gnss_excluded_since_ns: int | None = None  # no GNSS with a later stamp is part of it
 
 
 class Spread(NamedTuple):
@@ -108,6 +109,7 @@ def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
         protection_level_vertical=levels.vertical,
         integrity_risk=levels.risk,
         triangles=triangles,
+        gnss_excluded_since_ns=engine.exclusions.gnss_since_ns,
     )
 
 

@@ -12,7 +12,7 @@ from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustM
 from shared.runtime.config import Section
 
 from .facts import Facts, Limits, Monitor, Outcome, Solution, Statement
-from .readmission import Readmission, judge_gnss
+from .readmission import Readmission, is_lost, judge_gnss
 from .verdict import odometer_accused, verdict
 
 In = TrustMonitor | NavigationSolution | NavigationState | Tick
@@ -37,8 +37,7 @@ class Config(Section):
         default=5.0, gt=0.0, description="age of a monitor's statement from which it counts as not evaluated"
     )
     required_monitors: tuple[Monitor, ...] = Field(
-        default=tuple(monitor for monitor in Monitor if monitor is not Monitor.EVIDENCE),
-        description="monitors without which the verdict is at best CAUTION; no process publishes `evidence` yet",
+        default=tuple(Monitor), description="monitors without whose statements the verdict is at best CAUTION"
     )
 
 
@@ -75,10 +74,12 @@ class Process:
         yield from self._judge(at_once=isinstance(message, Tick))
 
     def _judge(self, *, at_once: bool) -> Iterator[Out]:
-        facts = self._facts()
+        facts = self._facts(self._gnss.suspect_since_ns)
         accused, agrees, suspect_ns = judge_gnss(facts)
-        admission = self._gnss.update(facts.time_ns, accused=accused, agrees=agrees, suspect_since_ns=suspect_ns)
-        facts = self._facts(gnss_excluded=admission.excluded)
+        admission = self._gnss.update(
+            facts.time_ns, accused=accused, agrees=agrees, suspect_since_ns=suspect_ns, lost=is_lost(facts)
+        )
+        facts = self._facts(admission.suspect_since_ns)
         found = verdict(facts)
         before = self._published
         level = TrustLevel(found.state.value)
@@ -125,12 +126,18 @@ class Process:
             window_s=used.window_s,
         )  # fmt: skip
 
-    def _facts(self, *, gnss_excluded: bool = False) -> Facts:
+    def _facts(self, suspect_since_ns: int | None) -> Facts:
+        """Facts of now; GNSS is excluded if it is suspect since a time, and fusion confirms it by its solution."""
+        solution, state = _solution(self._solution), self._navigation
+        excluded_ns = None if solution is None else solution.gnss_excluded_since_ns
+        confirmed = excluded_ns is not None and suspect_since_ns is not None and excluded_ns <= suspect_since_ns
         return Facts(
             self._time_ns,
-            _solution(self._solution),
+            solution,
             {monitor: _statement(monitor, message) for monitor, message in self._monitors.items()},
-            gnss_excluded=gnss_excluded,
+            gnss_excluded=suspect_since_ns is not None,
+            exclusion_confirmed=confirmed,
+            excluded_test_ratio=None if state is None else state.excluded_test_ratio,
             limits=self._limits(),
         )
 
@@ -158,6 +165,7 @@ def _solution(message: NavigationSolution | None) -> Solution | None:
         message.protection_level_horizontal_m,
         message.protection_level_vertical_m,
         message.gnss_age_s,
+        message.gnss_excluded_since_ns,
     )
 
 

@@ -17,7 +17,7 @@ RAM = 1  # volatile layer of VALSET; VALGET numbers the same layer 0
 MAX_KEYS = 64
 TIMEOUT_TICKS = 3  # seconds without a response
 PORTS = ("UART1", "USB")
-MEASUREMENTS = "RXM-RAWX"
+ONCE_A_SECOND = ("RXM-RAWX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG")  # whatever the navigation period
 
 
 class Configurator:
@@ -27,14 +27,15 @@ class Configurator:
         self._source = source
         self._request: GnssConfigure | None = None
         self._rejected = False
-        self._optional: dict[int, int] | None = None  # values of the optional messages, once the receiver has responded
+        self._optional: dict[int, int] = {}  # values of the optional messages that the receiver has
+        self._awaited = 0  # responses on optional messages that are still to come
         self._ticks = 0
 
     def request(self, wanted: GnssConfigure, now_ns: int) -> Iterator[GnssWrite | GnssConfiguration]:
         """Yield the messages that set and poll the requested values, or the reason why the request is invalid.
 
-        A receiver takes over all values of a UBX-CFG-VALSET or none. The optional messages have one of their own, which
-        comes first: responses arrive in the order of the requests, so the last one completes the exchange.
+        A receiver takes over all values of a UBX-CFG-VALSET or none. Each optional message has one of its own, and they
+        come first: responses arrive in the order of the requests, so the last one completes the exchange.
         """
         self._request, self._rejected, self._ticks = wanted, False, 0
         try:
@@ -42,19 +43,18 @@ class Configurator:
         except ValueError as error:
             yield from self._result({}, str(error))
             return
-        self._optional = None if optional else {}
-        for asked in (optional, values):
-            if asked:
-                setting = UBXMessage.config_set(RAM, 0, list(asked.items()))
-                for message in (setting, UBXMessage.config_poll(0, 0, list(asked))):
-                    yield GnssWrite(received_ns=now_ns, source=self._source, data=message.serialize())
+        self._optional, self._awaited = {}, len(optional)
+        for asked in (*optional, values):
+            setting = UBXMessage.config_set(RAM, 0, list(asked.items()))
+            for message in (setting, UBXMessage.config_poll(0, 0, list(asked))):
+                yield GnssWrite(received_ns=now_ns, source=self._source, data=message.serialize())
 
     def take(self, frame: bytes) -> Iterator[GnssConfiguration]:
         """Process a UBX frame; yield the result when the exchange is complete."""
         if self._request is None or len(frame) < 10:
             return
         kind, payload = (frame[2], frame[3]), frame[6:-2]
-        if self._optional is None and self._take_optional(kind, payload):
+        if self._awaited and self._take_optional(kind, payload):
             return
         if kind == (CFG, VALGET):
             rejection = "the receiver rejected UBX-CFG-VALSET: it may not support one of the messages"
@@ -67,16 +67,17 @@ class Configurator:
             )
 
     def _take_optional(self, kind: tuple[int, int], payload: bytes) -> bool:
-        """Process the response to the request for optional messages; after a rejection there are none."""
+        """Process the response to the request for an optional message, which a receiver that lacks it rejects."""
         if kind == (CFG, VALGET):
             values = read_values(payload)
-            if _database()["CFG_RATE_MEAS"] in values:  # the other response: this one was lost
-                self._optional = {}
+            if _database()["CFG_RATE_MEAS"] in values:  # the last response: one before it was lost
+                self._awaited = 0
                 return False
-            self._optional = values
+            self._optional |= values
+            self._awaited -= 1
             return True
         if kind == (ACK, 0) and payload[0] == CFG and payload[1] == VALGET:
-            self._optional = {}
+            self._awaited -= 1
             return True
         return kind == (ACK, 0)
 
@@ -92,7 +93,7 @@ class Configurator:
         self._request = None
         keys = _database()
         period_ms, cycles = values.get(keys["CFG_RATE_MEAS"]), values.get(keys["CFG_RATE_NAV"], 1)
-        values = {**(self._optional or {}), **values}
+        values = {**self._optional, **values}
         messages = tuple(name for name in wanted.messages if any(values.get(key) for key in _message_keys(name)))
         optional = tuple(
             name for name in wanted.optional_messages if any(values.get(key) for key in _message_keys(name))
@@ -121,18 +122,15 @@ def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
     return values
 
 
-def optional_values(wanted: GnssConfigure) -> dict[int, int]:
-    """Keys and values of the optional messages; measurements come once a second, 1048 bytes of 32 signals."""
-    values = _output_values(wanted.optional_messages)
+def optional_values(wanted: GnssConfigure) -> list[dict[int, int]]:
+    """Keys and values of each optional message; measurements, 1048 bytes of 32 signals, come once a second."""
     every = max(1, round(1.0 / wanted.navigation_period_s))
-    values.update(dict.fromkeys(set(_message_keys(MEASUREMENTS)) & set(values), every))
-    if len(values) > MAX_KEYS:
-        raise ValueError(f"{len(wanted.optional_messages)} optional messages are too many: at most {MAX_KEYS // 2}")
-    return values
+    names = wanted.optional_messages
+    return [_output_values((name,), every if name in ONCE_A_SECOND else 1) for name in names]
 
 
-def _output_values(messages: tuple[str, ...]) -> dict[int, int]:
-    """Keys of messages that are sent in every epoch; raises ValueError for one that u-blox does not have."""
+def _output_values(messages: tuple[str, ...], every: int = 1) -> dict[int, int]:
+    """Keys of messages that are sent every so many epochs; raises ValueError for one that u-blox does not have."""
     keys, values = _database(), dict[int, int]()
     for name in messages:
         if not (found := _message_keys(name)):
@@ -141,7 +139,7 @@ def _output_values(messages: tuple[str, ...]) -> dict[int, int]:
             ]
             near = get_close_matches(name, known, n=1)
             raise ValueError(f"unknown u-blox message {name}" + (f"; did you mean {near[0]}?" if near else ""))
-        values.update(dict.fromkeys(found, 1))
+        values.update(dict.fromkeys(found, every))
     return values
 
 

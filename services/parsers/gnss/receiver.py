@@ -11,9 +11,10 @@ from shared.messages.gnss import (
     GnssRaw,
     GnssRawEpoch,
     GnssSatellites,
+    GnssSignalQuality,
 )
 
-from . import ubx_messages, ubx_raw
+from . import ubx_messages, ubx_raw, ubx_signal
 from .configuration import Configurator
 from .framer import Frame, Framer, Protocol
 from .gnss_time import DAY_NS, MS, NS, WEEK_NS, Unwrapper
@@ -24,7 +25,7 @@ NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are publ
 
 SAME_EPOCH_MS = 12  # times of week of one epoch are closer: RXM-RAWX has the receiver's own clock
 
-Output = GnssFix | GnssSatellites | GnssRawEpoch | GnssNavigationBits | GnssConfiguration
+Output = GnssFix | GnssSatellites | GnssRawEpoch | GnssNavigationBits | GnssSignalQuality | GnssConfiguration
 
 
 class Receiver:
@@ -40,6 +41,8 @@ class Receiver:
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
         # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
         self._waiting: dict[type[GnssSatellites | GnssRawEpoch], tuple[int, GnssSatellites | GnssRawEpoch]] = {}
+        self._signal: dict[str, ubx_signal.Part] = {}  # of this epoch
+        self._resets: dict[ClockMapping, int] = {}  # of each mapping, published already
         self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and time stamp [ns] of the newest fix
         self._ubx_fix_ns: int | None = None
 
@@ -60,6 +63,9 @@ class Receiver:
         if frame.data[2] == ubx_raw.RXM:
             yield from self._take_raw(ubx_raw.KINDS.get(frame.data[3]), frame.data[6:-2], received_ns)
             return
+        if signal_kind := ubx_signal.KINDS.get((frame.data[2], frame.data[3])):
+            yield from self._take_signal(signal_kind, frame.data[6:-2], received_ns)
+            return
         kind = ubx_messages.KINDS.get(frame.data[3]) if frame.data[2] == ubx_messages.NAV else None
         if kind is None:
             yield from self.configurator.take(frame.data)
@@ -78,6 +84,7 @@ class Receiver:
         sampled_ns = self._ubx_clock.stamp(self._week.unwrap(epoch.itow_ms * MS), epoch.first_received_ns)
         self._last_stamp = epoch.itow_ms, sampled_ns
         yield fix_from_epoch(epoch, epoch.pvt, sampled_ns=sampled_ns, source=self._source)
+        yield from self._signal_quality(sampled_ns, epoch.last_received_ns, self._ubx_clock)
         for kind, (itow, message) in list(self._waiting.items()):
             if _same_epoch(itow, epoch.itow_ms):
                 del self._waiting[kind]
@@ -107,6 +114,30 @@ class Receiver:
                 constellation=bits.constellation, number=bits.number, signal=bits.signal, words=bits.words,
             )  # fmt: skip
 
+    def _take_signal(self, kind: str, payload: bytes, received_ns: int) -> Iterator[Output]:
+        """Collect the parts of an epoch, which its fix completes; without fixes, the next message of a kind does."""
+        part = ubx_signal.decode(kind, payload)
+        if kind in self._signal:
+            yield from self._signal_quality(received_ns, received_ns)
+        self._signal[kind] = part
+
+    def _signal_quality(
+        self, sampled_ns: int, received_ns: int, clock: ClockMapping | None = None
+    ) -> Iterator[GnssSignalQuality]:
+        """Publish what has been collected, and a step of the clock mapping that stamped this epoch."""
+        stepped = clock is not None and clock.resets > self._resets.get(clock, 0)
+        if clock is not None:
+            self._resets[clock] = clock.resets
+        if not (self._signal or stepped):
+            return
+        quality = GnssSignalQuality(
+            sampled_ns=sampled_ns, received_ns=received_ns, source=self._source,
+            time_step_s=clock.step_s if clock is not None and stepped else None,
+        )  # fmt: skip
+        fields = {ubx_signal.FIELDS[kind]: part for kind, part in self._signal.items()}
+        self._signal.clear()
+        yield quality.model_copy(update=fields)
+
     def _stamped(self, itow: int, message: GnssSatellites | GnssRawEpoch) -> Iterator[Output]:
         """Stamp a message with the time of its epoch's fix; without fixes, with its arrival time."""
         if self._last_stamp and _same_epoch(self._last_stamp[0], itow):
@@ -119,7 +150,9 @@ class Receiver:
     def _take_nmea(self, frame: Frame, received_ns: int) -> Iterator[Output]:
         for epoch in self._nmea.take(frame.data, received_ns):
             if self._ubx_fix_ns is None or abs(epoch.last_received_ns - self._ubx_fix_ns) > NMEA_WAITS_NS:
-                yield self._nmea_fix(epoch)
+                fix = self._nmea_fix(epoch)
+                yield fix
+                yield from self._signal_quality(fix.sampled_ns, fix.received_ns, self._nmea_clock)
 
     def _nmea_fix(self, epoch: NmeaEpoch) -> GnssFix:
         device_ns = self._day.unwrap(epoch.time_of_day_ns)

@@ -15,6 +15,7 @@ from shared.runtime.config import Section
 
 from .gnss.simulated_receiver import SOURCE
 from .scenarios import scenario_of
+from .v2x.traffic import MAX_COUNT
 from .world import Equipment, World
 
 log = logging.getLogger(__name__)
@@ -31,6 +32,9 @@ class Config(Section):
     mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)  # roll, pitch, yaw of the IMU relative to the vehicle
     second_antenna_m: float = Field(
         default=0.0, ge=0.0, le=10.0, description="distance of a second GNSS antenna ahead of the first; 0: none"
+    )
+    neighbours: int = Field(
+        default=4, ge=0, le=MAX_COUNT, description="vehicles around it that a V2X radio receives; 0: none"
     )
     pause_s: float = Field(
         default=1.5, ge=0.0, le=60.0, description="delay of the drive, so that other processes can subscribe before it"
@@ -80,8 +84,11 @@ class Process:
         while not bus.stopping and bus.now_ns() < begin_ns:
             bus.receive(0.1)
         scenario = scenario_of(self._config.scenario, self._config.seed)
-        equipment = Equipment(self._config.protocols, self._config.mounting_rpy_deg, self._config.second_antenna_m)
-        world = World(scenario, self._config.seed, bus.now_ns(), equipment, self._config.scheduled)
+        config = self._config
+        equipment = Equipment(
+            config.protocols, config.mounting_rpy_deg, config.second_antenna_m, neighbours=config.neighbours
+        )
+        world = World(scenario, config.seed, bus.now_ns(), equipment, config.scheduled)
         log.info("simulating %s with seed %d: %s", scenario.name, self._config.seed, scenario.purpose)
         bus.publish(world.attack_state(bus.now_ns()))
         for due_ns, message in world:

@@ -31,6 +31,7 @@ class Stream(IntEnum):
     CLOCKS = 7
     ENVIRONMENT = 8
     ATTACKS = 9
+    NEIGHBOURS = 10
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from itertools import count, takewhile
 import numpy as np
 
 from shared.attacks import ScheduledAttack
+from shared.maths.earth import Geodetic
 from shared.messages.base import Message
 from shared.messages.navigation import TruthState
 from shared.messages.operation import Origin, OriginKind
@@ -20,6 +21,7 @@ from .gnss.simulated_receiver import Receiver
 from .imu.simulated_xsens import Tracker
 from .motion.trajectory import Motion
 from .scenarios import Scenario, scenario_of
+from .v2x.radio import Radio
 from .vehicle import Readings, Stream, Vehicle, antenna_at
 
 NS = 1_000_000_000
@@ -37,6 +39,7 @@ class Equipment:
     protocols: tuple[str, ...] = ("ubx", "nmea")
     mounting_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the IMU, in addition to `FLAT`
     second_antenna_m: float = 0.0  # distance ahead of the first; 0: single antenna
+    neighbours: int = 4  # vehicles with V2X radios around it
 
 
 class Due(Enum):
@@ -69,6 +72,7 @@ class World:
         self._receiver = Receiver(scenario, seed, start_ns, clocks, equipment.protocols, equipment.second_antenna_m)
         self._attacks = Attacks(scenario, seed, start_ns, attacks)
         self._can = CanBus(seed, start_ns, clocks, self._attacks.odometer)
+        self.radio = Radio(scenario, seed, equipment.neighbours)
         self._heap: list[tuple[int, int, Message | Due]] = []
         self._order = count()
         self._motion: Motion | None = None
@@ -117,6 +121,8 @@ class World:
         self._push_all(self._tracker.sample(readings, self._step_ns))
         self._push_all(self._can.transmit(readings.motion, begin_ns, end_ns))
         self._push_all(self._truth(readings))
+        self.radio.deception = self._attacks.deception(end_ns)
+        self._push_all(self._neighbours(readings.motion, end_ns))
         while self._origin_ns < end_ns:
             origin = Origin(
                 now_ns=self._origin_ns, kind=OriginKind.SIMULATED, name=self._scenario.name, seed=self._seed
@@ -145,6 +151,12 @@ class World:
                     angular_rate_body_rad_s=tuple(motion.rate_b[i - 1].tolist()),
                 ),
             )
+
+    def _neighbours(self, motion: Motion, sampled_ns: int) -> Iterator[tuple[int, Message]]:
+        node = motion.first + BLOCK
+        here = Geodetic(*motion.position[BLOCK].tolist())
+        states = self.radio.receive(node * self._step_ns * 1e-9, sampled_ns, here, antenna_at(motion, node))
+        yield states.received_ns, states
 
     def _push_all(self, arrivals: Iterator[tuple[int, Message]]) -> None:
         for due_ns, message in arrivals:

@@ -8,8 +8,7 @@ def test_every_attack_has_a_row_with_defaults_within_their_limits() -> None:
     assert [row.name for row in ATTACKS] == list(AttackName)
     for row in ATTACKS:
         assert all(one.least <= one.default <= one.greatest for one in row.parameters)
-        if not row.refused:
-            assert row.complete({}) == row.defaults
+        assert row.complete({}) == row.defaults
 
 
 def test_an_attack_is_read_from_its_notation() -> None:
@@ -33,7 +32,6 @@ def test_an_attack_is_read_from_its_notation() -> None:
         ("drag_off(colour=1)@60", "has no parameter 'colour'; its parameters: acceleration, speed, direction"),
         ("delay(d=1)@60", "has no parameter 'd'; its parameters: distance, direction, delay"),
         ("freeze(speed=1)@60", "its parameters: none"),
-        ("neighbour_lie@60", "has no V2X neighbours"),
     ],
 )
 def test_what_is_no_attack_is_refused_with_what_is_possible(text: str, reason: str) -> None:

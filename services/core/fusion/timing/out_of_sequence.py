@@ -19,6 +19,7 @@ from ..plausibility.imu_faults import Sample
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..update.engine import BEFORE_ALL_NS, Engine
+from ..update.exclusion import GnssExcluded, GnssReadmitted
 from .delay_compensation import Timing
 
 PERIOD = 8  # samples from snapshot to snapshot
@@ -97,6 +98,19 @@ class OutOfSequenceEngine:
         fresh.engine.recorder, fresh._outcomes = self.engine.recorder, self._outcomes
         return fresh
 
+    def resumed(self, snapshot: Snapshot) -> "OutOfSequenceEngine":
+        """Make another engine that goes on from a snapshot; the samples since then must follow."""
+        twin = OutOfSequenceEngine(self._settings, snapshot.engine.fork())
+        twin.newest = snapshot.engine.last
+        twin._snapshots.append(snapshot)
+        twin._timing = self._timing.at(snapshot.time_ns)
+        return twin
+
+    @property
+    def settled(self) -> Snapshot:
+        """The oldest snapshot, which no late measurement changes any more."""
+        return self._snapshots[0]
+
     def insert(self, measurement: Measurement) -> None:
         """Use a measurement at its stamp: a future one when that time is reached, a past one by `outcomes`.
 
@@ -105,6 +119,8 @@ class OutOfSequenceEngine:
         LookupError
             It is older than the oldest snapshot.
         """
+        if isinstance(measurement, GnssExcluded | GnssReadmitted):
+            self._timing.freeze(frozen=isinstance(measurement, GnssExcluded))
         measurement = self._timing.corrected(measurement)
         time_ns = measurement.time_ns
         if self._snapshots and time_ns <= max(self._oldest_ns, self._snapshots[0].time_ns):

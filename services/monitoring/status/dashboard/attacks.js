@@ -68,10 +68,10 @@ function StartForm({ rows, run, text }) {
   return html`<form class="attack-form" onSubmit=${submit}>
     <label class="attack-name"><span>${w.attack}</span><select value=${name} onChange=${(e) => { setName(e.target.value); setValues({}); }}>
       ${rows.map((one) => html`<option value=${one.name}>${one.label}</option>`)}</select></label>
-    <p class="note block">${row.purpose[0].toUpperCase() + row.purpose.slice(1)}.${row.refused && ` ${w.notPossible(row.refused)}`}</p>
+    <p class="note block">${row.purpose[0].toUpperCase() + row.purpose.slice(1)}.</p>
     <div class="attack-fields">${row.parameters.map((p) => field(p.name, p.name, p.unit, { min: p.least, max: p.greatest, placeholder: String(p.default), title: p.purpose }))}
       ${field("duration_s", w.duration, "s", { min: 0.1, max: 86400, placeholder: w.untilStopped })}</div>
-    <div class="toolbar"><button type="submit" disabled=${Boolean(row.refused) || !link.value.open}>${w.start(row.label)}</button><span class="note" role="status">${text}</span></div>
+    <div class="toolbar"><button type="submit" disabled=${!link.value.open}>${w.start(row.label)}</button><span class="note" role="status">${text}</span></div>
   </form>`;
 }
 

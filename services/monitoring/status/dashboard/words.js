@@ -258,7 +258,6 @@ export const words = {
     duration: "duration",
     untilStopped: "until stopped",
     loading: "The list of attacks is being read.",
-    notPossible: (reason) => `Not possible: ${reason}.`,
     start: (name) => `Start ${name}`,
     stop: "Stop",
     stopOne: (name) => `Stop ${name}`,

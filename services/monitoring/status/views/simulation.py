@@ -20,7 +20,6 @@ def catalogue() -> Json:
                 "name": row.name,
                 "label": row.name.replace("_", " "),
                 "purpose": row.purpose,
-                "refused": row.refused,
                 "parameters": [asdict(one) for one in row.parameters],
             }
             for row in ATTACKS

@@ -15,8 +15,9 @@ from shared.messages.simulation import (
 )
 
 from ..scenarios import Scenario
+from ..v2x.radio import Deception
 from ..vehicle import AntennaState, Vehicle, antenna_at
-from .effects import ON_ODOMETER, ON_SIGNALS, Start, Track
+from .effects import ON_NEIGHBOURS, ON_ODOMETER, ON_SIGNALS, Start, Track
 from .signals import Odometer, Signals
 
 NS = 1_000_000_000
@@ -125,6 +126,14 @@ class Attacks:
             if run.active(at_ns) and run.attack in ON_ODOMETER:
                 odometer = ON_ODOMETER[run.attack](odometer, run.parameters)
         return odometer
+
+    def deception(self, at_ns: int) -> Deception | None:
+        """What lying neighbours add to their states at a time; the attack that began last counts."""
+        active = [run for run in self._runs if run.active(at_ns) and run.attack in ON_NEIGHBOURS]
+        if not active:
+            return None
+        parameters = active[-1].parameters
+        return Deception(round(parameters.get("neighbours", 1.0)), parameters["ahead"], parameters["speed"])
 
     def _start_of(self, run: _Run, antenna: AntennaState) -> Start:
         other = None

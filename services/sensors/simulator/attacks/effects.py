@@ -180,3 +180,5 @@ ON_ODOMETER: Mapping[AttackName, Callable[[Odometer, Mapping[str, float]], Odome
     AttackName.TYRE_CHANGE: _scaled,
     AttackName.ODOMETER_FREEZE: _held,
 }
+
+ON_NEIGHBOURS = (AttackName.NEIGHBOUR_LIE, AttackName.NEIGHBOUR_COLLUSION)

@@ -19,7 +19,7 @@ from .navigation_words import galileo_words, gps_words
 from .raw_measurements import IONOSPHERE, RangeErrors, measure
 from .receiver_settings import Settings
 from .reception import Fix, Reception
-from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms
+from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms, signal_under
 from .sky import FEWEST, FloatArray, Sky, SkyModel
 
 SOURCE = "gnss0"
@@ -101,7 +101,8 @@ class Receiver:
         self._fix = fix
         words = self._words(sky, gps_ms(utc_ms))
         constellations, baseline = tuple(self._sky.rows), self._baseline(source)
-        return Epoch(utc_ms, fix, sky, constellations, baseline, raw, words, signals.noise_rise_db)
+        signal = signal_under(signals.noise_rise_db, signals.path_m, valid=fix.valid)
+        return Epoch(utc_ms, fix, sky, constellations, baseline, raw, words, signal)
 
     def _faults(self, faults: tuple[SatelliteFault, ...], sky: Sky) -> tuple[FloatArray, FloatArray]:
         """Errors [m] of the pseudoranges of a sky and their derivatives [m/s], shape (n,) each."""

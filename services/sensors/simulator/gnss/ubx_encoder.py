@@ -1,6 +1,6 @@
 """Encodes UBX messages of a u-blox receiver of generation 9.
 
-Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), sections 3.10 and 3.15.
+Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), sections 3.10, 3.14, 3.15 and 3.18.
 """
 
 import struct
@@ -9,9 +9,10 @@ from math import atan2, cos, degrees, hypot, sin
 
 import numpy as np
 
-from .simulated_epoch import GEOID_M, LEAP_SECONDS, WEEK_MS, Epoch
+from .raw_measurements import CLOCK_DRIFT, clock_bias_s
+from .simulated_epoch import GEOID_M, LEAP_SECONDS, WEEK_MS, Epoch, gps_ms
 
-NAV, RXM, ACK, CFG, MON = 0x01, 0x02, 0x05, 0x06, 0x0A
+NAV, RXM, ACK, CFG, MON, SEC = 0x01, 0x02, 0x05, 0x06, 0x0A, 0x27
 VALSET, VALGET = 0x8A, 0x8B
 SYNC = b"\xb5\x62"
 
@@ -132,6 +133,39 @@ def nav_relposned(epoch: Epoch) -> bytes:
     ))  # fmt: skip
 
 
+def nav_status(epoch: Epoch) -> bytes:
+    """State of the fix, and of the detector of spoofing."""
+    fix, started_ms = epoch.fix, 26_000
+    flags2 = epoch.signal.spoofing << 3 | _CARRIER[fix.carrier] << 6
+    return frame(NAV, 0x03, struct.pack(
+        "<I4B2I", epoch.itow_ms, 3 if fix.valid else 0, fix.valid | 3 << 2, 0, flags2, started_ms, started_ms
+    ))  # fmt: skip
+
+
+def nav_clock(epoch: Epoch) -> bytes:
+    """Clock of the receiver, that of RXM-RAWX, with 10 ns and 200 ps/s as their standard deviations."""
+    bias_s = clock_bias_s(gps_ms(epoch.utc_ms) * 1e-3) + epoch.signal.clock_s
+    bias_ns, drift_ns = round(bias_s * 1e9), round(CLOCK_DRIFT * 1e9)
+    return frame(NAV, 0x22, struct.pack("<I2i2I", epoch.itow_ms, bias_ns, drift_ns, 10, 200))
+
+
+def mon_rf(epoch: Epoch) -> bytes:
+    """Radio paths of L1 and L2: jamming, noise, gain."""
+    signal = epoch.signal
+    paths = (
+        struct.pack("<4BI4x2H5B3x", number, signal.jamming, 2, 1, 0, signal.noise, signal.gain, signal.narrowband,
+                    0, 120, 0, 120)
+        for number in (0, 1)
+    )  # fmt: skip
+    return frame(MON, 0x38, struct.pack("<2B2x", 0, 2) + b"".join(paths))
+
+
+def sec_sig(epoch: Epoch) -> bytes:
+    """Flags of jamming and spoofing, version 1."""
+    jamming, spoofing = 1 | epoch.signal.jamming << 1, 1 | epoch.signal.spoofing << 1
+    return frame(SEC, 0x09, struct.pack("<B3xB3xB3x", 1, jamming, spoofing))
+
+
 def nav_eoe(epoch: Epoch) -> bytes:
     """End of the epoch."""
     return frame(NAV, 0x61, struct.pack("<I", epoch.itow_ms))
@@ -195,7 +229,11 @@ ENCODERS: dict[str, Callable[[Epoch], bytes]] = {
     "UBX_NAV_COV": nav_cov,
     "UBX_NAV_SAT": nav_sat,
     "UBX_NAV_RELPOSNED": nav_relposned,
+    "UBX_NAV_STATUS": nav_status,
+    "UBX_NAV_CLOCK": nav_clock,
     "UBX_NAV_EOE": nav_eoe,
     "UBX_RXM_RAWX": rxm_rawx,
     "UBX_RXM_SFRBX": rxm_sfrbx,
+    "UBX_MON_RF": mon_rf,
+    "UBX_SEC_SIG": sec_sig,
 }

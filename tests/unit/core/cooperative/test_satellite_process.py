@@ -81,10 +81,10 @@ def test_satellites_that_agree_pass_with_one_test_each() -> None:
     assert statement.statistic is not None and statement.threshold is not None
     assert statement.statistic < statement.threshold
     assert statement.false_alarm_rate == 1e-5
-    assert 10 < len(statement.tests) <= MAX_TESTS
-    assert all(
-        test.outcome is MonitorOutcome.PASS and "minimal detectable bias" in test.reason for test in statement.tests
-    )
+    *satellites, cooperative = statement.tests
+    assert 10 < len(satellites) <= MAX_TESTS
+    assert all(test.outcome is MonitorOutcome.PASS and "minimal detectable bias" in test.reason for test in satellites)
+    assert (cooperative.name, cooperative.outcome) == ("cooperative", MonitorOutcome.NOT_EVALUATED)
 
 
 def test_a_push_of_50_m_is_excluded_in_its_epoch_and_the_satellite_returns_when_it_has_agreed() -> None:

@@ -12,6 +12,7 @@ from services.parsers.gnss.framer import UBX_SYNC, ubx_checksum
 from services.parsers.gnss.process import Config, Process
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite
+from tests.support.ublox import valset
 
 NS = 1_000_000_000
 REQUEST = GnssConfigure(request_id=7, source="gnss0", navigation_period_s=0.2, messages=("NAV-PVT", "NAV-COV"))
@@ -161,28 +162,44 @@ OPTIONAL = {
 }  # fmt: skip
 
 
-def optional_values() -> bytes:
-    payload = bytes(UBXMessage.config_set(0, 0, list(OPTIONAL.items())).payload)
-    return bytes(UBXMessage("CFG", "CFG-VALGET", 0, payload=b"\x01" + payload[1:]).serialize())
+def optional_values(*kept: str) -> bytes:
+    """Responses to the polls of optional messages, one each."""
+    answers = b""
+    for name in kept:
+        pair = [(key, value) for key, value in OPTIONAL.items() if name.replace("-", "_") in key]
+        payload = valset(pair)[6:-2]
+        answers += UBXMessage("CFG", "CFG-VALGET", 0, payload=b"\x01" + payload[1:]).serialize() + acknowledge(0x8B)
+    return answers
 
 
-def test_optional_messages_are_asked_for_apart_and_measurements_once_a_second() -> None:
+def test_each_optional_message_is_asked_for_apart_and_measurements_once_a_second() -> None:
     writes = [one.data for one in send_request(Process(Config()), WITH_RAW) if isinstance(one, GnssWrite)]
-    assert writes[0] == UBXMessage.config_set(1, 0, list(OPTIONAL.items())).serialize()
-    assert writes[2:] == [one.data for one in send_request(Process(Config())) if isinstance(one, GnssWrite)]
-    assert len(writes) == 4
+    pairs = list(OPTIONAL.items())
+    assert writes[0] == valset(pairs[:2])
+    assert writes[2] == valset(pairs[2:])
+    assert writes[4:] == [one.data for one in send_request(Process(Config())) if isinstance(one, GnssWrite)]
+    assert len(writes) == 6
 
 
 def test_granted_optional_messages_are_reported_with_the_others() -> None:
     process = Process(Config())
     send_request(process, WITH_RAW)
-    assert not feed(process, acknowledge(0x8A) + optional_values() + acknowledge(0x8B) + acknowledge(0x8A))
+    assert not feed(process, acknowledge(0x8A) + optional_values("RXM-RAWX", "RXM-SFRBX") + acknowledge(0x8A))
     result = result_of(feed(process, values()))
     assert result.accepted
     assert result.messages == ("NAV-PVT", "NAV-COV", "RXM-RAWX", "RXM-SFRBX")
 
 
-@pytest.mark.parametrize("refusals", [(0x8A, 0x8B), (0x8A,), (0x8B,), ()])
+def test_an_optional_message_that_the_receiver_lacks_does_not_cost_the_other() -> None:
+    process = Process(Config())
+    send_request(process, WITH_RAW)
+    refused = acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)
+    assert not feed(process, refused + acknowledge(0x8A) + optional_values("RXM-SFRBX") + acknowledge(0x8A))
+    result = result_of(feed(process, values()))
+    assert (result.accepted, result.messages) == (True, ("NAV-PVT", "NAV-COV", "RXM-SFRBX"))
+
+
+@pytest.mark.parametrize("refusals", [(0x8A, 0x8B) * 2, (0x8A,), (0x8B,), ()])
 def test_a_receiver_that_refuses_the_optional_messages_keeps_the_others(refusals: tuple[int, ...]) -> None:
     process = Process(Config())
     send_request(process, WITH_RAW)

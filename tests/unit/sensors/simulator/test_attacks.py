@@ -296,7 +296,6 @@ def test_an_attack_with_a_duration_ends_by_itself_and_a_second_start_replaces_th
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (start("neighbour_lie"), "neighbour_lie is not possible: the simulator has no V2X neighbours"),
         (start("drag_off", parameters={"colour": 1.0}), "drag_off has no parameter 'colour'"),
         (start("drag_off", parameters={"speed": 1e9}), "drag_off: speed must be 0.01 to 60 m/s"),
         (start("jam", attack=None), "name the attack that shall start"),
