@@ -465,7 +465,7 @@ def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_pag
         expect(card.get_by_role("status")).to_have_text("Done.")
         expect(card.get_by_role("listitem")).to_contain_text("acceleration 0.3, speed 1, direction 0")
         for theme in ("light", "dark"):
-            page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]  # a literal of playwright
+            page.emulate_media(color_scheme=theme)
             keep_picture(page, f"attacks-{theme}")
         page.set_viewport_size(THEMES["phone"])
         card.get_by_role("status").scroll_into_view_if_needed()

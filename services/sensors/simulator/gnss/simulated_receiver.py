@@ -101,7 +101,7 @@ class Receiver:
         self._fix = fix
         words = self._words(sky, gps_ms(utc_ms))
         constellations, baseline = tuple(self._sky.rows), self._baseline(source)
-        signal = signal_under(signals.noise_rise_db, signals.path_m, valid=fix.valid)
+        signal = signal_under(signals.noise_rise_db, signals.path_m, signals.path_rate_m_s, valid=fix.valid)
         return Epoch(utc_ms, fix, sky, constellations, baseline, raw, words, signal)
 
     def _faults(self, faults: tuple[SatelliteFault, ...], sky: Sky) -> tuple[FloatArray, FloatArray]:
