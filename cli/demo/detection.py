@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from shared.messages.simulation import AttackRun
+from shared.attacks import BY_NAME
+from shared.messages.simulation import AttackName, AttackRun
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
 
 NS = 1_000_000_000
@@ -22,15 +23,20 @@ class AttackSummary:
     detected_by: tuple[str, ...]  # all signs of that moment
 
 
-def signs(state: TrustState) -> tuple[str, ...]:
-    """What counts as a detection: an exclusion, an alarming verdict, a monitor that accuses somebody."""
+def signs(state: TrustState, attack: AttackName) -> tuple[str, ...]:
+    """What counts as a detection: an exclusion, an alarming verdict, a monitor that accuses.
+
+    Neighbours that are accused are a sign of an attack by neighbours, and of no other.
+    """
     excluded = (("gnss", state.gnss_excluded), ("odometer", state.odometer_excluded))
-    accusing = (m for m in state.monitors if m.outcome is MonitorOutcome.ACCUSES and m.accused)
-    return (
-        *(f"{name} excluded" for name, is_so in excluded if is_so),
-        *([f"verdict {state.state}"] if state.state in ALARMS else []),
-        *(f"{m.monitor} accuses {', '.join(m.accused)}" for m in accusing),
-    )
+    by_neighbours = BY_NAME[attack].accused == "neighbour"
+    found = [f"{name} excluded" for name, is_so in excluded if is_so]
+    found += [f"verdict {state.state}"] if state.state in ALARMS else []
+    for monitor in state.monitors:
+        accused = [one for one in monitor.accused if one.startswith("neighbour") == by_neighbours]
+        if monitor.outcome is MonitorOutcome.ACCUSES and accused:
+            found.append(f"{monitor.monitor} accuses {', '.join(accused)}")
+    return tuple(found)
 
 
 def summarise(runs: Sequence[AttackRun], states: Sequence[TrustState], begin_ns: int) -> tuple[AttackSummary, ...]:
@@ -55,12 +61,12 @@ def summarise(runs: Sequence[AttackRun], states: Sequence[TrustState], begin_ns:
 
 def _summary(run: AttackRun, states: Sequence[TrustState], begin_ns: int) -> AttackSummary:
     before = [state for state in states if state.sampled_ns < run.started_ns]
-    known = set(signs(before[-1])) if before else set()
+    known = set(signs(before[-1], run.attack)) if before else set()
     started_s = round((run.started_ns - begin_ns) / NS, 1)
     for state in states[len(before) :]:
         if run.ended_ns is not None and state.sampled_ns > run.ended_ns:
             break
-        found = signs(state)
+        found = signs(state, run.attack)
         if new := tuple(sign for sign in found if sign not in known):
             return AttackSummary(run.attack, started_s, round((state.sampled_ns - run.started_ns) / NS, 1), new)
         known &= set(found)

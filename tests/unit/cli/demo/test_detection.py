@@ -10,6 +10,8 @@ from tests.support.status_world import monitor, trust
 NS = 1_000_000_000
 ACCUSES = {"outcome": MonitorOutcome.ACCUSES, "accused": ("gnss",)}
 
+NEIGHBOUR = {"outcome": MonitorOutcome.ACCUSES, "accused": ("neighbour 7",)}
+
 
 def verdict(t_s: float, level: TrustLevel = TrustLevel.SAFE, **changes: object) -> TrustState:
     return trust(round(t_s * NS), level, **changes)
@@ -41,12 +43,19 @@ def test_an_exclusion_an_alarm_and_an_accusation_are_detections(sign: str, state
         [verdict(59.0), verdict(61.0, TrustLevel.CAUTION), verdict(90.0, TrustLevel.NO_FIX)],
         [verdict(59.0, TrustLevel.UNSAFE), verdict(61.0, TrustLevel.UNSAFE)],
         [verdict(50.0, TrustLevel.UNSAFE), verdict(59.0), verdict(101.0, TrustLevel.UNSAFE)],
+        [verdict(59.0), verdict(70.0, monitors=(monitor(70 * NS, "satellites", **NEIGHBOUR),))],
     ],
-    ids=["less than an alarm", "alarm from before", "after the end"],
+    ids=["less than an alarm", "alarm from before", "after the end", "a neighbour"],
 )
 def test_what_does_not_come_from_the_attack_is_no_detection(states: list[TrustState]) -> None:
     (found,) = summarise([run(100.0)], states, 0)
     assert found.detected_after_s is None and not found.detected_by
+
+
+def test_an_accused_neighbour_is_the_detection_of_a_lying_one() -> None:
+    lie = run().model_copy(update={"attack": AttackName.NEIGHBOUR_LIE})
+    (found,) = summarise([lie], [verdict(59.0), verdict(62.0, monitors=(monitor(1, "satellites", **NEIGHBOUR),))], 0)
+    assert found.detected_by == ("satellites accuses neighbour 7",)
 
 
 def test_a_sign_from_before_counts_again_once_it_has_gone() -> None:
