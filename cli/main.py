@@ -24,6 +24,7 @@ from .recordings.record import record, repair
 from .recordings.replay import replay
 from .recordings.verify import verify
 from .solve.solve import solve
+from .verify_toll import verify_toll
 
 app = typer.Typer(
     help="A vehicle on-board unit: position, velocity and attitude of the vehicle, with their integrity.",
@@ -314,6 +315,27 @@ def spoofing(
     raise typer.Exit(repeat(drives, as_json, out))
 
 
+@papers.command()
+def toll(
+    runs: Annotated[
+        int, typer.Option(min=2, help="Runs of the filters per noise model; 30 times as many of lanes.")
+    ] = 20,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Track vehicles by CAM with the filters of the C-ITS toll paper, and decide lanes with and without delta position.
+
+    Table III is printed beside ours, with processor times. Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers toll --out figures[/]
+    [bold]obu papers toll --runs 4 --json[/]
+    """
+    from .papers.papers import toll as repeat
+
+    raise typer.Exit(repeat(runs, as_json, out))
+
+
 @recordings.callback(invoke_without_command=True)
 def _record(
     context: typer.Context,
@@ -341,3 +363,4 @@ app.command("attack-lab")(_ended(attack_lab))
 recordings.command("repair")(_ended(repair))
 app.command("replay")(_ended(replay))
 app.command("verify")(_ended(verify))
+app.command("verify-toll")(_ended(verify_toll))

@@ -61,3 +61,10 @@ def spoofing(drives: int, json: bool, out: Path | None) -> int:
     from .spoofing.paper import reproduce
 
     return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)
+
+
+def toll(runs: int, json: bool, out: Path | None) -> int:
+    """Reproduce tracking by CAM and decide lanes; return 1 if a number is outside its tolerance."""
+    from .toll.paper import reproduce
+
+    return publish(reproduce(runs, sys.stderr.isatty()), json=json, out=out)

@@ -10,6 +10,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 from services.core.trust.process import Config as TrustConfig
 from services.core.trust.process import Process as TrustProcess
@@ -43,6 +44,15 @@ VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
 SIMULATED = parse_vehicle(VEHICLE_TOML).processes
 
 
+class FakePlaza(Protocol):
+    """What else may feed the bus."""
+
+    watchdog: Watchdog
+
+    def step(self) -> None:
+        """Feed everything that is due now."""
+
+
 class FakeBus:
     """Has the face of `shared.bus.bus.Bus`; what is fed is what is received."""
 
@@ -52,7 +62,7 @@ class FakeBus:
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
         self.offset_ns = 1_795_000_000 * 10**9 - time.monotonic_ns()
-        self.unit: FakeUnit | None = None
+        self.unit: FakeUnit | FakePlaza | None = None
         self.published: list[Message] = []
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
@@ -81,7 +91,7 @@ class FakeBus:
     def publish(self, message: Message) -> None:
         """Keep what the process itself publishes; the simulator of the unit answers commands."""
         self.published.append(message)
-        if self.unit is not None and isinstance(message, SimulationAttack):
+        if isinstance(self.unit, FakeUnit) and isinstance(message, SimulationAttack):
             self.unit.command(message)
 
     def receive(self, timeout_s: float) -> list[Envelope]:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from math import hypot
 from statistics import fmean
 from typing import TypeVar
@@ -12,6 +13,7 @@ from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState, TruthState
 from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth
+from shared.messages.toll import GateCommand, PlazaDetector
 from shared.messages.trust import TrustEvent, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
@@ -33,6 +35,7 @@ from .judgement import (
 from .truth_check import TruthCheck
 from .views.banner import Evidence, Trust, Verdict, ratio_of, show
 from .views.geometry import ellipse_95, offset_m
+from .views.toll import verdict as plaza_verdict
 
 M = TypeVar("M", bound=Message)
 SAMPLE_NS = 200_000_000
@@ -53,6 +56,8 @@ class State:
         self.aiding: dict[AidingKind, tuple[AidingUpdate, int]] = {}
         self.rejections: dict[AidingKind, int] = {}
         self.history, self.outages = History(history_s), OutageList()
+        self.gates: dict[str, GateCommand] = {}  # newest of each lane
+        self.pulses: dict[str, int] = {}  # time of the newest detector pulse of each lane
         self.broker = False  # whether it is connected and delivers
         self._ticked_ns = self._received_ns = started_ns  # newest message
         self._broker_back_ns = started_ns  # first message after the last outage of the broker
@@ -86,10 +91,22 @@ class State:
                     self.rejections[message.kind] = self.rejections.get(message.kind, 0) + 1
             case Origin():
                 self.origins[envelope.producer] = (message, flow.updated_ns or 0)
+            case _:
+                self._note_event(message)
+
+    def _note_event(self, message: Message | None) -> None:
+        """Keep what is shown beyond the newest message of its topic."""
+        match message:
             case Outage():
                 self.outages.note(message)
             case TrustEvent():
                 self.trust_events.append(message)
+            case GateCommand():
+                self.gates[message.lane] = message
+            case PlazaDetector():
+                self.pulses[message.lane] = message.sampled_ns
+            case _:
+                pass
 
     def tick(self, now_ns: int, *, broker: bool) -> None:
         """Let time pass: renew rates once a second, verdict and history five times."""
@@ -158,7 +175,12 @@ class State:
 
     def _judge(self, now_ns: int, *, connected: bool) -> None:
         self.judgement = self._find_judgement(now_ns, connected=connected)
-        self.verdict = show(self.evidence(now_ns))
+        if "core.toll" in self.expected:
+            shown = plaza_verdict(self, now_ns, broker=not self._broker_lost(now_ns))
+            since_ns = self.verdict.since_ns if shown.state is self.verdict.state else now_ns
+            self.verdict = replace(shown, since_ns=since_ns)
+        else:
+            self.verdict = show(self.evidence(now_ns))
         trust = None if self.verdict.state is Trust.STALE else self.newest(TrustState, "trust/state", now_ns)
         ratios = {m.monitor: ratio_of(m.outcome, m.statistic, m.threshold) for m in trust.monitors} if trust else {}
         self.trust_history.add(now_ns, self.verdict.state, ratios)

@@ -22,6 +22,7 @@ from shared.topics import TOPICS
 from ..flow import TopicFlow
 from ..state import State
 from . import simulation as simulation_views
+from . import toll
 from . import trust as trust_views
 from .banner import WORDS
 from .geometry import ellipse_95, horizontal_sd, offset_m, vertical_sd
@@ -59,6 +60,7 @@ def dashboard(state: State, now_ns: int) -> Json:
     return {
         "now_ns": now_ns,
         "vehicle": state.vehicle,
+        "toll": toll.plaza(state, now_ns),
         "started_ns": state.started_ns,
         "origin": origin(state, now_ns),
         "banner": banner(state),

@@ -18,6 +18,7 @@ PAGES = (
     "closeup.js",
     "trust.js",
     "attacks.js",
+    "toll.js",
     "system.js",
     "inspector.js",
 )
