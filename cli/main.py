@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from shared.errors import UserError
+from shared.messages.simulation import AttackName
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
@@ -55,7 +56,7 @@ class BrokerKind(StrEnum):
 
 
 @app.command()
-def demo(
+def demo(  # noqa: PLR0913, PLR0917  # one argument an option
     scenario: Annotated[
         str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
     ] = "urban",
@@ -67,6 +68,13 @@ def demo(
     json: Annotated[bool, typer.Option("--json", help="Print the balance as one JSON object.")] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
     broker: Annotated[BrokerKind, typer.Option(help="auto: Mosquitto if it is there, else our own.")] = BrokerKind.AUTO,
+    attack: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Repeatable; name@start, name@start:duration or name(parameter=value,...)@start, in seconds. "
+            f"Names: {', '.join(AttackName)}."
+        ),
+    ] = None,
     role: Annotated[Role, typer.Option(help="obu: a vehicle; rsu: a toll plaza.")] = Role.OBU,
     vehicles: Annotated[int, typer.Option(min=1, max=200, help="Vehicles at the toll plaza at a time.")] = 50,
 ) -> None:
@@ -77,11 +85,15 @@ def demo(
     [bold]obu demo --scenario tunnel --port 8090[/]
     [bold]obu demo --scenario parking_lot --duration 60 --json[/]
     [bold]obu demo --role rsu --vehicles 50 --duration 60 --json[/]
+    [bold]obu demo --attack drag_off@60[/]
+    [bold]obu demo --attack "drag_off(accel=0.1,speed=1)@60:120" --attack odometer_freeze@240 --duration 300[/]
     """
     from .demo.demo import DemoOptions, run
 
     _end_on_sigterm()
-    options = DemoOptions(scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles)
+    options = DemoOptions(
+        scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles, attacks=tuple(attack or ())
+    )
     raise typer.Exit(run(options))
 
 
