@@ -1,12 +1,17 @@
 """Compares the velocity of GNSS with inertial sensors over 5, 30 and 60 s."""
 
+import logging
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import radians
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError, ValidationInfo, model_validator
 
+from shared.errors import ConfigError
 from shared.maths.rotation import ned_from_body
 from shared.messages.base import Symmetric3, Tick
 from shared.messages.gnss import FixType, GnssFix
@@ -14,8 +19,10 @@ from shared.messages.imu import ImuSamples
 from shared.messages.navigation import NavigationPhase, NavigationSolution
 from shared.messages.trust import TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
+from shared.runtime.config import Table, VehicleFile
 
 from .monitor import InertialMonitor
+from .profile import Origin, Profile
 from .settings import Settings
 from .statements import statements
 from .strapdown import Anchor
@@ -25,10 +32,74 @@ WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 RESTART_NS = 5_000_000_000  # by which a stamp is earlier than the newest one where a time line starts again
 SILENT_NS = 5_000_000_000  # after which another source takes the place of one that is silent
+RATED_S = 10.0  # of a source, after which its rate is known
+
+log = logging.getLogger(__name__)
 
 
 class Config(Settings):
-    """Settings of core.spoofing."""
+    """Settings of core.spoofing.
+
+    `profile` may be the name of a file that `obu calibrate spoofing` wrote, relative to the vehicle's file. Lever arm
+    and delay of GNSS are those of core.fusion where this section has none.
+    """
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, given: object, info: ValidationInfo) -> object:
+        vehicle = cast("Mapping[str, object]", info.context or {}).get("vehicle")
+        if not isinstance(given, dict) or not isinstance(vehicle, VehicleFile):
+            return given
+        values = {**given, "gnss": {**_gnss_of_fusion(vehicle), **given.get("gnss", {})}}
+        if isinstance(name := values.get("profile"), str):
+            values["profile"] = read_profile(Path(vehicle.path).parent / name)
+        return values
+
+
+def _gnss_of_fusion(vehicle: VehicleFile) -> Table:
+    """Lever arm, and delay of velocity, from the section of core.fusion."""
+    gnss = vehicle.tables.get("core.fusion", {}).get("gnss", {})
+    if not isinstance(gnss, dict):
+        return {}
+    found: Table = {key: gnss[key] for key in ("lever_arm_body_m",) if key in gnss}
+    delays = [gnss[key] for key in ("delay_s", "velocity_delay_s") if isinstance(gnss.get(key), int | float)]
+    return found | ({"velocity_delay_s": sum(delays)} if delays else {})
+
+
+def read_profile(path: Path) -> Profile:
+    """Read a profile that `obu calibrate spoofing` wrote."""
+    try:
+        return Profile.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(
+            f"cannot read the profile {path}: {error.strerror}; make it with `obu calibrate spoofing DRIVE -o {path.name}`"
+            ", or remove `profile` from [core.spoofing]"
+        ) from error
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"]
+        raise ConfigError(f"{path} is no profile ({reason}); make it with `obu calibrate spoofing DRIVE`") from error
+
+
+class Rate:
+    """Source of one kind of message, and its rate."""
+
+    def __init__(self) -> None:
+        self.source = ""
+        self._first_ns = self._last_ns = self._count = 0
+
+    def count(self, source: str, time_ns: int, number: int = 1) -> None:
+        """Count values up to a time; a new source, or a time line that starts again, begins anew."""
+        if source != self.source or time_ns < self._last_ns:
+            self.source, self._first_ns, self._count = source, time_ns, 0
+        else:
+            self._count += number
+        self._last_ns = time_ns
+
+    @property
+    def hz(self) -> float | None:
+        """Rate [1/s], None until it is known."""
+        elapsed_s = (self._last_ns - self._first_ns) * 1e-9
+        return self._count / elapsed_s if elapsed_s >= RATED_S and self._count else None
 
 
 class Process:
@@ -39,6 +110,8 @@ class Process:
         self.monitor = InertialMonitor(config)
         self._newest_ns = 0
         self._sources: dict[type, tuple[str, int]] = {}  # one of each kind, with the last time of arrival
+        self._imu, self._gnss = Rate(), Rate()
+        self._warning: str | None = None  # of a profile for another unit; None until it has been compared
 
     @property
     def rejects(self) -> Counter[str]:
@@ -51,6 +124,7 @@ class Process:
             case ImuSamples() if self._is_chosen(message):
                 self._use_samples(message)
             case GnssFix() if self._is_chosen(message):
+                self._gnss.count(message.source, message.sampled_ns)
                 velocity = message.velocity_ned_m_s if message.fix_type in MEASURED else None
                 self.monitor.fix(message.sampled_ns, velocity, message.velocity_sd_ned_m_s)
             case VehicleSpeed() if self._is_chosen(message):
@@ -59,7 +133,31 @@ class Process:
                 self.monitor.solution(anchor_of(message))
             case Tick():
                 time_ns = max(self._newest_ns, message.now_ns)
-                yield from statements(self.monitor.verdicts(time_ns), time_ns)
+                if self._warning is None:
+                    self._warning = self._compare_profile()
+                yield from statements(self.monitor.verdicts(time_ns), time_ns, warning=self._warning or "")
+
+    @property
+    def origin(self) -> Origin | None:
+        """Device and configuration of this unit, None until the rates are known."""
+        if self._imu.hz is None or self._gnss.hz is None:
+            return None
+        return Origin(
+            imu=self._imu.source, gnss=self._gnss.source, imu_rate_hz=self._imu.hz, gnss_rate_hz=self._gnss.hz,
+            configuration=self._config.digest(), code="", drives=(),
+        )  # fmt: skip
+
+    def _compare_profile(self) -> str | None:
+        """Warn once where the profile was learned for another device or configuration."""
+        learned, present = self._config.profile.origin, self.origin
+        if learned is None or present is None:
+            return None
+        different = learned.differences(present)
+        if not different:
+            return ""
+        warning = f"the profile was learned for another unit: {'; '.join(different)}"
+        log.warning("%s; learn one with `obu calibrate spoofing`", warning)
+        return warning
 
     def _is_chosen(self, message: ImuSamples | GnssFix | VehicleSpeed) -> bool:
         """Whether a message comes from the one source of its kind that is used."""
@@ -78,6 +176,7 @@ class Process:
         if self._newest_ns - batch.sampled_ns[-1] > RESTART_NS:
             self._restart(batch.sampled_ns[-1])
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
+        self._imu.count(batch.source, batch.sampled_ns[-1], len(batch.sampled_ns))
         for time_ns, force, rate in samples:
             self.monitor.inertial(time_ns, force, rate)
         self._newest_ns = max(self._newest_ns, batch.sampled_ns[-1])

@@ -1,5 +1,6 @@
 """Settings of the inertial monitors."""
 
+from hashlib import sha256
 from math import radians
 
 from pydantic import Field
@@ -93,3 +94,7 @@ class Settings(Section):
     stale_after_s: float = Field(default=3.0, gt=0.0, description="age of GNSS or inertial data that ends a comparison")
     largest_force_m_s2: float = Field(default=80.0, gt=0.0, description="larger specific forces are rejected")
     largest_rate_rad_s: float = Field(default=20.0, gt=0.0, description="larger angular rates are rejected")
+
+    def digest(self) -> str:
+        """Identify the settings that the 5 s metrics depend on, those of GNSS."""
+        return sha256(self.gnss.model_dump_json().encode()).hexdigest()[:16]
