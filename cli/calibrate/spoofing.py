@@ -16,7 +16,14 @@ from rich.table import Table
 from services.core.spoofing import profile as learning
 from services.core.spoofing.metrics import UNITS
 from services.core.spoofing.process import Process
-from services.core.spoofing.profile import FORCE_EDGES_M_S2, SPEED_EDGES_M_S, SPEED_METRICS, LearnedDrive, Origin, Profile
+from services.core.spoofing.profile import (
+    FORCE_EDGES_M_S2,
+    SPEED_EDGES_M_S,
+    SPEED_METRICS,
+    LearnedDrive,
+    Origin,
+    Profile,
+)
 from services.core.spoofing.short_window import Window
 from shared.errors import UserError
 from shared.messages.base import Message
@@ -37,7 +44,9 @@ def calibrate_spoofing(
     ] = None,
     threshold: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Number of standard deviations; default: the least of 5 to 15 with one alarm an hour."),
+        typer.Option(
+            min=1.0, help="Standard deviations; default: the least of 5 to 15 with one alarm an hour."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the profile as one JSON object.")] = False,
 ) -> int:
@@ -63,7 +72,7 @@ def calibrate_spoofing(
     for drive, other in zip(learned, origins, strict=True):
         if different := first.differences(other):
             raise UserError(
-                f"{drive.file} is of another unit than {learned[0].file} ({'; '.join(different)}); learn a profile for each"
+                f"{drive.file} is of another unit than {learned[0].file} ({'; '.join(different)}); learn one for each"
             )
     profile = _profile(windows, first.model_copy(update={"code": _code(), "drives": tuple(learned)}), threshold)
     try:
