@@ -44,9 +44,7 @@ def calibrate_spoofing(
     ] = None,
     threshold: Annotated[
         float | None,
-        typer.Option(
-            min=1.0, help="Standard deviations; default: the least of 5 to 15 with one alarm an hour."
-        ),
+        typer.Option(min=1.0, help="Standard deviations; default: the least of 5 to 15 with one alarm an hour."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the profile as one JSON object.")] = False,
 ) -> int:

@@ -72,9 +72,7 @@ class Log:
 
 def is_log(first_lines: Iterable[str]) -> bool:
     """Whether a file begins as GnssLogger's files do."""
-    return any(
-        line.startswith("#") and line[1:].strip().startswith(("Raw,", "Header Description")) for line in first_lines
-    )
+    return any(line.startswith("#") and "Header Description" in line for line in first_lines)
 
 
 def read_log(lines: Iterable[str]) -> Log:
@@ -262,9 +260,8 @@ def _measurement(row: Row, gps_ns: int) -> RawMeasurement | str:
 
 def _inertial(log: Log, offset_ns: int | None, axes: FloatArray) -> Iterator[ImuSamples]:
     """Samples at the gyroscope's times, with the acceleration interpolated; uncalibrated sensors come first."""
-    kinds = [
-        next((k for k in pair if log.rows.get(k)), None) for pair in (("UncalAccel", "Accel"), ("UncalGyro", "Gyro"))
-    ]
+    pairs = ("UncalAccel", "Accel"), ("UncalGyro", "Gyro")
+    kinds = [next((kind for kind in pair if log.rows.get(kind)), None) for pair in pairs]
     if offset_ns is None or None in kinds:
         return
     (force_ns, force), (rate_ns, rate) = (_triples(log, kind, offset_ns) for kind in kinds if kind)
@@ -272,9 +269,8 @@ def _inertial(log: Log, offset_ns: int | None, axes: FloatArray) -> Iterator[Imu
         return
     after = np.clip(np.searchsorted(force_ns, rate_ns), 1, len(force_ns) - 1)
     inside = (rate_ns >= force_ns[0]) & (rate_ns <= force_ns[-1]) & (force_ns[after] - force_ns[after - 1] <= GAP_NS)
-    log.rejects.update(
-        {"inertial: no acceleration at the time of the rate": int((~inside).sum())} if not inside.all() else {}
-    )
+    if not inside.all():
+        log.rejects["inertial: no acceleration at the time of the rate"] += int((~inside).sum())
     rate_ns, rate = rate_ns[inside], rate[inside] @ axes.T
     since = (force_ns - force_ns[0]).astype(float)
     columns = [np.interp((rate_ns - force_ns[0]).astype(float), since, force[:, axis]) for axis in range(3)]

@@ -45,7 +45,7 @@ from .table import Table, arrays_table, read_table
 def import_drive(
     mapping: Annotated[
         Path,
-        typer.Argument(help="TOML file that defines the meaning of the columns, or a log of Android's GnssLogger."),
+        typer.Argument(help="TOML file that defines the columns, or a log of Android's GnssLogger."),
     ],
     folder: Annotated[
         Path | None, typer.Argument(help="Folder with the files named in the mapping; none with a GnssLogger log.")
@@ -75,7 +75,7 @@ def import_drive(
         return _import_log(mapping, output, vehicle, body_from_phone(axes))
     if folder is None:
         raise UserError(
-            f"{mapping} is no log of GnssLogger; give a mapping (TOML) and the folder with its files, see `obu import --help`"
+            f"{mapping} is no log of GnssLogger; give a mapping (TOML) and the folder of its files: `obu import --help`"
         )
     text = _text(mapping)
     spec = parse_mapping(text, str(mapping))
@@ -133,9 +133,7 @@ def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArra
     messages = messages_of(log, axes)
     if not messages:
         reasons = ", ".join(f"{count} {reason}" for reason, count in log.rejects.items()) or "no lines"
-        raise UserError(
-            f"{path} holds nothing that can be used ({reasons}); log `Fix`, `Raw` or the sensors in GnssLogger"
-        )
+        raise UserError(f"{path} holds nothing that can be used ({reasons}); log `Fix`, `Raw` or the sensors")
     digest = hashlib.sha256(data).hexdigest()
     kinds = dict.fromkeys(type(message) for message in messages)
     parts = [
@@ -148,7 +146,8 @@ def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArra
     ]  # fmt: skip
     file = load_vehicle(vehicle) if vehicle is not None else parse_vehicle("", "<no vehicle file>")
     provenance = {
-        "name": path.stem, "files": json.dumps({path.name: digest}), "truth_is": "none", "truth_quantities": "", "made": ""
+        "name": path.stem, "files": json.dumps({path.name: digest}), "truth_is": "none", "truth_quantities": "",
+        "made": "",
     }  # fmt: skip
     with progress_on(Console(stderr=True)) as progress:
         _write(output, parts, file, provenance, progress)

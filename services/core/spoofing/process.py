@@ -72,8 +72,8 @@ def read_profile(path: Path) -> Profile:
         return Profile.model_validate_json(path.read_bytes())
     except OSError as error:
         raise ConfigError(
-            f"cannot read the profile {path}: {error.strerror}; make it with `obu calibrate spoofing DRIVE -o {path.name}`"
-            ", or remove `profile` from [core.spoofing]"
+            f"cannot read the profile {path}: {error.strerror}; make it with `obu calibrate spoofing`, or remove "
+            "`profile` from [core.spoofing]"
         ) from error
     except ValidationError as error:
         reason = error.errors()[0]["msg"]
