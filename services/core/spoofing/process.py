@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError, ValidationInfo, model_validator
 
 from shared.errors import ConfigError
-from shared.maths.rotation import ned_from_body
-from shared.messages.base import Symmetric3, Tick
+from shared.maths.rotation import matrix_from_quaternion, ned_from_body
+from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import NavigationPhase, NavigationSolution
+from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import Table, VehicleFile
@@ -25,13 +24,16 @@ from .monitor import InertialMonitor
 from .profile import Origin, Profile
 from .settings import Settings
 from .statements import statements
-from .strapdown import Anchor
+from .strapdown import Anchor, FilterAnchor
 
-In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | Tick
+In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | FilterState | Tick
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 RESTART_NS = 5_000_000_000  # by which a stamp is earlier than the newest one where a time line starts again
 SILENT_NS = 5_000_000_000  # after which another source takes the place of one that is silent
+# Elements of FilterState: velocity, attitude, both biases, scale of the odometer, yaw and pitch of the mounting.
+ODOMETER_SCALE, MOUNTING_PITCH, MOUNTING_YAW = 21, 22, 23
+ELEMENTS = (3, 4, 5, 0, 1, 2, 9, 10, 11, 12, 13, 14, ODOMETER_SCALE, MOUNTING_YAW, MOUNTING_PITCH)
 RATED_S = 10.0  # of a source, after which its rate is known
 
 log = logging.getLogger(__name__)
@@ -131,6 +133,12 @@ class Process:
                 self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case NavigationSolution() if message.phase in WITH_HEADING:
                 self.monitor.solution(anchor_of(message))
+            case FilterState():
+                anchor = filter_anchor_of(message)
+                if anchor is None:
+                    self.rejects["filter state of another layout"] += 1
+                else:
+                    self.monitor.filter_state(anchor)
             case Tick():
                 time_ns = max(self._newest_ns, message.now_ns)
                 if self._warning is None:
@@ -200,8 +208,6 @@ def anchor_of(solution: NavigationSolution) -> Anchor:
         velocity_n=np.array(solution.velocity_ned_m_s),
         accelerometer_bias=np.array(solution.accelerometer_bias_m_s2),
         gyroscope_bias=np.array(solution.gyroscope_bias_rad_s),
-        velocity_cov=_matrix(solution.velocity_cov_ned_m2_s2),
-        attitude_cov=_matrix(solution.attitude_cov_ned_rad2),
         latitude=radians(solution.latitude_deg),
         height=solution.height_ellipsoid_m,
         stationary=solution.stationary,
@@ -209,6 +215,36 @@ def anchor_of(solution: NavigationSolution) -> Anchor:
     )
 
 
-def _matrix(cov: Symmetric3) -> npt.NDArray[np.float64]:
-    nn, ne, nd, ee, ed, dd = cov
-    return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]])
+def filter_anchor_of(state: FilterState) -> FilterAnchor | None:
+    """Read a filter state as the start of a free propagation; None if it has another number of elements.
+
+    Notes
+    -----
+    With k the error of the odometer's scale in fusion (odometer = (1 + k) speed), and the errors of fusion estimated
+    minus true, those of the propagation true minus estimated: scale = 1 / (1 + k), d(scale) = -dk / (1 + k)², and the
+    mounting angles have the opposite sign.
+    """
+    size = round((np.sqrt(8.0 * len(state.covariance) + 1.0) - 1.0) / 2.0)
+    if len(state.parameters) < 3 or size < MOUNTING_YAW + 1 or size * (size + 1) // 2 != len(state.covariance):
+        return None
+    P = np.zeros((size, size))
+    P[np.triu_indices(size)] = state.covariance
+    P = P + np.triu(P, 1).T
+    k, pitch, yaw = state.parameters[:3]
+    J = np.diag([1.0] * 12 + [-1.0 / (1.0 + k) ** 2, -1.0, -1.0])
+    used_ns = state.position_used_ns
+    return FilterAnchor(
+        time_ns=state.sampled_ns,
+        ned_from_body=matrix_from_quaternion(state.quaternion_ned_from_body),
+        velocity_n=np.array(state.velocity_ned_m_s),
+        accelerometer_bias=np.array(state.accelerometer_bias_m_s2),
+        gyroscope_bias=np.array(state.gyroscope_bias_rad_s),
+        latitude=radians(state.latitude_deg),
+        height=state.height_ellipsoid_m,
+        stationary=False,
+        gnss_age_s=None if used_ns is None else (state.sampled_ns - used_ns) * 1e-9,
+        scale=1.0 / (1.0 + k),
+        yaw=-yaw,
+        pitch=-pitch,
+        covariance=J @ P[np.ix_(ELEMENTS, ELEMENTS)] @ J.T,
+    )
