@@ -22,7 +22,7 @@ from shared.runtime.config import Table, VehicleFile
 
 from .monitor import InertialMonitor
 from .profile import Origin, Profile
-from .settings import Settings
+from .settings import LongSettings, Settings
 from .statements import statements
 from .strapdown import Anchor, FilterAnchor
 
@@ -43,7 +43,7 @@ class Config(Settings):
     """Settings of core.spoofing.
 
     `profile` may be the name of a file that `obu calibrate spoofing` wrote, relative to the vehicle's file. Lever arm
-    and delay of GNSS are those of core.fusion where this section has none.
+    and delay of GNSS, and the random walks of the IMU, are those of core.fusion where this section has none.
     """
 
     @model_validator(mode="before")
@@ -52,7 +52,8 @@ class Config(Settings):
         vehicle = cast("Mapping[str, object]", info.context or {}).get("vehicle")
         if not isinstance(given, dict) or not isinstance(vehicle, VehicleFile):
             return given
-        values = {**given, "gnss": {**_gnss_of_fusion(vehicle), **given.get("gnss", {})}}
+        sections = {"gnss": _gnss_of_fusion(vehicle), "long": _noise_of_fusion(vehicle)}
+        values = given | {key: {**found, **given.get(key, {})} for key, found in sections.items()}
         if isinstance(name := values.get("profile"), str):
             values["profile"] = read_profile(Path(vehicle.path).parent / name)
         return values
@@ -66,6 +67,20 @@ def _gnss_of_fusion(vehicle: VehicleFile) -> Table:
     found: Table = {key: gnss[key] for key in ("lever_arm_body_m",) if key in gnss}
     delays = [gnss[key] for key in ("delay_s", "velocity_delay_s") if isinstance(gnss.get(key), int | float)]
     return found | ({"velocity_delay_s": sum(delays)} if delays else {})
+
+
+def _noise_of_fusion(vehicle: VehicleFile) -> Table:
+    """Random walks of the IMU from the section of core.fusion, where they are above the defaults of this section."""
+    imu = vehicle.tables.get("core.fusion", {}).get("imu", {})
+    if not isinstance(imu, dict):
+        return {}
+    defaults = LongSettings()
+    walks = {
+        "angle_random_walk_rad_sqrt_s": defaults.angle_random_walk_rad_sqrt_s,
+        "velocity_random_walk_m_s_sqrt_s": defaults.velocity_random_walk_m_s_sqrt_s,
+    }
+    given = {key: imu[key] for key in walks if isinstance(imu.get(key), int | float)}
+    return {key: max(value, walks[key]) for key, value in given.items()}
 
 
 def read_profile(path: Path) -> Profile:

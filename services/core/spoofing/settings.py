@@ -61,7 +61,7 @@ class LongSettings(Section):
     velocity_sd_m_s: float = Field(
         default=0.02, ge=0.0, description="of the velocity per axis, added to the covariance of fusion's filter"
     )
-    odometer_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the odometer's speed")
+    odometer_sd_m_s: float = Field(default=0.05, gt=0.0, description="standard deviation of the odometer's speed")
     odometer_scale_sd: float = Field(
         default=0.002, ge=0.0, description="of the odometer's scale, added to the covariance of fusion's filter"
     )
@@ -74,8 +74,8 @@ class LongSettings(Section):
         default=1e-5, gt=0.0, lt=0.5, description="false-alarm rate of the gate on a single odometer speed"
     )
     non_holonomic: bool = Field(default=True, description="the vehicle moves along its forward axis: no lateral slip")
-    lateral_sd_m_s: float = Field(default=0.15, gt=0.0, description="standard deviation of the lateral velocity")
-    vertical_sd_m_s: float = Field(default=0.15, gt=0.0, description="standard deviation of the velocity along body z")
+    lateral_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the lateral velocity")
+    vertical_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the velocity along body z")
     rear_axle_distance_m: float = Field(
         default=1.5, ge=0.0, description="between IMU and rear axle; times the yaw rate it is a lateral velocity"
     )
@@ -83,7 +83,7 @@ class LongSettings(Section):
         default=radians(0.1), ge=0.0, description="of the mounting angles, added to the covariance of fusion's filter"
     )
     correlation_s: float = Field(
-        default=5.0, ge=1.0, description="correlation time of the errors of odometer and non-holonomic constraint"
+        default=3.0, ge=1.0, description="correlation time of the errors of odometer and non-holonomic constraint"
     )
 
 

@@ -5,16 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
 from services.core.spoofing.metrics import Metric
-from services.core.spoofing.process import Config, Process
+from services.core.spoofing.process import Config, Process, filter_anchor_of
 from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.rotation import ned_from_body
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import NavigationPhase, NavigationSolution
+from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 from tests.support.spoofing import Input, Result, drag_off, inputs, monitored, run
@@ -26,6 +28,39 @@ SHORT, LONG = "inertial_short", "inertial_long"
 @pytest.fixture(scope="module")
 def drive() -> Drive:
     return simulate("urban", 1, 150.0)
+
+
+def test_the_covariance_of_an_anchor_is_that_of_its_errors(drive: Drive) -> None:
+    """Velocity, attitude and biases of fusion's filter, with their correlations: the normalised error squared."""
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    states = [s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m)
+              if isinstance(s, FilterState) and s.sampled_ns > 60e9]  # fmt: skip
+    bias_f, bias_w = (
+        (drive.force_b - drive.ideal_force_b).mean(axis=0),
+        (drive.rate_b - drive.ideal_rate_b).mean(axis=0),
+    )
+    squares = []
+    for state in states:
+        anchor = filter_anchor_of(state)
+        assert anchor is not None and abs(anchor.scale - 1.0) < 0.01 and np.hypot(anchor.yaw, anchor.pitch) < 0.02
+        k = int(np.searchsorted(drive.t_ns, anchor.time_ns))
+        turn = ned_from_body(*drive.attitude[k].tolist()) @ anchor.ned_from_body.T
+        error = np.r_[
+            drive.velocity_n[k] - anchor.velocity_n, Rotation.from_matrix(turn).as_rotvec(),
+            bias_f - anchor.accelerometer_bias, bias_w - anchor.gyroscope_bias,
+        ]  # fmt: skip
+        squares.append(error @ np.linalg.solve(anchor.covariance[:12, :12], error))
+    assert len(squares) > 80 and 4.0 < np.mean(squares) < 30.0, "12 expected, of errors that last for the whole drive"
+
+
+def test_a_filter_state_of_another_layout_is_rejected_and_counted(drive: Drive) -> None:
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    made = (s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m))
+    state = next(s for s in made if isinstance(s, FilterState))
+    process = Process(Config())
+    for damaged in ({"covariance": state.covariance[:-1]}, {"covariance": (1.0, 0.0, 1.0)}, {"parameters": (0.0,)}):
+        assert not list(process.handle(state.model_copy(update=damaged)))
+    assert process.rejects == {"filter state of another layout": 3}
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +199,9 @@ def test_bad_input_is_counted_and_changes_no_outcome(drive: Drive, clean: Result
     process = Process(Config().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
     # Only the monitors get what is bad: fusion has its own tests of it.
     solutions = [s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m)]
-    queue = iter(sorted((s for s in solutions if isinstance(s, NavigationSolution)), key=lambda s: s.sampled_ns))
+    queue = iter(
+        sorted((s for s in solutions if isinstance(s, NavigationSolution | FilterState)), key=lambda s: s.sampled_ns)
+    )
     following = next(queue, None)
     statements: dict[str, list[TrustMonitor]] = {SHORT: [], LONG: []}
     for message in spoiled():
