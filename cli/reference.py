@@ -92,7 +92,7 @@ def pages() -> dict[str, str]:
         "processes.md": f"{HEAD}# Processes\n\n{processes_table()}\n",
         "configuration.md": f"{HEAD}# Configuration\n\nOne TOML file per vehicle, one section per process; "
         f"the section `[vehicle]` holds its `name` and its `role` "
-        "(`obu`, an on-board unit, or `rsu`, a road-side unit).\n\n{configuration_pages()}",
+        f"(`obu`, an on-board unit, or `rsu`, a road-side unit).\n\n{configuration_pages()}",
         "metrics.md": HEAD + metrics_page(),
         "asyncapi.json": asyncapi_json() + "\n",
     }

@@ -4,6 +4,7 @@ ObuError
 ├── UserError            something the user can mend; its text says how
 │   └── ConfigError      a vehicle's file that must be changed: starting again is no use
 ├── BadPayload           a message on the bus that breaks the contract
+├── RejectedFrame        a received V2X frame that cannot be used
 ├── BadRecording         a recording that cannot be read at all
 └── FilterDiverged       an estimator whose numbers no longer mean anything
 """
@@ -23,6 +24,14 @@ class ConfigError(UserError):
 
 class BadPayload(ObuError):
     """A message on the bus that breaks the contract."""
+
+
+class RejectedFrame(ObuError):
+    """A received V2X frame that cannot be used; `reason` is a short key for counters, the text adds the value found."""
+
+    def __init__(self, reason: str, detail: object = "") -> None:
+        super().__init__(f"{reason} {detail}".rstrip())
+        self.reason = reason
 
 
 class BadRecording(ObuError):

@@ -29,6 +29,7 @@ class Kind(StrEnum):
     DEVICE_DRIVER = "device driver"  # reads a device that a unit may have
     SIMULATOR = "simulator"  # stands in for devices
     STANDING = "standing"
+    OPTIONAL = "optional"  # belongs to a function that not every unit has
 
 
 @dataclass(frozen=True)
@@ -74,9 +75,17 @@ PROCESSES = (
         produces=("can/raw", "origin/state"),
     ),
     ProcessRow(
+        "sensors.v2x", Kind.DEVICE_DRIVER, "receives and sends the frames of the V2X radio",
+        consumes=("v2x/send",),
+        produces=("v2x/raw",),
+        roles=BOTH,
+    ),
+    ProcessRow(
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
-        consumes=("gnss/write",),
-        produces=("gnss/raw", "imu/raw", "can/raw", "origin/state", "truth/state"),
+        consumes=("gnss/write", "simulation/attack"),
+        produces=(
+            "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state", "simulation/state",
+        ),
     ),
     ProcessRow(
         "sensors.traffic", Kind.SIMULATOR, "simulates a toll plaza: vehicles and their CAM, detectors, the operator",
@@ -104,6 +113,12 @@ PROCESSES = (
         produces=("vehicle/speed", "vehicle/wheel_speed"),
     ),
     ProcessRow(
+        "parsers.v2x", Kind.OPTIONAL, "turns V2X frames into Cooperative Awareness Messages (CAM) and back",
+        consumes=("v2x/raw", "v2x/own_cam", "gnss/fix"),
+        produces=("v2x/cam", "v2x/send"),
+        roles=BOTH,
+    ),
+    ProcessRow(
         "controller.mode", Kind.STANDING, "decides what the unit should be doing now",
         consumes=(
             "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution", "navigation/state",
@@ -111,10 +126,15 @@ PROCESSES = (
         produces=("gnss/configure", "mode/state", "navigation/last_position"),
     ),
     ProcessRow(
+        "controller.cam", Kind.OPTIONAL, "decides when the vehicle sends its own CAM, and what it states",
+        consumes=("navigation/solution", "trust/state", "gnss/fix"),
+        produces=("v2x/own_cam",),
+    ),
+    ProcessRow(
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state",
+            "navigation/filter_state", "trust/state", "gnss/fault_free_fix",
         ),
         produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
     ),
@@ -130,8 +150,8 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
-        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix"),
-        produces=("trust/monitor",),
+        consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "navigation/state"),
+        produces=("trust/monitor", "gnss/fault_free_fix"),
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "judges what the receiver says of jamming, spoofing, its signals and its clock",
@@ -140,18 +160,18 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
-        consumes=("trust/monitor", "navigation/solution", "navigation/state"),
+        consumes=("trust/monitor", "navigation/solution", "navigation/state", "trust/state"),
         produces=("trust/state", "trust/event"),
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
-        consumes=("gnss/fix", "toll/registration", "toll/open_passages"),
+        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages"),
         produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate"),
         roles=(Role.RSU,),
     ),
     ProcessRow(
         "monitoring.ledger", Kind.STANDING, "charges each passage once, keeps its evidence, accounts for detections",
-        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt"),
+        consumes=("toll/registration", "toll/passage", "plaza/detector", "toll/receipt", "origin/state"),
         produces=("toll/open_passages", "toll/transaction", "ledger/state"),
         roles=(Role.RSU,),
     ),
@@ -164,8 +184,8 @@ PROCESSES = (
         produces=("deadline/report", "outage/event"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
-        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard", observes_all=True,
-        roles=BOTH,
+        "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
+        produces=("simulation/attack",), observes_all=True, roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}

@@ -8,6 +8,7 @@ from functools import cached_property
 
 from .messages.base import Message, RawBytes
 from .messages.gnss import (
+    FaultFreeFix,
     GnssConfiguration,
     GnssConfigure,
     GnssFix,
@@ -27,7 +28,9 @@ from .messages.navigation import (
     NavigationState,
     TruthState,
 )
+from .messages.neighbours import NeighbourStates
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.simulation import SimulationAttack, SimulationState
 from .messages.toll import (
     GateCommand,
     LedgerState,
@@ -43,6 +46,7 @@ from .messages.toll import (
     TollTransaction,
 )
 from .messages.trust import TrustEvent, TrustMonitor, TrustState
+from .messages.v2x import CamFrames, CamList, OwnCam, V2xSend
 from .messages.vehicle import CanRaw, VehicleSpeed, WheelSpeeds
 from .processes import BY_NAME as PROCESS_ROWS
 from .processes import LAYERS, PROCESSES, ProcessRow, Role
@@ -100,12 +104,19 @@ TOPICS = (
           rate_hz=1.0, silent_after_s=5.0),
     Topic("gnss/satellites", GnssSatellites, "satellites in view", rate_hz=1.0, silent_after_s=10.0),
     Topic("gnss/raw_epoch", GnssRawEpoch, "pseudoranges, carrier phases and Doppler, from receivers that send them"),
+    Topic("gnss/fault_free_fix", FaultFreeFix, "least-squares fix of an epoch without the excluded satellites"),
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
     Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),
     Topic("vehicle/wheel_speed", WheelSpeeds, "speed of each wheel", rate_hz=10.0, silent_after_s=5.0),
+    Topic("v2x/neighbours", NeighbourStates, "neighbouring vehicles: states, and frequency offsets of their carriers",
+          rate_hz=1.0, silent_after_s=5.0),
+    Topic("v2x/raw", CamFrames, "frames that the V2X radio received, in batches of at most 20 ms", personal=True),
+    Topic("v2x/cam", CamList, "Cooperative Awareness Messages of other stations, in SI units", personal=True),
+    Topic("v2x/own_cam", OwnCam, "Cooperative Awareness Message of this vehicle, by the generation rules"),
+    Topic("v2x/send", V2xSend, "frames to be sent by the V2X radio"),
     Topic("gnss/configure", GnssConfigure, "what the receiver shall be set to", qos=1),
     Topic("mode/state", ModeState, "what the unit is doing",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
@@ -144,6 +155,9 @@ TOPICS = (
           rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
           rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
+    Topic("simulation/attack", SimulationAttack, "starts or stops an attack on a simulated vehicle", qos=1),
+    Topic("simulation/state", SimulationState, "the attacks of a simulated drive, and the answer to the last command",
+          qos=1, retain=True),
     Topic("truth/state", TruthState, "where the simulated vehicle really is", rate_hz=10.0, silent_after_s=5.0),
     Topic("health/+", ProcessHealth, "birth, heartbeat, farewell and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
@@ -179,14 +193,26 @@ def measurements() -> tuple[Topic, ...]:
     )  # fmt: skip
 
 
+def needs(process: str) -> tuple[Topic, ...]:
+    """List the topics with a rate that a process needs: feedback of processes that follow it in the table is not."""
+    order = list(PROCESS_ROWS)
+    if process not in order or PROCESS_ROWS[process].observes_all:
+        return ()
+    place = order.index(process)
+    return tuple(
+        topic for topic in subscriptions(process)
+        if topic.rate_hz is not None and any(order.index(name) < place for name in topic.producers)
+    )  # fmt: skip
+
+
 def hot_path() -> tuple[str, ...]:
-    """List an on-board unit's processes upstream of the solution along topics with a rate: their delays are its own."""
+    """List an on-board unit's processes upstream of the solution along topics that each needs."""
     found: set[str] = set()
     waiting = [BY_NAME["navigation/solution"]]
     while waiting:
         new = set(waiting.pop().producers) - found
         found |= new
-        waiting += [topic for name in new for topic in subscriptions(name) if topic.rate_hz is not None]
+        waiting += [topic for name in new for topic in needs(name)]
     return tuple(row.name for row in PROCESSES if row.name in found and Role.OBU in row.roles)
 
 

@@ -17,11 +17,14 @@ from rich.progress import Progress, TimeElapsedColumn
 from services.sensors.simulator.scenarios import scenario_of
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, UserError
+from shared.processes import Role
 from shared.runtime.config import BrokerAddress, Table, VehicleFile, load_vehicle, parse_vehicle, state_dir
 from shared.topics import TOPICS
 
+from . import plaza_balance
 from .balance import Balance, Summary
-from .local import broker_command, free_port, fresh_folder, only_one, port_or_free, unit
+from .local import ROADSIDE, broker_command, free_port, fresh_folder, only_one, port_or_free, unit
+from .plaza_balance import PlazaBalance, PlazaSummary
 from .supervisor import Supervisor
 
 SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
@@ -40,11 +43,14 @@ class DemoOptions:
     http_port: int
     broker: str  # auto, mosquitto or simulated
     vehicle: Path = SIMULATED
+    role: Role = Role.OBU
+    vehicles: int = 50  # at the plaza of a road-side unit
 
 
 def run(options: DemoOptions) -> int:
     """Start everything, watch it, and print the balance at the end."""
-    _insist_on_scenario(options)
+    if options.role is Role.OBU:
+        _insist_on_scenario(options)
     base = state_dir().resolve()
     with only_one(base / "demo.lock"), _errors_only("shared"):  # the broker's absence at the start is expected
         return _drive(options, fresh_folder(base / "demo"))
@@ -85,7 +91,8 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     broker = broker_command(folder, port, options.broker)
     supervisor = unit(vehicle, environment, folder / "logs", broker)
     console = Console(stderr=True)
-    console.print(f"[bold]OBU demo[/]: scenario {options.scenario}, seed {options.seed}; logs in {folder / 'logs'}")
+    what = f"scenario {options.scenario}" if options.role is Role.OBU else f"toll plaza, {options.vehicles} vehicles"
+    console.print(f"[bold]OBU demo[/]: {what}, seed {options.seed}; logs in {folder / 'logs'}")
     if taken:
         console.print(
             f"port {options.http_port} {taken}: the dashboard takes {http_port}; "
@@ -93,9 +100,12 @@ def _drive(options: DemoOptions, folder: Path) -> int:
             soft_wrap=True,
         )
     address = f"http://127.0.0.1:{http_port}"
+    observed = OBSERVED if options.role is Role.OBU else plaza_balance.OBSERVED
     bus = Bus("observer", vehicle.name, BrokerAddress.parse(environment["OBU_BROKER"]),
-              [t for t in TOPICS if t.name in OBSERVED], folder, observer=True)  # fmt: skip
-    balance = Balance(vehicle, keep=options.duration_s is not None)
+              [t for t in TOPICS if t.name in observed], folder, observer=True)  # fmt: skip
+    balance: Balance | PlazaBalance = PlazaBalance()
+    if options.role is Role.OBU:
+        balance = Balance(vehicle, keep=options.duration_s is not None)
     try:
         _watch(supervisor, bus, balance, options, console, address)
         summary = balance.summary(supervisor.alive(), len(supervisor.children), _restarts(supervisor))
@@ -119,10 +129,14 @@ def _restarts(supervisor: Supervisor) -> int:
 
 def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
     """Take the file of the simulated vehicle and put the demo's choices into it."""
-    base = load_vehicle(options.vehicle)
+    base = load_vehicle(options.vehicle if options.role is Role.OBU else ROADSIDE)
     tables: dict[str, Table] = {name: dict(table) for name, table in base.tables.items()}
-    simulator = tables.setdefault("sensors.simulator", {})
-    simulator.update(scenario=options.scenario, seed=options.seed)
+    if options.role is Role.OBU:
+        tables.setdefault("sensors.simulator", {}).update(scenario=options.scenario, seed=options.seed)
+    else:
+        radio = f"udp://127.0.0.1:{free_port()}"
+        tables.setdefault("sensors.v2x", {}).update(device=radio)
+        tables.setdefault("sensors.traffic", {}).update(vehicles=options.vehicles, seed=options.seed, send_to=radio)
     tables.setdefault("monitoring.status", {}).update(port=http_port)
     lines = [
         line
@@ -143,7 +157,12 @@ def _toml(value: object) -> str:
 
 
 def _watch(
-    supervisor: Supervisor, bus: Bus, balance: Balance, options: DemoOptions, console: Console, address: str
+    supervisor: Supervisor,
+    bus: Bus,
+    balance: Balance | PlazaBalance,
+    options: DemoOptions,
+    console: Console,
+    address: str,
 ) -> None:
     """Run until the duration is over, or for ever; the clock starts with the first solution."""
     started = time.monotonic()
@@ -188,17 +207,19 @@ def _insist(supervisor: Supervisor) -> None:
             )
 
 
-def _why_unhealthy(summary: Summary) -> str:
+def _why_unhealthy(summary: Summary | PlazaSummary) -> str:
     if summary.processes_alive < summary.processes_expected:
         return (
             f"{summary.processes_alive} of {summary.processes_expected} processes were alive at the end: see the logs"
         )
+    if isinstance(summary, PlazaSummary):
+        return "no passage was charged: the first needs about 30 s, --duration 60 shows more"
     if not summary.solutions:
         return "there was no position yet: a drive needs about 20 s before its first, --duration 60 shows more"
     return "not every process was heard to be ready: see the logs"
 
 
-def _print(summary: Summary, options: DemoOptions, console: Console) -> None:
+def _print(summary: Summary | PlazaSummary, options: DemoOptions, console: Console) -> None:
     if not summary.healthy:
         console.print(f"not healthy: {_why_unhealthy(summary)}", soft_wrap=True, highlight=False)
     if options.json_output:

@@ -210,8 +210,11 @@ def _check_start(drive: Drive, option: str, begins_s: float) -> None:
 
 
 def _run(drive: Drive, outages: Outages | None, progress: Progress, history: HistoryFile | None = None) -> Solved:
-    """Run layers 2 to 4 over all inputs, in the order of arrival."""
-    unit, builder, counters = OfflineUnit(drive.vehicle), TrackBuilder(), Counters()
+    """Run layers 2 to 4 over all inputs, in the order of arrival.
+
+    No verdict excludes GNSS: the thresholds of the monitors are those of one IMU, and drives come from many.
+    """
+    unit, builder, counters = OfflineUnit(drive.vehicle, _without_verdict(drive.vehicle)), TrackBuilder(), Counters()
     if history is not None:
         period_ns = round(_fusion(drive.vehicle).solution_period_s * 1e9)
         cast(Process, unit.process("core.fusion")).record_history(HistoryRecorder(history, period_ns))
@@ -228,6 +231,10 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress, history: His
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
     return Solved(builder, counters, outages, fixes, time.perf_counter() - started)
+
+
+def _without_verdict(vehicle: VehicleFile) -> tuple[str, ...]:
+    return tuple(name for name in vehicle.processes if name != "core.trust")
 
 
 def _smooth(drive: Drive, solved: Solved, history: HistoryFile, progress: Progress) -> Track:

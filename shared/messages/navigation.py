@@ -63,6 +63,9 @@ class NavigationSolution(Message):
     protection_level_horizontal_m: Deviation | None = None
     protection_level_vertical_m: Deviation | None = None
     integrity_risk: Ratio | None = None
+    gyroscope_bias_sd_rad_s: Deviation3 | None = None
+    # No GNSS with a later stamp is part of this solution, because core.trust excludes it; None while GNSS is used.
+    gnss_excluded_since_ns: Nanoseconds | None = None
 
 
 class NavigationState(Message):
@@ -91,6 +94,13 @@ class NavigationState(Message):
     # error up to which the position is of use, as configured; absent in recordings of older units
     alert_limit_horizontal_m: Deviation | None = None
     alert_limit_vertical_m: Deviation | None = None
+    # what core.trust excludes, as far as it has taken effect
+    gnss_excluded_since_ns: Nanoseconds | None = None
+    fixes_excluded: Count = 0  # not used because GNSS was excluded
+    # of the newest excluded position against the solution without GNSS: normalised innovation squared over its limit
+    excluded_test_ratio: Ratio | None = None
+    odometer_excluded: bool = False
+    satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
 
 
 class AidingKind(StrEnum):
@@ -161,6 +171,7 @@ class FilterState(Message):
     angular_rate_body_rad_s: Vector3
     covariance: Annotated[tuple[Covariance, ...], Field(max_length=2048)]  # upper triangle, row by row
     position_used_ns: Nanoseconds | None = None  # stamp of the last GNSS position that was used
+    gnss_excluded_since_ns: Nanoseconds | None = None  # no GNSS with a later stamp is part of the state
 
 
 class TruthState(Message):

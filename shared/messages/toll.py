@@ -79,12 +79,17 @@ class TollRegistration(Message):
 
 
 class PlazaDetector(Message):
-    """A pulse of a lane's detector (loop or laser): a vehicle's front is at the gate line, whoever it is."""
+    """A pulse of a lane's detector (loop or laser): a vehicle's front is at the gate line, whoever it is.
+
+    Repeated every few seconds until the next pulse; the earlier stamps recover messages that were lost.
+    """
 
     sampled_ns: Nanoseconds
     plaza: Name
     lane: Name
-    pulse: Count  # running number of the lane's detector
+    since_ns: Nanoseconds  # when the detector began to count
+    pulse: Count  # running number since then, from 0
+    earlier_ns: Annotated[tuple[Nanoseconds, ...], Field(max_length=100)] = ()  # the pulses before it, newest first
 
 
 class TollDelta(Message):
@@ -162,6 +167,7 @@ class PassageState(StrEnum):
 class EvidenceFrame(Message):
     """One received frame, as it is."""
 
+    sampled_ns: Nanoseconds  # generation time, as it was reconstructed on reception
     received_ns: Nanoseconds
     data: Base64
 
@@ -213,7 +219,7 @@ class TollPassage(Message):
     delta_ns: Nanoseconds | None = None  # stamp of the delta that was applied; None: none was
     trust: Reason = ""  # state of the surveyed antenna and its receiver
     authenticated: bool = False  # whether signatures of its CAM were verified
-    evidence: PassageEvidence | None = None  # of a registered vehicle, with CROSSED and CHARGED
+    evidence: PassageEvidence | None = None  # with CROSSED and CHARGED; the ledger keeps that of charged vehicles
 
 
 class GateCommand(Message):
@@ -271,6 +277,19 @@ class TollReceipt(Message):
     accepted: bool
     duplicate: bool = False  # it was there before, and was ignored
     reason: Reason = ""
+
+
+class EvidencePack(Message):
+    """Everything that a charge was derived from; its digest is in the transaction."""
+
+    plaza_file: Annotated[str, Field(max_length=1_000_000)]  # its text
+    tariff_version: Name
+    contract: Name
+    tariff_class: Name
+    lane: Name
+    amount_cents: Cents
+    crossed: TollPassage  # the statement of the crossing, with its evidence
+    charged: TollPassage  # the final statement
 
 
 class OpenPassages(Message):

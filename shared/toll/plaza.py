@@ -233,10 +233,15 @@ def parse_plaza(text: bytes, path: str = "<bytes>") -> Plaza:
     return Plaza(name=document.plaza, digest=digest, antenna=antenna, tariff=document.tariff, lanes=lanes)
 
 
+def plaza_path(path: Path) -> Path:
+    """Find a plaza's file; a relative path is looked for in the working folder, then in the repository."""
+    return path if path.exists() else REPOSITORY / path
+
+
 def load_plaza(path: Path) -> Plaza:
-    """Read a plaza's file; a relative path is looked for in the working folder, then in the repository."""
+    """Read a plaza's file."""
     try:
-        return parse_plaza((path if path.exists() else REPOSITORY / path).read_bytes(), str(path))
+        return parse_plaza(plaza_path(path).read_bytes(), str(path))
     except OSError as error:
         raise ConfigError(f"cannot read the plaza's file {path}: {error.strerror}; see deploy/plazas/") from error
 

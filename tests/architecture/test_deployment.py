@@ -18,7 +18,8 @@ SIMULATED, VEHICLE, ROADSIDE = "docker-compose.yml", "deploy/compose.vehicle.yml
 Service = dict[str, object]
 OBU = [row for row in PROCESSES if Role.OBU in row.roles]
 RSU = [row for row in PROCESSES if Role.RSU in row.roles]
-DEVICES = [row for row in OBU if row.kind is Kind.DEVICE_DRIVER]  # where a profile asks for them
+ON_REQUEST = (Kind.DEVICE_DRIVER, Kind.OPTIONAL)  # run where a profile asks for them
+DEVICES = [row for row in OBU if row.kind is Kind.DEVICE_DRIVER]
 
 
 class ComposeLoader(yaml.SafeLoader):
@@ -50,7 +51,7 @@ def container(row: ProcessRow) -> str:
 def entry(row: ProcessRow) -> str:
     """Write the container of a process as it stands in its Compose file."""
     anchor = "serial" if row in DEVICES else "hot-path" if row.name in hot_path() else "process"
-    profiles = [f"    profiles: [{row.short}]"] if row in DEVICES else []
+    profiles = [f"    profiles: [{row.short}]"] if row.kind in ON_REQUEST else []
     return "\n".join([f"  {container(row)}:", f"    <<: *{anchor}", *profiles, f"    command: [run, {row.name}]"])
 
 
@@ -59,7 +60,7 @@ def test_every_process_has_a_container_that_runs_it(row: ProcessRow) -> None:
     file = VEHICLE if row in DEVICES else SIMULATED
     service = services_of(file).get(container(row), {})
     found = (service.get("command"), service.get("profiles"))
-    wanted = (["run", row.name], [row.short] if row in DEVICES else None)
+    wanted = (["run", row.name], [row.short] if row.kind in ON_REQUEST else None)
     assert found == wanted, f"paste into the services of {file}:\n\n{entry(row)}\n"
 
 

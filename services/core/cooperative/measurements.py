@@ -96,6 +96,17 @@ class SatelliteSolution:
 
 
 @dataclass(frozen=True)
+class NeighbourFinding:
+    """Test of one neighbour's range-rate."""
+
+    name: str
+    innovation_m_s: float
+    t: float  # innovation over its standard deviation
+    threshold: float
+    excluded: bool
+
+
+@dataclass(frozen=True)
 class SatelliteVerdict:
     """The verdict of one epoch, with its evidence.
 
@@ -116,4 +127,5 @@ class SatelliteVerdict:
     solution: SatelliteSolution | None = None
     hpl_m: float | None = None
     findings: tuple[SatelliteFinding, ...] = ()
+    neighbours: tuple[NeighbourFinding, ...] = ()
     rejected: Mapping[str, int] = field(default_factory=lambda: NOTHING)  # measurements not used, by reason

@@ -1,34 +1,51 @@
-"""Finds the satellite whose pseudorange contradicts the others: plain RAIM on the receiver's raw measurements."""
+"""Finds the satellite whose pseudorange contradicts the others, by plain RAIM and with the help of neighbours."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import replace
 from math import radians
+from typing import Literal
 
+import numpy as np
 from pydantic import Field
 
-from shared.messages.base import Tick
-from shared.messages.gnss import GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
+from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
+from shared.messages.base import Symmetric3, Tick
+from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
+from shared.messages.navigation import NavigationState
+from shared.messages.neighbours import Neighbour, NeighbourStates
 from shared.messages.trust import TrustMonitor
 from shared.runtime.config import Section
 
 from .broadcast.store import EphemerisStore
-from .measurements import Constellation, Measurement, RawEpoch, SatelliteId
+from .fault_free import fault_free_fix
+from .measurements import Constellation, Measurement, Outcome, RawEpoch, SatelliteId, SatelliteVerdict
 from .satellites.model import ErrorModel
 from .satellites.monitor import RaimSettings, SatelliteMonitor
-from .statements import Since, after, not_evaluated, statement
+from .statements import NEIGHBOUR, Since, after, silent, statement
+from .v2x.bank import BankSettings
+from .v2x.monitor import CooperativeMonitor, CooperativeSettings
+from .v2x.neighbours import NeighbourReport
 
-In = GnssRawEpoch | GnssNavigationBits | GnssFix | Tick
+In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | NavigationState | Tick
+Out = TrustMonitor | FaultFreeFix
+MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
 PERIOD_NS = 900_000_000  # epochs that follow faster are not evaluated: one a second is enough
 SIGNALS = {("gps", "1C"), ("galileo", "1C"), ("galileo", "1B")}  # on 1575.42 MHz, with broadcast ephemerides
 # Reasons for which a measurement is not used in the ordinary course of things; the others are rejects.
-ORDINARY = {"no_ephemeris", "below_elevation_mask", "weak_signal", "alone_in_constellation"}
+ORDINARY = {"no_ephemeris", "below_elevation_mask", "weak_signal", "alone_in_constellation", "neighbour_too_near"}
 
 
 class Config(Section):
-    """Design rates of the satellite test and limits of what is used."""
+    """Design rates of the tests, the method, and limits of what is used."""
 
-    false_alarm_rate: float = Field(default=1e-5, gt=0.0, lt=0.5, description="of the global test, per epoch")
+    method: Literal["bank", "paper", "plain"] = Field(
+        default="bank",
+        description="test with the help of neighbours: leave-one-out bank, the paper's construction, or none",
+    )
+    false_alarm_rate: float = Field(
+        default=1e-5, gt=0.0, lt=0.5, description="per epoch, of the global test and of the test with neighbours each"
+    )
     missed_detection_rate: float = Field(
         default=1e-4, gt=0.0, lt=0.5, description="of a bias of the minimal detectable size, per epoch"
     )
@@ -46,9 +63,20 @@ class Process:
     def __init__(self, config: Config) -> None:
         self._silent_ns = round(config.silent_after_s * 1e9)
         model = replace(ErrorModel(), elevation_mask_rad=radians(config.elevation_mask_deg))
-        self._monitor = SatelliteMonitor(
-            RaimSettings(config.false_alarm_rate, config.missed_detection_rate, model=model)
-        )
+        self._plain = SatelliteMonitor(RaimSettings(config.false_alarm_rate, config.missed_detection_rate, model=model))
+        self._cooperative: CooperativeMonitor | None = None
+        if config.method != "plain":
+            self._cooperative = CooperativeMonitor(
+                CooperativeSettings(
+                    BankSettings(config.false_alarm_rate),
+                    model=model,
+                    missed_detection_rate=config.missed_detection_rate,
+                    paper_construction=config.method == "paper",
+                )
+            )
+        self._neighbours: deque[NeighbourStates] = deque()
+        self._radio: str | None = None
+        self._alert_limit_m: float | None = None
         self._store = EphemerisStore()
         self._rejected: Counter[str] = Counter()
         self._gps_minus_obu_ns: int | None = None
@@ -61,7 +89,7 @@ class Process:
         """Rejected measurements and navigation words by reason."""
         return self._rejected + Counter(self._store.rejected)
 
-    def handle(self, message: In) -> Iterator[TrustMonitor]:
+    def handle(self, message: In) -> Iterator[Out]:
         """Use measurements and navigation words."""
         match message:
             case GnssRawEpoch():
@@ -71,11 +99,16 @@ class Process:
             case GnssFix():
                 if message.gps_time_ns is not None:
                     self._gps_minus_obu_ns = message.gps_time_ns - message.sampled_ns
+            case NeighbourStates():
+                self._use_neighbours(message)
+            case NavigationState():
+                self._alert_limit_m = message.alert_limit_horizontal_m
             case Tick():
                 if self._is_silent(message.now_ns):
-                    yield self._remembered(not_evaluated(self._why_silent(message.now_ns), message.now_ns, self._since))
+                    why = self._why_silent(message.now_ns)
+                    yield self._remembered(silent(why, message.now_ns, self._epoch_ns, self._since))
 
-    def _use_epoch(self, message: GnssRawEpoch) -> Iterator[TrustMonitor]:
+    def _use_epoch(self, message: GnssRawEpoch) -> Iterator[Out]:
         if message.source != self._source:
             if not self._is_silent(message.sampled_ns):
                 self._rejected["second_receiver"] += 1
@@ -87,9 +120,47 @@ class Process:
         self._epoch_ns = message.sampled_ns
         measurements = tuple(measured for one in message.measurements if (measured := _measurement(one)))
         epoch = RawEpoch(message.gps_time_ns, measurements)
-        verdict = self._monitor.evaluate(epoch, self._store)
-        self._rejected.update({reason: n for reason, n in verdict.rejected.items() if reason not in ORDINARY})
-        yield self._remembered(statement(verdict, epoch, message.sampled_ns, self._since))
+        reports = tuple(self._reports_until(message.sampled_ns))
+        plain, cooperative = self._evaluate(epoch, reports)
+        counted = {**(cooperative.rejected if cooperative else {}), **plain.rejected}
+        self._rejected.update({reason: n for reason, n in counted.items() if reason not in ORDINARY})
+        yield self._remembered(
+            statement(plain, cooperative, epoch, message.sampled_ns, self._since, self._alert_limit_m)
+        )
+        if (fix := fault_free_fix(plain, message)) is not None:
+            yield fix
+
+    def _evaluate(
+        self, epoch: RawEpoch, reports: tuple[NeighbourReport, ...]
+    ) -> tuple[SatelliteVerdict, SatelliteVerdict | None]:
+        """Test with neighbours first, and then plainly what is left; a start needs the plain solution first."""
+        cooperative, plain = self._cooperative, None
+        if cooperative is None:
+            return self._plain.evaluate(epoch, self._store), None
+        if not cooperative.runs_until(epoch.gps_time_ns):
+            plain = self._plain.evaluate(epoch, self._store)
+        start = plain.solution if plain and (plain.fault_free or plain.outcome is Outcome.NOT_EVALUATED) else None
+        helped = cooperative.evaluate(epoch, self._store, reports, road_e=None, start=start)
+        return plain or self._plain.evaluate(epoch, self._store, frozenset(helped.excluded)), helped
+
+    def _use_neighbours(self, message: NeighbourStates) -> None:
+        self._radio = self._radio or message.source
+        if message.source != self._radio:
+            self._rejected["second_radio"] += 1
+        elif self._neighbours and message.sampled_ns <= self._neighbours[-1].sampled_ns:
+            self._rejected["late_neighbour"] += len(message.neighbours)
+        else:
+            self._neighbours.append(message)
+        while len(self._neighbours) > MAX_LISTS:
+            self._rejected["too_many_neighbours"] += len(self._neighbours.popleft().neighbours)
+
+    def _reports_until(self, time_ns: int) -> Iterator[NeighbourReport]:
+        """Neighbours of lists up to a time; those of later lists wait for the next epoch."""
+        assert self._gps_minus_obu_ns is not None
+        while self._neighbours and self._neighbours[0].sampled_ns <= time_ns:
+            states = self._neighbours.popleft()
+            gps_time_ns = states.sampled_ns + self._gps_minus_obu_ns
+            yield from (_report(one, gps_time_ns) for one in states.neighbours)
 
     def _use_bits(self, message: GnssNavigationBits) -> None:
         if (message.constellation.value, message.signal) not in SIGNALS:
@@ -119,3 +190,24 @@ def _measurement(one: RawMeasurement) -> Measurement | None:
         return None
     satellite = SatelliteId(Constellation(one.constellation.value), one.number)
     return Measurement(satellite, one.pseudorange_m, one.doppler_hz, one.cn0_db_hz)
+
+
+def _report(one: Neighbour, gps_time_ns: int) -> NeighbourReport:
+    """Report in ECEF; an accuracy is the largest standard deviation in any direction."""
+    place = Geodetic(radians(one.latitude_deg), radians(one.longitude_deg), one.height_ellipsoid_m)
+    vx, vy, vz = (ned_from_ecef(place.latitude, place.longitude).T @ np.array(one.velocity_ned_m_s)).tolist()
+    return NeighbourReport(
+        f"{NEIGHBOUR} {one.station_id}", ecef_from_geodetic(place), (vx, vy, vz),
+        largest_sd(one.position_cov_ned_m2), largest_sd(one.velocity_cov_ned_m2_s2),
+        one.cfo_hz, one.oscillator_offset, one.cfo_sd_hz, gps_time_ns,
+    )  # fmt: skip
+
+
+def largest_sd(cov: Symmetric3) -> float | None:
+    """Root of the largest eigenvalue of a covariance, upper triangle row by row; None of what is none."""
+    matrix = np.zeros((3, 3))
+    matrix[np.triu_indices(3)] = cov
+    if not np.abs(matrix).max() < 1e12:
+        return None
+    variances = np.linalg.eigvalsh(matrix, UPLO="U")
+    return float(np.sqrt(variances[-1])) if variances[0] > 0.0 else None

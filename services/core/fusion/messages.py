@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.messages.base import Symmetric3, Vector3
-from shared.messages.gnss import CarrierSolution, FixType, GnssFix
+from shared.messages.gnss import CarrierSolution, FaultFreeFix, FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingUpdate,
@@ -18,6 +18,7 @@ from shared.messages.navigation import (
     NavigationSolution,
     NavigationState,
 )
+from shared.messages.trust import TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from .alignment.heading import Prior
@@ -93,6 +94,24 @@ def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
     for measurement in measurements:
         navigator.measure(measurement)
     return bool(measurements)
+
+
+def give_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
+    """Hand a fix without the excluded satellites to the navigator, which uses it in place of the receiver's own."""
+    stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
+    position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), fix.height_ellipsoid_m)
+    velocity = fix.velocity_ned_m_s
+    moving = None if velocity is None else Reading(velocity, _cov(fix.velocity_cov_ned_m2_s2, None))
+    reading = Reading((0.0, 0.0, 0.0), _cov(fix.position_cov_ned_m2, None))
+    left_out = fix.satellites_left_out
+    for measurement in gnss_measurements(navigator.settings, stamp, position, reading, moving, left_out=left_out):
+        navigator.measure(measurement)
+
+
+def give_verdict(navigator: Navigator, verdict: TrustState) -> None:
+    """Hand the exclusions of core.trust to the navigator."""
+    since_ns = verdict.sampled_ns if verdict.suspect_since_ns is None else verdict.suspect_since_ns
+    navigator.follow_trust(since_ns if verdict.gnss_excluded else None, odometer_excluded=verdict.odometer_excluded)
 
 
 def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
@@ -181,6 +200,8 @@ def solution_message(solution: Solution) -> NavigationSolution:
         protection_level_horizontal_m=solution.protection_level_horizontal,
         protection_level_vertical_m=solution.protection_level_vertical,
         integrity_risk=solution.integrity_risk,
+        gyroscope_bias_sd_rad_s=solution.gyroscope_bias_sd,
+        gnss_excluded_since_ns=solution.gnss_excluded_since_ns,
     )
 
 
@@ -208,6 +229,7 @@ def filter_states(navigator: Navigator, imu: str) -> Iterator[FilterState]:
         angular_rate_body_rad_s=saved.sample[1],
         covariance=saved.covariance,
         position_used_ns=saved.accepted_ns,
+        gnss_excluded_since_ns=saved.gnss_excluded_since_ns,
     )
 
 
@@ -229,6 +251,7 @@ def give_filter_state(navigator: Navigator, state: FilterState, first: ImuSample
             (state.specific_force_body_m_s2, state.angular_rate_body_rad_s),
             state.covariance,
             state.position_used_ns,
+            state.gnss_excluded_since_ns,
         )
         navigator.restore(saved, first.sampled_ns[0])
 
@@ -250,7 +273,7 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
 
 def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
     """Put what the navigator is doing on the bus, or that it does nothing since the inertial samples stopped."""
-    counts = navigator.counts
+    counts, exclusions = navigator.counts, navigator.engine.exclusions
     silent = silent_since_ns is not None
     estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None
     gnss, odometer, velocity = estimated or ((None, None),) * 3
@@ -276,4 +299,9 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         lever_arm_error_body_m=navigator.lever_arm_error,
         alert_limit_horizontal_m=navigator.settings.integrity.alert_limit_horizontal_m,
         alert_limit_vertical_m=navigator.settings.integrity.alert_limit_vertical_m,
+        gnss_excluded_since_ns=exclusions.gnss_since_ns,
+        fixes_excluded=exclusions.fixes,
+        excluded_test_ratio=exclusions.test_ratio,
+        odometer_excluded=exclusions.odometer,
+        satellites_left_out=exclusions.satellites,
     )

@@ -22,7 +22,7 @@ from .alignment.heading import Prior
 from .alignment.warm_start import SavedState, fault, saved_state
 from .measurements import barometer, magnetometer
 from .measurements.base import Counts, Measurement, Outcome
-from .measurements.gnss import Reading, Stamp, gnss_measurements
+from .measurements.gnss import GnssPosition, GnssVelocity, Reading, Stamp, gnss_measurements
 from .measurements.odometer import WheelSpeed
 from .plausibility.imu_faults import Repeats, Sample, credible, unremarkable
 from .plausibility.measurements import Devices, impossible
@@ -30,7 +30,8 @@ from .settings import Settings
 from .smoothing.history import HistoryRecorder
 from .solution import Bounds, Solution, solution_of
 from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
-from .timing.out_of_sequence import OutOfSequenceEngine
+from .timing.out_of_sequence import OutOfSequenceEngine, key_of
+from .timing.roll_back import RollBack
 from .update.engine import Engine
 from .update.imu_gaps import LostTime
 
@@ -39,6 +40,8 @@ FloatArray = npt.NDArray[np.float64]
 NEWEST_LIMIT = 256  # kinds of measurements of devices
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheel speeds are used at most this often
+FAULT_FREE_NS = 3_000_000_000  # after a fault-free fix, in which another one is expected
+FAULT_FREE_WAIT_NS = 1_000_000_000
 
 
 class Navigator:
@@ -54,13 +57,14 @@ class Navigator:
         self.samples_used = 0
         self.samples_rejected = 0
         self.measurements_late = 0  # used at their own time, after newer ones of the same device
-        self._oosm = OutOfSequenceEngine(self.settings)
+        self._roll_back = RollBack(self.settings)
         self._bounds = Bounds(self.settings)
         self._clock: Clock | None = None  # while samples are refused for their stamps
         self._repeats: Repeats | None = None
         self._remarkable = True  # the last sample was checked, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
         self._devices = Devices(self.rejects, self._now_ns)
+        self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -122,7 +126,7 @@ class Navigator:
                 self.rejects[fault] += 1
                 sample = sample._replace(fault=fault)
         self.samples_used += 1
-        self._oosm.add(sample)
+        self._roll_back.add(sample)
 
     def measure(self, measurement: Measurement) -> None:
         """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
@@ -135,6 +139,8 @@ class Navigator:
         if not self._devices.is_known(measurement.source):
             return
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
+        if isinstance(measurement, GnssPosition | GnssVelocity):
+            release_ns += self._await_fault_free(measurement)
         entry = (release_ns, measurement.time_ns, measurement.source, measurement)
         insort(self._held, entry, key=lambda held: held[:3])
         if len(self._held) > HELD_LIMIT:
@@ -226,7 +232,15 @@ class Navigator:
         engine = self._oosm.engine
         if engine.filter is None or engine.last is None:
             return None
-        return saved_state(engine.filter, engine.last, engine.accepted_ns)
+        return saved_state(engine.filter, engine.last, engine.accepted_ns, engine.exclusions.gnss_since_ns)
+
+    def follow_trust(self, gnss_suspect_since_ns: int | None, *, odometer_excluded: bool) -> None:
+        """Exclude GNSS since a suspect time, None to use it, and the odometer, as core.trust has decided."""
+        self._roll_back.follow(gnss_suspect_since_ns, odometer_excluded=odometer_excluded)
+
+    @property
+    def _oosm(self) -> OutOfSequenceEngine:
+        return self._roll_back.engine
 
     @property
     def engine(self) -> Engine:
@@ -270,13 +284,23 @@ class Navigator:
             if last is not None and measurement.time_ns > last.time_ns + FUTURE_LIMIT_NS:
                 self.rejects["measurement from the future"] += 1  # by the clock of the inertial samples
                 continue
-            try:
-                self._oosm.insert(measurement)
-            except LookupError:
-                self.rejects["measurement older than the memory"] += 1
-            else:
+            if self._roll_back.insert(measurement):
                 self._count_if_late(measurement)
-        return self._oosm.outcomes()
+            else:
+                self.rejects["measurement older than the memory"] += 1
+        return self._roll_back.outcomes()
+
+    def _await_fault_free(self, measurement: GnssPosition | GnssVelocity) -> int:
+        """Time [ns] for which a fix waits for the fault-free one of its epoch, while there are any.
+
+        A fault-free fix takes the place of one that waits.
+        """
+        if not measurement.left_out:
+            after_ns = measurement.time_ns - self._fault_free_ns
+            return FAULT_FREE_WAIT_NS if 0 < after_ns <= FAULT_FREE_NS else 0
+        self._fault_free_ns = measurement.time_ns
+        self._held = [held for held in self._held if key_of(held[3]) != key_of(measurement)]
+        return 0
 
     def _now_ns(self) -> int:
         newest = self._oosm.newest
@@ -320,7 +344,7 @@ class Navigator:
             return "sample from the future"
         self._clock = clock
         if clock.goes_back(sample.time_ns, known=self._oosm.is_known(sample)):
-            self._oosm = self._oosm.restarted("the inertial clock went back")
+            self._roll_back.restart("the inertial clock went back")
             self._clock, self._repeats, self._remarkable, self._newest = None, None, True, {}
         return "sample doubled or out of order"
 
@@ -329,7 +353,7 @@ class Navigator:
         self._clock = None
         if lost_s:
             self.rejects["time lost as the inertial clock went back"] += 1
-            self._oosm.insert(LostTime(time_ns, lost_s))
+            self._roll_back.insert(LostTime(time_ns, lost_s))
 
 
 def _diagonal(sd: Vector | None) -> FloatArray | None:

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import ValidationError, ValidationInfo, model_validator
 
 from shared.errors import ConfigError
 from shared.maths.rotation import matrix_from_quaternion, ned_from_body
-from shared.messages.base import Tick
+from shared.messages.base import Symmetric3, Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
@@ -227,7 +228,14 @@ def anchor_of(solution: NavigationSolution) -> Anchor:
         height=solution.height_ellipsoid_m,
         stationary=solution.stationary,
         gnss_age_s=solution.gnss_age_s,
+        attitude_cov=_matrix(solution.attitude_cov_ned_rad2),
+        gyroscope_bias_sd=np.array(solution.gyroscope_bias_sd_rad_s or (0.0, 0.0, 0.0)),
     )
+
+
+def _matrix(cov: Symmetric3) -> npt.NDArray[np.float64]:
+    nn, ne, nd, ee, ed, dd = cov
+    return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]])
 
 
 def filter_anchor_of(state: FilterState) -> FilterAnchor | None:
@@ -258,6 +266,8 @@ def filter_anchor_of(state: FilterState) -> FilterAnchor | None:
         height=state.height_ellipsoid_m,
         stationary=False,
         gnss_age_s=None if used_ns is None else (state.sampled_ns - used_ns) * 1e-9,
+        attitude_cov=P[:3, :3],
+        gyroscope_bias_sd=np.sqrt(np.diag(P)[12:15]),
         scale=1.0 / (1.0 + k),
         yaw=-yaw,
         pitch=-pitch,

@@ -102,6 +102,8 @@ class Anchor:
     height: float  # [m]
     stationary: bool
     gnss_age_s: float | None
+    attitude_cov: FloatArray  # shape (3, 3) [rad², NED]
+    gyroscope_bias_sd: FloatArray  # shape (3,) [rad/s, body]
 
 
 @dataclass(frozen=True)

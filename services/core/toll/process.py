@@ -1,29 +1,78 @@
-"""Describes the toll plaza on the bus."""
+"""Tracks vehicles at a toll plaza by their CAM, decides their lanes and follows their passages."""
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from shared.messages.base import Message, Tick
-from shared.messages.toll import PlazaDescription
-from shared.runtime.config import Section
+from shared.messages.base import Tick
+from shared.messages.gnss import GnssFix
+from shared.messages.toll import (
+    GateCommand,
+    OpenPassages,
+    PlazaDescription,
+    TollDelta,
+    TollPassage,
+    TollRegistration,
+    TollTracks,
+)
+from shared.messages.v2x import CamList
 from shared.toll.plaza import load_plaza
 
+from .core import Core
+from .settings import Settings
 
-class Config(Section):
+In = CamList | GnssFix | TollRegistration | OpenPassages | Tick
+Out = PlazaDescription | TollDelta | TollTracks | TollPassage | GateCommand
+TRACKS_NS = 500_000_000  # period of `toll/tracks` while CAM arrive
+
+
+class Config(Settings):
     """Settings of core.toll."""
 
     plaza_file: Path = Path("deploy/plazas/example.geojson")  # GeoJSON, relative to the working folder or repository
 
 
 class Process:
-    """Publishes the description of the plaza with the first tick."""
+    """Publishes passages and gate commands as they happen, tracks twice and the delta once a second."""
 
     def __init__(self, config: Config) -> None:
         self._plaza = load_plaza(config.plaza_file)
+        settings = Settings.model_validate(config.model_dump(exclude={"plaza_file"}))
+        self._core = Core(self._plaza, settings)
         self._described = False
+        self._tracks_ns = 0
 
-    def handle(self, message: Message) -> Iterator[PlazaDescription]:
-        """Describe the plaza once."""
-        if isinstance(message, Tick) and not self._described:
+    @property
+    def rejects(self) -> Counter[str]:
+        """Rejected messages by reason."""
+        return self._core.rejected
+
+    def handle(self, message: In) -> Iterator[Out]:
+        """Use a message."""
+        match message:
+            case CamList():
+                yield from self._core.use(message.cams)
+                yield from self._tracks(message.received_ns)
+            case GnssFix():
+                self._core.fix(message)
+            case TollRegistration():
+                self._core.register(message)
+            case OpenPassages():
+                yield from self._core.continue_passages(message)
+            case Tick():
+                yield from self._tick(message.now_ns)
+
+    def _tick(self, now_ns: int) -> Iterator[Out]:
+        if not self._described:
             self._described = True
-            yield self._plaza.description(message.now_ns)
+            yield self._plaza.description(now_ns)
+        delta = self._core.estimate_delta(now_ns)
+        self._core.use_delta(delta)
+        yield delta
+        yield from self._core.tick(now_ns)
+        yield from self._tracks(now_ns)
+
+    def _tracks(self, now_ns: int) -> Iterator[TollTracks]:
+        if now_ns - self._tracks_ns >= TRACKS_NS:
+            self._tracks_ns = now_ns
+            yield self._core.tracks(now_ns)

@@ -59,6 +59,7 @@ class Solution:
     protection_level_horizontal_m: float | None
     protection_level_vertical_m: float | None
     gnss_age_s: float | None  # since the last fix that was used
+    gnss_excluded_since_ns: int | None = None  # no GNSS with a later stamp is part of it
 
     @property
     def protection_levels_m(self) -> tuple[float | None, float | None]:
@@ -96,9 +97,18 @@ class Facts:
     solution: Solution | None = None
     statements: Mapping[Monitor, Statement] = field(default_factory=dict)
     gnss_excluded: bool = False  # trust has excluded it
-    exclusion_confirmed: bool = False  # and fusion has confirmed that it no longer uses it
+    exclusion_confirmed: bool = False  # and the solution contains none of it
+    # of the newest excluded position against the solution without GNSS: above 1 they contradict each other
+    excluded_test_ratio: float | None = None
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
     limits: Limits = field(default_factory=Limits)
+
+    @property
+    def level_exceeded(self) -> bool:
+        """Whether a protection level is above its alert limit, or missing."""
+        levels = (None, None) if self.solution is None else self.solution.protection_levels_m
+        limits = self.limits.horizontal_m, self.limits.vertical_m
+        return any(level is None or level > limit for level, limit in zip(levels, limits, strict=True))
 
     def is_silent(self, monitor: Monitor) -> bool:
         """Whether a monitor has not published within its deadline, or never."""

@@ -12,12 +12,13 @@ from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustM
 from shared.runtime.config import Section
 
 from .facts import Facts, Limits, Monitor, Outcome, Solution, Statement
-from .readmission import Readmission, judge_gnss
+from .readmission import Readmission, is_lost, judge_gnss
 from .verdict import odometer_accused, verdict
 
-In = TrustMonitor | NavigationSolution | NavigationState | Tick
+In = TrustMonitor | NavigationSolution | NavigationState | TrustState | Tick
 Out = TrustState | TrustEvent
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
+RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
 REASON_LENGTH = 400  # of a message
 
 
@@ -53,6 +54,7 @@ class Process:
         self._monitors: dict[Monitor, TrustMonitor] = {}
         self._gnss = Readmission()
         self._published: TrustState | None = None
+        self._saved: TrustState | None = None  # of an earlier process, until the first verdict
 
     def handle(self, message: In) -> Iterator[Out]:
         """Use a message, and publish what follows from it."""
@@ -69,15 +71,28 @@ class Process:
             case NavigationState():
                 self._navigation = message
                 return
+            case TrustState():  # later ones are its own
+                self._saved = message if self._published is None else None
+                return
             case Tick():
                 self._time_ns = message.now_ns
         yield from self._judge(at_once=isinstance(message, Tick))
 
+    def _resume(self) -> None:
+        """Go on with the exclusion of an earlier process, so that a restart readmits nothing."""
+        saved, self._saved = self._saved, None
+        if saved is not None and saved.gnss_excluded and 0 <= self._time_ns - saved.sampled_ns <= RESTART_NS:
+            since_ns = saved.sampled_ns if saved.suspect_since_ns is None else saved.suspect_since_ns
+            self._gnss.update(saved.sampled_ns, accused=True, agrees=False, suspect_since_ns=since_ns)
+
     def _judge(self, *, at_once: bool) -> Iterator[Out]:
-        facts = self._facts()
+        self._resume()
+        facts = self._facts(self._gnss.suspect_since_ns)
         accused, agrees, suspect_ns = judge_gnss(facts)
-        admission = self._gnss.update(facts.time_ns, accused=accused, agrees=agrees, suspect_since_ns=suspect_ns)
-        facts = self._facts(gnss_excluded=admission.excluded)
+        admission = self._gnss.update(
+            facts.time_ns, accused=accused, agrees=agrees, suspect_since_ns=suspect_ns, lost=is_lost(facts)
+        )
+        facts = self._facts(admission.suspect_since_ns)
         found = verdict(facts)
         before = self._published
         level = TrustLevel(found.state.value)
@@ -124,12 +139,19 @@ class Process:
             window_s=used.window_s,
         )  # fmt: skip
 
-    def _facts(self, *, gnss_excluded: bool = False) -> Facts:
+    def _facts(self, suspect_since_ns: int | None) -> Facts:
+        """Facts of now; GNSS is excluded if it is suspect since a time, and fusion confirms it by its solution."""
+        solution, state = _solution(self._solution), self._navigation
+        excluded_ns = None if solution is None else solution.gnss_excluded_since_ns
+        confirmed = excluded_ns is not None and suspect_since_ns is not None and excluded_ns <= suspect_since_ns
         return Facts(
             self._time_ns,
-            _solution(self._solution),
+            solution,
             {monitor: _statement(monitor, message) for monitor, message in self._monitors.items()},
-            gnss_excluded=gnss_excluded,
+            gnss_excluded=suspect_since_ns is not None,
+            exclusion_confirmed=confirmed,
+            excluded_test_ratio=None if state is None else state.excluded_test_ratio,
+            satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
             limits=self._limits(),
         )
 
@@ -157,6 +179,7 @@ def _solution(message: NavigationSolution | None) -> Solution | None:
         message.protection_level_horizontal_m,
         message.protection_level_vertical_m,
         message.gnss_age_s,
+        message.gnss_excluded_since_ns,
     )
 
 

@@ -46,7 +46,14 @@ class Readmission:
         self._suspect_ns: int | None = None
         self._healthy_ns: int | None = None  # since when it agrees
 
-    def update(self, time_ns: int, *, accused: bool, agrees: bool, suspect_since_ns: int | None = None) -> Admission:
+    @property
+    def suspect_since_ns(self) -> int | None:
+        """Suspect time of the present exclusion."""
+        return self._suspect_ns
+
+    def update(
+        self, time_ns: int, *, accused: bool, agrees: bool, suspect_since_ns: int | None = None, lost: bool = False
+    ) -> Admission:
         """Use the monitors' judgement of one time.
 
         Parameters
@@ -59,6 +66,8 @@ class Readmission:
             Every monitor that can judge the source passes it; "not evaluated" does not agree.
         suspect_since_ns : int, optional
             Earliest time from which the evidence of the accusation may be wrong.
+        lost : bool
+            There is nothing that the source can be compared with: it must not be accused for the longest time.
         """
         if accused:
             self._accuse(time_ns, suspect_since_ns)
@@ -69,7 +78,7 @@ class Readmission:
         elif self._healthy_ns is None:
             self._healthy_ns = time_ns
         healthy_s = 0.0 if self._healthy_ns is None else (time_ns - self._healthy_ns) / SECOND_NS
-        required_s = self._required_s()
+        required_s = LONGEST_HEALTHY_S if lost else self._required_s()
         if self._healthy_ns is not None and healthy_s >= required_s:
             self._faults.append(self._accused_ns)
             self._began_ns = self._suspect_ns = self._healthy_ns = None
@@ -93,9 +102,19 @@ def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
     """Say whether GNSS is accused, whether the monitors agree with it, and since when it is suspect.
 
     Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite. Agreement takes
-    both inertial windows; the satellite monitor must not accuse.
+    both inertial windows and a position that does not contradict the solution without GNSS; the satellite monitor must
+    not accuse. Velocities alone cannot tell an attack that holds its offset from one that has ended. A solution whose
+    protection level is above the alert limit contradicts no position.
     """
     accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
-    agrees = not accusing and all(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
+    passing = all(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
+    ratio = facts.excluded_test_ratio
+    contradicted = (ratio is None or ratio > 1.0) and not facts.level_exceeded
+    agrees = not accusing and (is_lost(facts) or (passing and facts.exclusion_confirmed and not contradicted))
     suspect = [s.suspect_since_ns for s in accusing if s.suspect_since_ns is not None]
     return bool(accusing), agrees, min(suspect) if suspect else None
+
+
+def is_lost(facts: Facts) -> bool:
+    """Whether fusion runs without a position: nothing is left that GNSS can be compared with."""
+    return facts.solution is not None and not facts.solution.navigating

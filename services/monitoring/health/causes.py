@@ -3,15 +3,7 @@
 from collections.abc import Collection
 from functools import cache
 
-from shared.processes import BY_NAME as PROCESS_ROWS
-from shared.topics import TOPICS, Topic, subscriptions
-
-
-def inputs_of(process: str) -> tuple[Topic, ...]:
-    """List the topics with a rate that a process consumes; none for an observer of all, or an unknown process."""
-    if process not in PROCESS_ROWS or PROCESS_ROWS[process].observes_all:
-        return ()
-    return tuple(topic for topic in subscriptions(process) if topic.rate_hz is not None)
+from shared.topics import TOPICS, Topic, needs
 
 
 def producers_of(topic: Topic, configured: Collection[str]) -> tuple[str, ...]:
@@ -28,7 +20,7 @@ def upstream_of(topic: Topic) -> frozenset[str]:
         found.add((one := todo.pop()).name)
         for producer in one.producers:
             found.add(producer)
-            todo += [need for need in inputs_of(producer) if need.name not in found]
+            todo += [need for need in needs(producer) if need.name not in found]
     return frozenset(found)
 
 
@@ -45,7 +37,7 @@ def expected_topics(configured: Collection[str]) -> frozenset[str]:
             for topic in TOPICS
             if topic.rate_hz is not None and not topic.per_process
             for producer in producers_of(topic, configured)
-            if not inputs_of(producer) or any(need.name in expected for need in inputs_of(producer))
+            if not needs(producer) or any(need.name in expected for need in needs(producer))
         }
         if found == expected:
             return frozenset(found)

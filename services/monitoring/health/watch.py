@@ -22,9 +22,9 @@ from shared.messages.operation import (
 )
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S
-from shared.topics import BY_NAME, TOPICS, Topic, topic_of
+from shared.topics import BY_NAME, TOPICS, Topic, needs, topic_of
 
-from .causes import expected_topics, inputs_of, producers_of, upstream_of
+from .causes import expected_topics, producers_of, upstream_of
 from .process_watch import ProcessWatch
 from .topic_watch import TopicWatch
 
@@ -289,7 +289,7 @@ class Watch:
         before = [
             (input_end_ns, need)
             for producer in self._producers(topic)
-            for need in inputs_of(producer)
+            for need in needs(producer)
             if need.name not in (*seen, topic.name)
             and (input_end_ns := self._silent_since_ns(need) if stale else self._late_since_ns(need)) is not None
             and input_end_ns <= end_ns + _slack_ns(need, topic)

@@ -1,32 +1,134 @@
-"""Charges each passage once: the state of the ledger once a second."""
+"""Feeds the ledger from the bus and publishes what is committed. Without a usable database nothing is charged."""
 
+import logging
+from collections.abc import Iterable
 from pathlib import Path
 
-from shared.bus.bus import Bus
-from shared.messages.toll import LedgerState
-from shared.runtime.config import Section
-from shared.toll.plaza import load_plaza
+from shared.bus.bus import Bus, Envelope
+from shared.errors import BadPayload
+from shared.messages.base import Message
+from shared.messages.operation import Origin, OriginKind
+from shared.messages.toll import LedgerState, PlazaDetector, TollPassage, TollReceipt, TollRegistration
+from shared.toll.plaza import load_plaza, plaza_path
+
+from .ledger import Ledger, Settings
+from .store import LedgerFault, Store
+
+log = logging.getLogger(__name__)
 
 PERIOD_NS = 1_000_000_000
+RECONCILE_NS = 10_000_000_000
+SCRUB_NS = 30_000_000_000
+RETRY_NS = 5_000_000_000
 
 
-class Config(Section):
+class Config(Settings):
     """Settings of monitoring.ledger."""
 
     plaza_file: Path = Path("deploy/plazas/example.geojson")  # GeoJSON, relative to the working folder or repository
+    file: Path = Path("toll/ledger.sqlite")  # the database, below the state folder unless absolute
 
 
 class Process:
-    """Publishes the state of the ledger."""
+    """Stores each batch of messages in one transaction; what cannot be stored is not settled, and comes again."""
 
     def __init__(self, config: Config) -> None:
+        self._config = config
         self._plaza = load_plaza(config.plaza_file)
+        self._plaza_file = plaza_path(config.plaza_file).read_text(encoding="utf-8")
+        self._ledger: Ledger | None = None
+        self._store: Store | None = None
+        self._problem: str | None = None
+        self._replaying = False
+        self._retry_ns = self._state_ns = self._reconcile_ns = self._scrub_ns = 0
 
     def run(self, bus: Bus) -> None:
         """Work until the bus stops."""
-        next_ns = 0
         while not bus.stopping:
-            bus.receive(0.1)
-            if bus.now_ns() >= next_ns:
-                next_ns = bus.now_ns() + PERIOD_NS
-                bus.publish(LedgerState(now_ns=bus.now_ns(), plaza=self._plaza.name))
+            self._step(bus, bus.receive(0.1))
+        self._step(bus, bus.receive(0.0))
+        if self._store:
+            self._store.close()
+
+    def _step(self, bus: Bus, envelopes: list[Envelope]) -> None:
+        messages = list(_decoded(envelopes, bus))
+        for message in messages:
+            if isinstance(message, Origin):
+                self._replaying = message.kind is OriginKind.REPLAY
+        if self._replaying:
+            bus.rejects["replay"] += len(messages)
+            return
+        try:
+            self._work(bus, messages)
+        except LedgerFault as error:
+            self._fail(bus, str(error))
+        if self._problem and bus.now_ns() >= self._state_ns:
+            self._state_ns = bus.now_ns() + PERIOD_NS
+            bus.publish(LedgerState(now_ns=bus.now_ns(), plaza=self._plaza.name, problem=self._problem[:400]))
+
+    def _work(self, bus: Bus, messages: list[Message]) -> None:
+        now_ns = bus.now_ns()
+        if now_ns < self._retry_ns:
+            return
+        if self._store is None:
+            path = bus.state_dir / self._config.file
+            self._store = Store(path)
+            self._ledger = Ledger(self._store, self._plaza, self._plaza_file, self._config, now_ns)
+        assert self._ledger is not None
+        ledger = self._ledger
+        if messages:
+            with self._store.transaction():
+                for message in messages:
+                    _store(ledger, message, now_ns)
+        if now_ns >= self._reconcile_ns:
+            self._reconcile_ns = now_ns + RECONCILE_NS
+            with self._store.transaction():
+                ledger.reconcile(now_ns)
+                ledger.expire(now_ns)
+        if now_ns >= self._scrub_ns:
+            self._scrub_ns = now_ns + SCRUB_NS
+            self._store.scrub()
+        for transaction in ledger.due(now_ns):
+            bus.publish(transaction)
+        if now_ns >= self._state_ns:
+            self._state_ns = now_ns + PERIOD_NS
+            bus.publish(ledger.open_passages(now_ns))
+            bus.publish(ledger.state(now_ns))
+        if self._problem:
+            log.info("the ledger is usable again")
+        self._problem = None
+        bus.rejects.update({kind: n - bus.rejects[kind] for kind, n in ledger.rejects.items()})
+
+    def _fail(self, bus: Bus, problem: str) -> None:
+        """Count the fault, close the database and try again later; what is not committed comes again."""
+        if problem != self._problem:
+            log.error("%s", problem)
+        bus.rejects["database"] += 1
+        bus.last_error = self._problem = problem[:400]
+        self._retry_ns = bus.now_ns() + RETRY_NS
+        if self._store:
+            self._store.close()
+        self._store = self._ledger = None
+
+
+def _decoded(envelopes: list[Envelope], bus: Bus) -> Iterable[Message]:
+    for envelope in envelopes:
+        try:
+            yield envelope.decode()
+        except BadPayload as error:
+            bus.rejects["payload"] += 1
+            bus.last_error = str(error)[:400]
+
+
+def _store(ledger: Ledger, message: Message, now_ns: int) -> None:
+    match message:
+        case TollRegistration():
+            ledger.register(message, now_ns)
+        case PlazaDetector():
+            ledger.detect(message, now_ns)
+        case TollPassage():
+            ledger.passage(message, now_ns)
+        case TollReceipt():
+            ledger.receipt(message, now_ns)
+        case _:
+            pass

@@ -5,14 +5,17 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
+from shared.attacks import ScheduledAttack, schedule
 from shared.bus.bus import Bus
 from shared.errors import BadPayload
 from shared.messages.base import Vector3
 from shared.messages.gnss import GnssWrite
+from shared.messages.simulation import SimulationAttack
 from shared.runtime.config import Section
 
 from .gnss.simulated_receiver import SOURCE
 from .scenarios import scenario_of
+from .v2x.traffic import MAX_COUNT
 from .world import Equipment, World
 
 log = logging.getLogger(__name__)
@@ -30,9 +33,28 @@ class Config(Section):
     second_antenna_m: float = Field(
         default=0.0, ge=0.0, le=10.0, description="distance of a second GNSS antenna ahead of the first; 0: none"
     )
+    neighbours: int = Field(
+        default=4, ge=0, le=MAX_COUNT, description="vehicles around it that a V2X radio receives; 0: none"
+    )
     pause_s: float = Field(
         default=1.5, ge=0.0, le=60.0, description="delay of the drive, so that other processes can subscribe before it"
     )
+
+    attacks: tuple[str, ...] = Field(
+        default=(), max_length=32, description='attacks, each as name(parameters)@start:duration, such as "drag_off@60"'
+    )
+
+    @property
+    def scheduled(self) -> tuple[ScheduledAttack, ...]:
+        """The attacks as they are scheduled."""
+        return tuple(schedule(text) for text in self.attacks)
+
+    @field_validator("attacks")
+    @classmethod
+    def _are_attacks(cls, attacks: tuple[str, ...]) -> tuple[str, ...]:
+        for text in attacks:
+            schedule(text)
+        return attacks
 
     @field_validator("scenario")
     @classmethod
@@ -62,9 +84,13 @@ class Process:
         while not bus.stopping and bus.now_ns() < begin_ns:
             bus.receive(0.1)
         scenario = scenario_of(self._config.scenario, self._config.seed)
-        equipment = Equipment(self._config.protocols, self._config.mounting_rpy_deg, self._config.second_antenna_m)
-        world = World(scenario, self._config.seed, bus.now_ns(), equipment)
+        config = self._config
+        equipment = Equipment(
+            config.protocols, config.mounting_rpy_deg, config.second_antenna_m, neighbours=config.neighbours
+        )
+        world = World(scenario, config.seed, bus.now_ns(), equipment, config.scheduled)
         log.info("simulating %s with seed %d: %s", scenario.name, self._config.seed, scenario.purpose)
+        bus.publish(world.attack_state(bus.now_ns()))
         for due_ns, message in world:
             self._wait(bus, due_ns, world)
             if bus.stopping:
@@ -87,5 +113,7 @@ class Process:
                     continue
                 if isinstance(written, GnssWrite) and written.source == SOURCE:
                     world.write(written.data, bus.now_ns())
+                elif isinstance(written, SimulationAttack):
+                    world.command(written)
             if due_ns <= bus.now_ns():
                 return

@@ -30,6 +30,8 @@ class Stream(IntEnum):
     WHEELS = 6
     CLOCKS = 7
     ENVIRONMENT = 8
+    ATTACKS = 9
+    NEIGHBOURS = 10
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,27 @@
 """The simulated vehicle with all its devices: one stream of messages in the order of arrival."""
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from itertools import count, takewhile
 
 import numpy as np
 
+from shared.attacks import ScheduledAttack
+from shared.maths.earth import Geodetic
 from shared.messages.base import Message
 from shared.messages.navigation import TruthState
 from shared.messages.operation import Origin, OriginKind
+from shared.messages.simulation import SimulationAttack, SimulationState
 
+from .attacks.attacks import Attacks
 from .can.can_bus import CanBus
 from .gnss.simulated_receiver import Receiver
 from .imu.simulated_xsens import Tracker
 from .motion.trajectory import Motion
 from .scenarios import Scenario, scenario_of
+from .v2x.radio import Radio
 from .vehicle import Readings, Stream, Vehicle, antenna_at
 
 NS = 1_000_000_000
@@ -33,15 +39,30 @@ class Equipment:
     protocols: tuple[str, ...] = ("ubx", "nmea")
     mounting_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the IMU, in addition to `FLAT`
     second_antenna_m: float = 0.0  # distance ahead of the first; 0: single antenna
+    neighbours: int = 4  # vehicles with V2X radios around it
+
+
+class Due(Enum):
+    """What is computed when its time has come."""
+
+    EPOCH = "a navigation epoch of the receiver"
+    ATTACKS = "the state of the attacks"
 
 
 class World:
     """Simulates without end, one second at a time, in bounded memory.
 
-    Iterating yields (arrival time, message); `write` may be called between two messages.
+    Iterating yields (arrival time, message); `write` and `command` may be called between two messages.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, start_ns: int, equipment: Equipment | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        start_ns: int,
+        equipment: Equipment | None = None,
+        attacks: Sequence[ScheduledAttack] = (),
+    ) -> None:
         equipment = equipment or Equipment()
         clocks = np.random.default_rng((seed, Stream.CLOCKS))
         self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
@@ -49,31 +70,49 @@ class World:
         self._step_ns = self._tracker.clock.period_ns(STEP_NS)
         self._vehicle = Vehicle(scenario, seed, self._step_ns * 1e-9)
         self._receiver = Receiver(scenario, seed, start_ns, clocks, equipment.protocols, equipment.second_antenna_m)
-        self._can = CanBus(seed, start_ns, clocks)
-        self._heap: list[tuple[int, int, Message | None]] = []  # None: a navigation epoch of the receiver
+        self._attacks = Attacks(scenario, seed, start_ns, attacks)
+        self._can = CanBus(seed, start_ns, clocks, self._attacks.odometer)
+        self.radio = Radio(scenario, seed, equipment.neighbours)
+        self._heap: list[tuple[int, int, Message | Due]] = []
         self._order = count()
         self._motion: Motion | None = None
         self._driven_ns = self._origin_ns = start_ns
 
     def __iter__(self) -> Iterator[tuple[int, Message]]:
         """Yield (arrival time, message) without end."""
-        self._push(self._receiver.next_epoch_ns, None)
+        for change_ns in self._attacks.changes_ns():
+            self._push(change_ns, Due.ATTACKS)
+        self._push(self._receiver.next_epoch_ns, Due.EPOCH)
         while True:
             while not self._heap or self._heap[0][0] > self._driven_ns:
                 self._drive()
             due_ns, _, message = heapq.heappop(self._heap)
-            if message is not None:
+            if message is Due.ATTACKS:
+                yield due_ns, self._attacks.state(due_ns)
+                continue
+            if isinstance(message, Message):
                 yield due_ns, message
                 continue
             motion = self._motion
             if motion is not None:
                 antenna = antenna_at(motion, (due_ns - self._start_ns) / self._step_ns)
-                self._push_all(self._receiver.navigate(antenna))
-            self._push(self._receiver.next_epoch_ns, None)
+                self._push_all(self._receiver.navigate(self._attacks.signals(antenna, due_ns)))
+            self._push(self._receiver.next_epoch_ns, Due.EPOCH)
 
     def write(self, data: bytes, now_ns: int) -> None:
         """Write bytes to the GNSS receiver."""
         self._push_all(self._receiver.write(data, now_ns))
+
+    def command(self, message: SimulationAttack) -> None:
+        """Start or stop an attack from the next second that is not yet simulated; the answer comes then."""
+        known = set(self._attacks.changes_ns())
+        self._attacks.command(message, self._driven_ns)
+        for change_ns in {self._driven_ns, *self._attacks.changes_ns()} - known:
+            self._push(change_ns, Due.ATTACKS)
+
+    def attack_state(self, now_ns: int) -> SimulationState:
+        """The attacks of the drive as they are at a time."""
+        return self._attacks.state(now_ns)
 
     def _drive(self) -> None:
         readings = self._vehicle.advance(BLOCK)
@@ -82,6 +121,8 @@ class World:
         self._push_all(self._tracker.sample(readings, self._step_ns))
         self._push_all(self._can.transmit(readings.motion, begin_ns, end_ns))
         self._push_all(self._truth(readings))
+        self.radio.deception = self._attacks.deception(end_ns)
+        self._push_all(self._neighbours(readings.motion, end_ns))
         while self._origin_ns < end_ns:
             origin = Origin(
                 now_ns=self._origin_ns, kind=OriginKind.SIMULATED, name=self._scenario.name, seed=self._seed
@@ -111,16 +152,27 @@ class World:
                 ),
             )
 
+    def _neighbours(self, motion: Motion, sampled_ns: int) -> Iterator[tuple[int, Message]]:
+        node = motion.first + BLOCK
+        here = Geodetic(*motion.position[BLOCK].tolist())
+        states = self.radio.receive(node * self._step_ns * 1e-9, sampled_ns, here, antenna_at(motion, node))
+        yield states.received_ns, states
+
     def _push_all(self, arrivals: Iterator[tuple[int, Message]]) -> None:
         for due_ns, message in arrivals:
             self._push(due_ns, message)
 
-    def _push(self, due_ns: int, message: Message | None) -> None:
+    def _push(self, due_ns: int, message: Message | Due) -> None:
         heapq.heappush(self._heap, (due_ns, next(self._order), message))
 
 
 def messages(
-    scenario: str, seed: int = 0, duration_s: float | None = None, start_ns: int = DEFAULT_START_NS
+    scenario: str,
+    seed: int = 0,
+    duration_s: float | None = None,
+    start_ns: int = DEFAULT_START_NS,
+    *,
+    attacks: Sequence[ScheduledAttack] = (),
 ) -> Iterator[Message]:
     """Yield the messages of the simulated devices in the order of arrival, as fast as they are consumed.
 
@@ -134,13 +186,15 @@ def messages(
         [s] Duration; by default that of the scenario.
     start_ns : int
         [ns] Time at which the drive starts.
+    attacks : sequence of ScheduledAttack
+        Attacks on the vehicle; `shared.attacks.schedule` reads them from text.
 
     Yields
     ------
     Message
-        Raw bytes with their arrival times, truth and origin.
+        Raw bytes with their arrival times, truth and origin; the state of the attacks when one begins or ends.
     """
     row = scenario_of(scenario, seed)
     end_ns = start_ns + round((duration_s or row.duration_s) * NS)
-    for _, message in takewhile(lambda arrival: arrival[0] <= end_ns, World(row, seed, start_ns)):
+    for _, message in takewhile(lambda arrival: arrival[0] <= end_ns, World(row, seed, start_ns, None, attacks)):
         yield message

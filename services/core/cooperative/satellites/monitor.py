@@ -49,7 +49,9 @@ class SatelliteMonitor:
         self._healthy_epochs: dict[SatelliteId, int] = {}  # of the satellites that are excluded
         self._start_e: FloatArray | None = None
 
-    def evaluate(self, epoch: RawEpoch, store: EphemerisStore) -> SatelliteVerdict:
+    def evaluate(
+        self, epoch: RawEpoch, store: EphemerisStore, left_out: frozenset[SatelliteId] = frozenset()
+    ) -> SatelliteVerdict:
         """Test an epoch.
 
         Parameters
@@ -58,6 +60,8 @@ class SatelliteMonitor:
             Raw measurements.
         store : EphemerisStore
             Broadcast ephemerides and ionosphere.
+        left_out : frozenset of SatelliteId
+            Satellites that another test excludes in this epoch; they count as excluded, and are not remembered.
 
         Returns
         -------
@@ -66,17 +70,17 @@ class SatelliteMonitor:
         """
         sights, rejected = usable_sights(epoch, store, self._settings.model)
         sky = Sky(sights, epoch.gps_time_ns, store.ionosphere, self._settings.model)
-        tested = self._test(sky, frozenset(self._healthy_epochs))
+        tested = self._test(sky, left_out | self._healthy_epochs.keys())
         if self._healthy_epochs and (tested.position is None or tested.position.fit.dof < 1):
             # What is left cannot be tested: earlier exclusions give way, and the whole epoch is judged afresh.
             self._healthy_epochs.clear()
-            tested = self._test(sky, frozenset())
+            tested = self._test(sky, left_out)
         for reason, count in tested.rejected.items():
             rejected[reason] = rejected.get(reason, 0) + count
         if tested.position is None:
             reason = f"no solution from {len(sights)} usable satellites"
             return SatelliteVerdict(Outcome.NOT_EVALUATED, reason, rejected=rejected)
-        return self._verdict(tested.position, tested, rejected)
+        return self._verdict(tested.position, tested, left_out, rejected)
 
     def _test(self, sky: Sky, excluded: frozenset[SatelliteId]) -> _Tested:
         """Solve without the excluded satellites; while the global test fails, exclude the one with the largest w."""
@@ -101,12 +105,14 @@ class SatelliteMonitor:
             out.append(position.sky.sights[worst])
             kept.remove(position.sky.sights[worst])
 
-    def _verdict(self, position: PositionFit, tested: _Tested, rejected: dict[str, int]) -> SatelliteVerdict:
+    def _verdict(
+        self, position: PositionFit, tested: _Tested, left_out: frozenset[SatelliteId], rejected: dict[str, int]
+    ) -> SatelliteVerdict:
         settings, dof = self._settings, position.fit.dof
         excluded = self._excluded_findings(position, tested.excluded)
         if tested.passes:
             self._start_e = position.geometry.position_e
-            self._readmit(excluded)
+            self._readmit(tuple(finding for finding in excluded if finding.satellite not in left_out))
         if dof < 1:
             reason = f"no redundancy: {len(position.satellites)} satellites, {len(position.clocks)} clocks"
             return SatelliteVerdict(

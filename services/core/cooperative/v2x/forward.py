@@ -150,14 +150,23 @@ def linearised_range_rates(estimate: Estimate, neighbours: Neighbours) -> tuple[
     return mean, slope, np.maximum(rest, 0.0)
 
 
-def correct_range_rates(estimate: Estimate, neighbours: Neighbours) -> Estimate:
-    """Use the neighbours' range-rates; the uncertainty of their positions is part of the variance."""
+def range_rate_observations(estimate: Estimate, neighbours: Neighbours) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Give rows, innovations and variances of the range-rates, shapes (..., m, size), (..., m) and (..., m).
+
+    The uncertainty of the neighbours' positions is part of the variance.
+    """
     mean, slope, rest = linearised_range_rates(estimate, neighbours)
     rows = np.zeros((*mean.shape, estimate.x.shape[-1]))
     rows[..., :6] = slope
     rows[..., OSCILLATOR] = 1.0
     innovations = neighbours.shifted_rate - mean - estimate.x[..., OSCILLATOR, np.newaxis]
     variances = neighbours.rate_sd**2 + (slope[..., POSITION] ** 2).sum(axis=-1) * neighbours.position_sd**2 + rest
+    return rows, innovations, variances
+
+
+def correct_range_rates(estimate: Estimate, neighbours: Neighbours) -> Estimate:
+    """Use the neighbours' range-rates."""
+    rows, innovations, variances = range_rate_observations(estimate, neighbours)
     return correct(estimate, rows, innovations, variances, np.ones(rows.shape[-2], dtype=np.bool_))
 
 

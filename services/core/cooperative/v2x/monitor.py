@@ -1,17 +1,20 @@
 """V2X-assisted satellite monitor: the leave-one-out bank on raw epochs, neighbours' reports and the road."""
 
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from math import log, sqrt
 
 import numpy as np
 
 from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
+from shared.maths.frequency_offset import CARRIER_FREQUENCY, MAX_OFFSET, range_rate_from_cfo
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
 
 from ..broadcast.store import EphemerisStore
 from ..measurements import (
     Constellation,
     FloatArray,
+    NeighbourFinding,
     Outcome,
     RawEpoch,
     SatelliteFinding,
@@ -35,8 +38,7 @@ from .forward import (
     correct_road,
     predict,
 )
-from .neighbours import NeighbourReport, unusable
-from .range_rate import CARRIER_FREQUENCY, MAX_OFFSET, range_rate_from_cfo
+from .neighbours import NeighbourReport, NeighbourTest, unusable
 from .road import Road
 
 CLOCKS = {Constellation.GPS: 0, Constellation.GALILEO: 1}
@@ -54,7 +56,8 @@ class CooperativeSettings:
     missed_detection_rate: float = 1e-4
     longest_gap_s: float = 5.0  # after which the filters restart
     paper_construction: bool = False  # the paper's test instead of the bank; for comparison, it absorbs slow ramps
-    forget_after_s: float = 60.0  # satellites that are not received
+    forget_after_s: float = 60.0  # satellites and neighbours that are not received
+    start_sd_m: float = 30.0  # of position and clocks: the start was solved with the satellites under test
     clock_jump_m: float = 1000.0  # innovation that all satellites have in common
     farthest_from_origin_m: float = 50_000.0
 
@@ -65,11 +68,20 @@ class CooperativeMonitor:
     def __init__(self, settings: CooperativeSettings | None = None) -> None:
         self._settings = settings or CooperativeSettings()
         self._bank: LeaveOneOutBank | None = None
+        bank = self._settings.bank
+        self._neighbour_test = NeighbourTest(
+            bank.false_alarm_rate, bank.readmission_epochs, bank.readmission_t, self._settings.forget_after_s
+        )
         self._satellites: tuple[SatelliteId, ...] = ()
         self._seen_ns: dict[SatelliteId, int] = {}
         self._time_ns = 0
         self._origin_e: FloatArray = np.zeros(3)
         self._ned_from_ecef: FloatArray = np.eye(3)
+
+    def runs_until(self, gps_time_ns: int) -> bool:
+        """Whether the filters can be propagated to a time, so that no start is needed."""
+        gap_s = (gps_time_ns - self._time_ns) * 1e-9
+        return self._bank is not None and 0.0 < gap_s <= self._settings.longest_gap_s
 
     def evaluate(
         self,
@@ -89,38 +101,36 @@ class CooperativeMonitor:
         store : EphemerisStore
             Broadcast ephemerides and ionosphere.
         neighbours : tuple of NeighbourReport
-            Reports that belong to the epoch.
+            Reports since the epoch before, in the order of their times.
         road_e : ndarray, shape (m, 3), or None
             [m, ECEF] Centre line of the road that the vehicle is on.
         start : SatelliteSolution or None
-            Fault-free solution of this epoch, from which the filters start where they have none of their own.
+            Solution of this epoch, from which the filters start where they have none of their own: as it was solved
+            with the satellites under test, only its velocity and clock drift count, which are of Doppler.
 
         Returns
         -------
         SatelliteVerdict
-            Not evaluated without a start, and without a usable neighbour and a road.
+            Not evaluated without a start, and without a usable neighbour and a road. Neighbours that contradict the
+            others are excluded; alone they do not make it accuse.
         """
         settings = self._settings
         sights, rejected = usable_sights(epoch, store, settings.model)
-        dt = (epoch.gps_time_ns - self._time_ns) * 1e-9
-        if self._bank is not None and not 0.0 < dt <= settings.longest_gap_s:
+        if not self.runs_until(epoch.gps_time_ns):
             self._bank = None
-        if self._bank is None:
             if start is None:
                 return SatelliteVerdict(
                     Outcome.NOT_EVALUATED, "no fault-free position to start from", rejected=rejected
                 )
             self._start(start)
-            dt = 0.0
-        self._time_ns = epoch.gps_time_ns
+            self._time_ns = epoch.gps_time_ns
+            neighbours = ()  # their directions are not known before satellites have corrected the start
         assert self._bank is not None
         bank = self._bank
-        estimate = predict(bank.estimate, dt, settings.forward) if dt > 0.0 else bank.estimate
 
-        reports = self._neighbours(neighbours, estimate, rejected)
+        estimate, tested = self._with_neighbours(neighbours, epoch.gps_time_ns, rejected)
+        helped = any(not finding.excluded for finding in tested)
         road = None if road_e is None or len(road_e) < 2 else Road((road_e - self._origin_e) @ self._ned_from_ecef.T)
-        if reports is not None:
-            estimate = correct_range_rates(estimate, reports)
         if road is not None:
             estimate = correct_road(estimate, road, settings.forward)
         bank.estimate = estimate
@@ -137,10 +147,12 @@ class CooperativeMonitor:
             test = self._paper_test(store, ranges, geometry.position_e)
         else:
             test = bank.advance(predicted, ranges)
-        if test is None or (reports is None and road is None):
+        if test is None or not (helped or road):
             reason = "no usable neighbour and no road" if test else "too few virtual satellites"
-            return SatelliteVerdict(Outcome.NOT_EVALUATED, reason, rejected=rejected, solution=self._solution())
-        return self._verdict(test, above, geometry, rejected)
+            return SatelliteVerdict(
+                Outcome.NOT_EVALUATED, reason, rejected=rejected, solution=self._solution(), neighbours=tested
+            )
+        return self._verdict(test, above, geometry, tested, rejected)
 
     def _start(self, start: SatelliteSolution) -> None:
         place = geodetic_from_ecef(start.position_e)
@@ -148,7 +160,7 @@ class CooperativeMonitor:
         self._ned_from_ecef = ned_from_ecef(place.latitude, place.longitude)
         size = CLOCK + len(CLOCKS)
         x, P = np.zeros(size), np.zeros((size, size))
-        P[POSITION, POSITION] = self._ned_from_ecef @ start.position_cov_e @ self._ned_from_ecef.T
+        P[POSITION, POSITION] = self._settings.start_sd_m**2 * np.eye(3)
         P[VELOCITY, VELOCITY] = 30.0**2 * np.eye(3)
         if start.velocity_e is not None and start.velocity_cov_e is not None:
             x[VELOCITY] = self._ned_from_ecef @ np.array(start.velocity_e)
@@ -158,36 +170,62 @@ class CooperativeMonitor:
         known = list(start.clock_m.values())
         for constellation, number in CLOCKS.items():
             x[CLOCK + number] = start.clock_m.get(constellation, known[0] if known else 0.0)
-            P[CLOCK + number, CLOCK + number] = 10.0**2 if constellation in start.clock_m else 1000.0**2
+            sd = self._settings.start_sd_m if constellation in start.clock_m else 1000.0
+            P[CLOCK + number, CLOCK + number] = sd**2
         self._bank = LeaveOneOutBank(Estimate(x, P), 0, self._settings.bank)
         self._satellites, self._seen_ns = (), {}
 
+    def _with_neighbours(
+        self, reports: tuple[NeighbourReport, ...], epoch_ns: int, rejected: dict[str, int]
+    ) -> tuple[Estimate, tuple[NeighbourFinding, ...]]:
+        """Propagate to each time of neighbours, use those that agree, and go on to the epoch."""
+        assert self._bank is not None
+        estimate, at_ns, settings = self._bank.estimate, self._time_ns, self._settings.forward
+        tested: dict[str, NeighbourFinding] = {}  # the latest of each neighbour
+        for time_ns, group in groupby(reports, key=lambda report: report.gps_time_ns or epoch_ns):
+            together = tuple(group)
+            if not at_ns <= time_ns <= epoch_ns:
+                rejected["late_neighbour"] = rejected.get("late_neighbour", 0) + len(together)
+                continue
+            estimate, at_ns = _propagated(estimate, time_ns - at_ns, settings), time_ns
+            names, neighbours = self._neighbours(together, estimate, rejected)
+            if neighbours is None:
+                continue
+            last = Estimate(estimate.x[-1], estimate.P[-1])  # of all satellites
+            used, findings = self._neighbour_test.evaluate(names, levelled(neighbours, last), last, time_ns)
+            tested.update({finding.name: finding for finding in findings})
+            agreeing = Neighbours(*(column[used] for column in neighbours))
+            estimate = correct_range_rates(estimate, levelled(agreeing, estimate))
+        self._time_ns = epoch_ns
+        return _propagated(estimate, epoch_ns - at_ns, settings), tuple(tested.values())
+
     def _neighbours(
         self, reports: tuple[NeighbourReport, ...], estimate: Estimate, rejected: dict[str, int]
-    ) -> Neighbours | None:
+    ) -> tuple[tuple[str, ...], Neighbours | None]:
         """Neighbours whose range-rate can be used, in the local frame; the others are counted by reason."""
-        own = estimate.x[-1, POSITION]
+        own, own_velocity = estimate.x[-1, POSITION], estimate.x[-1, VELOCITY]
+        own_sd = sqrt(float(np.linalg.eigvalsh(estimate.P[-1, :2, :2])[-1]))
         usable = []
         for report in reports:
             position = self._ned_from_ecef @ (np.array(report.position_e) - self._origin_e)
             velocity = self._ned_from_ecef @ np.array(report.velocity_e)
-            reason = unusable(report, float(np.linalg.norm(position - own)), float(np.linalg.norm(velocity)))
+            distance, speed = float(np.linalg.norm((position - own)[:2])), float(np.linalg.norm(velocity))
+            reason = unusable(report, distance, speed, float(np.linalg.norm(velocity - own_velocity)), own_sd)
             if reason is not None:
                 rejected[reason] = rejected.get(reason, 0) + 1
                 continue
             assert report.cfo_hz is not None and report.oscillator_offset is not None
+            assert report.cfo_sd_hz is not None and report.velocity_sd_m_s is not None
             shifted = range_rate_from_cfo(report.cfo_hz, report.oscillator_offset, 0.0)
             sd = np.hypot(SPEED_OF_LIGHT / CARRIER_FREQUENCY * report.cfo_sd_hz, report.velocity_sd_m_s)
-            usable.append(
-                (float(np.linalg.norm(position - own)), position, velocity, shifted, report.position_sd_m, sd)
-            )
+            usable.append((distance, report.name, position, velocity, shifted, report.position_sd_m, sd))
         usable.sort(key=lambda row: row[0])
         if len(usable) > MAX_NEIGHBOURS:
-            rejected["too_many_neighbours"] = len(usable) - MAX_NEIGHBOURS
+            rejected["too_many_neighbours"] = rejected.get("too_many_neighbours", 0) + len(usable) - MAX_NEIGHBOURS
         if not usable:
-            return None
-        columns = list(zip(*usable[:MAX_NEIGHBOURS], strict=True))[1:]
-        return Neighbours(*(np.array(column, dtype=np.float64) for column in columns))
+            return (), None
+        _, names, *columns = zip(*usable[:MAX_NEIGHBOURS], strict=True)
+        return tuple(names), Neighbours(*(np.array(column, dtype=np.float64) for column in columns))
 
     def _above_mask(
         self, sky: Sky, estimate: Estimate, rejected: dict[str, int]
@@ -292,7 +330,12 @@ class CooperativeMonitor:
         return float((apart + sqrt(-2.0 * log(self._settings.missed_detection_rate)) * np.sqrt(largest)).max())
 
     def _verdict(
-        self, test: BankTest, sights: tuple[Sight, ...], geometry: Geometry, rejected: dict[str, int]
+        self,
+        test: BankTest,
+        sights: tuple[Sight, ...],
+        geometry: Geometry,
+        neighbours: tuple[NeighbourFinding, ...],
+        rejected: dict[str, int],
     ) -> SatelliteVerdict:
         out = test.excluded.tolist()
         excluded = tuple(satellite for satellite, accused in zip(self._satellites, out, strict=True) if accused)
@@ -313,12 +356,28 @@ class CooperativeMonitor:
             reason,
             max(used) if used else None,
             test.threshold,
-            len(used),
-            self._settings.bank.false_alarm_rate,
-            excluded,
+            false_alarm_rate=self._settings.bank.false_alarm_rate,
+            excluded=excluded,
             fault_free=bool(used),
             solution=solution,
             hpl_m=level,
             findings=tuple(findings),
+            neighbours=neighbours,
             rejected=rejected,
         )
+
+
+def levelled(neighbours: Neighbours, estimate: Estimate) -> Neighbours:
+    """Put the neighbours at the height of each filter, shape (..., m, 3).
+
+    By the heights that satellites give, a car close by could be far above: they share an error of the atmosphere of
+    ten metres before the coefficients of the ionosphere are received. A slope of 10 % bends a range-rate by 0.5 %.
+    """
+    shape = (*estimate.x.shape[:-1], *neighbours.position_n.shape)
+    position_n = np.broadcast_to(neighbours.position_n, shape).copy()
+    position_n[..., 2] = estimate.x[..., np.newaxis, 2]
+    return neighbours._replace(position_n=position_n)
+
+
+def _propagated(estimate: Estimate, duration_ns: int, settings: ForwardSettings) -> Estimate:
+    return predict(estimate, duration_ns * 1e-9, settings) if duration_ns else estimate

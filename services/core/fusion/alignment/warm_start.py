@@ -56,6 +56,7 @@ class SavedState(NamedTuple):
     sample: tuple[Vector, Vector]  # [m/s², rad/s, body] the newest, as measured
     covariance: tuple[float, ...]  # upper triangle, row by row
     accepted_ns: int | None  # stamp of the last GNSS position that was used
+    gnss_excluded_since_ns: int | None = None  # no GNSS with a later stamp is part of it
 
 
 def fingerprint(settings: Settings) -> str:
@@ -64,7 +65,9 @@ def fingerprint(settings: Settings) -> str:
     return sha256(text.encode()).hexdigest()[:16]
 
 
-def saved_state(navigation: ErrorStateFilter, sample: Sample, accepted_ns: int | None) -> SavedState | None:
+def saved_state(
+    navigation: ErrorStateFilter, sample: Sample, accepted_ns: int | None, gnss_excluded_since_ns: int | None = None
+) -> SavedState | None:
     """Take the state out of a filter, which stays as it is; None if its covariance is no longer sound."""
     twin = navigation.fork()
     twin.recorder = None
@@ -84,6 +87,7 @@ def saved_state(navigation: ErrorStateFilter, sample: Sample, accepted_ns: int |
         sample=(sample.force, sample.rate),
         covariance=tuple((twin.P * np.outer(units, units))[UPPER].tolist()),
         accepted_ns=accepted_ns,
+        gnss_excluded_since_ns=gnss_excluded_since_ns,
     )
 
 

@@ -54,9 +54,23 @@ class Timing:
     """Corrections of stamps by kind of measurement, each valid from a stamp on."""
 
     def __init__(self, settings: Settings) -> None:
+        self._settings = settings
         self._search = DelaySearch(settings.history_s) if settings.estimate_delays else None
         self._removed: dict[type, list[tuple[int, float]]] = {}
         self._found_s = 0.0  # by the search
+        self._frozen = False  # while GNSS is excluded
+
+    def at(self, time_ns: int) -> "Timing":
+        """Copy with only the corrections that are valid from a time or earlier; the search begins anew."""
+        twin = Timing(self._settings)
+        twin._removed = {kind: [one for one in steps if one[0] <= time_ns] for kind, steps in self._removed.items()}
+        twin._found_s = self._found_s
+        return twin
+
+    def freeze(self, *, frozen: bool) -> None:
+        """Learn nothing while GNSS is excluded; the search begins anew."""
+        self._frozen = frozen
+        self._search = DelaySearch(self._settings.history_s) if self._settings.estimate_delays else None
 
     def sample(self, time_ns: int, force: Vector, rate: Vector) -> None:
         """Pass the next inertial sample to the search."""
@@ -67,7 +81,7 @@ class Timing:
         """Correct the stamp of a measurement by the delay known for it."""
         if self._search is None:
             return measurement
-        if isinstance(measurement, GnssVelocity):
+        if isinstance(measurement, GnssVelocity) and not self._frozen:
             self._search.see(measurement)
         if isinstance(measurement, GnssPosition | GnssVelocity | WheelSpeed):
             removed_s = self._at(type(measurement), measurement.time_ns)
@@ -92,12 +106,12 @@ class Timing:
         FoundDelay or None
             To be applied to the filter at its time.
         """
-        if self._search is None:
+        if self._search is None or self._frozen:
             return None
         from_ns, current_s = now_ns + AHEAD_NS, self._found_s
         if navigation is not None:
             current_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
-        newest_ns = max((steps[-1][0] for steps in self._removed.values()), default=0)
+        newest_ns = max((steps[-1][0] for steps in self._removed.values() if steps), default=0)
         waiting = newest_ns + 2 * AHEAD_NS > now_ns  # the oldest snapshot does not contain it yet
         found = self._search.result(current_s)
         if abs(found.delay_s - current_s) > max(BEYOND_S, 2.0 * found.sd_s) and not waiting:

@@ -15,10 +15,12 @@ from ..alignment.heading import Prior
 from ..alignment.warm_start import SavedState
 from ..filter.propagation import Samples, samples_of
 from ..measurements.base import Measurement, Outcome
+from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..plausibility.imu_faults import Sample
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..update.engine import BEFORE_ALL_NS, Engine
+from ..update.exclusion import GnssExcluded, GnssReadmitted
 from .delay_compensation import Timing
 
 PERIOD = 8  # samples from snapshot to snapshot
@@ -97,6 +99,19 @@ class OutOfSequenceEngine:
         fresh.engine.recorder, fresh._outcomes = self.engine.recorder, self._outcomes
         return fresh
 
+    def resumed(self, snapshot: Snapshot) -> "OutOfSequenceEngine":
+        """Make another engine that goes on from a snapshot; the samples since then must follow."""
+        twin = OutOfSequenceEngine(self._settings, snapshot.engine.fork())
+        twin.newest = snapshot.engine.last
+        twin._snapshots.append(snapshot)
+        twin._timing = self._timing.at(snapshot.time_ns)
+        return twin
+
+    @property
+    def settled(self) -> Snapshot:
+        """The oldest snapshot, which no late measurement changes any more."""
+        return self._snapshots[0]
+
     def insert(self, measurement: Measurement) -> None:
         """Use a measurement at its stamp: a future one when that time is reached, a past one by `outcomes`.
 
@@ -105,16 +120,32 @@ class OutOfSequenceEngine:
         LookupError
             It is older than the oldest snapshot.
         """
+        if isinstance(measurement, GnssExcluded | GnssReadmitted):
+            self._timing.freeze(frozen=isinstance(measurement, GnssExcluded))
         measurement = self._timing.corrected(measurement)
         time_ns = measurement.time_ns
         if self._snapshots and time_ns <= max(self._oldest_ns, self._snapshots[0].time_ns):
             raise LookupError("older than the oldest snapshot")
+        if self._is_superseded(measurement):
+            return
         if time_ns <= self.engine.time_ns:
             key = key_of(measurement)
             if key in map(key_of, self._between(time_ns - 1, time_ns)) and key not in map(key_of, self._late):
                 self._repeated.add(key)
             self._late.append(measurement)
         insort(self._measurements, measurement, key=order)
+
+    def _is_superseded(self, measurement: Measurement) -> bool:
+        """Whether the fault-free fix of this epoch is known; one that comes later removes the receiver's own."""
+        if not isinstance(measurement, GnssPosition | GnssVelocity):
+            return False
+        key, time_ns = key_of(measurement), measurement.time_ns
+        same = [one for one in self._between(time_ns - 1, time_ns) if key_of(one) == key]
+        if not measurement.left_out:
+            return any(isinstance(one, GnssPosition | GnssVelocity) and one.left_out for one in same)
+        removed = set(map(id, same))
+        self._measurements = [one for one in self._measurements if id(one) not in removed]
+        return False
 
     def outcomes(self) -> list[Outcome]:
         """Use the late measurements, and report all outcomes since the last call, each only once."""

@@ -7,6 +7,7 @@ from ..alignment.velocity_matching import Comparison
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..integrity.error_monitor import NO_BLOCK, Watch, block
+from ..integrity.pull import Pull
 from ..measurements.base import FilterEvent, Measurement, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.magnetometer import CompassCheck, MagneticHeading
@@ -27,6 +28,7 @@ class Aids:
         self._settings = settings
         self.judge = Judge(settings)
         self.watch = Watch()
+        self.pull = Pull()
         self._odometer: WheelSpeed | None = None  # newest speed of the odometer in use
         self._compass = CompassCheck()
         self._epochs = Epochs()
@@ -65,16 +67,28 @@ class Aids:
         if isinstance(measurement, MagneticHeading):
             self._compass = self._compass.judged(measurement, navigation)
             measurement = replace(measurement, check=self._compass)
+        gating = self._settings.gating
         for observe in measurement.observers():
             before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
-            outcome = self.judge.judge(navigation, measurement, observe(navigation))
+            seen = observe(navigation)
+            navigation.propagate_covariance()
+            P = navigation.P
+            outcome = self.judge.judge(navigation, measurement, seen)
+            if outcome.used and isinstance(measurement, GnssPosition | GnssVelocity):
+                gate = gating.false_alarm_probability, gating.robust_limit
+                self.pull = self.pull.after(outcome, P, navigation.P, gate)
             estimated = isinstance(measurement, GnssPosition) and measurement.lasts
             self.watch = self.watch.after(
-                outcome, before, navigation, self._settings.gating.false_alarm_probability, estimated=estimated
+                outcome, before, navigation, gating.false_alarm_probability, estimated=estimated
             )
             yield outcome
             if isinstance(measurement, GnssPosition) and outcome.used:
                 measurement.teach(navigation)
+
+    def leave_out(self, navigation: ErrorStateFilter, measurement: Measurement, why: str) -> Iterator[Outcome]:
+        """Compare a measurement of an excluded source with the filter; nothing is learned of it."""
+        for observe in measurement.observers():
+            yield self.judge.compare_only(navigation, measurement, observe(navigation), why)
 
     def standstill_limits(self, time_ns: int, navigation: ErrorStateFilter) -> Limits:
         """Limits of the standstill detector; wheels at zero speed replace the condition on the filter's speed."""

@@ -2,11 +2,12 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from math import degrees, hypot, inf, radians
 
 from shared.errors import FilterDiverged
-from shared.messages.navigation import AidingKind, NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
 from ..alignment.alignment import Alignment
 from ..alignment.heading import Heading, Prior
@@ -25,6 +26,7 @@ from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..timing.delay_compensation import FoundDelay
 from .aiding import Aids
+from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, OdometerExclusion
 from .imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
 from .standstill_detector import stands
 
@@ -59,6 +61,7 @@ class Engine:
         self._alignment: Alignment | None = Alignment(settings, first=not why)
         self._saved: SavedState | None = None  # to go on from with the first sample
         self.aids = Aids(settings)
+        self.exclusions = Exclusions()
         self._suspect_s = 0.0  # time of suspect samples, not yet admitted in the covariance
         self._rejections = 0  # consecutive positions
         self._why = why  # the solution was lost
@@ -238,25 +241,23 @@ class Engine:
 
     def _use(self, measurement: Measurement) -> list[Outcome]:
         """Use a measurement in the filter, or in the alignment."""
-        if isinstance(measurement, FoundDelay | LostTime):
-            self.aids.receive(measurement)
-            self._try(measurement.apply)
+        if isinstance(measurement, FoundDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion):
+            self._follow(measurement)
             return []
+        if (why := self.exclusions.reason(measurement)) is not None:
+            return self._leave_out(measurement, why)
         if self.aids.is_duplicate(measurement, self.filter):
             self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
             return []
-        if self.filter is None:
-            self._align(measurement)
-            return []
-        if isinstance(measurement, GnssPosition | GnssVelocity) and self._is_turned(measurement, self.filter):
+        if self.filter is None or self._is_turned(measurement, self.filter):
             self._align(measurement)
             return []
         outcomes = []
         try:
             for outcome in self.aids.hold(self.filter, measurement):
                 outcomes.append(outcome)
-                if outcome.kind is AidingKind.GNSS_POSITION:
-                    self._count_position(outcome)
+                if isinstance(measurement, GnssPosition):
+                    self._count_position(outcome, measurement.left_out)
         except FilterDiverged as error:
             self._reset(str(error), kept=None)
         if self._is_astray(measurement.time_ns):
@@ -264,18 +265,59 @@ class Engine:
             self._align(measurement)
         return outcomes
 
-    def _is_turned(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> bool:
-        """Watch the heading, and reset if it is wrong by more than the filter can correct."""
-        kept = self.aids.judge.compare(seen, navigation)
+    def _follow(self, event: FoundDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion) -> None:
+        """Take over an event that is no measurement.
+
+        The scale of an accused odometer is estimated anew. A state that contains suspect GNSS is inflated by the
+        largest pull of it.
+        """
+        if isinstance(event, FoundDelay | LostTime):
+            self.aids.receive(event)
+            self._try(event.apply)
+            return
+        begins = isinstance(event, OdometerExclusion) and event.excluded and not self.exclusions.odometer
+        self.exclusions = self.exclusions.after(event)
+        if begins:
+            self._try(ErrorStateFilter.forget_odometer)
+        if isinstance(event, GnssExcluded) and event.unreached_s > 0.0:
+            self._try(partial(self.aids.pull.inflate, span_s=event.unreached_s))
+
+    def _leave_out(self, measurement: Measurement, why: str) -> list[Outcome]:
+        """Compare a measurement of an excluded source with the filter, and use it for nothing."""
+        outcomes: list[Outcome] = []
+        try:
+            if self.filter is not None:
+                outcomes = list(self.aids.leave_out(self.filter, measurement, why))
+        except FilterDiverged as error:
+            self._reset(str(error), kept=None)
+        if isinstance(measurement, GnssPosition):
+            ratio = outcomes[0].test_ratio if outcomes else None
+            self.exclusions = replace(self.exclusions, fixes=self.exclusions.fixes + 1, test_ratio=ratio)
+        return outcomes
+
+    def _is_turned(self, seen: Measurement, navigation: ErrorStateFilter) -> bool:
+        """Watch the heading by GNSS, and reset if it is wrong by more than the filter can correct."""
+        kept = self.aids.judge.compare(seen, navigation) if isinstance(seen, GnssPosition | GnssVelocity) else None
         if kept is None:
             return False
         self._reset(f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
         return True
 
-    def _count_position(self, outcome: Outcome) -> None:
+    def _count_position(self, outcome: Outcome, left_out: tuple[str, ...]) -> None:
         self.counts = self.counts.with_position(outcome.used)
         self.accepted_ns = outcome.time_ns if outcome.used else self.accepted_ns
+        if outcome.used and self.exclusions.readmitted_after_s is not None:
+            north, east = outcome.innovation[:2]
+            self._readmitted(outcome.time_ns, f"{hypot(north, east):.1f} m from dead reckoning")
+        if outcome.used and left_out != self.exclusions.satellites:
+            self.exclusions = replace(self.exclusions, satellites=left_out)
         self._rejections = 0 if outcome.used or outcome.test_ratio <= 1.0 else self._rejections + 1
+
+    def _readmitted(self, time_ns: int, how: str) -> None:
+        """Say that the first position after an exclusion is used."""
+        outage_s = self.exclusions.readmitted_after_s
+        self.exclusions = replace(self.exclusions, readmitted_after_s=None)
+        self._enter(NavigationPhase.NAVIGATING, time_ns, f"GNSS is used again after {outage_s:.0f} s, {how}")
 
     def _is_astray(self, time_ns: int) -> bool:
         """Whether so many consecutive positions were rejected for so long that the filter must be wrong."""
@@ -297,6 +339,7 @@ class Engine:
         self.counts = self.counts.with_position(used=True)
         self.accepted_ns = measurement.time_ns
         self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
+        self.exclusions = replace(self.exclusions, readmitted_after_s=None)
 
     def _start(self, started: ErrorStateFilter, time_ns: int, comparison: Comparison) -> None:
         """Go on with a filter that has just started."""
@@ -314,6 +357,7 @@ class Engine:
             return
         self._start(started, time_ns, Comparison())
         self.accepted_ns = saved.accepted_ns
+        self.exclusions = replace(self.exclusions, gnss_since_ns=saved.gnss_excluded_since_ns)
         coasts = time_ns - (saved.accepted_ns or 0) > self._coasting_ns
         gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
         phase = NavigationPhase.COASTING if coasts else NavigationPhase.NAVIGATING
@@ -325,7 +369,9 @@ class Engine:
             assert self._alignment is not None
             phase, reason = self._alignment.phase, self._alignment.reason
         elif self.time_ns - (self.accepted_ns or 0) > self._coasting_ns:
-            phase, reason = NavigationPhase.COASTING, "no position used lately"
+            excluded = self.exclusions.gnss_since_ns is not None
+            reason = "GNSS is excluded by core.trust" if excluded else "no position used lately"
+            phase = NavigationPhase.COASTING
         else:
             phase, reason = NavigationPhase.NAVIGATING, "positions are used again"
         if phase is not self.phase:

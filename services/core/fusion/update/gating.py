@@ -123,6 +123,13 @@ class Judge:
                 return outcome._replace(height=height)
         return self._judge(navigation, measurement, seen, correction, ratio, None)
 
+    def compare_only(
+        self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation, why: str
+    ) -> Outcome:
+        """Test an observation and do not use it; nothing is remembered of it."""
+        correction, ratio = self._weigh(navigation, seen)
+        return _outcome(measurement, seen, correction, ratio, why, 0.0)
+
     def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:
         correction = navigation.innovate(seen.z, seen.H, seen.R)
         limit = chi_square_limit(len(seen.z), self._settings.gating.false_alarm_probability)
@@ -178,18 +185,7 @@ class Judge:
             self._follow_speed(navigation, seen, measurement.time_ns, refused is not None)
         if seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3 and not refused:
             self._height_ns = None
-        return Outcome(
-            measurement.time_ns,
-            measurement.source,
-            seen.kind,
-            tuple(seen.z.tolist()),
-            tuple(correction.innovation_sd.tolist()),
-            ratio,
-            refused is None,
-            refused or remark,
-            weight,
-            type(measurement),
-        )
+        return _outcome(measurement, seen, correction, ratio, refused or remark, weight)
 
     def _watch_arm(
         self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation, S: FloatArray
@@ -206,6 +202,16 @@ class Judge:
         if after is not before:
             self._standings = {**self._standings, key: after}
         return after.excluded
+
+
+def _outcome(
+    measurement: Measurement, seen: Observation, correction: Correction, ratio: float, why: str | None, weight: float
+) -> Outcome:
+    """Outcome of an observation, which was used where its weight is not zero."""
+    z, sd = tuple(seen.z.tolist()), tuple(correction.innovation_sd.tolist())
+    return Outcome(
+        measurement.time_ns, measurement.source, seen.kind, z, sd, ratio, weight > 0.0, why, weight, type(measurement)
+    )
 
 
 def _weight(ratio: float, limit: float) -> float:

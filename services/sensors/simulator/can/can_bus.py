@@ -1,6 +1,6 @@
 """The simulated CAN bus: wheel speeds at 50 Hz, and OBD-II speed requests with the responses of the engine ECU."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +8,7 @@ import numpy.typing as npt
 from shared.messages.base import Message
 from shared.messages.vehicle import CanRaw
 
+from ..attacks.signals import Odometer
 from ..devices import DeviceClock
 from ..motion.trajectory import Motion
 from ..vehicle import Stream
@@ -40,15 +41,19 @@ TYRE_SD, WHEEL_SD = 0.005, 0.001  # [-] scale error of all wheels, and of each
 class CanBus:
     """Simulates the frames on the CAN bus from the true motion, as lines of a candump log in batches of 100 ms."""
 
-    def __init__(self, seed: int, start_ns: int, clocks: np.random.Generator) -> None:
+    def __init__(
+        self, seed: int, start_ns: int, clocks: np.random.Generator, odometer_at: Callable[[int], Odometer]
+    ) -> None:
         self._clock = DeviceClock(clocks, latest_start_ns=1)
         self._rng = np.random.default_rng((seed, Stream.WHEELS, 1))
         scale = np.random.default_rng((seed, Stream.WHEELS)).standard_normal()
         self._scales = 1.0 + TYRE_SD * scale + WHEEL_SD * self._rng.standard_normal(4)
-        self._start_ns = start_ns
+        self._start_ns, self._odometer_at = start_ns, odometer_at
         self._frames = 0
         self._lines: list[tuple[int, int, bytes]] = []  # time on the bus [ns], identifier, data
         self._last_ns = 0
+        self._wheels_held: Wheels | None = None  # last wheel speeds
+        self._response_held: bytes | None = None  # last OBD-II response
         self._batch_ns = start_ns + BATCH_NS
 
     def transmit(self, motion: Motion, begin_ns: int, end_ns: int) -> Iterator[tuple[int, Message]]:
@@ -61,18 +66,20 @@ class CanBus:
         turns = np.interp(times, nodes[1:], motion.rate_b[:, 2]).tolist()
         for time_ns, speed, turn in zip((self._start_ns + times).tolist(), speeds, turns, strict=True):
             self._frames += 1
-            self._wheels(time_ns, speed, turn)
+            odometer = self._odometer_at(time_ns)
+            self._wheels(time_ns, speed, turn, odometer)
             if self._frames % REQUEST_EVERY == 0:
-                self._request_speed(time_ns, speed)
+                self._request_speed(time_ns, speed, odometer)
         # A sample of this block is on the bus 5 ms later at the earliest.
         while self._batch_ns <= end_ns + WHEEL_DELAY_NS[0]:
             yield self._batch_ns, self._batch()
 
-    def _wheels(self, time_ns: int, speed: float, turn: float) -> None:
+    def _wheels(self, time_ns: int, speed: float, turn: float, odometer: Odometer) -> None:
         self._last_ns = max(self._last_ns, time_ns + int(self._rng.integers(*WHEEL_DELAY_NS)))
-        front_left, front_right, rear_left, rear_right = self._measured(speed, turn)
-        data = wheel_frame((front_left, front_right, rear_left, rear_right))
-        self._lines.append((self._last_ns, WHEEL_SPEEDS_ID, data))
+        first, second, third, fourth = (odometer.factor * wheel for wheel in self._measured(speed, turn))
+        if not odometer.held or self._wheels_held is None:
+            self._wheels_held = (first, second, third, fourth)
+        self._lines.append((self._last_ns, WHEEL_SPEEDS_ID, wheel_frame(self._wheels_held)))
 
     def _measured(self, speed: float, turn: float) -> Wheels:
         noise = self._rng.standard_normal(4) * (NOISE_SD if speed > 0.0 else 0.0)
@@ -80,13 +87,14 @@ class CanBus:
         first, second, third, fourth = values.tolist()
         return first, second, third, fourth
 
-    def _request_speed(self, time_ns: int, speed: float) -> None:
+    def _request_speed(self, time_ns: int, speed: float, odometer: Odometer) -> None:
         """Add a speed request and its response, which holds the speed of `time_ns`, to the bus."""
         response_ns = time_ns + FILTER_NS + int(self._rng.integers(10 * MS))
         request_ns = response_ns - int(self._rng.integers(*RESPONSE_NS))
-        mean_scale = float(self._scales.mean())
+        if not odometer.held or self._response_held is None:
+            self._response_held = speed_response(odometer.factor * speed * float(self._scales.mean()))
         self._lines.append((request_ns, REQUEST_ID, speed_request()))
-        self._lines.append((response_ns, RESPONSE_ID, speed_response(speed * mean_scale)))
+        self._lines.append((response_ns, RESPONSE_ID, self._response_held))
 
     def _batch(self) -> CanRaw:
         self._lines.sort(key=lambda row: row[0])

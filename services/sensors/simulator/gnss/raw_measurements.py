@@ -56,7 +56,15 @@ def clock_bias_s(gps_s: float) -> float:
     return (CLOCK_DRIFT * gps_s) % CLOCK_RANGE_S - CLOCK_RANGE_S / 2.0
 
 
-def measure(model: SkyModel, sky: Sky, fix: Fix, gps_s: float) -> RawMeasurements:
+@dataclass(frozen=True)
+class RangeErrors:
+    """What attacks add to the pseudoranges of the n satellites of a sky."""
+
+    error_m: FloatArray  # shape (n,)
+    rate_m_s: FloatArray  # shape (n,) its derivative
+
+
+def measure(model: SkyModel, sky: Sky, fix: Fix, gps_s: float, added: RangeErrors) -> RawMeasurements:
     """Measure all satellites of GPS and Galileo that are used; none where there is no fix.
 
     Parameters
@@ -66,9 +74,11 @@ def measure(model: SkyModel, sky: Sky, fix: Fix, gps_s: float) -> RawMeasurement
     sky : Sky
         Which of them are used, and the residuals.
     fix : Fix
-        Position and velocity of the receiver, errors included.
+        Position and velocity of the receiver, errors included, but not what `added` makes of them.
     gps_s : float
-        [s] True GPS time of the measurement.
+        [s] GPS time of the measurement, as the signals state it.
+    added : RangeErrors
+        Errors of attacks.
 
     Returns
     -------
@@ -93,7 +103,8 @@ def measure(model: SkyModel, sky: Sky, fix: Fix, gps_s: float) -> RawMeasurement
     bias_s = clock_bias_s(gps_s)
     clock = SPEED_OF_LIGHT * (bias_s - model.orbits.clock_s[satellite] + model.orbits.group_delay_s)
     clock += np.where(sky.system[used] == model.names.index("gps"), 0.0, GALILEO_OFFSET_M)
-    rate = (later - earlier) / (2.0 * HALF_STEP_S) + SPEED_OF_LIGHT * CLOCK_DRIFT
+    clock += added.error_m[used]
+    rate = (later - earlier) / (2.0 * HALF_STEP_S) + SPEED_OF_LIGHT * CLOCK_DRIFT + added.rate_m_s[used]
     return RawMeasurements(
         gps_s + bias_s,
         satellite,

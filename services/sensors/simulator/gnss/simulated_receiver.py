@@ -1,22 +1,26 @@
 """The simulated GNSS receiver: a u-blox ZED-F9P on a serial line of 115,200 baud."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
+from shared.maths.earth import geodetic_from_ned_difference
 from shared.messages.base import Message
 from shared.messages.gnss import GnssRaw
 
+from ..attacks.signals import SatelliteFault, Signals
 from ..devices import Delay, DeviceClock
 from ..scenarios import Scenario
 from ..vehicle import AntennaState, Stream
 from . import nmea_encoder, ubx_encoder
 from .navigation_words import galileo_words, gps_words
-from .raw_measurements import IONOSPHERE, measure
+from .raw_measurements import IONOSPHERE, RangeErrors, measure
 from .receiver_settings import Settings
-from .reception import Reception
-from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms
-from .sky import Sky, SkyModel
+from .reception import Fix, Reception
+from .simulated_epoch import Baseline, Epoch, SentWords, gps_ms, signal_under
+from .sky import FEWEST, FloatArray, Sky, SkyModel
 
 SOURCE = "gnss0"
 MS = 1_000_000
@@ -55,13 +59,15 @@ class Receiver:
         self._period_ms = self.settings.period_ms
         self._reception = Reception(scenario, seed, self._period_ms * 1e-3)
         self._next_ms = self._after(self._utc_start_ns // MS)
+        self._fix: Fix | None = None  # of the last epoch
+        self._faulty: dict[int, npt.NDArray[np.intp]] = {}  # satellites of each fault
 
     @property
     def next_epoch_ns(self) -> int:
         """Time of the next epoch, in the time of the on-board unit."""
         return self._start_ns + self._clock.true_ns(self._next_ms * MS - self._utc_start_ns)
 
-    def navigate(self, antenna: AntennaState) -> Iterator[tuple[int, Message]]:
+    def navigate(self, signals: Signals) -> Iterator[tuple[int, Message]]:
         """Yield (arrival time, message) of the next epoch, in chunks as read from a serial port."""
         epoch_ns, utc_ms = self.next_epoch_ns, self._next_ms
         self._next_ms = self._after(utc_ms)
@@ -69,21 +75,61 @@ class Receiver:
             self._period_ms = self.settings.period_ms
             self._reception = Reception(self._scenario, self._seed, self._period_ms * 1e-3)
         index = (utc_ms - self._utc_start_ns // MS - 1) // self._period_ms
-        fix = self._reception.fix(index, antenna)
+        epoch = self._measure(signals, index, utc_ms + round(signals.time_offset_s * 1e3))
         if self._free_ns > epoch_ns + FULL_NS:
             return
-        sky = self._sky.at(
-            gps_ms(utc_ms) * 1e-3,
-            antenna.position,
-            mask_deg=self._scenario.mask_deg,
-            loss_db=self._scenario.loss_db,
-            covered=antenna.covered,
-        )
-        raw, words = measure(self._sky, sky, fix, gps_ms(utc_ms) * 1e-3), self._words(sky, gps_ms(utc_ms))
-        epoch = Epoch(utc_ms, fix, sky, tuple(self._sky.rows), self._baseline(antenna), raw, words)
         data = b"".join(ENCODERS[name](epoch) for name in self.settings.due(index))
         first = min(len(data), int(self._chunks.integers(*CHUNK_BYTES)))
         yield from self._send(data, self._delay.arrival_ns(epoch_ns) - first * BYTE_NS, first)
+
+    def _measure(self, signals: Signals, index: int, utc_ms: int) -> Epoch:
+        """Make an epoch of signals that state a time; errors of pseudoranges move the fix as least squares say."""
+        source, gps_s = signals.source, gps_ms(utc_ms) * 1e-3
+        loss_db = self._scenario.loss_db + signals.noise_rise_db
+        sky = self._sky.at(
+            gps_s, source.position, mask_deg=self._scenario.mask_deg, loss_db=loss_db, covered=source.covered
+        )
+        covered = source.covered or bool(sky.used.sum() < FEWEST)
+        true_fix = self._reception.fix(index, replace(source, covered=covered))
+        errors, rates = self._faults(signals.faults, sky)
+        raw = measure(
+            self._sky, sky, true_fix, gps_s, RangeErrors(errors + signals.path_m, rates + signals.path_rate_m_s)
+        )
+        fix, sky = self._faulty_fix(true_fix, sky, errors, rates)
+        if signals.held and self._fix is not None:
+            fix = self._fix
+        self._fix = fix
+        words = self._words(sky, gps_ms(utc_ms))
+        constellations, baseline = tuple(self._sky.rows), self._baseline(source)
+        signal = signal_under(signals.noise_rise_db, signals.path_m, valid=fix.valid)
+        return Epoch(utc_ms, fix, sky, constellations, baseline, raw, words, signal)
+
+    def _faults(self, faults: tuple[SatelliteFault, ...], sky: Sky) -> tuple[FloatArray, FloatArray]:
+        """Errors [m] of the pseudoranges of a sky and their derivatives [m/s], shape (n,) each."""
+        errors, rates = np.zeros(len(sky.satellite)), np.zeros(len(sky.satellite))
+        for fault in faults:
+            if fault.key not in self._faulty:
+                used = sky.satellite[sky.used & np.isin(sky.system, self._sky.navigation_systems)]
+                rng = np.random.default_rng((self._seed, Stream.ATTACKS, fault.key))
+                self._faulty[fault.key] = rng.permutation(used)[: fault.satellites]
+            rows = np.isin(sky.satellite, self._faulty[fault.key])
+            errors[rows] += fault.error_m
+            rates[rows] += fault.rate_m_s
+        return errors, rates
+
+    def _faulty_fix(self, fix: Fix, sky: Sky, errors: FloatArray, rates: FloatArray) -> tuple[Fix, Sky]:
+        """Move position, velocity and residuals as errors of pseudoranges and their derivatives do."""
+        if not fix.valid or not errors.any():
+            return fix, sky
+        directions = (sky.system, sky.used, np.radians(sky.elevation_deg), np.radians(sky.azimuth_deg))
+        (shift, residual), (speed, _) = (self._sky.split(values, *directions) for values in (errors, rates))
+        (north, east, down), (v_north, v_east, v_down) = shift.tolist(), (speed + fix.velocity_n).tolist()
+        moved = replace(
+            fix,
+            position=geodetic_from_ned_difference((north, east, down), fix.position),
+            velocity_n=(v_north, v_east, v_down),
+        )
+        return moved, replace(sky, residual_m=sky.residual_m + residual)
 
     def _words(self, sky: Sky, gps_ms: int) -> tuple[SentWords, ...]:
         """Subframes and pages of the used satellites that ended since the epoch before."""

@@ -1,7 +1,8 @@
 """Satellites in view of a position: direction, signal strength (C/N0) and dilution of precision."""
 
 from dataclasses import dataclass
-from math import hypot, pi, radians, sqrt
+from functools import lru_cache
+from math import cos, hypot, pi, radians, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +16,14 @@ BoolArray = npt.NDArray[np.bool_]
 
 HORIZON_DEG = 5.0  # elevation below which satellites are not searched
 WEAKEST_DB_HZ = 24.0  # C/N0 below which a signal is tracked but not used
+TRACKED_DB_HZ = 10.0  # C/N0 below which a signal is lost
+FEWEST = 4  # satellites of a fix
 UNKNOWN_DOP = 99.99
 NAVIGATION = ("gps", "galileo")  # constellations whose measurements and navigation words are simulated
+# Errors of pseudoranges: what orbits, clocks and atmosphere leave varies slowly; noise is white and grows as
+# 1/sin(elevation), and as the signal gets weaker than the reference.
+SLOW_SD_M, SLOW_S = 1.0, 300.0
+NOISE_SD_M, REFERENCE_DB_HZ = 0.4, 45.0
 
 
 @dataclass(frozen=True)
@@ -100,6 +107,8 @@ class SkyModel:
         node, phase = 2.0 * pi * (plane + turned[0]), 2.0 * pi * (slot + plane / 3.0 + turned[1])
         self.orbits = Orbits(self._number, mu, radius, inclination, node, phase)
         self._wave = 2.0 * pi * rng.random((2, len(plane)))
+        self._seed = seed
+        self._knot = lru_cache(maxsize=4)(self._draw)
 
     def at(self, time_s: float, place: Geodetic, *, mask_deg: float, loss_db: float, covered: bool) -> Sky:
         """Compute the satellites in view.
@@ -127,11 +136,14 @@ class SkyModel:
         seen = seen[np.lexsort((-elevation[seen], self._system[seen]))]
         elevation, azimuth = elevation[seen], azimuth[seen]
         # Antenna gain rises by 12 dB from horizon to zenith; multipath is a slow variation of 1.5 dB.
-        waves = np.sin(2.0 * pi * time_s / np.array([[47.0], [13.0]]) + self._wave[:, seen])
-        cn0 = 36.0 + 12.0 * np.sin(elevation) - 20.0 * np.log10(distance[seen] / 23e6) + 1.5 * waves[0] - loss_db
-        hidden = covered | (elevation < radians(mask_deg))
+        wave = np.sin(2.0 * pi * time_s / 47.0 + self._wave[0, seen])
+        cn0 = 36.0 + 12.0 * np.sin(elevation) - 20.0 * np.log10(distance[seen] / 23e6) + 1.5 * wave - loss_db
+        hidden = covered | (elevation < radians(mask_deg)) | (cn0 < TRACKED_DB_HZ)
         used = ~hidden & (cn0 >= WEAKEST_DB_HZ)
-        residual = residuals(0.4 * waves[1] / np.sin(elevation), self._system[seen], used, elevation, azimuth)
+        weakness = 10.0 ** (np.maximum(0.0, REFERENCE_DB_HZ - cn0) / 20.0)
+        slow, white = self._errors(time_s)[:, seen]
+        error = SLOW_SD_M * slow + NOISE_SD_M * weakness / np.sin(elevation) * white
+        residual = self.split(error, self._system[seen], used, elevation, azimuth)[1]
         return Sky(
             seen,
             self._system[seen],
@@ -144,6 +156,63 @@ class SkyModel:
             dilution(elevation[used], azimuth[used]),
         )
 
+    def split(
+        self,
+        error: FloatArray,
+        system: npt.NDArray[np.intp],
+        used: BoolArray,
+        elevation: FloatArray,
+        azimuth: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Divide errors of pseudoranges into the shift of position and clocks, and what stays in the residuals.
+
+        Parameters
+        ----------
+        error : ndarray, shape (n,)
+            [m] Of each satellite.
+        system, used, elevation, azimuth : ndarray, shape (n,)
+            The satellites, angles in rad.
+
+        Returns
+        -------
+        tuple of ndarray, of shapes (3,) and (n,)
+            [m, NED] Shift of the position; [m] residuals, 0 for satellites that are not used.
+
+        Notes
+        -----
+        With H = [-u, clocks] of the used satellites of GPS and Galileo, one clock column for each constellation::
+
+            shift = H^+ error,    residual = (I - H H^+) error
+
+        The other constellations have the clock that leaves no mean residual.
+        """
+        shift, residual = np.zeros(3), np.zeros_like(error)
+        solved = used & np.isin(system, self.navigation_systems)
+        if solved.any():
+            clocks = (system[solved, np.newaxis] == np.unique(system[solved])).astype(np.float64)
+            H = np.column_stack([_design(elevation[solved], azimuth[solved])[:, :3], clocks])
+            solution = np.linalg.lstsq(H, error[solved], rcond=None)[0]
+            shift, residual[solved] = solution[:3], error[solved] - H @ solution
+        for other in np.unique(system[used & ~solved]):
+            rows = used & (system == other)
+            residual[rows] = error[rows] - error[rows].mean()
+        return shift, residual
+
+    def _errors(self, time_s: float) -> FloatArray:
+        """Slow and white errors of unit standard deviation of all satellites, shape (2, m): functions of time alone.
+
+        The slow one passes from one normally distributed number to the next within `SLOW_S`::
+
+            x(t) = cos(pi f / 2) g_k + sin(pi f / 2) g_k+1,    k + f = t / SLOW_S
+        """
+        knot, share = divmod(time_s, SLOW_S)
+        angle = 0.5 * pi * share / SLOW_S
+        slow = cos(angle) * self._knot(0, int(knot)) + sin(angle) * self._knot(0, int(knot) + 1)
+        return np.stack([slow, self._knot(1, round(time_s * 1e3))])
+
+    def _draw(self, kind: int, index: int) -> FloatArray:
+        return np.random.default_rng((*self._seed, kind, index % 2**63)).standard_normal(len(self._number))
+
     def _directions(self, time_s: float, place: Geodetic) -> tuple[FloatArray, FloatArray, FloatArray]:
         of = self.orbits.broadcast(time_s)
         satellite_e = self.orbits.position_e(of, np.array(time_s - of.toe_s), np.arange(len(self._number)))
@@ -151,29 +220,6 @@ class SkyModel:
         distance = np.linalg.norm(sight_n, axis=1)
         azimuth = np.arctan2(sight_n[:, 1], sight_n[:, 0]) % (2.0 * pi)
         return distance, np.arcsin(-sight_n[:, 2] / distance), azimuth
-
-
-def residuals(
-    noise: FloatArray, system: npt.NDArray[np.intp], used: BoolArray, elevation: FloatArray, azimuth: FloatArray
-) -> FloatArray:
-    """Take from the noise of n pseudoranges [m] the part that would move position or clock.
-
-    The rest of it, shape (n,), is what least squares leave as residuals; 0 for satellites that are not used.
-
-    Notes
-    -----
-    With H = [-u, 1] of the satellites of one constellation, for each of them, so that any choice of constellations
-    has the same position::
-
-        e = (I - H (H' H)^-1 H') noise
-    """
-    left = np.zeros_like(noise)
-    for one in np.unique(system):
-        rows = used & (system == one)
-        if rows.sum() > 4:
-            H = _design(elevation[rows], azimuth[rows])
-            left[rows] = noise[rows] - H @ np.linalg.lstsq(H, noise[rows], rcond=None)[0]
-    return left
 
 
 def dilution(elevation: FloatArray, azimuth: FloatArray) -> Dop:

@@ -112,7 +112,8 @@ def test_rates_without_acceleration_are_rejected_instead_of_interpolated_over_a_
 
 def test_status_lines_of_one_time_are_the_satellites_of_one_epoch() -> None:
     (one,), _ = converted(
-        f"Status,{UTC_MS},2,0,1,5,1575420032,40.5,10.0,20.0,1,1,1", f"Status,{UTC_MS},2,1,6,11,1575420032,,200.0,70.0,0,1,1"
+        f"Status,{UTC_MS},2,0,1,5,1575420032,40.5,10.0,20.0,1,1,1",
+        f"Status,{UTC_MS},2,1,6,11,1575420032,,200.0,70.0,0,1,1"
     )  # fmt: skip
     assert isinstance(one, GnssSatellites)
     assert [(s.constellation, s.number, s.cn0_db_hz, s.used) for s in one.satellites] == [

@@ -8,10 +8,11 @@ import pytest
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import Constellation, Outcome, RawEpoch, SatelliteSolution, SatelliteVerdict
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
+from services.core.cooperative.v2x.forward import Estimate, Neighbours, range_rates
 from services.core.cooperative.v2x.monitor import MAX_NEIGHBOURS, CooperativeMonitor, CooperativeSettings
-from services.core.cooperative.v2x.neighbours import NeighbourReport
-from services.core.cooperative.v2x.range_rate import cfo_from_range_rate
+from services.core.cooperative.v2x.neighbours import NeighbourReport, NeighbourTest
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
+from shared.maths.frequency_offset import cfo_from_range_rate
 from tests.support.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch
 
 STORE = filled_store()
@@ -22,12 +23,12 @@ ROAD_E = ORIGIN + np.outer([-100.0, 200.0, 500.0], TO_NED.T @ (SPEED_N / 13.0))
 RECEIVER = -3e-7  # [-] of the vehicle's radio
 
 
-def truth(k: int) -> np.ndarray:
+def truth(k: float) -> np.ndarray:
     position: np.ndarray = ORIGIN + TO_NED.T @ (k * SPEED_N)
     return position
 
 
-def neighbours(k: int, rng: np.random.Generator | None = None) -> tuple[NeighbourReport, ...]:
+def neighbours(k: int, rng: np.random.Generator | None = None, lag_s: float = 0.0) -> tuple[NeighbourReport, ...]:
     reports = []
     cars = (
         ((30.0, 10.0, 0.0), (1.0, 0.5, 0.0)),
@@ -38,7 +39,7 @@ def neighbours(k: int, rng: np.random.Generator | None = None) -> tuple[Neighbou
         offset = 1e-7 * number
         rate = float(np.dot(relative, away) / np.linalg.norm(away))
         cfo = cfo_from_range_rate(rate, offset, RECEIVER) + (20.0 * rng.standard_normal() if rng else 0.0)
-        position = truth(k) + TO_NED.T @ np.array(away)
+        position = truth(k - lag_s) + TO_NED.T @ np.array(away)
         velocity = TO_NED.T @ (SPEED_N + np.array(relative))
         x, y, z = position.tolist()
         vx, vy, vz = velocity.tolist()
@@ -142,21 +143,102 @@ BAD = (
     ("implausible_neighbour", {"velocity_e": (4000.0, 0.0, 0.0)}),
     ("neighbour_without_accuracy", {"position_sd_m": 0.0}),
     ("neighbour_without_accuracy", {"cfo_sd_hz": NAN}),
+    ("neighbour_without_accuracy", {"position_sd_m": None}),
+    ("neighbour_without_accuracy", {"velocity_sd_m_s": float("inf")}),
+    ("inaccurate_neighbour", {"position_sd_m": 500.0}),
+    ("inaccurate_neighbour", {"velocity_sd_m_s": 40.0}),
+    ("implausible_neighbour", {"position_e": tuple((truth(1) + TO_NED.T @ np.array([5000.0, 0.0, 0.0])).tolist())}),
+    ("neighbour_too_near", {"position_e": tuple(truth(1).tolist())}),
 )
+
+
+def started() -> CooperativeMonitor:
+    """A monitor that has used one epoch."""
+    monitor = CooperativeMonitor()
+    judged(monitor, epoch(0), 0)
+    return monitor
 
 
 @pytest.mark.parametrize(("reason", "change"), BAD)
 def test_bad_neighbours_are_refused_with_a_counted_reason(reason: str, change: dict[str, object]) -> None:
-    first, *rest = neighbours(0)
+    first, *rest = neighbours(1)
     reports = (replace(first, **change), *rest)  # type: ignore[arg-type]
-    verdict = CooperativeMonitor().evaluate(epoch(0), STORE, reports, road_e=ROAD_E, start=start())
+    verdict = started().evaluate(epoch(1), STORE, reports, road_e=None, start=None)
     assert verdict.outcome == Outcome.PASS and verdict.rejected == {reason: 1}
+    assert [finding.name for finding in verdict.neighbours] == [report.name for report in rest]
 
 
 def test_a_crowd_of_neighbours_is_bounded() -> None:
-    crowd = tuple(replace(neighbours(0)[0], name=f"car-{k}") for k in range(500))
-    verdict = CooperativeMonitor().evaluate(epoch(0), STORE, crowd, road_e=None, start=start())
+    crowd = tuple(replace(neighbours(1)[0], name=f"car-{k}") for k in range(500))
+    verdict = started().evaluate(epoch(1), STORE, crowd, road_e=None, start=None)
     assert verdict.rejected == {"too_many_neighbours": 500 - MAX_NEIGHBOURS}
+    assert len(verdict.neighbours) == MAX_NEIGHBOURS
+
+
+@pytest.mark.parametrize("late_s", [-1.5, 0.3])
+def test_reports_from_before_the_last_epoch_or_after_this_one_are_refused(late_s: float) -> None:
+    stamped = replace(neighbours(1)[0], gps_time_ns=epoch(1).gps_time_ns + round(late_s * 1e9))
+    verdict = started().evaluate(epoch(1), STORE, (stamped,), road_e=None, start=None)
+    assert verdict.rejected == {"late_neighbour": 1} and verdict.outcome == Outcome.NOT_EVALUATED
+
+
+def test_reports_between_two_epochs_are_used_at_their_own_time() -> None:
+    """Range-rates half a second before the epoch, of cars that pass: used a half second late they would contradict."""
+    rng, monitor = np.random.default_rng(8), CooperativeMonitor()
+    for k in range(60):
+        between = tuple(
+            replace(report, gps_time_ns=epoch(k).gps_time_ns - 500_000_000) for report in neighbours(k, rng, lag_s=0.5)
+        )
+        verdict = monitor.evaluate(epoch(k, rng), STORE, between, road_e=None, start=start(k) if k == 0 else None)
+        assert not any(finding.excluded for finding in verdict.neighbours), f"epoch {k}"
+
+
+def lying(k: int, rng: np.random.Generator, liars: int, speed: float) -> tuple[NeighbourReport, ...]:
+    """Reports of which the first ones add the same speed, along the road, to their velocity."""
+    added = speed * (TO_NED.T @ (SPEED_N / 13.0))
+    told = []
+    for number, report in enumerate(neighbours(k, rng)):
+        vx, vy, vz = (np.array(report.velocity_e) + (added if number < liars else 0.0)).tolist()
+        told.append(replace(report, velocity_e=(vx, vy, vz)))
+    return tuple(told)
+
+
+@pytest.mark.parametrize("liars", [1, 2])
+def test_neighbours_that_lie_are_excluded_and_come_back_eight_reports_after_they_tell_the_truth(liars: int) -> None:
+    """Two of three lie alike: a majority, but the oscillator of the own radio is known from before."""
+    rng, monitor = np.random.default_rng(9), CooperativeMonitor()
+    for k in range(50):
+        reports = lying(k, rng, liars, 8.0 if 20 <= k < 30 else 0.0)
+        verdict = monitor.evaluate(epoch(k, rng), STORE, reports, road_e=None, start=start(k) if k == 0 else None)
+        excluded = {finding.name for finding in verdict.neighbours if finding.excluded}
+        assert excluded == ({f"car-{number}" for number in range(liars)} if 20 <= k < 38 else set()), f"epoch {k}"
+        assert k == 0 or verdict.outcome == Outcome.PASS, "a neighbour that lies is no fault of a satellite"
+
+
+def test_two_strangers_that_contradict_each_other_are_both_excluded() -> None:
+    """With the own oscillator unknown nothing says which of the two lies."""
+    rng, monitor = np.random.default_rng(10), started()
+    first, second, _ = lying(1, rng, 1, 30.0)
+    verdict = monitor.evaluate(epoch(1), STORE, (first, second), road_e=None, start=None)
+    assert [finding.excluded for finding in verdict.neighbours] == [True, True]
+    assert verdict.outcome == Outcome.NOT_EVALUATED and verdict.reason == "no usable neighbour and no road"
+
+
+def test_honest_neighbours_are_excluded_at_the_design_rate() -> None:
+    """Errors of estimate, published states and measurements as large as they are said to be; 5,000 lists at 1e-2."""
+    rng, size, m, rate = np.random.default_rng(11), 10, 4, 1e-2
+    P = np.diag([4.0, 4.0, 9.0, 1.0, 1.0, 0.1, 1.0, 4.0, 9.0, 9.0])
+    position, velocity = rng.normal(0.0, (80.0, 80.0, 0.0), (m, 3)), rng.normal(0.0, (10.0, 10.0, 0.0), (m, 3))
+    begun = 0
+    for _ in range(5000):
+        x = np.sqrt(np.diag(P)) * rng.standard_normal(size)
+        published = Neighbours(position + rng.standard_normal((m, 3)), velocity, np.zeros(m), np.ones(m), np.ones(m))
+        exact = published._replace(position_n=position)
+        measured = range_rates(x, exact) + x[7] + rng.standard_normal(m)
+        test = NeighbourTest(rate, 8, 3.0, 60.0)
+        used, _ = test.evaluate(tuple("abcd"), published._replace(shifted_rate=measured), Estimate(0.0 * x, P), 0)
+        begun += not used.all()
+    assert abs(begun / 5000 - rate) < 4.0 * np.sqrt(rate / 5000)
 
 
 def test_bad_satellites_are_counted_too() -> None:

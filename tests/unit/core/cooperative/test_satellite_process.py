@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.core.cooperative.measurements import Constellation, RawEpoch, SatelliteId
-from services.core.cooperative.process import Config, Process
+from services.core.cooperative.process import Config, In, Process
 from services.core.cooperative.statements import MAX_TESTS
 from shared.maths.earth import Geodetic, ecef_from_geodetic
 from shared.messages.base import Tick
@@ -53,13 +53,14 @@ def at(second: int, seed: int = 1, push: tuple[SatelliteId, float] | None = None
     return pushed(epoch, *push) if push else epoch
 
 
-def said(process: Process, *messages: GnssRawEpoch | GnssNavigationBits | GnssFix | Tick) -> list[TrustMonitor]:
-    return [statement for one in messages for statement in process.handle(one)]
+def said(process: Process, *messages: In) -> list[TrustMonitor]:
+    produced = (one for message in messages for one in process.handle(message))
+    return [one for one in produced if isinstance(one, TrustMonitor)]
 
 
-def informed(satellites: tuple[str, ...] | None = None) -> Process:
+def informed(satellites: tuple[str, ...] | None = None, config: Config | None = None) -> Process:
     """A process that knows the time and ephemerides."""
-    process = Process(Config())
+    process = Process(config or Config())
     said(process, GnssFix(
         sampled_ns=0, received_ns=0, source="gnss0", gps_time_ns=NOW_NS, fix_type=FixType.THREE_D,
     ), *bits(0.0, satellites))  # fmt: skip
@@ -81,10 +82,10 @@ def test_satellites_that_agree_pass_with_one_test_each() -> None:
     assert statement.statistic is not None and statement.threshold is not None
     assert statement.statistic < statement.threshold
     assert statement.false_alarm_rate == 1e-5
-    assert 10 < len(statement.tests) <= MAX_TESTS
-    assert all(
-        test.outcome is MonitorOutcome.PASS and "minimal detectable bias" in test.reason for test in statement.tests
-    )
+    *satellites, cooperative = statement.tests
+    assert 10 < len(satellites) <= MAX_TESTS
+    assert all(test.outcome is MonitorOutcome.PASS and "minimal detectable bias" in test.reason for test in satellites)
+    assert (cooperative.name, cooperative.outcome) == ("cooperative", MonitorOutcome.NOT_EVALUATED)
 
 
 def test_a_push_of_50_m_is_excluded_in_its_epoch_and_the_satellite_returns_when_it_has_agreed() -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from services.core.cooperative.detection import global_threshold, noncentrality, weighted_fit
 from services.core.cooperative.paper.scenario import real_rows, virtual_rows
-from services.core.cooperative.v2x.range_rate import cfo_from_range_rate, range_rate_from_cfo
 from services.core.cooperative.v2x.virtual import (
     baarda_biases,
     baarda_statistics,
@@ -21,6 +20,7 @@ from services.core.cooperative.v2x.virtual import (
     residual_cov,
     residual_test,
 )
+from shared.maths.frequency_offset import cfo_from_range_rate, range_rate_from_cfo
 
 SD, P_FA, P_MD = 3.0, 1e-5, 1e-4
 ANGLES = 5e-4  # tolerance of the reference geometry, whose angles are rounded

@@ -46,6 +46,8 @@ def anchor_at(drive: Drive, time_s: float) -> FilterAnchor:
         height=height,
         stationary=False,
         gnss_age_s=None,
+        attitude_cov=np.zeros((3, 3)),
+        gyroscope_bias_sd=np.zeros(3),
         scale=1.0,
         yaw=0.0,
         pitch=0.0,
@@ -98,7 +100,8 @@ def test_covariance_of_an_unaided_run_grows_by_the_closed_form() -> None:
     P[0, 0], P[4, 4], P[6, 6], P[4, 6] = 0.05**2, 1e-3**2, 0.01**2, -0.8 * 1e-3 * 0.01
     P[6, 4] = P[4, 6]
     level = FilterAnchor(
-        0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.8, 300.0, False, None, 1.0, 0.0, 0.0, P
+        0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.8, 300.0, False, None,
+        np.zeros((3, 3)), np.zeros(3), 1.0, 0.0, 0.0, P
     )  # fmt: skip
     free = FreePropagation(level, settings)
     still = Increment(0, 100_000_000, np.array([0.0, 0.0, -0.98]), np.eye(3), np.zeros(3), 0.0, False)

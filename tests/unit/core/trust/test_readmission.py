@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from services.core.trust.facts import SECOND_NS, Facts, Monitor, Outcome, Statement
-from services.core.trust.readmission import Admission, Readmission, healthy_time, judge_gnss
+from services.core.trust.facts import SECOND_NS, Facts, Monitor, Outcome, Solution, Statement
+from services.core.trust.readmission import Admission, Readmission, healthy_time, is_lost, judge_gnss
 
 
 class Source:
@@ -105,12 +105,15 @@ def test_the_suspect_time_is_the_earliest_one_stated() -> None:
     assert readmission.update(300, accused=True, agrees=False, suspect_since_ns=90).suspect_since_ns == 20
 
 
+DEAD_RECKONING = Solution(0, True, "coasting", 8.0, 5.0, 30.0, 0)
+
+
 def facts(**outcomes: tuple[Outcome, tuple[str, ...]]) -> Facts:
     statements = {}
     for monitor in Monitor:
         outcome, accused = outcomes.get(monitor.value, (Outcome.PASS, ()))
         statements[monitor] = Statement(monitor, outcome, 0, "", accused, suspect_since_ns=len(monitor))
-    return Facts(0, None, statements)
+    return Facts(0, DEAD_RECKONING, statements, gnss_excluded=True, exclusion_confirmed=True, excluded_test_ratio=0.5)
 
 
 ACCUSED = (Outcome.ACCUSES, ("gnss",))
@@ -143,3 +146,36 @@ def test_a_dead_inertial_monitor_keeps_gnss_excluded() -> None:
         accused, agrees, suspect = judge_gnss(dead)
         admission = readmission.update(time_s * SECOND_NS, accused=accused, agrees=agrees, suspect_since_ns=suspect)
         assert admission.excluded
+
+
+@pytest.mark.parametrize(
+    ("changes", "agrees"),
+    [
+        ({}, True),
+        ({"exclusion_confirmed": False}, False),
+        ({"excluded_test_ratio": 1.2}, False),
+        ({"excluded_test_ratio": None}, False),
+        ({"excluded_test_ratio": 1.2, "solution": replace(DEAD_RECKONING, protection_level_horizontal_m=10.1)}, True),
+        ({"excluded_test_ratio": 1.2, "solution": replace(DEAD_RECKONING, protection_level_vertical_m=20.1)}, True),
+    ],
+)
+def test_positions_that_contradict_a_solution_within_the_alert_limit_do_not_agree(
+    changes: dict[str, object], agrees: bool
+) -> None:
+    assert judge_gnss(replace(facts(), **changes))[1] is agrees  # type: ignore[arg-type]
+
+
+def test_gnss_is_readmitted_after_a_minute_without_accusation_where_the_solution_is_lost() -> None:
+    lost = replace(
+        facts(inertial_short=(Outcome.NOT_EVALUATED, ()), inertial_long=(Outcome.NOT_EVALUATED, ())),
+        solution=replace(DEAD_RECKONING, navigating=False),
+        exclusion_confirmed=False,
+    )
+    readmission = Readmission()
+    readmission.update(0, accused=True, agrees=False)
+    excluded = []
+    for time_s in range(1, 70):
+        accused, agrees, _ = judge_gnss(lost)
+        admission = readmission.update(time_s * SECOND_NS, accused=accused, agrees=agrees, lost=is_lost(lost))
+        excluded.append(admission.excluded)
+    assert excluded.count(True) == 60

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
+from services.sensors.simulator.attacks.signals import Odometer
 from services.sensors.simulator.can.can_bus import CanBus
 from services.sensors.simulator.can.can_frames import line, speed_request, speed_response, wheel_frame, wheel_speeds
 from services.sensors.simulator.motion.trajectory import Motion
@@ -27,7 +28,10 @@ def database() -> Database:
 
 @pytest.fixture(scope="module")
 def drive() -> tuple[list[CanRaw], Motion]:
-    vehicle, can = Vehicle(BY_NAME["parking_lot"], 1, 0.01), CanBus(1, START_NS, np.random.default_rng(1))
+    vehicle, can = (
+        Vehicle(BY_NAME["parking_lot"], 1, 0.01),
+        CanBus(1, START_NS, np.random.default_rng(1), lambda _: Odometer()),
+    )
     motions = [vehicle.advance(100).motion for _ in range(60)]
     batches: list[CanRaw] = []
     for second, motion in enumerate(motions):

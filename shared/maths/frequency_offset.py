@@ -8,7 +8,7 @@ to first order; rdot > 0 while the range grows. 1 ppm between the oscillators is
 neighbour, y_r is a state of the forward filter.
 """
 
-from shared.maths.gnss_signals import SPEED_OF_LIGHT
+from .gnss_signals import SPEED_OF_LIGHT
 
 CARRIER_FREQUENCY = 5.9e9  # [Hz] ITS-G5 control channel, ETSI EN 302 663
 MAX_OFFSET = 100e-6  # [-] far more than any oscillator of a radio (IEEE 802.11: ±20 ppm)

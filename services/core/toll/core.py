@@ -1,0 +1,641 @@
+"""Everything that core.toll does with a message, without a bus or a clock: also what derives a charge again."""
+
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import cos, hypot, pi, sin, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import FloatArray
+from shared.messages.base import LARGEST_NS
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix
+from shared.messages.toll import (
+    EvidenceFrame,
+    GateCommand,
+    GateMode,
+    LanePosterior,
+    LaneProbability,
+    OpenPassages,
+    PassageEvidence,
+    PassageState,
+    TollDelta,
+    TollPassage,
+    TollRegistration,
+    TollTrack,
+    TollTracks,
+)
+from shared.messages.v2x import Cam, StationType
+from shared.toll.plaza import Plaza, along
+
+from .delta import DeltaEstimator
+from .gates import Arrival, is_near, refusal
+from .lanes import LaneGeometry
+from .location import COMMON, Fixes, Location, locate
+from .measurement import ELLIPSE_95
+from .passages import Crossing, Here, Passage, crossing_between, overlap, passage_id
+from .settings import Settings
+from .tracks import Track, TrackTable, Update
+
+VERSION = "1"  # of the algorithms, for evidence
+SECOND_NS = 10**9
+ALIGNED = 0.5  # cosine between heading and lane above which a vehicle drives along it
+ON_ROAD = 0.5  # probability of all lanes together above which a vehicle may open a passage
+MAX_REGISTRATIONS = 20_000
+MAX_UNSETTLED = 2000  # final statements that wait for the ledger
+REPEATED = 50  # of them a second
+DELTAS = 1800  # half an hour, for evidence
+GATE_VALID_S = 5  # after the predicted crossing
+LEAST_PROBABILITY = 1e-9  # that is published
+DELTA_ROUNDING = 4  # decimals of metres
+NO_VEHICLE = {StationType.ROAD_SIDE_UNIT, StationType.PEDESTRIAN, StationType.CYCLIST, StationType.TRAM}
+
+BoolArray = npt.NDArray[np.bool_]
+Statement = TollPassage | GateCommand
+
+
+@dataclass
+class Journey:
+    """What is known of a track besides its estimate."""
+
+    here: Here | None = None
+    before: Here | None = None  # the newest position before the gate line
+    crossing: Crossing | None = None
+    passage: Passage | None = None
+
+
+class Core:
+    """Tracks, delta position, passages and gates of one plaza.
+
+    What it says of a vehicle follows from that vehicle's CAM, the deltas and the settings alone: a CAM is corrected by
+    the newest delta that is older than `delta.latency_s` when the CAM arrives, and a passage begins with a new track.
+    """
+
+    def __init__(self, plaza: Plaza, settings: Settings) -> None:
+        self._plaza, self._settings = plaza, settings
+        self._model, self._agreement = settings.errors.model, settings.delta.agreement
+        self._table = TrackTable(settings, plaza)
+        delta = settings.delta
+        self._estimator = DeltaEstimator(
+            self._model, window_s=delta.window_s, least_s=delta.least_s, max_age_s=delta.max_age_s
+        )
+        self._geometry = _geometry(plaza)
+        self._directions = np.array([lane.direction for lane in plaza.lanes])
+        self._deltas: deque[TollDelta] = deque(maxlen=DELTAS)
+        self._journeys: dict[int, Journey] = {}
+        self._passages: dict[str, Passage] = {}  # of a track, or continued from the ledger
+        self._unsettled: dict[str, TollPassage] = {}  # last statements of ended passages
+        self._contracts: dict[int, int] = {}  # station ID: end of its registration
+        self._gates: dict[str, tuple[str, int]] = {}  # passage: content and time of its newest gate command
+        self._rejected: Counter[str] = Counter()
+        self._cams = 0
+        self._newest_cam_ns = 0
+        self._ready_ns: int | None = None  # from then on passages are opened
+        self._source: str | None = settings.source
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Rejected messages by reason."""
+        return self._rejected + self._table.rejected
+
+    def register(self, message: TollRegistration) -> None:
+        """Note the contract of a station ID."""
+        if message.station_id not in self._contracts and len(self._contracts) >= MAX_REGISTRATIONS:
+            self._rejected["too_many_registrations"] += 1
+            return
+        self._contracts[message.station_id] = message.valid_until_ns
+
+    def fix(self, fix: GnssFix) -> None:
+        """Use a fix of the unit's own receiver."""
+        self._source = self._source or fix.source
+        if fix.source != self._source:
+            self._rejected["second_receiver"] += 1
+        elif fix.fix_type is not FixType.THREE_D or fix.latitude_deg is None or fix.longitude_deg is None:
+            self._rejected["fix_without_position"] += 1
+        elif fix.differential or fix.carrier_solution is not CarrierSolution.NONE:
+            self._rejected["fix_is_corrected"] += 1  # its error is not that of the vehicles
+        else:
+            north, east = self._plaza.plane(fix.latitude_deg, fix.longitude_deg)
+            if reason := self._estimator.add(fix.sampled_ns, east, north):
+                self._rejected[reason] += 1
+
+    def estimate_delta(self, now_ns: int) -> TollDelta:
+        """Compute the delta position; it is used once it is passed to `use_delta`."""
+        found = self._estimator.delta(now_ns)
+        if isinstance(found, str):
+            return TollDelta(sampled_ns=now_ns, plaza=self._plaza.name, valid=False, reason=found)
+        return TollDelta(
+            sampled_ns=found.time_ns,
+            plaza=self._plaza.name,
+            valid=True,
+            reason="",
+            north_m=round(found.north, DELTA_ROUNDING),
+            east_m=round(found.east, DELTA_ROUNDING),
+            sd_m=round(found.sd, DELTA_ROUNDING),
+            fixes=found.fixes,
+            window_s=found.window_s,
+        )
+
+    def use_delta(self, delta: TollDelta) -> None:
+        """Use a delta for the CAM that arrive from `delta.latency_s` after it on."""
+        if not delta.valid or (self._deltas and delta.sampled_ns <= self._deltas[-1].sampled_ns):
+            return
+        if delta.sampled_ns + round(self._settings.delta.latency_s * SECOND_NS) < self._newest_cam_ns:
+            self._rejected["late_delta"] += 1  # CAM that it belongs to are used already
+        else:
+            self._deltas.append(delta)
+
+    def continue_passages(self, message: OpenPassages) -> Iterator[Statement]:
+        """Take over the passages that the ledger holds and this process does not; forget those that are settled."""
+        self._ready_ns = min(message.sampled_ns, self._ready_ns or message.sampled_ns)
+        for settled in message.settled:
+            self._unsettled.pop(settled, None)
+        for statement in message.passages:
+            known = statement.passage_id in self._passages or statement.passage_id in self._unsettled
+            if known or statement.state.is_final or statement.passage_id in message.settled:
+                continue
+            passage = self._continued(statement)
+            self._passages[passage.passage_id] = passage
+            yield from self._take_over(passage)
+
+    def use(self, cams: Sequence[Cam]) -> Iterator[Statement]:
+        """Use a batch of CAM."""
+        vehicles = [cam for cam in cams if cam.station_type not in NO_VEHICLE]
+        self._newest_cam_ns = max([self._newest_cam_ns, *(cam.received_ns for cam in vehicles)])
+        self._rejected["no_road_vehicle"] += len(cams) - len(vehicles)
+        for updates in self._table.use(vehicles):
+            self._cams += len(updates)
+            for update, here in zip(updates, self._located(updates), strict=True):
+                yield from self._moved(update, here)
+
+    def tick(self, now_ns: int) -> Iterator[Statement]:
+        """Repeat the state of each passage, end those of vehicles that fell silent, and delete old tracks."""
+        if self._ready_ns is None:
+            self._ready_ns = now_ns + round(self._settings.passage.resume_wait_s * SECOND_NS)
+        self._delete_silent(now_ns)
+        self._contracts = {station: until for station, until in self._contracts.items() if until > now_ns}
+        repeated = list(self._unsettled.values())[:REPEATED]
+        for passage in [one for one in self._passages.values() if not one.state.is_final]:
+            if now_ns - passage.here.time_ns > self._settings.passage.lost_after_s * SECOND_NS:
+                passage.lose()
+                yield self._ended(passage, now_ns)
+                self._forget(passage)
+            else:
+                passage.remember_lanes()
+                yield self._statement(passage, now_ns, checkpoint=True)
+        for statement in repeated:
+            yield statement.model_copy(update={"sampled_ns": now_ns, "checkpoint": True})
+            self._unsettled[statement.passage_id] = self._unsettled.pop(statement.passage_id)
+
+    def _delete_silent(self, now_ns: int) -> None:
+        """Delete the tracks of silent vehicles; their passages wait for another track, or are lost later."""
+        for track in self._table.delete_silent(now_ns):
+            journey = self._journeys.pop(track.number, None)
+            if journey and journey.passage:
+                journey.passage.track = None
+                if journey.passage.state.is_final:
+                    self._forget(journey.passage)
+
+    def tracks(self, now_ns: int) -> TollTracks:
+        """Describe every track."""
+        return TollTracks(
+            sampled_ns=now_ns,
+            tracks=tuple(
+                self._track(track, journey.here, journey.passage)
+                for track in self._table.tracks
+                if (journey := self._journeys.get(track.number)) and journey.here
+            ),
+            cams=self._cams,
+            rejected=self.rejected.total(),
+            trust=self._trust(now_ns),
+        )
+
+    # Positions
+
+    def _located(self, updates: Sequence[Update]) -> list[Here]:
+        """Locate the vehicles of a round relative to the lanes."""
+        estimates = self._table.estimates([update.track for update in updates])
+        mean, cov = estimates.mean, estimates.cov
+        deltas = [self._delta_for(update.measured.cam.received_ns) for update in updates]
+        stated = [update.measured.stated_sd for update in updates]
+        common_sd = self._model.common_sd
+        fixes = Fixes(
+            mean[:, :2],
+            cov[:, :2, :2],
+            np.array([value or 0.0 for value in stated]),
+            np.array([value is not None for value in stated]),
+            np.array([(delta.east_m, delta.north_m) if delta else (0.0, 0.0) for delta, _ in deltas], dtype=np.float64),
+            np.array([sd if delta else common_sd for delta, sd in deltas]),
+        )
+        projection = self._geometry.project(fixes.position)
+        heading = np.stack([np.cos(mean[:, 2]), np.sin(mean[:, 2])], axis=-1)
+        along_lane = np.vecdot(projection.direction, heading[:, None]) > ALIGNED
+        allowed = along_lane.copy()
+        for k, update in enumerate(updates):
+            journey = self._journeys.get(update.track.number)
+            if journey and journey.passage:
+                allowed[k] = self._directions == journey.passage.direction
+        allowed |= ~allowed.any(axis=1, keepdims=True)
+        location = locate(projection, fixes, allowed, self._model, self._agreement)
+        return [
+            self._here(update, mean[k], cov[k], _row(location, k), deltas[k][0], along_lane[k])
+            for k, update in enumerate(updates)
+        ]
+
+    def _here(
+        self,
+        update: Update,
+        mean: FloatArray,
+        cov: FloatArray,
+        location: Location,
+        delta: TollDelta | None,
+        along_lane: BoolArray,
+    ) -> Here:
+        lane = int(location.lanes.argmax())
+        variance = float(location.sd) ** 2
+        applied = delta is not None and int(location.hypotheses.argmax()) == COMMON
+        return Here(
+            time_ns=update.measured.time_ns,
+            east=float(mean[0] + location.shift[0]),
+            north=float(mean[1] + location.shift[1]),
+            cov=(float(cov[0, 0]) + variance, float(cov[0, 1]), float(cov[1, 1]) + variance),
+            heading=float(mean[2]),
+            speed=float(mean[3]),
+            speed_sd=sqrt(cov[3, 3]),
+            direction=str(self._directions[lane]),
+            aligned=bool(along_lane[lane]),
+            along=float(location.along),
+            along_sd=float(location.along_sd),
+            lanes=tuple(location.lanes.tolist()),
+            lane=lane,
+            delta_ns=delta.sampled_ns if delta and applied else None,
+        )
+
+    def _delta_for(self, received_ns: int) -> tuple[TollDelta | None, float]:
+        """Delta for a CAM that arrived at a time, and the standard deviation [m] of its error then."""
+        newest_ns = received_ns - round(self._settings.delta.latency_s * SECOND_NS)
+        for delta in reversed(self._deltas):
+            if delta.sampled_ns <= newest_ns:
+                age_s = (received_ns - delta.sampled_ns) * 1e-9
+                if age_s > self._settings.delta.max_age_s or delta.sd_m is None:
+                    return None, 0.0
+                return delta, sqrt(delta.sd_m**2 + self._model.change_variance(age_s))
+        return None, 0.0
+
+    # Passages
+
+    def _moved(self, update: Update, here: Here) -> Iterator[Statement]:
+        """Follow a vehicle's passage with its newest position."""
+        track = update.track
+        journey = self._journeys.setdefault(track.number, Journey())
+        if update.continues:
+            self._inherit(journey, self._journeys.pop(update.continues.number, None), track)
+        if journey.passage is None:
+            self._adopt(journey, track, here)
+        if journey.passage is None and self._may_open(track, here):
+            here = self._reborn(update)
+            if self._may_open(track, here):
+                yield self._opened(journey, update, here)
+        self._note(journey, here, self._settings.passage.decided)
+        passage = journey.passage
+        if passage is None:
+            return
+        passage.registered = passage.registered or self._is_registered(passage.station_ids, here.time_ns)
+        exit_line = float(self._geometry.exit[here.lane])
+        if passage.advance(here, journey.crossing, exit_line, self._settings.passage):
+            yield self._changed(passage, track, here)
+        yield from self._command(passage, here)
+        has_left = here.along > exit_line + self._settings.passage.turned_m
+        if passage.state is PassageState.VOID or (passage.state.is_final and has_left):
+            self._forget(passage)
+            journey.passage = journey.crossing = journey.before = None
+
+    @staticmethod
+    def _note(journey: Journey, here: Here, decided: float) -> None:
+        """Remember the newest position before the gate line, and the crossing."""
+        journey.here = here
+        if here.along < 0.0:
+            journey.before, journey.crossing = here, None
+        elif journey.crossing is None and journey.before is not None:
+            journey.crossing = crossing_between(journey.before, here, decided)
+
+    def _may_open(self, track: Track, here: Here) -> bool:
+        """Whether a vehicle without a passage is between approach line and gate line, drives forward, and is sure."""
+        is_ready = self._ready_ns is not None and here.time_ns >= self._ready_ns
+        inside = self._geometry.approach[here.lane] <= here.along < -self._settings.passage.crossed_m
+        return is_ready and inside and here.aligned and sum(here.lanes) > ON_ROAD and track.predecessor is None
+
+    def _reborn(self, update: Update) -> Here:
+        """Begin the track anew with its newest CAM, as if it were the first one."""
+        self._table.restart(update)
+        return self._located([update])[0]
+
+    def _opened(self, journey: Journey, update: Update, here: Here) -> TollPassage:
+        passage = Passage(
+            passage_id(self._plaza.name, update.measured.cam.frame),
+            opened_ns=here.time_ns,
+            direction=here.direction,
+            station_ids=[update.track.station_id],
+            here=here,
+            track=update.track.number,
+        )
+        passage.registered = self._is_registered(passage.station_ids, here.time_ns)
+        journey.passage, journey.before, journey.crossing = passage, None, None
+        self._passages[passage.passage_id] = passage
+        return self._statement(passage, here.time_ns)
+
+    def _changed(self, passage: Passage, track: Track, here: Here) -> TollPassage:
+        """Make the statement on a change of a passage's state; one that overlaps another passage is suspect."""
+        crossing = passage.crossing
+        if passage.state is PassageState.CROSSED and crossing and (other := self._overlapped(passage, here)):
+            passage.suspect(other)
+        evidence = None
+        if passage.registered and passage.state in (PassageState.CROSSED, PassageState.CHARGED):
+            evidence = self._evidence(passage, track)
+        statement = self._statement(passage, here.time_ns, evidence=evidence)
+        return self._kept(statement) if passage.state.is_final else statement
+
+    def _overlapped(self, passage: Passage, here: Here) -> Passage | None:
+        """Find a passage that crossed the gate line before in the same lane, and whose vehicle is still there."""
+        lane = passage.crossing.lane if passage.crossing else None
+        if lane is None:
+            return None
+        model = self._model
+        relative_sd = sqrt(2.0) * sqrt(model.vehicle_sd**2 + self._settings.errors.white_sd_m**2)
+        for other in self._passages.values():
+            crossed = other.state in (PassageState.CROSSED, PassageState.CHARGED, PassageState.UNREGISTERED)
+            if other is passage or not crossed or not other.crossing or other.crossing.lane != lane:
+                continue
+            length_m = self._length_of(other)
+            if overlap(other, here, length_m, relative_sd=relative_sd):
+                return other
+        return None
+
+    def _length_of(self, passage: Passage) -> float:
+        track = self._table.by_station.get(passage.station_ids[-1])
+        return (track.length_m if track else None) or self._settings.passage.vehicle_length_m
+
+    def _inherit(self, journey: Journey, old: Journey | None, track: Track) -> None:
+        """Continue the passage of the track that this one continues under a new station ID."""
+        if old is None or old.passage is None or journey.passage is not None:
+            return
+        self._attach(journey, old.passage, track)
+        journey.before = journey.before or old.before
+
+    def _adopt(self, journey: Journey, track: Track, here: Here) -> None:
+        """Continue a passage that no track has: of the same station ID, or where its vehicle must be now."""
+        idle = [passage for passage in self._passages.values() if passage.track is None]
+        own = [passage for passage in idle if track.station_id in passage.station_ids]
+        near = [passage for passage in idle if self._is_near(passage, here)]
+        if found := (own or near):
+            self._attach(journey, found[0], track)
+            if found[0].here.along < 0.0 and journey.crossing is None:
+                journey.before = journey.before or found[0].here
+
+    def _is_near(self, passage: Passage, here: Here) -> bool:
+        """Whether a vehicle is where that of an idle passage, whose station is silent, must be now."""
+        last = passage.here
+        if not here.aligned or passage.station_ids[-1] in self._table.by_station:
+            return False
+        elapsed_s = (here.time_ns - last.time_ns) * 1e-9
+        if not 0.0 < elapsed_s <= self._settings.track.deleted_after_s:
+            return False
+        east = last.east + last.speed * elapsed_s * cos(last.heading)
+        north = last.north + last.speed * elapsed_s * sin(last.heading)
+        return hypot(here.east - east, here.north - north) <= self._settings.track.link_gate_m + elapsed_s
+
+    @staticmethod
+    def _attach(journey: Journey, passage: Passage, track: Track) -> None:
+        journey.passage, passage.track = passage, track.number
+        if track.station_id not in passage.station_ids:
+            passage.station_ids.append(track.station_id)
+
+    def _continued(self, statement: TollPassage) -> Passage:
+        """Make a passage from the ledger's newest statement on it."""
+        north, east = self._plaza.plane(statement.latitude_deg, statement.longitude_deg)
+        posterior = {one.lane: one.probability for one in statement.lanes}
+        lanes = tuple(posterior.get(lane.name, 0.0) for lane in self._plaza.lanes)
+        lane = int(np.argmax(lanes))
+        projection = self._geometry.project(np.array([[east, north]]))
+        variance = 0.5 * statement.position_sd_m**2
+        here = Here(
+            time_ns=statement.sampled_ns,
+            east=east,
+            north=north,
+            cov=(variance, 0.0, variance),
+            heading=0.5 * pi - statement.heading_rad,
+            speed=statement.speed_m_s,
+            speed_sd=1.0,
+            direction=self._plaza.lanes[lane].direction,
+            aligned=True,
+            along=float(projection.along[0, lane]),
+            along_sd=statement.position_sd_m,
+            lanes=lanes,
+            lane=lane,
+            delta_ns=statement.delta_ns,
+        )
+        crossing = None
+        if statement.crossing_ns is not None:
+            names = [one.name for one in self._plaza.lanes]
+            decided = names.index(statement.lane) if statement.lane in names else None
+            crossing = Crossing(
+                statement.crossing_ns, statement.crossing_sd_s or 0.0, decided, lanes, statement.delta_ns
+            )
+        return Passage(
+            statement.passage_id,
+            opened_ns=statement.opened_ns,
+            direction=here.direction,
+            station_ids=list(statement.station_ids),
+            here=here,
+            state=statement.state,
+            crossing=crossing,
+        )
+
+    def _take_over(self, passage: Passage) -> Iterator[TollPassage]:
+        """Let a track that has opened a younger passage for the same station ID continue the older one."""
+        track = self._table.by_station.get(passage.station_ids[-1])
+        journey = self._journeys.get(track.number) if track else None
+        if track is None or journey is None or journey.here is None:
+            return
+        younger = journey.passage
+        if younger is None or younger.state.is_final or younger.opened_ns <= passage.opened_ns:
+            return
+        younger.give_way(passage)
+        yield self._ended(younger, journey.here.time_ns)
+        self._forget(younger)
+        self._attach(journey, passage, track)
+
+    def _is_registered(self, station_ids: Sequence[int], now_ns: int) -> bool:
+        return any(self._contracts.get(station, 0) > now_ns for station in station_ids)
+
+    def _forget(self, passage: Passage) -> None:
+        self._passages.pop(passage.passage_id, None)
+        self._gates.pop(passage.passage_id, None)
+
+    def _ended(self, passage: Passage, now_ns: int) -> TollPassage:
+        return self._kept(self._statement(passage, now_ns))
+
+    def _kept(self, statement: TollPassage) -> TollPassage:
+        """Remember a final statement until the ledger has it."""
+        if len(self._unsettled) >= MAX_UNSETTLED:
+            self._rejected["unsettled_passages_dropped"] += 1
+            del self._unsettled[next(iter(self._unsettled))]
+        self._unsettled[statement.passage_id] = statement
+        return statement
+
+    def _command(self, passage: Passage, here: Here) -> Iterator[GateCommand]:
+        """Command the gate of a vehicle's lane when that changes, and once a second."""
+        settings = self._settings.passage
+        lane = here.decided(settings.decided)
+        if passage.state is not PassageState.OPEN or lane is None or not is_near(here, settings):
+            return
+        reason = refusal(passage, self._ahead(passage, here, lane))
+        content, said_ns = self._gates.get(passage.passage_id, ("", 0))
+        if content == f"{lane} {reason}" and here.time_ns - said_ns < SECOND_NS:
+            return
+        self._gates[passage.passage_id] = (f"{lane} {reason}", here.time_ns)
+        arrival = Arrival.of(here)
+        yield GateCommand(
+            sampled_ns=here.time_ns,
+            plaza=self._plaza.name,
+            lane=self._plaza.lanes[lane].name,
+            passage_id=passage.passage_id,
+            open=not reason,
+            mode=self._plaza.lanes[lane].mode,
+            crossing_ns=arrival.crossing_ns,
+            crossing_sd_s=arrival.sd_s,
+            valid_until_ns=max(arrival.crossing_ns or 0, here.time_ns) + GATE_VALID_S * SECOND_NS,
+            reason=reason,
+        )
+
+    def _ahead(self, passage: Passage, here: Here, lane: int) -> Passage | None:
+        """Find the passage before this one at the barrier of a lane."""
+        if self._plaza.lanes[lane].mode is GateMode.FREE_FLOW:
+            return None
+        for other in self._passages.values():
+            if other is passage or other.state is not PassageState.OPEN or other.track is None:
+                continue
+            if other.here.lane == lane and here.along < other.here.along:
+                return other
+        return None
+
+    # Messages
+
+    def _statement(
+        self, passage: Passage, now_ns: int, *, checkpoint: bool = False, evidence: PassageEvidence | None = None
+    ) -> TollPassage:
+        here, crossing = passage.here, passage.crossing
+        position = self._plaza.position(here.north, here.east)
+        lanes = crossing.lanes if crossing else here.lanes
+        lane = crossing.lane if crossing else here.decided(self._settings.passage.decided)
+        return TollPassage(
+            sampled_ns=now_ns,
+            passage_id=passage.passage_id,
+            plaza=self._plaza.name,
+            plaza_digest=self._plaza.digest,
+            state=passage.state,
+            reason=passage.reason,
+            checkpoint=checkpoint,
+            station_ids=tuple(passage.station_ids),
+            opened_ns=passage.opened_ns,
+            crossing_ns=crossing.time_ns if crossing else None,
+            crossing_sd_s=crossing.sd_s if crossing else None,
+            exit_ns=passage.exit_ns,
+            lane=None if lane is None else self._plaza.lanes[lane].name,
+            lanes=self._probabilities(lanes),
+            latitude_deg=position.latitude_deg,
+            longitude_deg=position.longitude_deg,
+            heading_rad=0.5 * pi - here.heading,
+            speed_m_s=here.speed,
+            position_sd_m=here.sd,
+            delta_ns=crossing.delta_ns if crossing else here.delta_ns,
+            trust=self._trust(here.time_ns),
+            evidence=evidence,
+        )
+
+    def _probabilities(self, lanes: Sequence[float]) -> tuple[LaneProbability, ...]:
+        return tuple(
+            LaneProbability(lane=lane.name, probability=probability)
+            for lane, probability in zip(self._plaza.lanes, lanes, strict=True)
+            if probability > LEAST_PROBABILITY
+        )
+
+    def _evidence(self, passage: Passage, track: Track) -> PassageEvidence:
+        first_ns, last_ns = track.cams[0].received_ns, track.cams[-1].received_ns
+        before_ns = round((self._settings.delta.max_age_s + self._settings.delta.latency_s) * SECOND_NS)
+        return PassageEvidence(
+            version=VERSION,
+            settings=self._settings.model_dump_json(),
+            track_since_ns=track.since_ns,
+            frames=tuple(
+                EvidenceFrame(sampled_ns=cam.sampled_ns, received_ns=cam.received_ns, data=cam.frame)
+                for cam in track.cams
+            ),
+            deltas=tuple(d for d in self._deltas if first_ns - before_ns <= d.sampled_ns <= last_ns),
+            lanes=tuple(
+                LanePosterior(sampled_ns=time_ns, lanes=self._probabilities(lanes))
+                for time_ns, lanes in passage.posteriors
+            ),
+        )
+
+    def _track(self, track: Track, here: Here, passage: Passage | None) -> TollTrack:
+        position = self._plaza.position(here.north, here.east)
+        values, vectors = np.linalg.eigh([[here.cov[0], here.cov[1]], [here.cov[1], here.cov[2]]])
+        lane = here.decided(self._settings.passage.decided)
+        return TollTrack(
+            track=track.number,
+            station_id=track.station_id,
+            updated_ns=track.updated_ns,
+            latitude_deg=position.latitude_deg,
+            longitude_deg=position.longitude_deg,
+            speed_m_s=here.speed,
+            heading_rad=0.5 * pi - here.heading,
+            ellipse_major_m=ELLIPSE_95 * sqrt(values[1]),
+            ellipse_minor_m=ELLIPSE_95 * sqrt(values[0]),
+            ellipse_orientation_rad=float(np.arctan2(vectors[0, 1], vectors[1, 1])),
+            lanes=self._probabilities(here.lanes),
+            lane=None if lane is None else self._plaza.lanes[lane].name,
+            delta_applied=here.delta_ns is not None,
+            registered=self._is_registered(track.station_ids, track.updated_ns),
+            passage_id=passage.passage_id if passage else None,
+        )
+
+    def _trust(self, now_ns: int) -> str:
+        """State of the surveyed antenna and its receiver."""
+        if not self._deltas:
+            return "antenna surveyed; no delta position"
+        delta = self._deltas[-1]
+        age_s = (now_ns - delta.sampled_ns) * 1e-9
+        if age_s > self._settings.delta.max_age_s + self._settings.delta.latency_s:
+            return "antenna surveyed; the delta position is too old"
+        return f"antenna surveyed; delta position from {delta.fixes} fixes, sd {delta.sd_m:.2f} m"
+
+
+def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequence[TollDelta]) -> list[TollPassage]:
+    """Derive the statements on a registered vehicle's passage again from its CAM and the deltas, in their order."""
+    core = Core(plaza, settings)
+    list(core.continue_passages(OpenPassages(sampled_ns=-LARGEST_NS, passages=(), settled=())))
+    for station_id in {cam.station_id for cam in cams}:
+        core.register(
+            TollRegistration(
+                sampled_ns=0, contract="evidence", tariff_class="", station_id=station_id, valid_until_ns=LARGEST_NS - 1
+            )
+        )
+    for delta in deltas:
+        core.use_delta(delta)
+    return [said for cam in cams for said in core.use([cam]) if isinstance(said, TollPassage)]
+
+
+def _row(location: Location, k: int) -> Location:
+    return Location(*(values[k] for values in location))
+
+
+def _geometry(plaza: Plaza) -> LaneGeometry:
+    """Centre lines in the plane x east, y north, with the distances of approach, gate and exit line along them."""
+    lines = []
+    for lane in plaza.lanes:
+        found = [along(lane.centre, line) for line in (lane.approach, lane.gate, lane.exit)]
+        approach, gate, leave = (distance for distance in found if distance is not None)
+        lines.append((approach, gate, leave))
+    return LaneGeometry.of([lane.centre[:, ::-1] for lane in plaza.lanes], [x.width_m for x in plaza.lanes], lines)

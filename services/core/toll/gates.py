@@ -1,0 +1,45 @@
+"""Gate commands: which lane's gate opens for which passage, and when the vehicle crosses the gate line."""
+
+from dataclasses import dataclass
+from math import hypot
+
+from .passages import Here, Passage
+from .settings import PassageSettings
+
+SLOWEST = 1.0  # [m/s] below which no crossing time is predicted
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A vehicle that comes to the gate line of a lane."""
+
+    crossing_ns: int | None  # None: it stands or creeps
+    sd_s: float | None
+
+    @classmethod
+    def of(cls, here: Here) -> "Arrival":
+        """Predict the crossing at constant speed: t = -s/v, σ_t = hypot(σ_s, t σ_v) / v."""
+        if here.speed < SLOWEST:
+            return cls(None, None)
+        seconds = -here.along / here.speed
+        sd_s = hypot(here.along_sd, seconds * here.speed_sd) / here.speed
+        return cls(here.time_ns + round(seconds * 1e9), sd_s)
+
+
+def is_near(here: Here, settings: PassageSettings) -> bool:
+    """Whether a gate is commanded for a vehicle: it arrives soon, or is close to the gate line."""
+    if not here.along < settings.crossed_m:
+        return False
+    return -here.along <= max(settings.gate_lead_m, settings.gate_lead_s * here.speed)
+
+
+def refusal(passage: Passage, ahead: Passage | None) -> str:
+    """Why the gate stays closed for a vehicle; empty: it opens.
+
+    `ahead` is another passage in the same lane of a stop-and-go gate that is nearer to its gate line.
+    """
+    if not passage.registered:
+        return "no contract is known"
+    if ahead is not None:
+        return f"passage {ahead.passage_id[:8]} is before it"
+    return ""

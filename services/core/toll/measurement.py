@@ -1,0 +1,78 @@
+"""What a CAM measures, in the tangent plane of the plaza."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi, radians
+
+import numpy as np
+
+from shared.messages.v2x import Cam
+
+from .trackers.observation import SIZE, Observation
+
+SCALAR_95 = 1.96  # standard deviations of a scalar in its confidence of 95 %
+ELLIPSE_95 = 2.45  # standard deviations of an axis in an ellipse of 95 %
+# Standard deviations where a CAM states none, and the least that is used: heading, speed, acceleration, yaw rate.
+USUAL_SD = (radians(1.0), 0.15, 0.2, radians(0.4))
+LEAST_SD = (radians(0.2), 0.03, 0.05, radians(0.1))
+LEAST_POSITION_SD = 0.02  # [m]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One CAM with its place in the plane and its time on the unit's clock."""
+
+    cam: Cam
+    time_ns: int
+    east: float  # [m]
+    north: float  # [m]
+
+    @property
+    def stated_sd(self) -> float | None:
+        """Larger standard deviation [m] of the position by the CAM's ellipse."""
+        major = self.cam.position_semi_major_m
+        return None if major is None else major / ELLIPSE_95
+
+
+def observation(measured: Sequence[Measured], white_sd: float) -> Observation:
+    """Observation of n vehicles; R holds the white noise only, the larger part of GNSS errors is not white.
+
+    Parameters
+    ----------
+    measured : sequence of Measured
+        One CAM of each vehicle.
+    white_sd : float
+        [m] Of positions; less where the vehicle states less.
+
+    Returns
+    -------
+    Observation
+        Heading counter-clockwise from east; what a CAM calls unavailable is not available.
+    """
+    z, sd, available = (np.zeros((len(measured), SIZE)), np.ones((len(measured), SIZE)), [])
+    for k, one in enumerate(measured):
+        cam = one.cam
+        values = (
+            None if cam.heading_rad is None else 0.5 * pi - cam.heading_rad,
+            cam.speed_m_s,
+            cam.longitudinal_acceleration_m_s2,
+            cam.yaw_rate_rad_s,
+        )
+        confidences = (
+            cam.heading_confidence_rad,
+            cam.speed_confidence_m_s,
+            cam.longitudinal_acceleration_confidence_m_s2,
+            cam.yaw_rate_confidence_rad_s,
+        )
+        z[k] = (one.east, one.north, *(value or 0.0 for value in values))
+        position_sd = max(min(white_sd, one.stated_sd or white_sd), LEAST_POSITION_SD)
+        sd[k] = (
+            position_sd,
+            position_sd,
+            *(
+                usual if stated is None else max(stated / SCALAR_95, least)
+                for stated, usual, least in zip(confidences, USUAL_SD, LEAST_SD, strict=True)
+            ),
+        )
+        available.append((True, True, *(value is not None for value in values)))
+    return Observation.of(z, sd, np.array(available, dtype=bool).reshape(-1, SIZE))

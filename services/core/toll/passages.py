@@ -1,0 +1,173 @@
+"""The passage of one vehicle: approach line, gate line, exit line; charged only when all are passed, forward."""
+
+import hashlib
+from dataclasses import dataclass, field
+from math import hypot
+
+from shared.messages.toll import PassageState
+
+from .settings import PassageSettings
+
+MAX_POSTERIORS = 600  # ten minutes
+
+
+@dataclass(frozen=True)
+class Here:
+    """Where a vehicle is after a CAM: corrected by the delta position where its track agrees with it."""
+
+    time_ns: int
+    east: float  # [m]
+    north: float  # [m]
+    cov: tuple[float, float, float]  # [m²] east-east, east-north, north-north; the GNSS error included
+    heading: float  # [rad] counter-clockwise from east
+    speed: float  # [m/s]
+    speed_sd: float  # [m/s]
+    direction: str  # carriageway
+    aligned: bool  # whether the heading is that of the carriageway
+    along: float  # [m] front point behind the gate line, negative before it
+    along_sd: float  # [m]
+    lanes: tuple[float, ...]  # probability of each lane of the plaza
+    lane: int  # the most probable lane
+    delta_ns: int | None  # stamp of the delta position that is applied
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation [m] of the position: the root of the sum of both axes' variances."""
+        return hypot(self.cov[0] ** 0.5, self.cov[2] ** 0.5)
+
+    def decided(self, probability: float) -> int | None:
+        """Return the lane whose probability reaches the limit; None: undecided."""
+        return self.lane if self.lanes[self.lane] >= probability else None
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """The front point at the gate line."""
+
+    time_ns: int
+    sd_s: float
+    lane: int | None  # None: undecided
+    lanes: tuple[float, ...]
+    delta_ns: int | None
+
+
+def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
+    """Interpolate the crossing of the gate line between two positions, before it and behind it.
+
+    The lane is that of the position behind the line; if that is undecided, of the position before it, which may be the
+    last one before a restart. The standard deviation is the along-track one over the speed.
+    """
+    share = -before.along / (after.along - before.along)
+    elapsed_ns = after.time_ns - before.time_ns
+    speed = max(after.speed, (after.along - before.along) / (elapsed_ns * 1e-9), 0.1)
+    time_ns = before.time_ns + round(share * elapsed_ns)
+    witness = before if after.decided(decided) is None and before.decided(decided) is not None else after
+    return Crossing(time_ns, after.along_sd / speed, witness.decided(decided), witness.lanes, witness.delta_ns)
+
+
+def passage_id(plaza: str, frame: bytes) -> str:
+    """Hash the plaza's name and the digest of the first CAM at the approach line: a replay makes the same."""
+    return hashlib.sha256(plaza.encode() + b"\0" + hashlib.sha256(frame).digest()).hexdigest()
+
+
+@dataclass
+class Passage:
+    """A passage in progress. `advance` moves it through its states; OPEN and CROSSED are the only ones that change."""
+
+    passage_id: str
+    opened_ns: int
+    direction: str
+    station_ids: list[int]
+    here: Here
+    state: PassageState = PassageState.OPEN
+    reason: str = ""
+    crossing: Crossing | None = None
+    exit_ns: int | None = None
+    registered: bool = False
+    track: int | None = None  # number of the track; None: no track has it
+    posteriors: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)  # once a second, and at the crossing
+    furthest: float = field(init=False)  # [m] greatest coordinate behind the gate line
+
+    def __post_init__(self) -> None:
+        self.furthest = self.here.along
+
+    def remember_lanes(self) -> None:
+        """Note the lane probabilities of now, as evidence."""
+        if not self.posteriors or self.posteriors[-1][0] < self.here.time_ns:
+            self.posteriors.append((self.here.time_ns, self.here.lanes))
+            del self.posteriors[:-MAX_POSTERIORS]
+
+    def advance(self, here: Here, crossing: Crossing | None, exit_line: float, settings: PassageSettings) -> bool:
+        """Use a position; return whether the state has changed.
+
+        Parameters
+        ----------
+        here : Here
+            Position after the newest CAM, relative to the passage's direction.
+        crossing : Crossing or None
+            The crossing of the gate line, if the front point is behind it.
+        exit_line : float
+            [m] Coordinate of the exit line behind the gate line.
+        settings : PassageSettings
+            Limits.
+        """
+        self.here = here
+        self.furthest = max(self.furthest, here.along)
+        before = self.state
+        if self.state.is_final:
+            return False
+        if here.along < self.furthest - settings.turned_m:
+            side = "before" if self.state is PassageState.OPEN else "behind"
+            self._end(PassageState.VOID, f"turned around {side} the gate line")
+        elif self.state is PassageState.OPEN and crossing and here.along >= settings.crossed_m:
+            self.state, self.crossing = PassageState.CROSSED, crossing
+            self.posteriors.append((here.time_ns, crossing.lanes))
+        if self.state is PassageState.CROSSED and here.along >= exit_line:
+            self.exit_ns = here.time_ns
+            if not self.registered:
+                self._end(PassageState.UNREGISTERED, "no contract is known for its station IDs")
+            elif self.crossing is None or self.crossing.lane is None:
+                self._end(PassageState.UNDECIDED, f"no lane with a probability of {settings.decided:g}")
+            else:
+                self._end(PassageState.CHARGED, "passed the exit line")
+        return self.state is not before
+
+    def suspect(self, other: "Passage") -> None:
+        """End the passage because it overlaps another one in its lane."""
+        self._end(PassageState.SUSPECT, f"overlaps passage {other.passage_id[:8]} in its lane")
+
+    def lose(self) -> None:
+        """End the passage of a vehicle that fell silent."""
+        where = "before the gate line" if self.state is PassageState.OPEN else "between gate and exit line"
+        self._end(PassageState.VOID, f"fell silent {where}")
+
+    def give_way(self, older: "Passage") -> None:
+        """End the passage because the vehicle's older one is continued."""
+        self._end(PassageState.VOID, f"the vehicle continues passage {older.passage_id[:8]}")
+
+    def _end(self, state: PassageState, reason: str) -> None:
+        self.state, self.reason = state, reason
+
+
+def overlap(front: Passage, behind: Here, length_m: float, *, relative_sd: float) -> bool:
+    """Whether a vehicle at the gate line stands inside the one before it in the same lane.
+
+    Parameters
+    ----------
+    front : Passage
+        Of the vehicle that crossed first.
+    behind : Here
+        The vehicle that crosses now.
+    length_m : float
+        [m] Length of the first vehicle.
+    relative_sd : float
+        [m] Standard deviation of the distance of two vehicles with the same common GNSS error.
+
+    Notes
+    -----
+    The distance of the front points is that at the time of `behind`; vehicles that follow each other keep at least a
+    vehicle's length. Twice the standard deviation is granted.
+    """
+    elapsed_s = (behind.time_ns - front.here.time_ns) * 1e-9
+    distance = front.here.along + front.here.speed * elapsed_s - behind.along
+    return distance < length_m - 2.0 * relative_sd

@@ -1,0 +1,1 @@
+"""Filters that track vehicles from CAM: motion models, and filters of one or two of them."""

@@ -1,0 +1,243 @@
+"""Tracks of up to some hundred vehicles: birth, gating, association by station ID, pseudonym changes, deletion."""
+
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from math import hypot
+
+import numpy as np
+
+from shared.messages.v2x import Cam
+from shared.toll.plaza import Plaza
+
+from .measurement import Measured, observation
+from .settings import Settings
+from .trackers.filters import Estimates, imm
+
+LINK_ACCELERATION = 3.0  # [m/s²] that a vehicle may have between its last CAM and the first with another station ID
+MAX_FRAMES = 3000  # of one track; a vehicle that takes longer has evidence of its last ones only
+
+
+@dataclass
+class Track:
+    """One vehicle."""
+
+    number: int
+    slot: int  # row in the table's arrays
+    station_ids: list[int]
+    since_ns: int  # first CAM that the estimate rests on
+    updated_ns: int  # time of the last CAM
+    received_ns: int
+    clock_offset_ns: int  # added to the CAM's times
+    length_m: float | None = None
+    cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))  # used, in the order of use
+    jumps: int = 0  # consecutive CAM outside the gate
+    predecessor: "Track | None" = None  # a track that this one may continue under a new station ID
+    predecessor_ns: int = 0  # its last CAM when this one was born
+
+    @property
+    def station_id(self) -> int:
+        """The present pseudonym."""
+        return self.station_ids[-1]
+
+
+@dataclass(frozen=True)
+class Update:
+    """A track with the CAM that it has just used."""
+
+    track: Track
+    measured: Measured
+    born: bool
+    continues: Track | None = None  # track whose station ID is confirmed to have changed to this one's; it is deleted
+
+
+class TrackTable:
+    """The tracks and their estimates, which are rows of arrays: one round of the IMM updates many vehicles."""
+
+    def __init__(self, settings: Settings, plaza: Plaza) -> None:
+        self._settings, self._plaza = settings.track, plaza
+        self._white_sd = settings.errors.white_sd_m
+        self._imm = imm()
+        self._numbers = count(1)
+        self.by_station: dict[int, Track] = {}
+        self.rejected: Counter[str] = Counter()
+        size, start = self._settings.max_tracks, self._imm.start(observation([], 1.0))
+        self._x = np.zeros((size, *start.x.shape[1:]))
+        self._P = np.zeros((size, *start.P.shape[1:]))
+        self._probability = np.zeros((size, *start.probability.shape[1:]))
+        self._heading = start.heading
+        self._free = list(range(size - 1, -1, -1))
+
+    @property
+    def tracks(self) -> list[Track]:
+        """All tracks."""
+        return list(self.by_station.values())
+
+    def estimates(self, tracks: Sequence[Track]) -> Estimates:
+        """Estimates of tracks, each at the time of its last CAM."""
+        rows = [track.slot for track in tracks]
+        return Estimates(self._x[rows], self._P[rows], self._probability[rows], self._heading)
+
+    def use(self, cams: Sequence[Cam]) -> list[list[Update]]:
+        """Use a batch of CAM; the updates are in rounds, in each of which a vehicle occurs once."""
+        waiting = [cam for cam in cams if self._is_plausible(cam)]
+        rounds = []
+        while waiting:
+            first: dict[int, Cam] = {}
+            later = []
+            for cam in waiting:
+                if cam.station_id in first:
+                    later.append(cam)
+                else:
+                    first[cam.station_id] = cam
+            rounds.append(self._round(list(first.values())))
+            waiting = later
+        return [updates for updates in rounds if updates]
+
+    def restart(self, update: Update) -> None:
+        """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
+        track = update.track
+        track.since_ns = update.measured.time_ns
+        track.cams = deque([update.measured.cam], maxlen=MAX_FRAMES)
+        self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
+
+    def delete_silent(self, now_ns: int) -> list[Track]:
+        """Delete the tracks that have been silent for too long; return them."""
+        limit_ns = round(self._settings.deleted_after_s * 1e9)
+        silent = [track for track in self.tracks if now_ns - track.received_ns > limit_ns]
+        for track in silent:
+            self._delete(track)
+        return silent
+
+    def _is_plausible(self, cam: Cam) -> bool:
+        if cam.latitude_deg is None or cam.longitude_deg is None:
+            self.rejected["no_position"] += 1
+        elif cam.position_out_of_range:
+            self.rejected["position_cannot_be_trusted"] += 1
+        elif hypot(*self._plaza.plane(cam.latitude_deg, cam.longitude_deg)) > self._settings.range_m:
+            self.rejected["out_of_range"] += 1
+        else:
+            return True
+        return False
+
+    def _measured(self, cam: Cam) -> Measured:
+        """Place and time of a CAM; a station whose clock is wrong keeps the offset of its first CAM."""
+        track = self.by_station.get(cam.station_id)
+        age_ns = cam.received_ns - cam.sampled_ns
+        if track is not None:
+            offset_ns = track.clock_offset_ns
+        else:
+            offset_ns = age_ns if not 0 <= age_ns <= self._settings.clock_limit_s * 1e9 else 0
+        north, east = self._plaza.plane(cam.latitude_deg or 0.0, cam.longitude_deg or 0.0)
+        return Measured(cam, cam.sampled_ns + offset_ns, east, north)
+
+    def _round(self, cams: Sequence[Cam]) -> list[Update]:
+        """Use one CAM of each of several stations."""
+        known, births = [], []
+        for one in map(self._measured, cams):
+            track = self.by_station.get(one.cam.station_id)
+            if track is None:
+                births.append(one)
+            elif one.time_ns <= track.updated_ns:
+                self.rejected["late_or_repeated"] += 1
+            elif one.time_ns - track.updated_ns > self._settings.deleted_after_s * 1e9:
+                self._delete(track)
+                births.append(one)
+            else:
+                known.append((track, one))
+        updates = self._continue(known, births) if known else []
+        return updates + [update for one in births if (update := self._bear(one))]
+
+    def _continue(self, known: Sequence[tuple[Track, Measured]], births: list[Measured]) -> list[Update]:
+        """Use the CAM of existing tracks inside their gates.
+
+        A station ID whose CAM are outside the gate several times is used by another vehicle now: its track is deleted,
+        and the CAM is added to `births`.
+        """
+        dt = np.array([(one.time_ns - track.updated_ns) * 1e-9 for track, one in known])
+        predicted = self._imm.predict(self.estimates([track for track, _ in known]), dt)
+        away = predicted.mean[:, :2] - np.array([[one.east, one.north] for _, one in known])
+        variance = np.trace(predicted.cov[:, :2, :2], axis1=1, axis2=2)
+        inside = np.hypot(away[:, 0], away[:, 1]) <= self._settings.gate_m + 5.0 * np.sqrt(variance)
+        for (track, one), is_inside in zip(known, inside, strict=True):
+            track.jumps = 0 if is_inside else track.jumps + 1
+            if not is_inside:
+                self.rejected["outside_gate"] += 1
+                if track.jumps >= self._settings.jumps:
+                    self._delete(track)
+                    births.append(one)
+        used = [pair for pair, is_inside in zip(known, inside, strict=True) if is_inside]
+        if used:
+            seen = observation([one for _, one in used], self._white_sd)
+            self._put([track for track, _ in used], self._imm.update(predicted[inside], seen))
+        return [self._noted(track, one, born=False) for track, one in used]
+
+    def _bear(self, one: Measured) -> Update | None:
+        """Begin a track with a CAM of an unknown station."""
+        if not self._free:
+            self.rejected["too_many_tracks"] += 1
+            return None
+        track = Track(
+            number=next(self._numbers),
+            slot=self._free.pop(),
+            station_ids=[one.cam.station_id],
+            since_ns=one.time_ns,
+            updated_ns=one.time_ns,
+            received_ns=one.cam.received_ns,
+            clock_offset_ns=one.time_ns - one.cam.sampled_ns,
+        )
+        track.predecessor = self._silent_here(one)
+        track.predecessor_ns = track.predecessor.updated_ns if track.predecessor else 0
+        self.by_station[one.cam.station_id] = track
+        self._put([track], self._imm.start(observation([one], self._white_sd)))
+        return self._noted(track, one, born=True)
+
+    def _silent_here(self, one: Measured) -> Track | None:
+        """Find the nearest track whose prediction is where an unknown station appears."""
+        tracks = [
+            track for track in self.tracks
+            if 0 < one.time_ns - track.updated_ns < 2.0 * self._settings.link_after_s * 1e9
+        ]  # fmt: skip
+        if not tracks:
+            return None
+        state = self.estimates(tracks).mean
+        dt = (one.time_ns - np.array([track.updated_ns for track in tracks])) * 1e-9
+        ahead = state[:, 3, None] * dt[:, None] * np.stack([np.cos(state[:, 2]), np.sin(state[:, 2])], axis=-1)
+        distance = np.hypot(*(state[:, :2] + ahead - np.array([one.east, one.north])).T)
+        nearest = int(np.argmin(distance))
+        limit = self._settings.link_gate_m + 0.5 * LINK_ACCELERATION * dt[nearest] ** 2
+        return tracks[nearest] if distance[nearest] <= limit else None
+
+    def _noted(self, track: Track, one: Measured, *, born: bool) -> Update:
+        track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
+        track.length_m = one.cam.vehicle_length_m or track.length_m
+        track.cams.append(one.cam)
+        return Update(track, one, born, self._confirmed_predecessor(track))
+
+    def _confirmed_predecessor(self, track: Track) -> Track | None:
+        """Decide whether a track continues its predecessor: only if the old station ID is not used any more."""
+        old = track.predecessor
+        if old is None:
+            return None
+        if old.updated_ns > track.predecessor_ns:
+            track.predecessor = None
+            return None
+        if track.updated_ns - old.updated_ns < self._settings.link_after_s * 1e9:
+            return None
+        track.predecessor = None
+        track.station_ids = old.station_ids + track.station_ids
+        track.cams = deque([*old.cams, *track.cams], maxlen=MAX_FRAMES)
+        track.since_ns = old.since_ns
+        track.length_m = track.length_m or old.length_m
+        if self.by_station.get(old.station_id) is old:
+            self._delete(old)
+        return old
+
+    def _put(self, tracks: Sequence[Track], estimates: Estimates) -> None:
+        rows = [track.slot for track in tracks]
+        self._x[rows], self._P[rows], self._probability[rows] = estimates.x, estimates.P, estimates.probability
+
+    def _delete(self, track: Track) -> None:
+        del self.by_station[track.station_id]
+        self._free.append(track.slot)

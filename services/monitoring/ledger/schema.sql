@@ -1,0 +1,36 @@
+-- The ledger. Times are nanoseconds on the time line of the unit; JSON columns hold messages of shared/messages/toll.py.
+CREATE TABLE IF NOT EXISTS registration (
+    station_id INTEGER PRIMARY KEY, contract TEXT NOT NULL, tariff_class TEXT NOT NULL,
+    sampled_ns INTEGER NOT NULL, valid_until_ns INTEGER NOT NULL
+);
+-- Passages of registered vehicles that are in progress: their newest statement, and that of the crossing.
+CREATE TABLE IF NOT EXISTS passage (
+    passage_id TEXT PRIMARY KEY, sampled_ns INTEGER NOT NULL, contract TEXT NOT NULL, tariff_class TEXT NOT NULL,
+    statement TEXT NOT NULL, crossed TEXT
+);
+-- Passages whose final state is stored, so that a repeated statement changes nothing.
+CREATE TABLE IF NOT EXISTS settled (passage_id TEXT PRIMARY KEY, final_ns INTEGER NOT NULL, summary TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS booking (
+    transaction_id TEXT PRIMARY KEY, passage_id TEXT NOT NULL, kind TEXT NOT NULL, booked_ns INTEGER NOT NULL,
+    amount_cents INTEGER NOT NULL, content TEXT NOT NULL, UNIQUE (passage_id, kind)
+);
+CREATE TABLE IF NOT EXISTS outbox (transaction_id TEXT PRIMARY KEY REFERENCES booking);
+CREATE TABLE IF NOT EXISTS receipt (
+    transaction_id TEXT PRIMARY KEY REFERENCES booking, received_ns INTEGER NOT NULL, content TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS evidence (
+    passage_id TEXT PRIMARY KEY, digest TEXT NOT NULL, stored_ns INTEGER NOT NULL, pack BLOB NOT NULL
+);
+-- Reconciliation: pulses and crossings that wait for each other, without names, and what came of them by hour.
+CREATE TABLE IF NOT EXISTS pulse (
+    lane TEXT NOT NULL, since_ns INTEGER NOT NULL, number INTEGER NOT NULL, sampled_ns INTEGER NOT NULL,
+    done INTEGER NOT NULL DEFAULT 0, PRIMARY KEY (lane, since_ns, number)
+);
+CREATE TABLE IF NOT EXISTS crossing (
+    number INTEGER PRIMARY KEY, crossing_ns INTEGER NOT NULL, sd_s REAL NOT NULL, state TEXT NOT NULL,
+    lane TEXT, lanes TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS balance (
+    lane TEXT NOT NULL, hour_ns INTEGER NOT NULL, outcome TEXT NOT NULL, n INTEGER NOT NULL,
+    PRIMARY KEY (lane, hour_ns, outcome)
+);

@@ -1,0 +1,94 @@
+"""The database of the ledger: SQLite with a write-ahead log, every commit on the disk before anything follows."""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from shared.errors import ObuError
+
+SCHEMA = Path(__file__).with_name("schema.sql")
+VERSION = 1
+Row = sqlite3.Row
+Value = str | int | float | bytes | None
+
+
+class LedgerFault(ObuError):
+    """The database cannot be used now; nothing of the transaction is stored."""
+
+
+class Store:
+    """One connection to the ledger's file, with one transaction at a time.
+
+    `synchronous=FULL` makes a commit survive a power cut, `secure_delete` overwrites what is deleted, and `scrub`
+    empties the write-ahead log, which holds older versions of the pages.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with self._guarded():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._db = sqlite3.connect(path, isolation_level=None, timeout=1.0)
+            self._db.row_factory = sqlite3.Row
+            for pragma in ("journal_mode=WAL", "synchronous=FULL", "secure_delete=ON", "foreign_keys=ON",
+                           "journal_size_limit=0", "temp_store=MEMORY"):  # fmt: skip
+                self._db.execute(f"PRAGMA {pragma}")
+            if (found := self._db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+                raise sqlite3.DatabaseError(found)
+            version = self._db.execute("PRAGMA user_version").fetchone()[0]
+            if version not in (0, VERSION):
+                raise LedgerFault(
+                    f"{path} is of version {version}, this program writes {VERSION}: update it, or move the file away"
+                )
+            self._db.executescript(SCHEMA.read_text(encoding="utf-8"))
+            self._db.execute(f"PRAGMA user_version={VERSION}")
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Store everything of the block, or nothing."""
+        with self._guarded():
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._db.execute("COMMIT")
+            finally:
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+
+    def execute(self, sql: str, *values: Value) -> int:
+        """Run a statement; return the number of rows that it changed."""
+        return self._db.execute(sql, values).rowcount
+
+    def rows(self, sql: str, *values: Value) -> list[Row]:
+        """Run a query."""
+        with self._guarded():
+            return self._db.execute(sql, values).fetchall()
+
+    def row(self, sql: str, *values: Value) -> Row | None:
+        """Run a query for at most one row."""
+        return next(iter(self.rows(sql, *values)), None)
+
+    def scrub(self) -> None:
+        """Move the write-ahead log into the database and empty it: what was deleted is on the disk no more."""
+        with self._guarded():
+            self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+    def close(self) -> None:
+        """Close the connection; an open transaction is rolled back."""
+        self._db.close()
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        try:
+            yield
+        except (sqlite3.Error, OSError) as error:
+            raise LedgerFault(f"the ledger {self.path} cannot be used: {error}; {_remedy(error)}") from error
+
+
+def _remedy(error: Exception) -> str:
+    text = str(error).lower()
+    if "full" in text or "no space" in text:
+        return "make room on its disk; charging continues by itself"
+    if "malformed" in text or "not a database" in text or "corrupt" in text:
+        return "move it away for examination and restore its backup; without one a new ledger is begun"
+    return "check its folder's owner and its disk"

@@ -1,0 +1,125 @@
+"""Decodes received CAM, and encodes those of this unit."""
+
+from collections import Counter
+from collections.abc import Iterator
+from math import hypot, radians
+
+from pydantic import Field, ValidationError
+
+from shared.errors import RejectedFrame
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.messages.base import Message
+from shared.messages.gnss import GnssFix
+from shared.messages.v2x import Cam, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
+from shared.runtime.config import Section
+from shared.v2x import cam, frames, geonetworking, its_time
+
+MAX_FRAMES = 1024  # of one batch
+NS_PER_MS = 1_000_000
+
+
+class Config(Section):
+    """Settings of the V2X parser."""
+
+    max_age_s: float = Field(default=5.0, ge=0.0, le=32.0)  # CAM generated longer ago are rejected
+    max_future_s: float = Field(
+        default=2.0,
+        ge=0.0,
+        le=32.0,
+        description="CAM whose generation time is further ahead of this unit's are rejected",
+    )
+    max_distance_m: float = Field(
+        default=10_000.0, gt=0.0, description="CAM of stations further from this unit's GNSS position are rejected"
+    )
+
+
+class Process:
+    """Decodes each frame of a batch by itself; of earlier messages only the latest fix and the own station matter."""
+
+    def __init__(self, config: Config) -> None:
+        self.rejects: Counter[str] = Counter()
+        self._config = config
+        self._utc_offset_ns = 0  # UTC - OBU time line; the line begins at the host's UTC
+        self._position: Geodetic | None = None
+        self._own_station: int | None = None
+
+    def handle(self, message: Message) -> Iterator[CamList | V2xSend]:
+        """Process a batch of frames, a CAM to be sent, or a fix."""
+        match message:
+            case CamFrames():
+                cams = tuple(self._decode_batch(message))
+                if cams:
+                    yield CamList(received_ns=message.received_ns, source=message.source, cams=cams)
+            case OwnCam():
+                yield from self._encode(message)
+            case GnssFix(utc_ns=int(utc_ns)):
+                self._utc_offset_ns = utc_ns - message.sampled_ns
+                if message.latitude_deg is not None and message.longitude_deg is not None:
+                    self._position = _geodetic(message.latitude_deg, message.longitude_deg)
+
+    def _decode_batch(self, batch: CamFrames) -> Iterator[Cam]:
+        try:
+            for number, (received_ns, frame) in enumerate(frames.unpack(batch.data)):
+                if number == MAX_FRAMES:
+                    self.rejects["batch"] += 1
+                    return
+                try:
+                    yield self._decode(frame, received_ns, batch.encapsulation)
+                except RejectedFrame as error:
+                    self.rejects[error.reason] += 1
+        except ValueError:
+            self.rejects["batch"] += 1
+
+    def _decode(self, frame: bytes, received_ns: int, encapsulation: Encapsulation) -> Cam:
+        payload = geonetworking.decode_payload(frame) if encapsulation is Encapsulation.GEONETWORKING else frame
+        content, generation_delta_time = cam.decode(payload)
+        if content["station_id"] == self._own_station:
+            raise RejectedFrame("own_station")
+        received_ms = its_time.its_time_ms(received_ns + self._utc_offset_ns)
+        age_ms = its_time.generation_age_ms(generation_delta_time, received_ms)
+        if age_ms > self._config.max_age_s * 1000:
+            raise RejectedFrame("too_old", age_ms)
+        if age_ms < -self._config.max_future_s * 1000:
+            raise RejectedFrame("from_the_future", -age_ms)
+        self._check_distance(content["latitude_deg"], content["longitude_deg"])
+        try:
+            return Cam(
+                **content,
+                sampled_ns=its_time.utc_ns_from_its_time(received_ms - age_ms) - self._utc_offset_ns,
+                received_ns=received_ns,
+                generation_delta_time=generation_delta_time,
+                frame=frame,
+            )
+        except ValidationError as error:
+            raise RejectedFrame("range", error) from error
+
+    def _check_distance(self, latitude_deg: float | None, longitude_deg: float | None) -> None:
+        if self._position is None or latitude_deg is None or longitude_deg is None:
+            return
+        distance_m = hypot(*ned_from_geodetic_difference(_geodetic(latitude_deg, longitude_deg), self._position)[:2])
+        if distance_m > self._config.max_distance_m:
+            raise RejectedFrame("too_far", round(distance_m))
+
+    def _encode(self, own: OwnCam) -> Iterator[V2xSend]:
+        self._own_station = own.station_id
+        if own.latitude_deg is None or own.longitude_deg is None:  # the header has no code for an unknown position
+            self.rejects["own_position"] += 1
+            return
+        payload = cam.encode(own, own.its_time_ms % its_time.CYCLE_MS)
+        sender = geonetworking.PositionVector(
+            mac_address=geonetworking.pseudonymous_address(own.station_id),
+            station_type=cam.STATION_TYPE_CODES.get(own.station_type, 0),
+            its_time_ms=own.its_time_ms,
+            latitude_deg=own.latitude_deg,
+            longitude_deg=own.longitude_deg,
+            accurate=not own.position_out_of_range,
+            speed_m_s=own.speed_m_s or 0.0,
+            heading_rad=own.heading_rad or 0.0,
+        )
+        mobile = own.station_type is not StationType.ROAD_SIDE_UNIT
+        packet = geonetworking.encode_packet(payload, sender, mobile=mobile)
+        yield V2xSend(received_ns=own.sampled_ns, source=str(own.station_id), data=packet)
+
+
+def _geodetic(latitude_deg: float, longitude_deg: float) -> Geodetic:
+    return Geodetic(radians(latitude_deg), radians(longitude_deg), 0.0)

@@ -1,0 +1,1 @@
+"""Attacks on the simulated vehicle: what they make of the signals at its antenna and of its odometer."""

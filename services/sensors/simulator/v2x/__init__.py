@@ -1,0 +1,1 @@
+"""Neighbouring vehicles, and the V2X radio that receives them."""

@@ -1,0 +1,37 @@
+"""GNSS errors at the plaza: common to all receivers, individual of each, and those of the unit's own receiver."""
+
+from math import exp, sqrt
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from shared.runtime.config import Section
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class ErrorModel(Section):
+    """Horizontal GNSS errors, standard deviations per axis; all but white noise are first-order Gauss-Markov."""
+
+    common_sd_m: float = Field(default=3.0, ge=0.0, le=100.0)  # of all receivers: atmosphere, orbits, clocks
+    common_s: float = Field(default=600.0, gt=0.0)  # correlation time
+    multipath_sd_m: float = Field(default=0.6, ge=0.0, le=100.0)  # of each vehicle
+    multipath_s: float = Field(default=20.0, gt=0.0)
+    white_sd_m: float = Field(default=0.4, ge=0.0, le=100.0)  # of each position
+    unit_sd_m: float = Field(default=0.3, ge=0.0, le=100.0)  # multipath at the unit's antenna
+    unit_s: float = Field(default=60.0, gt=0.0)
+
+
+class GaussMarkov:
+    """A stationary first-order Gauss-Markov process of two axes: x' = φ x + √(1 - φ²) σ w, φ = exp(-Δt/τ)."""
+
+    def __init__(self, sd: float, correlation_s: float, step_s: float, rng: np.random.Generator) -> None:
+        self._phi = exp(-step_s / correlation_s)
+        self._drive = sd * sqrt(1.0 - self._phi**2)
+        self._rng = rng
+        self.value: FloatArray = sd * rng.standard_normal(2)
+
+    def step(self) -> None:
+        """Advance by one step."""
+        self.value = self._phi * self.value + self._drive * self._rng.standard_normal(2)

@@ -1,0 +1,19 @@
+"""The operator's side of the books: every transaction once, whatever is repeated, and an answer to each."""
+
+from shared.messages.toll import TollReceipt, TollTransaction
+
+
+class Operator:
+    """Inserts a transaction or ignores it by its ID, and always answers."""
+
+    def __init__(self) -> None:
+        self.booked: dict[str, TollTransaction] = {}
+
+    def receive(self, transaction: TollTransaction, now_ns: int) -> TollReceipt:
+        """Book what is new; answer to what is known as to the first time."""
+        known = transaction.transaction_id in self.booked
+        self.booked.setdefault(transaction.transaction_id, transaction)
+        return TollReceipt(
+            received_ns=now_ns, transaction_id=transaction.transaction_id, passage_id=transaction.passage_id,
+            operator="simulated", accepted=True, duplicate=known,
+        )  # fmt: skip

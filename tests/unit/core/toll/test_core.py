@@ -1,0 +1,350 @@
+"""Passages of simulated vehicles: opened, crossed, charged, or not."""
+
+from dataclasses import replace
+from math import isclose
+
+import numpy as np
+import pytest
+
+from services.core.toll.core import derive
+from services.core.toll.settings import Settings
+from shared.messages.toll import OpenPassages, PassageState, TollPassage
+from shared.messages.v2x import CamList, StationType
+from tests.support.toll import START_NS, Plant, Vehicle, fix, lane_of, place
+
+COMMON = (2.5, -1.5)  # [m, north and east] error that the receivers have in common
+CAR = Vehicle(7, "n2", error=COMMON)
+
+
+def test_a_registered_vehicle_is_charged_once_after_the_exit_line() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=20.0)
+    assert plant.states == ["open", "crossed", "charged"]
+    opened, crossed, charged = plant.passages
+    assert {one.passage_id for one in plant.passages} == {opened.passage_id}
+    assert charged.lane == "n2"
+    assert crossed.crossing_ns is not None and crossed.crossing_sd_s is not None
+    assert isclose((crossed.crossing_ns - START_NS) * 1e-9, 12.5, abs_tol=3.0 * crossed.crossing_sd_s)
+    assert charged.exit_ns is not None and charged.exit_ns >= START_NS + 13_900_000_000
+    assert charged.evidence is not None
+    assert charged.evidence.track_since_ns == charged.opened_ns
+    assert not charged.authenticated
+
+
+def test_a_wrong_sign_of_the_delta_puts_the_vehicle_into_another_lane() -> None:
+    """The receivers err by a lane to the right: the delta moves the vehicle back to the left, into its own lane."""
+    plaza = Plant().plaza
+    here, beside = place(lane_of(plaza, "n1"), 0.0), place(lane_of(plaza, "n1"), 0.0, left=-3.5)
+    error = (beside[0] - here[0], beside[1] - here[1])
+    plant = Plant(error)
+    plant.drive(Vehicle(7, "n1", error=error), until=12.0)
+    (track,) = plant.core.tracks(START_NS + 12 * 10**9).tracks
+    probability = {one.lane: one.probability for one in track.lanes}
+    assert probability["n1"] > 0.95
+    assert track.delta_applied
+    wrong = Plant((-error[0], -error[1]))
+    wrong.drive(Vehicle(7, "n1", error=error), until=12.0)
+    (track,) = wrong.core.tracks(START_NS + 12 * 10**9).tracks
+    assert {one.lane: one.probability for one in track.lanes}.get("n1", 0.0) < 0.05
+
+
+def test_a_vehicle_that_is_corrected_already_is_left_alone() -> None:
+    plant = Plant((3.0, 2.0))
+    plant.drive(Vehicle(7, "n3", stated_sd=0.5), until=12.0)
+    (track,) = plant.core.tracks(START_NS + 12 * 10**9).tracks
+    assert not track.delta_applied
+    assert max(track.lanes, key=lambda one: one.probability).lane == "n3"
+
+
+def test_without_a_delta_no_lane_is_decided_and_nothing_charged() -> None:
+    plant = Plant(None)
+    plant.register(7)
+    plant.drive(CAR, until=20.0)
+    assert plant.states == ["open", "crossed", "undecided"]
+    assert not plant.gates
+
+
+@pytest.mark.parametrize("values", [{"differential": True}, {"latitude_deg": None}, {"source": "another"}])
+def test_a_fix_that_does_not_show_the_common_error_is_not_used(values: dict[str, object]) -> None:
+    plant = Plant(COMMON)
+    before = plant.core.estimate_delta(START_NS)
+    plant.core.fix(fix(plant.plaza, 0.5, 90.0, 0.0, **values))
+    assert plant.core.estimate_delta(START_NS) == before
+    assert sum(plant.core.rejected.values()) == 1
+
+
+def test_an_old_delta_is_not_applied() -> None:
+    plant = Plant(COMMON)
+    plant.error = None
+    plant.drive(replace(CAR, start=-400.0), until=12.5)
+    (track,) = plant.core.tracks(START_NS + 12 * 10**9).tracks
+    assert not track.delta_applied
+    assert plant.core.estimate_delta(START_NS + 12 * 10**9).valid is False
+
+
+def test_a_vehicle_without_contract_is_listed_and_not_charged() -> None:
+    plant = Plant(COMMON)
+    plant.drive(CAR, until=20.0)
+    assert plant.states == ["open", "crossed", "unregistered"]
+    assert all(one.evidence is None for one in plant.passages)
+    assert not any(command.open for command in plant.gates)
+
+
+def test_a_stop_on_the_gate_line_stays_open() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(replace(CAR, start=-200.0, acceleration=-1.0), until=60.0)
+    assert plant.states == ["open"]
+    plant.drive(replace(CAR, speed=0.0, acceleration=2.0, start=0.0, since=60.0), since=60.0, until=75.0)
+    assert plant.states == ["open", "crossed", "charged"]
+
+
+@pytest.mark.parametrize("stop", [-30.0, 20.0])
+def test_a_vehicle_that_turns_around_is_void(stop: float) -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(replace(CAR, start=stop - 200.0, acceleration=-1.0), until=21.0)
+    back = replace(CAR, backward=True, start=stop, speed=0.0, acceleration=2.0, since=21.0)
+    plant.drive(back, since=21.0, until=35.0)
+    assert plant.states == (["open", "void"] if stop < 0.0 else ["open", "crossed", "void"])
+    assert "turned around" in plant.passages[-1].reason
+
+
+def test_a_vehicle_of_the_other_direction_passes_its_own_lanes() -> None:
+    plant = Plant(COMMON)
+    plant.register(7, 8)
+    plant.drive(CAR, Vehicle(8, "s2", error=COMMON), until=20.0)
+    assert sorted(one.lane or "" for one in plant.passages if one.state is PassageState.CHARGED) == ["n2", "s2"]
+
+
+@pytest.mark.parametrize("moment", [5.0, 12.3, 13.0])
+def test_a_new_station_id_continues_the_passage_of_the_silent_one(moment: float) -> None:
+    plant = Plant(COMMON)
+    plant.register(7, 70)
+    plant.drive(CAR, until=moment)
+    plant.drive(CAR.named(70), since=moment, until=20.0)
+    assert plant.states == ["open", "crossed", "charged"]
+    assert plant.passages[-1].station_ids == (7, 70)
+    assert len(plant.core.tracks(START_NS + 20 * 10**9).tracks) == 1
+
+
+def test_two_vehicles_behind_each_other_are_charged_both() -> None:
+    plant = Plant(COMMON)
+    plant.register(7, 8)
+    plant.drive(CAR, replace(CAR, station_id=8, start=CAR.start - 7.0), until=20.0)
+    assert plant.states.count("charged") == 2
+
+
+def test_of_two_vehicles_at_one_place_the_second_is_suspect() -> None:
+    plant = Plant(COMMON)
+    plant.register(7, 8)
+    plant.drive(CAR, replace(CAR, station_id=8, start=CAR.start - 1.0), until=20.0)
+    assert plant.states.count("charged") == 1
+    assert plant.states.count("suspect") == 1
+    suspect = next(one for one in plant.passages if one.state is PassageState.SUSPECT)
+    assert suspect.station_ids == (8,)
+
+
+def test_a_vehicle_that_falls_silent_is_void_after_half_a_minute() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=8.0)
+    plant.drive(until=45.0, since=8.0)
+    assert plant.states == ["open", "void"]
+    assert "fell silent before the gate line" in plant.passages[-1].reason
+
+
+def test_a_final_statement_is_repeated_until_it_is_settled() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=20.0)
+    charged = plant.passages[-1]
+    plant.said.clear()
+    plant.second()
+    assert [one.passage_id for one in plant.said if isinstance(one, TollPassage)] == [charged.passage_id]
+    settled = OpenPassages(sampled_ns=START_NS, passages=(), settled=(charged.passage_id,))
+    list(plant.core.continue_passages(settled))
+    plant.said.clear()
+    plant.second()
+    assert not plant.said
+
+
+@pytest.mark.parametrize("kill", [2.4, 5.0, 11.1, 11.8, 12.6, 13.3])
+@pytest.mark.parametrize("renamed", [False, True])
+def test_a_restart_at_any_time_continues_the_passage(kill: float, renamed: bool) -> None:
+    """The ledger knows the last statement; 1.5 s pass until the new process receives CAM."""
+    plant = Plant(COMMON)
+    plant.register(7, 70)
+    plant.drive(CAR, until=kill)
+    said = [one for one in plant.said if isinstance(one, TollPassage)]
+    finals = {one.passage_id for one in said if one.state.is_final}
+    newest = {one.passage_id: one for one in said if one.passage_id not in finals}
+    fixes, plant.core = plant.core, plant.new_core()
+    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    stored = tuple(one.model_copy(update={"evidence": None}) for one in newest.values())
+    list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=stored, settled=tuple(finals))))
+    plant.drive(CAR.named(70) if renamed else CAR, since=kill + 1.5, until=22.0)
+    assert plant.states.count("charged") == 1
+    assert len({one.passage_id for one in plant.passages}) == 1
+
+
+def test_the_ledgers_answer_may_come_after_the_vehicle() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=5.0)
+    stored = plant.passages[-1]
+    fixes, plant.core = plant.core, plant.new_core()
+    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.drive(CAR, since=5.5, until=8.0)
+    plant.said += plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=()))
+    plant.drive(CAR, since=8.0, until=20.0)
+    assert plant.states == ["open", "open", "void", "crossed", "charged"]
+    assert plant.passages[-1].passage_id == stored.passage_id
+    assert plant.passages[2].passage_id != stored.passage_id
+
+
+def test_no_passage_is_opened_before_the_ledger_answered_or_the_wait_is_over() -> None:
+    plant = Plant(COMMON)
+    fixes, plant.core = plant.core, type(plant.core)(plant.plaza, plant.settings)
+    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.drive(replace(CAR, start=-200.0), until=2.9)
+    assert not plant.passages
+    plant.drive(replace(CAR, start=-200.0), since=2.9, until=5.0)
+    assert plant.states == ["open"]
+
+
+def test_the_charge_is_derived_again_bit_for_bit_from_the_evidence() -> None:
+    plant = Plant(COMMON)
+    plant.register(7, 70, 8, 9)
+    noise = np.random.default_rng(4)
+    others = [Vehicle(8, "n1", error=COMMON, start=-240.0), Vehicle(9, "n3", error=COMMON, start=-262.0)]
+    for second in range(20):
+        car = replace(CAR if second < 9 else CAR.named(70), error=(2.5 + 0.3 * noise.standard_normal(), -1.5))
+        plant.drive(others[0], car, others[1], since=float(second), until=second + 1.0)
+    charged = next(one for one in plant.passages if one.state is PassageState.CHARGED and 7 in one.station_ids)
+    assert charged.evidence is not None
+    cams = {(cam.received_ns, cam.frame): cam for cam in plant_cams(plant, noise_seed=4)}
+    used = [cams[frame.received_ns, frame.data] for frame in charged.evidence.frames]
+    settings = Settings.model_validate_json(charged.evidence.settings)
+    again = derive(plant.plaza, settings, used, charged.evidence.deltas)[-1]
+    same = {"lane", "lanes", "crossing_ns", "crossing_sd_s", "exit_ns", "state", "passage_id", "delta_ns", "opened_ns"}
+    assert again.model_dump(include=same) == charged.model_dump(include=same)
+
+
+def plant_cams(plant: Plant, noise_seed: int) -> list:  # type: ignore[type-arg]
+    """The CAM of the vehicle of the test above once more."""
+    noise = np.random.default_rng(noise_seed)
+    found = []
+    for second in range(20):
+        car = replace(CAR if second < 9 else CAR.named(70), error=(2.5 + 0.3 * noise.standard_normal(), -1.5))
+        found += [car.cam(plant.plaza, k / 10.0) for k in range(10 * second, 10 * second + 10)]
+    return found
+
+
+def test_a_station_with_a_wrong_clock_crosses_at_the_units_time() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(replace(CAR, clock_error_s=-1.004), until=20.0)
+    assert plant.states == ["open", "crossed", "charged"]
+    assert isclose(((plant.passages[1].crossing_ns or 0) - START_NS) * 1e-9, 12.5, abs_tol=0.15)
+
+
+def test_late_and_repeated_cam_are_counted_and_not_used() -> None:
+    plant = Plant(COMMON)
+    first, second = CAR.cam(plant.plaza, 1.0), CAR.cam(plant.plaza, 1.1)
+    list(plant.core.use([second, first, second]))
+    assert plant.core.rejected["late_or_repeated"] == 2
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"latitude_deg": None}, "no_position"),
+        ({"position_out_of_range": True}, "position_cannot_be_trusted"),
+        ({"latitude_deg": 49.80}, "out_of_range"),
+        ({"station_type": StationType.ROAD_SIDE_UNIT}, "no_road_vehicle"),
+    ],
+)
+def test_cam_that_cannot_be_used_are_counted(values: dict[str, object], reason: str) -> None:
+    plant = Plant(COMMON)
+    list(plant.core.use([replace(CAR, extra=values).cam(plant.plaza, 1.0)]))
+    assert plant.core.rejected == {reason: 1}
+    assert not plant.core.tracks(START_NS).tracks
+
+
+def test_unavailable_motion_does_not_prevent_a_charge() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    nothing = {"yaw_rate_rad_s": None, "longitudinal_acceleration_m_s2": None, "speed_m_s": None}
+    plant.drive(replace(CAR, extra=nothing), until=20.0)
+    assert plant.states[-1] == "charged"
+
+
+def test_a_station_id_that_another_vehicle_uses_starts_a_new_track() -> None:
+    plant = Plant(COMMON)
+    plant.drive(CAR, until=4.0)
+    first = plant.core.tracks(START_NS).tracks[0].track
+    plant.drive(replace(CAR, lane="s1"), since=4.0, until=5.0)
+    (track,) = plant.core.tracks(START_NS).tracks
+    assert track.track != first
+    assert plant.core.rejected["outside_gate"] == Settings().track.jumps
+
+
+def test_more_stations_than_tracks_are_rejected() -> None:
+    plant = Plant(settings=Settings().with_values({"track.max_tracks": 3}))
+    list(plant.core.use([Vehicle(k, "n1", start=-100.0 - 20.0 * k).cam(plant.plaza, 1.0) for k in range(5)]))
+    assert len(plant.core.tracks(START_NS).tracks) == 3
+    assert plant.core.rejected["too_many_tracks"] == 2
+
+
+def test_a_barrier_opens_for_the_first_vehicle_of_its_lane_only() -> None:
+    plant = Plant(COMMON)
+    plant.register(7, 8)
+    first, second = replace(CAR, lane="n3", speed=3.0, start=-60.0), replace(CAR, lane="n3", speed=3.0, start=-68.0)
+    plant.drive(first, second.named(8), until=19.0)
+    by_passage: dict[str, list[bool]] = {}
+    for command in plant.gates:
+        assert command.lane == "n3"
+        by_passage.setdefault(command.passage_id, []).append(command.open)
+    opened = next(one.passage_id for one in plant.passages if one.station_ids == (7,))
+    held = next(one.passage_id for one in plant.passages if one.station_ids == (8,))
+    assert all(by_passage[opened])
+    assert not any(by_passage[held])
+    plant.drive(first, second.named(8), since=19.0, until=25.0)
+    assert [command.open for command in plant.gates if command.passage_id == held][-1]
+
+
+def test_a_gate_command_predicts_the_crossing() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=12.0)
+    for command in plant.gates:
+        assert command.crossing_ns is not None and command.crossing_sd_s is not None
+        assert abs((command.crossing_ns - START_NS) * 1e-9 - 12.5) < 3.0 * command.crossing_sd_s
+    assert plant.gates[0].sampled_ns < START_NS + 8 * 10**9
+
+
+def test_a_batch_of_random_order_and_hostile_values_raises_nothing() -> None:
+    plant = Plant(COMMON)
+    rng = np.random.default_rng(8)
+    for _ in range(300):
+        extra = {
+            "speed_m_s": float(rng.choice([0.0, 163.82])),
+            "heading_rad": float(rng.uniform(0.0, 6.28)),
+            "yaw_rate_rad_s": float(rng.choice([-5.7, 5.7])),
+            "longitudinal_acceleration_m_s2": float(rng.choice([-16.0, 16.1])),
+            "heading_confidence_rad": float(rng.choice([0.0017, 0.2])),
+            "position_semi_major_m": float(rng.choice([0.0, 0.01, 40.93])),
+            "vehicle_length_m": float(rng.choice([0.1, 102.2])),
+        }
+        cams = [
+            replace(CAR, station_id=int(rng.integers(6)), start=float(rng.uniform(-400, 100)), extra=extra).cam(
+                plant.plaza, float(rng.uniform(0.0, 60.0))
+            )
+            for _ in range(5)
+        ]
+        list(plant.core.use(cams))
+        CamList.model_validate({"received_ns": 0, "source": "x", "cams": tuple(cams)})
+        for track in plant.core.tracks(START_NS).tracks:
+            assert all(0.0 <= one.probability <= 1.0 + 1e-9 for one in track.lanes)

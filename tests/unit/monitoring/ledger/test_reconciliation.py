@@ -1,0 +1,106 @@
+"""Each detection has exactly one outcome, and a vehicle that sent nothing is known by its detection alone."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.monitoring.ledger.ledger import Ledger
+from services.monitoring.ledger.reconciliation import Crossing, Pulse, match
+from shared.messages.toll import LaneBalance, PassageState
+from tests.support.tolling import NS, START_NS, Vehicle, ledger_at
+
+LIMITS = {"detector_sd_s": 0.1, "gate_s": 5.0}
+RIPE_NS = START_NS + 400 * NS
+
+
+def balance(ledger: Ledger, lane: str = "n2", now_ns: int = RIPE_NS) -> LaneBalance:
+    ledger.reconcile(now_ns)
+    return next(b for b in ledger.balances(0) if b.lane == lane)
+
+
+def identity(found: LaneBalance) -> bool:
+    outcomes = (found.charged, found.undecided, found.unregistered, found.suspect, found.void, found.missed)
+    return found.detections == sum(outcomes) + found.pending
+
+
+def test_a_platoon_is_matched_in_its_order() -> None:
+    pulses = [Pulse(n, "n1", n * 1_500_000_000) for n in range(5)]
+    crossings = [Crossing(n, n * 1_500_000_000 + 400_000_000, 0.3, "n1", {"n1": 1.0}) for n in range(5)]
+    assert match(pulses, crossings, **LIMITS) == {n: n for n in range(5)}
+
+
+def test_an_undecided_crossing_takes_the_pulse_of_its_more_probable_lane() -> None:
+    pulses = [Pulse(1, "n1", 0), Pulse(2, "n2", 0)]
+    assert match(pulses, [Crossing(7, 0, 0.2, None, {"n1": 0.3, "n2": 0.7})], **LIMITS) == {2: 7}
+
+
+def test_a_charge_explains_no_detection_of_another_lane() -> None:
+    assert match([Pulse(1, "n1", 0)], [Crossing(7, 0, 0.2, "n2", {"n1": 0.004, "n2": 0.995})], **LIMITS) == {}
+
+
+def test_at_most_one_pulse_and_one_crossing_belong_together_whatever_their_order() -> None:
+    rng = np.random.default_rng(5)
+    pulses = [Pulse(n, f"n{rng.integers(1, 3)}", int(rng.integers(0, 20 * NS))) for n in range(40)]
+    crossings = [Crossing(n, int(rng.integers(0, 20 * NS)), 0.3, None, {"n1": 0.5, "n2": 0.5}) for n in range(30)]
+    found = match(pulses, crossings, **LIMITS)
+    assert len(set(found.values())) == len(found) == 30
+    assert match(pulses[::-1], crossings[::-1], **LIMITS) == found
+
+
+def test_every_detection_has_one_outcome_and_the_hour_adds_up(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    ends = [PassageState.CHARGED, PassageState.CHARGED, PassageState.SUSPECT, PassageState.UNDECIDED, None]
+    for n, end in enumerate(ends):
+        vehicle = Vehicle(f"v{n}", (n,), crossing_ns=START_NS + (15 + 2 * n) * NS)
+        if n != 1:
+            ledger.register(vehicle.registration(), START_NS)
+        if end:
+            ledger.passage(vehicle.says(end), START_NS + 60 * NS)
+        ledger.detect(vehicle.pulse(n), START_NS + 60 * NS)
+    found = balance(ledger)
+    assert (found.detections, found.charged, found.unregistered) == (5, 1, 1)
+    assert (found.suspect, found.undecided, found.missed) == (1, 1, 1)
+    assert found.agrees and identity(found)
+    store.close()
+
+
+def test_a_pulse_is_accounted_for_only_when_its_passage_has_had_time_to_end(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    ledger.detect(Vehicle().pulse(), START_NS + 20 * NS)
+    early = balance(ledger, now_ns=START_NS + 60 * NS)
+    assert (early.detections, early.pending, early.missed, early.agrees) == (1, 1, 0, True)
+    assert balance(ledger).missed == 1
+    store.close()
+
+
+def test_a_charge_without_detection_disturbs_the_account(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    vehicle = Vehicle()
+    ledger.register(vehicle.registration(), START_NS)
+    ledger.passage(vehicle.says(PassageState.CHARGED), START_NS + 30 * NS)
+    found = balance(ledger)
+    assert (found.charged_without_detection, found.agrees) == (1, False)
+    store.close()
+
+
+@pytest.mark.parametrize("lost", [combination for n in range(4) for combination in itertools.combinations(range(5), n)])
+def test_lost_and_repeated_pulses_are_counted_once_from_the_next_message(tmp_path: Path, lost: tuple[int, ...]) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    times = [START_NS + n * NS for n in range(6)]
+    for n in range(6):
+        for _ in range(2 if n not in lost else 0):
+            message = Vehicle(crossing_ns=times[n]).pulse(n, earlier_ns=tuple(reversed(times[:n])))
+            ledger.detect(message, START_NS + 60 * NS)
+    assert balance(ledger, now_ns=START_NS + 60 * NS).detections == 6
+    store.close()
+
+
+def test_pulses_of_another_plaza_or_from_another_year_are_not_counted(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    ledger.detect(Vehicle().pulse().model_copy(update={"plaza": "elsewhere"}), START_NS)
+    ledger.detect(Vehicle().pulse(lane="x9"), START_NS)
+    ledger.detect(Vehicle(crossing_ns=START_NS - 86_400 * 365 * NS).pulse(), START_NS)
+    assert ledger.balances(0) == () and ledger.rejects == {"another plaza": 2}
+    store.close()
