@@ -58,7 +58,7 @@ NAMES = {
 }  # fmt: skip
 OLDEST_FIX = ("provider", "latitudedegrees", "longitudedegrees", "altitudemeters", "speedmps", "accuracymeters")
 Row = dict[str, str]
-Message = GnssFix | GnssRawEpoch | GnssSatellites | ImuSamples
+LogMessage = GnssFix | GnssRawEpoch | GnssSatellites | ImuSamples
 
 
 @dataclass
@@ -98,7 +98,7 @@ def read_log(lines: Iterable[str]) -> Log:
     return log
 
 
-def messages_of(log: Log, axes: FloatArray) -> list[Message]:
+def messages_of(log: Log, axes: FloatArray) -> list[LogMessage]:
     """Convert a log to messages in order of time.
 
     Parameters
@@ -110,11 +110,16 @@ def messages_of(log: Log, axes: FloatArray) -> list[Message]:
 
     Returns
     -------
-    list of Message
+    list of LogMessage
         Stamped in UTC: those of the sensors' clock (`elapsedRealtimeNanos`) by its median offset to UTC.
     """
     offset_ns = _clock_offset(log)
-    made = [*_fixes(log, offset_ns), *_satellites(log), *_raw_epochs(log), *_inertial(log, offset_ns, axes)]
+    made: list[LogMessage] = [
+        *_fixes(log, offset_ns),
+        *_satellites(log),
+        *_raw_epochs(log),
+        *_inertial(log, offset_ns, axes),
+    ]
     return sorted(made, key=lambda message: message.received_ns)
 
 

@@ -150,8 +150,8 @@ class FilterState(Message):
     """State and covariance of the navigation filter, from which a restarted core.fusion goes on.
 
     Only a filter of the same `fingerprint` goes on from it. The covariance is that of the errors of attitude, velocity
-    and position (NED), accelerometer and gyroscope bias, accelerometer and gyroscope scale (body), then of `parameters`,
-    which begin with the scale of the odometer, and pitch and yaw of the mounting.
+    and position (NED), bias of accelerometers and gyroscopes, their scale (body), then of `parameters`,
+    which begin with the scale of the odometer and with pitch and yaw of the mounting.
     """
 
     sampled_ns: Nanoseconds  # stamp of the inertial sample of this state

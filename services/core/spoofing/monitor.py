@@ -90,7 +90,7 @@ class InertialMonitor:
         stated = np.array(sd_n) if sd_n is not None else np.full(3, g.velocity_sd_m_s)
         sd = np.maximum(np.where(stated > 0.0, stated, g.velocity_sd_m_s), g.velocity_sd_floor_m_s)
         self._fix_ns = time_ns
-        if float(sd.max()) > g.largest_velocity_sd_m_s:
+        if float(sd[:2].max()) > g.largest_velocity_sd_m_s:
             self.rejected["gnss: velocity is too inaccurate to compare"] += 1
             return
         self._pending.append(VelocityFix(time_ns - round(g.velocity_delay_s * SECOND_NS), np.array(velocity_n), sd))

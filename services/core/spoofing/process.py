@@ -3,7 +3,7 @@
 import logging
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from math import radians
+from math import cos, radians, sin
 from pathlib import Path
 from typing import cast
 
@@ -13,7 +13,7 @@ from pydantic import ValidationError, ValidationInfo, model_validator
 
 from shared.errors import ConfigError
 from shared.maths.rotation import matrix_from_quaternion, ned_from_body
-from shared.messages.base import Symmetric3, Tick
+from shared.messages.base import Symmetric3, Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
@@ -35,6 +35,7 @@ SILENT_NS = 5_000_000_000  # after which another source takes the place of one t
 # Elements of FilterState: velocity, attitude, both biases, scale of the odometer, yaw and pitch of the mounting.
 ODOMETER_SCALE, MOUNTING_PITCH, MOUNTING_YAW = 21, 22, 23
 ELEMENTS = (3, 4, 5, 0, 1, 2, 9, 10, 11, 12, 13, 14, ODOMETER_SCALE, MOUNTING_YAW, MOUNTING_PITCH)
+UNKNOWN_VERTICAL_SD = 10.0  # [m/s] of a vehicle
 RATED_S = 10.0  # of a source, after which its rate is known
 
 log = logging.getLogger(__name__)
@@ -143,8 +144,7 @@ class Process:
                 self._use_samples(message)
             case GnssFix() if self._is_chosen(message):
                 self._gnss.count(message.source, message.sampled_ns)
-                velocity = message.velocity_ned_m_s if message.fix_type in MEASURED else None
-                self.monitor.fix(message.sampled_ns, velocity, message.velocity_sd_ned_m_s)
+                self.monitor.fix(message.sampled_ns, *velocity_of(message))
             case VehicleSpeed() if self._is_chosen(message):
                 self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case NavigationSolution() if message.phase in WITH_HEADING:
@@ -214,6 +214,16 @@ class Process:
         self.rejects.update(rejected)
         self.rejects["time line started again"] += 1
         self._newest_ns = time_ns
+
+
+def velocity_of(fix: GnssFix) -> tuple[Vector3 | None, Vector3 | None]:
+    """Velocity [m/s, NED] and its standard deviation; of speed and course, as phones give them, the vertical is unknown."""
+    if fix.fix_type not in MEASURED:
+        return None, None
+    if fix.velocity_ned_m_s is not None or fix.ground_speed_m_s is None or fix.course_rad is None:
+        return fix.velocity_ned_m_s, fix.velocity_sd_ned_m_s
+    speed, course = fix.ground_speed_m_s, fix.course_rad
+    return (speed * cos(course), speed * sin(course), 0.0), (0.0, 0.0, UNKNOWN_VERTICAL_SD)
 
 
 def anchor_of(solution: NavigationSolution) -> Anchor:

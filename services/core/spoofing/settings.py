@@ -27,7 +27,7 @@ class GnssSettings(Section):
         default=0.05, gt=0.0, description="least standard deviation of a velocity, whatever the receiver states"
     )
     largest_velocity_sd_m_s: float = Field(
-        default=1.0, gt=0.0, description="velocities with a larger standard deviation are not compared"
+        default=1.0, gt=0.0, description="velocities with a larger horizontal standard deviation are not compared"
     )
     velocity_correlation_s: float = Field(default=2.0, gt=0.0, description="correlation time of velocity errors")
     time_sd_s: float = Field(

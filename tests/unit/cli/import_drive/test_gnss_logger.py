@@ -53,8 +53,9 @@ def test_a_fix_has_its_own_fields_and_no_vertical_velocity() -> None:
     (one,), rejects = converted(fix(3))
     assert isinstance(one, GnssFix) and not rejects
     assert (one.latitude_deg, one.longitude_deg, one.height_ellipsoid_m) == (37.5, -122.25, 20.0)
-    assert (one.ground_speed_m_s, one.course_rad) == (12.0, pytest.approx(math.pi / 2.0))
+    assert one.ground_speed_m_s == 12.0 and one.course_rad == pytest.approx(math.pi / 2.0)
     assert one.velocity_ned_m_s is None and one.utc_ns == (UTC_MS + 3000) * 1_000_000
+    assert one.position_sd_ned_m is not None
     assert one.position_sd_ned_m == pytest.approx((2.981, 2.981, 3.0), abs=1e-3)
     # Of a circular distribution, 68 % are within the accuracy.
     share = np.hypot(*np.random.default_rng(1).normal(0.0, one.position_sd_ned_m[0], (2, 100_000))) < 4.5

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
 from services.core.spoofing.metrics import Metric
-from services.core.spoofing.process import Config, Process, filter_anchor_of
+from services.core.spoofing.process import Config, Process, filter_anchor_of, velocity_of
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.rotation import ned_from_body
 from shared.messages.base import Tick
-from shared.messages.gnss import GnssFix
+from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import MonitorOutcome, TrustMonitor
@@ -235,3 +235,34 @@ def test_the_monitors_start_again_with_a_time_line_that_starts_again() -> None:
         result = run(fusion, process, inputs(short))
         assert result.statements[SHORT][-1].outcome is MonitorOutcome.PASS
     assert process.rejects == {"time line started again": 1}
+
+
+def test_speed_and_course_are_a_velocity_of_unknown_vertical_part() -> None:
+    fix = GnssFix(sampled_ns=1, received_ns=1, source="phone0", fix_type=FixType.THREE_D, ground_speed_m_s=10.0,
+                  course_rad=np.pi / 6.0)  # fmt: skip
+    velocity, sd = velocity_of(fix)
+    assert velocity == pytest.approx((10.0 * np.cos(np.pi / 6.0), 5.0, 0.0)) and sd == (0.0, 0.0, 10.0)
+    assert velocity_of(fix.model_copy(update={"course_rad": None})) == (None, None)
+    assert velocity_of(fix.model_copy(update={"fix_type": FixType.NONE})) == (None, None)
+
+
+def test_both_monitors_work_with_speed_and_course_alone_and_accuse_a_drag_off(drive: Drive) -> None:
+    def horizontal() -> Iterator[Input]:
+        for message in inputs(drag_off(drive, BEGIN_S, 0.3, 3.0)):
+            if isinstance(message, GnssFix) and message.velocity_ned_m_s is not None:
+                north, east, _ = message.velocity_ned_m_s
+                update = {"velocity_ned_m_s": None, "velocity_sd_ned_m_s": None, "course_rad": np.arctan2(east, north),
+                          "ground_speed_m_s": float(np.hypot(north, east))}  # fmt: skip
+                yield message.model_copy(update=update)
+            else:
+                yield message
+
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    process = Process(Config().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    result = run(fusion, process, horizontal())
+    for monitor in (SHORT, LONG):
+        assert result.share(monitor, MonitorOutcome.PASS) > 0.2
+    first_s = [result.first_s(monitor) for monitor in (SHORT, LONG)]
+    assert any(time_s is not None and BEGIN_S < time_s <= BEGIN_S + 30.0 for time_s in first_s)
+    early = [s for m in (SHORT, LONG) for s in result.statements[m] if s.sampled_ns < BEGIN_S * 1e9]
+    assert all(statement.outcome is not MonitorOutcome.ACCUSES for statement in early)
