@@ -217,7 +217,7 @@ class Process:
 
 
 def velocity_of(fix: GnssFix) -> tuple[Vector3 | None, Vector3 | None]:
-    """Velocity [m/s, NED] and its standard deviation; of speed and course, as phones give them, the vertical is unknown."""
+    """Velocity [m/s, NED] and standard deviation; of speed and course, as phones give them, the vertical is unknown."""
     if fix.fix_type not in MEASURED:
         return None, None
     if fix.velocity_ned_m_s is not None or fix.ground_speed_m_s is None or fix.course_rad is None:
