@@ -111,7 +111,7 @@ def plain(rates: tuple[float, ...], epochs: int, seed: int = 1) -> list[Count]:
             for rate in rates:
                 assert verdict.statistic is not None
                 alarms[rate] += failed or verdict.statistic > global_threshold(verdict.dof, rate)
-    return [Count("plain RAIM", rate, each * PLACES, alarms[rate]) for rate in rates]
+    return [Count("plain RAIM", rate, each * PLACES, alarms[rate], alarms[rate]) for rate in rates]
 
 
 class Drives:
@@ -180,7 +180,7 @@ def bank(rate: float, runs: int, epochs: int, *, white: bool, seed: int = 1) -> 
             predicted = correct_range_rates(predicted, seen_by_all)
         alarms += int(filters.advance(predicted, ranges).newly_excluded.any(axis=-1).sum())
     errors = "white errors" if white else f"errors correlated over {CORRELATION_S:.0f} s"
-    return Count(f"leave-one-out bank, {errors}", rate, runs * epochs, alarms)
+    return Count(f"leave-one-out bank, {errors}", rate, runs * epochs, alarms, alarms)
 
 
 def main() -> int:

@@ -19,6 +19,7 @@ from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
 from .attack_lab.attack_lab import attack_lab
+from .calibrate.spoofing import calibrate_spoofing
 from .import_drive.import_drive import import_drive
 from .recordings.record import record, repair
 from .recordings.replay import replay
@@ -39,6 +40,12 @@ papers = typer.Typer(
     no_args_is_help=True,
 )
 app.add_typer(papers, name="papers")
+calibrate = typer.Typer(
+    help="Learn settings of the unit from recorded drives.\n\n"
+    "Example: [bold]obu calibrate spoofing drive.mcap -o profile.json[/]",
+    no_args_is_help=True,
+)
+app.add_typer(calibrate, name="calibrate")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
 
@@ -357,6 +364,7 @@ def _record(
         raise typer.Exit(record(output, duration, vehicle))
 
 
+calibrate.command("spoofing")(_ended(calibrate_spoofing))
 app.command("import")(_ended(import_drive))
 app.command("solve")(_ended(solve))
 app.command("attack-lab")(_ended(attack_lab))
