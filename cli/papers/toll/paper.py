@@ -284,6 +284,6 @@ def _figures(results: Sequence[Result], decisions: Sequence[Decisions]) -> list[
             shares = [getattr(one, column) for one in decisions[:-1]]
             axes[0].bar(places + 0.2 * (k - 1.5), shares, 0.2, label=column.replace("_", " + "))
         axes[0].set_xticks(places, [_name(one) for one in decisions[:-1]])
-        axes[0].set(ylabel="share in the right lane", title="ours, not in the paper", ylim=(0.0, 1.0))
+        axes[0].set(ylabel="share in the right lane", title="ours, not in the paper", ylim=(0.0, 1.15))
         axes[0].legend(ncols=4)
     return found

@@ -34,7 +34,7 @@ class Track:
     cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))  # used, in the order of use
     jumps: int = 0  # consecutive CAM outside the gate
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID
-    predecessor_ns: int = 0  # its last CAM when this one was born
+    born_ns: int = 0  # time of the first CAM
 
     @property
     def station_id(self) -> int:
@@ -55,8 +55,9 @@ class Update:
 class TrackTable:
     """The tracks and their estimates, which are rows of arrays: one round of the IMM updates many vehicles."""
 
-    def __init__(self, settings: Settings, plaza: Plaza) -> None:
+    def __init__(self, settings: Settings, plaza: Plaza, *, on_time: bool = False) -> None:
         self._settings, self._plaza = settings.track, plaza
+        self._on_time = on_time  # the CAM's times are corrected already
         self._white_sd = settings.errors.white_sd_m
         self._imm = imm()
         self._numbers = count(1)
@@ -120,17 +121,21 @@ class TrackTable:
         if hypot(north, east) > self._settings.range_m:
             self.rejected["out_of_range"] += 1
             return None
-        return Measured(cam, cam.sampled_ns, east, north)
+        return Measured(cam, 0, east, north)
 
     def _on_unit_time(self, one: Measured) -> Measured:
         """Correct the time of a CAM: a station whose clock is wrong keeps the offset of its first CAM."""
-        track = self.by_station.get(one.cam.station_id)
+        track, cam = self.by_station.get(one.cam.station_id), one.cam
+        age_ns = cam.received_ns - cam.sampled_ns
+        offset_ns = 0
         if track is not None:
             offset_ns = track.clock_offset_ns
-        else:
-            age_ns = one.cam.received_ns - one.cam.sampled_ns
-            offset_ns = age_ns if not 0 <= age_ns <= self._settings.clock_limit_s * 1e9 else 0
-        return replace(one, time_ns=one.time_ns + offset_ns) if offset_ns else one
+        elif not self._on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
+            offset_ns = age_ns
+        if not offset_ns:
+            return one
+        corrected = cam.model_copy(update={"sampled_ns": cam.sampled_ns + offset_ns})
+        return replace(one, cam=corrected, clock_offset_ns=offset_ns)
 
     def _round(self, measured: Sequence[Measured]) -> list[Update]:
         """Use one CAM of each of several stations."""
@@ -185,10 +190,10 @@ class TrackTable:
             since_ns=one.time_ns,
             updated_ns=one.time_ns,
             received_ns=one.cam.received_ns,
-            clock_offset_ns=one.time_ns - one.cam.sampled_ns,
+            clock_offset_ns=one.clock_offset_ns,
         )
         track.predecessor = self._silent_here(one)
-        track.predecessor_ns = track.predecessor.updated_ns if track.predecessor else 0
+        track.born_ns = one.time_ns
         self.by_station[one.cam.station_id] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
@@ -220,7 +225,7 @@ class TrackTable:
         old = track.predecessor
         if old is None:
             return None
-        if old.updated_ns > track.predecessor_ns:
+        if old.updated_ns >= track.born_ns:  # both station IDs are in use
             track.predecessor = None
             return None
         if track.updated_ns - old.updated_ns < self._settings.link_after_s * 1e9:
