@@ -170,7 +170,7 @@ def bank(rate: float, runs: int, epochs: int, *, white: bool, seed: int = 1) -> 
     epoch, _, geometry = next(exact_epochs())
     geometry = replace(geometry, noise_sd=geometry.sd) if white else geometry
     systems = tuple(int(one.satellite.constellation is Constellation.GALILEO) for one in epoch.measurements)
-    drives, alarms = Drives(geometry, systems, runs, seed), 0
+    drives, alarms, accusing = Drives(geometry, systems, runs, seed), 0, 0
     filters = LeaveOneOutBank(drives.start, len(systems), BankSettings(rate))
     for second in range(epochs):
         ranges, neighbours = drives.advance()
@@ -178,9 +178,11 @@ def bank(rate: float, runs: int, epochs: int, *, white: bool, seed: int = 1) -> 
         if second:
             seen_by_all = Neighbours(*(column[:, np.newaxis] for column in neighbours))
             predicted = correct_range_rates(predicted, seen_by_all)
-        alarms += int(filters.advance(predicted, ranges).newly_excluded.any(axis=-1).sum())
+        test = filters.advance(predicted, ranges)
+        alarms += int(test.newly_excluded.any(axis=-1).sum())
+        accusing += int(test.excluded.any(axis=-1).sum())
     errors = "white errors" if white else f"errors correlated over {CORRELATION_S:.0f} s"
-    return Count(f"leave-one-out bank, {errors}", rate, runs * epochs, alarms, alarms)
+    return Count(f"leave-one-out bank, {errors}", rate, runs * epochs, alarms, accusing)
 
 
 def main() -> int:
