@@ -1,9 +1,9 @@
 """The toll plaza as JSON for the dashboard: everything in metres north and east of the antenna, with its stamps."""
 
-from math import radians
+from math import cos, radians
 from typing import TYPE_CHECKING
 
-from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.maths.ellipsoid import curvature_radii
 from shared.messages.toll import (
     LedgerState,
     PlazaDescription,
@@ -145,11 +145,10 @@ def _tracks(message: TollTracks, description: PlazaDescription) -> list[Json]:
 
 
 def _plane(point: Position | TollTrack, description: PlazaDescription) -> tuple[float, float]:
-    """Metres north and east of the antenna."""
+    """Metres north and east of the antenna, by the radii of curvature there."""
     antenna = description.antenna
-    origin = Geodetic(
-        radians(antenna.latitude_deg), radians(antenna.longitude_deg), description.antenna_height_ellipsoid_m
-    )
-    here = Geodetic(radians(point.latitude_deg), radians(point.longitude_deg), origin.height)
-    north, east, _ = ned_from_geodetic_difference(here, origin)
+    latitude = radians(antenna.latitude_deg)
+    meridian, transverse = curvature_radii(latitude)
+    north = radians(point.latitude_deg - antenna.latitude_deg) * meridian
+    east = radians(point.longitude_deg - antenna.longitude_deg) * transverse * cos(latitude)
     return round(north, 2), round(east, 2)
