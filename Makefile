@@ -9,7 +9,7 @@ PORT ?= 8080
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers bench drives integrity consistency starts golden picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -78,7 +78,16 @@ lock: | $(VENV)/.testing ## write the lock files anew from what is installed
 	@$(PYTHON) deploy/lock.py
 
 papers: setup ## reproduce the papers' numbers (minutes)
+	@$(PYTHON) -m cli papers motion-conflict --out .obu/papers/motion-conflict
+	@$(PYTHON) -m cli papers cooperative --out .obu/papers/cooperative
+	@$(PYTHON) -m cli papers spoofing --out .obu/papers/spoofing
 	@$(PYTHON) -m cli papers navigation
+
+attack-lab: setup ## attack simulated drives: rates of detection and of false alarms (an hour on two cores)
+	@$(PYTHON) -m cli attack-lab --out .obu/attack-lab
+
+alarms: setup ## count false alarms of the motion and inertial monitors in 100,000 fault-free epochs (three hours)
+	@$(PYTHON) -m benchmarks.false_alarms
 
 bench: $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks
@@ -94,6 +103,9 @@ consistency: setup ## hold errors against the filter's covariance: 50 drives a c
 
 starts: setup ## switch on anywhere in simulated drives: how soon the heading is known (ten minutes)
 	@$(PYTHON) -m benchmarks.starts
+
+v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
+	@$(PYTHON) -m benchmarks.v2x
 
 golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
 	@$(PYTHON) -m tests.support.golden

@@ -60,6 +60,7 @@ def _findings(vehicle_path: Path | None) -> Iterator[Finding]:
     )
     yield Finding(os.access(folder, os.W_OK), f"{folder} is writable", f"change the owner of {folder} or set OBU_STATE")
     yield from _devices(vehicle)
+    yield from _v2x(vehicle)
     broker = _broker()
     yield broker
     if broker.ok:
@@ -84,6 +85,17 @@ def _devices(vehicle: VehicleFile) -> Iterator[Finding]:
             accessible = os.access(path, os.R_OK | os.W_OK)
             remedy = "connect it" if not Path(path).exists() else "add your user to the group `dialout`, log in again"
             yield Finding(accessible, f"{name}: {path}", remedy)
+
+
+def _v2x(vehicle: VehicleFile) -> Iterator[Finding]:
+    """Check that the sections of the processes that V2X consists of fit together."""
+    radio, parser, sender = (name in vehicle.processes for name in ("sensors.v2x", "parsers.v2x", "controller.cam"))
+    if radio or sender:
+        yield Finding(parser, "CAM codec", "add the section [parsers.v2x]: it decodes and encodes the frames")
+    if sender:
+        table = vehicle.tables.get("sensors.v2x", {})
+        sends = radio and (str(table.get("device", "")).startswith("mqtt:") or "send_to" in table)
+        yield Finding(sends, "own CAM is sent", "set send_to in [sensors.v2x] to the URL of the radio")
 
 
 def _unit(vehicle: VehicleFile) -> Iterator[Finding]:

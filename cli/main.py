@@ -17,6 +17,7 @@ from shared.errors import UserError
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
+from .attack_lab.attack_lab import attack_lab
 from .import_drive.import_drive import import_drive
 from .recordings.record import record, repair
 from .recordings.replay import replay
@@ -239,6 +240,90 @@ def navigation(
     raise typer.Exit(repeat(runs, as_json))
 
 
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the tables.")]
+FiguresOption = Annotated[Path | None, typer.Option(help="Folder of the figures (SVG); without it none are written.")]
+
+
+@papers.command("motion-conflict")
+def motion_conflict(
+    drives: Annotated[int, typer.Option(min=1, help="Simulated drives of 15 minutes, of each kind.")] = 20,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Sweep gaps, delays and scales of the smart tachograph's speed check, and count false detections.
+
+    The paper's break-points are printed beside ours, with simulated and recorded drives, and speeds of GPS alone
+    against Galileo alone. OBU_DATA is the folder of the recordings. Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers motion-conflict --out figures[/]
+    [bold]obu papers motion-conflict --drives 2 --json[/]
+    """
+    from .papers.papers import motion_conflict as repeat
+
+    raise typer.Exit(repeat(drives, as_json, out))
+
+
+@papers.command()
+def cooperative(
+    runs: Annotated[int, typer.Option(min=1, help="Runs of 90 epochs of each of the ten ratios.")] = 500,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Repeat the ten ratios of V2X-assisted fault detection, with the leave-one-out bank beside the paper's test.
+
+    Prints position errors with and without exclusion too. Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers cooperative --out figures[/]
+    [bold]obu papers cooperative --runs 50 --json[/]
+    """
+    from .papers.papers import cooperative as repeat
+
+    raise typer.Exit(repeat(runs, as_json, out))
+
+
+@papers.command()
+def spoofing(
+    drives: Annotated[int, typer.Option(min=3, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Repeat spoofing detection by a phone's sensors, with the improved methods beside the paper's.
+
+    False detections, standard deviations by dynamics, a sweep of the cut-off, attacks, a phone without barometer, and
+    drives that phones recorded (OBU_DATA). Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers spoofing --out figures[/]
+    [bold]obu papers spoofing --drives 6 --json[/]
+    """
+    from .papers.papers import spoofing as repeat
+
+    raise typer.Exit(repeat(drives, as_json, out))
+
+
+@papers.command()
+def toll(
+    runs: Annotated[
+        int, typer.Option(min=2, help="Runs of the filters per noise model; 30 times as many of lanes.")
+    ] = 20,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Track vehicles by CAM with the filters of the C-ITS toll paper, and decide lanes with and without delta position.
+
+    Table III is printed beside ours, with processor times. Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers toll --out figures[/]
+    [bold]obu papers toll --runs 4 --json[/]
+    """
+    from .papers.papers import toll as repeat
+
+    raise typer.Exit(repeat(runs, as_json, out))
+
+
 @recordings.callback(invoke_without_command=True)
 def _record(
     context: typer.Context,
@@ -262,6 +347,7 @@ def _record(
 
 app.command("import")(_ended(import_drive))
 app.command("solve")(_ended(solve))
+app.command("attack-lab")(_ended(attack_lab))
 recordings.command("repair")(_ended(repair))
 app.command("replay")(_ended(replay))
 app.command("verify")(_ended(verify))

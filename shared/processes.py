@@ -134,7 +134,7 @@ PROCESSES = (
         "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
-            "navigation/filter_state", "trust/state",
+            "navigation/filter_state", "trust/state", "gnss/fault_free_fix",
         ),
         produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
     ),
@@ -151,7 +151,7 @@ PROCESSES = (
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",
         consumes=("gnss/raw_epoch", "gnss/navigation_bits", "gnss/fix", "v2x/neighbours", "navigation/state"),
-        produces=("trust/monitor",),
+        produces=("trust/monitor", "gnss/fault_free_fix"),
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "judges what the receiver says of jamming, spoofing, its signals and its clock",
@@ -160,7 +160,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.trust", Kind.STANDING, "decides whether the position can be used, and why",
-        consumes=("trust/monitor", "navigation/solution", "navigation/state"),
+        consumes=("trust/monitor", "navigation/solution", "navigation/state", "trust/state"),
         produces=("trust/state", "trust/event"),
     ),
     ProcessRow(

@@ -8,6 +8,7 @@ from functools import cached_property
 
 from .messages.base import Message, RawBytes
 from .messages.gnss import (
+    FaultFreeFix,
     GnssConfiguration,
     GnssConfigure,
     GnssFix,
@@ -103,6 +104,7 @@ TOPICS = (
           rate_hz=1.0, silent_after_s=5.0),
     Topic("gnss/satellites", GnssSatellites, "satellites in view", rate_hz=1.0, silent_after_s=10.0),
     Topic("gnss/raw_epoch", GnssRawEpoch, "pseudoranges, carrier phases and Doppler, from receivers that send them"),
+    Topic("gnss/fault_free_fix", FaultFreeFix, "least-squares fix of an epoch without the excluded satellites"),
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
     Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
     Topic("gnss/configuration", GnssConfiguration, "what the receiver was found to be set to", qos=1, retain=True),

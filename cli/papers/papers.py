@@ -1,7 +1,8 @@
-"""`obu papers navigation`: compares simulated drives and outages with the OBU paper and with a correct filter."""
+"""`obu papers`: compares simulations and recordings with published results."""
 
 import json as json_module
 import sys
+from pathlib import Path
 
 from rich.console import Console
 
@@ -9,6 +10,9 @@ from shared.errors import UserError
 
 from . import navigation as drives_table
 from . import outages as outages_table
+from .report import publish
+
+LEAST_DRIVES = 3
 
 
 def navigation(runs: int, json: bool) -> int:
@@ -34,3 +38,33 @@ def navigation(runs: int, json: bool) -> int:
     if not faults:
         console.print("[green]all limits met[/]")
     return 1 if faults else 0
+
+
+def motion_conflict(drives: int, json: bool, out: Path | None) -> int:
+    """Reproduce the speed check of the smart tachograph; return 1 if a number is outside its tolerance."""
+    from .motion_conflict.paper import reproduce
+
+    return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)
+
+
+def cooperative(runs: int, json: bool, out: Path | None) -> int:
+    """Reproduce V2X-assisted fault detection; return 1 if a number is outside its tolerance."""
+    from .cooperative import reproduce
+
+    return publish(reproduce(runs, sys.stderr.isatty()), json=json, out=out)
+
+
+def spoofing(drives: int, json: bool, out: Path | None) -> int:
+    """Reproduce spoofing detection by a phone's sensors; return 1 if a number is outside its tolerance."""
+    if drives < LEAST_DRIVES:
+        raise UserError(f"{drives} drives: 3 are required, two to learn of: try `obu papers spoofing --drives 6`")
+    from .spoofing.paper import reproduce
+
+    return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)
+
+
+def toll(runs: int, json: bool, out: Path | None) -> int:
+    """Reproduce tracking by CAM and decide lanes; return 1 if a number is outside its tolerance."""
+    from .toll.paper import reproduce
+
+    return publish(reproduce(runs, sys.stderr.isatty()), json=json, out=out)

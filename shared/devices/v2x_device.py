@@ -111,13 +111,17 @@ class UdpRadio:
         """Return what has arrived: (age in ns, packet)."""
         frames: Frames = []
         now_ns = time.time_ns()
-        with contextlib.suppress(BlockingIOError):
-            while len(frames) < most:
+        while len(frames) < most:
+            try:
                 data, control, _, _ = self._socket.recvmsg(MAX_FRAME_BYTES + 1, socket.CMSG_SPACE(TIMESPEC.size))
-                if not 0 < len(data) <= MAX_FRAME_BYTES:
-                    self._rejects["frame_length"] += 1
-                    continue
+            except BlockingIOError:
+                break
+            except OSError as error:
+                raise DeviceLost(f"lost the UDP socket: {error}; check the network interface") from error
+            if 0 < len(data) <= MAX_FRAME_BYTES:
                 frames.append((max(0, now_ns - _arrival_ns(control, now_ns)), data))
+            else:
+                self._rejects["frame_length"] += 1
         return frames
 
     def write(self, frame: bytes) -> None:
@@ -198,5 +202,6 @@ class MqttRadio:
         if not 0 < len(message.payload) <= MAX_FRAME_BYTES:
             self._rejects["frame_length"] += 1
             return
-        self._rejects["queue_full"] += len(self._inbox) == QUEUE_LENGTH
+        if len(self._inbox) == QUEUE_LENGTH:  # the oldest is forgotten
+            self._rejects["queue_full"] += 1
         self._inbox.append((time.monotonic_ns(), bytes(message.payload)))

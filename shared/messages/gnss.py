@@ -143,6 +143,18 @@ class GnssRawEpoch(Stamped):
     measurements: Annotated[tuple[RawMeasurement, ...], Field(max_length=MAX_RAW_MEASUREMENTS)]
 
 
+class FaultFreeFix(Stamped):
+    """Least-squares fix of an epoch without the satellites that are excluded, in place of the receiver's own."""
+
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    height_ellipsoid_m: Height
+    position_cov_ned_m2: Symmetric3
+    velocity_ned_m_s: Velocity3 | None = None
+    velocity_cov_ned_m2_s2: Symmetric3 | None = None
+    satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=MAX_RAW_MEASUREMENTS)]
+
+
 class GnssNavigationBits(Stamped):
     """One subframe or page of a navigation message, in the words in which the receiver gives it."""
 

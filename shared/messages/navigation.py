@@ -63,6 +63,7 @@ class NavigationSolution(Message):
     protection_level_horizontal_m: Deviation | None = None
     protection_level_vertical_m: Deviation | None = None
     integrity_risk: Ratio | None = None
+    gyroscope_bias_sd_rad_s: Deviation3 | None = None
     # No GNSS with a later stamp is part of this solution, because core.trust excludes it; None while GNSS is used.
     gnss_excluded_since_ns: Nanoseconds | None = None
 
@@ -99,6 +100,7 @@ class NavigationState(Message):
     # of the newest excluded position against the solution without GNSS: normalised innovation squared over its limit
     excluded_test_ratio: Ratio | None = None
     odometer_excluded: bool = False
+    satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
 
 
 class AidingKind(StrEnum):

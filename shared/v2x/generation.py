@@ -49,6 +49,8 @@ class GenerationRules:
 
     def check(self, now: Dynamics) -> Generation | None:
         """Decide whether a CAM is due; to be called about every 100 ms or more often."""
+        if self._last is not None and now.time_ns < self._last.time_ns - LONGEST_PERIOD_NS:
+            self._last = self._low_frequency_ns = None  # the time line began anew
         if self._last is not None:
             elapsed_ns = now.time_ns - self._last.time_ns + CHECK_JITTER_NS
             if elapsed_ns < SHORTEST_PERIOD_NS:

@@ -62,7 +62,8 @@ def with_push(row: int) -> Iterator[tuple[str, TrustMonitor]]:
             one = message.measurements[row]
             name = f"{'G' if one.constellation.value == 'gps' else 'E'}{one.number:02d}"
             for said in process.handle(pushed(message, row) if epochs >= PUSHED_EPOCH else message):
-                yield name, said
+                if isinstance(said, TrustMonitor):
+                    yield name, said
         elif isinstance(message, GnssFix | GnssNavigationBits):
             assert not list(process.handle(message))
 

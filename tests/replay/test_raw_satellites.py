@@ -5,11 +5,13 @@ recording                 measured
 ========================  ======================================================================
 geonet_rinex_raim, 0759   0.74 m horizontal and 2.21 m 3-D at 95 %, 120 epochs, no alarm
 osnma, ublox_2026_03      satellites within 1.1 deg of NAV-SAT, which rounds to whole degrees
+gpsd, ublox-zed-f9r       2.21 m horizontal and 2.58 m 3-D at 95 %, 30 epochs of RTCM MSM5, no alarm
 ========================  ======================================================================
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 from io import BytesIO
 from math import cos, degrees, radians
 
@@ -20,6 +22,7 @@ from pyubx2.ubxreader import UBXReader
 from services.core.cooperative.broadcast.ephemeris import satellite_state
 from services.core.cooperative.broadcast.rinex import read_rinex_navigation
 from services.core.cooperative.broadcast.rinex_observation import read_rinex_observations
+from services.core.cooperative.broadcast.rtcm import read_rtcm
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import (
     WEEK_NS,
@@ -105,6 +108,33 @@ def test_a_push_of_50_m_is_never_taken_for_gone_while_it_is_in_use(station: Stat
                 wrong += 1
                 assert satellite in verdict.suspects and not verdict.fault_free
     assert tried > 150 and wrong < 0.04 * tried
+
+
+def test_the_base_station_of_an_rtcm_stream_is_where_it_says() -> None:
+    """The stream is of a base station (its message 1006), 318 m from the receiver whose NAV-PVT is in the same log.
+
+    Without coefficients of the ionosphere, which RTCM does not have; it is an hour after midnight there.
+    """
+    data = (recording("gpsd_receiver_logs") / "ublox-zed-f9r.log").read_bytes()
+    midnight = datetime(2025, 4, 11, 23, 14, 26) - datetime(1980, 1, 6)  # GPS time has no zone
+    messages = [message for _, message in UBXReader(BytesIO(data), protfilter=4)]
+    ephemerides, epochs = read_rtcm(messages, round(midnight.total_seconds()) * 10**9)
+    store, monitor, errors = EphemerisStore(), SatelliteMonitor(), []
+    for one in ephemerides:
+        store.add(one)
+    base = next(message for message in messages if message.identity == "1006")
+    truth = (base.DF025, base.DF026, base.DF027)
+    place = geodetic_from_ecef(truth)
+    to_ned = ned_from_ecef(place.latitude, place.longitude)
+    for epoch in epochs:
+        verdict = monitor.evaluate(epoch, store)
+        assert verdict.outcome == Outcome.PASS and verdict.solution is not None and verdict.dof >= 10
+        assert verdict.solution.velocity_e is not None and np.linalg.norm(verdict.solution.velocity_e) < 0.05
+        errors.append(to_ned @ (np.array(verdict.solution.position_e) - truth))
+    found = np.array(errors)
+    assert len(found) == 30 and not store.rejected
+    assert np.quantile(np.hypot(found[:, 0], found[:, 1]), 0.95) < 2.5
+    assert np.quantile(np.linalg.norm(found, axis=1), 0.95) < 4.0
 
 
 @pytest.mark.slow

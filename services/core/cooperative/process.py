@@ -11,22 +11,24 @@ from pydantic import Field
 
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.base import Symmetric3, Tick
-from shared.messages.gnss import GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
+from shared.messages.gnss import FaultFreeFix, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.navigation import NavigationState
 from shared.messages.neighbours import Neighbour, NeighbourStates
 from shared.messages.trust import TrustMonitor
 from shared.runtime.config import Section
 
 from .broadcast.store import EphemerisStore
+from .fault_free import fault_free_fix
 from .measurements import Constellation, Measurement, Outcome, RawEpoch, SatelliteId, SatelliteVerdict
 from .satellites.model import ErrorModel
 from .satellites.monitor import RaimSettings, SatelliteMonitor
-from .statements import NEIGHBOUR, Since, after, not_evaluated, statement
+from .statements import NEIGHBOUR, Since, after, silent, statement
 from .v2x.bank import BankSettings
 from .v2x.monitor import CooperativeMonitor, CooperativeSettings
 from .v2x.neighbours import NeighbourReport
 
 In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | NavigationState | Tick
+Out = TrustMonitor | FaultFreeFix
 MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
 PERIOD_NS = 900_000_000  # epochs that follow faster are not evaluated: one a second is enough
 SIGNALS = {("gps", "1C"), ("galileo", "1C"), ("galileo", "1B")}  # on 1575.42 MHz, with broadcast ephemerides
@@ -87,7 +89,7 @@ class Process:
         """Rejected measurements and navigation words by reason."""
         return self._rejected + Counter(self._store.rejected)
 
-    def handle(self, message: In) -> Iterator[TrustMonitor]:
+    def handle(self, message: In) -> Iterator[Out]:
         """Use measurements and navigation words."""
         match message:
             case GnssRawEpoch():
@@ -103,9 +105,10 @@ class Process:
                 self._alert_limit_m = message.alert_limit_horizontal_m
             case Tick():
                 if self._is_silent(message.now_ns):
-                    yield self._remembered(not_evaluated(self._why_silent(message.now_ns), message.now_ns, self._since))
+                    why = self._why_silent(message.now_ns)
+                    yield self._remembered(silent(why, message.now_ns, self._epoch_ns, self._since))
 
-    def _use_epoch(self, message: GnssRawEpoch) -> Iterator[TrustMonitor]:
+    def _use_epoch(self, message: GnssRawEpoch) -> Iterator[Out]:
         if message.source != self._source:
             if not self._is_silent(message.sampled_ns):
                 self._rejected["second_receiver"] += 1
@@ -124,6 +127,8 @@ class Process:
         yield self._remembered(
             statement(plain, cooperative, epoch, message.sampled_ns, self._since, self._alert_limit_m)
         )
+        if (fix := fault_free_fix(plain, message)) is not None:
+            yield fix
 
     def _evaluate(
         self, epoch: RawEpoch, reports: tuple[NeighbourReport, ...]

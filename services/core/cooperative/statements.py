@@ -9,6 +9,7 @@ from .detection import local_threshold
 from .measurements import NeighbourFinding, Outcome, RawEpoch, SatelliteFinding, SatelliteVerdict
 
 MONITOR, GNSS = "satellites", "gnss"
+UNRESOLVED_NS = 60_000_000_000
 NEIGHBOUR = "neighbour"  # begins the name of each of them
 COOPERATIVE, LEVEL = "cooperative", "horizontal protection level"
 MAX_TESTS = 64  # one a satellite: GPS and Galileo have 68 numbers
@@ -30,6 +31,21 @@ def not_evaluated(reason: str, time_ns: int, since: Since) -> TrustMonitor:
     return TrustMonitor(
         sampled_ns=time_ns, monitor=MONITOR, outcome=MonitorOutcome.NOT_EVALUATED, reason=reason[:400],
         since_ns=_since_ns(MonitorOutcome.NOT_EVALUATED, time_ns, since),
+    )  # fmt: skip
+
+
+def silent(reason: str, time_ns: int, epoch_ns: int | None, since: Since) -> TrustMonitor:
+    """Give the statement without raw measurements.
+
+    Where a satellite was excluded in the last epoch, the receiver's own position contains it and nothing replaces that:
+    GNSS is accused as a whole, for a minute.
+    """
+    excluded = since.outcome is MonitorOutcome.ACCUSES and since.passed_ns != epoch_ns
+    if not excluded or epoch_ns is None or time_ns - epoch_ns > UNRESOLVED_NS:
+        return not_evaluated(reason, time_ns, since)
+    return TrustMonitor(
+        sampled_ns=time_ns, monitor=MONITOR, outcome=MonitorOutcome.ACCUSES, accused=(GNSS,),
+        reason=f"{reason}, and a satellite was excluded before", since_ns=since.since_ns, suspect_since_ns=epoch_ns,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import Geodetic
 from shared.messages.base import Symmetric3, Vector3
-from shared.messages.gnss import CarrierSolution, FixType, GnssFix
+from shared.messages.gnss import CarrierSolution, FaultFreeFix, FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingUpdate,
@@ -94,6 +94,18 @@ def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
     for measurement in measurements:
         navigator.measure(measurement)
     return bool(measurements)
+
+
+def give_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
+    """Hand a fix without the excluded satellites to the navigator, which uses it in place of the receiver's own."""
+    stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
+    position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), fix.height_ellipsoid_m)
+    velocity = fix.velocity_ned_m_s
+    moving = None if velocity is None else Reading(velocity, _cov(fix.velocity_cov_ned_m2_s2, None))
+    reading = Reading((0.0, 0.0, 0.0), _cov(fix.position_cov_ned_m2, None))
+    left_out = fix.satellites_left_out
+    for measurement in gnss_measurements(navigator.settings, stamp, position, reading, moving, left_out=left_out):
+        navigator.measure(measurement)
 
 
 def give_verdict(navigator: Navigator, verdict: TrustState) -> None:
@@ -188,6 +200,7 @@ def solution_message(solution: Solution) -> NavigationSolution:
         protection_level_horizontal_m=solution.protection_level_horizontal,
         protection_level_vertical_m=solution.protection_level_vertical,
         integrity_risk=solution.integrity_risk,
+        gyroscope_bias_sd_rad_s=solution.gyroscope_bias_sd,
         gnss_excluded_since_ns=solution.gnss_excluded_since_ns,
     )
 
@@ -290,4 +303,5 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         fixes_excluded=exclusions.fixes,
         excluded_test_ratio=exclusions.test_ratio,
         odometer_excluded=exclusions.odometer,
+        satellites_left_out=exclusions.satellites,
     )

@@ -22,7 +22,7 @@ from .alignment.heading import Prior
 from .alignment.warm_start import SavedState, fault, saved_state
 from .measurements import barometer, magnetometer
 from .measurements.base import Counts, Measurement, Outcome
-from .measurements.gnss import Reading, Stamp, gnss_measurements
+from .measurements.gnss import GnssPosition, GnssVelocity, Reading, Stamp, gnss_measurements
 from .measurements.odometer import WheelSpeed
 from .plausibility.imu_faults import Repeats, Sample, credible, unremarkable
 from .plausibility.measurements import Devices, impossible
@@ -30,7 +30,7 @@ from .settings import Settings
 from .smoothing.history import HistoryRecorder
 from .solution import Bounds, Solution, solution_of
 from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
-from .timing.out_of_sequence import OutOfSequenceEngine
+from .timing.out_of_sequence import OutOfSequenceEngine, key_of
 from .timing.roll_back import RollBack
 from .update.engine import Engine
 from .update.imu_gaps import LostTime
@@ -40,6 +40,8 @@ FloatArray = npt.NDArray[np.float64]
 NEWEST_LIMIT = 256  # kinds of measurements of devices
 HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheel speeds are used at most this often
+FAULT_FREE_NS = 3_000_000_000  # after a fault-free fix, in which another one is expected
+FAULT_FREE_WAIT_NS = 1_000_000_000
 
 
 class Navigator:
@@ -62,6 +64,7 @@ class Navigator:
         self._remarkable = True  # the last sample was checked, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
         self._devices = Devices(self.rejects, self._now_ns)
+        self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
 
     def imu(
@@ -136,6 +139,8 @@ class Navigator:
         if not self._devices.is_known(measurement.source):
             return
         release_ns = measurement.received_ns + int(self.settings.merge_delay_s * 1e9)
+        if isinstance(measurement, GnssPosition | GnssVelocity):
+            release_ns += self._await_fault_free(measurement)
         entry = (release_ns, measurement.time_ns, measurement.source, measurement)
         insort(self._held, entry, key=lambda held: held[:3])
         if len(self._held) > HELD_LIMIT:
@@ -284,6 +289,18 @@ class Navigator:
             else:
                 self.rejects["measurement older than the memory"] += 1
         return self._roll_back.outcomes()
+
+    def _await_fault_free(self, measurement: GnssPosition | GnssVelocity) -> int:
+        """Time [ns] for which a fix waits for the fault-free one of its epoch, while there are any.
+
+        A fault-free fix takes the place of one that waits.
+        """
+        if not measurement.left_out:
+            after_ns = measurement.time_ns - self._fault_free_ns
+            return FAULT_FREE_WAIT_NS if 0 < after_ns <= FAULT_FREE_NS else 0
+        self._fault_free_ns = measurement.time_ns
+        self._held = [held for held in self._held if key_of(held[3]) != key_of(measurement)]
+        return 0
 
     def _now_ns(self) -> int:
         newest = self._oosm.newest

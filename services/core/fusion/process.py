@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from shared.messages.base import Tick
-from shared.messages.gnss import GnssFix
+from shared.messages.gnss import FaultFreeFix, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import (
     AidingUpdate,
@@ -21,7 +21,9 @@ from .navigator import Navigator
 from .settings import Settings
 
 STATE_PERIOD_NS, SILENT_NS = 1_000_000_000, 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
-In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | TrustState | Tick
+In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | TrustState | FaultFreeFix | Tick
+Exclusion = tuple[int | None, bool, tuple[str, ...]]  # of GNSS since a time, of the odometer, of satellites
+NOTHING: Exclusion = (None, False, ())
 Out = NavigationSolution | NavigationState | FilterState | AidingUpdate
 
 
@@ -37,7 +39,7 @@ class Process:
         self.rejects, self.record_history = self._navigator.rejects, self._navigator.record_history
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
-        self._last_state: tuple[NavigationPhase, str, int | None, int] | None = None
+        self._last_state: tuple[NavigationPhase, str, Exclusion, int] | None = None
         self._saved: FilterState | None = None  # of an earlier process, until the first sample
         self._imu: str | None = None  # the one that is listened to
         self._imu_received_ns: int | None = None
@@ -52,6 +54,8 @@ class Process:
                     self.rejects["fix without position"] += 1
                 if isinstance(message, GnssFix):
                     yield from self._silence(message.received_ns)
+            case FaultFreeFix():
+                messages.give_fault_free_fix(self._navigator, message)
             case TrustState():
                 messages.give_verdict(self._navigator, message)
             case FilterState() if self._imu is None:  # later ones are its own
@@ -87,7 +91,7 @@ class Process:
 
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
         """Publish that there are no inertial samples, by fixes that arrived long after the last of them."""
-        current = (NavigationPhase.WAITING_FOR_IMU, "", None, received_ns // STATE_PERIOD_NS)
+        current = (NavigationPhase.WAITING_FOR_IMU, "", NOTHING, received_ns // STATE_PERIOD_NS)
         silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
         if silent and current != self._last_state:
             self._last_state = current
@@ -95,8 +99,9 @@ class Process:
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
         """Say what goes on when it changes, and every second."""
-        excluded_since_ns = self._navigator.engine.exclusions.gnss_since_ns
-        current = (self._navigator.phase, self._navigator.reason, excluded_since_ns, sampled_ns // STATE_PERIOD_NS)
+        navigator, excluded = self._navigator, self._navigator.engine.exclusions
+        exclusion = excluded.gnss_since_ns, excluded.odometer, excluded.satellites
+        current = (navigator.phase, navigator.reason, exclusion, sampled_ns // STATE_PERIOD_NS)
         if current != self._last_state:
             self._last_state = current
             yield messages.state_message(self._navigator, sampled_ns)

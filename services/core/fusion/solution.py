@@ -42,7 +42,8 @@ class Solution(NamedTuple):
     protection_level_vertical: float  # [m] the same of the height
     integrity_risk: float
     triangles: tuple[Symmetric3, Symmetric3, Symmetric3]  # upper halves of the three covariances
-    gnss_excluded_since_ns: int | None = None  # no GNSS with a later stamp is part of it
+    gyroscope_bias_sd: Vector
+    gnss_excluded_since_ns: int | None  # no GNSS with a later stamp is part of it
 
 
 class Spread(NamedTuple):
@@ -51,6 +52,7 @@ class Spread(NamedTuple):
     levels: Levels
     covariances: tuple[FloatArray, FloatArray, FloatArray]  # of position, velocity, attitude
     triangles: tuple[Symmetric3, Symmetric3, Symmetric3]
+    gyroscope_bias_sd: Vector
 
 
 class Bounds:
@@ -76,7 +78,8 @@ class Bounds:
                 risk=self._settings.integrity.risk,
                 time_sd_s=self._settings.gnss.time_sd_s,
             )
-            self._spread = Spread(levels, covariances, (_upper(rows[0]), _upper(rows[1]), _upper(rows[2])))
+            x, y, z = np.sqrt(P.diagonal()[em.GYROSCOPE_BIAS]).tolist()
+            self._spread = Spread(levels, covariances, (_upper(rows[0]), _upper(rows[1]), _upper(rows[2])), (x, y, z))
             self._made_of = P, watch
         return self._spread
 
@@ -88,7 +91,7 @@ def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
         return None
     time_ns, quaternion, velocity, position = navigation.inertial
     roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion)
-    levels, covariances, triangles = bounds.of(navigation, engine.aids.watch)
+    levels, covariances, triangles, gyroscope_bias_sd = bounds.of(navigation, engine.aids.watch)
     return Solution(
         time_ns=time_ns,
         phase=engine.phase,
@@ -109,6 +112,7 @@ def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
         protection_level_vertical=levels.vertical,
         integrity_risk=levels.risk,
         triangles=triangles,
+        gyroscope_bias_sd=gyroscope_bias_sd,
         gnss_excluded_since_ns=engine.exclusions.gnss_since_ns,
     )
 

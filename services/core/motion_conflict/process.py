@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from math import hypot
 
 from shared.messages.base import Tick
-from shared.messages.gnss import GnssFix
+from shared.messages.gnss import FixType, GnssFix
 from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 
@@ -14,6 +14,8 @@ from .settings import Settings
 from .statements import statements
 
 In = GnssFix | VehicleSpeed | TrustState | Tick
+# Fixes whose velocity is measured by satellites; dead reckoning of a receiver may come from the same wheels.
+MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 # Learning stops while the position is in doubt: a spoofed speed must not become the odometer's scale.
 NO_LEARNING = (TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING, TrustLevel.NO_FIX)
 
@@ -50,7 +52,10 @@ class Process:
                 yield from statements(self._monitor.verdicts(time_ns), time_ns)
 
     def _use_fix(self, fix: GnssFix) -> None:
-        """Use the horizontal speed; a fix without velocity is no speed, not standstill."""
+        """Use the horizontal speed; without velocity, or without satellites, there is no speed, and no standstill."""
+        if fix.fix_type not in MEASURED:
+            self._monitor.gnss(fix.sampled_ns, None)
+            return
         speed, sd = fix.ground_speed_m_s, None
         if fix.velocity_ned_m_s is not None:
             speed = hypot(*fix.velocity_ned_m_s[:2])

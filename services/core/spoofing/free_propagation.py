@@ -38,7 +38,7 @@ class FreePropagation:
         self.P[VELOCITY, VELOCITY] = anchor.velocity_cov + np.eye(3) * s.velocity_sd_floor_m_s**2
         self.P[ATTITUDE, ATTITUDE] = anchor.attitude_cov + np.eye(3) * s.attitude_sd_floor_rad**2
         self.P[ACCELEROMETER, ACCELEROMETER] = np.eye(3) * s.accelerometer_bias_sd_m_s2**2
-        self.P[GYROSCOPE, GYROSCOPE] = np.eye(3) * s.gyroscope_bias_sd_rad_s**2
+        self.P[GYROSCOPE, GYROSCOPE] = np.diag(np.maximum(anchor.gyroscope_bias_sd, s.gyroscope_bias_sd_rad_s) ** 2)
         self.P[SCALE, SCALE] = s.odometer_scale_sd**2
         self.P[YAW, YAW] = self.P[PITCH, PITCH] = s.mounting_sd_rad**2
         self._gate = chi_square_limit(1, s.odometer_gate)

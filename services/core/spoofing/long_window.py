@@ -118,6 +118,7 @@ class LongWindow:
         self._runs: list[FreeRun] = []  # oldest anchor first
         self.threshold = chi_square_limit(DIMENSIONS, settings.long.false_alarm_rate)
         self.release_threshold = chi_square_limit(DIMENSIONS, RELEASE_RATE)
+        self.median = chi_square_limit(DIMENSIONS, 0.5)
         self.suspect_since_ns: int | None = None  # while GNSS is accused
 
     @property

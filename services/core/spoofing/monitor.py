@@ -23,6 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
 ODOMETER_GAP_S = 2.5
 RELEASE = 10  # evaluations below the release threshold that end an accusation of a long window
+ATTITUDE_SDS = 2.0  # of the attitude's part, which must stay below the threshold of a metric
 KEPT_S = 10  # of increments, fixes and solutions
 
 
@@ -48,6 +49,7 @@ class InertialMonitor:
         self._fix_ns: int | None = None  # newest stamp, before the delay
         self._exceeded: Counter[Metric | int] = Counter()  # successive evaluations above the threshold
         self._accusing = dict.fromkeys(LENGTHS_S, False)
+        self._inconspicuous_ns: dict[int, int] = {}  # newest evaluation of each long window below the median
         self._known: dict[str, Verdict] = {}
 
     def inertial(self, time_ns: int, force_b: Vector, rate_b: Vector) -> None:
@@ -188,7 +190,7 @@ class InertialMonitor:
         window = compare(
             chosen, run, known[-1], lever_arm_b=self._lever_arm, height_rate=self._heights.rate
         )  # fmt: skip
-        self.window = window
+        self.window = window = self._comparable(window)
         profile = self.settings.profile
         for metric in Metric:
             sigma = profile.sigma_of(metric, window)
@@ -198,17 +200,37 @@ class InertialMonitor:
         for length in LENGTHS_S:
             self._decide(length, self.long.result(length))
 
+    def _comparable(self, window: Window) -> Window:
+        """Leave out metrics for which the attitude is too uncertain, as it is after a new alignment."""
+        profile, missing = self.settings.profile, {}
+        for metric, sd in window.attitude.items():
+            sigma = profile.sigma_of(metric, window)
+            if sigma is not None and ATTITUDE_SDS * sd > profile.threshold * sigma:
+                missing[metric] = f"attitude is too uncertain: {sd:.3f} {UNITS[metric]} of the inertial acceleration"
+        left = {metric: value for metric, value in window.difference.items() if metric not in missing}
+        return replace(window, difference=left, missing={**window.missing, **missing})
+
     def _decide(self, length: int, result: LongResult | None) -> None:
         """Accuse after two evaluations above the threshold; release after ten below a lower one."""
         if result is None:
             self._accusing[length] = False
             return
         accusing = self._accusing[length]
+        if not accusing and result.statistic < self.long.median:
+            self._inconspicuous_ns[length] = self._fixes[-1].time_ns
         counts = result.statistic < self.long.release_threshold if accusing else result.statistic > self.long.threshold
         self._exceeded[length] = self._exceeded[length] + 1 if counts else 0
         if self._exceeded[length] >= (RELEASE if accusing else CONSECUTIVE):
             self._accusing[length] = not accusing
             self._exceeded[length] = 0
+
+    def _suspect_since_ns(self, length: int, result: LongResult) -> int:
+        """Two windows of 5 s before GNSS last agreed with a propagation of this length, but not before the anchor.
+
+        Before that time an error is too small for the test, as it is while all monitors pass.
+        """
+        agreed_ns = self._inconspicuous_ns.get(length, result.anchor_ns)
+        return max(result.anchor_ns, agreed_ns - round(2.0 * WINDOW_S * SECOND_NS))
 
     def _no_window(self, reason: str) -> None:
         self.window, self._window_missing = None, reason
@@ -278,7 +300,7 @@ class InertialMonitor:
             result.statistic,
             self.long.threshold,
             accuses=self._accusing[length],
-            suspect_since_ns=result.anchor_ns,
+            suspect_since_ns=self._suspect_since_ns(length, result),
         )
 
 

@@ -107,6 +107,7 @@ def anchor_of(solution: NavigationSolution) -> Anchor:
         height=solution.height_ellipsoid_m,
         stationary=solution.stationary,
         gnss_age_s=solution.gnss_age_s,
+        gyroscope_bias_sd=np.array(solution.gyroscope_bias_sd_rad_s or (0.0, 0.0, 0.0)),
     )
 
 

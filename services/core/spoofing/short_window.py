@@ -8,7 +8,8 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import wrap_angle
+from shared.maths.earth import STANDARD_GRAVITY, wrap_angle
+from shared.maths.rotation import skew
 
 from .metrics import WINDOW_S, Metric, acceleration_differences
 from .strapdown import SECOND_NS, Anchor, Increment, Strapdown
@@ -33,6 +34,7 @@ class Window:
     speed_m_s: tuple[float, float] = (0.0, 0.0)  # least and largest
     force_m_s2: float = 0.0  # largest | |f| - g |
     missing: dict[Metric, str] = field(default_factory=dict)  # why a metric was not evaluated
+    attitude: dict[Metric, float] = field(default_factory=dict)  # standard deviation from that of the anchor's attitude
 
 
 def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | str:
@@ -119,7 +121,32 @@ def compare(
     inside = [increment for increment in increments if increment.end_ns > start_ns]
     force = max(abs(increment.excess_force) for increment in inside)
     speeds = (min(slowest, inertial_speed), max(fix.speed for fix in fixes))
-    return Window(start_ns, end_ns, difference, noise, speeds, force, missing)
+    tilted = _attitude_part(anchor, (free[1] - free[0]) / duration, float(ends.mean()))
+    north, east, up = tilted.tolist()
+    attitude = {
+        Metric.ACCELERATION_NORTH: north,
+        Metric.ACCELERATION_EAST: east,
+        Metric.ACCELERATION_UP: up,
+        Metric.ACCELERATION: max(north, east),
+    }
+    return Window(start_ns, end_ns, difference, noise, speeds, force, missing, attitude)
+
+
+def _attitude_part(anchor: Anchor, acceleration_n: FloatArray, middle_s: float) -> FloatArray:
+    """Standard deviation [m/s², NED] of the inertial acceleration from the anchor's attitude and gyroscope biases.
+
+    Notes
+    -----
+    An attitude error psi turns the specific force f; with b the gyroscope bias, t the time from the anchor to the
+    middle of the window::
+
+        da = -sk(f) (psi + C b t),    f = a - g
+    """
+    force = skew(acceleration_n - [0.0, 0.0, STANDARD_GRAVITY])
+    C = anchor.ned_from_body
+    P = anchor.attitude_cov + middle_s**2 * (C * anchor.gyroscope_bias_sd**2) @ C.T
+    sd: FloatArray = np.sqrt((force @ P @ force.T).diagonal())
+    return sd
 
 
 def _propagated(

@@ -1,7 +1,7 @@
 """Inertial samples as increments of 100 ms, and the mechanisation that propagates attitude and velocity by them."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 
 import numpy as np
@@ -104,6 +104,7 @@ class Anchor:
     height: float  # [m]
     stationary: bool
     gnss_age_s: float | None
+    gyroscope_bias_sd: FloatArray = field(default_factory=lambda: np.zeros(3))  # shape (3,) [rad/s, body]
 
 
 class Strapdown:

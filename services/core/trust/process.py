@@ -15,9 +15,10 @@ from .facts import Facts, Limits, Monitor, Outcome, Solution, Statement
 from .readmission import Readmission, is_lost, judge_gnss
 from .verdict import odometer_accused, verdict
 
-In = TrustMonitor | NavigationSolution | NavigationState | Tick
+In = TrustMonitor | NavigationSolution | NavigationState | TrustState | Tick
 Out = TrustState | TrustEvent
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
+RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
 REASON_LENGTH = 400  # of a message
 
 
@@ -53,6 +54,7 @@ class Process:
         self._monitors: dict[Monitor, TrustMonitor] = {}
         self._gnss = Readmission()
         self._published: TrustState | None = None
+        self._saved: TrustState | None = None  # of an earlier process, until the first verdict
 
     def handle(self, message: In) -> Iterator[Out]:
         """Use a message, and publish what follows from it."""
@@ -69,11 +71,22 @@ class Process:
             case NavigationState():
                 self._navigation = message
                 return
+            case TrustState():  # later ones are its own
+                self._saved = message if self._published is None else None
+                return
             case Tick():
                 self._time_ns = message.now_ns
         yield from self._judge(at_once=isinstance(message, Tick))
 
+    def _resume(self) -> None:
+        """Go on with the exclusion of an earlier process, so that a restart readmits nothing."""
+        saved, self._saved = self._saved, None
+        if saved is not None and saved.gnss_excluded and 0 <= self._time_ns - saved.sampled_ns <= RESTART_NS:
+            since_ns = saved.sampled_ns if saved.suspect_since_ns is None else saved.suspect_since_ns
+            self._gnss.update(saved.sampled_ns, accused=True, agrees=False, suspect_since_ns=since_ns)
+
     def _judge(self, *, at_once: bool) -> Iterator[Out]:
+        self._resume()
         facts = self._facts(self._gnss.suspect_since_ns)
         accused, agrees, suspect_ns = judge_gnss(facts)
         admission = self._gnss.update(
@@ -138,6 +151,7 @@ class Process:
             gnss_excluded=suspect_since_ns is not None,
             exclusion_confirmed=confirmed,
             excluded_test_ratio=None if state is None else state.excluded_test_ratio,
+            satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
             limits=self._limits(),
         )
 

@@ -18,7 +18,9 @@ from shared.v2x import frames
 log = logging.getLogger(__name__)
 
 BATCH_S = 0.02
-MAX_BATCH_BYTES = 1 << 17  # half of what the bus carries in one message, as base64
+MAX_BATCH_FRAMES = 200  # of the longest frames: 0.5 MB
+MAX_READ = 4096  # frames in one go
+BURST_S = 0.5  # of frames at the greatest rate, after a pause
 
 
 class Config(Section):
@@ -46,6 +48,8 @@ class Process:
         self._radio: Radio | None = None
         self._attempts = 0
         self._next_attempt = self._next_batch = 0.0
+        self._allowance = BURST_S * config.max_frames_s  # frames that may be published now
+        self._refilled = time.monotonic()
         self._fault: str | None = None
 
     def run(self, bus: Bus) -> None:
@@ -69,29 +73,20 @@ class Process:
             self._radio.close()
 
     def _publish_batch(self, bus: Bus) -> None:
-        most = max(1, round(self._config.max_frames_s * BATCH_S))
         try:
             radio = self._radio or self._reopen(bus)
             if radio is None:
                 return
-            arrived = radio.read(2 * most)  # what arrives above the limit is read and dropped, else it would queue up
+            arrived = radio.read(MAX_READ)
         except DeviceLost as error:
             self._lose(bus, error)
             return
-        bus.rejects["frame_rate"] += max(0, len(arrived) - most)
+        accepted = arrived[: self._accept(len(arrived))]
+        if len(accepted) < len(arrived):
+            bus.rejects["frame_rate"] += len(arrived) - len(accepted)
         now_ns = bus.now_ns()
-        batch: list[tuple[int, bytes]] = []
-        size = 0
-        for age_ns, data in arrived[:most]:
-            if size + len(data) > MAX_BATCH_BYTES:
-                self._publish(bus, radio, batch)
-                batch, size = [], 0
-            batch.append((now_ns - age_ns, data))
-            size += len(data) + frames.HEADER.size
-        self._publish(bus, radio, batch)
-
-    def _publish(self, bus: Bus, radio: Radio, batch: list[tuple[int, bytes]]) -> None:
-        if batch:
+        for first in range(0, len(accepted), MAX_BATCH_FRAMES):
+            batch = [(now_ns - age_ns, data) for age_ns, data in accepted[first : first + MAX_BATCH_FRAMES]]
             bus.publish(
                 CamFrames(
                     received_ns=batch[-1][0],
@@ -100,6 +95,15 @@ class Process:
                     data=frames.pack(batch),
                 )
             )
+
+    def _accept(self, arrived: int) -> int:
+        """How many of so many frames the limit of the rate admits: a token bucket."""
+        now, greatest = time.monotonic(), BURST_S * self._config.max_frames_s
+        self._allowance = min(greatest, self._allowance + (now - self._refilled) * self._config.max_frames_s)
+        self._refilled = now
+        accepted = min(arrived, int(self._allowance))
+        self._allowance -= accepted
+        return accepted
 
     def _send(self, bus: Bus, frame: bytes) -> None:
         try:

@@ -41,3 +41,31 @@ def test_an_invalid_setting_is_named(
     vehicle.write_text("[core.fusion]\nlever_arm_m = [0, 0, 0]\n")
     assert doctor.examine(vehicle) == 1
     assert "lever_arm_body_m" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("sections", "faults"),
+    [
+        ("", set()),
+        ("[sensors.v2x]\n[parsers.v2x]\n", set()),
+        ("[sensors.v2x]\n", {"CAM codec"}),
+        ("[sensors.v2x]\n[parsers.v2x]\n[controller.cam]\n", {"own CAM is sent"}),
+        ('[sensors.v2x]\nsend_to = "udp://127.0.0.1:5"\n[parsers.v2x]\n[controller.cam]\n', set()),
+        ('[sensors.v2x]\ndevice = "mqtt://127.0.0.1:5/a"\n[parsers.v2x]\n[controller.cam]\n', set()),
+        ("[controller.cam]\n", {"CAM codec", "own CAM is sent"}),
+    ],
+)
+def test_sections_of_v2x_that_do_not_fit_together_are_reported(
+    sections: str,
+    faults: set[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("OBU_STATE", str(tmp_path))
+    monkeypatch.setenv("OBU_BROKER", "mqtt://127.0.0.1:1")
+    vehicle = tmp_path / "vehicle.toml"
+    vehicle.write_text(sections)
+    doctor.examine(vehicle)
+    printed = capsys.readouterr().out.splitlines()
+    assert {what for what in ("CAM codec", "own CAM is sent") if f"NO  {what}" in printed} == faults

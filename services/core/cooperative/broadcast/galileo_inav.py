@@ -101,11 +101,11 @@ def decode_ephemeris(number: int, words: Mapping[int, NavigationWord], gps_time_
         SatelliteId(Constellation.GALILEO, number), issues.pop(), nearest_ns(toe, sent_ns), nearest_ns(toc, sent_ns),
         sqrt_a, eccentricity, mean_anomaly, mean_motion_difference, node, node_rate, inclination, inclination_rate,
         perigee, cuc, cus, crc, crs, cic, cis, (af0, af1, af2), group_delay,
-        healthy=e1_health == 0 and e1_invalid == 0 and accuracy != NO_ACCURACY, accuracy_m=_accuracy_m(accuracy),
+        healthy=e1_health == 0 and e1_invalid == 0 and accuracy != NO_ACCURACY, accuracy_m=accuracy_m(accuracy),
     )  # fmt: skip
 
 
-def _accuracy_m(index: int) -> float | None:
+def accuracy_m(index: int) -> float | None:
     """Signal-in-space accuracy [m] of its index: Galileo OS SIS ICD 2.1, table 88."""
     for first, start, step in ((100, 2.0, 0.16), (75, 1.0, 0.04), (50, 0.5, 0.02), (0, 0.0, 0.01)):
         if index >= first:

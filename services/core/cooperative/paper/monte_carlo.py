@@ -138,14 +138,53 @@ def open_loop(drive: Drive, ratio: float, false_alarm_rate: float = 1e-5) -> tup
 
 def structure_test(drive: Drive, error: FloatArray, clock_error: FloatArray, false_alarm_rate: float = 1e-5) -> Rates:
     """The paper's test against a reference with given errors [m, NED], shape (90, runs, 3), and [m], (90, runs)."""
-    H_real = scenario.real_rows()
-    sd = np.full(len(H_real), scenario.PSEUDORANGE_SD)
-    W = residual_cov(prediction_matrix(H_real, scenario.virtual_rows()), sd, sd)
-    reference = error @ H_real[:, :3].T + clock_error[..., np.newaxis]
-    q = scenario.faults()[:, np.newaxis] + drive.pseudorange_noise - reference
-    excluded = residual_test(q, W, false_alarm_rate).excluded
+    excluded = residual_test(residuals(drive, error, clock_error), residual_covariance(), false_alarm_rate).excluded
     healthy = (scenario.faults() == 0.0)[:, np.newaxis]
     return rates_of(excluded, excluded & healthy)
+
+
+def residual_covariance() -> FloatArray:
+    """W of the scenario [m²], shape (4, 4)."""
+    H_real = scenario.real_rows()
+    sd = np.full(len(H_real), scenario.PSEUDORANGE_SD)
+    return residual_cov(prediction_matrix(H_real, scenario.virtual_rows()), sd, sd)
+
+
+def residuals(drive: Drive, error: FloatArray, clock_error: FloatArray) -> FloatArray:
+    """Residuals q [m], shape (90, runs, 4), against a reference with given errors, as in `structure_test`."""
+    reference = error @ scenario.real_rows()[:, :3].T + clock_error[..., np.newaxis]
+    q: FloatArray = scenario.faults()[:, np.newaxis] + drive.pseudorange_noise - reference
+    return q
+
+
+def combined_error(error: FloatArray, q: FloatArray, excluded: BoolArray) -> FloatArray:
+    """Position error [m, NED], shape (90, runs, 3), of the paper's least squares over virtual and real pseudoranges.
+
+    Parameters
+    ----------
+    error : ndarray, shape (90, runs, 3)
+        [m, NED] Error of the forward estimate, at which it is linearised: the virtual residuals are zero.
+    q : ndarray, shape (90, runs, 4)
+        [m] Residuals of the real satellites.
+    excluded : ndarray, shape (90, runs, 4)
+        Real satellites that are left out.
+    """
+    H_real, H_virtual = scenario.real_rows(), scenario.virtual_rows()
+    used = (~excluded).astype(np.float64)
+    normal = H_virtual.T @ H_virtual + np.einsum("...i,ij,ik->...jk", used, H_real, H_real)
+    step = np.linalg.solve(normal, ((used * q) @ H_real)[..., np.newaxis])[..., 0]
+    found: FloatArray = error + step[..., :3]
+    return found
+
+
+def plain_error(drive: Drive) -> FloatArray:
+    """Position error [m, NED], shape (90, runs, 3), of least squares over the four real satellites alone.
+
+    Four satellites have no redundancy: nothing can be tested.
+    """
+    measured = scenario.faults()[:, np.newaxis] + drive.pseudorange_noise
+    found: FloatArray = (measured @ np.linalg.inv(scenario.real_rows()).T)[..., :3]
+    return found
 
 
 def closed_loop(drive: Drive, ratio: float, variance_factor: float = 1.0) -> tuple[Rates, FloatArray]:
@@ -167,8 +206,7 @@ def closed_loop(drive: Drive, ratio: float, variance_factor: float = 1.0) -> tup
     """
     H, estimate = scenario.real_rows(), start_estimate(drive)
     n, runs = len(H), len(drive.start)
-    sd = np.full(n, scenario.PSEUDORANGE_SD)
-    W = residual_cov(prediction_matrix(H, scenario.virtual_rows()), sd, sd)
+    sd, W = np.full(n, scenario.PSEUDORANGE_SD), residual_covariance()
     visible = np.ones(n, dtype=np.bool_)
     excluded, errors = [], []
     for k in range(1, scenario.EPOCHS + 1):
@@ -220,21 +258,38 @@ def horizontal_rms(error: FloatArray) -> FloatArray:
     return rms
 
 
+def phase_rms(error: FloatArray) -> dict[str, float]:
+    """Horizontal root mean square [m] in each of `scenario.PHASES` of errors, shape (90, runs, 3)."""
+    squares = horizontal_rms(error) ** 2
+    return {name: float(np.sqrt(squares[epochs].mean())) for name, epochs in scenario.PHASES.items()}
+
+
 @dataclass(frozen=True)
 class Row:
-    """One column of the published table beside ours."""
+    """One column of the published table beside ours, and horizontal position errors [m] by method and phase."""
 
     ratio: float
     published: Rates
     open_loop: Rates
     closed_loop: Rates
     leave_one_out: Rates
+    position_m: dict[str, dict[str, float]]
 
 
 def row(index: int, runs: int = 500, seed: int = 1) -> Row:
     """Compute one ratio of the table; all ratios use the same random numbers, so that rows may be made in parallel."""
     drive, ratio = draw(runs, seed), RATIOS[index]
     published = Rates(PUBLISHED_FALSE_ALARM[index], PUBLISHED_MISSED_STEP[index], PUBLISHED_MISSED_RAMP[index])
-    return Row(
-        ratio, published, open_loop(drive, ratio)[0], closed_loop(drive, ratio)[0], leave_one_out(drive, ratio)[0]
-    )
+    opened, forward = open_loop(drive, ratio)
+    q = residuals(drive, forward, np.broadcast_to(drive.clock, forward.shape[:2]))
+    excluded = residual_test(q, residual_covariance(), 1e-5).excluded
+    bank, fault_free = leave_one_out(drive, ratio)
+    errors = {
+        "four satellites alone": plain_error(drive),
+        "neighbours and map alone": forward,
+        "paper, without exclusion": combined_error(forward, q, np.zeros_like(excluded)),
+        "paper, with exclusion": combined_error(forward, q, excluded),
+        "leave-one-out bank": fault_free,
+    }
+    position = {name: phase_rms(error) for name, error in errors.items()}
+    return Row(ratio, published, opened, closed_loop(drive, ratio)[0], bank, position)

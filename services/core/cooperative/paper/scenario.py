@@ -18,6 +18,8 @@ REAL_DEG = ((57.464, 44.111), (53.456, 243.951), (39.793, 295.880), (32.547, 197
 VIRTUAL_DEG = ((65.217, 161.308), (19.421, 117.549), (13.784, 60.488), (13.613, 305.235))  # C2, A2, D3, A4
 RAMP, STEP = 0, 3  # rows of the satellites with a fault
 RAMP_FROM, STEP_FROM, STEP_TO, STEP_M = 31, 51, 80, 50.0
+# Epochs before the faults, with the ramp alone, with both, and with the ramp alone again.
+PHASES = {"1-30 s": slice(0, 30), "31-50 s": slice(30, 50), "51-80 s": slice(50, 80), "81-90 s": slice(80, 90)}
 PSEUDORANGE_SD = 3.0  # [m]
 RATE_SD = 6.5  # [m/s] of a range-rate, for a ratio of 1
 NEIGHBOUR_SD = 1.0  # [m] of a neighbour's published position

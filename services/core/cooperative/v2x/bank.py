@@ -17,8 +17,8 @@ from ..measurements import FloatArray
 from .forward import CLOCK, POSITION, BoolArray, Estimate, correct
 
 # The two tests of a satellite, of which one repeats itself over the window, begin as many false alarms as this many
-# independent ones: 606 and 66 instead of 1000 and 100 began in 100,000 epochs where they were counted as two.
-TESTS_PER_SATELLITE = 1.25
+# independent ones: with it 1004 and 108 began in 100,000 epochs with white errors, at design rates of 1e-2 and 1e-3.
+TESTS_PER_SATELLITE = 1.1
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,7 @@ class LeaveOneOutBank:
         self.excluded: BoolArray = np.zeros((*lead, n), dtype=np.bool_)
         self._healthy = np.zeros((*lead, n), dtype=np.int64)
         self._history: FloatArray = np.zeros((self._settings.window, *lead, n))
+        self._references: FloatArray = np.zeros((self._settings.window, *lead, n))  # sd of h x of the same epochs
         self._filled = np.zeros((*lead, n), dtype=np.int64)  # innovations in the history
 
     @property
@@ -107,10 +108,12 @@ class LeaveOneOutBank:
             self.excluded = np.zeros(shape, dtype=np.bool_)
             self._healthy, self._filled = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
             self._history = np.zeros((self._settings.window, *shape))
+            self._references = np.zeros((self._settings.window, *shape))
             return
         self.excluded = self.excluded[..., columns] & known
         self._healthy, self._filled = self._healthy[..., columns] * known, self._filled[..., columns] * known
         self._history = self._history[..., columns] * known
+        self._references = self._references[..., columns] * known
 
     def shift_clocks(self, jump: FloatArray) -> None:
         """Add a jump of the receiver's clock [m], shape (...), to all clocks of all filters."""
@@ -137,10 +140,12 @@ class LeaveOneOutBank:
         -----
         With nu_i = y_i - h_i x_i and P_i of filter i::
 
-            t_i = |nu_i|/sqrt(R_i + B_i + h_i P_i h_i'),    t_i,m = |mean_m nu_i|/sqrt(R_i/m + B_i + h_i P_i h_i')
+            t_i = |nu_i|/sqrt(R_i + B_i + s_i²),    t_i,m = |mean_m nu_i|/sqrt(R_i/m + B_i + (mean_m s_i)²),
+            s_i² = h_i P_i h_i'
 
-        R_i is the variance of white noise, B_i of time-correlated errors. B and P are not divided by m: they hardly
-        vary over the window. In the filters B counts m times, so that m epochs with the same error weigh as one.
+        R_i is the variance of white noise, B_i of time-correlated errors. B and s² are not divided by m: the errors
+        are correlated over the window, and s bounds that of their mean while the filter converges. In the filters B
+        counts m times, so that m epochs with the same error weigh as one.
         """
         self.estimate = predicted
         rows = ranges.rows(predicted.x.shape[-1])
@@ -181,18 +186,22 @@ class LeaveOneOutBank:
         where = np.broadcast_to(ranges.visible, innovation.shape)
         if only is not None:
             where = where & only & (self._filled == 0)
-        rolled = np.concatenate([innovation[np.newaxis], self._history[:-1]])
-        self._history = np.where(where, rolled, self._history)
+        self._history = np.where(where, _rolled(self._history, innovation), self._history)
+        self._references = np.where(where, _rolled(self._references, self._reference_sd(rows)), self._references)
         self._filled = np.where(where, np.minimum(self._filled + 1, self._settings.window), self._filled)
 
+    def _reference_sd(self, rows: FloatArray) -> FloatArray:
+        """Standard deviation [m] of what filter i predicts for satellite i."""
+        sd: FloatArray = np.sqrt(((self._own().P @ rows[..., np.newaxis])[..., 0] * rows).sum(axis=-1))
+        return sd
+
     def _statistics(self, rows: FloatArray, ranges: Pseudoranges) -> tuple[FloatArray, FloatArray]:
-        reference = ((self._own().P @ rows[..., np.newaxis])[..., 0] * rows).sum(axis=-1)
-        variance, reference = ranges.sd**2, reference + ranges.correlated_sd**2
+        variance, correlated = ranges.sd**2, ranges.correlated_sd**2
         count = np.maximum(self._filled, 1)
         recent = np.arange(self._settings.window).reshape(-1, *[1] * count.ndim) < self._filled
-        mean = np.where(recent, self._history, 0.0).sum(axis=0) / count
-        single: FloatArray = np.abs(self._history[0]) / np.sqrt(variance + reference)
-        averaged: FloatArray = np.abs(mean) / np.sqrt(variance / count + reference)
+        mean, mean_sd = (np.where(recent, kept, 0.0).sum(axis=0) / count for kept in (self._history, self._references))
+        single: FloatArray = np.abs(self._history[0]) / np.sqrt(variance + correlated + self._reference_sd(rows) ** 2)
+        averaged: FloatArray = np.abs(mean) / np.sqrt(variance / count + correlated + mean_sd**2)
         return np.where(ranges.visible, single, 0.0), np.where(ranges.visible, averaged, 0.0)
 
     def _exclude(self, fires: BoolArray, worst: npt.NDArray[np.intp]) -> None:
@@ -217,3 +226,7 @@ class LeaveOneOutBank:
         back = self.excluded & before & (self._healthy >= self._settings.readmission_epochs)
         self.excluded = self.excluded & ~back
         self._healthy = np.where(back, 0, self._healthy)
+
+
+def _rolled(history: FloatArray, newest: FloatArray) -> FloatArray:
+    return np.concatenate([newest[np.newaxis], history[:-1]])

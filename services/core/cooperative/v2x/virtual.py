@@ -3,7 +3,7 @@
 A virtual pseudorange is computed from the forward estimate x^- to a satellite that need not be received. It adds no
 information: with q = (y_r - yhat_r^-) - Omega (y_v - yhat_v^-) and noise-free y_v, q is y_r - yhat_r(x^-) for any
 choice of virtual satellites, which act through the covariance W alone. The corrections are listed in
-docs/explanation/satellite-integrity.md.
+docs/explanation/cooperative.md.
 """
 
 from collections.abc import Sequence

@@ -58,6 +58,7 @@ class GnssPosition:
     time_sd_s: float
     lasts: bool = False  # its error, in part
     removed_s: float = 0.0  # of its age, in `time_ns`
+    left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Position alone."""
@@ -115,6 +116,7 @@ class GnssVelocity:
     axes: int
     lever_arm: Vector
     removed_s: float = 0.0  # of its age, in `time_ns`
+    left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Velocity alone."""
@@ -158,6 +160,7 @@ def gnss_measurements(
     velocity: Reading | None,
     *,
     fixed: bool = False,
+    left_out: tuple[str, ...] = (),
 ) -> list[Measurement]:
     """Make measurements of one epoch of a receiver, with plausible covariances.
 
@@ -175,6 +178,8 @@ def gnss_measurements(
         [m/s, NED]
     fixed : bool
         Whether the carrier's ambiguities are resolved, so that no time-correlated error of metres remains.
+    left_out : tuple of str
+        Satellites that a fault-free fix does not contain.
 
     Returns
     -------
@@ -194,6 +199,7 @@ def gnss_measurements(
                 cov=_trusted(velocity.cov, settings.gnss.velocity_sd_ned_m_s, settings.gnss.velocity_sd_floor_m_s, 1.0),
                 axes=velocity.axes,
                 lever_arm=settings.gnss.lever_arm_body_m,
+                left_out=left_out,
             )
         )
     floor, factor = settings.gnss.position_sd_floor_m, settings.gnss.position_sd_factor
@@ -209,6 +215,7 @@ def gnss_measurements(
             lever_arm=settings.gnss.lever_arm_body_m,
             time_sd_s=settings.gnss.time_sd_s,
             lasts=settings.gnss.time_correlated_errors and not fixed and bool(cov[:2, :2].max() > LASTING_ABOVE_M**2),
+            left_out=left_out,
         )
     )
     return measurements

@@ -15,6 +15,7 @@ from ..alignment.heading import Prior
 from ..alignment.warm_start import SavedState
 from ..filter.propagation import Samples, samples_of
 from ..measurements.base import Measurement, Outcome
+from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..plausibility.imu_faults import Sample
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
@@ -125,12 +126,26 @@ class OutOfSequenceEngine:
         time_ns = measurement.time_ns
         if self._snapshots and time_ns <= max(self._oldest_ns, self._snapshots[0].time_ns):
             raise LookupError("older than the oldest snapshot")
+        if self._is_superseded(measurement):
+            return
         if time_ns <= self.engine.time_ns:
             key = key_of(measurement)
             if key in map(key_of, self._between(time_ns - 1, time_ns)) and key not in map(key_of, self._late):
                 self._repeated.add(key)
             self._late.append(measurement)
         insort(self._measurements, measurement, key=order)
+
+    def _is_superseded(self, measurement: Measurement) -> bool:
+        """Whether the fault-free fix of this epoch is known; one that comes later removes the receiver's own."""
+        if not isinstance(measurement, GnssPosition | GnssVelocity):
+            return False
+        key, time_ns = key_of(measurement), measurement.time_ns
+        same = [one for one in self._between(time_ns - 1, time_ns) if key_of(one) == key]
+        if not measurement.left_out:
+            return any(isinstance(one, GnssPosition | GnssVelocity) and one.left_out for one in same)
+        removed = set(map(id, same))
+        self._measurements = [one for one in self._measurements if id(one) not in removed]
+        return False
 
     def outcomes(self) -> list[Outcome]:
         """Use the late measurements, and report all outcomes since the last call, each only once."""

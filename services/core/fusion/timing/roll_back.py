@@ -80,7 +80,8 @@ class Replay:
         self._memory = memory
         self._pending = memory.since(snapshot.time_ns)
         unreached_s = max(0.0, (snapshot.time_ns - suspect_since_ns) * 1e-9)
-        self.engine.insert(GnssExcluded(snapshot.time_ns + 1, suspect_since_ns, unreached_s))
+        begin_ns = max(snapshot.time_ns, suspect_since_ns) + 1
+        self.engine.insert(GnssExcluded(begin_ns, suspect_since_ns, unreached_s))
 
     @property
     def is_over(self) -> bool:

@@ -7,7 +7,7 @@ from functools import partial
 from math import degrees, hypot, inf, radians
 
 from shared.errors import FilterDiverged
-from shared.messages.navigation import AidingKind, NavigationPhase
+from shared.messages.navigation import NavigationPhase
 
 from ..alignment.alignment import Alignment
 from ..alignment.heading import Heading, Prior
@@ -256,8 +256,8 @@ class Engine:
         try:
             for outcome in self.aids.hold(self.filter, measurement):
                 outcomes.append(outcome)
-                if outcome.kind is AidingKind.GNSS_POSITION:
-                    self._count_position(outcome)
+                if isinstance(measurement, GnssPosition):
+                    self._count_position(outcome, measurement.left_out)
         except FilterDiverged as error:
             self._reset(str(error), kept=None)
         if self._is_astray(measurement.time_ns):
@@ -303,12 +303,14 @@ class Engine:
         self._reset(f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
         return True
 
-    def _count_position(self, outcome: Outcome) -> None:
+    def _count_position(self, outcome: Outcome, left_out: tuple[str, ...]) -> None:
         self.counts = self.counts.with_position(outcome.used)
         self.accepted_ns = outcome.time_ns if outcome.used else self.accepted_ns
         if outcome.used and self.exclusions.readmitted_after_s is not None:
             north, east = outcome.innovation[:2]
             self._readmitted(outcome.time_ns, f"{hypot(north, east):.1f} m from dead reckoning")
+        if outcome.used and left_out != self.exclusions.satellites:
+            self.exclusions = replace(self.exclusions, satellites=left_out)
         self._rejections = 0 if outcome.used or outcome.test_ratio <= 1.0 else self._rejections + 1
 
     def _readmitted(self, time_ns: int, how: str) -> None:

@@ -43,6 +43,7 @@ class Exclusions:
 
     gnss_since_ns: int | None = None
     odometer: bool = False
+    satellites: tuple[str, ...] = ()  # left out of the newest position that was used
     fixes: int = 0  # positions that were not used for it
     test_ratio: float | None = None  # of the newest of them
     readmitted_after_s: float | None = None  # how long GNSS was excluded, until the first position is used again

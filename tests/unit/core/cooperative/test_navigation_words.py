@@ -152,5 +152,5 @@ def test_the_ionosphere_is_read_from_page_18_and_from_no_other() -> None:
 
 @pytest.mark.parametrize(("index", "accuracy"), [(0, 0.0), (50, 0.5), (75, 1.0), (107, 3.12), (125, 6.0), (126, None)])
 def test_the_accuracy_index_of_galileo_has_four_steps(index: int, accuracy: float | None) -> None:
-    found = galileo_inav._accuracy_m(index)
+    found = galileo_inav.accuracy_m(index)
     assert found is None if accuracy is None else found == pytest.approx(accuracy)

@@ -6,10 +6,12 @@ import pytest
 from services.core.cooperative.paper import scenario
 from services.core.cooperative.paper.monte_carlo import (
     closed_loop,
+    combined_error,
     draw,
     horizontal_rms,
     leave_one_out,
     open_loop,
+    plain_error,
     row,
     structure_test,
 )
@@ -89,3 +91,29 @@ def test_a_row_holds_one_ratio_of_all_methods() -> None:
     found = row(5, runs=20)
     assert found.ratio == 0.5 and found.published.missed_ramp == 48.59
     assert found.leave_one_out.missed_ramp < found.open_loop.missed_ramp < found.closed_loop.missed_ramp
+
+
+def test_exclusion_keeps_the_position_error_of_a_step_small() -> None:
+    """A step of 50 m on one of four satellites: without redundancy it is in the position."""
+    position = row(5, runs=60).position_m
+    assert position["four satellites alone"]["51-80 s"] > 50.0
+    assert position["paper, with exclusion"]["51-80 s"] < position["paper, without exclusion"]["51-80 s"]
+    assert position["paper, with exclusion"]["81-90 s"] < 0.4 * position["paper, without exclusion"]["81-90 s"]
+    assert position["leave-one-out bank"]["51-80 s"] < position["paper, with exclusion"]["51-80 s"]
+    assert position["paper, with exclusion"]["1-30 s"] == pytest.approx(
+        position["paper, without exclusion"]["1-30 s"], rel=0.02
+    )
+
+
+def test_the_combined_position_is_the_least_squares_of_all_eight_pseudoranges() -> None:
+    rng = np.random.default_rng(4)
+    H = np.vstack([scenario.virtual_rows(), scenario.real_rows()])
+    error, q = rng.normal(size=(1, 1, 3)), rng.normal(size=(1, 1, 4))
+    step = np.linalg.lstsq(H, np.r_[np.zeros(4), q[0, 0]], rcond=None)[0]
+    found = combined_error(error, q, np.zeros((1, 1, 4), dtype=np.bool_))
+    assert found[0, 0] == pytest.approx(error[0, 0] + step[:3], abs=1e-12)
+
+
+def test_plain_positions_have_the_error_of_the_geometry() -> None:
+    expected = scenario.PSEUDORANGE_SD * np.sqrt(np.diag(np.linalg.inv(scenario.real_rows().T @ scenario.real_rows())))
+    assert plain_error(draw(500, 5))[:30].std(axis=(0, 1)) == pytest.approx(expected[:3], rel=0.03)

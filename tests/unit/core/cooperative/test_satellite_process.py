@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.core.cooperative.measurements import Constellation, RawEpoch, SatelliteId
-from services.core.cooperative.process import Config, Process
+from services.core.cooperative.process import Config, In, Process
 from services.core.cooperative.statements import MAX_TESTS
 from shared.maths.earth import Geodetic, ecef_from_geodetic
 from shared.messages.base import Tick
@@ -53,13 +53,14 @@ def at(second: int, seed: int = 1, push: tuple[SatelliteId, float] | None = None
     return pushed(epoch, *push) if push else epoch
 
 
-def said(process: Process, *messages: GnssRawEpoch | GnssNavigationBits | GnssFix | Tick) -> list[TrustMonitor]:
-    return [statement for one in messages for statement in process.handle(one)]
+def said(process: Process, *messages: In) -> list[TrustMonitor]:
+    produced = (one for message in messages for one in process.handle(message))
+    return [one for one in produced if isinstance(one, TrustMonitor)]
 
 
-def informed(satellites: tuple[str, ...] | None = None) -> Process:
+def informed(satellites: tuple[str, ...] | None = None, config: Config | None = None) -> Process:
     """A process that knows the time and ephemerides."""
-    process = Process(Config())
+    process = Process(config or Config())
     said(process, GnssFix(
         sampled_ns=0, received_ns=0, source="gnss0", gps_time_ns=NOW_NS, fix_type=FixType.THREE_D,
     ), *bits(0.0, satellites))  # fmt: skip

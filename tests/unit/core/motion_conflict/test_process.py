@@ -66,6 +66,18 @@ def test_no_velocity_is_no_evaluation_and_never_standstill() -> None:
     assert "no GNSS speed" in last["motion"].reason
 
 
+@pytest.mark.parametrize("fix_type", [FixType.NONE, FixType.TIME_ONLY, FixType.DEAD_RECKONING])
+def test_a_fix_without_satellites_is_no_speed_whatever_it_reports(fix_type: FixType) -> None:
+    process = Process(Config())
+    last: dict[str, TrustMonitor] = {}
+    for k in range(1, 331):
+        reported = fix(k * SECOND_NS, 0.0).model_copy(update={"fix_type": fix_type})
+        for message in (reported, odometer(k * SECOND_NS, 14.0), Tick(now_ns=k * SECOND_NS)):
+            last |= {statement.monitor: statement for statement in process.handle(message)}
+    assert last["motion"].outcome is MonitorOutcome.NOT_EVALUATED
+    assert "no GNSS speed" in last["motion"].reason
+
+
 @pytest.mark.parametrize(("level", "learned"), [(TrustLevel.CAUTION, True), (TrustLevel.UNSAFE, False)])
 def test_the_delay_is_learned_unless_the_position_is_unsafe(level: TrustLevel, learned: bool) -> None:
     process = Process(Config())

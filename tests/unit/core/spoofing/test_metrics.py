@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 from pydantic import ValidationError
 
-from cli.papers.spoofing_method import gnss_rates, metrics, paper_sigma, sensor_rates
+from cli.papers.spoofing.method import gnss_rates, metrics, paper_sigma, sensor_rates
 from services.core.spoofing.compass import barometric_pressure
 from services.core.spoofing.metrics import Metric, acceleration_differences, consecutive
 from services.core.spoofing.profile import UNIT_IMU, Profile, exceeding, learn

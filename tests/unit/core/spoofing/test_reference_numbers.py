@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import butter, freqz_sos
 from scipy.special import ndtr
 
-from cli.papers.spoofing_method import CUT_OFF_HZ, high_pass
+from cli.papers.spoofing.method import CUT_OFF_HZ, high_pass
 from services.core.spoofing.compass import (
     barometric_height,
     barometric_pressure,

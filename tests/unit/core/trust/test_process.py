@@ -111,3 +111,43 @@ def test_an_unknown_monitor_is_counted_and_rejected() -> None:
     unknown = statement(Monitor.MOTION, SECOND_NS).model_copy(update={"monitor": "crystal_ball"})
     assert list(process.handle(unknown)) == []
     assert process.rejects["unknown monitor"] == 1
+
+
+def test_a_restart_goes_on_with_the_exclusion_of_the_process_before_and_not_with_an_old_one() -> None:
+    first = Process(Config())
+    second(first, SECOND_NS, passing(SECOND_NS))
+    accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
+    [saved] = [one for one in first.handle(accusing) if isinstance(one, TrustState)]
+    for after_s, excluded in ((4, True), (14, False)):
+        restarted = Process(Config())
+        assert list(restarted.handle(saved)) == []
+        published = second(restarted, after_s * SECOND_NS, passing(after_s * SECOND_NS))
+        found = [one for one in published if isinstance(one, TrustState)]
+        assert {one.gnss_excluded for one in found} == {excluded}
+        assert found[-1].suspect_since_ns == (saved.suspect_since_ns if excluded else None)
+
+
+def test_fusion_confirms_by_a_solution_without_gnss_since_the_suspect_time() -> None:
+    process = Process(Config())
+    second(process, SECOND_NS, passing(SECOND_NS))
+    accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
+    list(process.handle(accusing))
+    rows = []
+    for since_ns in (None, -7 * SECOND_NS, -8 * SECOND_NS):
+        free = solution(3 * SECOND_NS).model_copy(update={"gnss_excluded_since_ns": since_ns, "gnss_age_s": 11.0})
+        list(process.handle(free))
+        published = list(process.handle(Tick(now_ns=3 * SECOND_NS)))
+        rows.append(next((one.row, one.state) for one in published if isinstance(one, TrustState)))
+    assert rows == [(4, TrustLevel.UNSAFE), (4, TrustLevel.UNSAFE), (7, TrustLevel.DEAD_RECKONING)]
+
+
+def test_satellites_that_fusion_leaves_out_are_no_fault_of_the_position() -> None:
+    process = Process(Config())
+    accusing = statement(Monitor.SATELLITES, SECOND_NS, MonitorOutcome.ACCUSES, ("G05",))
+    others = [one for one in passing(SECOND_NS) if isinstance(one, TrustMonitor) and one.monitor != "satellites"]
+    before = second(process, SECOND_NS, [*others, accusing])
+    left_out = navigation_state(SECOND_NS, 10.0).model_copy(update={"satellites_left_out": ("G05",)})
+    after = second(process, SECOND_NS, [left_out, *others, accusing])
+    last = [[one for one in published if isinstance(one, TrustState)][-1] for published in (before, after)]
+    assert [one.row for one in last] == [5, 14]
+    assert "satellite G05 is excluded" in last[1].findings

@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from services.core.spoofing.compass import device_from_enu
 from services.core.spoofing.metrics import Metric
+from shared.maths.earth import STANDARD_GRAVITY
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -62,8 +63,12 @@ class Rates:
     acceleration: FloatArray  # shape (n, 3)
     altitude_rate: FloatArray  # shape (n,)
 
+    def part(self, seconds: slice) -> "Rates":
+        """Rates of some of the seconds."""
+        return Rates(self.heading_rate[seconds], self.acceleration[seconds], self.altitude_rate[seconds])
 
-def gnss_rates(velocity_enu: FloatArray, *, filtered: bool = False) -> Rates:
+
+def gnss_rates(velocity_enu: FloatArray, *, filtered: bool = False, cut_off_hz: float = CUT_OFF_HZ) -> Rates:
     """Rates of GNSS velocities at 1 Hz.
 
     Parameters
@@ -73,6 +78,8 @@ def gnss_rates(velocity_enu: FloatArray, *, filtered: bool = False) -> Rates:
     filtered : bool
         Whether the high-pass of the accelerometer is used on the velocity differences as well. The paper does not:
         its metric is then the acceleration of the vehicle itself.
+    cut_off_hz : float
+        [Hz] Of the high-pass.
 
     Returns
     -------
@@ -83,13 +90,19 @@ def gnss_rates(velocity_enu: FloatArray, *, filtered: bool = False) -> Rates:
     acceleration = np.diff(velocity_enu, axis=0)
     return Rates(
         _wrapped(np.diff(course)),
-        high_pass(acceleration, 1.0) if filtered else acceleration,
+        high_pass(acceleration, 1.0, cut_off_hz=cut_off_hz) if filtered else acceleration,
         0.5 * (velocity_enu[1:, 2] + velocity_enu[:-1, 2]),
     )
 
 
 def sensor_rates(
-    force: FloatArray, field: FloatArray, height: FloatArray, rate_hz: int, *, low_passed_gravity: bool = False
+    force: FloatArray,
+    field: FloatArray,
+    height: FloatArray,
+    rate_hz: int,
+    *,
+    low_passed_gravity: bool = False,
+    cut_off_hz: float = CUT_OFF_HZ,
 ) -> Rates:
     """Rates of a phone's sensors.
 
@@ -103,6 +116,8 @@ def sensor_rates(
         [Hz] Samples a second.
     low_passed_gravity : bool
         Whether the compass takes a low-pass of the specific force for gravity; the paper takes the force itself.
+    cut_off_hz : float
+        [Hz] Of the high-pass that removes gravity.
 
     Returns
     -------
@@ -112,11 +127,43 @@ def sensor_rates(
     gravity = low_pass(force, float(rate_hz)) if low_passed_gravity else force
     d_from_enu = device_from_enu(gravity, field)
     heading = np.arctan2(d_from_enu[:, 1, 0], d_from_enu[:, 1, 1])  # of the device's y axis
-    acceleration = high_pass(np.einsum("nji,nj->ni", d_from_enu, force), float(rate_hz))
-    seconds = len(force) // rate_hz
-    means = acceleration[: seconds * rate_hz].reshape(seconds, rate_hz, 3).mean(axis=1)
-    whole = slice(0, seconds * rate_hz, rate_hz)
-    return Rates(_wrapped(np.diff(heading[whole])), means[: seconds - 1], np.diff(height[whole]))
+    acceleration = high_pass(np.einsum("nji,nj->ni", d_from_enu, force), float(rate_hz), cut_off_hz=cut_off_hz)
+    whole = slice(0, len(force) // rate_hz * rate_hz, rate_hz)
+    return Rates(_wrapped(np.diff(heading[whole])), _second_means(acceleration, rate_hz), np.diff(height[whole]))
+
+
+def attitude_rates(
+    force: FloatArray, rate: FloatArray, height: FloatArray, d_from_enu: FloatArray, rate_hz: int
+) -> Rates:
+    """Rates of a phone that knows its attitude: heading rate by gyroscopes, gravity removed without a high-pass.
+
+    Parameters
+    ----------
+    force, rate : ndarray, shape (n · rate_hz, 3)
+        [m/s²], [rad/s]; device axes. Specific force and angular rate.
+    height : ndarray, shape (n · rate_hz,)
+        [m] Barometric.
+    d_from_enu : ndarray, shape (n · rate_hz, 3, 3)
+        Attitude: columns are east, north and up in device axes.
+    rate_hz : int
+        [Hz] Samples a second.
+
+    Returns
+    -------
+    Rates
+        n - 1 seconds, as `sensor_rates`.
+    """
+    acceleration = np.einsum("nji,nj->ni", d_from_enu, force) - [0.0, 0.0, STANDARD_GRAVITY]
+    turn = -np.einsum("nj,nj->n", rate, d_from_enu[:, :, 2])  # clockwise from above
+    whole = slice(0, len(force) // rate_hz * rate_hz, rate_hz)
+    return Rates(_second_means(turn, rate_hz), _second_means(acceleration, rate_hz), np.diff(height[whole]))
+
+
+def _second_means(values: FloatArray, rate_hz: int) -> FloatArray:
+    """Means over each second but the last one, shape (n - 1, ...)."""
+    seconds = len(values) // rate_hz
+    means: FloatArray = values[: seconds * rate_hz].reshape(seconds, rate_hz, *values.shape[1:]).mean(axis=1)
+    return means[:-1]
 
 
 def metrics(gnss: Rates, sensors: Rates, speed: FloatArray) -> dict[Metric, FloatArray]:

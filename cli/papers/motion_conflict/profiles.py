@@ -1,4 +1,4 @@
-"""Deterministic speed profiles of the motion-conflict reference numbers, in km/h over seconds."""
+"""Deterministic speed profiles in km/h over seconds, fitted so that the published break-points come about."""
 
 from math import floor, pi, sin
 
@@ -24,7 +24,7 @@ PROFILES = {"highway": (HIGHWAY, 3600), "urban": (URBAN, 1800)}
 
 
 class Drive:
-    """A profile as both sensors of the reference see it."""
+    """A profile as GNSS and odometer measure it."""
 
     def __init__(self, name: str) -> None:
         vertices, self.duration_s = PROFILES[name]

@@ -1,0 +1,216 @@
+"""False alarms of the monitors on fault-free drives: `python -m benchmarks.false_alarms --monitor motion`.
+
+Windows overlap, so that one error exceeds a threshold in several successive evaluations: these are one episode.
+The design rate is that of an evaluation. It holds if it is not below the binomial interval of episodes over
+evaluations; a monitor with the interval below it is more cautious than designed.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+
+import numpy as np
+from rich.console import Console
+from scipy.special import betaincinv
+
+from cli.papers.navigation import in_parallel
+from cli.papers.report import Table, printed
+from services.core.fusion.process import Config as FusionConfig
+from services.core.fusion.process import Process as Fusion
+from services.core.motion_conflict.monitor import MotionMonitor
+from services.core.motion_conflict.settings import Settings as MotionSettings
+from services.core.motion_conflict.verdicts import MotionVerdicts, State
+from services.core.spoofing.process import Config as SpoofingConfig
+from services.core.spoofing.process import Process as Spoofing
+from services.sensors.simulator.drive import simulate
+from shared.messages.base import Tick
+from shared.messages.navigation import NavigationSolution
+from shared.messages.trust import MonitorOutcome
+from tests.support.motion import World, drives_and_stops
+from tests.support.spoofing import inputs
+
+EPOCHS = 100_000
+WORKERS = 2
+CONFIDENCE = 0.95
+DESIGN_RATES = (1e-3, None)  # None: as delivered
+MOTION_S, INERTIAL_S = 5000, 900  # of a drive
+SCENARIOS = ("urban", "highway", "parking_lot", "tunnel")
+
+
+@dataclass(frozen=True)
+class Count:
+    """Episodes of a test in a number of evaluations; `design` is per evaluation, None where a rule fixes the limit."""
+
+    test: str
+    design: float | None
+    evaluations: int
+    episodes: int
+    accusing: int  # evaluations that accuse: an episode has one or more
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Binomial interval of the rate (Clopper and Pearson)."""
+        k, n, tail = self.episodes, self.evaluations, 0.5 * (1.0 - CONFIDENCE)
+        low = float(betaincinv(k, n - k + 1, tail)) if k else 0.0
+        return low, float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
+
+    @property
+    def verdict(self) -> str:
+        """Whether the design rate is inside the interval."""
+        low, high = self.interval
+        if self.design is None:
+            return "-" if self.episodes else "none"
+        return "too many" if low > self.design else "cautious" if high < self.design else "inside"
+
+
+Outcome = tuple[str, float | None, bool | None]  # test, design rate, accuses (None: not evaluated)
+Job = tuple[int, int, float | None]  # seed, seconds, design rate
+Campaign = Callable[[Job], list[Count]]
+
+
+def counted(epochs: Iterator[Sequence[Outcome]]) -> list[Count]:
+    """Count evaluations and uninterrupted accusations of each test."""
+    design: dict[str, float | None] = {}
+    evaluations: dict[str, int] = {}
+    episodes: dict[str, int] = {}
+    accusing: dict[str, int] = {}
+    before: dict[str, bool] = {}
+    for outcomes in epochs:
+        for test, rate, accuses in outcomes:
+            design[test] = rate
+            evaluations[test] = evaluations.get(test, 0) + (accuses is not None)
+            episodes[test] = episodes.get(test, 0) + (accuses is True and not before.get(test, False))
+            accusing[test] = accusing.get(test, 0) + (accuses is True)
+            before[test] = accuses is True
+    return [
+        Count(test, rate, evaluations[test], episodes[test], accusing[test])
+        for test, rate in design.items()
+        if evaluations[test]
+    ]
+
+
+def motion(job: Job) -> list[Count]:
+    """All tests of core.motion_conflict on a random drive whose odometer has a scale and a delay."""
+    seed, seconds, rate = job
+    rng = np.random.default_rng((seed, 7))
+    settings = MotionSettings()
+    if rate is not None:
+        settings = MotionSettings(fast_false_alarm_rate=rate, scale_false_alarm_rate=rate)
+    world = World(
+        drives_and_stops(seed, float(seconds)), MotionMonitor(settings), seed,
+        scale=rng.uniform(0.95, 1.05), delay_s=rng.uniform(0.0, 1.5),
+    )  # fmt: skip
+    names = [field.name for field in fields(MotionVerdicts)]
+
+    def epochs() -> Iterator[list[Outcome]]:
+        for verdicts in world.run(float(seconds)):
+            found = [(name, getattr(verdicts, name)) for name in names]
+            yield [
+                (name, v.false_alarm_rate, None if v.state is State.NOT_EVALUATED else v.state is State.ACCUSES)
+                for name, v in found
+            ]
+
+    return counted(epochs())
+
+
+def inertial(job: Job) -> list[Count]:
+    """All tests of core.spoofing on a simulated drive of the unit, with the solutions of core.fusion.
+
+    The 5 s window has a learned profile, whose rate is not a setting; `rate` is that of the long windows.
+    """
+    seed, seconds, rate = job
+    drive = simulate(SCENARIOS[seed % len(SCENARIOS)], seed, float(seconds))
+    values = {"gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}
+    fusion = Fusion(FusionConfig().with_values(values))
+    spoofing = Spoofing(
+        SpoofingConfig().with_values(values if rate is None else values | {"long.false_alarm_rate": rate})
+    )
+
+    def epochs() -> Iterator[list[Outcome]]:
+        for message in inputs(drive):
+            if not isinstance(message, Tick):
+                for solution in fusion.handle(message):
+                    if isinstance(solution, NavigationSolution):
+                        list(spoofing.handle(solution))
+            yield [
+                (test.name, test.false_alarm_rate,
+                 None if test.outcome is MonitorOutcome.NOT_EVALUATED else test.outcome is MonitorOutcome.ACCUSES)
+                for statement in spoofing.handle(message)
+                for test in statement.tests
+            ]  # fmt: skip
+
+    return counted(epochs())
+
+
+MONITORS: dict[str, tuple[Campaign, int]] = {"motion": (motion, MOTION_S), "inertial": (inertial, INERTIAL_S)}
+
+
+def campaign(monitor: str, epochs: int, progress: bool) -> list[Count]:
+    """Run enough drives at each design rate, and add up their counts."""
+    work, drive_s = MONITORS[monitor]
+    drives = max(1, round(epochs / drive_s))
+    jobs: list[Job] = [(seed, min(drive_s, epochs), rate) for rate in DESIGN_RATES for seed in range(1, drives + 1)]
+    total: dict[tuple[str, float | None], Count] = {}
+    for counts in in_parallel(work, jobs, WORKERS, progress):
+        for one in counts:
+            known = total.get((one.test, one.design), Count(one.test, one.design, 0, 0, 0))
+            total[one.test, one.design] = Count(
+                one.test,
+                one.design,
+                known.evaluations + one.evaluations,
+                known.episodes + one.episodes,
+                known.accusing + one.accusing,
+            )
+    return list(total.values())
+
+
+def table(monitor: str, counts: Sequence[Count]) -> Table:
+    """Observed rates with their intervals."""
+    rows = [
+        (
+            one.test,
+            "-" if one.design is None else f"{one.design:.0e}",
+            *map(str, (one.evaluations, one.accusing, one.episodes)),
+            f"{one.interval[0]:.1e} to {one.interval[1]:.1e}",
+            one.verdict,
+        )
+        for one in counts
+    ]
+    interval = f"{100 * CONFIDENCE:.0f} % interval"
+    columns = ("test", "design", "evaluations", "accusing", "episodes", interval, "design rate")
+    return Table(f"False alarms of {monitor} on fault-free simulated drives", columns, rows)
+
+
+def main() -> int:
+    """Run the campaign; return 1 if a test has more false alarms than designed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.false_alarms", description=__doc__)
+    parser.add_argument("--monitor", choices=(*MONITORS, "all"), default="all")
+    parser.add_argument("--epochs", type=int, default=EPOCHS, help="evaluations of each monitor and design rate")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    options = parser.parse_args()
+    if options.epochs < 1:
+        parser.error("--epochs must be at least 1; try --epochs 5000")
+    chosen = list(MONITORS) if options.monitor == "all" else [options.monitor]
+    found = {monitor: campaign(monitor, options.epochs, sys.stderr.isatty()) for monitor in chosen}
+    document = {
+        "made": datetime.now(UTC).date().isoformat(),
+        "epochs": options.epochs,
+        "monitors": {
+            monitor: [{**asdict(one), "interval": one.interval, "verdict": one.verdict} for one in counts]
+            for monitor, counts in found.items()
+        },
+    }
+    if options.json:
+        print(json.dumps(document, indent=2))
+    else:
+        console = Console()
+        for monitor, counts in found.items():
+            console.print(printed(table(monitor, counts)))
+    return 1 if any(one.verdict == "too many" for counts in found.values() for one in counts) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

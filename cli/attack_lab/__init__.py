@@ -1,0 +1,1 @@
+"""`obu attack-lab`: attacks on simulated and recorded drives, and how the monitors and the verdict answer."""

@@ -1,0 +1,102 @@
+"""`obu attack-lab`: runs attacks on drives, and writes the report card."""
+
+import json
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from shared.errors import UserError
+
+from ..recordings.common import progress_on
+from .cases import ATTACKS, CLEAN, Case, plan
+from .report import detection_rows, document, write
+from .run import run
+from .score import WARM_UP_S, Run
+
+QUICK = ("drag_off", "position_jump", "jam", "odometer_scale")
+CLEAN_S, QUICK_CLEAN_S = 600.0, 180.0
+
+
+def attack_lab(  # one argument an option
+    *,
+    attack: Annotated[
+        list[str] | None,
+        typer.Option(help="Attack as in `obu demo --attack`; may be repeated. Default: all. `clean` for none."),
+    ] = None,
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Simulated drive; may be repeated. Default: urban and highway.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=0, max=1000, help="Runs of each simulated drive, seeds 1 to this.")] = 3,
+    recording: Annotated[
+        list[Path] | None, typer.Option(help="Recording of `obu record` or `obu import` to attack; may be repeated.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Four attacks, one seed of the urban drive: a few minutes.")]
+    = False,
+    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("attack-lab"),
+    jobs: Annotated[int, typer.Option(min=0, help="Runs at the same time; 0: one for each processor.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report card as JSON.")] = False,
+) -> int:  # fmt: skip
+    """Attack simulated and recorded drives; write report.html and report.json with rates of detection and false alarm.
+
+    Examples:
+    [bold]obu attack-lab --quick[/]
+    [bold]obu attack-lab --attack drag_off --attack 'drag_off(acceleration=0.1,speed=1)' --seeds 10[/]
+    [bold]obu attack-lab --recording drive.mcap --seeds 0 --attack position_jump@300:60[/]
+    """
+    texts = attack or list(QUICK if quick else ATTACKS)
+    scenarios = scenario or (["urban"] if quick else ["urban", "highway"])
+    attacks = [text for text in texts if text != CLEAN]
+    count = 1 if quick and seeds == 3 else seeds  # 3: the default
+    cases = list(plan(attacks, scenarios, count, recording or [], QUICK_CLEAN_S if quick else CLEAN_S))
+    if not cases:
+        raise UserError("nothing to run: give --seeds of at least 1, or a --recording")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot create the folder {out}: {error.strerror}; choose another one with --out") from error
+    console = Console(stderr=True)
+    runs = _run_all(cases, jobs or os.cpu_count() or 1, console)
+    card = document(runs)
+    write(out, card, runs)
+    if as_json:
+        print(json.dumps(card))
+    else:
+        _print(runs, card, Console(), out)
+    return 0
+
+
+def _run_all(cases: list[Case], jobs: int, console: Console) -> list[Run]:
+    """Run all cases in parallel, in the order of the plan."""
+    found: dict[Case, Run] = {}
+    with progress_on(console) as progress, ProcessPoolExecutor(min(jobs, len(cases))) as pool:
+        task = progress.add_task("attacking", total=len(cases))
+        waiting = {pool.submit(run, case): case for case in cases}
+        try:
+            for future in as_completed(waiting):
+                case = waiting[future]
+                found[case] = (case, future.result())
+                progress.update(task, advance=1, description=f"{case.drive} {case.label}")
+        except (UserError, BrokenProcessPool, KeyboardInterrupt):
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [found[case] for case in cases]
+
+
+def _print(runs: list[Run], card: dict[str, object], console: Console, out: Path) -> None:
+    head, rows = detection_rows(runs)
+    table = Table(title="Runs in which each monitor accuses (median delay)")
+    for name in head:
+        table.add_column(name)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    share = card["safe_share_clean"]
+    if isinstance(share, float):
+        console.print(f"Clean drives are SAFE for {100.0 * share:.1f} % of the time after the first {WARM_UP_S:.0f} s.")
+    console.print(f"Wrote {out / 'report.html'} and report.json.")

@@ -1,0 +1,230 @@
+"""V2X-assisted fault detection: the table of ten ratios and the position errors, beside the published ones."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass
+from functools import partial
+
+import numpy as np
+
+from services.core.cooperative.paper import scenario
+from services.core.cooperative.paper.monte_carlo import (
+    RATIOS,
+    Rates,
+    Row,
+    closed_loop,
+    draw,
+    open_loop,
+    row,
+    structure_test,
+)
+from services.core.cooperative.v2x.virtual import local_biases, prediction_matrix, residual_cov
+
+from .navigation import WORKERS, in_parallel
+from .report import Figure, Paper, Table, figure
+
+SEED = 1
+POINTS = 1.5  # [%] tolerance of the reference numbers
+METHODS = {"paper's test, open loop": "open_loop", "paper's test, closed loop": "closed_loop",
+           "leave-one-out bank": "leave_one_out"}  # fmt: skip
+MEAN_OF_RATIOS = Rates(0.65, 0.45, 43.9)  # of the open loop in the reference simulation
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """A changed assumption, and the missed ramp [%] of the reference simulation with it."""
+
+    name: str
+    missed_ramp: float
+    false_alarm_rate: float = 1e-5
+    reference_error_m: float | None = None  # white, of a reference that is right otherwise; None: the open loop
+    variance_factor: float | None = None  # of the pseudoranges in a closed loop
+
+
+ASSUMPTIONS = (
+    *(Assumption(f"P_FA {rate:.0e}", ramp, rate) for rate, ramp in ((1e-3, 35.1), (1e-5, 44.8), (1e-7, 53.4))),
+    Assumption("reference without error", 45.9, reference_error_m=0.0),
+    Assumption("white error of 1 m", 44.8, reference_error_m=1.0),
+    Assumption("white error of 3 m", 44.8, reference_error_m=3.0),
+    Assumption("white error of 5 m", 44.9, reference_error_m=5.0),
+    Assumption("closed, variance x 100", 45.9, variance_factor=100.0),
+)
+NO_TOLERANCE = "closed, variance x 100"  # reported: the gain of the reference simulation is not specified
+FITTED = (
+    "Split of the satellites, road, oncoming and parked cars, and the receiver clock's drift: not published, and "
+    "chosen so that the published missed ramps come about. Missed ramps are a constant of the geometry; agreement is "
+    "not independent evidence.",
+    "The reference is read as independent of the satellites under test (open loop); the paper does not say so.",
+)
+NOT_REPRODUCED = (
+    "Published false alarms do not fall with the range-rate deviation (7.03 % at 0.1); ours do. A reference that the "
+    "satellites under test correct (closed loop) has false alarms at every ratio, but misses the ramp.",
+    "With the variance of the pseudoranges times 100, a closed loop misses more of the ramp (49 %) than the "
+    "reference simulation's 45.9 %.",
+    "The leave-one-out bank is not in the paper. Closed loops have fewer false alarms here than in the reference "
+    "simulation (9.5 and 7.2 %).",
+)
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Rates of the paper's test with one assumption changed."""
+
+    assumption: Assumption
+    rates: Rates
+
+
+def reproduce(runs: int, progress: bool) -> Paper:
+    """Run the table of ten ratios and the sensitivities in parallel."""
+    jobs: list[Callable[[], Row | Sensitivity]] = [partial(row, k, runs, SEED) for k in range(len(RATIOS))]
+    jobs += [partial(sensitivity, assumption, runs) for assumption in ASSUMPTIONS]
+    done = list(in_parallel(_call, jobs, WORKERS, progress))
+    rows = [one for one in done if isinstance(one, Row)]
+    changed = [one for one in done if isinstance(one, Sensitivity)]
+    tables = [
+        _rates_table(rows, runs),
+        _positions_table(rows),
+        _sensitivity_table(changed),
+        _thresholds_table(),
+    ]
+    return Paper(
+        "cooperative", tables, _document(rows, changed, runs), FITTED, NOT_REPRODUCED,
+        deviations=deviations(rows, changed), figures=_figures(rows),
+    )  # fmt: skip
+
+
+def _call(job: Callable[[], Row | Sensitivity]) -> Row | Sensitivity:
+    return job()
+
+
+def sensitivity(assumption: Assumption, runs: int) -> Sensitivity:
+    """Run the paper's test at a ratio of 0.5 with one assumption changed."""
+    drive = draw(runs, SEED)
+    if assumption.variance_factor is not None:
+        return Sensitivity(assumption, closed_loop(drive, 0.5, assumption.variance_factor)[0])
+    if assumption.reference_error_m is None:
+        return Sensitivity(assumption, open_loop(drive, 0.5, assumption.false_alarm_rate)[0])
+    shape = (scenario.EPOCHS, runs, 3)
+    error = assumption.reference_error_m * np.random.default_rng((SEED, 1)).standard_normal(shape)
+    return Sensitivity(assumption, structure_test(drive, error, np.zeros(shape[:2]), assumption.false_alarm_rate))
+
+
+def mean_rates(rows: Sequence[Row], method: str) -> Rates:
+    """Mean over the ratios."""
+    false_alarm, step, ramp = np.mean([astuple(getattr(one, method)) for one in rows], axis=0).tolist()
+    return Rates(false_alarm, step, ramp)
+
+
+def deviations(rows: Sequence[Row], changed: Sequence[Sensitivity]) -> list[str]:
+    """Numbers outside the tolerance of the reference, and acceptance limits that are exceeded."""
+    texts = []
+    names = ("false alarms", "missed step", "missed ramp")
+    found = mean_rates(rows, "open_loop")
+    for name, value, expected in zip(names, astuple(found), astuple(MEAN_OF_RATIOS), strict=True):
+        if abs(value - expected) > POINTS:
+            texts.append(f"open loop, mean of ten ratios: {name} {value:.2f} %, reference {expected} % ± {POINTS}")
+    for one in changed:
+        name, expected = one.assumption.name, one.assumption.missed_ramp
+        if abs(one.rates.missed_ramp - expected) > POINTS and name != NO_TOLERANCE:
+            texts.append(f"{name}: missed ramp {one.rates.missed_ramp:.1f} %, reference {expected} % ± {POINTS}")
+    for one_row in rows:
+        bank = one_row.leave_one_out
+        if bank.missed_ramp > 60.0:
+            texts.append(f"ratio {one_row.ratio}: the bank absorbs the ramp, {bank.missed_ramp:.1f} % are missed")
+        if one_row.ratio == 0.5:
+            for name, value, limit in zip(names, astuple(bank), (1.0, 0.5, 50.0), strict=True):
+                if value > limit:
+                    texts.append(f"bank at ratio 0.5: {name} {value:.2f} %, limit {limit} %")
+    return texts
+
+
+def _rates_text(rates: Rates) -> str:
+    return f"{rates.false_alarm:.2f} {rates.missed_step:.2f} {rates.missed_ramp:5.1f}"
+
+
+def _rates_table(rows: Sequence[Row], runs: int) -> Table:
+    found = [
+        (f"{one.ratio}", _rates_text(one.published), *(_rates_text(getattr(one, m)) for m in METHODS.values()))
+        for one in rows
+    ]
+    means = (_rates_text(mean_rates(rows, method)) for method in ("published", *METHODS.values()))
+    title = f"False alarms, missed step, missed ramp [%]; {runs} runs of 90 epochs a ratio"
+    return Table(title, ("ratio", "paper", "open loop", "closed loop", "leave-one-out"), (*found, ("mean", *means)))
+
+
+def _positions_table(rows: Sequence[Row]) -> Table:
+    ratio = {one.ratio: one for one in rows}
+    found = [
+        (f"{method}, {value}", *(f"{ratio[value].position_m[method][phase]:.1f}" for phase in scenario.PHASES))
+        for value in (1.0, 0.5, 0.1)
+        for method in ratio[value].position_m
+        if value == 1.0 or method != "four satellites alone"
+    ]
+    title = "Horizontal RMS error [m]; ramp from 31 s, step from 51 to 80 s"
+    return Table(title, ("method, ratio", *scenario.PHASES), found)
+
+
+def _sensitivity_table(changed: Sequence[Sensitivity]) -> Table:
+    found = [
+        (one.assumption.name, *(f"{v:.2f}" for v in astuple(one.rates)), f"{one.assumption.missed_ramp}")
+        for one in changed
+    ]
+    columns = ("", "false alarm", "step", "ramp", "ramp, reference")
+    return Table("False alarms and misses [%] with one assumption changed, ratio 0.5", columns, found)
+
+
+def local_thresholds() -> dict[str, list[float]]:
+    """Bias [m] at which each local test fires: split as fitted, and the four highest satellites real."""
+    H = np.vstack([scenario.real_rows(), scenario.virtual_rows()])
+    by_elevation = np.argsort(-H[:, 2])
+    sd = np.full(4, scenario.PSEUDORANGE_SD)
+    splits = {"as fitted": range(8), "four highest real": by_elevation.tolist()}
+    found = {}
+    for name, order in splits.items():
+        real, virtual = H[list(order)[:4]], H[list(order)[4:]]
+        found[name] = local_biases(residual_cov(prediction_matrix(real, virtual), sd, sd), 1e-5).tolist()
+    return found
+
+
+def _thresholds_table() -> Table:
+    rows = [(name, *(f"{value:.1f}" for value in values)) for name, values in local_thresholds().items()]
+    title = "Bias [m] that fires the local test of each real satellite (the step is 50 m)"
+    return Table(title, ("split into real and virtual", "1", "2", "3", "4"), rows)
+
+
+def _document(rows: Sequence[Row], changed: Sequence[Sensitivity], runs: int) -> dict[str, object]:
+    return {
+        "runs": runs,
+        "columns": ["false_alarm_percent", "missed_step_percent", "missed_ramp_percent"],
+        "ratios": [
+            {
+                "ratio": one.ratio,
+                "position_rms_m": one.position_m,
+                **{name: astuple(getattr(one, name)) for name in ("published", *METHODS.values())},
+            }
+            for one in rows
+        ],
+        "mean": {name: astuple(mean_rates(rows, name)) for name in ("published", *METHODS.values())},
+        "sensitivities": {one.assumption.name: astuple(one.rates) for one in changed},
+        "reference_missed_ramp_percent": {one.name: one.missed_ramp for one in ASSUMPTIONS},
+        "local_thresholds_m": local_thresholds(),
+    }
+
+
+def _figures(rows: Sequence[Row]) -> list[Figure]:
+    drawn: list[Figure] = []
+    ratios = [one.ratio for one in rows]
+    labels = {"false_alarm": "false alarms [%]", "missed_step": "missed step [%]", "missed_ramp": "missed ramp [%]"}
+    with figure("Rates over the ratio", drawn.append, columns=3) as panels:
+        for axes, (name, label) in zip(panels, labels.items(), strict=True):
+            for text, method in {"paper": "published", **METHODS}.items():
+                axes.plot(ratios, [getattr(getattr(one, method), name) for one in rows], marker=".", label=text)
+            axes.set(xlabel="ratio of the range-rate deviation", ylabel=label)
+        panels[2].legend()
+    with figure("Position errors", drawn.append) as (axes,):
+        chosen = next(one for one in rows if one.ratio == 0.5).position_m
+        for offset, (method, errors) in enumerate(chosen.items()):
+            axes.bar(np.arange(len(errors)) + 0.16 * offset, list(errors.values()), 0.15, label=method)
+        axes.set(ylabel="horizontal RMS [m], ratio 0.5")
+        axes.set_xticks(np.arange(len(scenario.PHASES)) + 0.32, list(scenario.PHASES))
+        axes.legend(loc="upper left")
+    return drawn

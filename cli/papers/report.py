@@ -1,0 +1,128 @@
+"""What `obu papers` prints and writes of a paper: tables beside the published ones, remarks, figures, JSON."""
+
+import json as json_module
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table as RichTable
+
+from shared.errors import UserError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of texts; the first column names the row."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure as SVG; its file is named after the title."""
+
+    title: str
+    svg: str
+
+    @property
+    def file(self) -> str:
+        """Name of its file."""
+        return re.sub(r"\W+", "-", self.title.lower()).strip("-") + ".svg"
+
+
+@dataclass(frozen=True)
+class Paper:
+    """A reproduced paper; `deviations` are numbers outside the tolerance of the reference, which fail the command."""
+
+    name: str
+    tables: Sequence[Table]
+    document: dict[str, object]
+    fitted: Sequence[str] = ()
+    not_reproduced: Sequence[str] = ()
+    skipped: Sequence[str] = ()  # what was not computed, for want of a recording
+    deviations: Sequence[str] = ()
+    figures: Sequence[Figure] = field(default=())
+
+
+@contextmanager
+def figure(
+    title: str, store: Callable[[Figure], None], *, columns: int = 1, height: float = 3.2
+) -> Iterator[list["Axes"]]:
+    """Create axes side by side; on exit pass the figure to `store`."""
+    from matplotlib import style  # takes 0.5 s to import
+    from matplotlib.figure import Figure as Canvas
+
+    from cli.solve.report.plots import STYLE
+
+    with style.context(STYLE):
+        canvas = Canvas(figsize=(8.6, height), layout="constrained")
+        yield list(canvas.subplots(1, columns, squeeze=False)[0])
+        text = StringIO()
+        canvas.savefig(text, format="svg", metadata={"Date": None, "Creator": None}, facecolor="white")
+    store(Figure(title, text.getvalue()))
+
+
+def publish(paper: Paper, *, json: bool, out: Path | None) -> int:
+    """Print a paper and write its figures; return 1 if a number is outside its tolerance."""
+    if out is not None:
+        _write(paper, out)
+    if json:
+        remarks = {
+            "fitted": paper.fitted, "not_reproduced": paper.not_reproduced, "skipped": paper.skipped,
+            "deviations": paper.deviations,
+        }  # fmt: skip
+        print(json_module.dumps({"paper": paper.name, **paper.document, **remarks}, indent=2))
+    else:
+        _print(paper, Console(), out)
+    return 1 if paper.deviations else 0
+
+
+def _write(paper: Paper, out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for one in paper.figures:
+            (out / one.file).write_text(one.svg, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write to {out}: {error.strerror}; choose another folder with --out") from error
+
+
+def printed(table: Table) -> RichTable:
+    """Lay out a table for the terminal."""
+    rich = RichTable(title=escape(table.title), title_justify="left", box=SIMPLE_HEAD)
+    rich.pad_edge = rich.show_edge = False
+    rich.padding = (0, 1, 0, 0)
+    for number, heading in enumerate(table.columns):
+        rich.add_column(escape(heading), justify="right" if number else "left", no_wrap=True)
+    for row in table.rows:
+        rich.add_row(*map(escape, row))
+    return rich
+
+
+def _print(paper: Paper, console: Console, out: Path | None) -> None:
+    for table in paper.tables:
+        console.print(printed(table))
+        console.print()
+    for heading, remarks in (
+        ("Fitted", paper.fitted), ("Not reproduced", paper.not_reproduced), ("Skipped", paper.skipped)
+    ):  # fmt: skip
+        for remark in remarks:
+            console.print(f"[bold]{heading}:[/] {escape(remark)}", highlight=False)
+    if out is not None:
+        names = ", ".join(one.file for one in paper.figures)
+        console.print(f"Figures in {out}: {names}", highlight=False)
+    for deviation in paper.deviations:
+        console.print(f"[red]outside its tolerance:[/] {escape(deviation)}", highlight=False)
+    if not paper.deviations:
+        console.print("[green]all reference numbers within their tolerances[/]")

@@ -1,0 +1,1 @@
+"""`obu papers spoofing`: GNSS spoofing detection by the sensors of a phone."""

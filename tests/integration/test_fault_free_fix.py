@@ -1,0 +1,100 @@
+"""While a satellite is excluded, the least-squares fix of core.cooperative takes the place of the receiver's own."""
+
+from collections.abc import Iterator
+from math import degrees, radians
+
+import pytest
+
+from services.sensors.simulator.world import messages
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.messages.base import Message
+from shared.messages.gnss import FaultFreeFix, GnssFix, GnssRawEpoch
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationState
+from shared.messages.trust import MonitorOutcome, TrustMonitor, TrustState
+from shared.runtime.config import parse_vehicle
+from shared.runtime.offline import OfflineUnit
+
+PARSERS = ("parsers.gnss", "parsers.imu", "parsers.can")
+CORE = ("core.fusion", "core.cooperative", "core.trust")
+BEGIN_NS, END_NS = 45_000_000_000, 50_000_000_000
+PUSH_M, MOVED_M = 50.0, 6.0
+ROW = 3  # satellite of an epoch
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[Message]:
+    parsed = OfflineUnit(parse_vehicle(""), PARSERS).run(messages("parking_lot", 1, 66.0))
+    return [one for one in parsed if hasattr(one, "sampled_ns")]
+
+
+def faulty(drive: list[Message]) -> Iterator[Message]:
+    """The drive with a longer pseudorange of one satellite for ten seconds, and the receiver's fixes that follow it."""
+    origin_ns = next(one.sampled_ns for one in drive if isinstance(one, GnssFix))
+    for one in drive:
+        since_ns = one.sampled_ns - origin_ns if isinstance(one, GnssFix | GnssRawEpoch) else 0
+        if not BEGIN_NS <= since_ns < END_NS:
+            yield one
+        elif isinstance(one, GnssRawEpoch):
+            rows = list(one.measurements)
+            true_m = rows[ROW].pseudorange_m
+            assert true_m is not None
+            rows[ROW] = rows[ROW].model_copy(update={"pseudorange_m": true_m + PUSH_M})
+            yield one.model_copy(update={"measurements": tuple(rows)})
+        elif isinstance(one, GnssFix) and one.latitude_deg is not None and one.longitude_deg is not None:
+            place = Geodetic(radians(one.latitude_deg), radians(one.longitude_deg), 0.0)
+            latitude, _, _ = geodetic_from_ned_difference((MOVED_M, 0.0, 0.0), place)
+            yield one.model_copy(update={"latitude_deg": degrees(latitude)})
+        else:
+            yield one
+
+
+@pytest.fixture(scope="module")
+def published(drive: list[Message]) -> list[Message]:
+    return list(OfflineUnit(parse_vehicle(""), CORE).run(faulty(drive)))
+
+
+def test_the_fault_free_fix_takes_the_place_of_the_receivers_own(published: list[Message]) -> None:
+    replaced = {one.sampled_ns for one in published if isinstance(one, FaultFreeFix)}
+    assert len(replaced) >= 5
+    used = {
+        one.sampled_ns: one
+        for one in published
+        if isinstance(one, AidingUpdate) and one.kind is AidingKind.GNSS_POSITION and one.sampled_ns in replaced
+    }
+    assert set(used) == replaced and all(one.used for one in used.values()), "the last outcome of each epoch"
+    assert max(abs(one.innovation[0]) for one in used.values()) < MOVED_M / 2.0, "not those of the receiver"
+
+
+def test_a_satellite_that_is_left_out_of_the_position_is_a_finding_and_no_reason_to_doubt(
+    published: list[Message],
+) -> None:
+    accusing = [
+        one
+        for one in published
+        if isinstance(one, TrustMonitor) and one.monitor == "satellites" and one.outcome is MonitorOutcome.ACCUSES
+    ]
+    [name] = accusing[0].accused
+    known = [one for one in published if isinstance(one, NavigationState) and one.satellites_left_out]
+    assert {one.satellites_left_out for one in known} == {(name,)}
+    verdicts = [
+        one
+        for one in published
+        if isinstance(one, TrustState) and known[0].sampled_ns < one.sampled_ns <= known[-1].sampled_ns
+    ]
+    assert verdicts and not any(one.row == 5 or one.gnss_excluded for one in verdicts)
+    assert any(f"satellite {name} is excluded" in one.findings for one in verdicts)
+    last = [one for one in published if isinstance(one, NavigationState)][-1]
+    assert last.satellites_left_out == (), "the receiver's own fix is used again"
+
+
+def test_gnss_is_accused_where_raw_measurements_end_while_a_satellite_is_excluded(drive: list[Message]) -> None:
+    def cut() -> Iterator[Message]:
+        raw_epochs = 0
+        for one in faulty(drive):
+            raw_epochs += isinstance(one, GnssRawEpoch)
+            if not (isinstance(one, GnssRawEpoch) and raw_epochs > 50):
+                yield one
+
+    found = [one for one in OfflineUnit(parse_vehicle(""), CORE).run(cut()) if isinstance(one, TrustMonitor)]
+    satellites = [one for one in found if one.monitor == "satellites"]
+    assert satellites[-1].accused == ("gnss",) and "a satellite was excluded before" in satellites[-1].reason

@@ -1,0 +1,120 @@
+"""The V2X processes as they run in a unit: each a process of its own, a broker with the unit's access list between."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from shared.bus.bus import Bus
+from shared.messages.operation import ProcessHealth
+from shared.messages.v2x import CamList, OwnCam
+from shared.runtime.config import BrokerAddress
+from shared.topics import BY_NAME
+from shared.v2x import cam, geonetworking, its_time
+from tests.support import brokers, cams
+
+LIMIT_S = 20.0
+
+
+@pytest.fixture
+def radio() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind(("127.0.0.1", 0))
+        opened.settimeout(0.05)
+        yield opened
+
+
+@pytest.fixture
+def unit(tmp_path: Path, radio: socket.socket) -> Iterator[tuple[int, int]]:
+    """Run sensors.v2x and parsers.v2x; the ports of the broker and of the driver."""
+    broker = brokers.start(brokers.SIMULATED, tmp_path)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    file = tmp_path / "vehicle.toml"
+    file.write_text(
+        f'[sensors.v2x]\ndevice = "udp://127.0.0.1:{port}"\nsend_to = "udp://127.0.0.1:{radio.getsockname()[1]}"\n'
+        "[parsers.v2x]\n"
+    )
+    environment = os.environ | {
+        "OBU_VEHICLE": str(file), "OBU_BROKER": f"mqtt://127.0.0.1:{broker.port}", "OBU_STATE": str(tmp_path)
+    }  # fmt: skip
+    children = [
+        subprocess.Popen([sys.executable, "-m", "cli", "run", name], env=environment, stdout=subprocess.DEVNULL)
+        for name in ("sensors.v2x", "parsers.v2x")
+    ]
+    try:
+        yield broker.port, port
+    finally:
+        for child in children:
+            child.terminate()
+            child.wait(10.0)
+        broker.stop()
+
+
+def bus(process: str, topics: list[str], port: int, folder: Path, *, observer: bool = False) -> Bus:
+    rows = [BY_NAME[name] for name in topics]
+    return Bus(process, "vehicle", BrokerAddress("127.0.0.1", port), rows, folder, observer=observer)
+
+
+def until(found: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + LIMIT_S
+    while not found():
+        assert time.monotonic() < deadline, f"{what} within {LIMIT_S} s"
+
+
+def test_a_frame_of_the_radio_becomes_a_cam_on_the_bus_and_garbage_a_counted_reject(
+    unit: tuple[int, int], radio: socket.socket, tmp_path: Path
+) -> None:
+    broker_port, port = unit
+    listener = bus("observer", ["v2x/cam", "health/+"], broker_port, tmp_path, observer=True)
+    received: list[CamList] = []
+    rejects: dict[str, int] = {}
+
+    def exchange() -> bool:
+        time_ms = its_time.its_time_ms(time.time_ns()) % its_time.CYCLE_MS
+        packet = geonetworking.encode_packet(cam.encode(cams.BRAKING, time_ms), cams.SENDER)
+        for data in (packet, packet[:-3], b"\x12" + packet[1:], bytes(100)):
+            radio.sendto(data, ("127.0.0.1", port))
+        for envelope in listener.receive(0.05):
+            message = envelope.decode()
+            if isinstance(message, CamList):
+                received.append(message)
+            elif isinstance(message, ProcessHealth):
+                rejects.update(message.rejects)
+        return bool(received) and {"truncated", "secured", "geonetworking_version"} <= rejects.keys()
+
+    until(exchange, "a CAM and the counted rejects")
+    listener.close()
+    found = received[0].cams[0]
+    assert (found.station_id, found.speed_m_s) == (4_000_000_123, 23.45)
+    assert abs(found.received_ns - found.sampled_ns) < 2e9
+
+
+def test_an_own_cam_on_the_bus_leaves_by_the_radio(unit: tuple[int, int], radio: socket.socket, tmp_path: Path) -> None:
+    broker_port, _ = unit
+    controller = bus("controller.cam", [], broker_port, tmp_path)
+    sent: list[bytes] = []
+
+    def exchange() -> bool:
+        controller.receive(0.05)
+        now_ns = time.time_ns()
+        if controller.connected:
+            controller.publish(
+                OwnCam(**dict(cams.BRAKING), sampled_ns=now_ns, its_time_ms=its_time.its_time_ms(now_ns))
+            )
+        try:
+            sent.append(radio.recv(3000))
+        except TimeoutError:
+            return False
+        return True
+
+    until(exchange, "a frame at the radio")
+    controller.close()
+    content, _ = cam.decode_content(geonetworking.decode_payload(sent[0]))
+    assert content.station_id == 4_000_000_123

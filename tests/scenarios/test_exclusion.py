@@ -1,0 +1,163 @@
+"""From an accusation to dead reckoning and back: fusion, monitors and verdict on a drive whose GNSS is dragged off."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from math import hypot, radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from services.core.fusion.process import Config, Process
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.messages.base import Message
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState
+from shared.messages.trust import TrustLevel, TrustState
+from tests.support.chain import Chain, attacked
+from tests.support.spoofing import SECOND_NS
+
+BEGIN_S, END_S, DURATION_S = 100.0, 130.0, 180.0
+pytestmark = pytest.mark.xdist_group("exclusion")  # one worker, for the runs are shared
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Solutions against the truth."""
+
+    time_s: npt.NDArray[np.float64]
+    horizontal_m: npt.NDArray[np.float64]
+    level_m: npt.NDArray[np.float64]
+    nees: npt.NDArray[np.float64]  # horizontal, two degrees of freedom
+    excluded: npt.NDArray[np.bool_]
+
+    def worst_m(self, begin_s: float, end_s: float) -> float:
+        """Largest horizontal error within a time."""
+        return float(self.horizontal_m[(self.time_s >= begin_s) & (self.time_s < end_s)].max())
+
+
+def errors_of(drive: Drive, published: Sequence[Message]) -> Errors:
+    rows = []
+    for one in published:
+        if not isinstance(one, NavigationSolution):
+            continue
+        truth = Geodetic(*drive.position[int(np.searchsorted(drive.t_ns, one.sampled_ns))].tolist())
+        here = Geodetic(radians(one.latitude_deg), radians(one.longitude_deg), one.height_ellipsoid_m)
+        north, east, _ = ned_from_geodetic_difference(here, truth)
+        nn, ne, _, ee, _, _ = one.position_cov_ned_m2
+        nees = np.array([north, east]) @ np.linalg.solve(np.array([[nn, ne], [ne, ee]]), [north, east])
+        rows.append(
+            (
+                one.sampled_ns / SECOND_NS, hypot(north, east), one.protection_level_horizontal_m, nees,
+                one.gnss_excluded_since_ns is not None and one.gnss_excluded_since_ns <= BEGIN_S * SECOND_NS,
+            )
+        )  # fmt: skip
+    columns = np.array(rows, dtype=np.float64).T
+    return Errors(columns[0], columns[1], columns[2], columns[3], columns[4] > 0.5)
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return simulate("urban", 1, DURATION_S)
+
+
+@pytest.fixture(scope="module")
+def chain(drive: Drive) -> Chain:
+    return Chain(attacked(drive, BEGIN_S, END_S, 0.3, 3.0))
+
+
+@pytest.fixture(scope="module")
+def published(chain: Chain) -> list[Message]:
+    return list(chain.run())
+
+
+@pytest.fixture(scope="module")
+def errors(drive: Drive, published: list[Message]) -> Errors:
+    return errors_of(drive, published)
+
+
+def verdicts(published: Sequence[Message]) -> list[TrustState]:
+    return [one for one in published if isinstance(one, TrustState)]
+
+
+def test_the_verdict_is_safe_unsafe_dead_reckoning_and_safe_again(published: list[Message]) -> None:
+    states = [one for one in verdicts(published) if one.sampled_ns > 40 * SECOND_NS]
+    sequence = [level for level, _ in groupby(one.state for one in states)]
+    assert sequence == [TrustLevel.SAFE, TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING, TrustLevel.SAFE]
+    first = {level: next(one.sampled_ns for one in states if one.state is level) / SECOND_NS for level in sequence}
+    assert BEGIN_S < first[TrustLevel.UNSAFE] < BEGIN_S + 8.0
+    assert first[TrustLevel.DEAD_RECKONING] < first[TrustLevel.UNSAFE] + 4.0, "the roll-back takes part of a second"
+    readmitted = next(one for one in states if one.sampled_ns > END_S * SECOND_NS and not one.gnss_excluded)
+    assert END_S + 2.0 < readmitted.sampled_ns / SECOND_NS < END_S + 45.0
+    assert {one.row for one in states if one.state is TrustLevel.DEAD_RECKONING} == {7, 8}
+
+
+def test_the_position_after_the_roll_back_is_that_of_dead_reckoning_within_its_level(
+    drive: Drive, errors: Errors, chain: Chain
+) -> None:
+    free = errors.excluded
+    assert errors.time_s[free][0] < BEGIN_S + 10.0 and free.sum() > 300
+    assert errors.horizontal_m[free].max() < 3.0
+    assert (errors.horizontal_m[free] < errors.level_m[free]).all()
+    assert errors.nees[free].max() < 13.8, "chi-square, two degrees of freedom, 1e-3"
+    absorbed = errors_of(drive, list(Chain(attacked(drive, BEGIN_S, END_S, 0.3, 3.0), follow=False).run()))
+    assert absorbed.worst_m(BEGIN_S, END_S) > 20.0 * errors.worst_m(BEGIN_S + 10.0, END_S)
+
+
+def test_excluded_fixes_are_published_with_the_reason_and_counted(published: list[Message]) -> None:
+    states = [one for one in published if isinstance(one, NavigationState) and one.gnss_excluded_since_ns]
+    begin_ns, end_ns = states[20].sampled_ns, states[-1].sampled_ns
+    gnss = [
+        one
+        for one in published
+        if isinstance(one, AidingUpdate) and "gnss" in one.kind.value and begin_ns < one.sampled_ns < end_ns
+    ]
+    assert len(gnss) > 50 and {one.reason for one in gnss} == {"GNSS is excluded by core.trust"}
+    assert not any(one.used for one in gnss)
+    assert states[-1].fixes_excluded > 40 and states[-1].resets == 0
+
+
+def test_readmission_says_how_far_gnss_is_from_dead_reckoning(published: list[Message], errors: Errors) -> None:
+    said = [one for one in published if isinstance(one, NavigationState) and "GNSS is used again" in one.reason]
+    assert said and "from dead reckoning" in said[0].reason
+    assert errors.worst_m(said[0].sampled_ns / SECOND_NS + 10.0, DURATION_S) < 2.0
+    used = [
+        one
+        for one in published
+        if isinstance(one, AidingUpdate)
+        and one.kind is AidingKind.GNSS_POSITION
+        and one.sampled_ns > said[0].sampled_ns
+    ]
+    assert len(used) > 3 and all(one.used for one in used)
+
+
+def test_fusion_repeats_its_words_from_what_it_consumed_in_that_order(chain: Chain, published: list[Message]) -> None:
+    lever = {"gnss.lever_arm_body_m": chain.processes["core.fusion"]._navigator.settings.gnss.lever_arm_body_m}
+    fusion = Process(Config().with_values(lever))
+    again = [said for one in chain.consumed for said in fusion.handle(one)]  # type: ignore[arg-type]
+    kinds = tuple({type(said) for said in again})
+    assert len(kinds) == 4 and again == [one for one in published if isinstance(one, kinds)]
+
+
+def test_an_attack_that_holds_its_offset_is_not_readmitted_for_its_velocity(drive: Drive) -> None:
+    """30 s of drag-off to 3 m/s, then authentic velocities on positions that stay off."""
+    held = list(Chain(attacked(drive, BEGIN_S, END_S, 0.3, 3.0, held=True)).run())
+    last = verdicts(held)[-1]
+    passing = {one.monitor for one in last.monitors if one.outcome.value == "pass"}
+    assert {"inertial_short", "inertial_long"} <= passing
+    assert last.gnss_excluded
+    ratios = [one.excluded_test_ratio for one in held if isinstance(one, NavigationState)]
+    assert ratios[-1] is not None and ratios[-1] > 1.0
+
+
+@pytest.mark.parametrize(
+    "failure",
+    [{"dead": (78.0, 86.0)}, {"dead": (78.0, 81.0)}, {"gap": (93.0, 96.0)}],
+    ids=["a restart that aligns anew", "a warm start", "no inertial samples for 3 s"],
+)
+def test_nobody_is_accused_after_a_gap_or_a_restart(failure: dict[str, tuple[float, float]]) -> None:
+    """Solutions of a filter that has just aligned are wrong by degrees, which is no evidence on GNSS."""
+    found = verdicts(list(Chain(simulate("urban", 1, 130.0)).run(**failure)))
+    assert not any(one.gnss_excluded or one.row in (4, 5, 6, 7) for one in found)
+    assert found[-1].state is TrustLevel.SAFE

@@ -1,0 +1,58 @@
+"""`obu papers cooperative` with 60 runs instead of 500; with 500 it is marked slow."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cli.papers.cooperative import (
+    ASSUMPTIONS,
+    Sensitivity,
+    deviations,
+    local_thresholds,
+    mean_rates,
+    reproduce,
+    sensitivity,
+)
+from cli.papers.report import publish
+from services.core.cooperative.paper.monte_carlo import RATIOS, Rates, row
+
+
+def test_the_command_prints_every_ratio_and_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paper = reproduce(6, progress=False)
+    publish(paper, json=True, out=tmp_path)
+    document = json.loads(capsys.readouterr().out)
+    assert [one["ratio"] for one in document["ratios"]] == list(RATIOS)
+    assert document["mean"]["published"] == pytest.approx([2.83, 0.457, 47.27], abs=0.005)
+    assert set(document["sensitivities"]) == {one.name for one in ASSUMPTIONS}
+    assert len(list(tmp_path.glob("*.svg"))) == 2
+
+
+def test_white_errors_of_the_reference_do_not_change_the_missed_ramp() -> None:
+    chosen = [one for one in ASSUMPTIONS if one.reference_error_m is not None]
+    assert len(chosen) == 4
+    for one in chosen:
+        assert sensitivity(one, 500).rates.missed_ramp == pytest.approx(one.missed_ramp, abs=1.5), one.name
+
+
+def test_the_four_highest_satellites_as_real_ones_make_the_test_blind_for_the_step() -> None:
+    thresholds = local_thresholds()
+    assert thresholds["as fitted"] == pytest.approx([28.02, 20.31, 20.22, 27.43], abs=0.02)
+    assert all(67.0 < value < 116.0 for value in thresholds["four highest real"])
+
+
+def test_numbers_outside_the_tolerance_are_deviations() -> None:
+    one = row(5, runs=60)
+    poor = replace(one, open_loop=Rates(4.0, 0.4, 43.9), leave_one_out=Rates(0.5, 0.1, 61.0))
+    changed = Sensitivity(ASSUMPTIONS[0], Rates(0.0, 0.0, ASSUMPTIONS[0].missed_ramp + 1.6))
+    texts = deviations([poor], [changed])
+    assert len(texts) == 4, "false alarms of the open loop, the ramp of the bank twice, one assumption"
+    assert mean_rates([one, poor], "leave_one_out").missed_step == pytest.approx(
+        0.5 * (one.leave_one_out.missed_step + 0.1)
+    )
+
+
+@pytest.mark.slow
+def test_the_published_table_of_500_runs_is_within_its_tolerances() -> None:
+    assert reproduce(500, progress=False).deviations == []

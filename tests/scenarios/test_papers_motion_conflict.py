@@ -1,0 +1,62 @@
+"""`obu papers motion-conflict` with one drive of each kind instead of twenty."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cli.papers.motion_conflict.drives import FAULTS
+from cli.papers.motion_conflict.paper import reproduce
+from cli.papers.report import Paper, publish
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("OBU_DATA", str(tmp_path_factory.mktemp("none")))
+        return reproduce(1, progress=False)
+
+
+def test_the_published_break_points_come_about_and_nothing_is_detected_without_a_fault(paper: Paper) -> None:
+    assert paper.deviations == []
+    drives = paper.document["drives"]
+    assert isinstance(drives, dict) and set(drives) == {"highway", "urban"}
+    for kind in drives.values():
+        assert set(kind["detections"]) == set(FAULTS)
+        assert kind["detections"]["none"]["trimmed_mean_above"] == 0
+    assert drives["highway"]["detections"]["scale -30 %"]["trimmed_mean_above"] > 0
+    assert drives["urban"]["detections"]["delay 10 s"]["median_above"] > 0
+
+
+def test_a_recording_that_is_not_there_is_skipped_with_what_to_do(paper: Paper) -> None:
+    assert len(paper.skipped) == 3
+    assert all("set OBU_DATA" in text for text in paper.skipped)
+
+
+def test_figures_and_json_are_written(paper: Paper, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert publish(paper, json=True, out=tmp_path) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["break_points"]["highway"]["bias"] == 70.0 and document["deviations"] == []
+    assert {path.name for path in tmp_path.iterdir()} == {"sweeps.svg", "nominal-differences.svg"}
+
+
+def test_a_number_outside_its_tolerance_fails_the_command(paper: Paper, capsys: pytest.CaptureFixture[str]) -> None:
+    off = Paper(paper.name, paper.tables, paper.document, deviations=["delay [s] at 9 s"])
+    assert publish(off, json=False, out=None) == 1
+    printed = capsys.readouterr().out
+    assert "delay [s] at 9 s" in printed and "within their tolerances" not in printed
+
+
+@pytest.mark.recording
+def test_on_the_recordings_no_window_is_above_10_km_h_and_both_systems_have_positions() -> None:
+    from cli.papers.motion_conflict.constellations import PHONE, STATION, compare_phone, station_speeds
+    from cli.papers.motion_conflict.drives import RECORDING, recorded
+    from cli.papers.motion_conflict.sweeps import with_scale
+    from tests.support.data import recording
+
+    nominal = with_scale(recorded(recording(RECORDING)), 0.0)
+    assert nominal.mean < 0.85 and nominal.mean_above == nominal.median_above == 0
+    phone = compare_phone(recording(PHONE))
+    assert min(phone.epochs.values()) > 0.95 * phone.total
+    assert phone.largest_mean_km_h < 10.0, "positions 5 s apart, 5.9 km/h were measured"
+    assert max(station_speeds(recording(STATION))) < 0.2, "km/h over 30 s"

@@ -1,0 +1,190 @@
+"""The attack laboratory: its plan, attacks on recorded messages, and its rates."""
+
+from math import hypot, radians
+
+import numpy as np
+import pytest
+
+from cli.attack_lab.cases import ATTACKS, Case, plan
+from cli.attack_lab.recorded import POSSIBLE, attacked, drift, moved
+from cli.attack_lab.report import document, page
+from cli.attack_lab.score import (
+    binomial_interval,
+    detected_after_s,
+    detections,
+    false_alarms,
+    harms,
+    poisson_interval,
+    safe_share,
+)
+from cli.attack_lab.timeline import Timeline
+from shared.attacks import BY_NAME, ScheduledAttack, schedule
+from shared.errors import UserError
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.simulation import AttackName
+from shared.messages.trust import TrustLevel
+from shared.messages.vehicle import VehicleSpeed
+
+NS = 1_000_000_000
+SAFE, UNSAFE = TrustLevel.SAFE, TrustLevel.UNSAFE
+
+
+def fixes(seconds: int, speed: float = 10.0) -> list[GnssFix]:
+    """Fixes of a drive to the east, one a second."""
+    return [
+        GnssFix(
+            sampled_ns=k * NS, received_ns=k * NS, source="gnss0", fix_type=FixType.THREE_D, utc_ns=k * NS,
+            latitude_deg=45.0, longitude_deg=10.0 + 1e-4 * k, height_ellipsoid_m=100.0,
+            velocity_ned_m_s=(0.0, speed, 0.0), ground_speed_m_s=speed, course_rad=np.pi / 2,
+        )
+        for k in range(seconds)
+    ]  # fmt: skip
+
+
+def offset_n(attack: str, at_s: int) -> tuple[float, float, float]:
+    """Position under an attack minus position without it [m, NED]."""
+    clean = fixes(60)
+    found = [m for m in attacked(clean, schedule(attack), 0) if isinstance(m, GnssFix)][at_s]
+    there, here = (
+        Geodetic(radians(f.latitude_deg or 0.0), radians(f.longitude_deg or 0.0), f.height_ellipsoid_m or 0.0)
+        for f in (found, clean[at_s])
+    )
+    north, east, down = ned_from_geodetic_difference(there, here)
+    return north, east, down
+
+
+def timeline(
+    verdicts: list[tuple[float, TrustLevel]],
+    accused: dict[str, list[tuple[float, float]]],
+    error_m: float = 0.5,
+    duration_s: float = 300.0,
+) -> Timeline:
+    times = np.arange(0.0, duration_s)
+    return Timeline(
+        duration_s, np.array([at for at, _ in verdicts]), [level for _, level in verdicts], accused,
+        dict.fromkeys(accused, duration_s), times, np.full((len(times), 2), error_m), np.full((len(times), 2), 3.0),
+        (10.0, 20.0),
+    )  # fmt: skip
+
+
+def test_every_attack_of_the_simulator_is_in_the_plan() -> None:
+    planned = {case.attack.attack for case in plan(ATTACKS, ["urban"], 1, [], 600.0) if case.attack}
+    assert planned == set(AttackName)
+
+
+def test_a_plan_has_a_clean_drive_of_each_seed_and_gives_each_attack_90_s() -> None:
+    cases = list(plan(["jam"], ["urban", "highway"], 2, [], 600.0))
+    assert [case.attack is None for case in cases] == [True, False] * 4
+    assert {case.interval_s for case in cases if case.attack} == {(120.0, 210.0)}
+
+
+@pytest.mark.parametrize("text", ["jamm", "jam(loud=1)", "jam@-1"])
+def test_an_attack_that_cannot_be_read_is_an_error_with_an_example(text: str) -> None:
+    with pytest.raises(UserError, match="example: obu attack-lab"):
+        list(plan([text], ["urban"], 1, [], 600.0))
+
+
+def test_labels_name_only_parameters_that_differ_from_their_defaults() -> None:
+    assert Case("urban", 1, 300.0, schedule("drag_off(speed=1)@10")).label == "drag_off(speed=1)"
+    assert Case("urban", 1, 300.0, schedule("drag_off(speed=3)@10")).label == "drag_off"
+
+
+def test_a_drag_off_along_the_track_moves_position_by_the_integral_of_its_velocity() -> None:
+    north, east, _ = offset_n("drag_off(acceleration=0.5,speed=2)@10", 20)
+    assert (north, east) == pytest.approx((0.0, 0.5 * 0.5 * 4.0**2 + 2.0 * 6.0), abs=0.02)
+    rows = BY_NAME[AttackName.DRAG_OFF].complete({"acceleration": 0.5, "speed": 2.0})
+    steps = np.arange(0.0, 10.0, 0.01)
+    position, velocity = (np.array([drift(AttackName.DRAG_OFF, rows, 0.0, float(t))[k] for t in steps]) for k in (0, 1))
+    np.testing.assert_allclose(np.gradient(position, steps, axis=0)[2:-2], velocity[2:-2], atol=0.01)
+
+
+def test_a_jump_is_aside_by_its_distance_and_leaves_the_velocity() -> None:
+    north, east, _ = offset_n("position_jump(distance=100)@10", 20)
+    assert (north, east) == pytest.approx((-100.0, 0.0), abs=0.05)
+    after = [m for m in attacked(fixes(30), schedule("position_jump@10"), 0) if isinstance(m, GnssFix)][20]
+    assert after.velocity_ned_m_s == (0.0, 10.0, 0.0)
+
+
+def test_a_climb_rises_and_a_static_replay_stays() -> None:
+    assert offset_n("climb@10", 30)[2] < -20.0
+    found = [m for m in attacked(fixes(60), schedule("static_replay@10:20"), 0) if isinstance(m, GnssFix)]
+    assert {f.longitude_deg for f in found[10:30]} == {found[9].longitude_deg}
+    assert {f.velocity_ned_m_s for f in found[10:30]} == {(0.0, 0.0, 0.0)}
+    assert found[30] == fixes(60)[30], "the attack has ended"
+
+
+def test_a_tunnel_takes_position_and_velocity_away_and_keeps_the_stamps() -> None:
+    found = [m for m in attacked(fixes(30), schedule("tunnel@10"), 0) if isinstance(m, GnssFix)][15]
+    assert (found.fix_type, found.latitude_deg, found.velocity_ned_m_s) == (FixType.NONE, None, None)
+    assert found.sampled_ns == 15 * NS
+
+
+def test_attacks_on_the_odometer_scale_and_hold_the_speed() -> None:
+    speeds = [VehicleSpeed(sampled_ns=k * NS, received_ns=k * NS, source="can0", speed_m_s=float(k)) for k in range(20)]
+    scaled = list(attacked(speeds, schedule("odometer_scale(factor=2)@10"), 0))
+    held = list(attacked(speeds, schedule("odometer_freeze@10:5"), 0))
+    assert [m.speed_m_s for m in scaled if isinstance(m, VehicleSpeed)][9:12] == [9.0, 20.0, 22.0]
+    assert [m.speed_m_s for m in held if isinstance(m, VehicleSpeed)][9:17] == [9.0] * 6 + [15.0, 16.0]
+
+
+def test_faults_of_satellites_are_refused_on_recordings_with_what_is_possible() -> None:
+    assert AttackName.SATELLITE_STEP not in POSSIBLE
+    with pytest.raises(UserError, match="on recordings: tunnel"):
+        list(attacked(fixes(5), schedule("satellite_step@1"), 0))
+
+
+def test_a_fix_without_a_position_stays_without_one_when_it_is_moved() -> None:
+    bare = GnssFix(sampled_ns=0, received_ns=0, source="gnss0", fix_type=FixType.NONE)
+    assert moved(bare, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0)) == bare
+
+
+def test_detection_counts_from_the_start_of_the_attack_and_only_within_it() -> None:
+    case = Case("urban", 1, 300.0, schedule("drag_off@100:60"))
+    seen = timeline([(0.0, SAFE), (107.0, UNSAFE)], {"a": [(90.0, 120.0)], "b": [(50.0, 60.0), (105.0, 130.0)]})
+    assert detected_after_s(case, seen, "a") is None, "it accused before"
+    assert detected_after_s(case, seen, "b") == pytest.approx(5.0)
+    assert detected_after_s(case, seen, "verdict") == pytest.approx(7.0)
+    rows = {row.monitor: row for row in detections([(case, seen)])}
+    assert (rows["a"].detected, rows["b"].detected) == (0, 1)
+    assert rows["b"].delay_median_s == pytest.approx(5.0)
+
+
+def test_false_alarms_are_counted_outside_the_attack_and_its_recovery() -> None:
+    case = Case("urban", 1, 300.0, schedule("drag_off@100:60"))
+    seen = timeline([(0.0, SAFE)], {"a": [(50.0, 51.0), (80.0, 81.0), (110.0, 111.0), (170.0, 171.0), (260.0, 261.0)]})
+    (row, _) = false_alarms([(case, seen)])
+    assert row.episodes == 2, "those at 80 and 260 s: not the warm-up, the attack and the 70 s after it"
+    assert row.hours == pytest.approx((40.0 + 70.0) / 3600.0)
+
+
+def test_time_that_is_safe_with_an_error_above_the_alert_limit_is_counted() -> None:
+    case = Case("urban", 1, 300.0, schedule("drag_off@100"))
+    (row,) = harms([(case, timeline([(0.0, SAFE), (200.0, UNSAFE)], {}, error_m=11.0))])
+    assert row.hazardous_s == pytest.approx(100.0)
+    assert row.largest_undetected_error_m == 11.0 and row.above_level_fraction == 1.0
+    (calm,) = harms([(case, timeline([(0.0, SAFE)], {}, error_m=0.5))])
+    assert calm.hazardous_s == 0.0 and calm.above_level_fraction == 0.0
+
+
+def test_the_share_of_safe_is_that_of_clean_drives_after_a_minute() -> None:
+    clean = timeline([(0.0, TrustLevel.INITIALISING), (120.0, SAFE)], {})
+    assert safe_share([(Case("urban", 1, 300.0), clean)]) == pytest.approx(180.0 / 240.0)
+    assert safe_share([(Case("urban", 1, 300.0, schedule("jam@1")), clean)]) is None
+
+
+def test_intervals_are_those_of_clopper_and_pearson_and_of_poisson() -> None:
+    assert binomial_interval(0, 10) == pytest.approx((0.0, 0.30850), abs=1e-5)  # 1 - 0.025^(1/10)
+    assert binomial_interval(10, 10)[0] == pytest.approx(0.69150, abs=1e-5)
+    assert poisson_interval(0, 1.0) == pytest.approx((0.0, 3.68888), abs=1e-5)  # -ln 0.025
+    assert poisson_interval(1, 2.0) == pytest.approx((0.0253178 / 2, 5.571643 / 2), abs=1e-5)
+
+
+def test_the_report_has_every_attack_and_needs_nothing_from_elsewhere() -> None:
+    case = Case("urban", 1, 300.0, ScheduledAttack(AttackName.JAM, 100.0, 60.0, {"power": 30.0, "rise": 6.0}))
+    runs = [(case, timeline([(0.0, SAFE), (107.0, UNSAFE)], {"motion": [(105.0, 130.0)]}))]
+    card = document(runs)
+    text = page(card, runs)
+    assert ">jam<" in text and "Stanford diagram, horizontal" in text
+    assert "http://" not in text.replace("http://www.w3.org", "") and "https://" not in text
+    assert hypot(*poisson_interval(0, 0.0)) == np.inf

@@ -1,0 +1,247 @@
+"""Exclusion of GNSS and odometer: what a roll-back results in, what is not learned meanwhile, and readmission."""
+
+from dataclasses import replace
+from functools import cache
+from math import hypot
+
+import numpy as np
+import pytest
+
+from services.core.fusion.filter import error_model as em
+from services.core.fusion.measurements.base import Outcome
+from services.core.fusion.measurements.dual_antenna import BaselineHeading
+from services.core.fusion.navigator import Navigator
+from services.core.fusion.settings import Settings
+from services.core.fusion.timing.roll_back import PART
+from services.core.fusion.update.exclusion import Exclusions, GnssExcluded, GnssReadmitted, OdometerExclusion
+from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
+from shared.messages.navigation import AidingKind, NavigationPhase
+
+SECOND_NS = 1_000_000_000
+SUSPECT_S, VERDICT_S, END_S = 60, 75, 90
+WARM_S = 0.2  # [s] in which measurements still wait to be merged
+
+
+@cache
+def drive() -> Drive:
+    return simulate("urban", 1, 120.0)
+
+
+def navigator() -> Navigator:
+    return Navigator(Settings().with_values({"gnss.lever_arm_body_m": tuple(drive().lever_arm_b)}))
+
+
+def run(
+    nav: Navigator,
+    begin_s: float,
+    end_s: float,
+    *,
+    last_fix_s: float = 1e9,
+    moved_m: float = 0.0,
+    up_m: float = 0.0,
+    odometer: float = 1.0,
+) -> list[Outcome]:
+    """Feed a part of the drive; fixes moved to the north and up, odometer speeds times a factor."""
+    d, outcomes = drive(), []
+    first, last = (int(np.searchsorted(d.t_ns, s * SECOND_NS, side="right")) for s in (begin_s, end_s))
+    k, j = (int(np.searchsorted(stamps, begin_s * SECOND_NS, side="right")) for stamps in (d.fix_ns, d.odometer_ns))
+    for i in range(first, last):
+        now_ns = int(d.t_ns[i])
+        outcomes += nav.imu(now_ns, d.force_b[i].tolist(), d.rate_b[i].tolist())
+        while j < len(d.odometer_ns) and d.odometer_ns[j] <= now_ns:
+            nav.speed(int(d.odometer_ns[j]), odometer * abs(float(d.odometer[j])), received_ns=now_ns)
+            j += 1
+        while k < len(d.fix_ns) and d.fix_ns[k] <= now_ns:
+            if d.fix_ns[k] <= last_fix_s * SECOND_NS and d.fix_valid[k]:
+                place = geodetic_from_ned_difference((moved_m, 0.0, -up_m), Geodetic(*d.fix_position[k].tolist()))
+                sd, velocity_sd = d.fix_position_sd_n[k].tolist(), d.fix_velocity_sd_n[k].tolist()
+                velocity = d.fix_velocity_n[k].tolist()
+                nav.fix(
+                    int(d.fix_ns[k]), position=place, velocity=velocity, position_sd=sd, velocity_sd=velocity_sd,
+                    received_ns=now_ns,
+                )  # fmt: skip
+            k += 1
+    return outcomes
+
+
+def excluded_at(verdict_s: float, suspect_s: float, end_s: float, **changes: float) -> tuple[Navigator, list[Outcome]]:
+    """A navigator that hears the verdict at a time, with changed fixes from the suspect time on."""
+    nav = navigator()
+    run(nav, 0.0, suspect_s)
+    run(nav, suspect_s, verdict_s, **changes)
+    nav.follow_trust(round(suspect_s * SECOND_NS), odometer_excluded=False)
+    return nav, run(nav, verdict_s, end_s, **changes)
+
+
+def error_m(nav: Navigator) -> float:
+    """Horizontal distance from the truth."""
+    solution, d = nav.solution(), drive()
+    assert solution is not None
+    truth = Geodetic(*d.position[int(np.searchsorted(d.t_ns, solution.time_ns))].tolist())
+    north, east, _ = ned_from_geodetic_difference(solution.position, truth)
+    return hypot(north, east)
+
+
+@cache
+def without_gnss() -> Navigator:
+    """A navigator that has never received a fix after the suspect time."""
+    nav = navigator()
+    run(nav, 0.0, END_S, last_fix_s=SUSPECT_S)
+    return nav
+
+
+@cache
+def rolled_back() -> tuple[Navigator, list[Outcome]]:
+    return excluded_at(VERDICT_S, SUSPECT_S, END_S, moved_m=8.0, up_m=5.0)
+
+
+def test_a_roll_back_results_in_the_state_without_the_suspect_fixes() -> None:
+    nav, plain = rolled_back()[0], without_gnss()
+    ours, theirs = nav.engine.filter, plain.engine.filter
+    assert ours is not None and theirs is not None
+    apart = ned_from_geodetic_difference(ours.position, theirs.position)
+    assert apart == pytest.approx((0.0, 0.0, 0.0), abs=0.01), "[m] the covariance is propagated at other instants"
+    assert ours.velocity == pytest.approx(theirs.velocity, abs=0.005)
+    assert ours.P.diagonal() == pytest.approx(theirs.P.diagonal(), rel=0.02)
+
+
+def test_the_solution_and_the_state_confirm_the_exclusion_and_count_the_fixes() -> None:
+    nav, outcomes = rolled_back()
+    solution = nav.solution()
+    assert solution is not None and solution.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
+    assert solution.gnss_age_s == pytest.approx(END_S - SUSPECT_S, abs=1.01)
+    assert nav.phase is NavigationPhase.COASTING and "excluded" in nav.reason
+    assert nav.engine.exclusions.fixes == END_S - SUSPECT_S - 1, "the newest one waits to be merged"
+    gnss = [o for o in outcomes if o.kind in (AidingKind.GNSS_POSITION, AidingKind.GNSS_VELOCITY)]
+    assert len(gnss) >= 2 * (END_S - VERDICT_S - 1)
+    assert {o.reason for o in gnss if o.time_ns > VERDICT_S * SECOND_NS} == {"GNSS is excluded by core.trust"}
+    assert len({(o.time_ns, o.kind) for o in gnss}) == len(gnss), "each is reported once"
+
+
+def test_nothing_is_learned_of_excluded_gnss() -> None:
+    nav, plain = rolled_back()[0].engine, without_gnss().engine
+    assert nav.filter is not None and plain.filter is not None
+    assert nav.filter.colour.unit == pytest.approx(plain.filter.colour.unit)
+    assert nav.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING] == pytest.approx(
+        plain.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING], abs=1e-3
+    ), "scale of the odometer and mounting"
+    assert (nav.aids.watch.position, nav.counts.resets) == (plain.aids.watch.position, plain.counts.resets)
+    assert nav.aids.watch.disputed == plain.aids.watch.disputed
+
+
+def test_positions_far_off_and_high_up_neither_reset_the_filter_nor_its_height() -> None:
+    nav, _ = excluded_at(61.0, 60.0, 80.0, moved_m=400.0, up_m=200.0)
+    assert nav.counts.resets == 0 and error_m(nav) < 10.0
+    assert nav.engine.filter is not None
+    assert nav.engine.filter.position.height == pytest.approx(drive().position[8000, 2], abs=5.0)
+    solution = nav.solution()
+    assert solution is not None and solution.protection_level_horizontal < 20.0, "an attacker does not inflate it"
+
+
+def test_the_state_is_replaced_when_a_replay_in_parts_has_caught_up() -> None:
+    nav = navigator()
+    run(nav, 0.0, 75.0)
+    nav.follow_trust(60 * SECOND_NS, odometer_excluded=False)
+    samples = np.flatnonzero(drive().t_ns > 75 * SECOND_NS)
+    confirmed = None
+    for n, i in enumerate(samples[:200]):
+        nav.imu(int(drive().t_ns[i]), drive().force_b[i].tolist(), drive().rate_b[i].tolist())
+        since_ns = nav.engine.exclusions.gnss_since_ns
+        assert since_ns is None or since_ns == 60 * SECOND_NS or since_ns > 75 * SECOND_NS - 10**8
+        if since_ns == 60 * SECOND_NS:
+            confirmed = n + 1
+            break
+    assert confirmed is not None and 15 * 100 / PART <= confirmed <= 19 * 100 / PART
+
+
+def test_an_earlier_suspect_time_rolls_back_further_and_a_later_one_does_not() -> None:
+    nav = navigator()
+    run(nav, 0.0, 80.0)
+    for since_s, expected_s in ((70, 70), (50, 50), (65, 50)):
+        nav.follow_trust(since_s * SECOND_NS, odometer_excluded=False)
+        begin_s = nav.engine.time_ns / SECOND_NS
+        run(nav, begin_s, begin_s + 2.0)
+        assert nav.engine.exclusions.gnss_since_ns == expected_s * SECOND_NS
+
+
+def test_where_no_snapshot_reaches_back_the_largest_pull_of_gnss_is_added() -> None:
+    levels = {}
+    for suspect_s in (60.0, -10.0):  # the oldest snapshot is of the first sample
+        nav = navigator()
+        run(nav, 0.0, 70.0)
+        saved = nav.saved_state()
+        assert saved is not None
+        later = navigator()
+        later.restore(saved, round(70.01 * SECOND_NS))
+        run(later, 70.0, 75.0)
+        later.follow_trust(
+            round((70.0 + suspect_s - 60.0 if suspect_s < 0 else 73.0) * SECOND_NS), odometer_excluded=False
+        )
+        run(later, 75.0, 80.0)
+        solution = later.solution()
+        assert solution is not None and solution.gnss_excluded_since_ns is not None
+        levels[suspect_s] = solution.protection_level_horizontal
+    assert levels[-10.0] > levels[60.0] + 10.0
+
+
+def test_a_state_that_was_saved_without_gnss_goes_on_without_it() -> None:
+    first, _ = excluded_at(VERDICT_S, SUSPECT_S, 80.0)
+    saved, before = first.saved_state(), first.solution()
+    assert saved is not None and before is not None and saved.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
+    second = navigator()
+    second.restore(saved, round(80.01 * SECOND_NS))
+    second.follow_trust(SUSPECT_S * SECOND_NS, odometer_excluded=False)
+    run(second, 80.0, 81.0)
+    after = second.solution()
+    assert after is not None and after.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
+    assert after.protection_level_horizontal < before.protection_level_horizontal + 2.0, "no pull is added"
+
+
+def test_a_readmitted_receiver_is_used_at_once_and_the_difference_is_said() -> None:
+    nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 85.0)
+    nav.follow_trust(None, odometer_excluded=False)
+    outcomes = run(nav, 85.0, 88.0)
+    positions = [o for o in outcomes if o.kind is AidingKind.GNSS_POSITION and o.time_ns > 85.1 * SECOND_NS]
+    assert positions and all(o.used for o in positions)
+    assert nav.phase is NavigationPhase.NAVIGATING and "GNSS is used again after" in nav.reason
+    assert nav.engine.exclusions.gnss_since_ns is None and nav.counts.resets == 0
+    assert error_m(nav) < 3.0
+
+
+def test_a_readmitted_receiver_that_is_far_off_leads_to_a_reset_after_repeated_rejections_only() -> None:
+    nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 80.0)
+    nav.follow_trust(None, odometer_excluded=False)
+    first = run(nav, 80.0, 86.0, moved_m=300.0)
+    assert not any(o.used for o in first if o.kind is AidingKind.GNSS_POSITION and o.time_ns > 80.1 * SECOND_NS)
+    assert nav.counts.resets == 0
+    run(nav, 86.0, 110.0, moved_m=300.0)
+    solution = nav.solution()
+    assert nav.counts.resets == 1 and solution is not None
+    assert solution.protection_level_horizontal > 200.0, "nobody knows which of the two was right, for a minute"
+
+
+def test_an_excluded_odometer_is_not_used_and_its_scale_is_estimated_anew() -> None:
+    nav = navigator()
+    run(nav, 0.0, 80.0)
+    assert nav.engine.filter is not None
+    known = nav.engine.filter.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE]
+    nav.follow_trust(None, odometer_excluded=True)
+    outcomes = [o for o in run(nav, 80.0, 85.0, odometer=0.5) if o.kind is AidingKind.ODOMETER]
+    late = [o for o in outcomes if o.time_ns > 80.1 * SECOND_NS]
+    assert late and {(o.used, o.reason) for o in late} == {(False, "odometer is excluded by core.trust")}
+    assert nav.engine.filter.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE] > max(known, 0.9 * 0.02**2)
+    nav.follow_trust(None, odometer_excluded=False)
+    again = [o for o in run(nav, 85.0, 88.0) if o.kind is AidingKind.ODOMETER and o.time_ns > 85.1 * SECOND_NS]
+    assert again and any(o.used for o in again)
+
+
+def test_all_kinds_of_gnss_measurements_are_excluded_and_the_earlier_suspect_time_stays() -> None:
+    heading = BaselineHeading(10, 10, "gnss", 0.1, 0.01, 0.0)
+    begun = Exclusions().after(GnssExcluded(9, 5))
+    assert begun.reason(heading) == "GNSS is excluded by core.trust"
+    assert begun.after(GnssExcluded(20, 8)).gnss_since_ns == 5 and begun.after(GnssExcluded(20, 3)).gnss_since_ns == 3
+    ended = begun.after(GnssReadmitted(2 * SECOND_NS + 5))
+    assert ended.reason(heading) is None and ended.readmitted_after_s == 2.0
+    assert Exclusions().after(OdometerExclusion(9, excluded=True)).reason(heading) is None
+    assert replace(ended, odometer=True).after(OdometerExclusion(9, excluded=False)).odometer is False

@@ -1,0 +1,219 @@
+import math
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.parsers.v2x.process import Config, Process
+from shared.bus import codec
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.v2x import Cam, CamContent, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
+from shared.v2x import cam, frames, geonetworking, its_time
+from tests.support import cams
+from tests.support.captures import packets
+from tests.support.data import recording
+
+NOW_NS = 1_795_000_000 * 10**9 + 123_456_789
+MS = 1_000_000
+
+
+def packet(content: CamContent = cams.BRAKING, generated_ns: int = NOW_NS) -> bytes:
+    time_ms = its_time.its_time_ms(generated_ns) % its_time.CYCLE_MS
+    return geonetworking.encode_packet(cam.encode(content, time_ms), cams.SENDER)
+
+
+def decoded(process: Process, batch: CamFrames) -> list[Cam]:
+    lists = [message for message in process.handle(batch) if isinstance(message, CamList)]
+    return [cam for found in lists for cam in found.cams]
+
+
+def fix(latitude_deg: float, longitude_deg: float, utc_offset_ns: int = 0) -> GnssFix:
+    return GnssFix(
+        sampled_ns=NOW_NS,
+        received_ns=NOW_NS,
+        source="gnss0",
+        utc_ns=NOW_NS + utc_offset_ns,
+        fix_type=FixType.THREE_D,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+    )
+
+
+def test_a_batch_becomes_one_list_of_cams_with_their_stamps_and_frames() -> None:
+    process = Process(Config())
+    first, second = packet(), packet(cams.SILENT, NOW_NS - 40 * MS)
+    data = frames.pack([(NOW_NS, first), (NOW_NS + 5 * MS, second)])
+    (found,) = process.handle(CamFrames(received_ns=NOW_NS + 5 * MS, source="v2x0", data=data))
+    assert isinstance(found, CamList)
+    assert (found.source, found.received_ns) == ("v2x0", NOW_NS + 5 * MS)
+    assert [one.frame for one in found.cams] == [first, second]
+    assert [one.received_ns for one in found.cams] == [NOW_NS, NOW_NS + 5 * MS]
+    assert [one.station_id for one in found.cams] == [4_000_000_123, 0]
+    assert [one.sampled_ns // MS for one in found.cams] == [NOW_NS // MS, NOW_NS // MS - 40]
+    assert found.cams[0].speed_m_s == 23.45
+    assert found.cams[1].speed_m_s is found.cams[1].latitude_deg is None
+    assert process.rejects == Counter()
+
+
+def test_bare_uper_is_decoded_as_well() -> None:
+    payload = geonetworking.decode_payload(packet())
+    (found,) = decoded(Process(Config()), cams.batch([payload], NOW_NS, Encapsulation.NONE))
+    assert found.station_id == 4_000_000_123
+    assert found.frame == payload
+
+
+def test_what_cannot_be_used_is_counted_by_reason_and_the_rest_of_the_batch_is_decoded() -> None:
+    process, good = Process(Config()), packet()
+    bad = [
+        b"",
+        good[:30],
+        b"\x21" + good[1:],
+        b"\x12" + good[1:],
+        good[:44] + b"\x01" + good[45:],
+        good[:45] + b"\x01" + good[46:],
+        good[:41] + b"\xd2" + good[42:],
+        packet(generated_ns=NOW_NS - 10_000 * MS),
+        packet(generated_ns=NOW_NS + 5_000 * MS),
+    ]
+    found = decoded(process, cams.batch([good, *bad, good], NOW_NS))
+    assert [one.frame for one in found] == [good, good]
+    assert process.rejects == Counter(
+        {
+            "truncated": 2,
+            "geonetworking_version": 1,
+            "secured": 1,
+            "protocol_version": 1,
+            "message_id": 1,
+            "port": 1,
+            "too_old": 1,
+            "from_the_future": 1,
+        }
+    )
+
+
+def test_a_batch_that_breaks_off_is_counted_and_its_first_frames_are_used() -> None:
+    process = Process(Config())
+    batch = cams.batch([packet(), packet()], NOW_NS)
+    assert len(decoded(process, batch.model_copy(update={"data": batch.data[:-1]}))) == 1
+    assert process.rejects == Counter({"batch": 1})
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=2000), st.sampled_from(Encapsulation))
+def test_random_batches_end_in_counted_rejects_and_never_in_more(data: bytes, encapsulation: Encapsulation) -> None:
+    process = Process(Config())
+    batch = CamFrames(received_ns=NOW_NS, source="v2x0", encapsulation=encapsulation, data=data)
+    found = decoded(process, batch)
+    assert not data or found or sum(process.rejects.values()) > 0
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), min_size=1, max_size=10))
+def test_damaged_packets_end_in_cams_that_the_bus_carries_or_in_counted_rejects(damage: list[tuple[int, int]]) -> None:
+    process, damaged = Process(Config()), bytearray(packet())
+    for place, value in damage:
+        damaged[place % len(damaged)] = value
+    messages = list(process.handle(cams.batch([bytes(damaged)], NOW_NS)))
+    assert len(messages) + sum(process.rejects.values()) == 1
+    for message in messages:
+        codec.encode(message)
+
+
+def test_generation_times_stay_in_order_across_the_wrap_of_generation_delta_time() -> None:
+    wrap_ms = (its_time.its_time_ms(NOW_NS) // its_time.CYCLE_MS + 1) * its_time.CYCLE_MS
+    wrap_ns = its_time.utc_ns_from_its_time(wrap_ms)
+    process, found = Process(Config()), []
+    for step in range(-5, 6):
+        generated_ns = wrap_ns + step * 100 * MS
+        found += decoded(process, cams.batch([packet(generated_ns=generated_ns)], generated_ns + 30 * MS))
+    assert {one.generation_delta_time for one in found} >= {65436, 0, 100}
+    assert [(b.sampled_ns - a.sampled_ns) for a, b in pairwise(found)] == [100 * MS] * 10
+    assert {one.received_ns - one.sampled_ns for one in found} == {30 * MS}
+
+
+@pytest.mark.parametrize("offset_ms", [-1004, 0, 999])
+def test_a_station_whose_clock_is_off_by_a_second_is_decoded_with_both_stamps(offset_ms: int) -> None:
+    (found,) = decoded(Process(Config()), cams.batch([packet(generated_ns=NOW_NS + offset_ms * MS)], NOW_NS))
+    assert found.received_ns == NOW_NS
+    assert (found.sampled_ns - NOW_NS) / MS == pytest.approx(offset_ms, abs=1.0)
+
+
+def test_the_time_line_of_the_unit_is_mapped_to_utc_by_the_receiver_and_not_by_the_hosts_clock() -> None:
+    process = Process(Config())
+    assert list(process.handle(fix(49.4, -1.1, utc_offset_ns=3600 * 10**9))) == []
+    sent = packet(generated_ns=NOW_NS + 3600 * 10**9 - 50 * MS)
+    (found,) = decoded(process, cams.batch([sent], NOW_NS))
+    assert (NOW_NS - found.sampled_ns) / MS == pytest.approx(50.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("distance_m", "used"), [(9_900.0, True), (40_000.0, False)])
+def test_a_station_40_km_away_is_rejected_when_the_own_position_is_known(distance_m: float, used: bool) -> None:
+    process = Process(Config())
+    far = Geodetic(math.radians(49.4431234), math.radians(-1.0993217), 0.0)
+    here = geodetic_from_ned_difference((0.0, distance_m, 0.0), far)
+    assert decoded(process, cams.batch([packet()], NOW_NS))
+    list(process.handle(fix(math.degrees(here.latitude), math.degrees(here.longitude))))
+    assert bool(decoded(process, cams.batch([packet()], NOW_NS))) is used
+    assert process.rejects == Counter({} if used else {"too_far": 1})
+
+
+def test_a_station_without_a_position_is_not_too_far() -> None:
+    process = Process(Config())
+    list(process.handle(fix(49.0, 2.0)))
+    assert decoded(process, cams.batch([packet(cams.SILENT)], NOW_NS))
+
+
+OWN = OwnCam(**dict(cams.BRAKING), sampled_ns=NOW_NS, its_time_ms=its_time.its_time_ms(NOW_NS))
+
+
+def test_an_own_cam_becomes_a_packet_that_another_station_decodes() -> None:
+    (sent,) = Process(Config()).handle(OWN)
+    assert isinstance(sent, V2xSend)
+    (found,) = decoded(Process(Config()), cams.batch([sent.data], NOW_NS))
+    assert (found.station_id, found.speed_m_s, found.latitude_deg) == (4_000_000_123, 23.45, 49.4431234)
+    assert found.sampled_ns // MS == NOW_NS // MS
+
+
+def test_the_headers_reveal_no_more_than_the_pseudonym_and_say_whether_the_position_is_accurate() -> None:
+    (sent,) = Process(Config()).handle(OWN)
+    (unsafe,) = Process(Config()).handle(OWN.model_copy(update={"position_out_of_range": True}))
+    assert isinstance(sent, V2xSend)
+    assert isinstance(unsafe, V2xSend)
+    assert sent.data[14:20] == b"\x02\x00" + (4_000_000_123).to_bytes(4, "big")
+    assert (sent.data[32] >> 7, unsafe.data[32] >> 7) == (1, 0)
+
+
+def test_an_own_frame_that_the_radio_receives_again_is_not_another_station() -> None:
+    process = Process(Config())
+    (sent,) = process.handle(OWN)
+    assert isinstance(sent, V2xSend)
+    assert decoded(process, cams.batch([sent.data], NOW_NS)) == []
+    assert process.rejects == Counter({"own_station": 1})
+
+
+def test_an_own_cam_without_a_position_is_counted_and_not_sent() -> None:
+    process = Process(Config())
+    assert list(process.handle(OWN.model_copy(update={"latitude_deg": None}))) == []
+    assert process.rejects == Counter({"own_position": 1})
+
+
+def test_a_road_side_units_cam_says_that_it_is_not_mobile() -> None:
+    unit = OWN.model_copy(update={"station_type": StationType.ROAD_SIDE_UNIT})
+    (sent,) = Process(Config()).handle(unit)
+    assert isinstance(sent, V2xSend)
+    assert sent.data[7] == 0
+
+
+@pytest.mark.recording
+def test_the_capture_of_the_test_system_is_decoded_although_its_clock_is_a_second_behind() -> None:
+    process, ages_s = Process(Config()), []
+    for utc_ns, data in packets(recording("etsi_cam_pcap") / "etsi-its-cam-unsecured.pcapng"):
+        (found,) = decoded(process, cams.batch([data], utc_ns))
+        assert (found.station_id, found.latitude_deg, found.longitude_deg) == (10143, 43.554663, 10.30419)
+        ages_s.append((found.received_ns - found.sampled_ns) / 1e9)
+    assert len(ages_s) == 10
+    assert ages_s == pytest.approx([1.004] * 10, abs=0.01)
+    assert process.rejects == Counter()
