@@ -14,10 +14,12 @@ from typing import Annotated
 import typer
 
 from shared.errors import UserError
+from shared.messages.simulation import AttackName
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
 from .attack_lab.attack_lab import attack_lab
+from .calibrate.spoofing import calibrate_spoofing
 from .import_drive.import_drive import import_drive
 from .recordings.record import record, repair
 from .recordings.replay import replay
@@ -38,6 +40,12 @@ papers = typer.Typer(
     no_args_is_help=True,
 )
 app.add_typer(papers, name="papers")
+calibrate = typer.Typer(
+    help="Learn settings of the unit from recorded drives.\n\n"
+    "Example: [bold]obu calibrate spoofing drive.mcap -o profile.json[/]",
+    no_args_is_help=True,
+)
+app.add_typer(calibrate, name="calibrate")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
 
@@ -55,7 +63,7 @@ class BrokerKind(StrEnum):
 
 
 @app.command()
-def demo(
+def demo(  # noqa: PLR0913, PLR0917  # one argument an option
     scenario: Annotated[
         str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
     ] = "urban",
@@ -67,6 +75,13 @@ def demo(
     json: Annotated[bool, typer.Option("--json", help="Print the balance as one JSON object.")] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
     broker: Annotated[BrokerKind, typer.Option(help="auto: Mosquitto if it is there, else our own.")] = BrokerKind.AUTO,
+    attack: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Repeatable; name@start, name@start:duration or name(parameter=value,...)@start, in seconds. "
+            f"Names: {', '.join(AttackName)}."
+        ),
+    ] = None,
     role: Annotated[Role, typer.Option(help="obu: a vehicle; rsu: a toll plaza.")] = Role.OBU,
     vehicles: Annotated[int, typer.Option(min=1, max=200, help="Vehicles at the toll plaza at a time.")] = 50,
 ) -> None:
@@ -77,11 +92,15 @@ def demo(
     [bold]obu demo --scenario tunnel --port 8090[/]
     [bold]obu demo --scenario parking_lot --duration 60 --json[/]
     [bold]obu demo --role rsu --vehicles 50 --duration 60 --json[/]
+    [bold]obu demo --attack drag_off@60[/]
+    [bold]obu demo --attack "drag_off(accel=0.1,speed=1)@60:120" --attack odometer_freeze@240 --duration 300[/]
     """
     from .demo.demo import DemoOptions, run
 
     _end_on_sigterm()
-    options = DemoOptions(scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles)
+    options = DemoOptions(
+        scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles, attacks=tuple(attack or ())
+    )
     raise typer.Exit(run(options))
 
 
@@ -285,7 +304,7 @@ def cooperative(
 
 @papers.command()
 def spoofing(
-    drives: Annotated[int, typer.Option(min=3, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
+    drives: Annotated[int, typer.Option(min=6, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
     as_json: JsonOption = False,
     out: FiguresOption = None,
 ) -> None:
@@ -345,6 +364,7 @@ def _record(
         raise typer.Exit(record(output, duration, vehicle))
 
 
+calibrate.command("spoofing")(_ended(calibrate_spoofing))
 app.command("import")(_ended(import_drive))
 app.command("solve")(_ended(solve))
 app.command("attack-lab")(_ended(attack_lab))

@@ -145,7 +145,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.spoofing", Kind.STANDING, "compares GNSS with the inertial sensors over 5, 30 and 60 s",
-        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution"),
+        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution", "navigation/filter_state"),
         produces=("trust/monitor",),
     ),
     ProcessRow(

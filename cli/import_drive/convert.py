@@ -9,7 +9,7 @@ import numpy as np
 
 from shared.errors import UserError
 from shared.maths.earth import FloatArray
-from shared.messages.gnss import GnssFix
+from shared.messages.gnss import GnssFix, GnssRawEpoch, GnssSatellites
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
@@ -26,7 +26,7 @@ MAXIMUM_IMU_MESSAGES_HZ = 100.0  # samples at higher rates are batched, as on th
 GRAVITY_RANGE_M_S2 = (7.0, 13.0)  # plausible median magnitude of a vehicle's specific force
 SCALARS = ("column", "arrival_column", "satellites_used", "front_left", "front_right", "rear_left", "rear_right",
            "hdop", "vdop")  # fmt: skip
-Imported: TypeAlias = ImuSamples | GnssFix | VehicleSpeed | WheelSpeeds | TruthState
+Imported: TypeAlias = ImuSamples | GnssFix | GnssRawEpoch | GnssSatellites | VehicleSpeed | WheelSpeeds | TruthState
 
 
 @dataclass(frozen=True)

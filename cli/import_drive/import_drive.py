@@ -5,6 +5,7 @@ import hashlib
 import heapq
 import json
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -35,23 +36,47 @@ from shared.topics import BY_MESSAGE
 from ..recordings.common import progress_on
 from .clocks import offset_of, shifted
 from .convert import Converted, Imported, convert, wanted_columns
+from .gnss_logger import is_log, messages_of, read_log
 from .mapping import Mapping, parse_mapping
 from .schema import Speed, TableFile
 from .table import Table, arrays_table, read_table
 
 
 def import_drive(
-    mapping: Annotated[Path, typer.Argument(help="TOML file that defines the meaning of the columns.")],
-    folder: Annotated[Path, typer.Argument(help="Folder with the files named in the mapping.")],
+    mapping: Annotated[
+        Path,
+        typer.Argument(help="TOML file that defines the columns, or a log of Android's GnssLogger."),
+    ],
+    folder: Annotated[
+        Path | None, typer.Argument(help="Folder with the files named in the mapping; none with a GnssLogger log.")
+    ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Output recording.")] = Path("drive.mcap"),
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", help="Vehicle TOML file; default: the one named in the mapping.")
     ] = None,
+    axes: Annotated[
+        str,
+        typer.Option(
+            help="Axes of the phone (x right, y top, z out of the screen) that point forward, right and down in the "
+            "vehicle, of a GnssLogger log; default: flat, top ahead."
+        ),
+    ] = "y,x,-z",
 ) -> int:
     """Convert a folder of files (IMU, GNSS, speed, truth; CSV, text or .npz) to a recording.
 
-    Example: [bold]obu import benchmarks/recordings/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
+    Examples:
+    [bold]obu import benchmarks/recordings/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
+    [bold]obu import gnss_log_2026_11_22.txt -o phone.mcap[/]
+    [bold]obu import gnss_log_2026_11_22.txt --axes "z,-x,-y" -o phone.mcap[/]
     """
+    if output.exists():
+        raise UserError(f"{output} already exists; choose another file with --output, or remove it")
+    if mapping.suffix != ".toml" and is_log(_beginning(mapping)):
+        return _import_log(mapping, output, vehicle, body_from_phone(axes))
+    if folder is None:
+        raise UserError(
+            f"{mapping} is no log of GnssLogger; give a mapping (TOML) and the folder of its files: `obu import --help`"
+        )
     text = _text(mapping)
     spec = parse_mapping(text, str(mapping))
     file = _vehicle(spec, mapping, vehicle)
@@ -59,8 +84,6 @@ def import_drive(
     for table in tables:
         if not (folder / table.file).is_file():
             raise UserError(f"{folder} holds no file {table.file!r}; give the folder that holds it, or edit {mapping}")
-    if output.exists():
-        raise UserError(f"{output} already exists; choose another file with --output, or remove it")
     console = Console(stderr=True)
     with progress_on(console) as progress:
         parts = _on_one_clock(tables, [_read(table, folder, spec.start_utc_s, progress) for table in tables])
@@ -79,6 +102,57 @@ class Part:
     sha256: str
     converted: Converted
     clock: str = ""  # description of the clock alignment, if one was made
+
+
+def _beginning(path: Path) -> list[str]:
+    """First lines of a file, which may be anything."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return [line[:2000] for line in islice(file, 20)]
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}; give a mapping (TOML) or a GnssLogger log") from error
+
+
+def body_from_phone(axes: str) -> npt.NDArray[np.float64]:
+    """Rotation to body axes from signed letters of the phone's axes, as in "y,x,-z"."""
+    rows = [one.strip().lower() for one in axes.split(",")]
+    matrix = np.array([[float(row.lstrip("-+") == axis) for axis in "xyz"] for row in rows]).reshape(len(rows), 3)
+    matrix *= np.array([[-1.0 if row.startswith("-") else 1.0] for row in rows])
+    if matrix.shape != (3, 3) or round(float(np.linalg.det(matrix))) != 1:
+        raise UserError(
+            f"--axes {axes!r} are not three axes of a right-handed system; try y,x,-z (phone flat, its top ahead) or "
+            "z,-x,-y (upright, screen ahead)"
+        )
+    return matrix
+
+
+def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArray[np.float64]) -> int:
+    """Convert a log of GnssLogger."""
+    data = path.read_bytes()
+    log = read_log(data.decode("utf-8", errors="replace").splitlines())
+    messages = messages_of(log, axes)
+    if not messages:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in log.rejects.items()) or "no lines"
+        raise UserError(f"{path} holds nothing that can be used ({reasons}); log `Fix`, `Raw` or the sensors")
+    digest = hashlib.sha256(data).hexdigest()
+    kinds = dict.fromkeys(type(message) for message in messages)
+    parts = [
+        Part(
+            BY_MESSAGE[kind].name, digest,
+            Converted([message for message in messages if type(message) is kind], log.lines if number == 0 else 0,
+                      log.rejects if number == 0 else Counter()),
+        )
+        for number, kind in enumerate(kinds)
+    ]  # fmt: skip
+    file = load_vehicle(vehicle) if vehicle is not None else parse_vehicle("", "<no vehicle file>")
+    provenance = {
+        "name": path.stem, "files": json.dumps({path.name: digest}), "truth_is": "none", "truth_quantities": "",
+        "made": "",
+    }  # fmt: skip
+    with progress_on(Console(stderr=True)) as progress:
+        _write(output, parts, file, provenance, progress)
+    _print_summary(output, parts)
+    return 0
 
 
 def _on_one_clock(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:

@@ -149,7 +149,9 @@ class LastPosition(Message):
 class FilterState(Message):
     """State and covariance of the navigation filter, from which a restarted core.fusion goes on.
 
-    Errors, their order and their units are those of the filter; only a filter of the same `fingerprint` reads them.
+    Only a filter of the same `fingerprint` goes on from it. The covariance is that of the errors of attitude, velocity
+    and position (NED), bias of accelerometers and gyroscopes, their scale (body), then of `parameters`,
+    which begin with the scale of the odometer and with pitch and yaw of the mounting.
     """
 
     sampled_ns: Nanoseconds  # stamp of the inertial sample of this state

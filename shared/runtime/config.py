@@ -82,9 +82,12 @@ class VehicleFile:
         return tuple(row.name for row in running(self.role, self.tables))
 
     def section(self, name: str, kind: type[S]) -> S:
-        """Read the settings of one process, or its defaults where the file is silent."""
+        """Read the settings of one process, or its defaults where the file is silent.
+
+        Validators find this file in the context, for a value that another section or a file beside this one holds.
+        """
         try:
-            return kind.model_validate(self.tables.get(name, {}))
+            return kind.model_validate(self.tables.get(name, {}), context={"vehicle": self})
         except ValidationError as error:
             raise ConfigError(f"{self.path}: {_explain(name, kind, error)}") from error
 

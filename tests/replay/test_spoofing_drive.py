@@ -31,8 +31,10 @@ ATTACK_S = 300.0
 LOW_COST_IMU = {
     "gnss.lever_arm_body_m": (0.0, -0.05, 0.0),
     "gnss.velocity_delay_s": 0.125,
-    "long.accelerometer_bias_sd_m_s2": 0.06,
-    "long.gyroscope_bias_sd_rad_s": radians(0.06),
+    "long.accelerometer_bias_sd_m_s2": 0.03,
+    "long.gyroscope_bias_sd_rad_s": 5e-4,
+    "long.angle_random_walk_rad_sqrt_s": 3e-4,
+    "long.velocity_random_walk_m_s_sqrt_s": 0.03,
     "long.scale_sd": 0.01,
 }
 pytestmark = pytest.mark.recording

@@ -17,7 +17,7 @@ from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import NavigationSolution
+from shared.messages.navigation import FilterState, NavigationSolution
 from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 
@@ -135,7 +135,7 @@ def run(fusion: Fusion, process: Process, messages: Iterator[Input]) -> Result:
     for message in messages:
         if not isinstance(message, Tick):
             for solution in fusion.handle(message):
-                if isinstance(solution, NavigationSolution):
+                if isinstance(solution, NavigationSolution | FilterState):
                     list(process.handle(solution))
         for statement in process.handle(message):
             result.statements.setdefault(statement.monitor, []).append(statement)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from math import cos, radians
+from math import cos, inf, radians, sqrt
 
 import numpy as np
 
@@ -20,7 +20,7 @@ VEHICLES = (1, 200)
 LANE_RUNS = 30  # of each row and run of the filters
 LATITUDE_DEG = 49.44  # of Rouen, where the paper's vehicle drove
 IMM_LIMIT = 1.02  # MSE of the IMM over that of the best single model, white noise
-RATIO_TOLERANCE = {"white 3 m": 0.012, "table III": 0.006}
+RATIO_TOLERANCE = {"white 3 m": 0.012, "table III": 0.006}  # with 20 runs; it grows as the root of fewer ones
 REPORTED_ONLY = (
     "A correlated GNSS error is nearly the same during a run of 84 s: with 20 runs the ratios of the last two noise "
     "models differ by some hundredths from seed to seed (means over 400 runs: 0.907 and 0.881; with six runs also 0.79 "
@@ -78,7 +78,7 @@ def reproduce(runs: int, progress: bool) -> Paper:
             f"{mercator[1]:.1f} m² instead of {mercator[0]:.3f} m².",
             REPORTED_ONLY,
         ),
-        deviations=[*_filter_deviations(results), *_lane_deviations(decisions)],
+        deviations=[*_filter_deviations(results, runs), *_lane_deviations(decisions)],
         figures=_figures(results, decisions),
     )
 
@@ -93,14 +93,16 @@ def _decide(job: tuple[Errors, int, bool]) -> Decisions:
     return lane_decisions.simulate(errors, runs, SEED, corrected=corrected)
 
 
-def _filter_deviations(results: Sequence[Result]) -> list[str]:
+def _filter_deviations(results: Sequence[Result], runs: int) -> list[str]:
     found = []
     for one in results:
-        tolerance = RATIO_TOLERANCE.get(one.noise.name)
+        tolerance = RATIO_TOLERANCE.get(one.noise.name, inf) * max(1.0, sqrt(20 / runs))
         for name, reference in one.noise.reference.items():
             ratio = one.mse[name] / one.raw
-            if tolerance is not None and abs(ratio - reference) > tolerance:
-                found.append(f"{one.noise.name}, {name}: ratio {ratio:.4f}, reference {reference:.4f} ± {tolerance}")
+            if abs(ratio - reference) > tolerance:
+                found.append(
+                    f"{one.noise.name}, {name}: ratio {ratio:.4f}, reference {reference:.4f} ± {tolerance:.3f}"
+                )
     white = results[0]
     best = min(white.mse[name] for name in SINGLE)
     if white.mse["IMM of CV and CTRA"] > IMM_LIMIT * best:
@@ -284,6 +286,6 @@ def _figures(results: Sequence[Result], decisions: Sequence[Decisions]) -> list[
             shares = [getattr(one, column) for one in decisions[:-1]]
             axes[0].bar(places + 0.2 * (k - 1.5), shares, 0.2, label=column.replace("_", " + "))
         axes[0].set_xticks(places, [_name(one) for one in decisions[:-1]])
-        axes[0].set(ylabel="share in the right lane", title="ours, not in the paper", ylim=(0.0, 1.0))
+        axes[0].set(ylabel="share in the right lane", title="ours, not in the paper", ylim=(0.0, 1.15))
         axes[0].legend(ncols=4)
     return found

@@ -13,7 +13,7 @@ from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import matrix_from_quaternion, quaternion_from_rotation_vector, skew
 
 from .settings import LongSettings
-from .strapdown import SECOND_NS, Anchor, Increment, Strapdown
+from .strapdown import SECOND_NS, FilterAnchor, Increment, Strapdown
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -27,20 +27,18 @@ ODOMETER_REJECTIONS = 3  # in a row, after which this propagation no longer uses
 class FreePropagation:
     """A propagation from one anchor: nominal in steps of 100 ms, covariance and aiding once a second."""
 
-    def __init__(self, anchor: Anchor, settings: LongSettings) -> None:
+    def __init__(self, anchor: FilterAnchor, settings: LongSettings) -> None:
         self.anchor, self._settings = anchor, settings
         self.nominal = Strapdown(anchor)
-        self.scale, self.yaw, self.pitch = 1.0, 0.0, 0.0
+        self.scale, self.yaw, self.pitch = anchor.scale, anchor.yaw, anchor.pitch
         self.odometer_rejections = 0
         self.acceleration = np.zeros(3)  # [m/s², NED] mean of the last second
         s = settings
-        self.P = np.zeros((SIZE, SIZE))
-        self.P[VELOCITY, VELOCITY] = anchor.velocity_cov + np.eye(3) * s.velocity_sd_floor_m_s**2
-        self.P[ATTITUDE, ATTITUDE] = anchor.attitude_cov + np.eye(3) * s.attitude_sd_floor_rad**2
-        self.P[ACCELEROMETER, ACCELEROMETER] = np.eye(3) * s.accelerometer_bias_sd_m_s2**2
-        self.P[GYROSCOPE, GYROSCOPE] = np.diag(np.maximum(anchor.gyroscope_bias_sd, s.gyroscope_bias_sd_rad_s) ** 2)
-        self.P[SCALE, SCALE] = s.odometer_scale_sd**2
-        self.P[YAW, YAW] = self.P[PITCH, PITCH] = s.mounting_sd_rad**2
+        added = np.repeat(
+            [s.velocity_sd_m_s, s.attitude_sd_rad, s.accelerometer_bias_sd_m_s2, s.gyroscope_bias_sd_rad_s], 3
+        )
+        added = np.r_[added, s.odometer_scale_sd, s.mounting_sd_rad, s.mounting_sd_rad]
+        self.P = anchor.covariance + np.diag(added**2)
         self._gate = chi_square_limit(1, s.odometer_gate)
         self._begin()
 

@@ -15,7 +15,7 @@ from shared.maths.quantiles import chi_square_limit
 from .free_propagation import FreePropagation
 from .metrics import WINDOW_S
 from .settings import Settings
-from .strapdown import SECOND_NS, Anchor, Increment
+from .strapdown import SECOND_NS, FilterAnchor, Increment
 from .tracks import OdometerSpeed, VelocityFix
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,7 +54,7 @@ class _Comparison:
 class FreeRun:
     """One free propagation with its velocities of the last seconds and what GNSS differs from them."""
 
-    def __init__(self, anchor: Anchor, settings: Settings) -> None:
+    def __init__(self, anchor: FilterAnchor, settings: Settings) -> None:
         self.free = FreePropagation(anchor, settings.long)
         self._settings = settings
         self._nodes: list[_Node] = []
@@ -145,7 +145,7 @@ class LongWindow:
         """Anchor in every solution again."""
         self.suspect_since_ns = None
 
-    def anchor(self, anchor: Anchor) -> None:
+    def anchor(self, anchor: FilterAnchor) -> None:
         """Start a propagation if the last one is 5 s old and no accused GNSS has a part in the solution."""
         if self._runs and anchor.time_ns - self._runs[-1].anchor_ns < SPACING_S * SECOND_NS:
             return

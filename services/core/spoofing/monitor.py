@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +15,12 @@ from .long_window import LENGTHS_S, LongResult, LongWindow
 from .metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
 from .settings import Settings
 from .short_window import Window, compare, window_of_fixes
-from .strapdown import SECOND_NS, Anchor, Decimator, Increment
+from .strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Increment
 from .tracks import Heights, OdometerSpeed, Series, VelocityFix
 from .verdicts import Verdict, dated
 
 FloatArray = npt.NDArray[np.float64]
+AnchorKind = TypeVar("AnchorKind", bound=Anchor)
 
 MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
 ODOMETER_GAP_S = 2.5
@@ -39,6 +41,7 @@ class InertialMonitor:
         self._increments: deque[Increment] = deque(maxlen=KEPT_S * 12)
         self._new: deque[Increment] = deque(maxlen=KEPT_S * 12)  # not propagated yet
         self._solutions: deque[Anchor] = deque(maxlen=KEPT_S * 12)
+        self._states: deque[FilterAnchor] = deque(maxlen=KEPT_S)
         self._fixes: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)
         self._pending: deque[VelocityFix] = deque(maxlen=KEPT_S * 25)  # not reached by the increments yet
         self._odometer = Series(KEPT_S * 25, ODOMETER_GAP_S)
@@ -87,7 +90,7 @@ class InertialMonitor:
         stated = np.array(sd_n) if sd_n is not None else np.full(3, g.velocity_sd_m_s)
         sd = np.maximum(np.where(stated > 0.0, stated, g.velocity_sd_m_s), g.velocity_sd_floor_m_s)
         self._fix_ns = time_ns
-        if float(sd.max()) > g.largest_velocity_sd_m_s:
+        if float(sd[:2].max()) > g.largest_velocity_sd_m_s:
             self.rejected["gnss: velocity is too inaccurate to compare"] += 1
             return
         self._pending.append(VelocityFix(time_ns - round(g.velocity_delay_s * SECOND_NS), np.array(velocity_n), sd))
@@ -109,6 +112,11 @@ class InertialMonitor:
             self.rejected["solution: stamp is not after the one before"] += 1
             return
         self._solutions.append(anchor)
+
+    def filter_state(self, anchor: FilterAnchor) -> None:
+        """Use a state of fusion's filter, from which a free propagation may start."""
+        if not self._states or anchor.time_ns > self._states[-1].time_ns:
+            self._states.append(anchor)
 
     def verdicts(self, time_ns: int) -> Mapping[str, Verdict]:
         """Evaluate everything received; give the six metrics by name, and `long_30` and `long_60`.
@@ -140,7 +148,7 @@ class InertialMonitor:
         """Propagate every free run over the new increments, and compare each fix as it is passed."""
         while self._new:
             increment = self._new.popleft()
-            anchor = self._solution_at(increment.start_ns)
+            anchor = _at(self._states, increment.start_ns)
             if anchor is not None:
                 self.long.anchor(anchor)
             self.long.advance(increment)
@@ -161,17 +169,9 @@ class InertialMonitor:
     def _aid(self, increment: Increment) -> None:
         speed = self._odometer.at(increment.end_ns)
         odometer = None if speed is None else OdometerSpeed(increment.end_ns, speed, self._resolution)
-        solution = self._solution_at(increment.end_ns)
+        solution = _at(self._solutions, increment.end_ns)
         stationary = solution is not None and solution.stationary
         self.long.aid(odometer, float(increment.rate_b[2]), stationary=stationary)
-
-    def _solution_at(self, time_ns: int) -> Anchor | None:
-        for solution in reversed(self._solutions):
-            if solution.time_ns < time_ns - MATCH_NS:
-                return None
-            if solution.time_ns <= time_ns + MATCH_NS:
-                return solution
-        return None
 
     def _evaluate(self) -> None:
         """Compare the 5 s before the newest fix, at most once a second, and count successive exceedances."""
@@ -302,6 +302,16 @@ class InertialMonitor:
             accuses=self._accusing[length],
             suspect_since_ns=self._suspect_since_ns(length, result),
         )
+
+
+def _at(anchors: deque[AnchorKind], time_ns: int) -> AnchorKind | None:
+    """The one of a time, None without one."""
+    for anchor in reversed(anchors):
+        if anchor.time_ns < time_ns - MATCH_NS:
+            return None
+        if anchor.time_ns <= time_ns + MATCH_NS:
+            return anchor
+    return None
 
 
 def judged(base: Verdict, statistic: float, threshold: float, *, accuses: bool, suspect_since_ns: int) -> Verdict:

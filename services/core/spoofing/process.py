@@ -1,34 +1,124 @@
 """Compares the velocity of GNSS with inertial sensors over 5, 30 and 60 s."""
 
+import logging
 from collections import Counter
-from collections.abc import Iterator
-from math import radians
+from collections.abc import Iterator, Mapping
+from math import cos, radians, sin
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError, ValidationInfo, model_validator
 
-from shared.maths.rotation import ned_from_body
-from shared.messages.base import Symmetric3, Tick
+from shared.errors import ConfigError
+from shared.maths.rotation import matrix_from_quaternion, ned_from_body
+from shared.messages.base import Symmetric3, Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import NavigationPhase, NavigationSolution
+from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
+from shared.runtime.config import Table, VehicleFile
 
 from .monitor import InertialMonitor
-from .settings import Settings
+from .profile import Origin, Profile
+from .settings import LongSettings, Settings
 from .statements import statements
-from .strapdown import Anchor
+from .strapdown import Anchor, FilterAnchor
 
-In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | Tick
+In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | FilterState | Tick
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 RESTART_NS = 5_000_000_000  # by which a stamp is earlier than the newest one where a time line starts again
 SILENT_NS = 5_000_000_000  # after which another source takes the place of one that is silent
+# Elements of FilterState: velocity, attitude, both biases, scale of the odometer, yaw and pitch of the mounting.
+ODOMETER_SCALE, MOUNTING_PITCH, MOUNTING_YAW = 21, 22, 23
+ELEMENTS = (3, 4, 5, 0, 1, 2, 9, 10, 11, 12, 13, 14, ODOMETER_SCALE, MOUNTING_YAW, MOUNTING_PITCH)
+UNKNOWN_VERTICAL_SD = 10.0  # [m/s] of a vehicle
+RATED_S = 10.0  # of a source, after which its rate is known
+
+log = logging.getLogger(__name__)
 
 
 class Config(Settings):
-    """Settings of core.spoofing."""
+    """Settings of core.spoofing.
+
+    `profile` may be the name of a file that `obu calibrate spoofing` wrote, relative to the vehicle's file. Lever arm
+    and delay of GNSS, and the random walks of the IMU, are those of core.fusion where this section has none.
+    """
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, given: object, info: ValidationInfo) -> object:
+        vehicle = cast("Mapping[str, object]", info.context or {}).get("vehicle")
+        if not isinstance(given, dict) or not isinstance(vehicle, VehicleFile):
+            return given
+        sections = {"gnss": _gnss_of_fusion(vehicle), "long": _noise_of_fusion(vehicle)}
+        values = given | {key: {**found, **given.get(key, {})} for key, found in sections.items()}
+        if isinstance(name := values.get("profile"), str):
+            values["profile"] = read_profile(Path(vehicle.path).parent / name)
+        return values
+
+
+def _gnss_of_fusion(vehicle: VehicleFile) -> Table:
+    """Lever arm, and delay of velocity, from the section of core.fusion."""
+    gnss = vehicle.tables.get("core.fusion", {}).get("gnss", {})
+    if not isinstance(gnss, dict):
+        return {}
+    found: Table = {key: gnss[key] for key in ("lever_arm_body_m",) if key in gnss}
+    delays = [gnss[key] for key in ("delay_s", "velocity_delay_s") if isinstance(gnss.get(key), int | float)]
+    return found | ({"velocity_delay_s": sum(delays)} if delays else {})
+
+
+def _noise_of_fusion(vehicle: VehicleFile) -> Table:
+    """Random walks of the IMU from the section of core.fusion, where they are above the defaults of this section."""
+    imu = vehicle.tables.get("core.fusion", {}).get("imu", {})
+    if not isinstance(imu, dict):
+        return {}
+    defaults = LongSettings()
+    walks = {
+        "angle_random_walk_rad_sqrt_s": defaults.angle_random_walk_rad_sqrt_s,
+        "velocity_random_walk_m_s_sqrt_s": defaults.velocity_random_walk_m_s_sqrt_s,
+    }
+    given = {key: imu[key] for key in walks if isinstance(imu.get(key), int | float)}
+    return {key: max(value, walks[key]) for key, value in given.items()}
+
+
+def read_profile(path: Path) -> Profile:
+    """Read a profile that `obu calibrate spoofing` wrote."""
+    try:
+        return Profile.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(
+            f"cannot read the profile {path}: {error.strerror}; make it with `obu calibrate spoofing`, or remove "
+            "`profile` from [core.spoofing]"
+        ) from error
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"]
+        raise ConfigError(f"{path} is no profile ({reason}); make it with `obu calibrate spoofing DRIVE`") from error
+
+
+class Rate:
+    """Source of one kind of message, and its rate."""
+
+    def __init__(self) -> None:
+        self.source = ""
+        self._first_ns = self._last_ns = self._count = 0
+
+    def count(self, source: str, time_ns: int, number: int = 1) -> None:
+        """Count values up to a time; a new source, or a time line that starts again, begins anew."""
+        if source != self.source or time_ns < self._last_ns:
+            self.source, self._first_ns, self._count = source, time_ns, 0
+        else:
+            self._count += number
+        self._last_ns = time_ns
+
+    @property
+    def hz(self) -> float | None:
+        """Rate [1/s], None until it is known."""
+        elapsed_s = (self._last_ns - self._first_ns) * 1e-9
+        return self._count / elapsed_s if elapsed_s >= RATED_S and self._count else None
 
 
 class Process:
@@ -39,6 +129,8 @@ class Process:
         self.monitor = InertialMonitor(config)
         self._newest_ns = 0
         self._sources: dict[type, tuple[str, int]] = {}  # one of each kind, with the last time of arrival
+        self._imu, self._gnss = Rate(), Rate()
+        self._warning: str | None = None  # of a profile for another unit; None until it has been compared
 
     @property
     def rejects(self) -> Counter[str]:
@@ -51,15 +143,45 @@ class Process:
             case ImuSamples() if self._is_chosen(message):
                 self._use_samples(message)
             case GnssFix() if self._is_chosen(message):
-                velocity = message.velocity_ned_m_s if message.fix_type in MEASURED else None
-                self.monitor.fix(message.sampled_ns, velocity, message.velocity_sd_ned_m_s)
+                self._gnss.count(message.source, message.sampled_ns)
+                self.monitor.fix(message.sampled_ns, *velocity_of(message))
             case VehicleSpeed() if self._is_chosen(message):
                 self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case NavigationSolution() if message.phase in WITH_HEADING:
                 self.monitor.solution(anchor_of(message))
+            case FilterState():
+                anchor = filter_anchor_of(message)
+                if anchor is None:
+                    self.rejects["filter state of another layout"] += 1
+                else:
+                    self.monitor.filter_state(anchor)
             case Tick():
                 time_ns = max(self._newest_ns, message.now_ns)
-                yield from statements(self.monitor.verdicts(time_ns), time_ns)
+                if self._warning is None:
+                    self._warning = self._compare_profile()
+                yield from statements(self.monitor.verdicts(time_ns), time_ns, warning=self._warning or "")
+
+    @property
+    def origin(self) -> Origin | None:
+        """Device and configuration of this unit, None until the rates are known."""
+        if self._imu.hz is None or self._gnss.hz is None:
+            return None
+        return Origin(
+            imu=self._imu.source, gnss=self._gnss.source, imu_rate_hz=self._imu.hz, gnss_rate_hz=self._gnss.hz,
+            configuration=self._config.digest(), code="", drives=(),
+        )  # fmt: skip
+
+    def _compare_profile(self) -> str | None:
+        """Warn once where the profile was learned for another device or configuration."""
+        learned, present = self._config.profile.origin, self.origin
+        if learned is None or present is None:
+            return None
+        different = learned.differences(present)
+        if not different:
+            return ""
+        warning = f"the profile was learned for another unit: {'; '.join(different)}"
+        log.warning("%s; learn one with `obu calibrate spoofing`", warning)
+        return warning
 
     def _is_chosen(self, message: ImuSamples | GnssFix | VehicleSpeed) -> bool:
         """Whether a message comes from the one source of its kind that is used."""
@@ -78,6 +200,7 @@ class Process:
         if self._newest_ns - batch.sampled_ns[-1] > RESTART_NS:
             self._restart(batch.sampled_ns[-1])
         samples = zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
+        self._imu.count(batch.source, batch.sampled_ns[-1], len(batch.sampled_ns))
         for time_ns, force, rate in samples:
             self.monitor.inertial(time_ns, force, rate)
         self._newest_ns = max(self._newest_ns, batch.sampled_ns[-1])
@@ -93,6 +216,16 @@ class Process:
         self._newest_ns = time_ns
 
 
+def velocity_of(fix: GnssFix) -> tuple[Vector3 | None, Vector3 | None]:
+    """Velocity [m/s, NED] and standard deviation; of speed and course, as phones give them, the vertical is unknown."""
+    if fix.fix_type not in MEASURED:
+        return None, None
+    if fix.velocity_ned_m_s is not None or fix.ground_speed_m_s is None or fix.course_rad is None:
+        return fix.velocity_ned_m_s, fix.velocity_sd_ned_m_s
+    speed, course = fix.ground_speed_m_s, fix.course_rad
+    return (speed * cos(course), speed * sin(course), 0.0), (0.0, 0.0, UNKNOWN_VERTICAL_SD)
+
+
 def anchor_of(solution: NavigationSolution) -> Anchor:
     """Read a solution as the start of a propagation."""
     return Anchor(
@@ -101,12 +234,11 @@ def anchor_of(solution: NavigationSolution) -> Anchor:
         velocity_n=np.array(solution.velocity_ned_m_s),
         accelerometer_bias=np.array(solution.accelerometer_bias_m_s2),
         gyroscope_bias=np.array(solution.gyroscope_bias_rad_s),
-        velocity_cov=_matrix(solution.velocity_cov_ned_m2_s2),
-        attitude_cov=_matrix(solution.attitude_cov_ned_rad2),
         latitude=radians(solution.latitude_deg),
         height=solution.height_ellipsoid_m,
         stationary=solution.stationary,
         gnss_age_s=solution.gnss_age_s,
+        attitude_cov=_matrix(solution.attitude_cov_ned_rad2),
         gyroscope_bias_sd=np.array(solution.gyroscope_bias_sd_rad_s or (0.0, 0.0, 0.0)),
     )
 
@@ -114,3 +246,40 @@ def anchor_of(solution: NavigationSolution) -> Anchor:
 def _matrix(cov: Symmetric3) -> npt.NDArray[np.float64]:
     nn, ne, nd, ee, ed, dd = cov
     return np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, dd]])
+
+
+def filter_anchor_of(state: FilterState) -> FilterAnchor | None:
+    """Read a filter state as the start of a free propagation; None if it has another number of elements.
+
+    Notes
+    -----
+    With k the error of the odometer's scale in fusion (odometer = (1 + k) speed), and the errors of fusion estimated
+    minus true, those of the propagation true minus estimated: scale = 1 / (1 + k), d(scale) = -dk / (1 + k)², and the
+    mounting angles have the opposite sign.
+    """
+    size = round((np.sqrt(8.0 * len(state.covariance) + 1.0) - 1.0) / 2.0)
+    if len(state.parameters) < 3 or size < MOUNTING_YAW + 1 or size * (size + 1) // 2 != len(state.covariance):
+        return None
+    P = np.zeros((size, size))
+    P[np.triu_indices(size)] = state.covariance
+    P = P + np.triu(P, 1).T
+    k, pitch, yaw = state.parameters[:3]
+    J = np.diag([1.0] * 12 + [-1.0 / (1.0 + k) ** 2, -1.0, -1.0])
+    used_ns = state.position_used_ns
+    return FilterAnchor(
+        time_ns=state.sampled_ns,
+        ned_from_body=matrix_from_quaternion(state.quaternion_ned_from_body),
+        velocity_n=np.array(state.velocity_ned_m_s),
+        accelerometer_bias=np.array(state.accelerometer_bias_m_s2),
+        gyroscope_bias=np.array(state.gyroscope_bias_rad_s),
+        latitude=radians(state.latitude_deg),
+        height=state.height_ellipsoid_m,
+        stationary=False,
+        gnss_age_s=None if used_ns is None else (state.sampled_ns - used_ns) * 1e-9,
+        attitude_cov=P[:3, :3],
+        gyroscope_bias_sd=np.sqrt(np.diag(P)[12:15]),
+        scale=1.0 / (1.0 + k),
+        yaw=-yaw,
+        pitch=-pitch,
+        covariance=J @ P[np.ix_(ELEMENTS, ELEMENTS)] @ J.T,
+    )

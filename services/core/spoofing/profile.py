@@ -14,7 +14,43 @@ FORCE_EDGES_M_S2 = (0.3, 1.0, 2.0)  # of | |f| - g |, between the dynamics class
 SPEED_EDGES_M_S = (5.0, 10.0, 20.0)  # between those of heading and altitude rate
 CLASSES = len(FORCE_EDGES_M_S2) + 1
 LEAST_WINDOWS = 100  # of a class; with fewer it takes the largest standard deviation of all classes
+THRESHOLDS = tuple(5.0 + 0.5 * k for k in range(21))  # to choose from; 5 as for the built-in profile
 SPEED_METRICS = (Metric.HEADING_RATE, Metric.ALTITUDE_RATE)
+
+
+class LearnedDrive(Section):
+    """One drive that a profile was learned from."""
+
+    file: str = Field(max_length=200, description="name of the recording")
+    sha256: str = Field(pattern="^[0-9a-f]{64}$", description="digest of the recording")
+    date: str = Field(max_length=32, description="UTC of its first message, ISO 8601")
+    duration_s: float = Field(ge=0.0, description="from its first to its last message")
+    windows: int = Field(ge=0, description="number of evaluations of the 5 s metrics")
+
+
+class Origin(Section):
+    """Device, configuration and drives that a profile holds for."""
+
+    imu: str = Field(max_length=64, description="source of the inertial samples")
+    gnss: str = Field(max_length=64, description="source of the fixes")
+    imu_rate_hz: float = Field(gt=0.0, description="rate of the inertial samples")
+    gnss_rate_hz: float = Field(gt=0.0, description="rate of the fixes")
+    configuration: str = Field(max_length=64, description="digest of the settings that the metrics depend on")
+    code: str = Field(max_length=64, description="version of the unit that learned it")
+    drives: tuple[LearnedDrive, ...] = Field(description="recordings, in order")
+
+    def differences(self, present: "Origin") -> tuple[str, ...]:
+        """Say in what a unit differs from the one that the profile was learned for; rates may differ by a fifth."""
+        pairs = (
+            ("IMU", self.imu, present.imu, self.imu != present.imu),
+            ("GNSS receiver", self.gnss, present.gnss, self.gnss != present.gnss),
+            ("IMU rate", f"{self.imu_rate_hz:.3g} Hz", f"{present.imu_rate_hz:.3g} Hz",
+             not 0.8 < present.imu_rate_hz / self.imu_rate_hz < 1.25),
+            ("GNSS rate", f"{self.gnss_rate_hz:.3g} Hz", f"{present.gnss_rate_hz:.3g} Hz",
+             not 0.8 < present.gnss_rate_hz / self.gnss_rate_hz < 1.25),
+            ("configuration", self.configuration, present.configuration, self.configuration != present.configuration),
+        )  # fmt: skip
+        return tuple(f"{name} {learned}, now {now}" for name, learned, now, differs in pairs if differs)
 
 
 class Profile(Section):
@@ -26,6 +62,7 @@ class Profile(Section):
     threshold: float = Field(gt=0.0, description="number of standard deviations above which a metric accuses")
     false_alarm_rate: float = Field(ge=0.0, le=1.0, description="share of fault-free evaluations above the threshold")
     provenance: str = Field(max_length=400, description="drives, duration and date of the data that it was learned of")
+    origin: Origin | None = Field(default=None, description="what `obu calibrate spoofing` learned it from")
 
     @model_validator(mode="after")
     def _complete(self) -> "Profile":
@@ -53,15 +90,18 @@ def classes_of(metric: Metric, window: Window) -> tuple[int, int]:
     return lowest, highest
 
 
-def learn(windows: Iterable[Window], *, threshold: float, provenance: str, floor: float = 1e-3) -> Profile:
+def learn(
+    windows: Iterable[Window], *, threshold: float | None = None, provenance: str, floor: float = 1e-3
+) -> Profile:
     """Learn a profile of the windows of fault-free drives.
 
     Parameters
     ----------
     windows : iterable of Window
         Of recorded drives, in order; overlapping windows may be among them.
-    threshold : float
-        [-] Number of standard deviations above which a metric is to accuse.
+    threshold : float, optional
+        [-] Number of standard deviations above which a metric is to accuse; without it the least one of 5, 5.5, ... 15
+        with at most one alarm an hour of these drives.
     provenance : str
         Which drives, of which device and configuration.
     floor : float
@@ -99,12 +139,22 @@ def learn(windows: Iterable[Window], *, threshold: float, provenance: str, floor
             sigma[metric] = tuple(
                 _sigma(pairs, floor) if len(pairs) >= LEAST_WINDOWS else max(enough) for pairs in found
             )
-    draft = Profile(sigma=sigma, threshold=threshold, false_alarm_rate=0.0, provenance=provenance)
-    run = alarms = 0
-    for window in known:
-        run = run + 1 if exceeding(window, draft) else 0
-        alarms += run >= CONSECUTIVE
+    for k in [threshold] if threshold is not None else THRESHOLDS:
+        draft = Profile(sigma=sigma, threshold=k, false_alarm_rate=0.0, provenance=provenance)
+        alarms, episodes = alarms_of(known, draft)
+        if episodes <= len(known) / 3600.0:
+            break
     return draft.model_copy(update={"false_alarm_rate": (alarms + 1) / (len(known) + 1)})
+
+
+def alarms_of(windows: Iterable[Window], profile: Profile) -> tuple[int, int]:
+    """Number of evaluations that accuse, and of episodes without interruption."""
+    run = alarms = episodes = 0
+    for window in windows:
+        run = run + 1 if exceeding(window, profile) else 0
+        alarms += run >= CONSECUTIVE
+        episodes += run == CONSECUTIVE
+    return alarms, episodes
 
 
 def exceeding(window: Window, profile: Profile) -> list[Metric]:

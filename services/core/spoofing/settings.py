@@ -1,5 +1,6 @@
 """Settings of the inertial monitors."""
 
+from hashlib import sha256
 from math import radians
 
 from pydantic import Field
@@ -26,7 +27,7 @@ class GnssSettings(Section):
         default=0.05, gt=0.0, description="least standard deviation of a velocity, whatever the receiver states"
     )
     largest_velocity_sd_m_s: float = Field(
-        default=1.0, gt=0.0, description="velocities with a larger standard deviation are not compared"
+        default=1.0, gt=0.0, description="velocities with a larger horizontal standard deviation are not compared"
     )
     velocity_correlation_s: float = Field(default=2.0, gt=0.0, description="correlation time of velocity errors")
     time_sd_s: float = Field(
@@ -46,22 +47,24 @@ class LongSettings(Section):
         default=2e-4, gt=0.0, description="root of the PSD of the gyroscopes' noise, vibration included"
     )
     accelerometer_bias_sd_m_s2: float = Field(
-        default=0.01, gt=0.0, description="standard deviation of the accelerometer biases in fusion's solution"
+        default=0.002, ge=0.0, description="of the accelerometer biases, added to the covariance of fusion's filter"
     )
     gyroscope_bias_sd_rad_s: float = Field(
-        default=radians(0.005), gt=0.0, description="standard deviation of the gyroscope biases in fusion's solution"
+        default=2e-5, ge=0.0, description="of the gyroscope biases, added to the covariance of fusion's filter"
     )
     scale_sd: float = Field(
         default=0.002, ge=0.0, description="standard deviation of scale and cross-axis errors of the inertial sensors"
     )
-    attitude_sd_floor_rad: float = Field(
-        default=radians(0.05), ge=0.0, description="added to the attitude's covariance in fusion's solution, per axis"
+    attitude_sd_rad: float = Field(
+        default=2e-4, ge=0.0, description="of the attitude per axis, added to the covariance of fusion's filter"
     )
-    velocity_sd_floor_m_s: float = Field(
-        default=0.03, ge=0.0, description="added to the velocity's covariance in fusion's solution, per axis"
+    velocity_sd_m_s: float = Field(
+        default=0.02, ge=0.0, description="of the velocity per axis, added to the covariance of fusion's filter"
     )
-    odometer_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the odometer's speed")
-    odometer_scale_sd: float = Field(default=0.02, gt=0.0, description="standard deviation of the odometer's scale")
+    odometer_sd_m_s: float = Field(default=0.05, gt=0.0, description="standard deviation of the odometer's speed")
+    odometer_scale_sd: float = Field(
+        default=0.002, ge=0.0, description="of the odometer's scale, added to the covariance of fusion's filter"
+    )
     odometer_delay_s: float = Field(default=0.0, ge=-2.0, le=3.0, description="age of odometer speeds at their stamps")
     odometer_time_sd_s: float = Field(default=0.05, ge=0.0, description="standard deviation of that age")
     odometer_dead_zone_m_s: float = Field(
@@ -71,16 +74,16 @@ class LongSettings(Section):
         default=1e-5, gt=0.0, lt=0.5, description="false-alarm rate of the gate on a single odometer speed"
     )
     non_holonomic: bool = Field(default=True, description="the vehicle moves along its forward axis: no lateral slip")
-    lateral_sd_m_s: float = Field(default=0.15, gt=0.0, description="standard deviation of the lateral velocity")
-    vertical_sd_m_s: float = Field(default=0.15, gt=0.0, description="standard deviation of the velocity along body z")
+    lateral_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the lateral velocity")
+    vertical_sd_m_s: float = Field(default=0.1, gt=0.0, description="standard deviation of the velocity along body z")
     rear_axle_distance_m: float = Field(
         default=1.5, ge=0.0, description="between IMU and rear axle; times the yaw rate it is a lateral velocity"
     )
     mounting_sd_rad: float = Field(
-        default=radians(1.0), gt=0.0, description="standard deviation of the angle between body and forward axis"
+        default=radians(0.1), ge=0.0, description="of the mounting angles, added to the covariance of fusion's filter"
     )
     correlation_s: float = Field(
-        default=5.0, ge=1.0, description="correlation time of the errors of odometer and non-holonomic constraint"
+        default=3.0, ge=1.0, description="correlation time of the errors of odometer and non-holonomic constraint"
     )
 
 
@@ -93,3 +96,7 @@ class Settings(Section):
     stale_after_s: float = Field(default=3.0, gt=0.0, description="age of GNSS or inertial data that ends a comparison")
     largest_force_m_s2: float = Field(default=80.0, gt=0.0, description="larger specific forces are rejected")
     largest_rate_rad_s: float = Field(default=20.0, gt=0.0, description="larger angular rates are rejected")
+
+    def digest(self) -> str:
+        """Identify the settings that the 5 s metrics depend on, those of GNSS."""
+        return sha256(self.gnss.model_dump_json().encode()).hexdigest()[:16]

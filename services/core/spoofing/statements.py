@@ -8,14 +8,20 @@ from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 from .metrics import Metric
 from .verdicts import Verdict
 
+REASON_LENGTH = 400  # of a message
 SHORT = tuple(metric.value for metric in Metric)
 
 
-def statements(verdicts: Mapping[str, Verdict], time_ns: int) -> tuple[TrustMonitor, TrustMonitor]:
-    """Give the statements of the monitors `inertial_short` and `inertial_long`."""
+def statements(
+    verdicts: Mapping[str, Verdict], time_ns: int, *, warning: str = ""
+) -> tuple[TrustMonitor, TrustMonitor]:
+    """Give the statements of the monitors `inertial_short`, with a warning of its profile, and `inertial_long`."""
     short = {name: verdict for name, verdict in verdicts.items() if name in SHORT}
     long = {name: verdict for name, verdict in verdicts.items() if name not in SHORT}
-    return _statement("inertial_short", short, time_ns), _statement("inertial_long", long, time_ns)
+    warned = _statement("inertial_short", short, time_ns)
+    if warning:
+        warned = warned.model_copy(update={"reason": f"{warned.reason}; {warning}"[:REASON_LENGTH]})
+    return warned, _statement("inertial_long", long, time_ns)
 
 
 def _statement(monitor: str, verdicts: Mapping[str, Verdict], time_ns: int) -> TrustMonitor:

@@ -1,7 +1,7 @@
 """Inertial samples as increments of 100 ms, and the mechanisation that propagates attitude and velocity by them."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
@@ -91,20 +91,29 @@ class Decimator:
 
 @dataclass(frozen=True)
 class Anchor:
-    """Solution of fusion from which the propagation starts, with its uncertainty."""
+    """Solution of fusion from which a propagation starts."""
 
     time_ns: int
     ned_from_body: FloatArray  # shape (3, 3)
     velocity_n: FloatArray  # shape (3,) [m/s, NED]
     accelerometer_bias: FloatArray  # shape (3,) [m/s²]
     gyroscope_bias: FloatArray  # shape (3,) [rad/s]
-    velocity_cov: FloatArray  # shape (3, 3) [m²/s², NED]
-    attitude_cov: FloatArray  # shape (3, 3) [rad², NED]
     latitude: float  # [rad]
     height: float  # [m]
     stationary: bool
     gnss_age_s: float | None
-    gyroscope_bias_sd: FloatArray = field(default_factory=lambda: np.zeros(3))  # shape (3,) [rad/s, body]
+    attitude_cov: FloatArray  # shape (3, 3) [rad², NED]
+    gyroscope_bias_sd: FloatArray  # shape (3,) [rad/s, body]
+
+
+@dataclass(frozen=True)
+class FilterAnchor(Anchor):
+    """State of fusion's filter, with what it knows of odometer and mounting, and the covariance of all of it."""
+
+    scale: float  # [-] speed of the vehicle over that of the odometer
+    yaw: float  # [rad] lateral over forward velocity of the body
+    pitch: float  # [rad] minus the downward over the forward velocity of the body
+    covariance: FloatArray  # shape (15, 15) of the errors in the order of `free_propagation`
 
 
 class Strapdown:

@@ -34,7 +34,7 @@ class Track:
     cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))  # used, in the order of use
     jumps: int = 0  # consecutive CAM outside the gate
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID
-    predecessor_ns: int = 0  # its last CAM when this one was born
+    born_ns: int = 0  # time of the first CAM
 
     @property
     def station_id(self) -> int:
@@ -193,7 +193,7 @@ class TrackTable:
             clock_offset_ns=one.clock_offset_ns,
         )
         track.predecessor = self._silent_here(one)
-        track.predecessor_ns = track.predecessor.updated_ns if track.predecessor else 0
+        track.born_ns = one.time_ns
         self.by_station[one.cam.station_id] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
@@ -225,7 +225,7 @@ class TrackTable:
         old = track.predecessor
         if old is None:
             return None
-        if old.updated_ns > track.predecessor_ns:
+        if old.updated_ns >= track.born_ns:  # both station IDs are in use
             track.predecessor = None
             return None
         if track.updated_ns - old.updated_ns < self._settings.link_after_s * 1e9:

@@ -17,6 +17,7 @@ PAGES = (
     "now.js",
     "closeup.js",
     "trust.js",
+    "attacks.js",
     "toll.js",
     "system.js",
     "inspector.js",

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from services.core.spoofing.free_propagation import ATTITUDE, SIZE, VELOCITY, FreePropagation
 from services.core.spoofing.settings import LongSettings
-from services.core.spoofing.strapdown import SECOND_NS, Anchor, Decimator, Increment, Strapdown
+from services.core.spoofing.strapdown import SECOND_NS, Decimator, FilterAnchor, Increment, Strapdown
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.rotation import ned_from_body
 
@@ -33,21 +33,25 @@ def increments_of(drive: Drive, *, ideal: bool) -> list[Increment]:
     return found
 
 
-def anchor_at(drive: Drive, time_s: float) -> Anchor:
+def anchor_at(drive: Drive, time_s: float) -> FilterAnchor:
     k = int(np.searchsorted(drive.t_ns, round(time_s * SECOND_NS)))
     latitude, _, height = drive.position[k].tolist()
-    return Anchor(
+    return FilterAnchor(
         time_ns=int(drive.t_ns[k]),
         ned_from_body=ned_from_body(*drive.attitude[k].tolist()),
         velocity_n=drive.velocity_n[k],
         accelerometer_bias=np.zeros(3),
         gyroscope_bias=np.zeros(3),
-        velocity_cov=np.zeros((3, 3)),
-        attitude_cov=np.zeros((3, 3)),
         latitude=latitude,
         height=height,
         stationary=False,
         gnss_age_s=None,
+        attitude_cov=np.zeros((3, 3)),
+        gyroscope_bias_sd=np.zeros(3),
+        scale=1.0,
+        yaw=0.0,
+        pitch=0.0,
+        covariance=np.zeros((SIZE, SIZE)),
     )
 
 
@@ -91,10 +95,14 @@ def test_derivatives_of_the_body_velocity_agree_with_finite_differences(drive: D
 
 
 def test_covariance_of_an_unaided_run_grows_by_the_closed_form() -> None:
-    settings = LongSettings(non_holonomic=False, velocity_sd_floor_m_s=0.0, scale_sd=0.0)
-    level = Anchor(
-        0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)), 0.8, 300.0, False, None
-    )
+    settings = LongSettings(non_holonomic=False, velocity_sd_m_s=0.0, scale_sd=0.0)
+    P = np.zeros((SIZE, SIZE))
+    P[0, 0], P[4, 4], P[6, 6], P[4, 6] = 0.05**2, 1e-3**2, 0.01**2, -0.8 * 1e-3 * 0.01
+    P[6, 4] = P[4, 6]
+    level = FilterAnchor(
+        0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.8, 300.0, False, None,
+        np.zeros((3, 3)), np.zeros(3), 1.0, 0.0, 0.0, P
+    )  # fmt: skip
     free = FreePropagation(level, settings)
     still = Increment(0, 100_000_000, np.array([0.0, 0.0, -0.98]), np.eye(3), np.zeros(3), 0.0, False)
     for k in range(300):
@@ -103,7 +111,9 @@ def test_covariance_of_an_unaided_run_grows_by_the_closed_form() -> None:
             free.predict()
     T, g, s = 30.0, 9.8, settings
     expected = (
-        (g * s.attitude_sd_floor_rad * T) ** 2
+        (g * s.attitude_sd_rad * T) ** 2
+        + 0.05**2
+        + ((g * 1e-3) ** 2 + 0.01**2 + 2.0 * g * P[4, 6]) * T**2  # tilt and bias that compensate each other
         + (s.accelerometer_bias_sd_m_s2 * T) ** 2
         + (g * s.gyroscope_bias_sd_rad_s * T**2 / 2.0) ** 2
         + s.velocity_random_walk_m_s_sqrt_s**2 * T
@@ -118,11 +128,11 @@ def test_errors_of_aided_runs_are_within_their_covariance() -> None:
         drive = simulate("urban", 20 + seed, 100.0)
         truth = anchor_at(drive, START_S)
         rng, s = np.random.default_rng(seed), LongSettings()
-        tilt = rng.normal(0.0, s.attitude_sd_floor_rad, 3)
+        tilt = rng.normal(0.0, s.attitude_sd_rad, 3)
         anchor = replace(
             truth,
             ned_from_body=Rotation.from_rotvec(tilt).as_matrix() @ truth.ned_from_body,
-            velocity_n=truth.velocity_n + rng.normal(0.0, s.velocity_sd_floor_m_s, 3),
+            velocity_n=truth.velocity_n + rng.normal(0.0, s.velocity_sd_m_s, 3),
             accelerometer_bias=np.mean(drive.force_b - drive.ideal_force_b, axis=0),
             gyroscope_bias=np.mean(drive.rate_b - drive.ideal_rate_b, axis=0),
         )

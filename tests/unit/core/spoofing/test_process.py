@@ -5,16 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
 from services.core.spoofing.metrics import Metric
-from services.core.spoofing.process import Config, Process
+from services.core.spoofing.process import Config, Process, filter_anchor_of, velocity_of
 from services.sensors.simulator.drive import Drive, simulate
+from shared.maths.rotation import ned_from_body
 from shared.messages.base import Tick
-from shared.messages.gnss import GnssFix
+from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
-from shared.messages.navigation import NavigationPhase, NavigationSolution
+from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 from tests.support.spoofing import Input, Result, drag_off, inputs, monitored, run
@@ -26,6 +28,39 @@ SHORT, LONG = "inertial_short", "inertial_long"
 @pytest.fixture(scope="module")
 def drive() -> Drive:
     return simulate("urban", 1, 150.0)
+
+
+def test_the_covariance_of_an_anchor_is_that_of_its_errors(drive: Drive) -> None:
+    """Velocity, attitude and biases of fusion's filter, with their correlations: the normalised error squared."""
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    states = [s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m)
+              if isinstance(s, FilterState) and s.sampled_ns > 60e9]  # fmt: skip
+    bias_f, bias_w = (
+        (drive.force_b - drive.ideal_force_b).mean(axis=0),
+        (drive.rate_b - drive.ideal_rate_b).mean(axis=0),
+    )
+    squares = []
+    for state in states:
+        anchor = filter_anchor_of(state)
+        assert anchor is not None and abs(anchor.scale - 1.0) < 0.01 and np.hypot(anchor.yaw, anchor.pitch) < 0.02
+        k = int(np.searchsorted(drive.t_ns, anchor.time_ns))
+        turn = ned_from_body(*drive.attitude[k].tolist()) @ anchor.ned_from_body.T
+        error = np.r_[
+            drive.velocity_n[k] - anchor.velocity_n, Rotation.from_matrix(turn).as_rotvec(),
+            bias_f - anchor.accelerometer_bias, bias_w - anchor.gyroscope_bias,
+        ]  # fmt: skip
+        squares.append(error @ np.linalg.solve(anchor.covariance[:12, :12], error))
+    assert len(squares) > 80 and 4.0 < np.mean(squares) < 30.0, "12 expected, of errors that last for the whole drive"
+
+
+def test_a_filter_state_of_another_layout_is_rejected_and_counted(drive: Drive) -> None:
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    made = (s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m))
+    state = next(s for s in made if isinstance(s, FilterState))
+    process = Process(Config())
+    for damaged in ({"covariance": state.covariance[:-1]}, {"covariance": (1.0, 0.0, 1.0)}, {"parameters": (0.0,)}):
+        assert not list(process.handle(state.model_copy(update=damaged)))
+    assert process.rejects == {"filter state of another layout": 3}
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +199,9 @@ def test_bad_input_is_counted_and_changes_no_outcome(drive: Drive, clean: Result
     process = Process(Config().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
     # Only the monitors get what is bad: fusion has its own tests of it.
     solutions = [s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m)]
-    queue = iter(sorted((s for s in solutions if isinstance(s, NavigationSolution)), key=lambda s: s.sampled_ns))
+    queue = iter(
+        sorted((s for s in solutions if isinstance(s, NavigationSolution | FilterState)), key=lambda s: s.sampled_ns)
+    )
     following = next(queue, None)
     statements: dict[str, list[TrustMonitor]] = {SHORT: [], LONG: []}
     for message in spoiled():
@@ -198,3 +235,34 @@ def test_the_monitors_start_again_with_a_time_line_that_starts_again() -> None:
         result = run(fusion, process, inputs(short))
         assert result.statements[SHORT][-1].outcome is MonitorOutcome.PASS
     assert process.rejects == {"time line started again": 1}
+
+
+def test_speed_and_course_are_a_velocity_of_unknown_vertical_part() -> None:
+    fix = GnssFix(sampled_ns=1, received_ns=1, source="phone0", fix_type=FixType.THREE_D, ground_speed_m_s=10.0,
+                  course_rad=np.pi / 6.0)  # fmt: skip
+    velocity, sd = velocity_of(fix)
+    assert velocity == pytest.approx((10.0 * np.cos(np.pi / 6.0), 5.0, 0.0)) and sd == (0.0, 0.0, 10.0)
+    assert velocity_of(fix.model_copy(update={"course_rad": None})) == (None, None)
+    assert velocity_of(fix.model_copy(update={"fix_type": FixType.NONE})) == (None, None)
+
+
+def test_both_monitors_work_with_speed_and_course_alone_and_accuse_a_drag_off(drive: Drive) -> None:
+    def horizontal() -> Iterator[Input]:
+        for message in inputs(drag_off(drive, BEGIN_S, 0.3, 3.0)):
+            if isinstance(message, GnssFix) and message.velocity_ned_m_s is not None:
+                north, east, _ = message.velocity_ned_m_s
+                update = {"velocity_ned_m_s": None, "velocity_sd_ned_m_s": None, "course_rad": np.arctan2(east, north),
+                          "ground_speed_m_s": float(np.hypot(north, east))}  # fmt: skip
+                yield message.model_copy(update=update)
+            else:
+                yield message
+
+    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    process = Process(Config().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
+    result = run(fusion, process, horizontal())
+    for monitor in (SHORT, LONG):
+        assert result.share(monitor, MonitorOutcome.PASS) > 0.2
+    first_s = [result.first_s(monitor) for monitor in (SHORT, LONG)]
+    assert any(time_s is not None and BEGIN_S < time_s <= BEGIN_S + 30.0 for time_s in first_s)
+    early = [s for m in (SHORT, LONG) for s in result.statements[m] if s.sampled_ns < BEGIN_S * 1e9]
+    assert all(statement.outcome is not MonitorOutcome.ACCUSES for statement in early)

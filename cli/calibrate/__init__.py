@@ -1,0 +1,1 @@
+"""`obu calibrate`: learns settings of the unit from recorded drives."""

@@ -1,0 +1,126 @@
+"""The profile that `obu calibrate spoofing` writes: learned, named by a vehicle's file, compared with the unit."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.core.spoofing.metrics import Metric
+from services.core.spoofing.process import Config, Process
+from services.core.spoofing.profile import LearnedDrive, Origin, Profile, learn
+from services.core.spoofing.short_window import Window
+from shared.errors import ConfigError
+from shared.messages.base import Tick
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.trust import TrustMonitor
+from shared.runtime.config import load_vehicle
+
+SECOND_NS = 1_000_000_000
+DRIVE = LearnedDrive(file="a.mcap", sha256="0" * 64, date="2026-11-01T10:00:00+00:00", duration_s=600.0, windows=500)
+
+
+def windows(values: Sequence[float]) -> list[Window]:
+    return [
+        Window(k * SECOND_NS, (k + 5) * SECOND_NS, {Metric.ACCELERATION_EAST: value}, force_m_s2=0.1)
+        for k, value in enumerate(values)
+    ]
+
+
+def origin(**changes: object) -> Origin:
+    present = Origin(
+        imu="imu0", gnss="gnss0", imu_rate_hz=100.0, gnss_rate_hz=1.0, configuration=Config().digest(), code="1",
+        drives=(DRIVE,),
+    )  # fmt: skip
+    return present.model_copy(update=changes)
+
+
+def profile(learned: Origin) -> Profile:
+    found = learn(windows(np.random.default_rng(1).normal(0.0, 0.05, 400).tolist()), provenance="test")
+    return found.model_copy(update={"origin": learned})
+
+
+def test_the_threshold_is_the_least_with_at_most_one_alarm_an_hour() -> None:
+    calm = np.random.default_rng(2).normal(0.0, 0.05, 1800)
+    found = learn(windows(calm.tolist()), provenance="calm")
+    assert found.threshold == 5.0 and found.sigma[Metric.ACCELERATION_EAST][0] == pytest.approx(0.05, rel=0.05)
+    rough = calm.copy()
+    rough[100:102] = rough[500:502] = 0.4
+    higher = learn(windows(rough.tolist()), provenance="rough")
+    sigma = higher.sigma[Metric.ACCELERATION_EAST][0]
+    assert 0.4 <= higher.threshold * sigma < 0.4 + 0.5 * sigma
+
+
+def vehicle(folder: Path, text: str) -> Config:
+    path = folder / "vehicle.toml"
+    path.write_text(text)
+    return load_vehicle(path).section("core.spoofing", Config)
+
+
+def test_a_vehicle_file_names_a_profile_that_lies_beside_it(tmp_path: Path) -> None:
+    learned = profile(origin())
+    (tmp_path / "p.json").write_text(learned.model_dump_json())
+    config = vehicle(tmp_path, '[core.spoofing]\nprofile = "p.json"\n')
+    assert config.profile == learned
+
+
+@pytest.mark.parametrize(("content", "reason"), [(None, "cannot read the profile"), ("{}", "is no profile")])
+def test_a_profile_that_cannot_be_read_is_an_error_that_says_what_to_do(
+    tmp_path: Path, content: str | None, reason: str
+) -> None:
+    if content is not None:
+        (tmp_path / "p.json").write_text(content)
+    with pytest.raises(ConfigError, match=f"{reason}.*obu calibrate spoofing"):
+        vehicle(tmp_path, '[core.spoofing]\nprofile = "p.json"\n')
+
+
+def test_lever_arm_delay_and_noise_are_those_of_fusion_where_the_section_has_none(tmp_path: Path) -> None:
+    fusion = (
+        "[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.1, -1.2]\ndelay_s = 0.05\nvelocity_delay_s = 0.1\n"
+        "[core.fusion.imu]\nvelocity_random_walk_m_s_sqrt_s = 0.03\nangle_random_walk_rad_sqrt_s = 1e-6\n"
+    )
+    config = vehicle(tmp_path, fusion)
+    assert config.gnss.lever_arm_body_m == (0.3, 0.1, -1.2)
+    assert config.gnss.velocity_delay_s == pytest.approx(0.15)
+    assert config.long.velocity_random_walk_m_s_sqrt_s == 0.03
+    assert config.long.angle_random_walk_rad_sqrt_s == Config().long.angle_random_walk_rad_sqrt_s, "not below"
+    own = vehicle(tmp_path, fusion + "[core.spoofing.gnss]\nlever_arm_body_m = [0.0, 0.0, -1.0]\n")
+    assert own.gnss.lever_arm_body_m == (0.0, 0.0, -1.0) and own.gnss.velocity_delay_s == pytest.approx(0.15)
+
+
+def reason_after(config: Config, seconds: int = 15) -> str:
+    """Reason of the last statement `inertial_short` of a unit with imu0 at 100 Hz and gnss0 at 1 Hz."""
+    process, last = Process(config), list[TrustMonitor]()
+    for k in range(1, seconds * 10):
+        now_ns = k * SECOND_NS // 10
+        stamps = tuple(now_ns - (9 - i) * 10_000_000 for i in range(10))
+        list(process.handle(ImuSamples(
+            received_ns=now_ns, source="imu0", sampled_ns=stamps, specific_force_body_m_s2=((0.0, 0.0, -9.8),) * 10,
+            angular_rate_body_rad_s=((0.0, 0.0, 0.0),) * 10,
+        )))  # fmt: skip
+        if k % 10 == 0:
+            fix = GnssFix(sampled_ns=now_ns, received_ns=now_ns, source="gnss0", fix_type=FixType.THREE_D,
+                          velocity_ned_m_s=(0.0, 0.0, 0.0))  # fmt: skip
+            list(process.handle(fix))
+            last = list(process.handle(Tick(now_ns=now_ns)))
+    return last[0].reason
+
+
+def test_a_profile_of_the_same_unit_gives_no_warning() -> None:
+    assert "another unit" not in reason_after(Config(profile=profile(origin())))
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"imu": "mti-3"}, "IMU mti-3, now imu0"),
+        ({"gnss": "neo-m8"}, "GNSS receiver neo-m8, now gnss0"),
+        ({"imu_rate_hz": 50.0}, "IMU rate 50 Hz, now 100 Hz"),
+        ({"gnss_rate_hz": 4.0}, "GNSS rate 4 Hz, now 1 Hz"),
+        ({"configuration": "f" * 16}, f"configuration {'f' * 16}, now {Config().digest()}"),
+    ],
+)
+def test_a_profile_of_another_unit_is_warned_of_in_the_statement(changes: dict[str, object], named: str) -> None:
+    reason = reason_after(Config(profile=profile(origin(**changes))))
+    assert f"the profile was learned for another unit: {named}" in reason
