@@ -86,8 +86,9 @@ papers: setup ## reproduce the papers' numbers (minutes)
 attack-lab: setup ## attack simulated drives: rates of detection and of false alarms (an hour on two cores)
 	@$(PYTHON) -m cli attack-lab --out .obu/attack-lab
 
-alarms: setup ## count false alarms of the motion and inertial monitors in 100,000 fault-free epochs (three hours)
+alarms: setup ## count false alarms of the monitors in 100,000 fault-free epochs (three hours)
 	@$(PYTHON) -m benchmarks.false_alarms
+	@$(PYTHON) -m benchmarks.false_alarms_satellites
 
 bench: $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks

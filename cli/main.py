@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from shared.errors import UserError
+from shared.messages.simulation import AttackName
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
@@ -24,6 +25,7 @@ from .recordings.record import record, repair
 from .recordings.replay import replay
 from .recordings.verify import verify
 from .solve.solve import solve
+from .verify_toll import verify_toll
 
 app = typer.Typer(
     help="A vehicle on-board unit: position, velocity and attitude of the vehicle, with their integrity.",
@@ -61,7 +63,7 @@ class BrokerKind(StrEnum):
 
 
 @app.command()
-def demo(
+def demo(  # noqa: PLR0913, PLR0917  # one argument an option
     scenario: Annotated[
         str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
     ] = "urban",
@@ -73,6 +75,13 @@ def demo(
     json: Annotated[bool, typer.Option("--json", help="Print the balance as one JSON object.")] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
     broker: Annotated[BrokerKind, typer.Option(help="auto: Mosquitto if it is there, else our own.")] = BrokerKind.AUTO,
+    attack: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Repeatable; name@start, name@start:duration or name(parameter=value,...)@start, in seconds. "
+            f"Names: {', '.join(AttackName)}."
+        ),
+    ] = None,
     role: Annotated[Role, typer.Option(help="obu: a vehicle; rsu: a toll plaza.")] = Role.OBU,
     vehicles: Annotated[int, typer.Option(min=1, max=200, help="Vehicles at the toll plaza at a time.")] = 50,
 ) -> None:
@@ -83,11 +92,15 @@ def demo(
     [bold]obu demo --scenario tunnel --port 8090[/]
     [bold]obu demo --scenario parking_lot --duration 60 --json[/]
     [bold]obu demo --role rsu --vehicles 50 --duration 60 --json[/]
+    [bold]obu demo --attack drag_off@60[/]
+    [bold]obu demo --attack "drag_off(accel=0.1,speed=1)@60:120" --attack odometer_freeze@240 --duration 300[/]
     """
     from .demo.demo import DemoOptions, run
 
     _end_on_sigterm()
-    options = DemoOptions(scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles)
+    options = DemoOptions(
+        scenario, seed, duration, json, port, broker.value, role=role, vehicles=vehicles, attacks=tuple(attack or ())
+    )
     raise typer.Exit(run(options))
 
 
@@ -291,7 +304,7 @@ def cooperative(
 
 @papers.command()
 def spoofing(
-    drives: Annotated[int, typer.Option(min=3, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
+    drives: Annotated[int, typer.Option(min=6, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
     as_json: JsonOption = False,
     out: FiguresOption = None,
 ) -> None:
@@ -307,6 +320,27 @@ def spoofing(
     from .papers.papers import spoofing as repeat
 
     raise typer.Exit(repeat(drives, as_json, out))
+
+
+@papers.command()
+def toll(
+    runs: Annotated[
+        int, typer.Option(min=2, help="Runs of the filters per noise model; 30 times as many of lanes.")
+    ] = 20,
+    as_json: JsonOption = False,
+    out: FiguresOption = None,
+) -> None:
+    """Track vehicles by CAM with the filters of the C-ITS toll paper, and decide lanes with and without delta position.
+
+    Table III is printed beside ours, with processor times. Ends with 1 if a number is outside its tolerance.
+
+    Examples:
+    [bold]obu papers toll --out figures[/]
+    [bold]obu papers toll --runs 4 --json[/]
+    """
+    from .papers.papers import toll as repeat
+
+    raise typer.Exit(repeat(runs, as_json, out))
 
 
 @recordings.callback(invoke_without_command=True)
@@ -337,3 +371,4 @@ app.command("attack-lab")(_ended(attack_lab))
 recordings.command("repair")(_ended(repair))
 app.command("replay")(_ended(replay))
 app.command("verify")(_ended(verify))
+app.command("verify-toll")(_ended(verify_toll))

@@ -94,7 +94,7 @@ ATTACKS = (
         (
             Parameter("distance", 50.0, 0.0, 5000.0, "m", "from the vehicle to the rebroadcaster at the start"),
             _direction(90.0),
-            Parameter("delay", 1.0, 0.0, 1000.0, "us", "within the rebroadcaster"),
+            Parameter("delay", 1.0, 0.0, 1000.0, "µs", "within the rebroadcaster"),
         ),
     ),
     AttackRow(
@@ -104,7 +104,7 @@ ATTACKS = (
     AttackRow(
         AttackName.DRAG_OFF, "the position drifts away, accelerating to a final velocity", "gnss",
         (
-            Parameter("acceleration", 0.3, 0.001, 10.0, "m/s2", "of the drift"),
+            Parameter("acceleration", 0.3, 0.001, 10.0, "m/s²", "of the drift"),
             Parameter("speed", 3.0, 0.01, 60.0, "m/s", "final speed of the drift"),
             _direction(0.0, "clockwise from the vehicle's heading at the start: 0 along it, 90 across"),
         ),
@@ -112,7 +112,7 @@ ATTACKS = (
     AttackRow(
         AttackName.CLIMB, "the height drifts upwards, accelerating to a final velocity", "gnss",
         (
-            Parameter("acceleration", 0.3, 0.001, 10.0, "m/s2", "of the drift"),
+            Parameter("acceleration", 0.3, 0.001, 10.0, "m/s²", "of the drift"),
             Parameter("speed", 2.0, -60.0, 60.0, "m/s", "final speed of the drift, negative downwards"),
         ),
     ),

@@ -1,4 +1,4 @@
-"""What receiving and decoding CAM costs: frames encoded beforehand, over UDP, through sensors.v2x and parsers.v2x."""
+"""Cost and latency of 2,000 CAM a second, encoded beforehand, through sensors.v2x, parsers.v2x and core.toll."""
 
 import argparse
 import json
@@ -15,13 +15,16 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import psutil
 
 from benchmarks.bus.hops import Ages
 from cli.demo.local import broker_command, free_port
 from shared.bus.bus import Bus
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.operation import ProcessHealth
+from shared.messages.toll import TollTracks
 from shared.messages.v2x import (
     CamContent,
     CamList,
@@ -31,20 +34,23 @@ from shared.messages.v2x import (
     StationType,
 )
 from shared.runtime.config import BrokerAddress
+from shared.toll.plaza import Plaza, load_plaza
 from shared.topics import BY_NAME
 from shared.v2x import cam, geonetworking, its_time
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
-MEASURED = ("sensors.v2x", "parsers.v2x")
+MEASURED = ("sensors.v2x", "parsers.v2x", "core.toll")
 VEHICLES, RATE_HZ = 200, 10
+PLAZA = Path("deploy/plazas/example.geojson")
+SPEED_M_S, GAP_M = 5.0, 17.0  # a slow queue before and behind the gates
 PATH_POINTS = 10  # in each CAM with a low-frequency container: two of the ten CAM of a second
 DELTA_TIME_AT = geonetworking.PAYLOAD_AT + 6  # of generationDeltaTime in a packet: behind the 48 bits of the header
 SETTLING_S = 5.0
-TITLE = """# Receiving CAM: cost and latency
+TITLE = """# Receiving and tracking CAM: cost and latency
 
 By `make v2x`: {vehicles} vehicles at {rate} Hz, two of ten CAM with a path of {points} points, over UDP on this machine
 ({cores} cores, {broker}, {priority} priority). Latency is from the arrival of a frame at the kernel to the arrival of
-its CAM at a subscriber of v2x/cam; batches of 20 ms are part of it.
+its CAM at a subscriber of v2x/cam, and to that of the tracks which it has updated; batches of 20 ms are part of it.
 
 """
 
@@ -59,60 +65,93 @@ class Result:
     rejects: dict[str, int]
     dropped: int  # by full queues of the two processes
     latency: Ages
+    tracks: int  # in the last message
+    track_latency: Ages  # from the arrival of the last frame of a batch to that of the tracks which it has updated
     cpu_percent: dict[str, float]  # of one core
     decode_us: float  # of one CAM, in a process that reads v2x/cam
 
 
-def packets(vehicle: int) -> list[bytes]:
-    """Encode one second of a vehicle's CAM; the generation time is put in when they are sent."""
-    angle = 2 * math.pi * vehicle / VEHICLES
+def vehicles(plaza: Plaza) -> list[tuple[Geodetic, float]]:
+    """Places [rad] and headings [rad] at which the vehicles start, one behind the other in every lane."""
+    lanes = list(plaza.lanes)
+    found = []
+    for number in range(VEHICLES):
+        (north_0, east_0), (north_1, east_1) = lanes[number % len(lanes)].centre[:2].tolist()
+        heading = math.atan2(east_1 - east_0, north_1 - north_0)
+        ahead = GAP_M * (number // len(lanes))
+        offset = (north_0 + ahead * math.cos(heading), east_0 + ahead * math.sin(heading), 0.0)
+        found.append((geodetic_from_ned_difference(offset, plaza.antenna), heading))
+    return found
+
+
+def packet(vehicle: int, start: Geodetic, heading_rad: float, turn: int) -> bytes:
+    """Encode one CAM; the generation time is put in when it is sent."""
+    travelled_m = SPEED_M_S * turn / RATE_HZ
+    offset = (travelled_m * math.cos(heading_rad), travelled_m * math.sin(heading_rad), 0.0)
+    place = geodetic_from_ned_difference(offset, start)
+    point = PathPoint(delta_latitude_deg=1e-4, delta_longitude_deg=-1e-4, delta_height_m=0.2, delta_time_s=0.8)
+    path = LowFrequencyContainer(path=(point,) * PATH_POINTS) if (turn + vehicle) % 5 == 0 else None
     content = CamContent(
         station_id=1000 + vehicle,
         station_type=StationType.PASSENGER_CAR,
-        latitude_deg=49.44 + 0.003 * math.sin(angle),
-        longitude_deg=1.1 + 0.003 * math.cos(angle),
+        latitude_deg=math.degrees(place.latitude),
+        longitude_deg=math.degrees(place.longitude),
         position_semi_major_m=2.1,
         position_semi_minor_m=1.7,
-        position_semi_major_orientation_rad=angle,
-        height_ellipsoid_m=120.5,
+        position_semi_major_orientation_rad=0.3,
+        height_ellipsoid_m=place.height,
         height_confidence_m=5.0,
-        heading_rad=angle,
+        heading_rad=heading_rad % (2 * math.pi),
         heading_confidence_rad=0.02,
-        speed_m_s=30.0,
+        speed_m_s=SPEED_M_S,
         speed_confidence_m_s=0.2,
         drive_direction=DriveDirection.FORWARD,
         vehicle_length_m=4.5,
         vehicle_width_m=1.8,
-        longitudinal_acceleration_m_s2=-0.4,
-        curvature=0.001,
-        yaw_rate_rad_s=0.03,
+        longitudinal_acceleration_m_s2=0.0,
+        curvature=0.0,
+        yaw_rate_rad_s=0.0,
+        low_frequency=path,
     )
-    point = PathPoint(delta_latitude_deg=1e-4, delta_longitude_deg=-1e-4, delta_height_m=0.2, delta_time_s=0.8)
-    low = content.model_copy(update={"low_frequency": LowFrequencyContainer(path=(point,) * PATH_POINTS)})
     sender = geonetworking.PositionVector(
-        geonetworking.pseudonymous_address(1000 + vehicle), 5, 0, 49.44, 1.1, True, 30.0, angle
+        mac_address=geonetworking.pseudonymous_address(1000 + vehicle),
+        station_type=5,
+        its_time_ms=0,
+        latitude_deg=math.degrees(place.latitude),
+        longitude_deg=math.degrees(place.longitude),
+        accurate=True,
+        speed_m_s=SPEED_M_S,
+        heading_rad=heading_rad,
     )
-    return [
-        geonetworking.encode_packet(cam.encode(low if number % 5 == 0 else content, 0), sender)
-        for number in range(RATE_HZ)
-    ]
+    return geonetworking.encode_packet(cam.encode(content, 0), sender)
 
 
-def send(port: int, seconds: float) -> int:
-    """Send every vehicle's CAM at its rate, evenly over time; return how many."""
-    encoded = [packets(vehicle) for vehicle in range(VEHICLES)]
-    sent, period_s = 0, 1.0 / (VEHICLES * RATE_HZ)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
-        start = time.monotonic()
-        while (elapsed := time.monotonic() - start) < seconds:
-            stamp = struct.pack(">H", its_time.its_time_ms(time.time_ns()) % its_time.CYCLE_MS)
-            while sent * period_s <= elapsed:
-                turn, vehicle = divmod(sent, VEHICLES)
-                packet = encoded[vehicle][(turn + vehicle) % RATE_HZ]
-                radio.sendto(packet[:DELTA_TIME_AT] + stamp + packet[DELTA_TIME_AT + 2 :], ("127.0.0.1", port))
-                sent += 1
-            time.sleep(0.001)
-    return sent
+class Sender:
+    """Lives in a process of its own: encodes everything beforehand, and sends it evenly over time."""
+
+    encoded: ClassVar[list[bytes]] = []
+    sent: ClassVar[int] = 0
+
+    @classmethod
+    def prepare(cls, seconds: float) -> None:
+        """Encode the CAM of this time, in the order in which they are sent."""
+        starts = vehicles(load_plaza(PLAZA))
+        turns = range(math.ceil(seconds * RATE_HZ) + 1)
+        cls.encoded = [packet(k, *start, turn) for turn in turns for k, start in enumerate(starts)]
+
+    @classmethod
+    def send(cls, port: int, seconds: float) -> int:
+        """Send for a while, and go on where the last call ended; return how many."""
+        first, start = cls.sent, time.monotonic()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
+            while (elapsed := time.monotonic() - start) < seconds:
+                stamp = struct.pack(">H", its_time.its_time_ms(time.time_ns()) % its_time.CYCLE_MS)
+                while (cls.sent - first) / (VEHICLES * RATE_HZ) <= elapsed:
+                    data = cls.encoded[cls.sent]
+                    radio.sendto(data[:DELTA_TIME_AT] + stamp + data[DELTA_TIME_AT + 2 :], ("127.0.0.1", port))
+                    cls.sent += 1
+                time.sleep(0.001)
+        return cls.sent - first
 
 
 @contextmanager
@@ -120,7 +159,7 @@ def running(folder: Path, port: int, broker: str) -> Iterator[dict[str, psutil.P
     """Run a broker and the measured processes, each a process of its own."""
     broker_port = free_port()
     file = folder / "vehicle.toml"
-    file.write_text(f'[vehicle]\nname = "bench"\n\n[sensors.v2x]\ndevice = "udp://127.0.0.1:{port}"\n\n[parsers.v2x]\n')
+    file.write_text(f'[vehicle]\nname = "bench"\nrole = "rsu"\n\n[sensors.v2x]\ndevice = "udp://127.0.0.1:{port}"\n')
     environment = os.environ | {
         "OBU_VEHICLE": str(file), "OBU_BROKER": f"mqtt://127.0.0.1:{broker_port}", "OBU_STATE": str(folder)
     }  # fmt: skip
@@ -150,15 +189,16 @@ def measure(seconds: float, broker: str) -> Result:
     ):
         folder = Path(name)
         address = BrokerAddress.parse(os.environ["OBU_BROKER"])
-        topics = [BY_NAME["v2x/cam"], BY_NAME["health/+"]]
+        topics = [BY_NAME["v2x/cam"], BY_NAME["toll/tracks"], BY_NAME["health/+"]]
         listener = Listener(Bus("observer", "bench", address, topics, folder, observer=True))
         listener.wait_for(set(MEASURED))
-        settling: Future[int] = pool.submit(send, port, SETTLING_S)
+        listener.listen(pool.submit(Sender.prepare, SETTLING_S + seconds))
+        settling: Future[int] = pool.submit(Sender.send, port, SETTLING_S)
         listener.listen(settling)
         listener.restart()
         before = {name: sum(host.cpu_times()[:2]) for name, host in hosts.items()}
         started = time.monotonic()
-        sending: Future[int] = pool.submit(send, port, seconds)
+        sending: Future[int] = pool.submit(Sender.send, port, seconds)
         listener.listen(sending)
         elapsed = time.monotonic() - started
         cpu = {n: round(100 * (sum(host.cpu_times()[:2]) - before[n]) / elapsed, 1) for n, host in hosts.items()}
@@ -169,6 +209,8 @@ def measure(seconds: float, broker: str) -> Result:
             rejects=listener.rejects(),
             dropped=sum(health.dropped for health in listener.health.values()),
             latency=Ages.of(listener.ages_ns),
+            tracks=listener.tracks,
+            track_latency=Ages.of(listener.track_ages_ns),
             cpu_percent=cpu,
             decode_us=round(1e6 * listener.decoding_s / max(1, len(listener.ages_ns)), 1),
         )
@@ -182,6 +224,8 @@ class Listener:
         self.health: dict[str, ProcessHealth] = {}
         self._health_before: dict[str, ProcessHealth] = {}
         self.ages_ns: list[int] = []
+        self.tracks = 0
+        self.track_ages_ns: list[int] = []
         self.decoding_s = 0.0
 
     def wait_for(self, names: set[str]) -> None:
@@ -192,8 +236,8 @@ class Listener:
                 raise RuntimeError(f"{names - self.health.keys()} did not start")
             self._take()
 
-    def listen(self, sending: Future[int]) -> None:
-        """Listen until a second after the sender has ended."""
+    def listen(self, sending: Future[int] | Future[None]) -> None:
+        """Listen until a second after the other process has ended."""
         while not sending.done():
             self._take()
         deadline = time.monotonic() + 1.0
@@ -203,7 +247,7 @@ class Listener:
     def restart(self) -> None:
         """Forget what was heard so far."""
         self._health_before = dict(self.health)
-        self.ages_ns, self.decoding_s = [], 0.0
+        self.ages_ns, self.track_ages_ns, self.decoding_s = [], [], 0.0
 
     def rejects(self) -> dict[str, int]:
         """Rejects of the measured processes since the last restart, by reason."""
@@ -220,6 +264,9 @@ class Listener:
             if isinstance(message, CamList):
                 self.decoding_s += time.process_time() - started
                 self.ages_ns += [envelope.received_ns - found.received_ns for found in message.cams]
+            elif isinstance(message, TollTracks):
+                self.tracks = len(message.tracks)
+                self.track_ages_ns.append(envelope.received_ns - message.sampled_ns)
             elif isinstance(message, ProcessHealth):
                 self.health[message.process] = message
 
@@ -238,7 +285,10 @@ def markdown(result: Result, broker: str, priority: str) -> str:
         f"| CAM published | {result.published} |",
         f"| rejected | {', '.join(f'{k} {n}' for k, n in result.rejects.items()) or 'none'} |",
         f"| dropped by full queues | {result.dropped} |",
-        f"| latency | median {result.latency.p50_ms:.1f} ms, 99th percentile {result.latency.p99_ms:.1f} ms |",
+        f"| frame to CAM | median {result.latency.p50_ms:.1f} ms, 99th percentile {result.latency.p99_ms:.1f} ms |",
+        f"| vehicles tracked | {result.tracks} |",
+        f"| frame to track | median {result.track_latency.p50_ms:.1f} ms, "
+        f"99th percentile {result.track_latency.p99_ms:.1f} ms of {result.track_latency.messages} |",
         *(f"| processor of {name} | {share:.1f} % of a core |" for name, share in result.cpu_percent.items()),
         f"| decoding v2x/cam in a subscriber | {result.decode_us:.1f} us a CAM |",
     ]

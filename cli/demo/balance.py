@@ -1,7 +1,7 @@
 """What a run amounted to: errors against the simulator's truth, latency, rates, restarts."""
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -14,8 +14,12 @@ from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution, TruthState
 from shared.messages.operation import DeadlineReport, ProcessHealth, ProcessState, TopicAge
+from shared.messages.simulation import SimulationState
+from shared.messages.trust import TrustLevel, TrustState
 from shared.runtime.config import VehicleFile
 from shared.topics import topic_of
+
+from .detection import NS, AttackSummary, seconds_in_states, summarise
 
 T = TypeVar("T")
 FloatArray = npt.NDArray[np.float64]
@@ -46,6 +50,9 @@ class Summary:
     end_to_end_latency_p99_ms: float | None
     worst_topic: str | None
     worst_topic_age_s: float | None
+    trust: dict[str, float]  # seconds in each state
+    safe_above_alert_limit_s: float  # time in which the verdict was SAFE and the error above the alert limit
+    attacks: tuple[AttackSummary, ...]
 
 
 class Balance:
@@ -60,6 +67,9 @@ class Balance:
         self._latencies: list[float] = []
         self._report: DeadlineReport | None = None
         self._health: dict[str, ProcessHealth] = {}
+        self._verdicts: list[TrustState] = []
+        self._simulation: SimulationState | None = None
+        self._begin_ns: int | None = None  # start of the drive
         self._first_ns = self._last_ns = 0
         self.messages = self.broken_messages = 0
 
@@ -73,6 +83,11 @@ class Balance:
             case NavigationSolution() if self._keep:
                 _keep(self._solutions, message)
                 _keep(self._latencies, (received_ns - message.sampled_ns) * 1e-9)
+            case TrustState() if self._keep:
+                _keep(self._verdicts, message)
+            case SimulationState():
+                self._simulation = message
+                self._begin_ns = message.sampled_ns if self._begin_ns is None else self._begin_ns
             case DeadlineReport():
                 self._report = message
             case ProcessHealth():
@@ -91,6 +106,7 @@ class Balance:
         levels = np.array([_levels(s) for s in judged]).reshape(-1, 2)
         fixes = [(f.sampled_ns, position) for f in self._fixes if (position := _fix_position(f)) is not None]
         gnss = self._errors(fixes, self._lever_b)
+        runs = self._simulation.attacks if self._simulation else ()
         ready = [h for h in self._health.values() if h.state == ProcessState.READY]
         dated = [t for t in self._report.topics if _has_deadline(t)] if self._report else []
         worst = max(dated, key=lambda t: t.age_s or 0.0, default=None)
@@ -115,7 +131,23 @@ class Balance:
             end_to_end_latency_p99_ms=_quantile(self._latencies, 0.99),
             worst_topic=worst.topic if worst else None,
             worst_topic_age_s=round(worst.age_s, 2) if worst and worst.age_s is not None else None,
+            trust=seconds_in_states(self._verdicts),
+            safe_above_alert_limit_s=self._misleading_s([s.sampled_ns for s in judged], fusion),
+            attacks=summarise(runs, self._verdicts, self._begin_ns or self._first_ns),
         )
+
+    def _misleading_s(self, stamps_ns: list[int], errors: FloatArray) -> float:
+        """Time [s] for which the newest verdict was SAFE and the error of the solution above the alert limit."""
+        judged_ns, seconds = [v.sampled_ns for v in self._verdicts], 0.0
+        for i in range(1, len(stamps_ns)):
+            last = bisect_right(judged_ns, stamps_ns[i]) - 1
+            verdict = self._verdicts[last] if last >= 0 else None
+            if verdict is None or verdict.state is not TrustLevel.SAFE:
+                continue
+            north, east, down = np.abs(errors[i]).tolist()
+            over = math.hypot(north, east) > verdict.alert_limit_horizontal_m or down > verdict.alert_limit_vertical_m
+            seconds += over * (stamps_ns[i] - stamps_ns[i - 1]) / NS
+        return round(seconds, 1)
 
     def _knows(self, stamp_ns: int) -> bool:
         """Whether the truth is known before and behind an instant."""

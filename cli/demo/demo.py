@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
 from services.sensors.simulator.scenarios import scenario_of
+from shared.attacks import schedule
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, UserError
 from shared.processes import Role
@@ -23,12 +24,14 @@ from shared.topics import TOPICS
 
 from . import plaza_balance
 from .balance import Balance, Summary
+from .detection import AttackSummary
 from .local import ROADSIDE, broker_command, free_port, fresh_folder, only_one, port_or_free, unit
 from .plaza_balance import PlazaBalance, PlazaSummary
 from .supervisor import Supervisor
 
 SIMULATED = Path(__file__).parents[2] / "deploy" / "vehicles" / "simulated.toml"
-OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw")
+OBSERVED = ("truth/state", "gnss/fix", "navigation/solution", "deadline/report", "health/+", "imu/raw",
+            "trust/state", "simulation/state")  # fmt: skip
 START_LIMIT_S = 60.0
 
 
@@ -43,6 +46,7 @@ class DemoOptions:
     http_port: int
     broker: str  # auto, mosquitto or simulated
     vehicle: Path = SIMULATED
+    attacks: tuple[str, ...] = ()  # each as name(parameters)@start:duration
     role: Role = Role.OBU
     vehicles: int = 50  # at the plaza of a road-side unit
 
@@ -51,6 +55,8 @@ def run(options: DemoOptions) -> int:
     """Start everything, watch it, and print the balance at the end."""
     if options.role is Role.OBU:
         _insist_on_scenario(options)
+    elif options.attacks:
+        raise UserError("attacks are on a simulated vehicle; leave out --attack, or take --role obu")
     base = state_dir().resolve()
     with only_one(base / "demo.lock"), _errors_only("shared"):  # the broker's absence at the start is expected
         return _drive(options, fresh_folder(base / "demo"))
@@ -72,6 +78,8 @@ def _insist_on_scenario(options: DemoOptions) -> None:
     """Refuse what the simulator would refuse, before anything is started."""
     try:
         scenario_of(options.scenario, options.seed)
+        for text in options.attacks:
+            schedule(text)
     except ValueError as error:
         raise UserError(str(error)) from error
 
@@ -132,7 +140,8 @@ def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
     base = load_vehicle(options.vehicle if options.role is Role.OBU else ROADSIDE)
     tables: dict[str, Table] = {name: dict(table) for name, table in base.tables.items()}
     if options.role is Role.OBU:
-        tables.setdefault("sensors.simulator", {}).update(scenario=options.scenario, seed=options.seed)
+        simulator = tables.setdefault("sensors.simulator", {})
+        simulator.update(scenario=options.scenario, seed=options.seed, attacks=list(options.attacks))
     else:
         radio = f"udp://127.0.0.1:{free_port()}"
         tables.setdefault("sensors.v2x", {}).update(device=radio)
@@ -219,6 +228,13 @@ def _why_unhealthy(summary: Summary | PlazaSummary) -> str:
     return "not every process was heard to be ready: see the logs"
 
 
+def _detection(attack: AttackSummary) -> str:
+    if attack.detected_after_s is None:
+        return f"attack {attack.name} at {attack.started_s:.0f} s: not detected"
+    by = "; ".join(attack.detected_by)
+    return f"attack {attack.name} at {attack.started_s:.0f} s: detected after {attack.detected_after_s:.1f} s by {by}"
+
+
 def _print(summary: Summary | PlazaSummary, options: DemoOptions, console: Console) -> None:
     if not summary.healthy:
         console.print(f"not healthy: {_why_unhealthy(summary)}", soft_wrap=True, highlight=False)
@@ -226,7 +242,12 @@ def _print(summary: Summary | PlazaSummary, options: DemoOptions, console: Conso
         print(json.dumps(asdict(summary)))
         return
     console.print("\n[bold]What was seen[/]")
-    for name, value in asdict(summary).items():
+    shown = asdict(summary)
+    if isinstance(summary, Summary):
+        for attack in summary.attacks:
+            console.print(f"  {_detection(attack)}", highlight=False)
+        del shown["attacks"]
+    for name, value in shown.items():
         console.print(f"  {name:32} {value if value is not None else '-'}")
     sys.stderr.flush()
 

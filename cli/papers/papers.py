@@ -12,7 +12,7 @@ from . import navigation as drives_table
 from . import outages as outages_table
 from .report import publish
 
-LEAST_DRIVES = 3
+LEAST_DRIVES = 6
 
 
 def navigation(runs: int, json: bool) -> int:
@@ -57,7 +57,14 @@ def cooperative(runs: int, json: bool, out: Path | None) -> int:
 def spoofing(drives: int, json: bool, out: Path | None) -> int:
     """Reproduce spoofing detection by a phone's sensors; return 1 if a number is outside its tolerance."""
     if drives < LEAST_DRIVES:
-        raise UserError(f"{drives} drives: 3 are required, two to learn of: try `obu papers spoofing --drives 6`")
+        raise UserError(f"{drives} drives: 6 are required, four to learn of: try `obu papers spoofing --drives 6`")
     from .spoofing.paper import reproduce
 
     return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)
+
+
+def toll(runs: int, json: bool, out: Path | None) -> int:
+    """Reproduce tracking by CAM and decide lanes; return 1 if a number is outside its tolerance."""
+    from .toll.paper import reproduce
+
+    return publish(reproduce(runs, sys.stderr.isatty()), json=json, out=out)

@@ -44,7 +44,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Paper:
-    """A reproduced paper; `deviations` are numbers outside the tolerance of the reference, which fail the command."""
+    """A reproduced paper; `deviations` are tolerances and limits that are exceeded, which fail the command."""
 
     name: str
     tables: Sequence[Table]
@@ -123,6 +123,6 @@ def _print(paper: Paper, console: Console, out: Path | None) -> None:
         names = ", ".join(one.file for one in paper.figures)
         console.print(f"Figures in {out}: {names}", highlight=False)
     for deviation in paper.deviations:
-        console.print(f"[red]outside its tolerance:[/] {escape(deviation)}", highlight=False)
+        console.print(f"[red]limit exceeded:[/] {escape(deviation)}", highlight=False)
     if not paper.deviations:
-        console.print("[green]all reference numbers within their tolerances[/]")
+        console.print("[green]all limits met[/]")

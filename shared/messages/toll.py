@@ -167,7 +167,7 @@ class PassageState(StrEnum):
 class EvidenceFrame(Message):
     """One received frame, as it is."""
 
-    sampled_ns: Nanoseconds  # generation time, as it was reconstructed on reception
+    sampled_ns: Nanoseconds  # generation time on the unit's clock, as it was used
     received_ns: Nanoseconds
     data: Base64
 

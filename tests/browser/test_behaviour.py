@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from shared.messages.operation import Origin, OriginKind
+from tests.browser.conftest import THEMES
 from tests.browser.test_pages import faults, keep_picture
 from tests.support.fake_unit import SIMULATED
 from tests.support.status_server import Running, status_server
@@ -450,3 +451,39 @@ def test_the_page_trust_without_any_verdict_is_empty_and_says_why(
     expect(page.get_by_text("No statement of any monitor yet")).to_be_visible()
     expect(page.get_by_text("No change of the verdict since the status process started.")).to_be_visible()
     expect(page.locator(".chip")).to_have_text("NO DATA")
+
+
+def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_page: Callable[..., Page]) -> None:
+    with status_server(tmp_path) as server:
+        page = open_page(server.address, path="trust")
+        card = page.get_by_role("region", name="Attacks")
+        expect(card.get_by_text("No attack is active.")).to_be_visible(timeout=8000)
+        expect(card.get_by_text("Yes: SAFE, and the error is within the alert limits")).to_be_visible(timeout=8000)
+        card.get_by_label("Attack").select_option("drag_off")
+        card.get_by_label("speed").fill("1")
+        card.get_by_role("button", name="Start drag off").click()
+        expect(card.get_by_role("status")).to_have_text("Done.")
+        expect(card.get_by_role("listitem")).to_contain_text("acceleration 0.3, speed 1, direction 0")
+        for theme in ("light", "dark"):
+            page.emulate_media(color_scheme=theme)
+            keep_picture(page, f"attacks-{theme}")
+        page.set_viewport_size(THEMES["phone"])
+        card.get_by_role("status").scroll_into_view_if_needed()
+        keep_picture(page, "attacks-phone")
+        assert not faults(page)
+        card.get_by_role("button", name="Stop drag off").click()
+        expect(card.get_by_text("No attack is active.")).to_be_visible()
+        expect(card.get_by_text("Ended: drag off")).to_be_visible()
+        card.get_by_label("Attack").select_option("jam")
+        card.get_by_label("power").fill("61")
+        card.get_by_role("button", name="Start jam").click()
+        expect(card.get_by_text("Ended: drag off")).to_be_visible()
+        expect(card.get_by_text("No attack is active.")).to_be_visible()
+
+
+def test_attacks_are_offered_only_where_the_data_are_simulated(
+    units: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(units["empty"].address, path="trust")
+    expect(page.get_by_role("region", name="Monitors")).to_be_visible(timeout=8000)
+    expect(page.get_by_role("region", name="Attacks")).to_have_count(0)

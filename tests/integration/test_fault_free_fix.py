@@ -23,7 +23,7 @@ ROW = 3  # satellite of an epoch
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    parsed = OfflineUnit(parse_vehicle(""), PARSERS).run(messages("parking_lot", 1, 66.0))
+    parsed = OfflineUnit(parse_vehicle(""), PARSERS).run(messages("parking_lot", 1, 70.0))
     return [one for one in parsed if hasattr(one, "sampled_ns")]
 
 

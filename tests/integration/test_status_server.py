@@ -19,6 +19,8 @@ from websockets.sync.client import ClientConnection, connect
 from services.monitoring.status.process import ADDRESS_FILE, Config, Process
 from services.monitoring.status.views.patch import merge
 from shared.errors import UserError
+from shared.messages.operation import Origin, OriginKind
+from shared.messages.simulation import AttackName
 from tests.support.fake_unit import FakeBus
 from tests.support.status_server import Running, eventually, status_server
 
@@ -125,7 +127,7 @@ def test_a_long_topic_name_is_refused(server: Running) -> None:
     assert ask(server, f"/api/topics/{'x' * 500}").status_code == 422
 
 
-def test_nothing_can_be_changed_over_the_web(server: Running) -> None:
+def test_nothing_but_attacks_can_be_commanded_over_the_web(server: Running) -> None:
     for path in ("/", "/api/state", "/api/topics/gnss/fix", "/ws"):
         for method in ("POST", "PUT", "DELETE", "PATCH"):
             assert httpx.request(method, server.address + path, timeout=5.0).status_code in (404, 405)
@@ -261,6 +263,7 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
     paths = get(server, "/openapi.json")["paths"]
     assert set(paths) == {
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
+        "/api/simulation", "/api/simulation/attack",
     }  # fmt: skip
 
 
@@ -337,3 +340,57 @@ def test_the_process_fits_into_60_megabytes(tmp_path: Path) -> None:
         assert process.wait(timeout=8.0) == 0
     resident_kb = re.search(r"VmRSS:\s+(\d+)", status)
     assert resident_kb and int(resident_kb[1]) < 60_000
+
+
+def command(server: Running, body: object, **headers: str) -> httpx.Response:
+    return httpx.post(server.address + "/api/simulation/attack", json=body, headers=headers, timeout=5.0)
+
+
+def test_an_attack_is_started_and_stopped_and_its_answer_is_shown(server: Running) -> None:
+    answer = command(server, {"command": "start", "attack": "drag_off", "parameters": {"speed": 1.0}})
+    assert answer.status_code == 202
+    request_id = answer.json()["request_id"]
+    eventually(lambda: get(server, "/api/simulation")["simulation"]["request_id"] == request_id)
+    (run,) = get(server, "/api/simulation")["simulation"]["attacks"]
+    assert (run["attack"], run["parameters"]["speed"], run["ended_ns"]) == ("drag_off", 1.0, None)
+    assert command(server, {"command": "stop"}).status_code == 202
+    eventually(lambda: get(server, "/api/simulation")["simulation"]["attacks"][0]["ended_ns"] is not None)
+    assert len(get(server, "/api/simulation")["attacks"]) == len(AttackName)
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "detail"),
+    [
+        ({"command": "start", "attack": "flood"}, 422, "attack: Input should be 'tunnel'"),
+        ({"command": "start"}, 422, "name the attack that shall start"),
+        ({"command": "start", "attack": "jam", "parameters": {"x": 1.0}}, 422, "jam has no parameter 'x'"),
+        ({"command": "start", "attack": "jam", "parameters": {"power": 1e9}}, 422, "jam: power must be 1 to 60 dB"),
+        ({"command": "start", "attack": "jam", "duration_s": -1}, 422, "duration_s"),
+        ({"command": "explode"}, 422, "command"),
+        (["start"], 422, "a command is an object"),
+        ({"command": "start", "attack": "jam", "x": "y" * 4000}, 413, "at most 2048 bytes"),
+    ],
+)
+def test_a_command_that_cannot_be_executed_is_refused(server: Running, body: object, status: int, detail: str) -> None:
+    before = len(server.bus.published)
+    answer = command(server, body)
+    assert answer.status_code == status
+    assert detail in answer.json()["detail"]
+    assert len(server.bus.published) == before
+
+
+def test_a_page_elsewhere_cannot_start_an_attack(server: Running) -> None:
+    assert command(server, {"command": "stop"}, Origin="http://evil.example").status_code == 403
+
+
+def test_a_unit_that_is_not_simulated_refuses_attacks(tmp_path: Path) -> None:
+    with status_server(tmp_path, unit=False) as real:
+        assert command(real, {"command": "stop"}).status_code == 409, "no origin is known"
+        real.bus.feed(Origin(now_ns=real.bus.now_ns(), kind=OriginKind.LIVE, name="truck"), "sensors.gnss")
+        eventually(lambda: get(real, "/api/state")["origin"] is not None)
+        answer = command(real, {"command": "start", "attack": "jam"})
+        assert answer.status_code == 409 and "not simulated" in answer.json()["detail"]
+        real.bus.feed(Origin(now_ns=real.bus.now_ns(), kind=OriginKind.SIMULATED, name="lot"), "sensors.simulator")
+        eventually(lambda: len(get(real, "/api/state")["topics"]["origin/state"]) > 0)
+        assert command(real, {"command": "stop"}).status_code == 409, "a real receiver among simulated devices"
+        assert not real.bus.published and get(real, "/api/state")["simulation"] is None

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli.papers import papers
 from cli.papers.report import Paper, publish
 from cli.papers.spoofing.campaign import Detection, Mode, episodes, measure
 from cli.papers.spoofing.paper import (
@@ -19,6 +20,7 @@ from cli.papers.spoofing.paper import (
     reproduce,
 )
 from services.core.spoofing.metrics import Metric
+from shared.errors import UserError
 
 pytestmark = pytest.mark.xdist_group("papers_spoofing")  # one worker, for the drives are shared
 
@@ -83,6 +85,11 @@ def test_the_same_seed_gives_the_same_drive_and_a_false_sigma_is_noticed() -> No
     result = evaluate([drive], [again], Mode.GYROSCOPE)
     assert 0.0 < result.false["any"] < 6.0 and result.k >= 3.0
     assert result.validation_episodes_per_hour == 0.0, "threshold of at most one an hour on the same quarter of an hour"
+
+
+def test_too_few_drives_are_reported_with_an_example() -> None:
+    with pytest.raises(UserError, match="--drives 6"):
+        papers.spoofing(5, json=False, out=None)
 
 
 def test_episodes_are_counted_once_however_long_they_last() -> None:

@@ -10,9 +10,11 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 from services.core.trust.process import Config as TrustConfig
 from services.core.trust.process import Process as TrustProcess
+from shared.attacks import BY_NAME as ATTACK_ROWS
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.messages.base import Message, Tick, Vector3
@@ -27,6 +29,7 @@ from shared.messages.navigation import (
     TruthState,
 )
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
+from shared.messages.simulation import AttackCommand, AttackRun, SimulationAttack, SimulationState
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
@@ -41,6 +44,15 @@ VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
 SIMULATED = parse_vehicle(VEHICLE_TOML).processes
 
 
+class FakePlaza(Protocol):
+    """What else may feed the bus."""
+
+    watchdog: Watchdog
+
+    def step(self) -> None:
+        """Feed everything that is due now."""
+
+
 class FakeBus:
     """Has the face of `shared.bus.bus.Bus`; what is fed is what is received."""
 
@@ -50,7 +62,8 @@ class FakeBus:
         self.rejects: Counter[str] = Counter()
         self.last_error: str | None = None
         self.offset_ns = 1_795_000_000 * 10**9 - time.monotonic_ns()
-        self.unit: FakeUnit | None = None
+        self.unit: FakeUnit | FakePlaza | None = None
+        self.published: list[Message] = []
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
         self._next_heartbeat_ns = 0
@@ -74,6 +87,12 @@ class FakeBus:
             envelope = sent_bytes(topic, body, now_ns, producer, LIFE, self._sequence)
             self._fed.append(envelope)
             return envelope
+
+    def publish(self, message: Message) -> None:
+        """Keep what the process itself publishes; the simulator of the unit answers commands."""
+        self.published.append(message)
+        if isinstance(self.unit, FakeUnit) and isinstance(message, SimulationAttack):
+            self.unit.command(message)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
         """Hand over what is due."""
@@ -107,6 +126,7 @@ class FakeUnit:
         self.lives: Counter[str] = Counter()
         self.watchdog = Watchdog(SIMULATED, self.started_ns)
         self.trust = TrustProcess(TrustConfig())  # the verdict is that of the real process
+        self.attacks: list[AttackRun] = []
         self._due: dict[str, int] = {}
         self._plans: list[tuple[int, Callable[[], object]]] = []
         bus.unit = self
@@ -144,6 +164,20 @@ class FakeUnit:
         if isinstance(message, TrustMonitor | NavigationSolution | NavigationState | Tick):
             for found in self.trust.handle(message):
                 self.bus.feed(found, "core.trust")
+
+    def command(self, message: SimulationAttack) -> None:
+        """Note an attack, or the end of those that were active, and answer as the simulator does."""
+        now_ns = self.bus.now_ns()
+        if message.command is AttackCommand.START and message.attack:
+            parameters = ATTACK_ROWS[message.attack].complete(message.parameters)
+            self.attacks.append(AttackRun(attack=message.attack, parameters=parameters, started_ns=now_ns))
+        else:
+            stopped = [run for run in self.attacks if run.ended_ns is None and message.attack in (None, run.attack)]
+            self.attacks = [
+                run.model_copy(update={"ended_ns": now_ns}) if run in stopped else run for run in self.attacks
+            ]
+        state = SimulationState(sampled_ns=now_ns, request_id=message.request_id, attacks=tuple(self.attacks))
+        self.bus.feed(state, "sensors.simulator")
 
     def fall_silent_after(self, seconds: float, name: str) -> None:
         """Stop a process, or the IMU alone, after a while."""

@@ -10,6 +10,7 @@ from typing import cast
 
 from services.monitoring.status.process import ADDRESS_FILE, Config, Process
 from shared.bus.bus import Bus
+from tests.support.fake_plaza import FakePlaza
 from tests.support.fake_unit import FakeBus, FakeUnit
 
 
@@ -34,10 +35,14 @@ class Running:
 
 
 @contextmanager
-def status_server(state_dir: Path, *, unit: bool = True, **settings: object) -> Iterator[Running]:
-    """Run the status process; its address is known when the block begins."""
+def status_server(
+    state_dir: Path, *, unit: bool = True, plaza: FakePlaza | None = None, **settings: object
+) -> Iterator[Running]:
+    """Run the status process of a vehicle or of a plaza; its address is known when the block begins."""
     bus = FakeBus(state_dir)
-    fake = FakeUnit(bus) if unit else None
+    if plaza is not None:
+        plaza.join(bus)
+    fake = FakeUnit(bus) if unit and plaza is None else None
     process = Process(Config.model_validate({"port": 0, **settings}))
     thread = threading.Thread(target=process.run, args=(cast(Bus, bus),), daemon=True)
     thread.start()

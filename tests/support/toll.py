@@ -33,14 +33,11 @@ def place(lane: Lane, distance: float, left: float = 0.0) -> tuple[float, float,
     """North, east [m] and heading [rad, clockwise from north] at a distance behind the gate line of a lane."""
     gate = along(lane.centre, lane.gate)
     assert gate is not None
-    remaining = gate + distance
-    for a, b in zip(lane.centre[:-1], lane.centre[1:], strict=True):
-        step = b - a
-        length = float(np.hypot(*step))
-        if remaining <= length or b is lane.centre[-1]:
-            break
-        remaining -= length
-    unit = step / length
+    steps = np.diff(lane.centre, axis=0)
+    lengths = np.hypot(*steps.T)
+    begins = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
+    k = max(int(np.searchsorted(begins, gate + distance)) - 1, 0)
+    a, unit, remaining = lane.centre[k], steps[k] / lengths[k], gate + distance - begins[k]
     north, east = a + remaining * unit + left * np.array([unit[1], -unit[0]])
     return float(north), float(east), atan2(unit[1], unit[0]) % (2.0 * pi)
 

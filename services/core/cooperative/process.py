@@ -74,6 +74,7 @@ class Process:
                     paper_construction=config.method == "paper",
                 )
             )
+        self._plainly_excluded: frozenset[SatelliteId] = frozenset()  # by plain RAIM, in the epoch before
         self._neighbours: deque[NeighbourStates] = deque()
         self._radio: str | None = None
         self._alert_limit_m: float | None = None
@@ -133,7 +134,10 @@ class Process:
     def _evaluate(
         self, epoch: RawEpoch, reports: tuple[NeighbourReport, ...]
     ) -> tuple[SatelliteVerdict, SatelliteVerdict | None]:
-        """Test with neighbours first, and then plainly what is left; a start needs the plain solution first."""
+        """Test with neighbours first, and then plainly what is left; a start needs the plain solution first.
+
+        What plain RAIM excludes in an epoch the filters do not use from then on.
+        """
         cooperative, plain = self._cooperative, None
         if cooperative is None:
             return self._plain.evaluate(epoch, self._store), None
@@ -141,7 +145,12 @@ class Process:
             plain = self._plain.evaluate(epoch, self._store)
         start = plain.solution if plain and (plain.fault_free or plain.outcome is Outcome.NOT_EVALUATED) else None
         helped = cooperative.evaluate(epoch, self._store, reports, road_e=None, start=start)
-        return plain or self._plain.evaluate(epoch, self._store, frozenset(helped.excluded)), helped
+        plain = plain or self._plain.evaluate(epoch, self._store, frozenset(helped.excluded))
+        if plain.fault_free:
+            excluded = frozenset(plain.excluded)
+            cooperative.exclude(excluded - self._plainly_excluded)
+            self._plainly_excluded = excluded
+        return plain, helped
 
     def _use_neighbours(self, message: NeighbourStates) -> None:
         self._radio = self._radio or message.source

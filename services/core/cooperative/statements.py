@@ -142,6 +142,10 @@ def _reason(verdict: SatelliteVerdict, neighbours: tuple[NeighbourFinding, ...])
     agree = f"{used} satellites{redundancy}, horizontal protection level {level}"
     wrong = [finding.name for finding in neighbours if finding.excluded]
     contradicting = f"{', '.join(wrong)} contradicted by the others" if wrong else None
+    if len(wrong) > max(1, len(neighbours) / 2):
+        contradicting = (
+            f"most neighbours contradict the satellites ({', '.join(wrong)}): they collude, or GNSS is wrong"
+        )
     return "; ".join(part for part in (verdict.reason, contradicting, agree) if part)
 
 

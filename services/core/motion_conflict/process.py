@@ -18,6 +18,7 @@ In = GnssFix | VehicleSpeed | TrustState | Tick
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 # Learning stops while the position is in doubt: a spoofed speed must not become the odometer's scale.
 NO_LEARNING = (TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING, TrustLevel.NO_FIX)
+OWN = ("motion", "motion_fast")  # statements, which accuse GNSS or the odometer for a change of scale
 
 
 class Config(Settings):
@@ -46,7 +47,7 @@ class Process:
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
                 self._monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case TrustState():
-                self._monitor.calibration.frozen = message.state in NO_LEARNING
+                self._monitor.calibration.frozen = forbids_learning(message)
             case Tick():
                 time_ns = max(self._newest_ns, message.now_ns)
                 yield from statements(self._monitor.verdicts(time_ns), time_ns)
@@ -64,3 +65,12 @@ class Process:
         self._monitor.gnss(fix.sampled_ns, speed, sd)
         if fix.latitude_deg is not None and fix.longitude_deg is not None:
             self._monitor.position(fix.sampled_ns, fix.latitude_deg, fix.longitude_deg)
+
+
+def forbids_learning(verdict: TrustState) -> bool:
+    """Whether a speed may be wrong: the state says so, the odometer is excluded, or another monitor accuses GNSS.
+
+    CAUTION for want of an evaluation does not forbid it: a unit without raw measurements would never learn.
+    """
+    gnss_accused = any("gnss" in monitor.accused for monitor in verdict.monitors if monitor.monitor not in OWN)
+    return verdict.state in NO_LEARNING or verdict.gnss_excluded or verdict.odometer_excluded or gnss_accused

@@ -72,10 +72,10 @@ class Core:
     the newest delta that is older than `delta.latency_s` when the CAM arrives, and a passage begins with a new track.
     """
 
-    def __init__(self, plaza: Plaza, settings: Settings) -> None:
+    def __init__(self, plaza: Plaza, settings: Settings, *, on_time: bool = False) -> None:
         self._plaza, self._settings = plaza, settings
         self._model, self._agreement = settings.errors.model, settings.delta.agreement
-        self._table = TrackTable(settings, plaza)
+        self._table = TrackTable(settings, plaza, on_time=on_time)
         delta = settings.delta
         self._estimator = DeltaEstimator(
             self._model, window_s=delta.window_s, least_s=delta.least_s, max_age_s=delta.max_age_s
@@ -614,7 +614,7 @@ class Core:
 
 def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequence[TollDelta]) -> list[TollPassage]:
     """Derive the statements on a registered vehicle's passage again from its CAM and the deltas, in their order."""
-    core = Core(plaza, settings)
+    core = Core(plaza, settings, on_time=True)
     list(core.continue_passages(OpenPassages(sampled_ns=-LARGEST_NS, passages=(), settled=())))
     for station_id in {cam.station_id for cam in cams}:
         core.register(

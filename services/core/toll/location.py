@@ -110,7 +110,8 @@ def locate(
             for h in range(3)
         ]
     )  # shape (hypothesis, n, L)
-    total = joint.sum(axis=(0, 2)) + (weight * beside).sum(axis=0)
+    # One axis after the other: a sum over both adds in an order that depends on n, and evidence is derived with n = 1.
+    total = joint.sum(axis=2).sum(axis=0) + (weight * beside).sum(axis=0)
     lanes = joint.sum(axis=0) / total[:, None]
     hypotheses = ((joint.sum(axis=2) + weight * beside) / total).T
     n = np.arange(len(total))

@@ -20,12 +20,17 @@ LEAST_POSITION_SD = 0.02  # [m]
 
 @dataclass(frozen=True)
 class Measured:
-    """One CAM with its place in the plane and its time on the unit's clock."""
+    """One CAM with its place in the plane, its time corrected to the unit's clock."""
 
     cam: Cam
-    time_ns: int
+    clock_offset_ns: int  # was added to the CAM's time
     east: float  # [m]
     north: float  # [m]
+
+    @property
+    def time_ns(self) -> int:
+        """Time of the measurement."""
+        return self.cam.sampled_ns
 
     @property
     def stated_sd(self) -> float | None:

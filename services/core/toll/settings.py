@@ -60,7 +60,7 @@ class TrackSettings(Section):
     )
     jumps: int = Field(default=3, ge=1, description="consecutive CAM outside the gate after which a new track is born")
     clock_limit_s: float = Field(
-        default=0.3, gt=0.0, description="age of a CAM on arrival above which the station's clock is taken as wrong"
+        default=1.0, gt=0.0, description="age of a CAM on arrival above which the station's clock is taken as wrong"
     )
     link_gate_m: float = Field(
         default=4.0, gt=0.0, description="distance from a silent track's prediction at which a new station continues it"

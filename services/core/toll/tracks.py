@@ -2,7 +2,7 @@
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from math import hypot
 
@@ -34,7 +34,7 @@ class Track:
     cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))  # used, in the order of use
     jumps: int = 0  # consecutive CAM outside the gate
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID
-    predecessor_ns: int = 0  # its last CAM when this one was born
+    born_ns: int = 0  # time of the first CAM
 
     @property
     def station_id(self) -> int:
@@ -55,8 +55,9 @@ class Update:
 class TrackTable:
     """The tracks and their estimates, which are rows of arrays: one round of the IMM updates many vehicles."""
 
-    def __init__(self, settings: Settings, plaza: Plaza) -> None:
+    def __init__(self, settings: Settings, plaza: Plaza, *, on_time: bool = False) -> None:
         self._settings, self._plaza = settings.track, plaza
+        self._on_time = on_time  # the CAM's times are corrected already
         self._white_sd = settings.errors.white_sd_m
         self._imm = imm()
         self._numbers = count(1)
@@ -81,16 +82,14 @@ class TrackTable:
 
     def use(self, cams: Sequence[Cam]) -> list[list[Update]]:
         """Use a batch of CAM; the updates are in rounds, in each of which a vehicle occurs once."""
-        waiting = [cam for cam in cams if self._is_plausible(cam)]
+        waiting = [measured for cam in cams if (measured := self._measured(cam))]
         rounds = []
         while waiting:
-            first: dict[int, Cam] = {}
+            first: dict[int, Measured] = {}
             later = []
-            for cam in waiting:
-                if cam.station_id in first:
-                    later.append(cam)
-                else:
-                    first[cam.station_id] = cam
+            for one in waiting:
+                if first.setdefault(one.cam.station_id, one) is not one:
+                    later.append(one)
             rounds.append(self._round(list(first.values())))
             waiting = later
         return [updates for updates in rounds if updates]
@@ -110,32 +109,38 @@ class TrackTable:
             self._delete(track)
         return silent
 
-    def _is_plausible(self, cam: Cam) -> bool:
+    def _measured(self, cam: Cam) -> Measured | None:
+        """Place of a CAM in the plane; None if it cannot be used."""
         if cam.latitude_deg is None or cam.longitude_deg is None:
             self.rejected["no_position"] += 1
-        elif cam.position_out_of_range:
+            return None
+        if cam.position_out_of_range:
             self.rejected["position_cannot_be_trusted"] += 1
-        elif hypot(*self._plaza.plane(cam.latitude_deg, cam.longitude_deg)) > self._settings.range_m:
+            return None
+        north, east = self._plaza.plane(cam.latitude_deg, cam.longitude_deg)
+        if hypot(north, east) > self._settings.range_m:
             self.rejected["out_of_range"] += 1
-        else:
-            return True
-        return False
+            return None
+        return Measured(cam, 0, east, north)
 
-    def _measured(self, cam: Cam) -> Measured:
-        """Place and time of a CAM; a station whose clock is wrong keeps the offset of its first CAM."""
-        track = self.by_station.get(cam.station_id)
+    def _on_unit_time(self, one: Measured) -> Measured:
+        """Correct the time of a CAM: a station whose clock is wrong keeps the offset of its first CAM."""
+        track, cam = self.by_station.get(one.cam.station_id), one.cam
         age_ns = cam.received_ns - cam.sampled_ns
+        offset_ns = 0
         if track is not None:
             offset_ns = track.clock_offset_ns
-        else:
-            offset_ns = age_ns if not 0 <= age_ns <= self._settings.clock_limit_s * 1e9 else 0
-        north, east = self._plaza.plane(cam.latitude_deg or 0.0, cam.longitude_deg or 0.0)
-        return Measured(cam, cam.sampled_ns + offset_ns, east, north)
+        elif not self._on_time and not 0 <= age_ns <= self._settings.clock_limit_s * 1e9:
+            offset_ns = age_ns
+        if not offset_ns:
+            return one
+        corrected = cam.model_copy(update={"sampled_ns": cam.sampled_ns + offset_ns})
+        return replace(one, cam=corrected, clock_offset_ns=offset_ns)
 
-    def _round(self, cams: Sequence[Cam]) -> list[Update]:
+    def _round(self, measured: Sequence[Measured]) -> list[Update]:
         """Use one CAM of each of several stations."""
         known, births = [], []
-        for one in map(self._measured, cams):
+        for one in map(self._on_unit_time, measured):
             track = self.by_station.get(one.cam.station_id)
             if track is None:
                 births.append(one)
@@ -185,10 +190,10 @@ class TrackTable:
             since_ns=one.time_ns,
             updated_ns=one.time_ns,
             received_ns=one.cam.received_ns,
-            clock_offset_ns=one.time_ns - one.cam.sampled_ns,
+            clock_offset_ns=one.clock_offset_ns,
         )
         track.predecessor = self._silent_here(one)
-        track.predecessor_ns = track.predecessor.updated_ns if track.predecessor else 0
+        track.born_ns = one.time_ns
         self.by_station[one.cam.station_id] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
@@ -220,7 +225,7 @@ class TrackTable:
         old = track.predecessor
         if old is None:
             return None
-        if old.updated_ns > track.predecessor_ns:
+        if old.updated_ns >= track.born_ns:  # both station IDs are in use
             track.predecessor = None
             return None
         if track.updated_ns - old.updated_ns < self._settings.link_after_s * 1e9:

@@ -18,6 +18,7 @@ from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.pages import read_pages
 from .web.routes import Api, make_app, make_server
+from .web.simulation import SimulationApi
 from .web.websocket import Stream
 
 log = logging.getLogger(__name__)
@@ -51,24 +52,27 @@ class Process:
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s)
         lock = threading.Lock()
-        server = self._make_server(state, lock, bus)
+        simulation = SimulationApi(state, lock, bus.now_ns)
+        server = self._make_server(state, lock, bus, simulation)
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
         self._announce(listener, bus)  # before the server can fail and close the port
         thread.start()
         while not bus.stopping:
             take_in(bus, state, lock)
+            while not simulation.commands.empty():
+                bus.publish(simulation.commands.get_nowait())
             if not thread.is_alive():
                 raise ObuError("the web server has ended; the line before says why")
         server.should_exit = True
         thread.join(3.0)
         (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)
 
-    def _make_server(self, state: State, lock: threading.Lock, bus: Bus) -> uvicorn.Server:
+    def _make_server(self, state: State, lock: threading.Lock, bus: Bus, simulation: SimulationApi) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
         collector = StateCollector(state, bus.now_ns, lock, software_version())
         api = Api(state, lock, bus.now_ns, registry_of(collector), self._config.history_s)
         stream = Stream(state, lock, bus.now_ns, self._config.clients_maximum)
-        app = make_app(api, read_pages(folder), stream, self._config.allowed_hosts)
+        app = make_app(api, simulation, read_pages(folder), stream, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from math import hypot
 from statistics import fmean
 from typing import TypeVar
@@ -11,11 +12,12 @@ from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState, TruthState
-from shared.messages.operation import DeadlineReport, Origin, Outage, ProcessHealth
+from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth
+from shared.messages.toll import GateCommand, PlazaDetector
 from shared.messages.trust import TrustEvent, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
-from shared.runtime.freshness import STARTUP_GRACE_S, percentile
+from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
@@ -30,8 +32,10 @@ from .judgement import (
     unavailable,
     watchdog_problem,
 )
+from .truth_check import TruthCheck
 from .views.banner import Evidence, Trust, Verdict, ratio_of, show
 from .views.geometry import ellipse_95, offset_m
+from .views.toll import verdict as plaza_verdict
 
 M = TypeVar("M", bound=Message)
 SAMPLE_NS = 200_000_000
@@ -52,11 +56,14 @@ class State:
         self.aiding: dict[AidingKind, tuple[AidingUpdate, int]] = {}
         self.rejections: dict[AidingKind, int] = {}
         self.history, self.outages = History(history_s), OutageList()
+        self.gates: dict[str, GateCommand] = {}  # newest of each lane
+        self.pulses: dict[str, int] = {}  # time of the newest detector pulse of each lane
         self.broker = False  # whether it is connected and delivers
         self._ticked_ns = self._received_ns = started_ns  # newest message
         self._broker_back_ns = started_ns  # first message after the last outage of the broker
         self.verdict: Verdict = show(Evidence(broker=True))
         self.trust_history = TrustHistory(history_s)
+        self.truth_check = TruthCheck()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
@@ -84,10 +91,22 @@ class State:
                     self.rejections[message.kind] = self.rejections.get(message.kind, 0) + 1
             case Origin():
                 self.origins[envelope.producer] = (message, flow.updated_ns or 0)
+            case _:
+                self._note_event(message)
+
+    def _note_event(self, message: Message | None) -> None:
+        """Keep what is shown beyond the newest message of its topic."""
+        match message:
             case Outage():
                 self.outages.note(message)
             case TrustEvent():
                 self.trust_events.append(message)
+            case GateCommand():
+                self.gates[message.lane] = message
+            case PlazaDetector():
+                self.pulses[message.lane] = message.sampled_ns
+            case _:
+                pass
 
     def tick(self, now_ns: int, *, broker: bool) -> None:
         """Let time pass: renew rates once a second, verdict and history five times."""
@@ -104,6 +123,12 @@ class State:
             self._next_sample_ns = now_ns + SAMPLE_NS - SAMPLE_NS // 20  # late calls must not lower the rate
             self._judge(now_ns, connected=broker)
             self.history.add(now_ns, self._sample(now_ns))
+            self.truth_check.update(
+                now_ns,
+                self.newest(NavigationSolution, "navigation/solution", now_ns, live=True),
+                self.newest(TruthState, "truth/state", now_ns, live=True),
+                self.newest(TrustState, "trust/state", now_ns, live=True),
+            )
 
     def newest(self, kind: type[M], name: str, now_ns: int, *, live: bool = False) -> M | None:
         """Give the newest message of a topic; with `live`, only while it is not stale."""
@@ -115,6 +140,17 @@ class State:
     def age_s(self, name: str, now_ns: int) -> float | None:
         """Age of the newest message of a topic."""
         return self.topics[name].age_s(now_ns)
+
+    def live_origins(self, now_ns: int) -> list[tuple[Origin, int]]:
+        """Give each origin of the data that was stated lately, with its stamp."""
+        limits = self.topics["origin/state"].limits
+        known = self.origins.values()
+        return [(o, ns) for o, ns in known if freshness_of((now_ns - ns) * 1e-9, limits) is not Freshness.STALE]
+
+    def simulated(self, now_ns: int) -> bool:
+        """Whether the data are simulated, and nothing else."""
+        kinds = {origin.kind for origin, _ in self.live_origins(now_ns)}
+        return kinds == {OriginKind.SIMULATED}
 
     def odometer(self, now_ns: int) -> tuple[float, str] | None:
         """Speed by the vehicle's own sensors [m/s] and the topic it is from, while it is live."""
@@ -139,7 +175,12 @@ class State:
 
     def _judge(self, now_ns: int, *, connected: bool) -> None:
         self.judgement = self._find_judgement(now_ns, connected=connected)
-        self.verdict = show(self.evidence(now_ns))
+        if "core.toll" in self.expected:
+            shown = plaza_verdict(self, now_ns, broker=not self._broker_lost(now_ns))
+            since_ns = self.verdict.since_ns if shown.state is self.verdict.state else now_ns
+            self.verdict = replace(shown, since_ns=since_ns)
+        else:
+            self.verdict = show(self.evidence(now_ns))
         trust = None if self.verdict.state is Trust.STALE else self.newest(TrustState, "trust/state", now_ns)
         ratios = {m.monitor: ratio_of(m.outcome, m.statistic, m.threshold) for m in trust.monitors} if trust else {}
         self.trust_history.add(now_ns, self.verdict.state, ratios)

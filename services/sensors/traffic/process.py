@@ -21,7 +21,8 @@ from .world import Frame, Traffic, World
 
 log = logging.getLogger(__name__)
 
-LATEST_NS = 1_000_000_000  # what is overdue by more than this is dropped (the host was suspended)
+NS = 1_000_000_000
+LATEST_NS = NS  # a frame overdue by more than this is dropped (the host was suspended)
 
 
 class Config(Traffic):
@@ -56,7 +57,8 @@ class Process:
         self._wait(bus, begin_ns)
         if bus.stopping:
             return
-        world = World(self._plaza, self._config, self._config.seed, bus.now_ns())
+        start_ns = (bus.now_ns() // NS + 1) * NS  # receivers have their epochs at full seconds
+        world = World(self._plaza, self._config, self._config.seed, start_ns)
         log.info("simulating %d vehicles at %s", self._config.vehicles, self._plaza.name)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
             for due_ns, item in world:
@@ -66,9 +68,10 @@ class Process:
                 self._emit(bus, radio, due_ns, item)
 
     def _emit(self, bus: Bus, radio: socket.socket, due_ns: int, item: Frame | Message) -> None:
-        if bus.now_ns() - due_ns > LATEST_NS:
-            bus.rejects["late"] += 1
-        elif isinstance(item, Frame):
+        if isinstance(item, Frame):
+            if bus.now_ns() - due_ns > LATEST_NS:
+                bus.rejects["late"] += 1
+                return
             try:
                 radio.sendto(item.data, self._address)
             except OSError as error:

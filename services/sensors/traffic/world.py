@@ -89,6 +89,7 @@ class World:
         self._pulse_numbers: dict[str, int] = defaultdict(int)
         self._passages: list[TrafficPassage] = []
         self.frames = self.turned = 0
+        self.entry_open = True  # False: who leaves is not replaced
         self._fill()
 
     def __iter__(self) -> Iterator[tuple[int, Frame | Message]]:
@@ -167,6 +168,8 @@ class World:
 
     def _replace(self) -> None:
         """Let a new vehicle in for each one that has left, where there is room."""
+        if not self.entry_open:
+            return
         free = [
             lane for lane in self.plaza.lanes
             if not (queue := self._lanes[lane.name]) or queue[-1].distance > ENTRY_GAP + queue[-1].length

@@ -112,7 +112,8 @@ class SatelliteMonitor:
         excluded = self._excluded_findings(position, tested.excluded)
         if tested.passes:
             self._start_e = position.geometry.position_e
-            self._readmit(tuple(finding for finding in excluded if finding.satellite not in left_out))
+            unknown = left_out - self._healthy_epochs.keys()
+            self._readmit(tuple(finding for finding in excluded if finding.satellite not in unknown))
         if dof < 1:
             reason = f"no redundancy: {len(position.satellites)} satellites, {len(position.clocks)} clocks"
             return SatelliteVerdict(

@@ -115,6 +115,11 @@ class LeaveOneOutBank:
         self._history = self._history[..., columns] * known
         self._references = self._references[..., columns] * known
 
+    def exclude(self, satellite: int) -> None:
+        """Exclude a satellite, by number, that another test has found; it is re-admitted as any other."""
+        shape = (*self.excluded.shape[:-1], 1)
+        self._exclude(~self.excluded[..., satellite, np.newaxis], np.full(shape, satellite))
+
     def shift_clocks(self, jump: FloatArray) -> None:
         """Add a jump of the receiver's clock [m], shape (...), to all clocks of all filters."""
         x = self.estimate.x.copy()

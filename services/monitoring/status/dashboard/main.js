@@ -8,8 +8,9 @@ import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
-const PAGES = ["now", "trust", "system"];
-const LATER = { trust: () => import("./trust.js").then((m) => m.TrustPage), system: () => import("./system.js").then((m) => m.SystemPage) };
+const PAGES = ["now", "trust", "toll", "system"];
+const HIDDEN = { rsu: ["now", "trust"], obu: ["toll"] }; // pages of the other role
+const LATER = { trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), system: () => import("./system.js").then((m) => m.SystemPage) };
 const loaded = { now: NowPage }; // the others when they are first opened
 
 function useRoute() {
@@ -20,12 +21,15 @@ function useRoute() {
     return () => removeEventListener("hashchange", changed);
   }, []);
   const [path, query] = hash.replace(/^#\/?/, "").split("?");
-  return { page: PAGES.includes(path) ? path : "now", query: new URLSearchParams(query) };
+  return { page: PAGES.includes(path) ? path : role() === "rsu" ? "toll" : "now", query: new URLSearchParams(query) };
 }
 
 const go = (hash) => {
   if (location.hash !== hash) location.hash = hash;
 };
+
+const role = () => (state.value?.toll ? "rsu" : "obu");
+const pagesHere = () => PAGES.filter((name) => !HIDDEN[role()].includes(name));
 
 function Origin() {
   const origin = state.value?.origin;
@@ -125,7 +129,7 @@ function WhyDrawer({ onClose }) {
     <p class="lead-text">${v.sentence}</p>
     <h3>${words.banner.action}</h3><p>${banner.action}</p>
     <h3>${words.banner.checks}</h3>
-    <p class="note block"><a href="#/trust" onClick=${onClose}>${words.banner.page}</a></p>
+    ${role() === "obu" && html`<p class="note block"><a href="#/trust" onClick=${onClose}>${words.banner.page}</a></p>`}
     ${checksNow(banner).some((c) => c.ratio !== null) && html`<p class="note block">${words.banner.meter}</p>`}
     <ul class="checks long">${checksNow(banner).map((c) => html`<li>
       <${StateIcon} state=${c.state} word=${words.check[c.state]} />
@@ -157,7 +161,7 @@ function LostBar() {
 function Navigation({ page }) {
   const problems = state.value?.problems.length ?? 0;
   return html`<nav class="pages" aria-label=${words.navigation}><ul>
-    ${PAGES.map((name) => html`<li><a href=${`#/${name}`} aria-current=${page === name ? "page" : null}>
+    ${pagesHere().map((name) => html`<li><a href=${`#/${name}`} aria-current=${page === name ? "page" : null}>
       <${Icon} name=${name} />${words.pages[name]}${name === "system" && problems > 0 && html`<span class="badge">${problems}</span>`}</a></li>`)}
   </ul></nav>`;
 }
@@ -203,6 +207,7 @@ function useKeys(open) {
       const key = event.key;
       if (before === "g" && key === "n") go("#/now");
       else if (before === "g" && key === "t") go("#/trust");
+      else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
       else if (before === "g" && key === "s") go("#/system");
       else if (key === "?") open("help");
       else if (key === "w" && state.value) open("why");

@@ -17,6 +17,7 @@ const SHAPES = {
   no_fix: html`<rect x="2.5" y="2.5" width="19" height="19" rx="3" fill="currentColor" /><path d="M7 12h10" class="cut" />`,
   initialising: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M12 6.5V12l3.5 2.5" class="line" />`,
   trust: html`<path d="M12 3 4.5 6v5.5c0 4.5 3 7.6 7.5 9.5 4.5-1.9 7.5-5 7.5-9.5V6z" class="line" /><path d="m8.7 12 2.4 2.4 4.4-4.8" class="line" />`,
+  toll: html`<path d="M4 21V4h5v17M9 9l12-3M2 21h9" class="line" />`,
   off: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M6 18 18 6" class="line" />`,
   info: html`<rect x="3" y="3" width="18" height="18" rx="3" fill="currentColor" /><path d="M12 11v6m0-10v.2" class="cut" />`,
   now: html`<path d="m12 3 7 17-7-4-7 4z" class="line" />`,

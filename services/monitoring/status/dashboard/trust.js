@@ -4,6 +4,7 @@ import { brokerAnswers, clock, link, nowMs, paused, state } from "./store.js";
 import {
   Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, verdictStands,
 } from "./parts.js";
+import { AttacksCard } from "./attacks.js";
 import { words } from "./words.js";
 
 const w = words.trustPage;
@@ -202,5 +203,5 @@ export function TrustPage({ query, go }) {
   clock.value;
   link.value;
   brokerAnswers();
-  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} /><${MonitorsCard} query=${query} go=${go} /><${EventsCard} /></div>`;
+  return html`<div class="page trust-page"><${VerdictCard} /><${HistoryCard} />${state.value.simulation && html`<${AttacksCard} />`}<${MonitorsCard} query=${query} go=${go} /><${EventsCard} /></div>`;
 }

@@ -16,11 +16,13 @@ from shared.messages.operation import (
 )
 from shared.messages.trust import TrustState
 from shared.processes import LAYERS, PROCESSES
-from shared.runtime.freshness import freshness_of, limits_of
+from shared.runtime.freshness import limits_of
 from shared.topics import TOPICS
 
 from ..flow import TopicFlow
 from ..state import State
+from . import simulation as simulation_views
+from . import toll
 from . import trust as trust_views
 from .banner import WORDS
 from .geometry import ellipse_95, horizontal_sd, offset_m, vertical_sd
@@ -58,6 +60,7 @@ def dashboard(state: State, now_ns: int) -> Json:
     return {
         "now_ns": now_ns,
         "vehicle": state.vehicle,
+        "toll": toll.plaza(state, now_ns),
         "started_ns": state.started_ns,
         "origin": origin(state, now_ns),
         "banner": banner(state),
@@ -69,6 +72,7 @@ def dashboard(state: State, now_ns: int) -> Json:
         "satellites": _satellites(state, now_ns),
         "odometer": _odometer(state, now_ns),
         "truth": _truth(state, now_ns),
+        "simulation": simulation_views.simulation(state, now_ns),
         "navigation": _dated(state, "navigation/state", NavigationState, now_ns),
         "mode": _dated(state, "mode/state", ModeState, now_ns),
         "recording": _dated(state, "recording/state", RecordingState, now_ns),
@@ -123,12 +127,7 @@ def trust(state: State, now_ns: int) -> Json:
 def origin(state: State, now_ns: int) -> Json | None:
     """Say where the data are from; one simulated source among live ones makes the whole simulated."""
     order = (OriginKind.SIMULATED, OriginKind.REPLAY, OriginKind.LIVE)
-    limits = state.topics["origin/state"].limits
-    known = [
-        (order.index(message.kind), message, ns)
-        for message, ns in state.origins.values()
-        if freshness_of((now_ns - ns) * 1e-9, limits) is not Freshness.STALE
-    ]
+    known = [(order.index(message.kind), message, ns) for message, ns in state.live_origins(now_ns)]
     if not known:
         return None
     message: Origin = min(known, key=lambda entry: entry[0])[1]

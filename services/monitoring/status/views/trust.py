@@ -6,7 +6,7 @@ from .banner import MONITORS_MAXIMUM, ratio_of
 from .plain_words import label_of, plain, who
 
 Json = dict[str, object]
-TESTS_MAXIMUM = 32  # shown of one monitor
+TESTS_MAXIMUM = 64  # shown of one monitor
 
 
 def verdict(state: TrustState, updated_ns: int | None) -> Json:

@@ -17,6 +17,8 @@ PAGES = (
     "now.js",
     "closeup.js",
     "trust.js",
+    "attacks.js",
+    "toll.js",
     "system.js",
     "inspector.js",
 )

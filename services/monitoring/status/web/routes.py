@@ -18,6 +18,7 @@ from ..state import State
 from ..views import prometheus, reports
 from . import assets, hosts
 from .pages import Pages
+from .simulation import SimulationApi
 from .websocket import Stream
 
 log = logging.getLogger(__name__)
@@ -117,7 +118,9 @@ class Guard:
         await Response(text, 421)(scope, receive, _with_headers(send))
 
 
-def make_app(api: Api, pages: Pages, stream: Stream, allowed_hosts: tuple[str, ...]) -> FastAPI:
+def make_app(
+    api: Api, simulation: SimulationApi, pages: Pages, stream: Stream, allowed_hosts: tuple[str, ...]
+) -> FastAPI:
     """Put the routes together."""
 
     @asynccontextmanager
@@ -130,6 +133,7 @@ def make_app(api: Api, pages: Pages, stream: Stream, allowed_hosts: tuple[str, .
     app = FastAPI(title="On-board unit", docs_url=None, redoc_url=None, lifespan=lifespan)
     stream.version = pages.version
     api.add_to(app)
+    simulation.add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.add_api_websocket_route("/ws", stream.serve)
     app.include_router(pages.router())

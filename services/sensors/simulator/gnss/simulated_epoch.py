@@ -46,14 +46,15 @@ class Signal:
     noise: int = 90
     narrowband: int = 20  # 0 to 255
     clock_s: float = 0.0  # added to the clock's bias, as a rebroadcast signal does
+    drift_s_s: float = 0.0  # added to its drift
 
 
 INDICATED_DB = 3.0  # rise of the noise from which the receiver indicates jamming
 GAIN_PER_DB = 60.0  # counts by which the gain falls
 
 
-def signal_under(noise_rise_db: float, path_m: float, *, valid: bool) -> Signal:
-    """What the receiver shows under interference [dB], or of signals that travelled a longer path [m]."""
+def signal_under(noise_rise_db: float, path_m: float, path_rate_m_s: float, *, valid: bool) -> Signal:
+    """What the receiver shows under interference [dB], or of signals that travelled a longer path [m, m/s]."""
     calm = Signal()
     jamming = 1 if noise_rise_db < INDICATED_DB else 2 if valid else 3
     return Signal(
@@ -61,6 +62,7 @@ def signal_under(noise_rise_db: float, path_m: float, *, valid: bool) -> Signal:
         gain=max(0, round(calm.gain - GAIN_PER_DB * noise_rise_db)),
         noise=min(65535, round(calm.noise * 10.0 ** (noise_rise_db / 20.0))),
         clock_s=path_m / SPEED_OF_LIGHT,
+        drift_s_s=path_rate_m_s / SPEED_OF_LIGHT,
     )
 
 

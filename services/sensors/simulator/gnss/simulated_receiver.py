@@ -101,7 +101,7 @@ class Receiver:
         self._fix = fix
         words = self._words(sky, gps_ms(utc_ms))
         constellations, baseline = tuple(self._sky.rows), self._baseline(source)
-        signal = signal_under(signals.noise_rise_db, signals.path_m, valid=fix.valid)
+        signal = signal_under(signals.noise_rise_db, signals.path_m, signals.path_rate_m_s, valid=fix.valid)
         return Epoch(utc_ms, fix, sky, constellations, baseline, raw, words, signal)
 
     def _faults(self, faults: tuple[SatelliteFault, ...], sky: Sky) -> tuple[FloatArray, FloatArray]:
@@ -119,10 +119,11 @@ class Receiver:
 
     def _faulty_fix(self, fix: Fix, sky: Sky, errors: FloatArray, rates: FloatArray) -> tuple[Fix, Sky]:
         """Move position, velocity and residuals as errors of pseudoranges and their derivatives do."""
-        if not fix.valid or not errors.any():
+        if not (fix.valid and (errors.any() or rates.any())):
             return fix, sky
         directions = (sky.system, sky.used, np.radians(sky.elevation_deg), np.radians(sky.azimuth_deg))
-        (shift, residual), (speed, _) = (self._sky.split(values, *directions) for values in (errors, rates))
+        shift, residual = self._sky.split(errors, *directions)
+        speed, _ = self._sky.split(rates, *directions, one_clock=True)
         (north, east, down), (v_north, v_east, v_down) = shift.tolist(), (speed + fix.velocity_n).tolist()
         moved = replace(
             fix,

@@ -163,6 +163,8 @@ class SkyModel:
         used: BoolArray,
         elevation: FloatArray,
         azimuth: FloatArray,
+        *,
+        one_clock: bool = False,
     ) -> tuple[FloatArray, FloatArray]:
         """Divide errors of pseudoranges into the shift of position and clocks, and what stays in the residuals.
 
@@ -172,6 +174,8 @@ class SkyModel:
             [m] Of each satellite.
         system, used, elevation, azimuth : ndarray, shape (n,)
             The satellites, angles in rad.
+        one_clock : bool
+            Whether all constellations have the same clock, as they have for range-rates.
 
         Returns
         -------
@@ -186,12 +190,15 @@ class SkyModel:
 
         The other constellations have the clock that leaves no mean residual.
         """
-        shift, residual = np.zeros(3), np.zeros_like(error)
+        shift: FloatArray = np.zeros(3)
+        residual = np.zeros_like(error)
         solved = used & np.isin(system, self.navigation_systems)
         if solved.any():
-            clocks = (system[solved, np.newaxis] == np.unique(system[solved])).astype(np.float64)
-            H = np.column_stack([_design(elevation[solved], azimuth[solved])[:, :3], clocks])
-            solution = np.linalg.lstsq(H, error[solved], rcond=None)[0]
+            H = _design(elevation[solved], azimuth[solved])
+            if not one_clock:
+                clocks = system[solved, np.newaxis] == np.unique(system[solved])
+                H = np.hstack([H[:, :3], clocks.astype(np.float64)])
+            solution = np.linalg.lstsq(H, error[solved], rcond=None)[0].astype(np.float64, copy=False)
             shift, residual[solved] = solution[:3], error[solved] - H @ solution
         for other in np.unique(system[used & ~solved]):
             rows = used & (system == other)

@@ -145,7 +145,7 @@ def nav_status(epoch: Epoch) -> bytes:
 def nav_clock(epoch: Epoch) -> bytes:
     """Clock of the receiver, that of RXM-RAWX, with 10 ns and 200 ps/s as their standard deviations."""
     bias_s = clock_bias_s(gps_ms(epoch.utc_ms) * 1e-3) + epoch.signal.clock_s
-    bias_ns, drift_ns = round(bias_s * 1e9), round(CLOCK_DRIFT * 1e9)
+    bias_ns, drift_ns = round(bias_s * 1e9), round((CLOCK_DRIFT + epoch.signal.drift_s_s) * 1e9)
     return frame(NAV, 0x22, struct.pack("<I2i2I", epoch.itow_ms, bias_ns, drift_ns, 10, 200))
 
 

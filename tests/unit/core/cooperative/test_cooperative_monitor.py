@@ -70,7 +70,7 @@ def test_a_clean_drive_passes_and_is_where_the_vehicle_is() -> None:
     assert verdict.solution is not None and verdict.solution.velocity_e is not None and verdict.hpl_m is not None
     error = float(np.linalg.norm(np.array(verdict.solution.position_e) - truth(39)))
     assert error < 5.0 and error < verdict.hpl_m < 60.0
-    assert np.linalg.norm(np.array(verdict.solution.velocity_e) - TO_NED.T @ SPEED_N) < 1.0
+    assert np.linalg.norm(np.array(verdict.solution.velocity_e) - TO_NED.T @ SPEED_N) < 2.0
     assert verdict.statistic is not None and verdict.threshold is not None and verdict.statistic < verdict.threshold
     assert not verdict.rejected
 
@@ -208,7 +208,7 @@ def test_neighbours_that_lie_are_excluded_and_come_back_eight_reports_after_they
     """Two of three lie alike: a majority, but the oscillator of the own radio is known from before."""
     rng, monitor = np.random.default_rng(9), CooperativeMonitor()
     for k in range(50):
-        reports = lying(k, rng, liars, 8.0 if 20 <= k < 30 else 0.0)
+        reports = lying(k, rng, liars, 16.0 if 20 <= k < 30 else 0.0)
         verdict = monitor.evaluate(epoch(k, rng), STORE, reports, road_e=None, start=start(k) if k == 0 else None)
         excluded = {finding.name for finding in verdict.neighbours if finding.excluded}
         assert excluded == ({f"car-{number}" for number in range(liars)} if 20 <= k < 38 else set()), f"epoch {k}"
@@ -259,6 +259,15 @@ def test_satellites_that_come_and_go_do_not_disturb_the_others() -> None:
         verdict = judged(monitor, replace(full, measurements=part), k)
         assert verdict.outcome == Outcome.PASS, f"epoch {k}: {verdict.reason}"
         assert len(verdict.findings) == len(part)
+
+
+def test_what_another_test_excludes_is_no_longer_used_until_it_has_agreed_for_eight_epochs() -> None:
+    monitor = started()
+    satellite = epoch(1).measurements[2].satellite
+    monitor.exclude(frozenset({satellite}))
+    for k in range(1, 12):
+        verdict = judged(monitor, epoch(k), k)
+        assert verdict.excluded == ((satellite,) if k < 8 else ()), f"epoch {k}"
 
 
 def half_of_the_sky(k: int, rng: np.random.Generator | None = None) -> RawEpoch:

@@ -111,13 +111,13 @@ def test_four_satellites_are_evaluated_with_neighbours_and_a_step_is_attributed(
 def test_a_lying_neighbour_is_accused_by_its_station_id_and_the_satellites_go_on_passing() -> None:
     process = informed()
     run(process, range(1, 10))
-    statements = run(process, range(10, 13), lie=-9.0)
+    statements = run(process, range(10, 13), lie=-15.0)
     for one in statements:
         assert (one.outcome, one.accused) == (MonitorOutcome.ACCUSES, ("neighbour 0",))
         assert "neighbour 0 contradicted by the others" in one.reason
         assert by_name(one, "cooperative").outcome is MonitorOutcome.PASS
         assert by_name(one, "neighbour 0").outcome is MonitorOutcome.ACCUSES
-    (faulty,) = run(process, range(13, 14), lambda k: at(k, push=(at(1).measurements[3].satellite, 80.0)), lie=-9.0)
+    (faulty,) = run(process, range(13, 14), lambda k: at(k, push=(at(1).measurements[3].satellite, 80.0)), lie=-15.0)
     assert set(faulty.accused) == {str(at(1).measurements[3].satellite), "neighbour 0"}
     assert faulty.suspect_since_ns == 12 * NS, "the neighbour's lie does not make the satellites suspect"
     later = run(process, range(14, 30))

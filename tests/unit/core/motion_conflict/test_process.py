@@ -2,7 +2,7 @@ from math import pi, sin
 
 import pytest
 
-from services.core.motion_conflict.process import Config, Process
+from services.core.motion_conflict.process import Config, Process, forbids_learning
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
@@ -66,6 +66,29 @@ def test_no_velocity_is_no_evaluation_and_never_standstill() -> None:
     assert "no GNSS speed" in last["motion"].reason
 
 
+def trust(level: TrustLevel, *accusing: TrustMonitor, odometer_excluded: bool = False) -> TrustState:
+    return TrustState(
+        sampled_ns=0, state=level, since_ns=0, row=1, reasons=("test",), alert_limit_horizontal_m=10.0,
+        alert_limit_vertical_m=20.0, odometer_excluded=odometer_excluded, monitors=accusing,
+    )  # fmt: skip
+
+
+def accusation(monitor: str) -> TrustMonitor:
+    return TrustMonitor(
+        sampled_ns=0, monitor=monitor, outcome=MonitorOutcome.ACCUSES, reason="test", accused=("gnss", "odometer")
+    )
+
+
+def test_nothing_is_learned_while_a_speed_may_be_wrong() -> None:
+    assert not forbids_learning(trust(TrustLevel.SAFE)) and not forbids_learning(trust(TrustLevel.CAUTION))
+    assert all(
+        forbids_learning(trust(level)) for level in (TrustLevel.UNSAFE, TrustLevel.DEAD_RECKONING, TrustLevel.NO_FIX)
+    )
+    assert forbids_learning(trust(TrustLevel.CAUTION, odometer_excluded=True))
+    assert forbids_learning(trust(TrustLevel.CAUTION, accusation("evidence")))
+    assert not forbids_learning(trust(TrustLevel.CAUTION, accusation("motion"))), "its own, of a change of scale"
+
+
 @pytest.mark.parametrize("fix_type", [FixType.NONE, FixType.TIME_ONLY, FixType.DEAD_RECKONING])
 def test_a_fix_without_satellites_is_no_speed_whatever_it_reports(fix_type: FixType) -> None:
     process = Process(Config())
@@ -81,11 +104,7 @@ def test_a_fix_without_satellites_is_no_speed_whatever_it_reports(fix_type: FixT
 @pytest.mark.parametrize(("level", "learned"), [(TrustLevel.CAUTION, True), (TrustLevel.UNSAFE, False)])
 def test_the_delay_is_learned_unless_the_position_is_unsafe(level: TrustLevel, learned: bool) -> None:
     process = Process(Config())
-    state = TrustState(
-        sampled_ns=0, state=level, since_ns=0, row=1, reasons=("test",), alert_limit_horizontal_m=10.0,
-        alert_limit_vertical_m=20.0,
-    )  # fmt: skip
-    list(process.handle(state))
+    list(process.handle(trust(level)))
     last: dict[str, TrustMonitor] = {}
     for k in range(1, 400):
         speed = 12.0 + 6.0 * sin(2.0 * pi * k / 40.0)

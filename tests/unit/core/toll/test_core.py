@@ -242,6 +242,34 @@ def plant_cams(plant: Plant, noise_seed: int) -> list:  # type: ignore[type-arg]
     return found
 
 
+def test_loss_repetition_and_reordering_neither_lose_nor_double_a_charge() -> None:
+    """5 % of the CAM are lost, 2 % repeated, and a fifth arrives up to 1 s late."""
+    plant = Plant(COMMON)
+    rng = np.random.default_rng(6)
+    lanes = ["n1", "n3", "s1", "s3"]
+    fleet = [
+        Vehicle(k, lanes[k % 4], error=COMMON, speed=float(rng.uniform(15.0, 30.0)), start=-220.0 - 60.0 * (k // 4))
+        for k in range(1, 13)
+    ]
+    plant.register(*(vehicle.station_id for vehicle in fleet))
+    arrivals = []
+    for k in range(300):
+        for vehicle in fleet:
+            for _ in range(int(rng.choice([0, 1, 2], p=[0.05, 0.93, 0.02]))):
+                latency_s = float(rng.uniform(0.02, 1.0)) if rng.random() < 0.2 else 0.02
+                arrivals.append(vehicle.cam(plant.plaza, k / 10.0, latency_s=latency_s))
+    for cam in sorted(arrivals, key=lambda one: one.received_ns):
+        if cam.received_ns >= START_NS + round(plant.clock_s * 1e9):
+            plant.second()
+        plant.said += plant.core.use([cam])
+    charged = [one.station_ids for one in plant.passages if one.state is PassageState.CHARGED]
+    undecided = [one.station_ids for one in plant.passages if one.state is PassageState.UNDECIDED]
+    assert len(set(charged)) == len(charged)
+    assert len(charged) + len(undecided) == len(fleet)
+    assert len(charged) >= 10
+    assert plant.core.rejected["late_or_repeated"] > 50
+
+
 def test_a_station_with_a_wrong_clock_crosses_at_the_units_time() -> None:
     plant = Plant(COMMON)
     plant.register(7)

@@ -1,6 +1,8 @@
 import math
+from pathlib import Path
 from typing import Any
 
+import asn1tools
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,7 +12,6 @@ from shared.messages.v2x import CamContent, StationType
 from shared.v2x import cam
 from tests.support import cams
 
-HALF_A_CODE = 0.5 + 1e-6
 # Of a CAM of the ETSI test system, without its headers: standing passenger car, 1 Hz.
 TEST_SYSTEM = bytes.fromhex("02020000279fed2d4059f35a60ce2dc3ad800200200030d41e0000012016840310a50733ffe1fffa001000")
 
@@ -192,6 +193,27 @@ def test_a_position_that_cannot_be_trusted_is_sent_with_its_code_whatever_the_el
 def test_a_heading_just_below_a_full_turn_is_north() -> None:
     turned = cams.BRAKING.model_copy(update={"heading_rad": math.radians(359.97)})
     assert cam.decode_content(cam.encode(turned, 0))[0].heading_rad == 0.0
+
+
+def test_extensions_of_a_later_version_are_skipped() -> None:
+    """TS 103 900 adds containers at such marks."""
+    text = Path(cam.__file__).with_name("cam.asn").read_text()
+    for old, new in (
+        ("SpecialVehicleContainer OPTIONAL,\n    ...", "SpecialVehicleContainer OPTIONAL, ..., more OCTET STRING"),
+        (
+            "    referencePosition ReferencePosition,\n    ...",
+            "    referencePosition ReferencePosition, ..., n INTEGER",
+        ),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    later = asn1tools.compile_string(text, "uper")
+    record = cam.specification().decode("CAM", TEST_SYSTEM)
+    record["cam"]["camParameters"]["more"] = bytes(range(50))
+    record["cam"]["camParameters"]["basicContainer"]["n"] = 123_456_789
+    extended = later.encode("CAM", record)
+    assert len(extended) > len(TEST_SYSTEM) + 50
+    assert cam.decode_content(extended) == cam.decode_content(TEST_SYSTEM)
 
 
 def test_a_station_type_without_a_name_is_other() -> None:

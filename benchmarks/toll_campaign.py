@@ -1,0 +1,340 @@
+"""Charges under loss, repetition, reordering and kills: `python -m benchmarks.toll_campaign --passages 10000`.
+
+The simulated plaza, `parsers.v2x`, `parsers.gnss`, `core.toll` and the ledger run in one thread on simulated time. A
+kill ends `core.toll` between any two of its answers, or the ledger at any statement of a transaction; what was on the
+way to the dead process is lost, as on a bus without sessions. The next life begins 0.5 to 2 s later.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from services.core.toll.process import Config as TollConfig
+from services.core.toll.process import Process as Toll
+from services.monitoring.ledger.ledger import Ledger, Settings
+from services.monitoring.ledger.store import Store, Value
+from services.parsers.gnss.process import Config as GnssConfig
+from services.parsers.gnss.process import Process as GnssParser
+from services.parsers.v2x.process import Config as V2xConfig
+from services.parsers.v2x.process import Process as V2xParser
+from services.sensors.traffic.operator import Operator
+from services.sensors.traffic.world import Channel, Frame, Traffic, World
+from shared.messages.base import Message, Tick
+from shared.messages.gnss import GnssFix, GnssRaw
+from shared.messages.toll import (
+    PassageState,
+    PlazaDetector,
+    PlazaTruth,
+    TollPassage,
+    TollReceipt,
+    TollRegistration,
+    TrafficPassage,
+    TransactionKind,
+)
+from shared.messages.v2x import CamFrames, CamList, Encapsulation
+from shared.toll.plaza import load_plaza, plaza_path
+from shared.v2x import frames
+
+NS = 1_000_000_000
+BATCH_NS = 20_000_000
+LEDGER_NS = 100_000_000
+SECOND_STEPS = NS // BATCH_NS
+START_NS = 1_790_000_000 * NS
+PLAZA_FILE = Path("deploy/plazas/example.geojson")
+DRAIN_S = 330.0
+ANSWERS_LOST = 0.05
+FINAL = (PassageState.UNDECIDED, PassageState.SUSPECT, PassageState.VOID)
+
+
+class Killed(Exception):
+    """The process was killed here."""
+
+
+@dataclass
+class Result:
+    """What a campaign amounted to."""
+
+    passages: int = 0
+    registered: int = 0
+    charged: int = 0
+    double_charges: int = 0
+    wrong_charges: int = 0  # of a contract that has not passed
+    lanes_right: int = 0
+    undecided: int = 0
+    decided_uncharged: int = 0  # decided and registered, but not charged
+    charged_share_of_decided: float | None = None
+    kills_core: int = 0
+    kills_ledger: int = 0
+    kills_by_step: dict[str, int] = field(default_factory=dict)
+    detections: int = 0
+    outcomes: dict[str, int] = field(default_factory=dict)
+    reconciliation_exact: bool = False
+    charged_without_detection: int = 0
+    outbox: int = 0
+    simulated_s: float = 0.0
+    cpu_s: float = 0.0
+
+
+class KillableStore(Store):
+    """A store that is killed at a given statement."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.statements_left: int | None = None
+        self.last = ""
+
+    def execute(self, sql: str, *values: Value) -> int:
+        """Run a statement, or die before it."""
+        if self.statements_left is not None:
+            self.statements_left -= 1
+            if self.statements_left < 0:
+                self.last = " ".join(sql.split()[:3])
+                raise Killed
+        return super().execute(sql, *values)
+
+
+class Campaign:
+    """The processes of a road-side unit, their bus, and who kills them."""
+
+    def __init__(self, folder: Path, seed: int, vehicles: int, passages_per_kill: float) -> None:
+        self.rng = np.random.default_rng((seed, 7))
+        self.plaza = load_plaza(PLAZA_FILE)
+        channel = Channel(loss=0.05, duplicates=0.02, reordered=0.05, reorder_s=1.0)
+        self.world = World(self.plaza, Traffic(vehicles=vehicles, channel=channel), seed, START_NS)
+        self.path = folder / "ledger.sqlite"
+        self.gnss, self.v2x = GnssParser(GnssConfig()), V2xParser(V2xConfig())
+        self.core: Toll | None = Toll(TollConfig())
+        self.core_back_ns = self.ledger_back_ns = START_NS
+        self.store: KillableStore | None = None
+        self.ledger: Ledger | None = None
+        self.inbox: list[Message] = []  # of the ledger
+        self.operator, self.receipts = Operator(), list[TollReceipt]()
+        self.kills: Counter[str] = Counter()
+        self.passages_per_kill, self.next_kill = passages_per_kill, passages_per_kill
+        self.armed: str | None = None
+        self.world_now_ns = START_NS
+        self.truth: dict[int, TrafficPassage] = {}
+        self.contract_of: dict[int, str] = {}
+        self.ends: dict[str, set[PassageState]] = defaultdict(set)  # final statements by contract
+        self._begin_ledger(START_NS)
+
+    def run(self, passages: int) -> Result:
+        """Drive until so many vehicles have passed, then let everything settle."""
+        started = time.process_time()
+        stop_ns: int | None = None
+        counted: set[int] = set()
+        for step, (now_ns, items) in enumerate(self._batches()):
+            self._receive(now_ns, items)
+            if step % (LEDGER_NS // BATCH_NS) == 0:
+                self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0)
+            if step % SECOND_STEPS == 0 and self.core is not None:
+                self._publish(self._answers(Tick(now_ns=now_ns)), now_ns)
+            if stop_ns is None and len(self.truth) >= passages:
+                stop_ns, counted = now_ns + round(DRAIN_S * NS), set(self.truth)
+                self.next_kill, self.world.entry_open = float("inf"), False
+            if stop_ns is not None and now_ns >= stop_ns:
+                break
+            if step % (60 * SECOND_STEPS) == 0:
+                print(f"{(now_ns - START_NS) / NS:.0f} s, {len(self.truth)} passages, {self.kills.total()} kills",
+                      file=sys.stderr, flush=True)  # fmt: skip
+        return self._result(counted, (now_ns - START_NS) * 1e-9, time.process_time() - started)
+
+    def _batches(self) -> Iterator[tuple[int, list[Frame | Message]]]:
+        now_ns = START_NS
+        batch: list[Frame | Message] = []
+        for due_ns, item in self.world:
+            while due_ns >= now_ns + BATCH_NS:
+                now_ns += BATCH_NS
+                yield now_ns, batch
+                batch = []
+            batch.append(item)
+
+    def _receive(self, now_ns: int, items: list[Frame | Message]) -> None:
+        """Deliver what arrives within 20 ms; a kill is due every so many passages."""
+        if len(self.truth) >= self.next_kill and self.armed is None:
+            self.next_kill += self.passages_per_kill * float(self.rng.uniform(0.5, 1.5))
+            self.armed = "core" if self.rng.random() < 0.5 else "ledger"
+        if self.core is None and now_ns >= self.core_back_ns:
+            self.core = Toll(TollConfig())
+        for item in items:
+            if not isinstance(item, Frame):
+                self._deliver(item, now_ns)
+        heard = [(now_ns, item.data) for item in items if isinstance(item, Frame)]
+        batch = CamFrames(received_ns=now_ns, source="v2x0", encapsulation=Encapsulation.GEONETWORKING,
+                          data=frames.pack(heard))  # fmt: skip
+        for cams in self.v2x.handle(batch):
+            if isinstance(cams, CamList):
+                self._publish(self._answers(cams), now_ns)
+
+    def _deliver(self, item: Message, now_ns: int) -> None:
+        match item:
+            case GnssRaw():
+                for fix in self.gnss.handle(item):
+                    if isinstance(fix, GnssFix):
+                        list(self.v2x.handle(fix))
+                        self._publish(self._answers(fix), now_ns)
+            case TollRegistration():
+                self.contract_of[item.station_id] = item.contract
+                self._publish(self._answers(item), now_ns)
+                self.inbox.append(item)
+            case PlazaDetector():
+                self.inbox.append(item)
+            case PlazaTruth():
+                self.truth.update({passage.vehicle: passage for passage in item.passages})
+            case _:
+                pass
+
+    def _answers(self, message: Message) -> list[Message]:
+        """Let core.toll handle a message; a kill loses what it would have said from some answer on."""
+        if self.core is None:
+            return []
+        answers: list[Message] = list(self.core.handle(message))  # type: ignore[arg-type]  # one of those that it consumes
+        events = [a for a in answers if isinstance(a, TollPassage)]
+        if self.armed == "core" and events:
+            said = int(self.rng.integers(0, len(events) + 1))
+            self.kills["core after " + (events[said - 1].state.value if said else "nothing")] += 1
+            self.armed, self.core = None, None
+            self.core_back_ns = self.world_now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
+            return list(events[:said])
+        return answers
+
+    def _publish(self, answers: list[Message], now_ns: int) -> None:
+        self.world_now_ns = now_ns
+        for answer in answers:
+            if isinstance(answer, TollPassage):
+                self.inbox.append(answer)
+                if answer.state in FINAL:
+                    for station in answer.station_ids:
+                        self.ends[self.contract_of.get(station, "")].add(answer.state)
+
+    # The ledger's process
+
+    def _begin_ledger(self, now_ns: int) -> None:
+        self.store = KillableStore(self.path)
+        self.ledger = Ledger(self.store, self.plaza, plaza_path(PLAZA_FILE).read_text(), Settings(), now_ns)
+
+    def _serve_ledger(self, now_ns: int, *, second: bool) -> None:
+        self.world_now_ns = now_ns
+        messages, self.inbox = [*self.inbox, *self.receipts], []
+        self.receipts = []
+        if self.ledger is None:
+            if now_ns < self.ledger_back_ns:
+                return  # lost
+            self._begin_ledger(now_ns)
+        assert self.ledger is not None and self.store is not None
+        has_statement = any(isinstance(m, TollPassage) for m in messages)
+        if self.armed == "ledger" and has_statement:
+            self.store.statements_left = int(self.rng.integers(0, 12))
+        try:
+            with self.store.transaction():
+                for message in messages:
+                    self._store(message, now_ns)
+            if second:
+                with self.store.transaction():
+                    self.ledger.expire(now_ns)
+                    self.ledger.reconcile(now_ns)
+            for transaction in self.ledger.due(now_ns):
+                self._die_at("publishing a transaction")
+                receipt = self.operator.receive(transaction, now_ns)
+                if self.rng.random() >= ANSWERS_LOST:
+                    self.receipts.append(receipt)
+            if second:
+                self._die_at("publishing open passages")
+                self._publish(self._answers(self.ledger.open_passages(now_ns)), now_ns)
+        except Killed:
+            self.kills[f"ledger before {self.store.last}"] += 1
+            self.store.close()
+            self.armed = self.ledger = self.store = None
+            self.ledger_back_ns = now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
+
+    def _die_at(self, step: str) -> None:
+        assert self.store is not None
+        if self.armed == "ledger" and self.store.statements_left is not None and self.rng.random() < 0.5:
+            self.store.last = step
+            raise Killed
+
+    def _store(self, message: Message, now_ns: int) -> None:
+        assert self.ledger is not None
+        match message:
+            case TollRegistration():
+                self.ledger.register(message, now_ns)
+            case PlazaDetector():
+                self.ledger.detect(message, now_ns)
+            case TollPassage():
+                self.ledger.passage(message, now_ns)
+            case TollReceipt():
+                self.ledger.receipt(message, now_ns)
+            case _:
+                raise TypeError(f"the ledger does not consume {type(message).__name__}")
+
+    def _result(self, counted: set[int], simulated_s: float, cpu_s: float) -> Result:
+        assert self.ledger is not None
+        booked = [t for t in self.operator.booked.values() if t.kind is TransactionKind.CHARGE]
+        charges = Counter(t.contract for t in booked)
+        passed = {p.contract: p for p in self.truth.values() if p.contract}
+        registered = {p.contract: p for n, p in self.truth.items() if n in counted and p.contract}
+        uncharged = [contract for contract in registered if contract not in charges]
+        undecided = [c for c in uncharged if PassageState.UNDECIDED in self.ends.get(c or "", ())]
+        balances = self.ledger.balances(0)
+        outcomes: Counter[str] = Counter()
+        for lane in balances:
+            for name in ("charged", "undecided", "unregistered", "suspect", "void", "missed", "pending"):
+                outcomes[name] += getattr(lane, name)
+        detections = sum(lane.detections for lane in balances)
+        charged = len(registered) - len(uncharged)
+        decided = len(registered) - len(undecided)
+        return Result(
+            passages=len(counted),
+            registered=len(registered),
+            charged=charged,
+            double_charges=sum(n - 1 for n in charges.values()),
+            wrong_charges=sum(contract not in passed for contract in charges),
+            lanes_right=sum(t.lane == passed[t.contract].lane for t in booked if t.contract in registered),
+            undecided=len(undecided),
+            decided_uncharged=decided - charged,
+            charged_share_of_decided=round(charged / decided, 5) if decided else None,
+            kills_core=sum(n for step, n in self.kills.items() if step.startswith("core")),
+            kills_ledger=sum(n for step, n in self.kills.items() if step.startswith("ledger")),
+            kills_by_step=dict(self.kills.most_common()),
+            detections=detections,
+            outcomes=dict(outcomes),
+            reconciliation_exact=detections == sum(outcomes.values()),
+            charged_without_detection=sum(lane.charged_without_detection for lane in balances),
+            outbox=self.ledger.state(self.world_now_ns).outbox,
+            simulated_s=round(simulated_s, 1),
+            cpu_s=round(cpu_s, 1),
+        )
+
+
+def campaign(passages: int, kills: int, seed: int, vehicles: int, folder: Path) -> Result:
+    """Run one campaign in a folder of its own."""
+    made = Campaign(folder, seed, vehicles, max(passages / max(kills, 1) * 0.9, 1.0))
+    return made.run(passages)
+
+
+def main() -> None:
+    """Print the result as JSON; end with 1 where a goal of the protocol is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--passages", type=int, default=10_000)
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--vehicles", type=int, default=100)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        result = campaign(given.passages, given.kills, given.seed, given.vehicles, Path(folder))
+    print(json.dumps(asdict(result), indent=1))
+    share = result.charged_share_of_decided
+    good = result.double_charges == result.wrong_charges == 0 and result.reconciliation_exact and (share or 0.0) >= 0.99
+    sys.exit(0 if good else 1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""`obu verify-toll`: derives charges again from their evidence, bit for bit."""
+
+import hashlib
+import sqlite3
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+
+from services.core.toll.core import VERSION, derive
+from services.core.toll.settings import Settings
+from shared.errors import ConfigError, RejectedFrame, UserError
+from shared.messages.toll import EvidenceFrame, EvidencePack, PassageState, TollPassage, TollTransaction
+from shared.messages.v2x import Cam
+from shared.toll.plaza import parse_plaza
+from shared.v2x import cam, geonetworking
+
+COMPARED = ("passage_id", "lane", "lanes", "crossing_ns", "crossing_sd_s", "station_ids", "opened_ns", "delta_ns")
+SQLITE = b"SQLite format 3\0"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A pack, where it is from, and the transaction that was made of it, if the ledger is there."""
+
+    name: str
+    pack: bytes
+    transaction: TollTransaction | None = None
+
+
+def verify_toll(
+    evidence: Annotated[list[Path], typer.Argument(help="Evidence packs (JSON), or ledgers (SQLite).")],
+    passage: Annotated[str | None, typer.Option(help="Only the passage with this ID, or the begin of it.")] = None,
+    export: Annotated[Path | None, typer.Option(help="Also write each pack into this folder, as JSON.")] = None,
+) -> int:
+    """Derive each charge again from its evidence, and compare it bit for bit.
+
+    Lane, probabilities, crossing time, passage ID, tariff and digest are computed from the received frames, the delta
+    positions, the plaza's file and the settings in the evidence pack. Ends with 1 if anything differs.
+
+    Examples:
+    [bold]obu verify-toll .obu/toll/ledger.sqlite[/]
+    [bold]obu verify-toll ledger.sqlite --passage 3f9a --export packs[/]
+    [bold]obu verify-toll packs/3f9a.json[/]
+    """
+    wrong = number = 0
+    for found in (each for path in evidence for each in read(path)):
+        pack = parse(found)
+        if passage and not pack.charged.passage_id.startswith(passage):
+            continue
+        number += 1
+        differences = differences_of(found, pack)
+        wrong += bool(differences)
+        good = "lane verified, of a continued passage" if is_continued(pack) else "verified"
+        print(f"{pack.charged.passage_id}  lane {pack.lane}  {'; '.join(differences) or good}")
+        if export:
+            export.mkdir(parents=True, exist_ok=True)
+            (export / f"{pack.charged.passage_id}.json").write_bytes(found.pack)
+    if not number:
+        raise UserError(f"no evidence of {passage or 'a charge'} in {', '.join(map(str, evidence))}")
+    print(f"{number - wrong} of {number} charges verified")
+    return 1 if wrong else 0
+
+
+def read(path: Path) -> Iterator[Evidence]:
+    """Read a pack, or each pack of a ledger."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(SQLITE))
+        if head != SQLITE:
+            yield Evidence(path.name, path.read_bytes())
+            return
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}; name an evidence pack or a ledger") from error
+    try:
+        with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True) as database:
+            rows = database.execute(
+                "SELECT passage_id, pack, content FROM evidence JOIN booking USING (passage_id) WHERE kind = 'charge' "
+                "ORDER BY booked_ns"
+            ).fetchall()
+    except sqlite3.Error as error:
+        raise UserError(f"{path} cannot be read as a ledger: {error}; name the file of monitoring.ledger") from error
+    for passage_id, pack, content in rows:
+        yield Evidence(passage_id, zlib.decompress(pack), TollTransaction.model_validate_json(content))
+
+
+def parse(evidence: Evidence) -> EvidencePack:
+    """Read the content of a pack."""
+    try:
+        return EvidencePack.model_validate_json(evidence.pack)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise UserError(
+            f"{evidence.name} is no evidence pack: {'.'.join(map(str, first['loc']))}: {first['msg']}"
+        ) from error
+
+
+def differences_of(evidence: Evidence, pack: EvidencePack) -> list[str]:
+    """Compare what follows from the evidence with what was charged; nothing where all agree."""
+    found = []
+    if (booked := evidence.transaction) is not None:
+        if hashlib.sha256(evidence.pack).hexdigest() != booked.evidence_digest:
+            found.append("the pack is not the one of the transaction")
+        charged = (pack.lane, pack.contract, pack.tariff_class, pack.amount_cents, pack.charged.crossing_ns)
+        if charged != (booked.lane, booked.contract, booked.tariff_class, booked.amount_cents, booked.crossing_ns):
+            found.append("the transaction differs from its pack")
+    try:
+        return found + list(_derivation(pack))
+    except (ConfigError, ValidationError, RejectedFrame) as error:
+        return [*found, f"cannot be derived: {error}"]
+
+
+def _derivation(pack: EvidencePack) -> Iterator[str]:
+    plaza = parse_plaza(pack.plaza_file.encode())
+    if plaza.digest != pack.crossed.plaza_digest:
+        yield "the plaza's file is not the one of the passage"
+    if plaza.tariff.version != pack.tariff_version or plaza.tariff.classes.get(pack.tariff_class) != pack.amount_cents:
+        yield "the amount is not that of the tariff"
+    evidence = pack.crossed.evidence
+    if evidence is None:
+        yield "the crossing has no evidence"
+        return
+    if evidence.version != VERSION:
+        yield f"derived by version {evidence.version} of the algorithms, this is {VERSION}"
+    settings = Settings.model_validate_json(evidence.settings)
+    derived = derive(plaza, settings, [cam_of(frame) for frame in evidence.frames], evidence.deltas)
+    again = next((said for said in derived if said.state is PassageState.CROSSED), None)
+    continued = is_continued(pack)
+    if again is None:
+        yield (
+            "cannot be derived: the crossing lies before the track that continued the passage"
+            if continued
+            else ("no crossing follows from the evidence")
+        )
+        return
+    yield from _compared(again, pack.crossed, COMPARED if not continued else ("lane",))
+    if pack.charged.lane != pack.crossed.lane or pack.charged.crossing_ns != pack.crossed.crossing_ns:
+        yield "the final statement differs from that of the crossing"
+
+
+def is_continued(pack: EvidencePack) -> bool:
+    """Whether another track than the one that opened the passage decided it: after a gap, or a restart of core.toll.
+
+    Its frames alone are evidence, so that its lane is derived again, and not what rests on the earlier track.
+    """
+    evidence = pack.crossed.evidence
+    return evidence is not None and evidence.track_since_ns != pack.crossed.opened_ns
+
+
+def _compared(again: TollPassage, said: TollPassage, names: Sequence[str]) -> Iterator[str]:
+    for name in names:
+        derived, stated = getattr(again, name), getattr(said, name)
+        if derived != stated:
+            yield f"{name} is {stated}, derived {derived}"
+
+
+def cam_of(frame: EvidenceFrame) -> Cam:
+    """Decode a frame as `parsers.v2x` did; its times are those of the evidence."""
+    bare = frame.data[:1] == bytes([cam.PROTOCOL_VERSION])  # UPER without headers, else GeoNetworking
+    content, delta_time = cam.decode(frame.data if bare else geonetworking.decode_payload(frame.data))
+    return Cam(
+        **content, sampled_ns=frame.sampled_ns, received_ns=frame.received_ns, generation_delta_time=delta_time,
+        frame=frame.data,
+    )  # fmt: skip

@@ -1,0 +1,92 @@
+"""The one thing that can be changed over the web: attacks on a simulated vehicle."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from queue import Full, Queue
+from uuid import uuid4
+
+from fastapi import FastAPI, HTTPException, Request, Response
+from pydantic import ValidationError
+from pydantic_core import from_json, to_json
+
+from shared.attacks import BY_NAME
+from shared.messages.simulation import AttackCommand, SimulationAttack
+
+from ..state import State
+from ..views import simulation as views
+from . import hosts
+
+BODY_BYTES = 2048
+WAITING = 8  # commands that are not yet published
+BODY = {"content": {"application/json": {"schema": SimulationAttack.model_json_schema()}}, "required": True}
+
+
+class SimulationApi:
+    """Checks commands and queues them for the bus; the answer of the simulator is `simulation/state`."""
+
+    def __init__(self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int]) -> None:
+        self._state, self._lock, self._now_ns = state, lock, now_ns
+        self.commands: Queue[SimulationAttack] = Queue(WAITING)
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
+        app.add_api_route("/api/simulation", self.simulation, response_class=Response)
+        app.add_api_route(
+            "/api/simulation/attack", self.attack, methods=["POST"], status_code=202, response_class=Response,
+            openapi_extra={"requestBody": BODY},
+        )  # fmt: skip
+
+    def simulation(self) -> Response:
+        """The attacks that are possible, those of this drive, and whether the verdict was right."""
+        with self._lock:
+            shown = views.simulation(self._state, self._now_ns())
+        return _json({**views.catalogue(), "simulation": shown}, 200)
+
+    async def attack(self, request: Request) -> Response:
+        """Start or stop an attack; 202 with the request ID that `simulation/state` will carry."""
+        if not hosts.same_origin(request.headers.get("origin"), request.headers.get("host")):
+            raise HTTPException(403, "this page is not from here")
+        with self._lock:
+            simulated = self._state.simulated(self._now_ns())
+        if not simulated:
+            raise HTTPException(
+                409, "the data of this unit are not simulated, so nothing can be attacked; run obu demo"
+            )
+        command = _command(await _body(request))
+        try:
+            self.commands.put_nowait(command)
+        except Full as error:
+            raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
+        return _json({"request_id": command.request_id}, 202)
+
+
+async def _body(request: Request) -> bytes:
+    data = b""
+    async for part in request.stream():
+        data += part
+        if len(data) > BODY_BYTES:
+            raise HTTPException(413, f"a command has at most {BODY_BYTES} bytes")
+    return data
+
+
+def _command(body: bytes) -> SimulationAttack:
+    """Read a command; what is wrong with it is the answer."""
+    try:
+        given = from_json(body, allow_inf_nan=False)
+        if not isinstance(given, dict):
+            raise ValueError('a command is an object such as {"command": "start", "attack": "drag_off"}')
+        command = SimulationAttack.model_validate_json(to_json({**given, "request_id": uuid4().hex[:12]}))
+        if command.command is AttackCommand.START:
+            if command.attack is None:
+                raise ValueError("name the attack that shall start; GET /api/simulation lists them")
+            BY_NAME[command.attack].complete(command.parameters)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    except ValueError as error:
+        raise HTTPException(422, str(error)) from error
+    return command
+
+
+def _json(content: object, status: int) -> Response:
+    return Response(to_json(content), status, {"Cache-Control": "no-store"}, "application/json")

@@ -1,0 +1,99 @@
+"""The page Toll of a road-side unit: normal, stale, empty and alarm, in light, dark and on a phone."""
+
+from collections.abc import Callable, Iterator
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.conftest import THEMES
+from tests.browser.test_pages import faults, keep_picture
+from tests.support.fake_plaza import FakePlaza
+from tests.support.status_server import Running, status_server
+
+PLAZAS = {
+    "normal": FakePlaza(),
+    "stale": FakePlaza(silent_after_s=2.0),
+    "alarm": FakePlaza(problem="the ledger cannot be used: disk full; make room on its disk"),
+    "empty": FakePlaza(empty=True),
+}
+WORDS = {"normal": "SAFE", "stale": "NO DATA", "alarm": "UNSAFE", "empty": "NO DATA"}
+
+
+@pytest.fixture(scope="module")
+def plazas(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Running]]:
+    with (
+        status_server(tmp_path_factory.mktemp("normal"), plaza=PLAZAS["normal"]) as normal,
+        status_server(tmp_path_factory.mktemp("stale"), plaza=PLAZAS["stale"]) as stale,
+        status_server(tmp_path_factory.mktemp("alarm"), plaza=PLAZAS["alarm"]) as alarm,
+        status_server(tmp_path_factory.mktemp("empty"), plaza=PLAZAS["empty"]) as empty,
+    ):
+        yield {"normal": normal, "stale": stale, "alarm": alarm, "empty": empty}
+
+
+@pytest.mark.parametrize("state", list(PLAZAS))
+def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
+    plazas: dict[str, Running], open_page: Callable[..., Page], state: str
+) -> None:
+    page = open_page(plazas[state].address, path="toll")
+    expect(page.locator(".banner .word")).to_have_text(WORDS[state], timeout=12_000)
+    expect(page.get_by_role("heading", level=2).first).to_be_visible()
+    for theme, viewport in THEMES.items():
+        page.emulate_media(color_scheme="dark" if theme == "dark" else "light")
+        page.set_viewport_size(viewport)
+        keep_picture(page, f"{state}-{theme}-toll")
+        assert faults(page) == [], theme
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), f"{theme} scrolls sideways"
+
+
+def test_a_road_side_unit_opens_on_its_plaza_and_has_no_pages_of_a_vehicle(
+    plazas: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(plazas["normal"].address)
+    expect(page.get_by_role("heading", name="Plaza example")).to_be_visible(timeout=8000)
+    links = page.get_by_role("navigation", name="Pages").get_by_role("link")
+    expect(links).to_have_text(["Toll", "System"])
+
+
+def test_vehicles_lanes_passages_and_accounts_are_shown(
+    plazas: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(plazas["normal"].address, path="toll")
+    picture = page.get_by_role("img", name="Plaza example from above with 4 tracked vehicles")
+    expect(picture.locator(".track")).to_have_count(4, timeout=8000)
+    expect(picture.locator(".track.undecided")).to_have_count(1)
+    expect(picture.locator(".track.unregistered")).to_have_count(1)
+    page.get_by_role("region", name="Plaza example").get_by_role("button", name="Table").click()
+    expect(page.get_by_role("cell", name="undecided (n2)")).to_be_visible()
+    expect(page.locator(".lanes-card tr", has_text="n3")).to_contain_text("opens")
+    expect(page.locator(".account-card tbody tr")).to_contain_text("n1")
+    expect(page.locator(".delta-card")).to_contain_text("-2.10 m")
+
+
+def test_a_charge_opens_its_evidence_and_says_how_to_verify_it(
+    plazas: dict[str, Running], open_page: Callable[..., Page]
+) -> None:
+    page = open_page(plazas["normal"].address, path="toll")
+    row = page.locator(".passages-card tr", has_text="Charged")
+    expect(row).to_contain_text("2.40 EUR", timeout=8000)
+    row.get_by_role("button").click()
+    drawer = page.get_by_role("dialog", name="Passage")
+    expect(drawer).to_contain_text("abab")
+    expect(drawer).to_contain_text("obu verify-toll")
+
+
+def test_an_account_that_does_not_agree_is_a_caution_that_names_the_lane(
+    tmp_path_factory: pytest.TempPathFactory, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path_factory.mktemp("wrong"), plaza=FakePlaza(agrees=False)) as wrong:
+        page = open_page(wrong.address, path="toll")
+        expect(page.locator(".banner .word")).to_have_text("CAUTION", timeout=8000)
+        expect(page.locator(".banner .sentence")).to_contain_text("lane n1")
+        expect(page.locator(".account-card tbody")).to_contain_text("does not agree")
+
+
+def test_a_lost_ledger_is_named_as_the_reason(plazas: dict[str, Running], open_page: Callable[..., Page]) -> None:
+    page = open_page(plazas["alarm"].address, path="toll")
+    expect(page.locator(".banner .sentence")).to_contain_text(
+        "Nothing is charged: the ledger cannot be used", timeout=8000
+    )
+    expect(page.locator(".account-card")).to_contain_text("make room on its disk")

@@ -1,0 +1,72 @@
+"""`obu verify-toll`: a charge is derived again from its evidence, and any change of the evidence is found."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.toll_campaign import Campaign
+from cli.verify_toll import differences_of, parse, read, verify_toll
+from shared.errors import UserError
+
+
+@pytest.fixture(scope="module")
+def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make a ledger of some charges at the simulated plaza, without kills."""
+    folder = tmp_path_factory.mktemp("toll")
+    made = Campaign(folder, 1, 40, float("inf"))
+    made.run(25)
+    assert made.store is not None
+    made.store.close()
+    return made.path
+
+
+def test_every_charge_is_derived_again_bit_for_bit(ledger: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert verify_toll([ledger]) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    number = int(last.split()[0])
+    assert number >= 3 and last == f"{number} of {number} charges verified"
+
+
+def test_an_exported_pack_is_verified_without_the_ledger(ledger: Path, tmp_path: Path) -> None:
+    first = next(iter(read(ledger)))
+    assert verify_toll([ledger], first.name, tmp_path) == 0
+    (path,) = tmp_path.iterdir()
+    assert path.stem == first.name and verify_toll([path]) == 0
+
+
+@pytest.mark.parametrize("change", ["lane", "frame", "amount", "plaza", "crossing"])
+def test_a_change_of_the_evidence_is_found(ledger: Path, change: str) -> None:
+    evidence = next(iter(read(ledger)))
+    pack = parse(evidence)
+    assert pack.crossed.evidence is not None
+    shown = pack.crossed.evidence
+    changes: dict[str, dict[str, object]] = {
+        "lane": {"crossed": pack.crossed.model_copy(update={"lane": "s9"})},
+        "frame": {"crossed": pack.crossed.model_copy(
+            update={"evidence": shown.model_copy(update={"frames": shown.frames[:20] + shown.frames[21:]})})},
+        "amount": {"amount_cents": pack.amount_cents + 1},
+        "plaza": {"plaza_file": pack.plaza_file + " "},
+        "crossing": {"crossed": pack.crossed.model_copy(update={"crossing_ns": (pack.crossed.crossing_ns or 0) + 1})},
+    }  # fmt: skip
+    forged = pack.model_copy(update=changes[change])
+    assert differences_of(evidence, pack) == []
+    assert differences_of(evidence, forged)
+
+
+def test_a_pack_that_is_not_the_one_of_the_transaction_is_named(ledger: Path) -> None:
+    evidence = next(iter(read(ledger)))
+    other = type(evidence)(evidence.name, evidence.pack + b" ", evidence.transaction)
+    assert differences_of(other, parse(evidence))[0] == "the pack is not the one of the transaction"
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"SQLite format 3\0garbage"])
+def test_what_is_no_evidence_is_one_sentence(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match="file"):
+        verify_toll([path])
+
+
+def test_a_passage_that_is_not_there_is_named(ledger: Path) -> None:
+    with pytest.raises(UserError, match="no evidence of ffffffffff"):
+        verify_toll([ledger], "ffffffffff")
