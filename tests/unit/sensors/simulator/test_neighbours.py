@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from services.sensors.simulator.scenarios import BY_NAME
-from services.sensors.simulator.v2x.radio import CFO_SD_HZ, Deception, range_rate
+from services.sensors.simulator.v2x.radio import CFO_SD_HZ, range_rate
 from services.sensors.simulator.v2x.traffic import MAX_COUNT, Car, Traffic
 from services.sensors.simulator.vehicle import Vehicle, antenna_at
 from services.sensors.simulator.world import DEFAULT_START_NS, Equipment, World
+from shared.attacks import schedule
 from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ned_difference, ned_from_ecef
 from shared.maths.frequency_offset import range_rate_from_cfo
 from shared.messages.base import Message
@@ -97,8 +98,8 @@ def test_neighbours_leave_the_bytes_of_the_devices_as_they_are() -> None:
 
 def test_liars_add_the_same_to_what_they_publish_and_to_nothing_else() -> None:
     honest, lying = received("urban", seconds=5), []
-    world = World(BY_NAME["urban"], 1, DEFAULT_START_NS, Equipment(neighbours=4))
-    world.radio.deception = Deception(2, speed_m_s=3.0)
+    lie = schedule("neighbour_collusion(neighbours=2,speed=3)@0")
+    world = World(BY_NAME["urban"], 1, DEFAULT_START_NS, Equipment(neighbours=4), [lie])
     lying = list(islice((message for _, message in world if isinstance(message, NeighbourStates)), 5))
     for true, told in zip(honest, lying, strict=True):
         pairs: list[tuple[Neighbour, Neighbour]] = list(zip(true.neighbours, told.neighbours, strict=True))
