@@ -189,13 +189,18 @@ class Core:
             self._unsettled[statement.passage_id] = self._unsettled.pop(statement.passage_id)
 
     def _delete_silent(self, now_ns: int) -> None:
-        """Delete the tracks of silent vehicles; their passages wait for another track, or are lost later."""
-        for track in self._table.delete_silent(now_ns):
-            journey = self._journeys.pop(track.number, None)
-            if journey and journey.passage:
-                journey.passage.track = None
-                if journey.passage.state.is_final:
-                    self._forget(journey.passage)
+        """Delete the tracks of silent vehicles, and what is known of all deleted tracks.
+
+        The passage of a silent vehicle waits for another track, or is lost later.
+        """
+        silent = {track.number for track in self._table.delete_silent(now_ns)}
+        known = {track.number for track in self._table.tracks}
+        self._journeys = {number: journey for number, journey in self._journeys.items() if number in known}
+        for passage in [one for one in self._passages.values() if one.track is not None and one.track not in known]:
+            if passage.state.is_final:
+                self._forget(passage)
+            elif passage.track in silent:
+                passage.track = None
 
     def tracks(self, now_ns: int) -> TollTracks:
         """Describe every track."""

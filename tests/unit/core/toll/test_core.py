@@ -376,3 +376,15 @@ def test_a_batch_of_random_order_and_hostile_values_raises_nothing() -> None:
         CamList.model_validate({"received_ns": 0, "source": "x", "cams": tuple(cams)})
         for track in plant.core.tracks(START_NS).tracks:
             assert all(0.0 <= one.probability <= 1.0 + 1e-9 for one in track.lanes)
+
+
+def test_a_station_id_that_jumps_to_and_fro_leaves_nothing_behind() -> None:
+    """Each third CAM far away begins a new track; what was known of the earlier ones is deleted."""
+    plant = Plant(COMMON)
+    near, far = Vehicle(7, "n2", speed=0.0, start=-30.0), Vehicle(7, "n2", speed=0.0, start=-150.0)
+    for k in range(20):
+        plant.drive(near if k % 2 else far, since=0.5 * k, until=0.5 * (k + 1))
+    plant.second()
+    births = plant.core.rejected["outside_gate"] // plant.settings.track.jumps
+    assert births >= 15
+    assert len(plant.core._journeys) == len(plant.core.tracks(START_NS).tracks) == 1
