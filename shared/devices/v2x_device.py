@@ -112,7 +112,7 @@ class UdpRadio:
         """Return what has arrived: (age in ns, packet)."""
         frames: Frames = []
         now_ns = time.time_ns()
-        while len(frames) < most:
+        for _ in range(most):  # rejected datagrams count too: no sender can block the process
             try:
                 data, control, _, _ = self._socket.recvmsg(MAX_FRAME_BYTES + 1, socket.CMSG_SPACE(TIMESPEC.size))
             except BlockingIOError:
