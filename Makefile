@@ -81,6 +81,7 @@ papers: setup ## reproduce the papers' numbers (minutes)
 	@$(PYTHON) -m cli papers motion-conflict --out .obu/papers/motion-conflict
 	@$(PYTHON) -m cli papers cooperative --out .obu/papers/cooperative
 	@$(PYTHON) -m cli papers spoofing --out .obu/papers/spoofing
+	@$(PYTHON) -m cli papers toll --out .obu/papers/toll
 	@$(PYTHON) -m cli papers navigation
 
 attack-lab: setup ## attack simulated drives: rates of detection and of false alarms (an hour on two cores)

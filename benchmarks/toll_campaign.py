@@ -167,9 +167,9 @@ class Campaign:
         for item in items:
             if not isinstance(item, Frame):
                 self._deliver(item, now_ns)
-        heard = [(now_ns, item.data) for item in items if isinstance(item, Frame)]
+        received = [(now_ns, item.data) for item in items if isinstance(item, Frame)]
         batch = CamFrames(received_ns=now_ns, source="v2x0", encapsulation=Encapsulation.GEONETWORKING,
-                          data=frames.pack(heard))  # fmt: skip
+                          data=frames.pack(received))  # fmt: skip
         for cams in self.v2x.handle(batch):
             if isinstance(cams, CamList):
                 self._publish(self._answers(cams), now_ns)

@@ -61,7 +61,7 @@ class ProcessRow:
 
 PROCESSES = (
     ProcessRow(
-        "sensors.gnss", Kind.DEVICE_DRIVER, "reads the GNSS receiver and writes what it is told",
+        "sensors.gnss", Kind.DEVICE_DRIVER, "reads the GNSS receiver and writes the commands to it",
         consumes=("gnss/write",),
         produces=("gnss/raw", "origin/state"),
         roles=BOTH,

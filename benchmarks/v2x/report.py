@@ -245,7 +245,7 @@ class Listener:
             self._take()
 
     def restart(self) -> None:
-        """Forget what was heard so far."""
+        """Forget what was received so far."""
         self._health_before = dict(self.health)
         self.ages_ns, self.track_ages_ns, self.decoding_s = [], [], 0.0
 
