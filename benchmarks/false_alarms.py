@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 from rich.console import Console
-from scipy.special import betaincinv
 
+from cli.attack_lab.score import CONFIDENCE, binomial_interval
 from cli.papers.navigation import in_parallel
 from cli.papers.report import Table, printed
 from services.core.fusion.process import Config as FusionConfig
@@ -34,7 +34,6 @@ from tests.support.spoofing import inputs
 
 EPOCHS = 100_000
 WORKERS = 2
-CONFIDENCE = 0.95
 DESIGN_RATES = (1e-3, None)  # None: as delivered
 MOTION_S, INERTIAL_S = 5000, 900  # of a drive
 SCENARIOS = ("urban", "highway", "parking_lot", "tunnel")
@@ -53,9 +52,7 @@ class Count:
     @property
     def interval(self) -> tuple[float, float]:
         """Binomial interval of the rate (Clopper and Pearson)."""
-        k, n, tail = self.episodes, self.evaluations, 0.5 * (1.0 - CONFIDENCE)
-        low = float(betaincinv(k, n - k + 1, tail)) if k else 0.0
-        return low, float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
+        return binomial_interval(self.episodes, self.evaluations)
 
     @property
     def verdict(self) -> str:

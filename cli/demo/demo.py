@@ -194,7 +194,7 @@ def _watch(
                 console.print(_how_to_listen(bus), style="dim", soft_wrap=True, highlight=False)
                 progress.update(task, description="driving")
             if measuring_since is None and time.monotonic() - started > START_LIMIT_S:
-                raise UserError(f"nothing was heard from the sensors in {START_LIMIT_S:.0f} s; "
+                raise UserError(f"nothing was received from the sensors in {START_LIMIT_S:.0f} s; "
                                 f"see the logs in {bus.state_dir / 'logs'}")  # fmt: skip
             if measuring_since is not None:
                 progress.update(task, completed=time.monotonic() - measuring_since)
