@@ -20,6 +20,7 @@ from shared.messages.toll import (
     OpenPassages,
     PassageEvidence,
     PassageState,
+    RegisteredStation,
     TollDelta,
     TollPassage,
     TollRegistration,
@@ -99,8 +100,8 @@ class Core:
         """Rejected messages by reason."""
         return self._rejected + self._table.rejected
 
-    def register(self, message: TollRegistration) -> None:
-        """Note the contract of a station ID."""
+    def register(self, message: TollRegistration | RegisteredStation) -> None:
+        """Note that a contract covers a station ID."""
         if message.station_id not in self._contracts and len(self._contracts) >= MAX_REGISTRATIONS:
             self._rejected["too_many_registrations"] += 1
             return
@@ -147,7 +148,10 @@ class Core:
             self._deltas.append(delta)
 
     def continue_passages(self, message: OpenPassages) -> Iterator[Statement]:
-        """Take over the passages that the ledger holds and this process does not; forget those that are settled."""
+        """Take over what the ledger holds and this process does not; forget passages that are settled."""
+        for station in message.registered:
+            if station.station_id not in self._contracts:
+                self.register(station)
         self._ready_ns = min(message.sampled_ns, self._ready_ns or message.sampled_ns)
         for settled in message.settled:
             self._unsettled.pop(settled, None)
