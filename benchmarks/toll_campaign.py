@@ -34,7 +34,6 @@ from services.sensors.traffic.world import Channel, Frame, Traffic, World
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.toll import (
-    PassageState,
     PlazaDetector,
     PlazaTruth,
     TollDelta,
@@ -129,7 +128,7 @@ class Campaign:
         self.world_now_ns = START_NS
         self.truth: dict[int, TrafficPassage] = {}
         self.contract_of: dict[int, str] = {}
-        self.ends: dict[str, set[PassageState]] = defaultdict(set)  # final statements by contract
+        self.ends: dict[str, set[str]] = defaultdict(set)  # final statements by contract, with their reasons
         self.decided: set[str] = set()  # contracts with a crossing in a lane
         self.delta: TollDelta | None = None  # retained by the broker
         self._begin_ledger(START_NS)
@@ -215,7 +214,7 @@ class Campaign:
                 self.decided |= contracts
             if event.state.is_final:
                 for contract in contracts:
-                    self.ends[contract].add(event.state)
+                    self.ends[contract].add(f"{event.state}: {event.reason}")
         if self.armed == "core" and events:
             said = int(self.rng.integers(0, len(events) + 1))
             self.kills["core after " + (events[said - 1].state.value if said else "nothing")] += 1
@@ -331,7 +330,7 @@ class Campaign:
 
     def _endings(self, contracts: set[str]) -> dict[str, int]:
         """Count what the passages of contracts ended as."""
-        return dict(Counter("+".join(sorted(self.ends[c])) or "no passage" for c in contracts))
+        return dict(Counter(" + ".join(sorted(self.ends[c])) or "no passage" for c in contracts))
 
 
 def campaign(passages: int, kills: int, seed: int, vehicles: int, folder: Path) -> Result:
