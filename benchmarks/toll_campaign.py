@@ -144,9 +144,9 @@ class Campaign:
                 self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0)
             if step % SECOND_STEPS == 0 and self.core is not None:
                 self._publish(self._answers(Tick(now_ns=now_ns)), now_ns)
-            passed = {n for n, p in self.truth.items() if p.crossing_ns >= START_NS + WARM_UP_NS}
-            if stop_ns is None and len(passed) >= passages:
-                stop_ns, counted = now_ns + round(DRAIN_S * NS), passed
+            if stop_ns is None and len(self.truth) >= passages:
+                stop_ns = now_ns + round(DRAIN_S * NS)
+                counted = {n for n, p in self.truth.items() if p.crossing_ns >= START_NS + WARM_UP_NS}
                 self.next_kill, self.world.entry_open = float("inf"), False
             if stop_ns is not None and now_ns >= stop_ns:
                 break
