@@ -27,7 +27,7 @@ from services.core.spoofing.process import Config as SpoofingConfig
 from services.core.spoofing.process import Process as Spoofing
 from services.sensors.simulator.drive import simulate
 from shared.messages.base import Tick
-from shared.messages.navigation import NavigationSolution
+from shared.messages.navigation import FilterState, NavigationSolution
 from shared.messages.trust import MonitorOutcome
 from tests.support.motion import World, drives_and_stops
 from tests.support.spoofing import inputs
@@ -133,7 +133,7 @@ def inertial(job: Job) -> list[Count]:
         for message in inputs(drive):
             if not isinstance(message, Tick):
                 for solution in fusion.handle(message):
-                    if isinstance(solution, NavigationSolution):
+                    if isinstance(solution, NavigationSolution | FilterState):
                         list(spoofing.handle(solution))
             yield [
                 (test.name, test.false_alarm_rate,

@@ -352,5 +352,5 @@ def test_what_the_broker_keeps_is_found_by_a_life_that_begins_much_later(tmp_pat
 def test_mistakes_of_the_user_are_told_in_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"cannot read .*missing\.mcap"):
         verify([tmp_path / "missing.mcap"], None, None)
-    with pytest.raises(UserError, match=r"'sensors.imu' cannot be repeated; name one of controller.mode"):
+    with pytest.raises(UserError, match=r"'sensors.imu' cannot be repeated; name one of controller.cam"):
         verify([can_recording(tmp_path / "a.mcap")], "sensors.imu", None)

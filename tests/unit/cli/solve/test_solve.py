@@ -17,6 +17,7 @@ from services.sensors.simulator.world import messages
 from shared.errors import UserError
 from shared.messages.base import RawBytes
 from shared.messages.imu import ImuSamples
+from shared.messages.neighbours import NeighbourStates
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.offline import arrival_ns
 from tests.support.csv_drive import write_drive
@@ -127,7 +128,7 @@ def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "raw.mcap", vehicle="raw", vehicle_toml=toml)
     for message in messages("parking_lot", seed=3, duration_s=DURATION_S):
         writer.write(sent(message, arrival_ns(message) or 0))
-        assert isinstance(message, RawBytes) or arrival_ns(message) is None
+        assert isinstance(message, RawBytes | NeighbourStates) or arrival_ns(message) is None
     writer.close()
     solve(tmp_path / "raw.mcap", outage="5/15", out=tmp_path / "out")
     found = metrics_in(tmp_path / "out")

@@ -19,6 +19,7 @@ from shared.messages.base import Message
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
 from shared.messages.navigation import TruthState
+from shared.messages.neighbours import NeighbourStates
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.vehicle import CanRaw
 from shared.topics import BY_MESSAGE, publications
@@ -29,7 +30,7 @@ NS = 1_000_000_000
 
 def stamp(message: Message) -> int:
     match message:
-        case ImuRaw() | GnssRaw() | CanRaw():
+        case ImuRaw() | GnssRaw() | CanRaw() | NeighbourStates():
             return message.received_ns
         case TruthState():
             return message.sampled_ns

@@ -67,7 +67,7 @@ def test_a_message_reaches_each_of_its_consumers_and_so_do_the_answers(echoes: d
 
 def test_a_process_is_not_given_what_it_said_itself(echoes: dict[str, Echo]) -> None:
     row = BY_MESSAGE[FilterState]
-    assert row.producers == row.consumers == ("core.fusion",)
+    assert row.producers == ("core.fusion",) and "core.fusion" in row.consumers
     zero = (0.0, 0.0, 0.0)
     state = FilterState(
         sampled_ns=1, fingerprint="", imu="i", quaternion_ned_from_body=(1.0, *zero), velocity_ned_m_s=zero,

@@ -239,19 +239,27 @@ def size(process: Process) -> int:
 
 
 def test_devices_that_change_their_names_all_the_time_take_no_memory() -> None:
-    process, sizes = deepcopy(started()), []
-    for k in range(1, 601):
-        time_ns, name = NOW_NS + k * STEP_NS, f"{k:064d}"
+    """Against the same messages of one device: the memory for a roll-back fills up in both."""
+    changing, process = grown([f"{k:064d}" for k in range(1, 601)])
+    steady, _ = grown(["x" * 64] * 600)
+    assert changing < steady + 5_000, "200 names of 64 letters are 12,800 bytes"
+    assert process.rejects["more devices than a vehicle has"] > 1100
+    assert last_phase(process) is NavigationPhase.NAVIGATING, "the receiver that was there first is listened to"
+
+
+def grown(names: list[str]) -> tuple[int, Process]:
+    """Growth of the process [bytes] by the last 200 messages of devices with these names, and the process."""
+    process, before = deepcopy(started()), 0
+    for k, name in enumerate(names, 1):
+        time_ns = NOW_NS + k * STEP_NS
         send(process, fix(time_ns, name))
         send(process, VehicleSpeed(sampled_ns=time_ns, received_ns=time_ns, source=name, speed_m_s=0.0))
         if k % 20 == 0:
             send(process, fix(time_ns))
         send(process, sample(time_ns))
-        if k % 200 == 0:
-            sizes.append(size(process))
-    assert sizes[2] < sizes[1] + 5_000, "200 names of 64 letters are 12,800 bytes"
-    assert process.rejects["more devices than a vehicle has"] > 1100
-    assert last_phase(process) is NavigationPhase.NAVIGATING, "the receiver that was there first is listened to"
+        if k == len(names) - 200:
+            before = size(process)
+    return size(process) - before, process
 
 
 def test_a_renamed_receiver_is_accepted_again_once_its_old_names_were_silent_for_an_hour() -> None:
