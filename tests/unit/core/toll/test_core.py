@@ -376,3 +376,18 @@ def test_a_batch_of_random_order_and_hostile_values_raises_nothing() -> None:
         CamList.model_validate({"received_ns": 0, "source": "x", "cams": tuple(cams)})
         for track in plant.core.tracks(START_NS).tracks:
             assert all(0.0 <= one.probability <= 1.0 + 1e-9 for one in track.lanes)
+
+
+def test_a_batch_with_several_cam_of_a_vehicle_gives_the_statements_of_single_cam() -> None:
+    said = []
+    for size in (1, 4):
+        plant = Plant(COMMON)
+        plant.register(7)
+        cams = [CAR.cam(plant.plaza, k / 10.0, latency_s=0.5 - k % 4 / 10.0) for k in range(200)]
+        plant.core.tick(START_NS)
+        said.append([
+            one for k in range(0, 200, size) for one in plant.core.use(cams[k : k + size])
+            if isinstance(one, TollPassage)
+        ])  # fmt: skip
+    assert said[0] == said[1]
+    assert any(one.state is PassageState.CROSSED for one in said[0])
