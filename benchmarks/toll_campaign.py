@@ -2,7 +2,11 @@
 
 The simulated plaza, `parsers.v2x`, `parsers.gnss`, `core.toll` and the ledger run in one thread on simulated time. A
 kill ends `core.toll` between any two of its answers, or the ledger at any statement of a transaction; what was on the
-way to the dead process is lost, as on a bus without sessions. The next life begins 0.5 to 2 s later.
+way to the dead process is lost, as on a bus without sessions. The next life begins 0.5 to 2 s later, with the retained
+delta position.
+
+A passage is decided where `core.toll` has found the lane of its crossing, whether or not that statement arrived. The
+vehicles of the first 30 s, before the first delta position, drive on an unprepared plaza and are not counted.
 """
 
 import argparse
@@ -30,9 +34,9 @@ from services.sensors.traffic.world import Channel, Frame, Traffic, World
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssFix, GnssRaw
 from shared.messages.toll import (
-    PassageState,
     PlazaDetector,
     PlazaTruth,
+    TollDelta,
     TollPassage,
     TollReceipt,
     TollRegistration,
@@ -51,7 +55,7 @@ START_NS = 1_790_000_000 * NS
 PLAZA_FILE = Path("deploy/plazas/example.geojson")
 DRAIN_S = 330.0
 ANSWERS_LOST = 0.05
-FINAL = (PassageState.UNDECIDED, PassageState.SUSPECT, PassageState.VOID)
+WARM_UP_NS = 30 * NS
 
 
 class Killed(Exception):
@@ -68,8 +72,9 @@ class Result:
     double_charges: int = 0
     wrong_charges: int = 0  # of a contract that has not passed
     lanes_right: int = 0
-    undecided: int = 0
-    decided_uncharged: int = 0  # decided and registered, but not charged
+    decided: int = 0  # registered, and core.toll has found the lane
+    decided_uncharged: dict[str, int] = field(default_factory=dict)  # decided, but not charged: what it ended as
+    undecided: dict[str, int] = field(default_factory=dict)  # registered, and no lane was found: what it ended as
     charged_share_of_decided: float | None = None
     kills_core: int = 0
     kills_ledger: int = 0
@@ -123,7 +128,9 @@ class Campaign:
         self.world_now_ns = START_NS
         self.truth: dict[int, TrafficPassage] = {}
         self.contract_of: dict[int, str] = {}
-        self.ends: dict[str, set[PassageState]] = defaultdict(set)  # final statements by contract
+        self.ends: dict[str, set[str]] = defaultdict(set)  # final statements by contract, with their reasons
+        self.decided: set[str] = set()  # contracts with a crossing in a lane
+        self.delta: TollDelta | None = None  # retained by the broker
         self._begin_ledger(START_NS)
 
     def run(self, passages: int) -> Result:
@@ -138,7 +145,8 @@ class Campaign:
             if step % SECOND_STEPS == 0 and self.core is not None:
                 self._publish(self._answers(Tick(now_ns=now_ns)), now_ns)
             if stop_ns is None and len(self.truth) >= passages:
-                stop_ns, counted = now_ns + round(DRAIN_S * NS), set(self.truth)
+                stop_ns = now_ns + round(DRAIN_S * NS)
+                counted = {n for n, p in self.truth.items() if p.crossing_ns >= START_NS + WARM_UP_NS}
                 self.next_kill, self.world.entry_open = float("inf"), False
             if stop_ns is not None and now_ns >= stop_ns:
                 break
@@ -164,6 +172,8 @@ class Campaign:
             self.armed = "core" if self.rng.random() < 0.5 else "ledger"
         if self.core is None and now_ns >= self.core_back_ns:
             self.core = Toll(TollConfig())
+            if self.delta is not None:
+                self._publish(self._answers(self.delta), now_ns)
         for item in items:
             if not isinstance(item, Frame):
                 self._deliver(item, now_ns)
@@ -198,6 +208,13 @@ class Campaign:
             return []
         answers: list[Message] = list(self.core.handle(message))  # type: ignore[arg-type]  # one of those that it consumes
         events = [a for a in answers if isinstance(a, TollPassage)]
+        for event in events:
+            contracts = {self.contract_of[station] for station in event.station_ids if station in self.contract_of}
+            if event.crossing_ns is not None and event.lane is not None:
+                self.decided |= contracts
+            if event.state.is_final:
+                for contract in contracts:
+                    self.ends[contract].add(f"{event.state}: {event.reason}")
         if self.armed == "core" and events:
             said = int(self.rng.integers(0, len(events) + 1))
             self.kills["core after " + (events[said - 1].state.value if said else "nothing")] += 1
@@ -211,9 +228,8 @@ class Campaign:
         for answer in answers:
             if isinstance(answer, TollPassage):
                 self.inbox.append(answer)
-                if answer.state in FINAL:
-                    for station in answer.station_ids:
-                        self.ends[self.contract_of.get(station, "")].add(answer.state)
+            elif isinstance(answer, TollDelta):
+                self.delta = answer
 
     # The ledger's process
 
@@ -281,26 +297,25 @@ class Campaign:
         charges = Counter(t.contract for t in booked)
         passed = {p.contract: p for p in self.truth.values() if p.contract}
         registered = {p.contract: p for n, p in self.truth.items() if n in counted and p.contract}
-        uncharged = [contract for contract in registered if contract not in charges]
-        undecided = [c for c in uncharged if PassageState.UNDECIDED in self.ends.get(c or "", ())]
+        uncharged = {contract for contract in registered if contract not in charges}
+        decided = {contract for contract in registered if contract in self.decided or contract in charges}
         balances = self.ledger.balances(0)
         outcomes: Counter[str] = Counter()
         for lane in balances:
             for name in ("charged", "undecided", "unregistered", "suspect", "void", "missed", "pending"):
                 outcomes[name] += getattr(lane, name)
         detections = sum(lane.detections for lane in balances)
-        charged = len(registered) - len(uncharged)
-        decided = len(registered) - len(undecided)
         return Result(
             passages=len(counted),
             registered=len(registered),
-            charged=charged,
+            charged=len(registered) - len(uncharged),
             double_charges=sum(n - 1 for n in charges.values()),
             wrong_charges=sum(contract not in passed for contract in charges),
             lanes_right=sum(t.lane == passed[t.contract].lane for t in booked if t.contract in registered),
-            undecided=len(undecided),
-            decided_uncharged=decided - charged,
-            charged_share_of_decided=round(charged / decided, 5) if decided else None,
+            decided=len(decided),
+            decided_uncharged=self._endings(decided & uncharged),
+            undecided=self._endings(uncharged - decided),
+            charged_share_of_decided=round(len(decided - uncharged) / len(decided), 5) if decided else None,
             kills_core=sum(n for step, n in self.kills.items() if step.startswith("core")),
             kills_ledger=sum(n for step, n in self.kills.items() if step.startswith("ledger")),
             kills_by_step=dict(self.kills.most_common()),
@@ -313,10 +328,14 @@ class Campaign:
             cpu_s=round(cpu_s, 1),
         )
 
+    def _endings(self, contracts: set[str]) -> dict[str, int]:
+        """Count what the passages of contracts ended as."""
+        return dict(Counter(" + ".join(sorted(self.ends[c])) or "no passage" for c in contracts))
+
 
 def campaign(passages: int, kills: int, seed: int, vehicles: int, folder: Path) -> Result:
     """Run one campaign in a folder of its own."""
-    made = Campaign(folder, seed, vehicles, max(passages / max(kills, 1) * 0.9, 1.0))
+    made = Campaign(folder, seed, vehicles, max(passages / kills * 0.9, 1.0) if kills else float("inf"))
     return made.run(passages)
 
 

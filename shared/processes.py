@@ -165,7 +165,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.toll", Kind.STANDING, "tracks vehicles at a toll plaza, decides their lane and follows their passage",
-        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages"),
+        consumes=("v2x/cam", "gnss/fix", "toll/registration", "toll/open_passages", "toll/delta"),
         produces=("plaza/description", "toll/delta", "toll/tracks", "toll/passage", "toll/gate"),
         roles=(Role.RSU,),
     ),

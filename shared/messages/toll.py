@@ -25,6 +25,7 @@ StationId = Annotated[int, Field(ge=0, le=4_294_967_295), unit("1")]  # pseudony
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecimal
 Cents = Annotated[int, Field(ge=-10_000_000, le=10_000_000), unit("1/100 of the currency")]
 PASSAGES = 400  # at most in one message
+STATIONS = 1000  # at most in one message
 
 
 class Position(Message):
@@ -292,12 +293,20 @@ class EvidencePack(Message):
     charged: TollPassage  # the final statement
 
 
+class RegisteredStation(Message):
+    """A station ID that a contract covers."""
+
+    station_id: StationId
+    valid_until_ns: Nanoseconds
+
+
 class OpenPassages(Message):
-    """What the ledger holds: passages to continue after a restart of `core.toll`, and those that are settled."""
+    """What the ledger holds for a restart of `core.toll`: passages to continue, those settled, registered stations."""
 
     sampled_ns: Nanoseconds
     passages: Annotated[tuple[TollPassage, ...], Field(max_length=PASSAGES)]  # newest statement of each, no evidence
     settled: tuple[Digest, ...]  # final and stored in the last minutes: their statements need not be repeated
+    registered: Annotated[tuple[RegisteredStation, ...], Field(max_length=STATIONS)] = ()  # the newest
 
 
 class LaneBalance(Message):

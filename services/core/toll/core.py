@@ -20,6 +20,7 @@ from shared.messages.toll import (
     OpenPassages,
     PassageEvidence,
     PassageState,
+    RegisteredStation,
     TollDelta,
     TollPassage,
     TollRegistration,
@@ -99,8 +100,8 @@ class Core:
         """Rejected messages by reason."""
         return self._rejected + self._table.rejected
 
-    def register(self, message: TollRegistration) -> None:
-        """Note the contract of a station ID."""
+    def register(self, message: TollRegistration | RegisteredStation) -> None:
+        """Note that a contract covers a station ID."""
         if message.station_id not in self._contracts and len(self._contracts) >= MAX_REGISTRATIONS:
             self._rejected["too_many_registrations"] += 1
             return
@@ -147,7 +148,10 @@ class Core:
             self._deltas.append(delta)
 
     def continue_passages(self, message: OpenPassages) -> Iterator[Statement]:
-        """Take over the passages that the ledger holds and this process does not; forget those that are settled."""
+        """Take over what the ledger holds and this process does not; forget passages that are settled."""
+        for station in message.registered:
+            if station.station_id not in self._contracts:
+                self.register(station)
         self._ready_ns = min(message.sampled_ns, self._ready_ns or message.sampled_ns)
         for settled in message.settled:
             self._unsettled.pop(settled, None)
@@ -170,7 +174,7 @@ class Core:
                 yield from self._moved(update, here)
 
     def tick(self, now_ns: int) -> Iterator[Statement]:
-        """Repeat the state of each passage, end those of vehicles that fell silent, and delete old tracks."""
+        """End the passages of vehicles that fell silent, delete old tracks, and repeat what the ledger has not."""
         if self._ready_ns is None:
             self._ready_ns = now_ns + round(self._settings.passage.resume_wait_s * SECOND_NS)
         self._delete_silent(now_ns)
@@ -181,9 +185,6 @@ class Core:
                 passage.lose()
                 yield self._ended(passage, now_ns)
                 self._forget(passage)
-            else:
-                passage.remember_lanes()
-                yield self._statement(passage, now_ns, checkpoint=True)
         for statement in repeated:
             yield statement.model_copy(update={"sampled_ns": now_ns, "checkpoint": True})
             self._unsettled[statement.passage_id] = self._unsettled.pop(statement.passage_id)
@@ -310,6 +311,9 @@ class Core:
         exit_line = float(self._geometry.exit[here.lane])
         if passage.advance(here, journey.crossing, exit_line, self._settings.passage):
             yield self._changed(passage, track, here)
+        elif not passage.state.is_final and here.time_ns - passage.stated_ns >= SECOND_NS:
+            passage.remember_lanes()
+            yield self._statement(passage, here.time_ns, checkpoint=True)
         yield from self._command(passage, here)
         has_left = here.along > exit_line + self._settings.passage.turned_m
         if passage.state is PassageState.VOID or (passage.state.is_final and has_left):
@@ -455,6 +459,7 @@ class Core:
             here=here,
             state=statement.state,
             crossing=crossing,
+            stated_ns=statement.sampled_ns,
         )
 
     def _take_over(self, passage: Passage) -> Iterator[TollPassage]:
@@ -531,6 +536,7 @@ class Core:
         self, passage: Passage, now_ns: int, *, checkpoint: bool = False, evidence: PassageEvidence | None = None
     ) -> TollPassage:
         here, crossing = passage.here, passage.crossing
+        passage.stated_ns = now_ns
         position = self._plaza.position(here.north, here.east)
         lanes = crossing.lanes if crossing else here.lanes
         lane = crossing.lane if crossing else here.decided(self._settings.passage.decided)

@@ -85,6 +85,7 @@ class Passage:
     exit_ns: int | None = None
     registered: bool = False
     track: int | None = None  # number of the track; None: no track has it
+    stated_ns: int = 0  # time of the newest statement; a checkpoint follows a second later
     posteriors: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)  # once a second, and at the crossing
     furthest: float = field(init=False)  # [m] greatest coordinate behind the gate line
 

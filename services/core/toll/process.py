@@ -21,9 +21,11 @@ from shared.toll.plaza import load_plaza
 from .core import Core
 from .settings import Settings
 
-In = CamList | GnssFix | TollRegistration | OpenPassages | Tick
+In = CamList | GnssFix | TollRegistration | OpenPassages | TollDelta | Tick
 Out = PlazaDescription | TollDelta | TollTracks | TollPassage | GateCommand
 TRACKS_NS = 500_000_000  # period of `toll/tracks` while CAM arrive
+DELTA_NS = 900_000_000  # least distance of two deltas; receivers send one fix a second, or more
+NO_FIX_NS = 2_000_000_000  # without a fix for so long, a tick says why there is no delta
 
 
 class Config(Settings):
@@ -40,7 +42,7 @@ class Process:
         settings = Settings.model_validate(config.model_dump(exclude={"plaza_file"}))
         self._core = Core(self._plaza, settings)
         self._described = False
-        self._tracks_ns = 0
+        self._tracks_ns = self._delta_ns = 0
 
     @property
     def rejects(self) -> Counter[str]:
@@ -55,10 +57,13 @@ class Process:
                 yield from self._tracks(message.received_ns)
             case GnssFix():
                 self._core.fix(message)
+                yield from self._delta(message.sampled_ns, DELTA_NS)
             case TollRegistration():
                 self._core.register(message)
             case OpenPassages():
                 yield from self._core.continue_passages(message)
+            case TollDelta():  # retained: after a restart, the last one of the process before
+                self._core.use_delta(message)
             case Tick():
                 yield from self._tick(message.now_ns)
 
@@ -66,11 +71,17 @@ class Process:
         if not self._described:
             self._described = True
             yield self._plaza.description(now_ns)
-        delta = self._core.estimate_delta(now_ns)
-        self._core.use_delta(delta)
-        yield delta
+        yield from self._delta(now_ns, NO_FIX_NS)
         yield from self._core.tick(now_ns)
         yield from self._tracks(now_ns)
+
+    def _delta(self, now_ns: int, period_ns: int) -> Iterator[TollDelta]:
+        """Estimate the delta with a fix, not with a tick: it has to be there before the CAM that it belongs to."""
+        if now_ns - self._delta_ns >= period_ns:
+            self._delta_ns = now_ns
+            delta = self._core.estimate_delta(now_ns)
+            self._core.use_delta(delta)
+            yield delta
 
     def _tracks(self, now_ns: int) -> Iterator[TollTracks]:
         if now_ns - self._tracks_ns >= TRACKS_NS:

@@ -1,7 +1,7 @@
 """Tracks of up to some hundred vehicles: birth, gating, association by station ID, pseudonym changes, deletion."""
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from math import hypot
@@ -80,19 +80,21 @@ class TrackTable:
         rows = [track.slot for track in tracks]
         return Estimates(self._x[rows], self._P[rows], self._probability[rows], self._heading)
 
-    def use(self, cams: Sequence[Cam]) -> list[list[Update]]:
-        """Use a batch of CAM; the updates are in rounds, in each of which a vehicle occurs once."""
+    def use(self, cams: Sequence[Cam]) -> Iterator[list[Update]]:
+        """Use a batch of CAM in rounds, in each of which a vehicle occurs once.
+
+        A round is computed when the one before is dealt with: the estimates are then those of its own CAM.
+        """
         waiting = [measured for cam in cams if (measured := self._measured(cam))]
-        rounds = []
         while waiting:
             first: dict[int, Measured] = {}
             later = []
             for one in waiting:
                 if first.setdefault(one.cam.station_id, one) is not one:
                     later.append(one)
-            rounds.append(self._round(list(first.values())))
+            if updates := self._round(list(first.values())):
+                yield updates
             waiting = later
-        return [updates for updates in rounds if updates]
 
     def restart(self, update: Update) -> None:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""

@@ -12,6 +12,7 @@ from collections import Counter
 from pydantic import Field
 
 from shared.messages.toll import (
+    STATIONS,
     EvidencePack,
     LaneBalance,
     LedgerState,
@@ -19,6 +20,7 @@ from shared.messages.toll import (
     PassageState,
     PassageSummary,
     PlazaDetector,
+    RegisteredStation,
     TollPassage,
     TollReceipt,
     TollRegistration,
@@ -191,10 +193,18 @@ class Ledger:
         stored = tuple(TollPassage.model_validate_json(row["statement"]) for row in rows)
         recently_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
         settled = self._store.rows("SELECT passage_id FROM settled WHERE final_ns >= ?", recently_ns)
+        registered = self._store.rows(
+            "SELECT station_id, valid_until_ns FROM registration WHERE valid_until_ns >= ? "
+            "ORDER BY sampled_ns DESC LIMIT ?", now_ns, STATIONS,
+        )  # fmt: skip
         return OpenPassages(
             sampled_ns=now_ns,
             passages=stored + tuple(self._unregistered.values())[: 400 - len(stored)],
             settled=tuple(row["passage_id"] for row in settled),
+            registered=tuple(
+                RegisteredStation(station_id=row["station_id"], valid_until_ns=row["valid_until_ns"])
+                for row in registered
+            ),
         )
 
     def state(self, now_ns: int) -> LedgerState:

@@ -388,3 +388,18 @@ def test_a_station_id_that_jumps_to_and_fro_leaves_nothing_behind() -> None:
     births = plant.core.rejected["outside_gate"] // plant.settings.track.jumps
     assert births >= 15
     assert len(plant.core._journeys) == len(plant.core.tracks(START_NS).tracks) == 1
+
+
+def test_a_batch_with_several_cam_of_a_vehicle_gives_the_statements_of_single_cam() -> None:
+    said = []
+    for size in (1, 4):
+        plant = Plant(COMMON)
+        plant.register(7)
+        cams = [CAR.cam(plant.plaza, k / 10.0, latency_s=0.5 - k % 4 / 10.0) for k in range(200)]
+        plant.core.tick(START_NS)
+        said.append([
+            one for k in range(0, 200, size) for one in plant.core.use(cams[k : k + size])
+            if isinstance(one, TollPassage)
+        ])  # fmt: skip
+    assert said[0] == said[1]
+    assert any(one.state is PassageState.CROSSED for one in said[0])

@@ -193,6 +193,15 @@ def test_a_passage_in_progress_is_published_after_a_restart(tmp_path: Path) -> N
     store.close()
 
 
+def test_valid_registrations_are_published_for_a_new_core_toll(opened: tuple[Ledger, Store]) -> None:
+    ledger, _ = opened
+    vehicle = Vehicle()
+    ledger.register(vehicle.registration(), START_NS)
+    (station,) = ledger.open_passages(START_NS).registered
+    assert station.station_id == vehicle.station_ids[0]
+    assert not ledger.open_passages(station.valid_until_ns + 1).registered
+
+
 def test_a_passage_that_falls_silent_is_settled_but_not_for_the_silence_of_the_ledger_itself(tmp_path: Path) -> None:
     ledger, store = ledger_at(tmp_path / "ledger.sqlite")
     before, behind = Vehicle("a"), Vehicle("b", station_ids=(7,))
