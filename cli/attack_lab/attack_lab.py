@@ -61,7 +61,7 @@ def attack_lab(  # one argument an option
     except OSError as error:
         raise UserError(f"cannot create the folder {out}: {error.strerror}; choose another one with --out") from error
     console = Console(stderr=True)
-    runs = _run_all(cases, jobs or os.cpu_count() or 1, console)
+    runs = run_all(cases, jobs or os.cpu_count() or 1, console)
     card = document(runs)
     write(out, card, runs)
     if as_json:
@@ -71,21 +71,22 @@ def attack_lab(  # one argument an option
     return 0
 
 
-def _run_all(cases: list[Case], jobs: int, console: Console) -> list[Run]:
+def run_all(cases: list[Case], jobs: int, console: Console) -> list[Run]:
     """Run all cases in parallel, in the order of the plan."""
-    found: dict[Case, Run] = {}
+    found: dict[int, Run] = {}
     with progress_on(console) as progress, ProcessPoolExecutor(min(jobs, len(cases))) as pool:
         task = progress.add_task("attacking", total=len(cases))
-        waiting = {pool.submit(run, case): case for case in cases}
+        waiting = {pool.submit(run, case): number for number, case in enumerate(cases)}
         try:
             for future in as_completed(waiting):
-                case = waiting[future]
-                found[case] = (case, future.result())
+                number = waiting[future]
+                case = cases[number]
+                found[number] = (case, future.result())
                 progress.update(task, advance=1, description=f"{case.drive} {case.label}")
         except (UserError, BrokenProcessPool, KeyboardInterrupt):
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return [found[case] for case in cases]
+    return [found[number] for number in range(len(cases))]
 
 
 def _print(runs: list[Run], card: dict[str, object], console: Console, out: Path) -> None:

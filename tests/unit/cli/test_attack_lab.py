@@ -4,7 +4,9 @@ from math import hypot, radians
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from cli.attack_lab.attack_lab import run_all
 from cli.attack_lab.cases import ATTACKS, Case, plan
 from cli.attack_lab.recorded import POSSIBLE, attacked, drift, moved
 from cli.attack_lab.report import document, page
@@ -188,3 +190,12 @@ def test_the_report_has_every_attack_and_needs_nothing_from_elsewhere() -> None:
     assert ">jam<" in text and "Stanford diagram, horizontal" in text
     assert "http://" not in text.replace("http://www.w3.org", "") and "https://" not in text
     assert hypot(*poisson_interval(0, 0.0)) == np.inf
+
+
+def test_runs_come_in_the_order_of_the_plan_with_verdicts_and_true_errors() -> None:
+    cases = [Case("urban", seed, 30.0, schedule("jam@25:2")) for seed in (1, 2)]
+    runs = run_all(cases, 2, Console(stderr=True))
+    assert [case for case, _ in runs] == cases
+    for _, found in runs:
+        assert found.verdicts and len(found.error_s) > 50
+        assert found.error_m[-1, 0] < 5.0
