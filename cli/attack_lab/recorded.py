@@ -7,6 +7,7 @@ of single satellites and of neighbours are therefore possible on simulated drive
 from collections.abc import Iterable, Iterator, Mapping
 from math import atan2, cos, hypot, pi, radians, sin
 
+from services.sensors.simulator.attacks.effects import drift
 from shared.attacks import BY_NAME, ScheduledAttack
 from shared.errors import UserError
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
@@ -127,7 +128,7 @@ class _Gnss:
         if self._name is AttackName.FREEZE or self._name in REPLAYS:
             return self._replayed(message, last, time_s)
         heading = _course(last)
-        position, velocity = drift(self._name, self._parameters, heading, time_s)
+        position, velocity = displacement(self._name, self._parameters, heading, time_s)
         return moved(message, position, velocity)
 
     def _replayed(self, message: GnssFix, last: GnssFix, time_s: float) -> GnssFix:
@@ -147,18 +148,14 @@ class _Gnss:
         return moved(still, (distance * way[0], distance * way[1], 0.0), (speed * way[0], speed * way[1], 0.0))
 
 
-def drift(
+def displacement(
     name: AttackName, parameters: Mapping[str, float], heading_rad: float, time_s: float
 ) -> tuple[Offset, Offset]:
     """Offsets of position [m] and velocity [m/s], NED, of a jump, a drag-off or a climb after a time [s]."""
     if name is AttackName.POSITION_JUMP:
         distance, speed = parameters["distance"], 0.0
     else:
-        acceleration, final = parameters["acceleration"], parameters["speed"]
-        rise_s = min(time_s, abs(final) / acceleration)
-        sign = 1.0 if final >= 0.0 else -1.0
-        distance = sign * (0.5 * acceleration * rise_s**2 + abs(final) * (time_s - rise_s))
-        speed = sign * acceleration * rise_s
+        distance, speed = drift(parameters["acceleration"], parameters["speed"], time_s)
     if name is AttackName.CLIMB:
         return (0.0, 0.0, -distance), (0.0, 0.0, -speed)
     direction = heading_rad + radians(parameters["direction"])

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from cli.attack_lab.attack_lab import run_all
 from cli.attack_lab.cases import ATTACKS, Case, plan
-from cli.attack_lab.recorded import POSSIBLE, attacked, drift, moved
+from cli.attack_lab.recorded import POSSIBLE, attacked, displacement, moved
 from cli.attack_lab.report import document, page
 from cli.attack_lab.score import (
     binomial_interval,
@@ -97,7 +97,9 @@ def test_a_drag_off_along_the_track_moves_position_by_the_integral_of_its_veloci
     assert (north, east) == pytest.approx((0.0, 0.5 * 0.5 * 4.0**2 + 2.0 * 6.0), abs=0.02)
     rows = BY_NAME[AttackName.DRAG_OFF].complete({"acceleration": 0.5, "speed": 2.0})
     steps = np.arange(0.0, 10.0, 0.01)
-    position, velocity = (np.array([drift(AttackName.DRAG_OFF, rows, 0.0, float(t))[k] for t in steps]) for k in (0, 1))
+    position, velocity = (
+        np.array([displacement(AttackName.DRAG_OFF, rows, 0.0, float(t))[k] for t in steps]) for k in (0, 1)
+    )
     np.testing.assert_allclose(np.gradient(position, steps, axis=0)[2:-2], velocity[2:-2], atol=0.01)
 
 
