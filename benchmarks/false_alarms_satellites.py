@@ -21,7 +21,6 @@ from rich.console import Console
 from benchmarks.false_alarms import EPOCHS, Count, table
 from cli.papers.report import printed
 from services.core.cooperative.broadcast.store import EphemerisStore
-from services.core.cooperative.detection import global_threshold
 from services.core.cooperative.measurements import (
     Constellation,
     FloatArray,
@@ -51,6 +50,7 @@ from services.sensors.simulator.gnss.raw_measurements import IONOSPHERE, RangeEr
 from services.sensors.simulator.gnss.reception import Fix
 from services.sensors.simulator.gnss.sky import SkyModel
 from shared.maths.earth import Geodetic
+from shared.maths.quantiles import chi_square_limit
 
 RATES = (1e-2, 1e-3, 1e-5)
 PLACES = 50
@@ -110,7 +110,7 @@ def plain(rates: tuple[float, ...], epochs: int, seed: int = 1) -> list[Count]:
             failed = verdict.outcome is not Outcome.PASS
             for rate in rates:
                 assert verdict.statistic is not None
-                alarms[rate] += failed or verdict.statistic > global_threshold(verdict.dof, rate)
+                alarms[rate] += failed or verdict.statistic > chi_square_limit(verdict.dof, rate)
     return [Count("plain RAIM", rate, each * PLACES, alarms[rate], alarms[rate]) for rate in rates]
 
 

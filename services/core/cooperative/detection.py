@@ -11,17 +11,13 @@ from functools import lru_cache
 from math import inf, sqrt
 
 import numpy as np
-from scipy.special import chdtri, chndtrinc, ndtri
+from scipy.special import chndtrinc, ndtri
+
+from shared.maths.quantiles import chi_square_limit
 
 from .measurements import FloatArray
 
 MIN_REDUNDANCY = 1e-6  # [-] below it, a satellite alone determines a parameter and cannot be tested
-
-
-@lru_cache(maxsize=256)
-def global_threshold(dof: int, false_alarm_rate: float) -> float:
-    """T_H = chi2inv(1 - P_FA, dof), to be compared with a sum of squares."""
-    return float(chdtri(dof, false_alarm_rate))
 
 
 @lru_cache(maxsize=256)
@@ -33,7 +29,7 @@ def local_threshold(tests: float, false_alarm_rate: float) -> float:
 @lru_cache(maxsize=256)
 def noncentrality(dof: int, false_alarm_rate: float, missed_detection_rate: float) -> float:
     """Find lambda with P(chi2(dof, lambda) < T_H) = P_MD: what a fault must add to T to be detected."""
-    return float(chndtrinc(global_threshold(dof, false_alarm_rate), dof, missed_detection_rate))
+    return float(chndtrinc(chi_square_limit(dof, false_alarm_rate), dof, missed_detection_rate))
 
 
 @dataclass(frozen=True)

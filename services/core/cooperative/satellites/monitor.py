@@ -5,9 +5,10 @@ from math import isfinite
 
 import numpy as np
 
+from shared.maths.quantiles import chi_square_limit
+
 from ..broadcast.store import EphemerisStore
 from ..detection import (
-    global_threshold,
     horizontal_levels,
     innovation_test,
     minimal_detectable_biases,
@@ -93,12 +94,12 @@ class SatelliteMonitor:
             if position is None or position.fit.dof < 1:
                 return _Tested(position, tuple(out), (), False, rejected)
             fit = position.fit
-            if fit.statistic <= global_threshold(fit.dof, rate):
+            if fit.statistic <= chi_square_limit(fit.dof, rate):
                 return _Tested(position, tuple(out), suspects, True, rejected)
             if fit.dof < 2:
                 return _Tested(position, tuple(out), (), False, rejected)
             worst = int(fit.w.argmax())
-            enough = fit.statistic - fit.w**2 <= global_threshold(fit.dof - 1, rate)  # T without each satellite
+            enough = fit.statistic - fit.w**2 <= chi_square_limit(fit.dof - 1, rate)  # T without each satellite
             suspects = tuple(
                 satellite for row, satellite in enumerate(position.satellites) if enough[row] and row != worst
             )
@@ -128,7 +129,7 @@ class SatelliteMonitor:
             Outcome.ACCUSES if tested.excluded or not tested.passes else Outcome.PASS,
             _reason(tested),
             position.fit.statistic,
-            global_threshold(dof, rate),
+            chi_square_limit(dof, rate),
             dof,
             rate,
             tuple(sight.satellite for sight in tested.excluded),

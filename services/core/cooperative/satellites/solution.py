@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import Vector
 
-from ..detection import Fit, global_threshold, weighted_fit
+from ..detection import Fit, weighted_fit
 from ..measurements import Constellation, FloatArray, SatelliteId, SatelliteSolution
 from .model import Geometry, Sky, clock_columns, noise_factor, rough_position
 
@@ -152,7 +153,7 @@ def fit_velocity(position: PositionFit, false_alarm_rate: float) -> VelocityFit 
         fit = weighted_fit(H, measured - (sight_n[rows] * velocity_n[rows]).sum(axis=1), sd)
         if fit is None:
             return None
-        if fit.dof == 0 or fit.statistic <= global_threshold(fit.dof, false_alarm_rate):
+        if fit.dof == 0 or fit.statistic <= chi_square_limit(fit.dof, false_alarm_rate):
             to_ned = position.geometry.ned_from_ecef
             x, y, z = (to_ned.T @ fit.parameters[:3]).tolist()
             cov = to_ned.T @ fit.cov[:3, :3] @ to_ned

@@ -17,9 +17,10 @@ import numpy as np
 
 from shared.maths.frequency_offset import CARRIER_FREQUENCY, MAX_OFFSET
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
+from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import Vector
 
-from ..detection import global_threshold, local_threshold
+from ..detection import local_threshold
 from ..measurements import FloatArray, NeighbourFinding
 from .forward import BoolArray, Estimate, Neighbours, range_rate_observations
 
@@ -136,10 +137,10 @@ class NeighbourTest:
             inverse, kept = np.linalg.inv(S[np.ix_(used, used)]), np.flatnonzero(used)
             weighted = inverse @ innovations[used]
             statistic = float(innovations[used] @ weighted)
-            if statistic <= global_threshold(len(kept), self._rate):
+            if statistic <= chi_square_limit(len(kept), self._rate):
                 return
             w2 = weighted**2 / np.diag(inverse)
-            explains = statistic - w2 <= (global_threshold(len(kept) - 1, self._rate) if len(kept) > 1 else 0.0)
+            explains = statistic - w2 <= (chi_square_limit(len(kept) - 1, self._rate) if len(kept) > 1 else 0.0)
             explains[w2.argmax()] = True
             used[kept[explains]] = False
 

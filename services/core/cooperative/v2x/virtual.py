@@ -14,7 +14,9 @@ from math import cos, sin, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from ..detection import global_threshold, local_threshold, noncentrality
+from shared.maths.quantiles import chi_square_limit
+
+from ..detection import local_threshold, noncentrality
 from ..measurements import FloatArray
 
 MAX_CHOICES = 5000  # sets of virtual satellites that are compared: all of 4 out of 20
@@ -76,7 +78,7 @@ def residual_test(q: FloatArray, W: FloatArray, false_alarm_rate: float) -> Resi
     """
     n = len(W)
     statistic = (q * np.linalg.solve(W, q[..., np.newaxis])[..., 0]).sum(axis=-1)
-    threshold, local = global_threshold(n, false_alarm_rate), local_threshold(n, false_alarm_rate)
+    threshold, local = chi_square_limit(n, false_alarm_rate), local_threshold(n, false_alarm_rate)
     t = np.abs(q) / np.sqrt(np.diag(W))
     return ResidualTest(statistic, threshold, t, local, (statistic > threshold)[..., np.newaxis] & (t > local))
 

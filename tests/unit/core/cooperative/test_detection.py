@@ -9,7 +9,6 @@ from scipy.stats import binom, chi2, ncx2
 
 from services.core.cooperative.detection import (
     Fit,
-    global_threshold,
     horizontal_levels,
     innovation_test,
     local_threshold,
@@ -18,6 +17,7 @@ from services.core.cooperative.detection import (
     noncentrality,
     weighted_fit,
 )
+from shared.maths.quantiles import chi_square_limit
 
 P_FA, P_MD = 1e-5, 1e-4
 # n, T_H, D_H, lambda, sqrt(lambda): reference numbers of section 001
@@ -32,7 +32,7 @@ TABLE = (
 def test_thresholds_are_the_reference_numbers(
     n: int, global_: float, local: float, lambda_: float, root: float
 ) -> None:
-    assert global_threshold(n, P_FA) == pytest.approx(global_, abs=1e-3)
+    assert chi_square_limit(n, P_FA) == pytest.approx(global_, abs=1e-3)
     assert local_threshold(n, P_FA) == pytest.approx(local, abs=1e-3)
     assert noncentrality(n, P_FA, P_MD) == pytest.approx(lambda_, abs=1e-3)
     assert sqrt(noncentrality(n, P_FA, P_MD)) == pytest.approx(root, abs=1e-3)
@@ -40,8 +40,8 @@ def test_thresholds_are_the_reference_numbers(
 
 @pytest.mark.parametrize(("dof", "rate"), [(1, 1e-2), (3, 1e-5), (17, 1e-7)])
 def test_thresholds_are_the_quantiles_of_scipy_stats(dof: int, rate: float) -> None:
-    assert global_threshold(dof, rate) == pytest.approx(chi2.isf(rate, dof))
-    assert ncx2.cdf(global_threshold(dof, rate), dof, noncentrality(dof, rate, P_MD)) == pytest.approx(P_MD, rel=1e-3)
+    assert chi_square_limit(dof, rate) == pytest.approx(chi2.isf(rate, dof))
+    assert ncx2.cdf(chi_square_limit(dof, rate), dof, noncentrality(dof, rate, P_MD)) == pytest.approx(P_MD, rel=1e-3)
     assert 2.0 * dof * ndtr(-local_threshold(dof, rate)) == pytest.approx(rate)
 
 
@@ -141,5 +141,5 @@ def test_false_alarms_come_at_the_design_rate_in_100000_epochs(rate: float) -> N
     assert fit is not None
     noise = sd * np.random.default_rng(9).standard_normal((100_000, 10))
     residuals = noise - noise @ (H @ fit.gain).T
-    alarms = int((((residuals / sd) ** 2).sum(axis=1) > global_threshold(fit.dof, rate)).sum())
+    alarms = int((((residuals / sd) ** 2).sum(axis=1) > chi_square_limit(fit.dof, rate)).sum())
     assert binom.ppf(0.001, 100_000, rate) <= alarms <= binom.ppf(0.999, 100_000, rate)

@@ -5,7 +5,7 @@ from math import radians, sqrt
 import numpy as np
 import pytest
 
-from services.core.cooperative.detection import global_threshold, noncentrality, weighted_fit
+from services.core.cooperative.detection import noncentrality, weighted_fit
 from services.core.cooperative.paper.scenario import real_rows, virtual_rows
 from services.core.cooperative.v2x.virtual import (
     baarda_biases,
@@ -21,6 +21,7 @@ from services.core.cooperative.v2x.virtual import (
     residual_test,
 )
 from shared.maths.frequency_offset import cfo_from_range_rate, range_rate_from_cfo
+from shared.maths.quantiles import chi_square_limit
 
 SD, P_FA, P_MD = 3.0, 1e-5, 1e-4
 ANGLES = 5e-4  # tolerance of the reference geometry, whose angles are rounded
@@ -76,7 +77,7 @@ def test_a_bias_gives_the_reference_statistics(bias: float, statistic: float, t:
 
 def test_the_tests_fire_at_the_reference_biases() -> None:
     unit = float(residual_test(np.array([1.0, 0.0, 0.0, 0.0]), W, P_FA).statistic)
-    assert sqrt(global_threshold(4, P_FA) / unit) == pytest.approx(24.6, abs=0.05)
+    assert sqrt(chi_square_limit(4, P_FA) / unit) == pytest.approx(24.6, abs=0.05)
     below, above = (residual_test(np.array([bias, 0, 0, 0.0]), W, P_FA).excluded[0] for bias in (28.0, 28.04))
     assert not below and above
 
