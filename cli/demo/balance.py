@@ -31,7 +31,7 @@ KEPT = 36_000  # the last hour of what comes ten times a second
 class Summary:
     """The balance of a run. Errors are root mean squares over the run, in metres; 3-D where nothing else is said.
 
-    `gnss_*` and `fusion_at_fixes_*` are compared at the antenna and at the same times: those of the fixes.
+    `gnss_*` and `fusion_at_fixes_*` are errors at the same times, those of the fixes: of the antenna and of the IMU.
     """
 
     healthy: bool
