@@ -33,7 +33,7 @@ from shared.recording import RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.topics import BY_MESSAGE
 
-from ..recordings.common import progress_on
+from ..progress import progress_on
 from .clocks import offset_of, shifted
 from .convert import Converted, Imported, convert, wanted_columns
 from .gnss_logger import is_log, messages_of, read_log

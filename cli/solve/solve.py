@@ -25,7 +25,8 @@ from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
 from ..import_drive.table import read_table
-from ..recordings.common import open_recording, progress_on, tell_problems, vehicle_of
+from ..progress import progress_on
+from ..recordings.common import open_recording, tell_problems, vehicle_of
 from .files import write
 from .history_file import HistoryFile
 from .inputs import Inputs, all_fixes, arrival_of, inputs_of
