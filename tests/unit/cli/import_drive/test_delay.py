@@ -1,7 +1,7 @@
 """Delays of stamps that are known, and what is estimated of them."""
 
-import heapq
 import math
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -73,5 +73,6 @@ def test_the_delay_of_fixes_stamped_on_arrival_is_that_of_the_simulation() -> No
         for k in np.flatnonzero(drive.fix_valid).tolist()
     ]  # fmt: skip
     text = f"[vehicle]\nname = 'made'\n[core.fusion.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n"
-    found = delay_of_fixes(heapq.merge(imu, fixes, key=lambda m: m.received_ns), parse_vehicle(text))
+    arrived: list[ImuSamples | GnssFix] = sorted([*imu, *fixes], key=attrgetter("received_ns"))
+    found = delay_of_fixes(arrived, parse_vehicle(text))
     assert found.seconds == pytest.approx(LATE_S, abs=0.05)
