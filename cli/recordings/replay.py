@@ -35,10 +35,8 @@ START_LIMIT_S = 30.0
 RUN_HERE = ("sensors.replay", "monitoring.status")
 
 
-def replay(  # noqa: PLR0913  # one argument an option
-    file: Annotated[
-        Path, typer.Argument(help="A recording, from `obu record`, the unit's recorder or `obu import`.")
-    ],
+def replay(  # one argument an option
+    file: Annotated[Path, typer.Argument(help="A recording, from `obu record`, the unit's recorder or `obu import`.")],
     *,
     speed: Annotated[
         float, typer.Option(min=SLOWEST, max=FASTEST, help="Recorded seconds per second; the page changes it.")

@@ -32,9 +32,9 @@ class ReplayControl(Message):
 class ReplayState(Message):
     """Position, extent and speed of a replay; all stamps are recorded ones.
 
-    `epoch` counts the jumps. What follows a state that is not `complete` rebuilds the position: first the newest message
-    of each topic at the `position_ns` of that state, then what arrived after it. An observer discards what it knew and
-    takes all of it in one step when a complete state of the same epoch follows.
+    `epoch` counts the jumps. What follows a state that is not `complete` rebuilds the position: first the newest
+    message of each topic at the `position_ns` of that state, then what arrived after it. An observer discards what it
+    knew and takes all of it in one step when a complete state of the same epoch follows.
     """
 
     position_ns: Nanoseconds

@@ -185,6 +185,11 @@ class SummaryWorker:
         """Give the summary; None while it is being computed, or if it cannot be."""
         return None if self.running else read_summary(self._output, self._size)
 
+    def wait(self, timeout_s: float) -> None:
+        """Wait for the end of the computation."""
+        if self._child is not None:
+            self._child.wait(timeout_s)
+
     def stop(self) -> None:
         """End the computation."""
         if self._child is not None and self.running:
@@ -209,7 +214,7 @@ def main(arguments: Iterable[str]) -> int:
     try:
         write_summary(Path(recording), Path(output))
     except (BadRecording, OSError) as error:
-        print(f"{recording}: no summary: {error}", file=sys.stderr)
+        sys.stderr.write(f"{recording}: no summary: {error}\n")
         return 1
     return 0
 

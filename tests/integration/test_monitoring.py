@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from cli.recordings.record import record
 from cli.recordings.onto_bus import play_onto
+from cli.recordings.record import record
 from shared.bus.bus import Bus, Envelope
 from shared.devices import xbus
 from shared.errors import UserError

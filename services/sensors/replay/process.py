@@ -54,9 +54,7 @@ class Process:
                 self._index = RecordingIndex(recording)
             except BadRecording as error:
                 raise UserError(f"{error}; make one that has with `obu record repair FILE -o whole.mcap`") from error
-            self._position = Position(
-                self._index.begin_ns, self._index.end_ns, self._config.speed, time.monotonic()
-            )
+            self._position = Position(self._index.begin_ns, self._index.end_ns, self._config.speed, time.monotonic())
             self._all, self._shown = playable(self._index.topics), shown(self._index.topics)
             events = SummaryWorker(self._path, bus.state_dir)
             try:
@@ -100,8 +98,9 @@ class Process:
                 log.warning("rejected a command: %s", error)
                 continue
             if isinstance(message, ReplayControl):
-                moved = self._position.apply(message, time.monotonic())
-                jumped = jumped or moved or message.command is ReplayCommand.REFRESH
+                if not self._epoch:  # the first observer is there: the drive begins
+                    self._position.apply(ReplayControl(command=ReplayCommand.SEEK), time.monotonic())
+                jumped = self._position.apply(message, time.monotonic()) or jumped
         return jumped
 
     def _due(self, after_ns: int, until_ns: int) -> Iterator[Envelope]:
