@@ -26,8 +26,9 @@ from shared.topics import BY_MESSAGE
 
 from ..demo.local import as_toml, broker_command, free_port, port_or_free
 from ..demo.supervisor import Supervisor
+from ..progress import progress_on
 from ..solve.inputs import inputs_of
-from .common import open_recording, progress_on, vehicle_of
+from .common import open_recording, vehicle_of
 from .onto_bus import play_onto
 from .record import repair_into
 

@@ -1,5 +1,6 @@
 """The summary of a drive whose course is known."""
 
+import itertools
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ def test_a_summary_has_the_course_of_the_drive(tmp_path: Path) -> None:
 
 def test_the_outline_has_few_points_evenly_spaced_with_both_ends(tmp_path: Path) -> None:
     track = summarise(record(tmp_path / "drive.mcap", 300)).track
-    steps = [b[0] - a[0] for a, b in zip(track, track[1:], strict=False)]
+    steps = [b[0] - a[0] for a, b in itertools.pairwise(track)]
     assert len(track) == POINTS
     assert max(steps) < 2.1 * min(steps), "positions are a second apart, and chosen ones about three"
     assert track[-1][0] - track[0][0] == pytest.approx(299 * NORTH_M_S / 111_194.9, rel=1e-6)
