@@ -50,15 +50,19 @@ def import_drive(
     folder: Annotated[
         Path | None, typer.Argument(help="Folder with the files named in the mapping; none with a GnssLogger log.")
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Output recording.")] = Path("drive.mcap"),
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Output recording.")] = Path(
+        "drive.mcap"
+    ),
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="Vehicle TOML file; default: the one named in the mapping.")
+        Path | None,
+        typer.Option("--vehicle", metavar="FILE", help="Vehicle TOML file; default: the one named in the mapping."),
     ] = None,
     axes: Annotated[
         str,
         typer.Option(
+            metavar="X,Y,Z",
             help="Axes of the phone (x right, y top, z out of the screen) that point forward, right and down in the "
-            "vehicle, of a GnssLogger log; default: flat, top ahead."
+            "vehicle, of a GnssLogger log; default: flat, top ahead.",
         ),
     ] = "y,x,-z",
 ) -> int:
