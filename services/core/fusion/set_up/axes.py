@@ -27,8 +27,9 @@ AXES = ("forward", "right", "down")
 OPPOSITE = ("backward", "left", "up")
 FEWEST = 20  # intervals
 LEVELLED_S = 20.0  # of samples that tell the direction of gravity
-COLUMN_SD = 0.12  # of a column of M that is known
+COLUMN_SD = 0.2  # of a column of M that is known
 RATE_SD = 0.1  # of the response of the gyroscopes to a turn
+EXPLAINED = 0.6  # share of the variance of the rate along the axis of turns that the course explains
 MARGIN = 0.8  # by which tr(PᵀM) of another permutation must exceed that of the identity
 GAIN = (0.5, 1.6)  # length of a column of M that is of this motion: a car pitches and rolls with its accelerations
 SDS = 5.0
@@ -68,6 +69,8 @@ def fit_axes(motion: Motion, intervals: Intervals | None) -> AxesFit | None:
     one = np.ones_like(a)
     forces = least_squares(np.column_stack([a, lateral, one]), intervals.force[turning]) if len(a) >= FEWEST else None
     rates = least_squares(np.column_stack([rate, one]), intervals.rate[turning]) if len(a) >= FEWEST else None
+    if rates is not None and np.corrcoef(intervals.rate[turning] @ rates.coefficients[0], rate)[0, 1] ** 2 < EXPLAINED:
+        rates = None
     return _with_fits(fit, forces, rates)
 
 
