@@ -9,7 +9,7 @@ M should be the identity. Its first two columns follow by least squares, the thi
 swapped or mirrored M is near another signed permutation, with a skewed mount it is a rotation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import atan2, degrees, hypot, radians
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from shared.maths.earth import STANDARD_GRAVITY
 
+from ..settings import Matrix3
 from .findings import Check, Verdict, matrix_text
 from .motion import Intervals, Motion
 from .regression import Fit, least_squares, nearest_permutation
@@ -50,10 +51,11 @@ class AxesFit:
     turn_sd: float = 0.0
     bias: FloatArray | None = None  # [rad/s, body] of the gyroscopes, shape (3,)
     bias_sd: float = 0.0
+    present: FloatArray = field(default_factory=lambda: np.eye(3))  # `imu.body_from_imu` of the settings
 
 
-def fit_axes(motion: Motion, intervals: Intervals | None) -> AxesFit | None:
-    """Estimate M; None while gravity is not known."""
+def fit_axes(motion: Motion, intervals: Intervals | None, present: Matrix3) -> AxesFit | None:
+    """Estimate M; None while gravity is not known. `present` is the correction that the samples have had already."""
     span = motion.nodes[-1] - motion.nodes[0] - (motion.integrals[-1, 6] - motion.integrals[0, 6])
     if span < LEVELLED_S:
         return None
@@ -61,7 +63,7 @@ def fit_axes(motion: Motion, intervals: Intervals | None) -> AxesFit | None:
     gravity = float(np.linalg.norm(force))
     if gravity < 1e-3:
         return None
-    fit = AxesFit(gravity, -force / gravity)
+    fit = AxesFit(gravity, -force / gravity, present=np.array(present))
     if intervals is None:
         return fit
     turning = np.isfinite(intervals.course_rate)
@@ -78,11 +80,16 @@ def _with_fits(fit: AxesFit, forces: Fit | None, rates: Fit | None) -> AxesFit:
     columns, sd, turn, turn_sd, bias, bias_sd = None, 0.0, None, 0.0, None, 0.0
     if forces is not None and float(forces.sd[:2].max()) < COLUMN_SD:
         down = -forces.coefficients[2] / np.linalg.norm(forces.coefficients[2])
-        columns, sd = np.column_stack([forces.coefficients[0], forces.coefficients[1], down]), float(forces.sd[:2].max())
-    if rates is not None and float(rates.sd[0].max()) < RATE_SD * max(1.0, float(np.linalg.norm(rates.coefficients[0]))):
+        columns, sd = (
+            np.column_stack([forces.coefficients[0], forces.coefficients[1], down]),
+            float(forces.sd[:2].max()),
+        )
+    if rates is not None and float(rates.sd[0].max()) < RATE_SD * max(
+        1.0, float(np.linalg.norm(rates.coefficients[0]))
+    ):
         turn, turn_sd = rates.coefficients[0], float(rates.sd[0].max())
         bias, bias_sd = rates.coefficients[1], float(rates.sd[1].max())
-    return AxesFit(fit.gravity, fit.down, columns, sd, turn, turn_sd, bias, bias_sd)
+    return AxesFit(fit.gravity, fit.down, columns, sd, turn, turn_sd, bias, bias_sd, fit.present)
 
 
 def check_accelerometer_scale(fit: AxesFit | None) -> Check:
@@ -141,7 +148,9 @@ def check_mounting(fit: AxesFit | None, limit_rad: float) -> Check:
     R = mounting_of(fit.columns)
     yaw, pitch = atan2(R[1, 0], R[0, 0]), -atan2(R[2, 0], hypot(R[0, 0], R[1, 0]))
     size, sd = max(abs(yaw), abs(pitch)), fit.sd
-    text = f"the IMU is askew by {degrees(-yaw):.1f}° in yaw and {degrees(-pitch):.1f}° in pitch (1 σ {degrees(sd):.1f}°)"
+    text = (
+        f"the IMU is askew by {degrees(-yaw):.1f}° in yaw and {degrees(-pitch):.1f}° in pitch (1 σ {degrees(sd):.1f}°)"
+    )
     values = degrees(size), degrees(sd), 0.0, degrees(limit), "deg"
     if size < limit + 3.0 * sd:
         return Check(name, Verdict.AGREES if size < limit else Verdict.UNKNOWN, text, *values)
@@ -158,7 +167,9 @@ def check_gyroscope(fit: AxesFit | None) -> Check:
     values = gain, sd, 1.0, RATE_LIMIT
     if gain < 0.5 * size:
         sense = "against the sense" if gain < -0.7 * size else f"about its axis {axis_name(fit.turn / size)} instead"
-        text = f"the gyroscopes show turns of the course {sense} of the vertical of the accelerometers (factor {gain:.2f})"
+        text = (
+            f"the gyroscopes show turns of the course {sense} of the vertical of the accelerometers (factor {gain:.2f})"
+        )
         return Check(name, Verdict.CONTRADICTS, f"{text}: check sign and order of their axes", *values)
     if abs(size - 1.0) > RATE_LIMIT + SDS * sd:
         text = f"the gyroscopes show {size:.2f} of the turns of the course"
@@ -217,4 +228,5 @@ def _axes_setting(fit: AxesFit) -> str | None:
         return None
     best, _ = nearest_permutation(fit.columns)
     swapped = not np.array_equal(best, np.eye(3))
-    return f"core.fusion.imu.body_from_imu = {matrix_text(best.T if swapped else mounting_of(fit.columns).T)}"
+    correction = best.T if swapped else mounting_of(fit.columns).T
+    return f"core.fusion.imu.body_from_imu = {matrix_text(correction @ fit.present)}"

@@ -87,18 +87,22 @@ def evaluate(settings: Settings, motion: Motion, arm: ArmError | None = None) ->
     late = delay.verdict is Verdict.CONTRADICTS
     lag_s = delay.statistic if late and delay.statistic is not None else 0.0
     intervals = intervals_of(motion, chosen, lag_s) if len(chosen.begin) >= FEWEST_VELOCITIES else None
-    fit = axes.fit_axes(motion, intervals)
-    yield axes.check_accelerometer_scale(fit)
-    yield axes.check_upright(fit)
-    yield axes.check_axes(fit)
-    yield axes.check_mounting(fit, 3.0 * settings.non_holonomic.mounting_sd_rad)
-    yield axes.check_gyroscope(fit)
-    yield axes.check_gyroscope_bias(fit, settings.imu.gyroscope_bias_sd_rad_s)
+    fit = axes.fit_axes(motion, intervals, settings.imu.body_from_imu)
+    of_imu = (
+        axes.check_accelerometer_scale(fit),
+        axes.check_upright(fit),
+        axes.check_axes(fit),
+        axes.check_mounting(fit, 3.0 * settings.non_holonomic.mounting_sd_rad),
+        axes.check_gyroscope(fit),
+        axes.check_gyroscope_bias(fit, settings.imu.gyroscope_bias_sd_rad_s),
+    )
+    yield from of_imu
     yield same
     yield from receiver.check_vertical(motion, intervals, axes.forward_of(fit))
     yield from delays
     yield check_odometer_scale(motion, chosen, settings.odometer.scale)
-    yield Check("lever_arm") if late or arm is None else check_arm(settings, arm)
+    misled = late or any(check.verdict is Verdict.CONTRADICTS for check in (*of_imu, same))
+    yield Check("lever_arm") if misled or arm is None else check_arm(settings, arm)
 
 
 def _delays(

@@ -131,7 +131,9 @@ class Changes:
     def within(self, motion: Motion, margin_s: float) -> "Changes":
         """Those that the inertial samples cover without a gap, moved by up to a margin."""
         first, last = motion.nodes[0] + margin_s, motion.nodes[-1] - margin_s
-        gaps = [np.interp(time, motion.nodes, motion.integrals[:, 6]) for time in (self._from(margin_s), self._to(margin_s))]
+        gaps = [
+            np.interp(time, motion.nodes, motion.integrals[:, 6]) for time in (self._from(margin_s), self._to(margin_s))
+        ]
         fit = (self.begin[:, 0] >= first) & (self.end[:, 1] <= last) & (gaps[0] == gaps[1])
         return Changes(self.begin[fit], self.end[fit], self.speed[fit], self.acceleration[fit], self.course_rate[fit])
 

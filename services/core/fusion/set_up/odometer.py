@@ -36,5 +36,9 @@ def check_odometer_scale(motion: Motion, velocities: Velocities, present: float)
         return Check(name, Verdict.AGREES, text, *values)
     if abs(ratio - 1.0) < SCALE_LIMIT + 2.0 * sd:
         return Check(name)
-    setting = f"core.fusion.odometer.scale = {present / ratio:.3f}" if ratio > 0.05 else "core.fusion.odometer.enabled = false"
+    setting = (
+        f"core.fusion.odometer.scale = {present / ratio:.3f}"
+        if ratio > 0.05
+        else "core.fusion.odometer.enabled = false"
+    )
     return Check(name, Verdict.CONTRADICTS, text, *values, "-", setting)

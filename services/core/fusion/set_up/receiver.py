@@ -76,7 +76,9 @@ def check_vertical(motion: Motion, intervals: Intervals | None, ahead: FloatArra
             by_velocity = _gain(motion, intervals, ahead, climbed[:, 0], climbed[:, 1])
     each_other = _heights_against_velocity(motion)
     if by_velocity is not None:
-        velocity = _verdict("gnss_vertical_velocity", "vertical velocity", by_velocity, "the pitch of the road", MAPPING)
+        velocity = _verdict(
+            "gnss_vertical_velocity", "vertical velocity", by_velocity, "the pitch of the road", MAPPING
+        )
     if by_height is not None:
         height = _verdict("gnss_height", "height", by_height, "the pitch of the road", HEIGHTS)
     elif each_other is not None and velocity.verdict is Verdict.AGREES:

@@ -93,9 +93,7 @@ def test_most_of_the_set_up_is_known_after_three_minutes() -> None:
 
 def test_a_standing_vehicle_shows_gravity_alone() -> None:
     n = 3000
-    still = Recorded(
-        np.arange(1, n + 1) * 10_000_000, np.tile([0.0, 0.0, -9.81], (n, 1)), np.zeros((n, 3)), fixes=[]
-    )
+    still = Recorded(np.arange(1, n + 1) * 10_000_000, np.tile([0.0, 0.0, -9.81], (n, 1)), np.zeros((n, 3)), fixes=[])
     known = {name for name, check in Spoiled().checks(still).items() if check.verdict is not Verdict.UNKNOWN}
     assert known == {"accelerometer_scale", "imu_upright"}
 
