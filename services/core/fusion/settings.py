@@ -53,7 +53,9 @@ class ImuSettings(Section):
         description="PSD of the white noise that drives the random walk of the accelerometer biases",
     )
     gyroscope_bias_sd_rad_s: float = Field(
-        default=radians(0.2), gt=0.0, description="standard deviation of the gyroscope biases at switch-on"
+        default=radians(2.5),
+        gt=0.0,
+        description="standard deviation of the gyroscope biases at switch-on; a start at rest measures them",
     )
     accelerometer_bias_sd_m_s2: float = Field(
         default=0.03, gt=0.0, description="standard deviation of the accelerometer biases at switch-on"

@@ -1,12 +1,12 @@
 """Axes and mounting of the IMU, by gravity, by accelerations and by turns of GNSS.
 
-Over an interval, with a the acceleration of the speed, v the speed and chi' the rate of the course by GNSS, an IMU whose
-axes lie along the columns of M (vehicle axes forward, right, down in published axes) measures::
+Over an interval, with a the acceleration of the speed, v the speed and chi' the rate of the course by GNSS, an IMU
+measures, with the columns of M the vehicle's axes forward, right, down in published axes::
 
     mean f = M (a, v chi', 0) - g m_3 + noise        mean w = m_3 chi' + bias + noise
 
-M should be the identity. Its first two columns follow by least squares, the third from the direction of gravity. With axes
-swapped or mirrored M is near another signed permutation, with a skewed mount it is a rotation.
+M should be the identity. Its first two columns follow by least squares, the third from the direction of gravity. With
+axes swapped or mirrored M is near another signed permutation, with a skewed mount it is a rotation.
 """
 
 from dataclasses import dataclass, field
@@ -34,6 +34,7 @@ EXPLAINED = 0.6  # share of the variance of the rate along the axis of turns tha
 MARGIN = 0.8  # by which tr(PᵀM) of another permutation must exceed that of the identity
 GAIN = (0.5, 1.6)  # length of a column of M that is of this motion: a car pitches and rolls with its accelerations
 SDS = 5.0
+BIAS_SDS = 3.0
 FORCE_LIMIT = 0.1  # relative error of the mean specific force against gravity
 RATE_LIMIT = 0.25  # relative error of the gyroscopes against the course
 SKEWED = radians(9.0)  # of a mount beyond the default prior (3 degrees, three standard deviations)
@@ -186,8 +187,8 @@ def check_gyroscope_bias(fit: AxesFit | None, assumed_sd: float) -> Check:
     size = float(np.abs(fit.bias).max())
     x, y, z = np.degrees(fit.bias).tolist()
     text = f"gyroscope biases by the course over ground: {x:.2f}, {y:.2f}, {z:.2f} °/s"
-    values = degrees(size), degrees(fit.bias_sd), 0.0, degrees(SDS * assumed_sd), "deg/s"
-    if size < SDS * assumed_sd + 3.0 * fit.bias_sd:
+    values = degrees(size), degrees(fit.bias_sd), 0.0, degrees(BIAS_SDS * assumed_sd), "deg/s"
+    if size < BIAS_SDS * assumed_sd + 3.0 * fit.bias_sd:
         return Check(name, Verdict.AGREES, text, *values)
     setting = f"core.fusion.imu.gyroscope_bias_sd_rad_s = {size:.2g}"
     return Check(name, Verdict.CONTRADICTS, text, *values, setting)

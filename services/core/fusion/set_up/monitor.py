@@ -128,9 +128,10 @@ def check_arm(settings: Settings, arm: ArmError) -> Check:
     forward, right = arm.error
     x, y, z = settings.gnss.lever_arm_body_m
     size = (forward**2 + right**2) ** 0.5
+    along, across = "ahead of" if forward > 0.0 else "behind", "right" if right > 0.0 else "left"
     text = (
-        f"in turns the antenna is {abs(forward):.1f} m {'ahead of' if forward > 0.0 else 'behind'} and {abs(right):.1f} m "
-        f"{'right' if right > 0.0 else 'left'} of where the settings have it"
+        f"in turns the antenna is {abs(forward):.1f} m {along} and {abs(right):.1f} m {across} of where the settings "
+        "have it"
     )
     values = size, size / max(arm.sds, 1e-9), 0.0, 0.5, "m"
     if arm.wrong:

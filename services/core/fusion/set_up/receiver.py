@@ -46,10 +46,10 @@ def check_velocity_axes(motion: Motion) -> Check:
         return Check(name, Verdict.AGREES, "the receiver's velocity is that of its positions", *values)
     if gap < max(0.8, SDS * sd):
         return Check(name)
-    words = ("north", "east")
+    words = {(1, 0): "north", (0, 1): "east", (-1, 0): "south", (0, -1): "west"}
     shown = [
-        f"{words[place]} appears {('' if best[:, place].sum() > 0 else 'opposite to ')}{words[int(np.abs(best[:, place]).argmax())]}"
-        for place in (0, 1)
+        f"{name} appears {words[(round(best[0, place]), round(best[1, place]))]}"
+        for place, name in enumerate(("north", "east"))
         if best[place, place] != 1.0
     ]
     text = f"the receiver's velocity contradicts its positions: {', '.join(shown)}"
@@ -126,7 +126,7 @@ def _gain(
 
 def _covered(time: FloatArray, begin: float, end: float) -> bool:
     first, last = np.searchsorted(time, begin), np.searchsorted(time, end)
-    return bool(0 < first and last < len(time) and np.diff(time[first - 1 : last + 1]).max() < 3.0)
+    return bool(first > 0 and last < len(time) and np.diff(time[first - 1 : last + 1]).max() < 3.0)
 
 
 def _heights_against_velocity(motion: Motion) -> tuple[float, float] | None:
