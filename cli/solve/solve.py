@@ -20,7 +20,7 @@ from services.core.fusion.smoothing.rts import smoothed_filters
 from shared.errors import ConfigError, UserError
 from shared.messages.base import Message
 from shared.messages.gnss import CarrierSolution, GnssFix, GnssRaw
-from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState
+from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState, SetUpState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
@@ -38,6 +38,7 @@ from .outages import Outages
 from .overrides import SWITCHES, Aiding, with_settings
 from .reference_track import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
 from .report.report import Heading, summary
+from .set_up import findings
 from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .track import Track, TrackBuilder
 
@@ -135,7 +136,9 @@ def solve(  # noqa: PLR0913  # one argument an option
         metrics |= smoothed_metrics(run, again)
     truth_is = reference.description if reference else "none"
     risk, made = _fusion(drive.vehicle).integrity.risk, drive.provenance.get("made", "")
-    heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), risk, made)
+    heading = Heading(
+        drive.name, truth_is, outage, _facts(drive, changes), risk, made, findings(solved.counters.set_up)
+    )
     write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
@@ -245,6 +248,8 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress, history: His
                 counters.add_update(message)
             case NavigationState():
                 counters.add_state(message)
+            case SetUpState():
+                counters.set_up = message
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
     return Solved(builder, counters, outages, fixes, time.perf_counter() - started)

@@ -54,6 +54,7 @@ class Heading:
     facts: Sequence[tuple[str, str]]  # of the recording: name and value
     integrity_risk: float | None = None  # integrity risk of the protection levels
     made: str = ""  # statement on computed instead of measured data
+    set_up: Sequence[str] = ()  # findings of the checks of the set-up
 
 
 def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure]) -> str:
@@ -195,6 +196,7 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
     found.append(f"Truth: {heading.truth}.")
     if heading.made:
         found.append(heading.made)
+    found += heading.set_up
     return found
 
 
