@@ -99,7 +99,7 @@ def import_drive(
     console = Console(stderr=True)
     with progress_on(console) as progress:
         parts = _converted(tables, [_read(table, folder, progress) for table in tables], spec.start_utc_s)
-        parts = _on_one_clock(tables, _without_delay(tables, _in_body_axes(tables, parts), file))
+        parts = _on_one_clock(tables, _without_delay(tables, _in_body_axes(tables, parts), file, progress))
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)
     for sentence in (*(part.clock for part in parts if part.clock), *spec.made()):
@@ -196,13 +196,17 @@ def _turned(part: Part, fixes: Sequence[GnssFix]) -> Part:
     return replace(part, converted=replace(part.converted, messages=rotated(imu, found.body_from_sensor)), clock=clock)
 
 
-def _without_delay(tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleFile) -> list[Part]:
+def _without_delay(
+    tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleFile, progress: Progress
+) -> list[Part]:
     """Estimate and remove the delays of the stamps where the mapping asks for it: of the fixes, then of the truth."""
     for place, table in enumerate(tables):
         if isinstance(table, Positioned) and table.estimate_delay:
             messages = list(heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns))
             if isinstance(table, Gnss):
-                delay, against = delay_of_fixes((m for m in messages if not isinstance(m, TruthState)), vehicle), "IMU"
+                inputs = [message for message in messages if not isinstance(message, TruthState)]
+                shown = progress.track(inputs, description=f"estimating the delay of {table.file}")
+                delay, against = delay_of_fixes(shown, vehicle), "IMU"
             else:
                 states = [message for message in messages if isinstance(message, TruthState)]
                 fixes = [message for message in messages if isinstance(message, GnssFix)]
