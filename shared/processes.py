@@ -85,6 +85,7 @@ PROCESSES = (
         consumes=("gnss/write", "simulation/attack"),
         produces=(
             "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state", "simulation/state",
+            "simulation/roads",
         ),
     ),
     ProcessRow(

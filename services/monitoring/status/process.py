@@ -16,6 +16,7 @@ from shared.runtime.config import Section, parse_vehicle
 
 from .state import State
 from .views.prometheus import StateCollector, registry_of
+from .web.map import MapApi
 from .web.pages import read_pages
 from .web.routes import Api, make_app, make_server
 from .web.simulation import SimulationApi
@@ -35,6 +36,7 @@ class Config(Section):
     history_s: float = Field(default=900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
+    map_file: str | None = None  # .pmtiles or .mbtiles: docs/how-to/install-a-map.md
     clients_maximum: int = Field(default=16, ge=1, le=256)
 
 
@@ -72,7 +74,8 @@ class Process:
         collector = StateCollector(state, bus.now_ns, lock, software_version())
         api = Api(state, lock, bus.now_ns, registry_of(collector), self._config.history_s)
         stream = Stream(state, lock, bus.now_ns, self._config.clients_maximum)
-        app = make_app(api, simulation, read_pages(folder), stream, self._config.allowed_hosts)
+        maps = MapApi(state, lock, bus.now_ns, self._config.map_file)
+        app = make_app(api, (simulation, maps), read_pages(folder), stream, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:

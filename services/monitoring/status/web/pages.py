@@ -22,9 +22,11 @@ The description itself is at /openapi.json
 class Pages:
     """Serves files from memory; the few large ones of the API's description from disk."""
 
-    def __init__(self, files: Mapping[str, bytes], documentation: Mapping[str, Path]) -> None:
+    def __init__(
+        self, files: Mapping[str, bytes], documentation: Mapping[str, Path], later: Mapping[str, Path] | None = None
+    ) -> None:
         self._assets = assets.make_assets(files)
-        self._documentation = documentation
+        self._documentation, self._later = documentation, dict(later or {})
         page = files.get("index.html", b"").decode()
         self._policy = assets.security_policy(page)
         self._complete = all(name in files for name in (*assets.PAGES, *(f"lib/{n}" for n in assets.LIBRARIES)))
@@ -53,6 +55,8 @@ class Pages:
         """Serve a library."""
         if path := self._documentation.get(name):
             return FileResponse(path, media_type=assets.TYPES[name.rsplit(".", 1)[1]])
+        if name in self._later and f"lib/{name}" not in self._assets:
+            self._assets[f"lib/{name}"] = assets.make_asset(name, self._later[name].read_bytes())
         return self._asset(f"lib/{name}", request)
 
     def docs(self) -> Response:
@@ -86,4 +90,5 @@ def read_pages(folder: Path) -> Pages:
     files = {name: path.read_bytes() for name, path in wanted.items() if path.is_file()}
     if "style.css" in files and (libraries / assets.LIBRARY_STYLE).is_file():
         files["style.css"] = (libraries / assets.LIBRARY_STYLE).read_bytes() + files["style.css"]
-    return Pages(files, large if all(path.is_file() for path in large.values()) else {})
+    of_map = {name: libraries / path for name, path in assets.MAP_LIBRARIES.items() if (libraries / path).is_file()}
+    return Pages(files, large if all(path.is_file() for path in large.values()) else {}, of_map)

@@ -2,9 +2,9 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, MutableMapping
+from collections.abc import AsyncIterator, Callable, Iterable, MutableMapping
 from contextlib import AbstractContextManager, asynccontextmanager
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import uvicorn
 from fastapi import FastAPI, HTTPException, Path, Query, Response
@@ -18,13 +18,19 @@ from ..state import State
 from ..views import prometheus, reports
 from . import assets, hosts
 from .pages import Pages
-from .simulation import SimulationApi
 from .websocket import Stream
 
 log = logging.getLogger(__name__)
 
 Scope = MutableMapping[str, Any]
 Send = Callable[[Scope], Any]
+
+
+class Routes(Protocol):
+    """A group of routes in a file of its own."""
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
 
 
 class Api:
@@ -119,7 +125,7 @@ class Guard:
 
 
 def make_app(
-    api: Api, simulation: SimulationApi, pages: Pages, stream: Stream, allowed_hosts: tuple[str, ...]
+    api: Api, further: Iterable[Routes], pages: Pages, stream: Stream, allowed_hosts: tuple[str, ...]
 ) -> FastAPI:
     """Put the routes together."""
 
@@ -133,7 +139,8 @@ def make_app(
     app = FastAPI(title="On-board unit", docs_url=None, redoc_url=None, lifespan=lifespan)
     stream.version = pages.version
     api.add_to(app)
-    simulation.add_to(app)
+    for routes in further:
+        routes.add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.add_api_websocket_route("/ws", stream.serve)
     app.include_router(pages.router())
