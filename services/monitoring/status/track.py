@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
-from math import cos, hypot, radians
+from math import cos, hypot, inf, radians
 from typing import NamedTuple
 
 from shared.track_files import Extra, TrackPoint
@@ -59,18 +59,23 @@ class Track:
         return self.rows[first:]
 
     def _thin(self) -> None:
-        """Double the spacing until a quarter of the rows is gone; then, if every row differs, drop every second."""
+        """Double the spacing until a quarter of the rows is gone; drop every second row where few depend on it."""
         self.generation += 1
-        for _ in range(4):
+        if len(thinned(self.rows, inf)) > self._maximum // 2:
+            self.rows = self.rows[::2]
+            return
+        while len(self.rows) > 0.75 * self._maximum:
             self.spacing_m *= 2.0
-            kept = self.rows[:1]
-            for row in self.rows[1:]:
-                if differs(kept[-1], row, self.spacing_m):
-                    kept.append(row)
-            self.rows = kept
-            if len(kept) <= 0.75 * self._maximum:
-                return
-        self.rows = self.rows[::2]
+            self.rows = thinned(self.rows, self.spacing_m)
+
+
+def thinned(rows: list[TrackRow], spacing_m: float) -> list[TrackRow]:
+    """Keep the rows that differ from the last one that was kept."""
+    kept = rows[:1]
+    for row in rows[1:]:
+        if differs(kept[-1], row, spacing_m):
+            kept.append(row)
+    return kept
 
 
 def differs(before: TrackRow, row: TrackRow, spacing_m: float) -> bool:
