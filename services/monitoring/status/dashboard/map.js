@@ -312,7 +312,7 @@ export function MapPage() {
       <button onClick=${whole} disabled=${!first}>${w.whole}</button>
       <button onClick=${startMeasure} aria-pressed=${ends !== null}>${w.measure}</button>
       ${ends !== null && html`<button onClick=${() => mark(view.current.centre())}>${w.mark}</button>`}
-      <label class="map-colour"><span class="dim">${w.colour}</span> <select value=${colourBy} onChange=${(e) => setColourBy(e.target.value)}>${Object.entries(w.colours).map(([key, label]) => html`<option value=${key}>${label}</option>`)}</select></label>
+      <span class="map-colour"><span class="dim" aria-hidden="true">${w.colour}</span> <select aria-label=${w.colour} value=${colourBy} onChange=${(e) => setColourBy(e.target.value)}>${Object.entries(w.colours).map(([key, label]) => html`<option value=${key}>${label}</option>`)}</select></span>
       <${Layers} ids=${ids} hidden=${hidden} toggle=${toggle} />
       <button onClick=${() => setTable(!table)} aria-pressed=${table} class="push">${table ? w.picture : w.table}</button>
     </div>

@@ -40,7 +40,7 @@ const SCHEMAS = [
 ];
 
 const zoomed = (...stops) => ["interpolate", ["exponential", 1.6], ["zoom"], ...stops];
-const among = (key, values) => (values ? ["in", ["get", key], ["literal", values]] : true);
+const among = (key, values) => (values ? ["in", ["get", key], ["literal", values]] : ["all"]);
 
 function text(id, source, field, colour, halo, more = {}) {
   return {

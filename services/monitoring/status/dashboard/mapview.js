@@ -49,7 +49,8 @@ export class MapView {
 
   drawGrid() {
     const b = this.map.getBounds();
-    this.set("graticule", graticule([[b.getWest(), b.getSouth()], [b.getEast(), b.getNorth()]], Math.max(3, this.map.getContainer().clientWidth / 150)));
+    const [x, y] = [(b.getEast() - b.getWest()) / 2, (b.getNorth() - b.getSouth()) / 2]; // beyond the view, which moves on
+    this.set("graticule", graticule([[b.getWest() - x, b.getSouth() - y], [b.getEast() + x, b.getNorth() + y]], Math.max(6, this.map.getContainer().clientWidth / 75)));
   }
 
   show(sources, visible) {
