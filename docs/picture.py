@@ -1,4 +1,4 @@
-"""Takes the pictures of the dashboard from running demos: docs/dashboard.png, and docs/pages/ with every page of both roles."""
+"""Takes the pictures of the dashboard from running demos: docs/dashboard.png, and every page of both roles."""
 
 import io
 import os

@@ -77,9 +77,12 @@ class State:
 
     def clear(self, started_ns: int) -> None:
         """Forget everything, as after a start at another time: a replay jumped."""
+        track = self.track
         vars(self).update(
             vars(State(self.vehicle, tuple(self.expected), started_ns, self.history_s, replay=self.replay))
         )
+        self.track = track  # of the parts that were played
+        self.track.interrupt()
 
     def recall(self, changes: Iterable[tuple[int, str]], outages: Iterable[Outage]) -> None:
         """Insert what happened before everything that is known: changes of the verdict, and outages."""

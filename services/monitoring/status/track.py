@@ -1,15 +1,20 @@
 """The track of this drive: the positions of every source, thinned so that the whole drive fits."""
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from math import cos, hypot, inf, radians
 from typing import NamedTuple
+
+from pydantic import TypeAdapter, ValidationError
 
 from shared.track_files import Extra, TrackPoint
 
 POINTS_MAXIMUM = 6000
 SPACING_M = 0.5  # between points at first; doubled whenever the points become too many
 METRES_PER_DEGREE = 111_320.0  # good enough for a spacing
+RESTORED_NS = 3_600_000_000_000  # a longer pause ends a drive
+UNSAVED = 1000  # rows
 SOURCES = ("fused", "gnss", "truth")
 
 
@@ -34,21 +39,62 @@ class TrackRow(NamedTuple):
     level_m: float | None = None  # horizontal protection level
 
 
+ROW = TypeAdapter(TrackRow)
+
+
 class Track:
     """Rows in the order of time, at most `maximum`; a row is kept where it differs from the one before."""
 
     def __init__(self, maximum: int = POINTS_MAXIMUM) -> None:
         self.rows: list[TrackRow] = []
         self.spacing_m = SPACING_M
+        self._unsaved: deque[TrackRow] = deque(maxlen=UNSAVED)
         self.generation = 0  # changes when rows were removed, so that a reader starts afresh
         self._maximum = maximum
 
     def add(self, row: TrackRow) -> None:
-        """Keep a row that says something new."""
+        """Keep a row that says something new; what is earlier than the last one is known already."""
+        if self.rows and row.time_ns <= self.rows[-1].time_ns:
+            return
         if self.rows and not differs(self.rows[-1], row, self.spacing_m):
             return
         if not self.rows and not any((row.fused, row.gnss, row.truth)):
             return
+        self._append(row)
+        self._unsaved.append(row)
+
+    def interrupt(self) -> None:
+        """End a part of the track: the next position does not continue it."""
+        if self.rows and self.rows[-1].fused:
+            self._append(TrackRow(self.rows[-1].time_ns, self.rows[-1].state, aided=False))
+
+    def unsaved(self) -> list[TrackRow]:
+        """Hand over the rows that a later life of this process must know, once."""
+        rows, self._unsaved = list(self._unsaved), deque(maxlen=UNSAVED)
+        return rows
+
+    def restore(self, lines: Iterable[bytes], now_ns: int) -> int:
+        """Take over rows of earlier lives that belong to this drive; returns how many lines cannot be read.
+
+        A pause of more than `RESTORED_NS` separates drives. Lines are the JSON of rows, oldest first.
+        """
+        bad, rows = 0, list[TrackRow]()
+        for line in lines:
+            try:
+                row = ROW.validate_json(line)
+            except ValidationError:
+                bad += 1
+                continue
+            if rows and not 0 < row.time_ns - rows[-1].time_ns <= RESTORED_NS:
+                rows.clear()
+            rows.append(row)
+        if rows and 0 <= now_ns - rows[-1].time_ns <= RESTORED_NS:
+            for row in rows:
+                self._append(row)
+            self.interrupt()
+        return bad
+
+    def _append(self, row: TrackRow) -> None:
         self.rows.append(row)
         if len(self.rows) > self._maximum:
             self._thin()

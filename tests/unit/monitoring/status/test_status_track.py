@@ -1,6 +1,7 @@
 from itertools import pairwise
 
 import pytest
+from pydantic_core import to_json
 
 from services.monitoring.status.track import (
     METRES_PER_DEGREE,
@@ -96,3 +97,43 @@ def test_the_columns_have_one_value_a_row_and_none_where_a_source_was_silent() -
     assert {len(values) for values in table.values()} == {2}
     assert table["fused_latitude_deg"] == [48.0, None]
     assert table["gnss_longitude_deg"] == [None, None]
+
+
+def lines(rows: list[TrackRow]) -> list[bytes]:
+    return [to_json(each) for each in rows]
+
+
+def test_a_later_life_continues_the_track_of_this_drive_after_a_gap() -> None:
+    first = Track()
+    drive(first, range(10))
+    kept = lines(first.unsaved())
+    assert first.unsaved() == [], "handed over once"
+    second = Track()
+    assert second.restore([*kept, b"no row", b"[1, 2]"], 60 * NS) == 2
+    assert second.rows[:10] == first.rows
+    second.add(row(61, 700.0))
+    assert [len(part) for part in segments(second.rows, "fused")] == [10, 1], "no line across the restart"
+    assert [r.time_ns // NS for r in second.unsaved()] == [61], "what is restored is not saved again"
+
+
+def test_the_track_of_an_earlier_drive_is_not_taken_over() -> None:
+    early, late = Track(), Track()
+    drive(early, range(10))
+    drive(late, range(8000, 8005))
+    kept = [*lines(early.rows), *lines(late.rows)]
+    found = Track()
+    found.restore(kept, 8010 * NS)
+    assert found.rows[:5] == late.rows
+    found = Track()
+    found.restore(kept, 20_000 * NS)
+    assert found.rows == []
+
+
+def test_a_replay_that_goes_back_adds_nothing_that_is_known() -> None:
+    track = Track()
+    drive(track, range(10))
+    track.interrupt()
+    drive(track, range(3, 8))
+    assert [len(part) for part in segments(track.rows, "fused")] == [10]
+    drive(track, range(50, 55))
+    assert [len(part) for part in segments(track.rows, "fused")] == [10, 5]
