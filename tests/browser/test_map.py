@@ -15,11 +15,15 @@ from playwright.sync_api import Page, ViewportSize, expect
 
 from services.sensors.simulator.motion.centre_line import road_network
 from services.sensors.simulator.motion.roads import Course, RoadSegment, bend
+from services.sensors.simulator.scenarios import scenario_of
+from services.sensors.simulator.v2x.radio import Radio
+from services.sensors.simulator.vehicle import AntennaState
 from shared.maths.earth import Geodetic, ecef_from_geodetic
 from tests.browser.test_pages import faults, keep_picture
 from tests.support.fake_unit import LATITUDE_DEG, LONGITUDE_DEG
 from tests.support.status_server import Running, eventually, status_server
 from tests.support.tile_files import write_mbtiles, write_pmtiles
+from tests.support.tolling import PLAZA
 
 SIZES: dict[str, ViewportSize] = {"wide": {"width": 1360, "height": 850}, "phone": {"width": 390, "height": 844}}
 MAP_PAGE_BYTES = 550_000
@@ -128,6 +132,21 @@ def test_distances_agree_with_chords_of_the_ellipsoid(tiled: Running, open_page:
         assert found["metres"] == pytest.approx(dist(*ends), rel=2e-6)
         back = page.evaluate("async ([a, b]) => (await import('/geo.js')).between(b, a)", [a, b])
         assert (found["degrees"] - back["degrees"]) % 360 == pytest.approx(180.0)
+
+
+def test_each_layer_draws_the_messages_of_its_topic(tiled: Running, open_page: Callable[..., Page]) -> None:
+    page = open_page(tiled.address)
+    expect(page.locator("svg.closeup")).to_be_visible()
+    scenario = scenario_of("urban")
+    neighbours = Radio(scenario, 1, 4).receive(
+        30.0, 7, scenario.start, AntennaState(scenario.start, (0.0, 0.0, 0.0), covered=False, heading=0.0)
+    )
+    plaza = PLAZA.description(7)
+    draw = "async ([topic, m]) => (await import('/maplayers.js')).LAYERS.find((l) => l.topic === topic).draw(m)"
+    for topic, message, points in (("v2x/neighbours", neighbours, 4), ("plaza/description", plaza, 1)):
+        features = page.evaluate(draw, [topic, message.model_dump(mode="json")])
+        assert len([f for f in features if f["geometry"]["type"] == "Point"]) == points
+        assert all(f["properties"]["role"] for f in features)
 
 
 def test_the_track_can_be_downloaded_and_is_sent_in_parts(tiled: Running) -> None:

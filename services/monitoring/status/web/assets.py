@@ -43,6 +43,8 @@ MAP_LIBRARIES = {
     "maplibre.css": "maplibre-gl/dist/maplibre-gl.css",
     "pmtiles.js": "pmtiles/dist/pmtiles.js",
 }  # of the page Map alone: read and compressed when first asked for
+WORKERS = ("maplibre-worker.js",)  # a worker keeps the policy of its own file: it may load tiles from here
+WORKER_POLICY = "default-src 'none'; script-src 'self'; connect-src 'self'"
 LIBRARY_STYLE = "uplot/dist/uPlot.min.css"  # sent in front of our own style: one request less
 DOCUMENTATION = {
     "swagger-ui.js": "swagger-ui-dist/swagger-ui-bundle.js",

@@ -57,7 +57,8 @@ class Pages:
             return FileResponse(path, media_type=assets.TYPES[name.rsplit(".", 1)[1]])
         if name in self._later and f"lib/{name}" not in self._assets:
             self._assets[f"lib/{name}"] = assets.make_asset(name, self._later[name].read_bytes())
-        return self._asset(f"lib/{name}", request)
+        headers = {"Content-Security-Policy": assets.WORKER_POLICY} if name in assets.WORKERS else {}
+        return self._asset(f"lib/{name}", request, headers)
 
     def docs(self) -> Response:
         """Show the API's description."""
@@ -66,10 +67,10 @@ class Pages:
         policy = assets.documentation_policy(DOCS)
         return HTMLResponse(DOCS, headers={"Content-Security-Policy": policy})
 
-    def _asset(self, path: str, request: Request) -> Response:
+    def _asset(self, path: str, request: Request, headers: Mapping[str, str] | None = None) -> Response:
         if path not in self._assets:
             raise HTTPException(404, f"there is no {path} here")
-        return _send(self._assets[path], request, {})
+        return _send(self._assets[path], request, headers or {})
 
 
 def _send(asset: Asset, request: Request, headers: Mapping[str, str]) -> Response:
