@@ -1,6 +1,7 @@
 """The page Map: the track on tiles, on the roads of the simulation and on the bare grid; its tools and downloads."""
 
 import io
+import json
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
@@ -13,6 +14,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, ViewportSize, expect
 
+from services.monitoring.status.process import TRACK_FILE
 from services.sensors.simulator.motion.centre_line import road_network
 from services.sensors.simulator.motion.roads import Course, RoadSegment, bend
 from services.sensors.simulator.scenarios import scenario_of
@@ -26,6 +28,7 @@ from tests.support.tile_files import write_mbtiles, write_pmtiles
 from tests.support.tolling import PLAZA
 
 SIZES: dict[str, ViewportSize] = {"wide": {"width": 1360, "height": 850}, "phone": {"width": 390, "height": 844}}
+MINUTE_NS = 60 * 10**9
 MAP_PAGE_BYTES = 550_000
 SAFE, WATER, ROAD = (0x00, 0x78, 0x4A), (0xC6, 0xDD, 0xEF), (0xCF, 0xD6, 0xDD)  # of the light style
 ROUND = Course((RoadSegment(100.0, (5.0, 6.0)), bend(360.0, 60.0, (5.0, 6.0), (1.0, 2.0))))
@@ -164,6 +167,19 @@ def test_the_track_can_be_downloaded_and_is_sent_in_parts(tiled: Running) -> Non
     archive = httpx.get(f"{tiled.address}/map/tiles.pmtiles", headers={"Range": "bytes=0-6"})
     assert (archive.status_code, archive.content) == (206, b"PMTiles")
     assert httpx.get(f"{tiled.address}/map/tiles/1/0/0").status_code == 404
+
+
+def test_the_track_survives_a_restart_of_the_process(tmp_path: Path) -> None:
+    with status_server(tmp_path) as server:
+        eventually(lambda: len(rows(server)) > 5)
+    kept = [json.loads(line) for line in (tmp_path / TRACK_FILE).read_text().splitlines()]
+    for row in kept:
+        row["time_ns"] -= MINUTE_NS  # the clock of the pretended unit begins anew with it
+    (tmp_path / TRACK_FILE).write_text("\n".join(map(json.dumps, kept)))
+    before = [row["time_ns"] for row in kept]
+    with status_server(tmp_path) as server:
+        assert rows(server)[: len(before)] == before
+        eventually(lambda: len(rows(server)) > len(before) + 5)
 
 
 def test_roads_of_the_simulation_and_tiles_of_an_mbtiles_file_are_drawn(

@@ -15,6 +15,7 @@ from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
 from shared.runtime.config import Section, parse_vehicle
 
+from .history_file import HistoryFile
 from .replay import ReplayFeed
 from .state import State
 from .views.prometheus import StateCollector, registry_of
@@ -29,6 +30,7 @@ log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
+TRACK_FILE = "status.track.jsonl"
 
 
 class Config(Section):
@@ -57,6 +59,9 @@ class Process:
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s, replay=self._config.replay)
+        track_file = HistoryFile(bus.state_dir / TRACK_FILE)
+        if not self._config.replay and (bad := state.track.restore(track_file.read(), bus.now_ns())):
+            log.warning("left out %d lines of %s that cannot be read", bad, TRACK_FILE)
         lock = threading.Lock()
         feed = ReplayFeed(state) if self._config.replay else None
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
@@ -69,6 +74,7 @@ class Process:
         while not bus.stopping:
             if feed is None:
                 take_in(bus, state, lock)
+                track_file.append([row._asdict() for row in state.track.unsaved()])
             else:
                 take_in_replay(bus, state, lock, feed)
                 replay.refresh(connected=bus.connected)

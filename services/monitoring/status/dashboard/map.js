@@ -7,11 +7,10 @@ import { words } from "./words.js";
 import { between, moved } from "./geo.js";
 import { COLOUR_KEYS, LAYERS, LEVELS_M, collection, roads, sections } from "./maplayers.js";
 import { drawable, trackColours } from "./mapstyle.js";
-import { MapView, boundsOf } from "./mapview.js";
+import { MapView, STREET_ZOOM, boundsOf } from "./mapview.js";
 import { w } from "./mapwords.js";
 
 const POLL_MS = 1000;
-const STREET_ZOOM = 17;
 const HIDDEN = "hidden map layers";
 
 let library = null; // loaded once, by the first visit of this page
@@ -169,7 +168,9 @@ function useOverlay(view, ids) {
       if (!link.value.open || paused.value) return;
       const parts = await Promise.all(LAYERS.filter((layer) => ids.includes(layer.id)).map((layer) =>
         ask(`/api/topics/${layer.topic}`).then((answer) => (answer.message && answer.freshness !== "stale" ? layer.draw(answer.message) : []), () => [])));
-      view.set("overlay", collection(parts.flat()));
+      const features = parts.flat();
+      view.set("overlay", collection(features));
+      if (!placesNow().place) view.placeOnce(features.find((f) => f.properties.role === "plaza")?.geometry.coordinates);
     };
     poll();
     const timer = setInterval(poll, POLL_MS);
@@ -197,7 +198,7 @@ function Picture({ installed, network, afresh, theme, hidden, ids, colourBy, onV
       if (description?.container === "pmtiles") await loadArchiveReader(found);
       if (gone) return;
       const start = firstCamera(now.place, network);
-      made = new MapView(found, box.current, { theme, description, camera: start, latitude: start.center[1], handlers });
+      made = new MapView(found, box.current, { theme, description, camera: start, placed: Boolean(lastCamera || now.place), latitude: start.center[1], handlers });
       await made.ready;
       if (gone) return;
       afresh.current = true;
@@ -320,13 +321,13 @@ export function MapPage() {
       <div class="map-hold" hidden=${table} role="group" aria-label=${w.label(said)}>
         ${installed && html`<${Picture} installed=${installed} network=${network} afresh=${afresh} theme=${theme} hidden=${hidden} ids=${topics} colourBy=${colourBy}
           onView=${(v) => { view.current = v; }} handlers=${handlers.current} />`}
-        ${!place && html`<p class="map-note">${w.noPosition}</p>`}
+        ${!place && !state.value.toll && html`<p class="map-note">${w.noPosition}</p>`}
       </div>
       ${table && html`<${Sections} columns=${track?.columns} />`}
     </div>
     <p class="note map-told" role="status">${told}</p>
     ${[installed?.problem, grid].filter(Boolean).map((sentence) => html`<p class="note block">${sentence}</p>`)}
     <${Legend} colourBy=${colourBy} theme=${theme} sc=${sc} columns=${track?.columns} />
-    <p class="note map-foot"><span>${w.download} <a href="/api/track.gpx" download>${w.gpx}</a> <a href="/api/track.kml" download>${w.kml}</a>${first ? `, ${w.thinned(metres(track.spacing_m))}` : ""}</span>${credit && html`<span class="push">${credit}</span>`}</p>
+    <p class="note map-foot"><span>${w.download} <a href="/api/track.gpx" download>${w.gpx}</a> <a href="/api/track.kml" download>${w.kml}</a> ${first ? w.thinned(metres(track.spacing_m)) : ""}</span>${credit && html`<span class="push">${credit}</span>`}</p>
   </${Card}></div>`;
 }

@@ -3,6 +3,7 @@ import { graticule } from "./geo.js";
 import { collection, measureLine, sourceRuns, trackRuns, uncertainty } from "./maplayers.js";
 import { makeStyle } from "./mapstyle.js";
 
+export const STREET_ZOOM = 17;
 const RECENT_ROWS = 300; // of the track are redrawn with every frame, all others seldom
 const NEAR_PX = 24;
 const FRAME_MS = 200;
@@ -16,11 +17,12 @@ const still = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 const slice = (columns, from) => Object.fromEntries(Object.entries(columns).map(([name, values]) => [name, values.slice(from)]));
 
 export class MapView {
-  constructor(library, box, { theme, description, camera, latitude, handlers }) {
+  constructor(library, box, { theme, description, camera, placed, latitude, handlers }) {
     this.library = library;
     this.handlers = handlers;
     this.drawn = 0; // rows of the track that are in the source "track"
     this.markers = {};
+    this.placed = placed;
     this.map = new library.Map({
       container: box, style: makeStyle(theme, description, latitude), attributionControl: false, maxZoom: 24, maxPitch: 0, dragRotate: true,
       pitchWithRotate: false, fadeDuration: 0, ...camera,
@@ -91,7 +93,7 @@ export class MapView {
     }
     if (!this.markers[name]) {
       const element = document.createElement("div");
-      element.className = "map-marker";
+      element.className = `map-marker ${name}`;
       element.innerHTML = `<svg width="36" height="36" viewBox="-18 -18 36 36" aria-hidden="true">${MARKERS[name]}</svg>`;
       this.markers[name] = new this.library.Marker({ element, rotationAlignment: "map" }).setLngLat(place).addTo(this.map);
       element.removeAttribute("role"); // the page says in words where everything is
@@ -102,7 +104,15 @@ export class MapView {
     marker.getElement().querySelector("path").classList.toggle("old", Boolean(old));
   }
 
+  // Look at a place from near, unless something was looked at before.
+  placeOnce(place) {
+    if (this.placed || !place) return;
+    this.placed = true;
+    this.map.jumpTo({ center: place, zoom: STREET_ZOOM });
+  }
+
   follow(place, bearing) {
+    this.placeOnce(place);
     if (this.map.isZooming() || this.map.isRotating() || this.map.dragPan.isActive()) return;
     const to = { center: place, bearing };
     if (still()) this.map.jumpTo(to);

@@ -24,7 +24,7 @@ export const w = {
   gpx: "GPX",
   kml: "KML with times",
   summary: (length, time) => `${length} in ${time}`,
-  thinned: (metres) => `one point each ${metres}`,
+  thinned: (metres) => `One point every ${metres}.`,
   table: "Table",
   picture: "Map",
   columns: ["From (UTC)", "Duration", "Verdict", "Navigation", "Highest protection level"],

@@ -100,7 +100,7 @@ def test_the_columns_have_one_value_a_row_and_none_where_a_source_was_silent() -
 
 
 def lines(rows: list[TrackRow]) -> list[bytes]:
-    return [to_json(each) for each in rows]
+    return [to_json(each._asdict()) for each in rows]
 
 
 def test_a_later_life_continues_the_track_of_this_drive_after_a_gap() -> None:
