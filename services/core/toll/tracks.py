@@ -8,6 +8,7 @@ from math import hypot
 
 import numpy as np
 
+from shared.messages.toll import FRAMES, STATION_IDS
 from shared.messages.v2x import Cam
 from shared.toll.plaza import Plaza
 
@@ -16,7 +17,6 @@ from .settings import Settings
 from .trackers.filters import Estimates, imm
 
 LINK_ACCELERATION = 3.0  # [m/s²] that a vehicle may have between its last CAM and the first with another station ID
-MAX_FRAMES = 3000  # of one track; a vehicle that takes longer has evidence of its last ones only
 
 
 @dataclass
@@ -31,7 +31,7 @@ class Track:
     received_ns: int
     clock_offset_ns: int  # added to the CAM's times
     length_m: float | None = None
-    cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))  # used, in the order of use
+    cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=FRAMES))  # used, in the order of use; the last ones
     jumps: int = 0  # consecutive CAM outside the gate
     predecessor: "Track | None" = None  # a track that this one may continue under a new station ID
     born_ns: int = 0  # time of the first CAM
@@ -62,6 +62,7 @@ class TrackTable:
         self._imm = imm()
         self._numbers = count(1)
         self.by_station: dict[int, Track] = {}
+        self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
         size, start = self._settings.max_tracks, self._imm.start(observation([], 1.0))
         self._x = np.zeros((size, *start.x.shape[1:]))
@@ -100,7 +101,7 @@ class TrackTable:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
         track = update.track
         track.since_ns = update.measured.time_ns
-        track.cams = deque([update.measured.cam], maxlen=MAX_FRAMES)
+        track.cams = deque([update.measured.cam], maxlen=FRAMES)
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
     def delete_silent(self, now_ns: int) -> list[Track]:
@@ -142,6 +143,7 @@ class TrackTable:
     def _round(self, measured: Sequence[Measured]) -> list[Update]:
         """Use one CAM of each of several stations."""
         known, births = [], []
+        self._busy.clear()
         for one in map(self._on_unit_time, measured):
             track = self.by_station.get(one.cam.station_id)
             if track is None:
@@ -178,6 +180,7 @@ class TrackTable:
         if used:
             seen = observation([one for _, one in used], self._white_sd)
             self._put([track for track, _ in used], self._imm.update(predicted[inside], seen))
+        self._busy.update(track.number for track, _ in used)
         return [self._noted(track, one, born=False) for track, one in used]
 
     def _bear(self, one: Measured) -> Update | None:
@@ -227,17 +230,18 @@ class TrackTable:
         old = track.predecessor
         if old is None:
             return None
-        if old.updated_ns >= track.born_ns:  # both station IDs are in use
+        owner = self.by_station.get(old.station_id)
+        if old.updated_ns >= track.born_ns or owner not in (None, old):  # both station IDs are in use
             track.predecessor = None
             return None
-        if track.updated_ns - old.updated_ns < self._settings.link_after_s * 1e9:
+        if old.number in self._busy or track.updated_ns - old.updated_ns < self._settings.link_after_s * 1e9:
             return None
         track.predecessor = None
-        track.station_ids = old.station_ids + track.station_ids
-        track.cams = deque([*old.cams, *track.cams], maxlen=MAX_FRAMES)
+        track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]
+        track.cams = deque([*old.cams, *track.cams], maxlen=FRAMES)
         track.since_ns = old.since_ns
         track.length_m = track.length_m or old.length_m
-        if self.by_station.get(old.station_id) is old:
+        if owner is old:
             self._delete(old)
         return old
 

@@ -34,3 +34,11 @@ CREATE TABLE IF NOT EXISTS balance (
     lane TEXT NOT NULL, hour_ns INTEGER NOT NULL, outcome TEXT NOT NULL, n INTEGER NOT NULL,
     PRIMARY KEY (lane, hour_ns, outcome)
 );
+-- Each is for a query that is repeated: nothing that is done every second reads a table that grows with the years.
+CREATE INDEX IF NOT EXISTS registration_until ON registration (valid_until_ns);
+CREATE INDEX IF NOT EXISTS settled_final ON settled (final_ns);
+CREATE INDEX IF NOT EXISTS receipt_received ON receipt (received_ns);
+CREATE INDEX IF NOT EXISTS evidence_stored ON evidence (stored_ns);
+CREATE INDEX IF NOT EXISTS pulse_sampled ON pulse (sampled_ns);
+CREATE INDEX IF NOT EXISTS pulse_waiting ON pulse (sampled_ns) WHERE NOT done;
+CREATE INDEX IF NOT EXISTS balance_hour ON balance (hour_ns);
