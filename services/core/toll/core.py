@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import cos, hypot, pi, sin, sqrt
+from math import pi, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +39,7 @@ from .location import COMMON, Fixes, Location, locate
 from .measurement import ELLIPSE_95
 from .passages import Crossing, Here, Passage, can_reach, crossing_between, overlap, passage_id
 from .settings import Settings
-from .tracks import Track, TrackTable, Update
+from .tracks import Track, TrackTable, Update, away_from_prediction
 
 VERSION = "1"  # of the algorithms, for evidence
 SECOND_NS = 10**9
@@ -429,9 +429,9 @@ class Core:
         elapsed_s = (here.time_ns - last.time_ns) * 1e-9
         if not 0.0 < elapsed_s <= self._settings.track.deleted_after_s:
             return False
-        east = last.east + last.speed * elapsed_s * cos(last.heading)
-        north = last.north + last.speed * elapsed_s * sin(last.heading)
-        return hypot(here.east - east, here.north - north) <= self._settings.track.link_gate_m + elapsed_s
+        moved = np.array([[here.east - last.east, here.north - last.north]])
+        motion = (np.array([one]) for one in (elapsed_s, last.heading, last.speed, here.speed))
+        return bool(np.isfinite(away_from_prediction(moved, *motion, self._settings.track.link_gate_m)[0]))
 
     def _is_idle(self, passage: Passage) -> bool:
         track = self._table.by_station.get(passage.station_ids[-1])

@@ -8,6 +8,7 @@ from math import hypot
 
 import numpy as np
 
+from shared.maths.earth import FloatArray
 from shared.messages.toll import FRAMES, STATION_IDS
 from shared.messages.v2x import Cam
 from shared.toll.plaza import Plaza
@@ -17,6 +18,9 @@ from .settings import Settings
 from .trackers.filters import Estimates, imm
 
 LINK_ACCELERATION = 3.0  # [m/s²] that a vehicle may have between its last CAM and the first with another station ID
+LINK_ACROSS_M = 2.0  # that it may be beside its prediction; the next lane is 3.5 m away
+LINK_SPEED_M_S = 1.0  # by which its speed may differ, beside what it has accelerated
+SLOW_M_S = 4.0  # below it a vehicle sends one CAM a second, and one that is lost is no sign of a new station ID
 
 
 @dataclass
@@ -33,7 +37,8 @@ class Track:
     length_m: float | None = None
     cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=FRAMES))  # used, in the order of use; the last ones
     jumps: int = 0  # consecutive CAM outside the gate
-    predecessor: "Track | None" = None  # a track that this one may continue under a new station ID
+    predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
+    silent_for_ns: int = 0  # ... once that has been silent for so long
     born_ns: int = 0  # time of the first CAM
 
     @property
@@ -50,6 +55,37 @@ class Update:
     measured: Measured
     born: bool
     continues: Track | None = None  # track whose station ID is confirmed to have changed to this one's; it is deleted
+
+
+def away_from_prediction(
+    moved: FloatArray, dt: FloatArray, heading: FloatArray, speed: FloatArray, speed_now: FloatArray, gate_m: float
+) -> FloatArray:
+    """Distance [m] of a vehicle from where n others must be if they went on; infinite if it cannot be one of them.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (n, 2)
+        [m] From the last position of each.
+    dt, heading, speed : ndarray, shape (n,)
+        [s] Since then, [rad] and [m/s] then.
+    speed_now : ndarray, shape (n,)
+        [m/s] Of the vehicle.
+    gate_m : float
+        [m] Tolerance along the road.
+
+    Notes
+    -----
+    With an acceleration of up to a = 3 m/s²: |s - v dt| <= gate + ½ a dt² along the road, 2 m across it, and
+    |v_now - v| <= a dt + 1 m/s.
+    """
+    along = np.cos(heading) * moved[:, 0] + np.sin(heading) * moved[:, 1] - speed * dt
+    across = np.cos(heading) * moved[:, 1] - np.sin(heading) * moved[:, 0]
+    can_be = (
+        (np.abs(along) <= gate_m + 0.5 * LINK_ACCELERATION * dt**2)
+        & (np.abs(across) <= LINK_ACROSS_M)
+        & (np.abs(speed_now - speed) <= LINK_ACCELERATION * dt + LINK_SPEED_M_S)
+    )
+    return np.where(can_be, np.hypot(along, across), np.inf)
 
 
 class TrackTable:
@@ -197,27 +233,36 @@ class TrackTable:
             received_ns=one.cam.received_ns,
             clock_offset_ns=one.clock_offset_ns,
         )
-        track.predecessor = self._silent_here(one)
+        track.predecessor, track.silent_for_ns = self._silent_here(one)
         track.born_ns = one.time_ns
         self.by_station[one.cam.station_id] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
 
-    def _silent_here(self, one: Measured) -> Track | None:
-        """Find the nearest track whose prediction is where an unknown station appears."""
+    def _silent_here(self, one: Measured) -> tuple[Track | None, int]:
+        """Find the nearest track whose prediction is where an unknown station appears.
+
+        Returns
+        -------
+        Track or None, int
+            The track, and [ns] the silence of its station ID that confirms that it has changed.
+        """
         tracks = [
             track for track in self.tracks
             if 0 < one.time_ns - track.updated_ns < 2.0 * self._settings.link_after_s * 1e9
         ]  # fmt: skip
         if not tracks:
-            return None
+            return None, 0
         state = self.estimates(tracks).mean
         dt = (one.time_ns - np.array([track.updated_ns for track in tracks])) * 1e-9
-        ahead = state[:, 3, None] * dt[:, None] * np.stack([np.cos(state[:, 2]), np.sin(state[:, 2])], axis=-1)
-        distance = np.hypot(*(state[:, :2] + ahead - np.array([one.east, one.north])).T)
+        speed = state[:, 3] if one.cam.speed_m_s is None else np.full(len(dt), one.cam.speed_m_s)
+        moved = np.array([one.east, one.north]) - state[:, :2]
+        distance = away_from_prediction(moved, dt, state[:, 2], state[:, 3], speed, self._settings.link_gate_m)
         nearest = int(np.argmin(distance))
-        limit = self._settings.link_gate_m + 0.5 * LINK_ACCELERATION * dt[nearest] ** 2
-        return tracks[nearest] if distance[nearest] <= limit else None
+        if not np.isfinite(distance[nearest]):
+            return None, 0
+        silence_s = self._settings.link_after_s * (2.0 if abs(state[nearest, 3]) < SLOW_M_S else 1.0)
+        return tracks[nearest], round(silence_s * 1e9)
 
     def _noted(self, track: Track, one: Measured, *, born: bool) -> Update:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
@@ -234,7 +279,7 @@ class TrackTable:
         if old.updated_ns >= track.born_ns or owner not in (None, old):  # both station IDs are in use
             track.predecessor = None
             return None
-        if old.number in self._busy or track.updated_ns - old.updated_ns < self._settings.link_after_s * 1e9:
+        if old.number in self._busy or track.updated_ns - old.updated_ns < track.silent_for_ns:
             return None
         track.predecessor = None
         track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]

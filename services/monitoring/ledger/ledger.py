@@ -165,7 +165,7 @@ class Ledger:
                 continue
             crossing = crossings.pop(found[row["rowid"]], None) if row["rowid"] in found else None
             self._count(row["lane"], row["sampled_ns"], crossing["state"] if crossing else PassageState.MISSED)
-            self._store.execute("UPDATE pulse SET done = 1 WHERE rowid = ?", row["rowid"])
+            self._store.execute("UPDATE pulse SET done = ? WHERE rowid = ?", 1 if crossing else 2, row["rowid"])
             if crossing:
                 self._store.execute("DELETE FROM crossing WHERE number = ?", crossing["number"])
         waiting = set(found.values())
@@ -406,18 +406,25 @@ class Ledger:
 
     def _recent(self) -> tuple[PassageSummary, ...]:
         rows = self._store.rows(
-            "SELECT summary, (SELECT COUNT(*) FROM receipt JOIN booking USING (transaction_id) "
+            "SELECT final_ns, summary, (SELECT COUNT(*) FROM receipt JOIN booking USING (transaction_id) "
             "WHERE booking.passage_id = settled.passage_id) AS receipts FROM settled ORDER BY final_ns DESC LIMIT ?",
             RECENT,
         )
-        settled = [
-            PassageSummary.model_validate_json(row["summary"]).model_copy(update={"receipt": row["receipts"] > 0})
+        ended = [
+            (row["final_ns"],
+             PassageSummary.model_validate_json(row["summary"]).model_copy(update={"receipt": row["receipts"] > 0}))
             for row in rows
-        ]
+        ]  # fmt: skip
+        missed = self._store.rows(
+            "SELECT lane, since_ns, number, sampled_ns FROM pulse WHERE done = 2 ORDER BY sampled_ns DESC LIMIT ?",
+            RECENT,
+        )
+        ended += [(row["sampled_ns"], _missed(row)) for row in missed]
+        ended.sort(key=lambda one: one[0], reverse=True)
         stored = self._store.rows("SELECT statement FROM passage ORDER BY sampled_ns DESC LIMIT ?", RECENT)
         open_ = [TollPassage.model_validate_json(row["statement"]) for row in stored]
         open_ += list(self._unregistered.values())[-RECENT:]
-        return (*(_summary(passage) for passage in open_), *settled)
+        return (*(_summary(passage) for passage in open_), *(summary for _, summary in ended))
 
 
 def transaction_id(passage_id: str, kind: TransactionKind) -> str:
@@ -427,6 +434,15 @@ def transaction_id(passage_id: str, kind: TransactionKind) -> str:
 
 def _crossing(row: Row) -> Crossing:
     return Crossing(row["number"], row["crossing_ns"], row["sd_s"], row["lane"], json.loads(row["lanes"]))
+
+
+def _missed(row: Row) -> PassageSummary:
+    """Summarise a pulse that no passage explains; its digest stands for the ID of the passage that is not known."""
+    name = f"missed:{row['lane']}:{row['since_ns']}:{row['number']}"
+    return PassageSummary(
+        passage_id=hashlib.sha256(name.encode()).hexdigest(), state=PassageState.MISSED, lane=row["lane"],
+        crossing_ns=row["sampled_ns"], reason="the lane's detector has counted it, and no passage explains it",
+    )  # fmt: skip
 
 
 def _probability(passage: TollPassage) -> float | None:

@@ -478,7 +478,7 @@ def test_a_passage_has_a_bounded_number_of_station_ids() -> None:
     plant = Plant(COMMON)
     crawl = replace(CAR, speed=2.0, start=-140.0)
     for k in range(STATION_IDS + 3):
-        plant.drive(crawl.named(100 + k), since=2.0 * k, until=2.0 * k + 1.9)
+        plant.drive(crawl.named(100 + k), since=3.4 * k, until=3.4 * k + 3.3)
     assert max(len(one.station_ids) for one in plant.said if isinstance(one, TollPassage)) == STATION_IDS
 
 
@@ -520,3 +520,29 @@ def test_a_retained_delta_of_a_later_time_does_not_keep_out_those_of_now() -> No
     core.use_delta(core.estimate_delta(START_NS))
     assert [one.sampled_ns for one in core._deltas] == [ours.sampled_ns]
     assert core.rejected["delta_from_the_future"] == 1
+
+
+def test_a_vehicle_beside_a_slow_one_that_is_silent_for_a_moment_does_not_continue_it() -> None:
+    """A vehicle that crawls sends one CAM a second, and one in twenty is lost."""
+    plant = Plant(COMMON)
+    plant.register(7, 8)
+    crawl, beside = replace(CAR, lane="n3", speed=1.0, start=-60.0), replace(CAR, lane="n2", speed=10.0, start=-150.0)
+    for second in range(20):
+        if second % 4 != 3:
+            plant.said += plant.core.use([crawl.cam(plant.plaza, float(second))])
+        plant.drive(beside.named(8), since=max(float(second), 9.2), until=second + 1.0)
+    assert {track.station_id for track in plant.core.tracks(START_NS + 20 * 10**9).tracks} == {7, 8}
+    assert all(len(one.station_ids) == 1 and not one.reason.startswith("passage") for one in plant.passages)
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_a_crawling_vehicle_that_misses_one_cam_is_not_continued_by_one_in_its_place(speed: float) -> None:
+    plant = Plant(COMMON)
+    table = plant.core._table
+    near = replace(CAR, speed=1.0, start=-60.0)
+    list(table.use([near.cam(plant.plaza, 1.0)]))
+    list(table.use([replace(near, speed=speed, start=-61.0, since=2.0).named(8).cam(plant.plaza, 2.0)]))
+    (update,) = next(
+        iter(table.use([replace(near, speed=speed, start=-61.0, since=2.0).named(8).cam(plant.plaza, 2.9)]))
+    )
+    assert update.continues is None
