@@ -607,15 +607,15 @@ class Core:
         )
 
     def _evidence(self, passage: Passage, track: Track) -> PassageEvidence:
-        first_ns, last_ns = track.cams[0].received_ns, track.cams[-1].received_ns
+        first_ns, last_ns = track.frames[0][1], track.frames[-1][1]
         before_ns = round((self._settings.delta.max_age_s + self._settings.delta.latency_s) * SECOND_NS)
         return PassageEvidence(
             version=VERSION,
             settings=self._settings.model_dump_json(),
             track_since_ns=track.since_ns,
             frames=tuple(
-                EvidenceFrame(sampled_ns=cam.sampled_ns, received_ns=cam.received_ns, data=cam.frame)
-                for cam in track.cams
+                EvidenceFrame(sampled_ns=sampled_ns, received_ns=received_ns, data=data)
+                for sampled_ns, received_ns, data in track.frames
             ),
             deltas=tuple(d for d in self._deltas if first_ns - before_ns <= d.sampled_ns <= last_ns),
             lanes=tuple(

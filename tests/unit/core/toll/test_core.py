@@ -1,5 +1,6 @@
 """Passages of simulated vehicles: opened, crossed, charged, or not."""
 
+import gc
 from dataclasses import replace
 from math import isclose
 
@@ -520,6 +521,15 @@ def test_a_retained_delta_of_a_later_time_does_not_keep_out_those_of_now() -> No
     core.use_delta(core.estimate_delta(START_NS))
     assert [one.sampled_ns for one in core._deltas] == [ours.sampled_ns]
     assert core.rejected["delta_from_the_future"] == 1
+
+
+def test_the_frames_that_are_kept_for_evidence_are_nothing_for_the_garbage_collector() -> None:
+    plant = Plant(COMMON)
+    plant.drive(CAR, until=6.0)
+    gc.collect()
+    (track,) = plant.core._table.tracks
+    assert len(track.frames) > 5
+    assert not any(gc.is_tracked(one) for one in track.frames)
 
 
 def test_a_vehicle_beside_a_slow_one_that_is_silent_for_a_moment_does_not_continue_it() -> None:
