@@ -30,7 +30,8 @@ from .v2x.neighbours import NeighbourReport
 In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | NavigationState | Tick
 Out = TrustMonitor | FaultFreeFix
 MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
-AHEAD_NS = 1_000_000_000  # by which a list's stamp may be later than the newest tick or epoch
+MOST_FAULTY = 2  # satellites that fail at a time; more that agree with all others are not what is wrong
+AHEAD_NS = 3_000_000_000  # by which a list's stamp may be later than the newest tick or epoch
 PERIOD_NS = 900_000_000  # epochs that follow faster are not evaluated: one a second is enough
 SIGNALS = {("gps", "1C"), ("galileo", "1C"), ("galileo", "1B")}  # on 1575.42 MHz, with broadcast ephemerides
 # Reasons for which a measurement is not used in the ordinary course of things; the others are rejects.
@@ -141,7 +142,9 @@ class Process:
     ) -> tuple[SatelliteVerdict, SatelliteVerdict | None]:
         """Test with neighbours first, and then plainly what is left; a start needs the plain solution first.
 
-        What plain RAIM excludes in an epoch the filters do not use from then on.
+        What plain RAIM excludes in an epoch the filters do not use from then on. Where the filters exclude more than
+        two satellites and all of them agree with one another, no satellite is at fault: all signals are false and the
+        neighbours contradict them, or they were false and are true again. The filters start anew.
         """
         cooperative, plain = self._cooperative, None
         if cooperative is None:
@@ -150,6 +153,12 @@ class Process:
             plain = self._plain.evaluate(epoch, self._store)
         start = plain.solution if plain and (plain.fault_free or plain.outcome is Outcome.NOT_EVALUATED) else None
         helped = cooperative.evaluate(epoch, self._store, reports, road_e=None, start=start)
+        if len(helped.excluded) > MOST_FAULTY and self._plain.all_agree(epoch, self._store):
+            cooperative.restart()
+            reason = "all satellites contradict the filters and agree with one another: the filters start anew"
+            helped = SatelliteVerdict(
+                Outcome.NOT_EVALUATED, reason, neighbours=helped.neighbours, rejected=helped.rejected
+            )
         plain = plain or self._plain.evaluate(epoch, self._store, frozenset(helped.excluded))
         if plain.fault_free:
             excluded = frozenset(plain.excluded)

@@ -430,8 +430,9 @@ class Core:
         if not 0.0 < elapsed_s <= self._settings.track.deleted_after_s:
             return False
         moved = np.array([[here.east - last.east, here.north - last.north]])
-        motion = (np.array([one]) for one in (elapsed_s, last.heading, last.speed, here.speed))
-        return bool(np.isfinite(away_from_prediction(moved, *motion, self._settings.track.link_gate_m)[0]))
+        dt, heading, speed, now = np.array([[elapsed_s], [last.heading], [last.speed], [here.speed]])
+        gate_m = self._settings.track.link_gate_m
+        return bool(np.isfinite(away_from_prediction(moved, dt, heading, speed, now, gate_m)[0]))
 
     def _is_idle(self, passage: Passage) -> bool:
         track = self._table.by_station.get(passage.station_ids[-1])
