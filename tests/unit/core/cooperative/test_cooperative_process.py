@@ -14,6 +14,7 @@ from shared.messages.base import Tick
 from shared.messages.navigation import NavigationPhase, NavigationState
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from tests.support.constellation import NOW_NS, raw_epoch
 from tests.unit.core.cooperative.test_satellite_process import HERE, NS, at, informed, message, said
 
 TO_NED = ned_from_ecef(*geodetic_from_ecef((HERE[0], HERE[1], HERE[2]))[:2])
@@ -174,6 +175,23 @@ def test_lists_out_of_order_of_a_second_radio_or_without_end_are_counted() -> No
     flood = [neighbours(second).model_copy(update={"neighbours": crowd}) for second in range(1, MAX_LISTS + 11)]
     assert not said(process, *flood)
     assert process.rejects == {"too_many_neighbours": 10 * MAX_NEIGHBOURS}
+
+
+def test_when_all_satellites_jump_together_the_filters_start_anew_and_no_satellite_is_accused() -> None:
+    """So it is at the end of a drag-off: the signals, which agree with one another, are true again."""
+    process = informed()
+    run(process, range(1, 12))
+
+    def jumped(second: int) -> RawEpoch:
+        place = HERE + TO_NED.T @ np.array([150.0, 80.0, 0.0])
+        return raw_epoch(place, gps_time_ns=NOW_NS + second * NS, rng=np.random.default_rng((7, second)))
+
+    statements = run(process, range(12, 30), jumped)
+    assert by_name(statements[0], "cooperative").reason == (
+        "all satellites contradict the filters and agree with one another: the filters start anew"
+    )
+    assert not any(one.startswith(("G", "E")) for statement in statements for one in statement.accused)
+    assert by_name(statements[-1], "cooperative").outcome is not MonitorOutcome.ACCUSES
 
 
 def test_another_radio_is_used_when_the_first_one_is_silent() -> None:
