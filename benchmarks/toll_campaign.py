@@ -59,6 +59,15 @@ PLAZA_FILE = Path("deploy/plazas/example.geojson")
 DRAIN_S = 330.0
 ANSWERS_LOST = 0.05
 WARM_UP_NS = 30 * NS
+RESULTS = Path(__file__).parent / "results"
+TITLE = """# Charging under kills
+
+By `python -m benchmarks.toll_campaign`: simulated vehicles on the example plaza, 5 % of the frames lost, 2 % repeated,
+5 % delayed by up to 1 s; `core.toll` or the ledger is killed between any two of its steps.
+
+| quantity | value |
+| --- | --- |
+"""
 
 
 class Killed(Exception):
@@ -374,6 +383,32 @@ def campaign(passages: int, kills: int, seed: int, vehicles: int, folder: Path) 
     return made.run(passages)
 
 
+def markdown(result: Result) -> str:
+    """Write the result as a page."""
+    undecided = sum(result.undecided.values())
+    rows = {
+        "passages, after the first 30 s of each part": f"{result.passages}, {result.registered} of them registered",
+        "kills of core.toll, of the ledger": f"{result.kills_core}, {result.kills_ledger}",
+        "steps at which they were killed": ", ".join(f"{step} {n}" for step, n in result.kills_by_step.items()),
+        "double charges, charges of who has not passed": f"{result.double_charges}, {result.wrong_charges}",
+        "lane decided": f"{result.decided}, of them charged {100.0 * result.charged_share_of_decided:.2f} %",
+        "charged in the right lane": f"{result.lanes_right} of {result.charged}",
+        "decided and not charged": "; ".join(f"{n} {end}" for end, n in result.decided_uncharged.items()) or "none",
+        "undecided": f"{undecided} ({100.0 * undecided / max(result.registered, 1):.1f} % of the registered)",
+        "detections": f"{result.detections}: " + ", ".join(f"{name} {n}" for name, n in result.outcomes.items()),
+        "every detection has one outcome": "yes" if result.reconciliation_exact else "no",
+        "charges without a detection": f"{result.charged_without_detection}",
+        "simulated time, processor time": f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s",
+    }
+    return TITLE + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
+
+
+def store(result: Result) -> None:
+    """Write the result as a page and as JSON."""
+    (RESULTS / "toll_campaign.md").write_text(markdown(result), encoding="utf-8")
+    (RESULTS / "toll_campaign.json").write_text(result.as_json() + "\n", encoding="utf-8")
+
+
 def main() -> None:
     """Print the sum of the parts as JSON; end with 1 where a goal of the protocol is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -382,15 +417,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--vehicles", type=int, default=100)
     parser.add_argument("--parts", type=int, default=1)
-    parser.add_argument("--output", type=Path, help="file that has the sum of the parts so far")
+    parser.add_argument("--no-store", action="store_true", help="print only")
     given = parser.parse_args()
     result = Result()
     for part in range(given.parts):
         with tempfile.TemporaryDirectory() as folder:
             passages, kills = given.passages // given.parts, given.kills // given.parts
             result = result.plus(campaign(passages, kills, given.seed + part, given.vehicles, Path(folder)))
-        if given.output:
-            given.output.write_text(result.as_json() + "\n", encoding="utf-8")
+        if not given.no_store:
+            store(result)
     print(result.as_json())
     sys.exit(0 if result.is_good else 1)
 

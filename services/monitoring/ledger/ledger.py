@@ -46,6 +46,7 @@ class Settings(Section):
     """How long the ledger waits, and how long it keeps what."""
 
     registration_limit_s: float = Field(default=300.0, gt=0, le=600.0)  # longest validity of a registration
+    registration_wait_s: float = Field(default=15.0, ge=0)  # for a registration that was lost, behind the exit line
     silence_limit_s: float = Field(default=120.0, gt=0)  # a passage without a statement for so long is settled
     uncharged_kept_s: float = Field(
         default=300.0, gt=0, le=600.0
@@ -298,8 +299,15 @@ class Ledger:
     def _charge(
         self, message: TollPassage, crossed: TollPassage | None, contracts: set[tuple[str, str]], now_ns: int
     ) -> None:
-        """Charge a passage that is complete, or say why not."""
+        """Charge a passage that is complete, or say why not.
+
+        `core.toll` knows a contract. Where the ledger does not, it was down when that was registered: the vehicle
+        repeats the registration, and `core.toll` this statement.
+        """
         proof = crossed or message
+        waited_ns = now_ns - (message.exit_ns or message.crossing_ns or message.sampled_ns)
+        if not contracts and waited_ns < self._settings.registration_wait_s * NS:
+            return
         if len(contracts) > 1:
             self._settle(message, PassageState.SUSPECT, "station IDs of two contracts", now_ns)
         elif message.lane is None:

@@ -370,3 +370,19 @@ def test_the_list_of_settled_passages_is_bounded_and_has_the_newest(opened: tupl
     found = ledger.open_passages(LATER_NS + NS).settled
     assert len(found) == SETTLED
     assert found[0] == f"{SETTLED + 9:064x}"
+
+
+def test_a_registration_that_was_lost_while_the_ledger_was_down_is_waited_for(opened: tuple[Ledger, Store]) -> None:
+    ledger, _ = opened
+    vehicle = Vehicle()
+    exit_ns = vehicle.crossing_ns + 2 * NS
+    charged = vehicle.says(CHARGED, exit_ns=exit_ns)
+    ledger.passage(charged, exit_ns)
+    assert outcomes(ledger) == {}
+    ledger.register(vehicle.registration(), exit_ns + 9 * NS)
+    ledger.passage(charged.model_copy(update={"checkpoint": True}), exit_ns + 10 * NS)
+    assert outcomes(ledger) == {vehicle.passage_id: CHARGED}
+    other = Vehicle("b", station_ids=(9,))
+    for waited_s in (1, 16):
+        ledger.passage(other.says(CHARGED, exit_ns=exit_ns), exit_ns + waited_s * NS)
+    assert outcomes(ledger)[other.passage_id] is PassageState.UNREGISTERED
