@@ -64,6 +64,7 @@ class FakeBus:
         self.offset_ns = 1_795_000_000 * 10**9 - time.monotonic_ns()
         self.unit: FakeUnit | FakePlaza | None = None
         self.published: list[Message] = []
+        self.lives: Counter[str] = Counter()  # restarts of each process
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
         self._next_heartbeat_ns = 0
@@ -84,7 +85,7 @@ class FakeBus:
         with self._lock:
             self._sequence += 1
             now_ns = self.now_ns() + int(delay_s * 1e9)
-            envelope = sent_bytes(topic, body, now_ns, producer, LIFE, self._sequence)
+            envelope = sent_bytes(topic, body, now_ns, producer, LIFE + self.lives[producer], self._sequence)
             self._fed.append(envelope)
             return envelope
 
@@ -123,7 +124,6 @@ class FakeUnit:
         self.rejecting = False
         self.coasting = False
         self.aligning = False  # core.fusion runs, but has no solution yet
-        self.lives: Counter[str] = Counter()
         self.watchdog = Watchdog(SIMULATED, self.started_ns)
         self.trust = TrustProcess(TrustConfig())  # the verdict is that of the real process
         self.attacks: list[AttackRun] = []
@@ -198,7 +198,7 @@ class FakeUnit:
         """Start a process again."""
         self.lost.discard(process)
         self.silent.discard(process)
-        self.lives[process] += 1
+        self.bus.lives[process] += 1
 
     def _angle(self, now_ns: int) -> float:
         return (now_ns - self.started_ns) * 1e-9 * SPEED_M_S / RADIUS_M
@@ -397,7 +397,7 @@ class FakeUnit:
                 ProcessHealth(
                     process=name,
                     state=ProcessState.READY,
-                    incarnation=LIFE + self.lives[name],
+                    incarnation=LIFE + self.bus.lives[name],
                     sent_ns=now_ns,
                     messages_in=int(elapsed_s * (110 + 20 * index)),
                     messages_out=int(elapsed_s * (20 + 11 * index)),

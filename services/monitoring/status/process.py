@@ -14,6 +14,7 @@ from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
 from shared.runtime.config import Section, parse_vehicle
 
+from .history_file import HistoryFile
 from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.pages import read_pages
@@ -25,6 +26,7 @@ log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
+HISTORY_FILE = "status.history.jsonl"
 
 
 class Config(Section):
@@ -51,6 +53,9 @@ class Process:
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s)
+        kept = HistoryFile(bus.state_dir / HISTORY_FILE)
+        if bad := state.restore(kept.read()):
+            log.warning("left out %d lines of %s that cannot be read", bad, HISTORY_FILE)
         lock = threading.Lock()
         simulation = SimulationApi(state, lock, bus.now_ns)
         server = self._make_server(state, lock, bus, simulation)
@@ -59,6 +64,7 @@ class Process:
         thread.start()
         while not bus.stopping:
             take_in(bus, state, lock)
+            kept.append(state.unsaved())
             while not simulation.commands.empty():
                 bus.publish(simulation.commands.get_nowait())
             if not thread.is_alive():

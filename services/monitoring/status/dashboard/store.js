@@ -13,8 +13,10 @@ export const paused = signal(false);
 export const outdated = signal(false); // the server has a newer edition of this page
 export const settings = signal(read("obu-settings", { theme: "auto", headingUp: false, shortcuts: true }));
 
-export let history = { time_ns: [], fields: {} };
+export let history = { time_ns: [], fields: {} }; // as shown
 
+let recent = history; // as received; another object only while the page is paused
+let frozen = null; // while the page is paused: its time, and whether it was live
 let offsetMs = null; // server time minus performance.now()
 let lastFrameAt = 0;
 let sequence = -1;
@@ -39,11 +41,14 @@ function read(key, fallback) {
   }
 }
 
-// Milliseconds on the unit's time line; it goes on between frames.
-export const nowMs = () => (offsetMs === null ? null : performance.now() + offsetMs);
-export const frameAgeS = () => (lastFrameAt ? (performance.now() - lastFrameAt) / 1000 : null);
-export const brokerAnswers = () => link.value.open && state.value.chain.broker.ok; // else no process is known
-export const isLive = () => link.value.open && frameAgeS() !== null && frameAgeS() < FRAME_OVERDUE_S;
+// Milliseconds on the unit's time line; it goes on between frames, and stands while the page is paused.
+const runningMs = () => (offsetMs === null ? null : performance.now() + offsetMs);
+export const nowMs = () => (frozen ? frozen.nowMs : runningMs());
+const frameAgeS = () => (lastFrameAt ? (performance.now() - lastFrameAt) / 1000 : null);
+const receives = () => link.value.open && frameAgeS() !== null && frameAgeS() < FRAME_OVERDUE_S;
+export const isLive = () => (frozen ? frozen.live : receives());
+export const connected = () => (frozen ? frozen.open : link.value.open);
+export const brokerAnswers = () => connected() && state.value.chain.broker.ok; // else no process is known
 
 export function ageS(stampNs) {
   const now = nowMs();
@@ -57,9 +62,13 @@ export function freshness(topic, stampNs) {
   if (row?.stale_after_s === null) return "quiet"; // events: their silence says nothing, not even at the start
   if (age === null) return "never";
   if (!row) return "quiet";
+  if (state.value?.topics[topic]?.earlier) return age >= row.stale_after_s ? "stale" : "earlier"; // of before a restart
   if (age >= row.stale_after_s) return "stale";
   return age >= row.late_after_s ? "late" : "fresh";
 }
+
+// Whether a value must not be shown as live.
+export const isOld = (topic, stampNs) => ["stale", "never", "earlier"].includes(freshness(topic, stampNs));
 
 function merge(old, changes) {
   if (old === null || typeof old !== "object" || Array.isArray(old)) return changes;
@@ -72,8 +81,12 @@ function merge(old, changes) {
 }
 
 function note(view) {
-  const s = view.solution && freshness("navigation/solution", view.solution.updated_ns) !== "stale" ? view.solution : null;
-  const fix = view.fix && freshness("gnss/fix", view.fix.updated_ns) !== "stale" ? view.fix : null;
+  const live = (topic, value) => {
+    const limits = contract.value.topics[topic];
+    return value && !view.topics[topic]?.earlier && (view.now_ns - value.updated_ns) / 1e9 < limits.stale_after_s ? value : null;
+  };
+  const s = live("navigation/solution", view.solution);
+  const fix = live("gnss/fix", view.fix);
   const row = {
     latitude_deg: s?.latitude_deg,
     longitude_deg: s?.longitude_deg,
@@ -81,12 +94,12 @@ function note(view) {
     speed_gnss_m_s: fix?.ground_speed_m_s,
     speed_odometer_m_s: view.odometer?.speed_m_s,
   };
-  history.time_ns.push(view.now_ns);
-  for (const name of Object.keys(row)) (history.fields[name] ??= []).push(row[name] ?? null);
+  recent.time_ns.push(view.now_ns);
+  for (const name of Object.keys(row)) (recent.fields[name] ??= []).push(row[name] ?? null);
   let old = 0;
-  while (history.time_ns[old] < view.now_ns - HISTORY_S * 1e9) old += 1;
-  history.time_ns.splice(0, old);
-  for (const column of Object.values(history.fields)) column.splice(0, column.length - history.time_ns.length);
+  while (recent.time_ns[old] < view.now_ns - HISTORY_S * 1e9) old += 1;
+  recent.time_ns.splice(0, old);
+  for (const column of Object.values(recent.fields)) column.splice(0, column.length - recent.time_ns.length);
 }
 
 function take(frame) {
@@ -95,7 +108,8 @@ function take(frame) {
     outdated.value = version !== null && version !== frame.version;
     version ??= frame.version;
     contract.value = frame.contract;
-    history = frame.history;
+    recent = frame.history;
+    if (!paused.value) history = recent;
     held = frame.state;
   } else {
     if (frame.sequence !== sequence + 1) return socket.close();
@@ -148,7 +162,16 @@ export function start() {
   }, 200);
 }
 
+// Paused, the page stands as it was: its values, their ages, its plots and what it says of the connection.
 export function togglePause() {
+  if (!state.value) return;
+  if (paused.value) {
+    frozen = null;
+    history = recent;
+    state.value = held;
+  } else {
+    frozen = { nowMs: runningMs(), live: receives(), open: link.value.open };
+    history = structuredClone(recent);
+  }
   paused.value = !paused.value;
-  if (!paused.value && held) state.value = held;
 }

@@ -1,6 +1,6 @@
 // The five layers, live: processes as lists, topics as lines between them, outages, and why the unit does what it does.
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, contract, freshness, link, nowMs, state } from "./store.js";
+import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "./store.js";
 import {
   Age, Card, Drawer, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
 } from "./parts.js";
@@ -133,7 +133,7 @@ function LayersCard() {
         <section class="layer layer-${layer}" aria-label=${`${layer} ${w.layers[layer - 1]}`}>
           <h3><span class="number">${layer}</span>${w.layers[layer - 1]}<span class="note">${w.layerNotes[layer - 1]}</span></h3>
           <${Layer} names=${processes.filter(([, p]) => p.layer === layer).map(([name]) => name)} onHover=${setHovered} />
-          ${layer === 5 && html`<p class="rail"><span>${w.everything}${link.value.open ? ` · ${words.footer.rate(rate(bus.messages_hz))}` : ""}</span></p>`}
+          ${layer === 5 && html`<p class="rail"><span>${w.everything}${connected() ? ` · ${words.footer.rate(rate(bus.messages_hz))}` : ""}</span></p>`}
         </section>`)}
     </div>
     <${Legend} />
@@ -193,7 +193,7 @@ function TopicsCard() {
           <td class="number wide-only">${seconds(flow.latency_p99_s)}</td>
           <td class="number">${never ? "-" : html`<${Age} topic=${name} stamp=${flow.updated_ns} />`}</td></tr>`;
       })}</tbody></table></div>
-    <ul class="legend">${["fresh", "late", "stale", "never", "quiet"].map((kind) => html`<li><${StateIcon} state=${FRESH_STATE[kind]} word="" />${t.legend[kind]}</li>`)}</ul>`}
+    <ul class="legend">${["fresh", "late", "stale", "earlier", "never", "quiet"].map((kind) => html`<li><${StateIcon} state=${FRESH_STATE[kind]} word="" />${t.legend[kind]}</li>`)}</ul>`}
   </${Card}>`;
 }
 
@@ -219,16 +219,16 @@ function UnitCard() {
   const t = words.unitCard;
   const { mode, navigation, recording } = state.value;
   clock.value;
-  const old = (topic, message) => ["stale", "never"].includes(freshness(topic, message?.updated_ns));
+  const old = (topic, message) => isOld(topic, message?.updated_ns);
   const sources = mode && [mode.gnss_source, mode.imu_source, mode.speed_source].filter(Boolean).join(", ");
   return html`<${Card} title=${t.title} note=${t.note} id="unit"><dl class="rows">
     <${Row} dim=${old("mode/state", mode)} label=${t.mode} value=${mode ? mode.mode.replaceAll("_", " ") : words.topics.never} extra=${mode?.reason} />
-    ${mode && html`<${Row} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} />
-    <${Row} label=${t.sources} value=${sources || t.none} />`}
+    ${mode && html`<${Row} dim=${old("mode/state", mode)} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} />
+    <${Row} dim=${old("mode/state", mode)} label=${t.sources} value=${sources || t.none} />`}
     <${Row} dim=${old("navigation/state", navigation)} label=${t.filter} value=${navigation ? words.position.phases[navigation.phase] ?? navigation.phase : words.topics.never} extra=${navigation?.reason} />
-    ${navigation && html`<${Row} label=${t.fixes} value=${t.usedRejected(navigation.fixes_used, navigation.fixes_rejected)} />
-    <${Row} label=${t.samples} value=${t.usedRejected(navigation.samples_used, navigation.samples_rejected)} />
-    <${Row} label=${t.gaps} value=${t.gapsResets(navigation.imu_gaps, navigation.resets)} />`}
+    ${navigation && html`<${Row} dim=${old("navigation/state", navigation)} label=${t.fixes} value=${t.usedRejected(navigation.fixes_used, navigation.fixes_rejected)} />
+    <${Row} dim=${old("navigation/state", navigation)} label=${t.samples} value=${t.usedRejected(navigation.samples_used, navigation.samples_rejected)} />
+    <${Row} dim=${old("navigation/state", navigation)} label=${t.gaps} value=${t.gapsResets(navigation.imu_gaps, navigation.resets)} />`}
     <${Row} dim=${old("recording/state", recording)} label=${t.recording} value=${recording?.file ?? (recording ? words.footer.notRecording : words.topics.never)} extra=${recording?.reason ?? (recording && t.written(bytes(recording.bytes_written), recording.dropped))} />
   </dl></${Card}>`;
 }

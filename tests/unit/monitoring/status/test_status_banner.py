@@ -87,8 +87,35 @@ def test_it_is_safe_when_and_only_when_a_verdict_within_its_deadline_says_so(
     shown = show(evidence)
     valid = broker and level is not None and trust_age_s < 5.0
     assert (shown.state is Trust.SAFE) == (valid and level is TrustLevel.SAFE)
-    assert (shown.state is Trust.STALE) == (not valid)
+    assert (shown.state is Trust.BROKER_LOST) == (not broker)
+    assert (shown.state is Trust.STALE) == (broker and not valid)
     assert shown.sentence.endswith(".")
+
+
+def test_an_exceeded_alert_limit_differs_from_an_accusation_in_state_word_and_advice() -> None:
+    why = ("horizontal protection level 25.0 m is above the alert limit of 10.0 m",)
+    above = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, reasons=why, row=3)))
+    accused = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, reasons=("GNSS is accused",), row=4)))
+    assert (above.state, WORDS[above.state]) == (Trust.ABOVE_LIMIT, "ABOVE LIMIT")
+    assert above.sentence == f"The position must not be used: {why[0]}."
+    assert accused.state is Trust.UNSAFE
+    assert above.action != accused.action
+
+
+def test_before_the_first_verdict_after_a_start_the_banner_says_what_it_waits_for() -> None:
+    shown = show(changed(trust=None, trust_age_s=None, awaited="the first verdict of core.trust"))
+    assert shown.state is Trust.STARTING
+    assert shown.sentence == "Nothing is known yet: waiting for the first verdict of core.trust."
+
+
+def test_every_state_has_its_own_word() -> None:
+    assert len(set(WORDS.values())) == len(Trust) == len(WORDS)
+
+
+def test_a_monitor_whose_process_was_restarted_has_no_outcome_until_it_states_one() -> None:
+    evidence = changed(earlier_monitors=frozenset({"inertial_short"}))
+    state, text = check(evidence, "inertial_short")
+    assert (state, text) == (Trust.STALE, "no statement since its process was restarted")
 
 
 def test_an_old_verdict_is_said_with_its_age_and_root_cause() -> None:
@@ -104,7 +131,7 @@ def test_a_verdict_that_never_came_is_said() -> None:
 
 
 def test_a_lost_broker_leaves_nothing_known() -> None:
-    assert show(changed(broker=False)).state is Trust.STALE
+    assert show(changed(broker=False)).state is Trust.BROKER_LOST
     sentence = show(changed(broker=False, cause="the broker hangs: it is connected, but delivers nothing")).sentence
     assert sentence == "Nothing is known: the broker hangs: it is connected, but delivers nothing."
 
@@ -210,8 +237,8 @@ def test_sensors_that_never_spoke_are_not_green() -> None:
 
 def test_protection_levels_are_compared_with_the_configured_alert_limits() -> None:
     assert check(GOOD, "protection") == (Trust.SAFE, "3.1 m horizontal (limit 10 m), 4.2 m vertical (limit 20 m)")
-    assert check(changed(alert_limit_horizontal_m=3.0), "protection")[0] is Trust.CAUTION
-    assert check(changed(alert_limit_vertical_m=4.0), "protection")[0] is Trust.CAUTION
+    assert check(changed(alert_limit_horizontal_m=3.0), "protection")[0] is Trust.ABOVE_LIMIT
+    assert check(changed(alert_limit_vertical_m=4.0), "protection")[0] is Trust.ABOVE_LIMIT
     unknown = changed(alert_limit_horizontal_m=None, alert_limit_vertical_m=None)
     assert check(unknown, "protection") == (
         Trust.STALE, "3.1 m horizontal, 4.2 m vertical; alert limits not received",
