@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
@@ -29,7 +30,8 @@ def test_a_lost_connection_is_said_and_its_return_as_well(tmp_path: Path, open_p
             re.compile(r"Connection to the OBU lost \d s ago - showing last data. Retrying ...")
         )
         expect(bar).to_contain_text("The unit cannot be reached")
-        expect(page.locator(".banner .word")).to_have_text("NO DATA")
+        expect(page.locator(".banner .word")).to_have_text("NO CONNECTION")
+        expect(page.locator(".foot")).to_contain_text("NO CONNECTION")
         expect(page.locator(".clock")).to_contain_text("stopped")
         expect(page.locator(".vehicle.old")).to_be_attached()
         stopped = page.locator(".clock time").inner_text()
@@ -217,17 +219,79 @@ def test_the_close_up_zooms_turns_and_fits_again(units: dict[str, Running], open
     expect(page.locator(".ground")).to_have_attribute("style", re.compile(r"rotate\(-?[1-9]"))
 
 
-def test_the_display_can_be_paused_and_says_so(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
-    page = open_page(units["normal"].address)
-    latitude = page.locator(".coordinates dd").first
-    expect(latitude).to_be_visible()
-    page.keyboard.press("p")
-    expect(page.get_by_text("Display paused")).to_be_visible()
-    shown = latitude.inner_text()
-    page.wait_for_timeout(700)
-    assert latitude.inner_text() == shown
-    page.get_by_role("button", name="Resume").click()
-    expect(latitude).not_to_have_text(shown)
+def test_a_paused_page_stands_as_it_was_without_ageing_and_catches_up_on_resuming(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path) as server:
+        page = open_page(server.address)
+        latitude = page.locator(".coordinates dd").first
+        expect(latitude).to_be_visible()
+        expect(page.locator(".banner .word")).to_have_text("SAFE")
+        page.keyboard.press("p")
+        expect(page.locator(".clock .paused-badge")).to_have_text("PAUSED")
+        expect(page.get_by_text(re.compile(r"Paused at \d\d:\d\d:\d\d UTC"))).to_be_visible()
+        page.wait_for_timeout(300)
+        whole = page.locator("body").inner_text()
+        assert server.unit is not None
+        server.unit.kill("core.fusion")
+        page.wait_for_timeout(3500)
+        assert page.locator("body").inner_text() == whole, "not one word, age or figure has changed"
+        keep_picture(page, "paused")
+        assert faults(page) == []
+        page.get_by_role("button", name="Resume").click()
+        expect(page.locator(".banner .word")).to_have_text("NO FIX")
+        expect(page.locator(".paused-badge")).to_have_count(0)
+        expect(page.locator(".vehicle.old")).to_be_attached()
+
+
+def test_a_protection_level_above_its_limit_is_said_by_banner_footer_timeline_and_api(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path) as server:
+        assert server.unit is not None
+        page = open_page(server.address)
+        expect(page.locator(".banner .word")).to_have_text("SAFE")
+        expect(page.locator(".foot")).to_contain_text("No problems")
+        server.unit.protection_level_m = 25.0
+        expect(page.locator(".banner .word")).to_have_text("ABOVE LIMIT", timeout=3000)
+        expect(page.locator(".banner .sentence")).to_contain_text(
+            "horizontal protection level 25.0 m is above the alert limit of 10.0 m"
+        )
+        expect(page.get_by_role("alert")).to_contain_text("ABOVE LIMIT")
+        expect(page.locator(".foot")).to_contain_text("ABOVE LIMIT")
+        expect(page.locator(".band .segment.above_limit")).to_be_attached()
+        shown = httpx.get(f"{server.address}/api/health", timeout=5.0).json()
+        assert (shown["state"], shown["position"]["state"]) == ("degraded", "above_limit")
+        for theme, viewport in THEMES.items():
+            page.emulate_media(color_scheme="dark" if theme == "dark" else "light")
+            page.set_viewport_size(viewport)
+            keep_picture(page, f"above-limit-{theme}")
+            assert faults(page) == [], theme
+
+
+def test_after_a_restart_of_the_status_process_its_history_is_there_and_nothing_green_is_shown_before_new_values(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    with status_server(tmp_path) as server:
+        assert server.unit is not None
+        page = open_page(server.address, path="system")
+        expect(page.locator(".banner .word")).to_have_text("SAFE")
+        server.unit.kill("parsers.can")
+        outages = page.get_by_role("region", name="Outages").locator("li")
+        expect(outages).to_have_count(1, timeout=6000)
+        server.unit.revive("parsers.can")
+        expect(outages.locator("em")).to_have_count(0, timeout=6000)
+    with status_server(tmp_path, unit=False, port=urlsplit(server.address).port) as again:
+        again.bus.offset_ns = server.bus.offset_ns
+        page = open_page(again.address, path="system")
+        expect(page.get_by_role("region", name="Outages").locator("li")).to_contain_text("parsers.can was lost")
+        expect(page.locator(".banner .word")).to_have_text("STARTING")
+        expect(page.locator(".banner .sentence")).to_contain_text("waiting for the first verdict of core.trust")
+        expect(page.locator("main .state.safe")).to_have_count(1, timeout=6000)  # its own heartbeat
+        page.keyboard.type("gn")
+        expect(page.locator(".band .segment.safe")).to_be_attached()
+        expect(page.locator(".band .segment.starting")).to_be_attached()
+        expect(page.locator("main .checks .state.safe")).to_have_count(0)
 
 
 def test_colours_are_remembered(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
@@ -256,13 +320,16 @@ def test_without_a_broker_the_page_says_so_itself(tmp_path: Path, open_page: Cal
         expect(page.locator(".banner .sentence")).to_contain_text(
             "Nothing is known: the broker is not reachable", timeout=6000
         )
+        expect(page.locator(".banner .word")).to_have_text("BROKER LOST")
+        expect(page.locator(".foot")).to_contain_text("BROKER LOST")
+        expect(page.locator(".band .segment.broker_lost")).to_be_attached()
         expect(page.locator(".chain .worst")).to_have_text("Broker does not answer")
         services = page.get_by_role("region", name="Services")
         expect(services).to_contain_text("not known")
         expect(services.get_by_text(re.compile("stale|running"))).to_have_count(0)
         page.keyboard.type("gs")
         expect(page.locator("[id='node-core.fusion']")).to_contain_text("not known")
-        expect(page.locator(".foot .problems")).to_contain_text("1 problem: the broker is not reachable")
+        expect(page.locator(".foot .problems").last).to_contain_text("1 problem: the broker is not reachable")
         expect(page.get_by_role("region", name="Outages").locator("li")).to_have_count(1)
 
 
@@ -307,12 +374,26 @@ def test_a_process_that_was_killed_is_the_cause_until_its_topics_are_back(
         expect(outages).to_have_count(1)
 
 
-def test_a_browser_that_is_one_too_many_is_told(tmp_path: Path, open_page: Callable[..., Page]) -> None:
+def test_beyond_the_limit_a_page_says_how_many_watch_and_nothing_else(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
     with status_server(tmp_path, clients_maximum=1) as server:
         first = open_page(server.address)
         expect(first.locator("svg.closeup")).to_be_visible()
-        second = open_page(server.address)
-        expect(second.get_by_text("refuses another dashboard: close one elsewhere")).to_be_visible(timeout=8000)
+        second = open_page(server.address, theme="phone")
+        page = second.locator("main")
+        expect(page).to_contain_text("Too many viewers: 1 is connected.", timeout=8000)
+        expect(page).to_contain_text("tries again every 10 s")
+        expect(second.locator(".banner .sentence")).to_have_text("Too many viewers: 1 is connected.")
+        second.wait_for_timeout(3500)
+        expect(second.locator(".bar.lost")).to_have_count(0)
+        assert "does not answer" not in second.locator("body").inner_text()
+        assert "Connecting" not in second.locator("body").inner_text()
+        keep_picture(second, "too-many-viewers")
+        assert faults(second) == []
+        first.close()
+        second.get_by_role("button", name="Try again now").click()
+        expect(second.locator("svg.closeup")).to_be_visible(timeout=8000)
 
 
 @pytest.mark.parametrize("theme", ["light", "dark", "phone"])
@@ -449,8 +530,8 @@ def test_the_page_trust_without_any_verdict_is_empty_and_says_why(
 ) -> None:
     page = open_page(units["empty"].address, path="trust")
     expect(page.get_by_text("No statement of any monitor yet")).to_be_visible()
-    expect(page.get_by_text("No change of the verdict since the status process started.")).to_be_visible()
-    expect(page.locator(".chip")).to_have_text("NO DATA")
+    expect(page.get_by_text("No change of the verdict recorded.")).to_be_visible()
+    expect(page.locator(".chip")).to_have_text("STARTING")
 
 
 def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_page: Callable[..., Page]) -> None:

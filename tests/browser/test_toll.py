@@ -16,7 +16,7 @@ PLAZAS = {
     "alarm": FakePlaza(problem="the ledger cannot be used: disk full; make room on its disk"),
     "empty": FakePlaza(empty=True),
 }
-WORDS = {"normal": "SAFE", "stale": "NO DATA", "alarm": "UNSAFE", "empty": "NO DATA"}
+WORDS = {"normal": "SAFE", "stale": "NO DATA", "alarm": "UNSAFE", "empty": "STARTING"}
 
 
 @pytest.fixture(scope="module")

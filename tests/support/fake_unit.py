@@ -123,6 +123,7 @@ class FakeUnit:
         self.lost: set[str] = set()  # processes that were killed
         self.rejecting = False
         self.coasting = False
+        self.protection_level_m = 3.14  # horizontal, while it does not coast
         self.aligning = False  # core.fusion runs, but has no solution yet
         self.watchdog = Watchdog(SIMULATED, self.started_ns)
         self.trust = TrustProcess(TrustConfig())  # the verdict is that of the real process
@@ -286,7 +287,7 @@ class FakeUnit:
                 gyroscope_bias_rad_s=(1e-4, 2e-4, -1e-4),
                 stationary=False,
                 gnss_age_s=12.4 if self.coasting else (now_ns % 10**9) * 1e-9,
-                protection_level_horizontal_m=14.2 if self.coasting else 3.14,
+                protection_level_horizontal_m=14.2 if self.coasting else self.protection_level_m,
                 protection_level_vertical_m=9.8 if self.coasting else 4.27,
                 integrity_risk=1e-3,
             ),

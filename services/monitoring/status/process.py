@@ -18,9 +18,8 @@ from .history_file import HistoryFile
 from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.pages import read_pages
-from .web.routes import Api, make_app, make_server
+from .web.routes import Api, Watching, make_app, make_server
 from .web.simulation import SimulationApi
-from .web.websocket import Stream
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +36,9 @@ class Config(Section):
     history_s: float = Field(default=900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
-    clients_maximum: int = Field(default=16, ge=1, le=256)
+    clients_maximum: int = Field(
+        default=100, ge=1, le=256, description="dashboards at once, and as many readers of /api/events"
+    )
 
 
 class Process:
@@ -77,8 +78,8 @@ class Process:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
         collector = StateCollector(state, bus.now_ns, lock, software_version())
         api = Api(state, lock, bus.now_ns, registry_of(collector), self._config.history_s)
-        stream = Stream(state, lock, bus.now_ns, self._config.clients_maximum)
-        app = make_app(api, simulation, read_pages(folder), stream, self._config.allowed_hosts)
+        watching = Watching(state, lock, bus.now_ns, self._config.clients_maximum)
+        app = make_app(api, simulation, read_pages(folder), watching, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:

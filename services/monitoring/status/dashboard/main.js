@@ -152,8 +152,10 @@ function LostBar() {
     const timer = setTimeout(() => setShownGap(null), 6000);
     return () => clearTimeout(timer);
   }, [open, gap]);
-  const visible = !open && lostS > LOST_BAR_AFTER_S;
-  return html`${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${state.value ? words.lost.bar(duration(lostS)) : words.lost.never} <span>${words.lost.why[why] ?? ""}</span></p></div>`}
+  const full = why === "full";
+  const visible = !open && lostS > LOST_BAR_AFTER_S && (state.value || !full); // without any data the page says it
+  const reason = full ? words.lost.full(link.value.viewers.connected) : words.lost.why[why] ?? "";
+  return html`${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${state.value ? words.lost.bar(duration(lostS)) : words.lost.never} <span>${reason}</span></p></div>`}
     ${outdated.value && html`<div class="bar"><p>${words.lost.outdated}</p><button onClick=${() => location.reload()}>${words.lost.reload}</button></div>`}
     ${paused.value && html`<div class="bar paused"><p>${words.paused(timeOfDay(nowMs()))}</p><button onClick=${togglePause}>${words.resume}</button></div>`}
     <p class=${shownGap === null ? "sr" : "bar back"} role="status">${shownGap === null ? "" : words.lost.back(duration(shownGap))}</p>`;
@@ -247,7 +249,10 @@ function App() {
     );
   }, [page, link.value.open]);
   const ready = state.value && contract.value;
-  const shown = !ready ? html`<p class="boot">${words.connecting}</p>`
+  const { why, viewers, open } = link.value;
+  const full = !state.value && !open && why === "full";
+  const shown = full ? html`<${Empty} title=${words.lost.full(viewers.connected)} why=${words.lost.fullWhy(viewers.maximum)} what=${html`<button onClick=${() => location.reload()}>${words.lost.again}</button>`} />`
+    : !ready ? html`<p class="boot">${words.connecting}</p>`
     : loaded[page] ? html`<${loaded[page]} query=${query} go=${go} onWhy=${() => setDrawer("why")} />`
     : link.value.open ? null : html`<${Empty} title=${words.lost.page} why=${words.lost.pageWhy} />`;
   return html`<a class="skip" href="#content" onClick=${(e) => { e.preventDefault(); heading.current.focus(); }}>${words.skip}</a>

@@ -160,6 +160,7 @@ export const checksNow = (banner) => (isLive() ? banner.checks
 // What the banner says: the server's words, or that the connection is lost and so no verdict is known.
 export function verdict() {
   const banner = state.value?.banner;
+  if (!banner && link.value.why === "full") return { state: "disconnected", word: words.trust.disconnected, sentence: words.lost.full(link.value.viewers.connected), since_ns: null };
   if (!banner) return { state: "starting", word: words.trust.starting, sentence: words.connecting, since_ns: null };
   const lostS = link.value.lostAt === null ? 0 : (performance.now() - link.value.lostAt) / 1000;
   if (!isLive() && (paused.value || lostS > 1 || connected())) return { ...banner, state: "disconnected", word: words.trust.disconnected, sentence: words.banner.disconnected, action: null, since_ns: state.value.now_ns };

@@ -2,6 +2,7 @@
 import { signal } from "@preact/signals";
 
 const BACKOFF_S = [0.5, 1, 2, 5];
+const FULL_AGAIN_S = 10; // there are as many viewers as the unit allows
 const FRAME_OVERDUE_S = 2; // frames come five times a second
 const HISTORY_S = 60;
 
@@ -22,6 +23,7 @@ let lastFrameAt = 0;
 let sequence = -1;
 let version = null;
 let socket = null;
+const PACKED = typeof DecompressionStream === "function";
 let held = null; // what came while the display is paused
 
 export function remember(changes) {
@@ -121,12 +123,15 @@ function take(frame) {
   if (!paused.value) state.value = held;
 }
 
+// Why there is no connection, as far as an ordinary request can tell.
 async function findReason() {
   try {
-    const answer = await fetch("/api/health", { signal: AbortSignal.timeout(3000) });
-    return answer.ok || answer.status === 503 ? "full" : answer.status === 421 ? "name" : "error";
+    const answer = await fetch("/api/viewers", { signal: AbortSignal.timeout(3000) });
+    if (!answer.ok) return { why: answer.status === 421 ? "name" : "error" };
+    const viewers = await answer.json();
+    return { why: viewers.connected >= viewers.maximum ? "full" : "interrupted", viewers };
   } catch {
-    return "unreachable";
+    return { why: "unreachable" };
   }
 }
 
@@ -134,23 +139,33 @@ async function lost() {
   const before = link.value;
   const attempts = before.attempts + 1;
   link.value = { ...before, open: false, lostAt: before.lostAt ?? performance.now(), attempts, gap: null };
-  setTimeout(connect, 1000 * BACKOFF_S[Math.min(attempts - 1, BACKOFF_S.length - 1)]);
-  const why = await findReason();
-  if (!link.value.open) link.value = { ...link.value, why };
+  const waitS = before.why === "full" ? FULL_AGAIN_S : BACKOFF_S[Math.min(attempts - 1, BACKOFF_S.length - 1)];
+  setTimeout(connect, 1000 * waitS);
+  const found = await findReason();
+  if (!link.value.open) link.value = { ...link.value, ...found };
 }
 
+const unpack = (data) => (typeof data === "string" ? JSON.parse(data)
+  : new Response(data.stream().pipeThrough(new DecompressionStream("deflate"))).json());
+
 function connect() {
-  const opening = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
+  const opening = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${PACKED ? "?packed=1" : ""}`);
   socket = opening;
+  let before = Promise.resolve(); // frames are taken in their order, though they are unpacked in the background
   opening.onmessage = (event) => {
-    if (opening !== socket) return;
-    take(JSON.parse(event.data));
-    if (!link.value.open) {
-      const gap = link.value.lostAt === null ? null : (performance.now() - link.value.lostAt) / 1000;
-      link.value = { open: true, lostAt: null, why: null, gap, attempts: 0 };
-    }
+    const frame = unpack(event.data);
+    before = before.then(async () => receive(opening, await frame));
   };
   opening.onclose = () => opening === socket && lost();
+}
+
+function receive(from, frame) {
+  if (from !== socket) return;
+  take(frame);
+  if (!link.value.open) {
+    const gap = link.value.lostAt === null ? null : (performance.now() - link.value.lostAt) / 1000;
+    link.value = { open: true, lostAt: null, why: null, gap, attempts: 0 };
+  }
 }
 
 export function start() {
