@@ -1,4 +1,4 @@
-"""What outlives a restart of this process: verdicts, their changes and outages, as JSON lines in files of bounded size."""
+"""Verdicts, their changes and outages as JSON lines in files of bounded size: they survive a restart of this process."""
 
 import logging
 from collections.abc import Iterator, Mapping

@@ -46,7 +46,7 @@ def solution(state: State, now_ns: int) -> Json:
 
 
 def feature(state: State, now_ns: int) -> Json:
-    """Show the newest solution as a feature: longitude, latitude [deg] and height [m] in WGS 84, the rest as properties."""
+    """Show the newest solution as a feature: a point with height in WGS 84, and the rest as properties."""
     shown = solution(state, now_ns)
     place = [shown.pop(name) for name in ("longitude_deg", "latitude_deg", "height_ellipsoid_m")]
     geometry = None if None in place else {"type": "Point", "coordinates": place}

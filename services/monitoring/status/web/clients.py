@@ -1,4 +1,4 @@
-"""The browsers and programs that watch: every one is given the same frame; one that does not keep up is disconnected."""
+"""Clients that stay connected: every one is sent the same frame; one that does not keep up is disconnected."""
 
 import asyncio
 import zlib

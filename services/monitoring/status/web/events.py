@@ -1,7 +1,7 @@
 """Server-sent events: the verdict, the solution and outages, for programs that want no WebSocket.
 
-`verdict` on opening and when the state or the deciding row changes; `solution` once a second; `outage` when one begins or
-ends. A comment every five seconds tells a dead connection from a quiet one.
+`verdict` on opening and when the state or the deciding row changes; `solution` once a second; `outage` when one begins
+or ends. A comment every five seconds tells a dead connection from a quiet one.
 """
 
 import asyncio

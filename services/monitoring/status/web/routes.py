@@ -4,6 +4,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Callable, MutableMapping
 from contextlib import AbstractContextManager, asynccontextmanager
+from threading import Lock
 from typing import Annotated, Any, Literal
 
 import uvicorn
@@ -41,8 +42,8 @@ log = logging.getLogger(__name__)
 
 API_VERSION = "1.0"
 DESCRIPTION = (
-    "State of the on-board unit, for programs. Stamps are nanoseconds on the unit's time line, which is UTC; what is not "
-    "known is null. The messages themselves are described in /asyncapi.json."
+    "State of the on-board unit, for programs. Stamps are nanoseconds on the unit's time line, which is UTC; what is "
+    "not known is null. The messages themselves are described in /asyncapi.json."
 )
 TAGS = {
     "position": "Where the vehicle is, and how well that is known",
@@ -238,6 +239,18 @@ def make_app(
     app.include_router(pages.router())
     app.add_middleware(Guard, allowed_hosts=allowed_hosts)
     return app
+
+
+def openapi() -> dict[str, Any]:
+    """Describe the API without a unit, as it is printed in docs/reference."""
+    state, lock = State("", (), 0, 900.0), Lock()
+
+    def now_ns() -> int:
+        return 0
+
+    api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
+    watching = Watching(state, lock, now_ns, 1)
+    return make_app(api, SimulationApi(state, lock, now_ns), Pages({}, {}), watching, ()).openapi()
 
 
 def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:

@@ -1,7 +1,7 @@
 """The WebSocket: a snapshot on opening, then what changed, five times a second, one encoded frame for everyone.
 
-`/ws` sends JSON as text; `/ws?packed=1` sends the same JSON in zlib's format as binary messages. Each frame is compressed
-once for all; permessage-deflate would need a compressor with 256 kB for every client.
+`/ws` sends JSON as text; `/ws?packed=1` sends the same JSON in zlib's format as binary messages. Each frame is
+compressed once for all; permessage-deflate would need a compressor with 256 kB for every client.
 """
 
 import asyncio
