@@ -59,11 +59,11 @@ def test_a_position_is_not_shown_as_live_after_its_deadline(tmp_path: Path, open
         assert time.monotonic() - silent < DEADLINE_S + 1.5, "deadline, two frames, and the time to look"
         position = page.get_by_role("region", name="Position", exact=True)
         expect(position.locator(".age.stale").first).to_have_text(re.compile(r"last message \d\d:\d\d:\d\d, \d s ago"))
-        expect(position).to_contain_text("by now")
+        expect(position).to_contain_text("away now")
         first = page.locator("svg.closeup").get_attribute("aria-label")
         page.wait_for_timeout(1500)
         label = page.locator("svg.closeup").get_attribute("aria-label") or ""
-        within = re.search(r"by now within ([\d.]+) m", label)
+        within = re.search(r"could be up to ([\d.]+) m away now", label)
         assert within and float(within[1]) > 2.1 + 9.0 * DEADLINE_S + 1.5 * DEADLINE_S**2, "it may have sped up"
         assert label != first, "and it grows"
         server.unit.silent.clear()
@@ -96,7 +96,7 @@ def test_the_reasons_of_the_banner_are_listed_with_what_is_not_evaluated(
     drawer = page.get_by_role("dialog", name="Why UNSAFE?")
     expect(drawer).to_contain_text("What to do")
     expect(drawer.locator("li", has_text="Short inertial window")).to_contain_text("accuses GNSS")
-    expect(drawer.locator("li", has_text="Fit of GNSS velocity")).to_contain_text("4.70 of the limit, rejected")
+    expect(drawer.locator("li", has_text="GNSS velocity residual")).to_contain_text("470 % of limit, rejected")
     warming = drawer.locator("li", has_text="Motion conflict")
     expect(warming).to_contain_text("not evaluated: warming up: 12 of 30 samples")
     expect(warming.locator(".meter")).to_have_count(0)
@@ -406,11 +406,11 @@ def test_protection_levels_are_drawn_and_told_in_plain_words(
         expect(ring).to_be_attached()
         ellipse = page.locator("svg.closeup ellipse.ellipse")
         assert float(ring.get_attribute("r") or 0) > float(ellipse.get_attribute("ry") or 0) > 0
-        assert "Protection level: 3.1 m on the ground" in (
+        assert "Protection level: 3.1 m horizontal" in (
             page.locator("svg.closeup").get_attribute("aria-label") or ""
         )
         position = page.get_by_role("region", name="Position", exact=True)
-        expect(position).to_contain_text("3.1 m on the ground, 4.3 m in height")
+        expect(position).to_contain_text("3.1 m horizontal, 4.3 m vertical")
         expect(position).to_contain_text("off by more than this at most once in 1,000 times")
         if theme == "phone":
             expect(page.locator(".glance")).to_contain_text("Protection level")
@@ -435,10 +435,10 @@ def test_figures_lines_and_states_of_the_system_page_are_explained(
     layers = page.get_by_role("region", name="Processes by layer")
     expect(layers.locator(".key-card")).to_contain_text("37/s messages published a second")
     expect(layers.locator(".key-card .lines li")).to_have_text(
-        ["fresh; thicker is faster", "late", "stale", "on events only"]
+        ["fresh; thicker is faster", "late", "stale", "event-driven"]
     )
     topics = page.get_by_role("region", name="Topics").first
-    expect(topics.locator(".legend")).to_contain_text("published on events only: silence is no fault")
+    expect(topics.locator(".legend")).to_contain_text("event-driven: silence is no fault")
     event = topics.locator("tr", has_text="outage/event")
     expect(event).to_contain_text("no event yet")
     expect(event.locator(".state.info")).to_be_visible()
@@ -529,7 +529,7 @@ def test_the_page_trust_without_any_verdict_is_empty_and_says_why(
     units: dict[str, Running], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["empty"].address, path="trust")
-    expect(page.get_by_text("No statement of any monitor yet")).to_be_visible()
+    expect(page.get_by_text("No outcome of any monitor yet")).to_be_visible()
     expect(page.get_by_text("No change of the verdict recorded.")).to_be_visible()
     expect(page.locator(".chip")).to_have_text("STARTING")
 

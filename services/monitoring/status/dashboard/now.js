@@ -25,7 +25,7 @@ function PositionCard() {
         <div><dt>${p.latitude}</dt><dd>${fixed(s.latitude_deg, digits)}<span aria-hidden="true">°</span><span class="sr"> ${p.degrees}</span></dd></div>
         <div><dt>${p.longitude}</dt><dd>${fixed(s.longitude_deg, digits)}<span aria-hidden="true">°</span><span class="sr"> ${p.degrees}</span></dd></div>
       </dl>
-      <p class="accuracy"><span>±</span> ${metres(stale ? withinM : s.ellipse.semi_major_m)} <span class="note">${stale ? p.byNow : p.error95}</span></p>
+      <p class="accuracy">${stale ? p.upTo(metres(withinM)) : html`<span>±</span> ${metres(s.ellipse.semi_major_m)} <span class="note">${p.error95}</span>`}</p>
     </div>
     <dl class="rows ${old}">
       <${Row} label=${p.speed} value=${fixed(s.speed_m_s * KMH, 1)} unit=${words.speed.unit} unitName=${words.speed.unitName} extra=${s.stationary ? p.standing : null} />
@@ -69,7 +69,7 @@ function Glance() {
   const cells = [
     [g.speed, html`<span class="value">${fixed(s.speed_m_s * KMH, 1)}</span><small> ${words.speed.unit}</small>`],
     [g.fix, kind],
-    [sc.stale ? words.position.byNow : words.position.error95, html`± ${metres(sc.stale ? sc.withinM : s.ellipse.semi_major_m)}`],
+    [sc.stale ? words.position.away : words.position.error95, html`${sc.stale ? "≤" : "±"} ${metres(sc.stale ? sc.withinM : s.ellipse.semi_major_m)}`],
     ...(s.protection_level_horizontal_m == null || sc.stale ? [] : [[g.level, metres(s.protection_level_horizontal_m)]]),
     [g.age, html`<${Age} topic="navigation/solution" stamp=${s.updated_ns} />`],
   ];

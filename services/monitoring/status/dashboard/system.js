@@ -20,7 +20,7 @@ function Node({ name, onHover }) {
     <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word=${words.status[status]} /><span class="sr">${name}</span><span aria-hidden="true">${short(name)}</span>${p.restarts > 0 && html`<span class="restarts">${w.restarted(p.restarts)}</span>`}</span>
     <span class="figures">${status === "waiting" || status === "missing" ? words.status[status]
       : status !== "ready" ? html`<strong>${words.status[status]}</strong>`
-      : html`<span aria-hidden="true">${[p.out_hz == null ? null : `${rate(p.out_hz)}/s`, p.latency_p99_s == null ? null : seconds(p.latency_p99_s)].filter(Boolean).join(" · ")}</span><span class="sr">${w.told(rate(p.out_hz), seconds(p.latency_p99_s))}</span>`}</span>
+      : html`<span aria-hidden="true">${[p.out_hz == null ? null : `${rate(p.out_hz)}/s`, p.latency_p99_s == null ? null : seconds(p.latency_p99_s)].filter(Boolean).join(" · ")}</span><span class="sr">${w.load(rate(p.out_hz), seconds(p.latency_p99_s))}</span>`}</span>
   </a></li>`;
 }
 
@@ -146,8 +146,8 @@ function NodeDrawer({ name, onClose }) {
   clock.value;
   const status = statusOf(name);
   const topics = Object.entries(contract.value.topics);
-  const says = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
-  const hears = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
+  const published = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
+  const subscribed = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
   const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${n} × ${kind}`).join(", ");
   const list = (names) => (names.length ? html`<ul class="tags">${names.map((t) => html`<li><a href=${`#/system?topic=${t}`}>${t}</a></li>`)}</ul>` : words.system.nothing);
   return html`<${Drawer} title=${w.drawer(name)} onClose=${onClose}>
@@ -158,8 +158,8 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.uptime} value=${p.since_ns && status === "ready" ? duration(Math.max(0, (nowMs() - p.since_ns / 1e6) / 1000)) : "-"} />
       <${Row} label=${w.restarts} value=${p.restarts} />
       <${Row} label=${w.lastError} value=${p.last_error ?? w.noError} />
-      <${Row} label=${w.rate} value=${rate(p.out_hz)} unit="/s" unitName="messages a second" />
-      <${Row} label=${w.heard} value=${rate(p.in_hz)} unit="/s" unitName="messages a second" />
+      <${Row} label=${w.sent} value=${rate(p.out_hz)} unit="/s" unitName="messages a second" />
+      <${Row} label=${w.received} value=${rate(p.in_hz)} unit="/s" unitName="messages a second" />
       <${Row} label=${w.latency} value=${`${seconds(p.latency_p50_s)} / ${seconds(p.latency_p99_s)}`} extra=${p.latency_of && w.latencyOf(p.latency_of)} />
       <${Row} label=${w.cpu} value=${percent(p.cpu_share)} extra=${w.cpuNote} />
       <${Row} label=${w.memory} value=${bytes(p.rss_bytes)} />
@@ -167,8 +167,8 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.dropped} value=${p.dropped ?? 0} extra=${w.droppedNote} />
       <${Row} label=${w.reconnections} value=${p.reconnections ?? 0} />
     </dl>
-    <h3>${w.says}</h3>${list([...says, `health/${name}`])}
-    <h3>${w.hears}</h3>${row.observes_all ? html`<p>${w.everything}</p>` : list(hears)}
+    <h3>${w.publishes}</h3>${list([...published, `health/${name}`])}
+    <h3>${w.subscribes}</h3>${row.observes_all ? html`<p>${w.everything}</p>` : list(subscribed)}
   </${Drawer}>`;
 }
 

@@ -19,7 +19,7 @@ from .geometry import vertical_sd
 from .plain_words import label_of, plain, sentence, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
-FITS = {AidingKind.NON_HOLONOMIC: "non-holonomic constraint"}
+FITS = {AidingKind.NON_HOLONOMIC: "Non-holonomic constraint"}
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
 RATIO_MAXIMUM = 9.99
@@ -125,9 +125,9 @@ class Verdict:
 
 WAITING = {
     NavigationPhase.WAITING_FOR_IMU: "no inertial data are received",
-    NavigationPhase.LEVELLING: "the filter is levelling, which needs the vehicle to stand still",
+    NavigationPhase.LEVELLING: "levelling: keep the vehicle still",
     NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix is received",
-    NavigationPhase.WAITING_FOR_HEADING: "the heading is not known, which needs the vehicle to drive a little",
+    NavigationPhase.WAITING_FOR_HEADING: "the heading is not known: drive a few metres",
 }
 SENTENCES = {
     TrustLevel.SAFE: "The position can be used",
@@ -238,7 +238,7 @@ def _monitor_checks(e: Evidence) -> list[Check]:
         if statement.accused:
             text = f"accuses {who(statement.accused)}: {text}"
         elif statement.outcome is MonitorOutcome.PASS and ratio is not None:
-            text = f"{ratio:.2f} of the threshold"
+            text = f"{100.0 * ratio:.0f} % of threshold"
         checks.append(
             Check(
                 statement.monitor,
@@ -338,8 +338,8 @@ def _gate_checks(e: Evidence) -> list[Check]:
     checks = []
     for kind, update, _ in _recent(e):
         good = update.used and update.test_ratio <= GATE_LIMIT
-        text = f"{update.test_ratio:.2f} of the limit" + ("" if update.used else ", rejected")
-        label = f"Fit of {FITS.get(kind) or kind.replace('_', ' ').replace('gnss', 'GNSS')}"
+        text = f"{100.0 * update.test_ratio:.0f} % of limit" + ("" if update.used else ", rejected")
+        label = f"{FITS.get(kind) or _capital(kind.replace('_', ' ').replace('gnss', 'GNSS'))} residual"
         state = Trust.SAFE if good else Trust.CAUTION
         checks.append(
             Check(
@@ -354,12 +354,16 @@ def _gate_checks(e: Evidence) -> list[Check]:
     return checks or [
         Check(
             "gate",
-            "Fit of the measurements",
+            "Residuals",
             Trust.STALE,
             f"none in {AIDING_RECENT_S:g} s",
             link="system?topic=navigation/aiding",
         )
     ]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _is_old(e: Evidence) -> bool:

@@ -152,7 +152,7 @@ def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
         monitor(START_NS, "satellites", outcome=MonitorOutcome.NOT_EVALUATED, reason="4 satellites"),
     )
     evidence = changed(trust=trust(START_NS, TrustLevel.UNSAFE, monitors=monitors))
-    assert check(evidence, "motion") == (Trust.SAFE, "0.50 of the threshold")
+    assert check(evidence, "motion") == (Trust.SAFE, "50 % of threshold")
     assert check(evidence, "inertial_short") == (Trust.UNSAFE, "accuses GNSS: statistic below the threshold")
     assert check(evidence, "satellites") == (Trust.OFF, "4 satellites")
     ratios = {c.name: c.ratio for c in show(evidence).checks if c.kind is Kind.MONITOR}
@@ -200,7 +200,7 @@ def test_a_rejected_measurement_and_the_state_of_the_filter_are_shown_as_inputs(
         phase=NavigationPhase.WAITING_FOR_GNSS,
         filter_says="17 fixes without a position",
     )
-    assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "4.70 of the limit, rejected")
+    assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "470 % of limit, rejected")
     assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS: 17 fixes without a position")
     assert show(evidence).state is Trust.SAFE, "inputs do not make the verdict"
 
@@ -245,3 +245,10 @@ def test_protection_levels_are_compared_with_the_configured_alert_limits() -> No
     )  # fmt: skip
     assert check(changed(solution=solution(START_NS)), "protection") == (Trust.OFF, "not published by the filter")
     assert check(changed(solution_age_s=60.0), "protection") == (Trust.STALE, "unknown")
+
+
+def test_reasons_of_monitors_inside_a_reason_name_them_by_their_labels() -> None:
+    shown = plain("neither inertial nor motion monitors evaluated: inertial_short: no samples; motion: warming up")
+    assert shown == (
+        "neither inertial nor motion monitors evaluated: Short inertial window: no samples; Motion conflict: warming up"
+    )
