@@ -171,7 +171,7 @@ def test_bytes_of_a_device_are_shown_as_hexadecimal(units: dict[str, Running], o
 
 def test_a_topic_that_never_spoke_says_who_would(units: dict[str, Running], open_page: Callable[..., Page]) -> None:
     page = open_page(units["empty"].address, path="system?topic=gnss/fix")
-    expect(page.get_by_role("dialog")).to_contain_text("Nothing has come on this topic yet.")
+    expect(page.get_by_role("dialog")).to_contain_text("No message received yet.")
     expect(page.get_by_role("dialog")).to_contain_text("It is published by parsers.gnss")
 
 
@@ -411,7 +411,7 @@ def test_protection_levels_are_drawn_and_told_in_plain_words(
         )
         position = page.get_by_role("region", name="Position", exact=True)
         expect(position).to_contain_text("3.1 m horizontal, 4.3 m vertical")
-        expect(position).to_contain_text("off by more than this at most once in 1,000 times")
+        expect(position).to_contain_text("The probability of a larger error is at most 1 in 1,000.")
         if theme == "phone":
             expect(page.locator(".glance")).to_contain_text("Protection level")
             assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")

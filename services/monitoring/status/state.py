@@ -319,6 +319,7 @@ class State:
         trust = None if self.is_earlier("trust/state") else self.newest(TrustState, "trust/state", now_ns)
         return Evidence(
             broker=not self._broker_lost(now_ns),
+            received_ns=self._received_ns,
             awaited=self._awaited(trust, now_ns),
             earlier_monitors=frozenset(m.monitor for m in trust.monitors if self._is_old(m)) if trust else frozenset(),
             trust=trust,

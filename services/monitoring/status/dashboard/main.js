@@ -57,6 +57,7 @@ function links() {
 function worstOf(chain) {
   const t = words.chain.worst;
   const c = state.value?.chain;
+  if (link.value.why === "full" && !link.value.open) return t.full;
   const worst = chain.find(([, ok]) => ok === false)?.[0];
   if (!worst) return null;
   if (worst === "services") return t.services(c.services.worst);

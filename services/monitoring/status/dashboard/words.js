@@ -40,6 +40,7 @@ export const words = {
     starting: "Starting",
     worst: {
       api: "API: no answer from the unit",
+      full: "API: too many viewers",
       broker: "Broker does not answer",
       services: (name) => `Services: ${name} is down`,
       sensors: (name) => `Sensors: ${name} is stale`,

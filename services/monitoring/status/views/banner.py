@@ -5,7 +5,7 @@ the newest `trust/state` is within its deadline and says so.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import degrees
 
@@ -79,6 +79,7 @@ class Evidence:
     """What the banner shows; ages in seconds, None for what did not come since the last start of its producer."""
 
     broker: bool
+    received_ns: int | None = None  # stamp of the newest message of all
     awaited: str | None = None  # what is to come after a start, as long as nothing is known to keep it away
     earlier_monitors: frozenset[str] = frozenset()  # their process was restarted since their last statement
     trust: TrustState | None = None
@@ -169,7 +170,8 @@ def show(evidence: Evidence) -> Verdict:
             Trust.BROKER_LOST,
             f"Nothing is known: {e.cause or 'the broker is not reachable'}.",
             "Start the broker or read its log. All messages pass through it; processes reconnect by themselves.",
-            checks,
+            tuple(replace(check, state=Trust.STALE, text="not known", ratio=None) for check in checks),
+            e.received_ns,
         )
     if e.awaited:
         return Verdict(

@@ -132,6 +132,7 @@ def test_a_verdict_that_never_came_is_said() -> None:
 
 def test_a_lost_broker_leaves_nothing_known() -> None:
     assert show(changed(broker=False)).state is Trust.BROKER_LOST
+    assert {c.state for c in show(changed(broker=False)).checks} == {Trust.STALE}, "no row is green"
     sentence = show(changed(broker=False, cause="the broker hangs: it is connected, but delivers nothing")).sentence
     assert sentence == "Nothing is known: the broker hangs: it is connected, but delivers nothing."
 
