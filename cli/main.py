@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from enum import StrEnum
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
@@ -48,6 +49,22 @@ calibrate = typer.Typer(
 app.add_typer(calibrate, name="calibrate")
 recordings = typer.Typer()
 app.add_typer(recordings, name="record")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"obu {version('obu')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _obu(
+    show: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """A vehicle on-board unit: position, velocity and attitude of the vehicle, with their integrity."""
+
 
 VehicleOption = Annotated[
     Path | None, typer.Option("--vehicle", help="The vehicle's TOML file; without it OBU_VEHICLE, else all defaults.")

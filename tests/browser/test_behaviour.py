@@ -406,9 +406,7 @@ def test_protection_levels_are_drawn_and_told_in_plain_words(
         expect(ring).to_be_attached()
         ellipse = page.locator("svg.closeup ellipse.ellipse")
         assert float(ring.get_attribute("r") or 0) > float(ellipse.get_attribute("ry") or 0) > 0
-        assert "Protection level: 3.1 m horizontal" in (
-            page.locator("svg.closeup").get_attribute("aria-label") or ""
-        )
+        assert "Protection level: 3.1 m horizontal" in (page.locator("svg.closeup").get_attribute("aria-label") or "")
         position = page.get_by_role("region", name="Position", exact=True)
         expect(position).to_contain_text("3.1 m horizontal, 4.3 m vertical")
         expect(position).to_contain_text("The probability of a larger error is at most 1 in 1,000.")

@@ -3,10 +3,12 @@
 import re
 import shlex
 from collections.abc import Iterator
+from importlib.metadata import version
 
 import pytest
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.testing import CliRunner
 
 from cli.main import app
 
@@ -40,3 +42,8 @@ def test_every_command_has_examples_that_the_command_line_accepts(name: str) -> 
 
 def test_all_commands_are_found() -> None:
     assert {"demo", "solve", "record", "record repair", "papers navigation"} <= set(ALL)
+
+
+def test_the_version_is_that_of_the_installed_package() -> None:
+    result = CliRunner().invoke(app, ["--version"])
+    assert (result.exit_code, result.stdout) == (0, f"obu {version('obu')}\n")
