@@ -181,7 +181,7 @@ def test_a_process_shows_its_life_and_its_topics(units: dict[str, Running], open
     expect(node).to_be_visible(timeout=8000)
     node.click()
     drawer = page.get_by_role("dialog", name="Process monitoring.recorder")
-    expect(drawer).to_contain_text("Its connection broke without a farewell: it crashed or was killed.")
+    expect(drawer).to_contain_text("Its connection ended without a disconnect: it crashed or was killed.")
     expect(drawer.get_by_role("link", name="recording/state")).to_be_visible()
     page.keyboard.press("Escape")
     outages = page.get_by_role("region", name="Outages")
@@ -281,13 +281,12 @@ def test_after_a_restart_of_the_status_process_its_history_is_there_and_nothing_
         expect(outages).to_have_count(1, timeout=6000)
         server.unit.revive("parsers.can")
         expect(outages.locator("em")).to_have_count(0, timeout=6000)
-    with status_server(tmp_path, unit=False, port=urlsplit(server.address).port) as again:
-        again.bus.offset_ns = server.bus.offset_ns
+    with status_server(tmp_path, unit=False, offset_ns=server.bus.offset_ns) as again:
         page = open_page(again.address, path="system")
         expect(page.get_by_role("region", name="Outages").locator("li")).to_contain_text("parsers.can was lost")
         expect(page.locator(".banner .word")).to_have_text("STARTING")
         expect(page.locator(".banner .sentence")).to_contain_text("waiting for the first verdict of core.trust")
-        expect(page.locator("main .state.safe")).to_have_count(1, timeout=6000)  # its own heartbeat
+        expect(page.locator("main .state.safe")).to_have_count(1, timeout=6000)  # the legend's
         page.keyboard.type("gn")
         expect(page.locator(".band .segment.safe")).to_be_attached()
         expect(page.locator(".band .segment.starting")).to_be_attached()
@@ -422,7 +421,7 @@ def test_an_old_protection_level_is_not_shown_as_one_of_now(tmp_path: Path, open
         expect(page.locator("svg.closeup circle.level:not(.old)")).to_be_attached()
         server.unit.silent.add("core.fusion")
         page.locator("svg.closeup circle.level.old").wait_for(state="attached", timeout=8000)
-        expect(page.get_by_role("region", name="Position", exact=True)).to_contain_text("it says nothing about now")
+        expect(page.get_by_role("region", name="Position", exact=True)).to_contain_text("not valid now")
         expect(page.locator(".glance")).not_to_contain_text("Protection level")
 
 
@@ -529,7 +528,7 @@ def test_the_page_trust_without_any_verdict_is_empty_and_says_why(
     page = open_page(units["empty"].address, path="trust")
     expect(page.get_by_text("No outcome of any monitor yet")).to_be_visible()
     expect(page.get_by_text("No change of the verdict recorded.")).to_be_visible()
-    expect(page.locator(".chip")).to_have_text("STARTING")
+    expect(page.locator(".chip")).to_have_text(re.compile("STARTING|NO DATA"))  # by its age
 
 
 def test_an_attack_is_started_and_stopped_from_the_page(tmp_path: Path, open_page: Callable[..., Page]) -> None:

@@ -1,4 +1,4 @@
-"""Verdicts, their changes and outages as JSON lines in files of bounded size: they survive a restart of this process."""
+"""Verdicts, their changes and outages as JSON lines in bounded files, which survive a restart of this process."""
 
 import logging
 from collections.abc import Iterator, Mapping
