@@ -16,7 +16,12 @@ from tests.browser.conftest import AXE, THEMES
 from tests.support.status_server import Running
 
 PLAIN_FRAMES = "delete window.DecompressionStream"  # so that a test can change them
-WORDS = {"normal": "SAFE", "stale": "NO FIX", "alarm": "UNSAFE", "empty": re.compile("STARTING|NO DATA")}  # the latter after two minutes
+WORDS = {
+    "normal": "SAFE",
+    "stale": "NO FIX",
+    "alarm": "UNSAFE",
+    "empty": re.compile("STARTING|NO DATA"),
+}  # the latter after two minutes
 SENTENCES = {
     "normal": "The position can be used: protection levels 3.1 m horizontal and 4.3 m vertical",
     "stale": "(core.fusion is stale: connected, but without heartbeat",

@@ -267,7 +267,7 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
     paths = get(server, "/openapi.json")["paths"]
     assert set(paths) == {
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
-        "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers",
+        "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
     }  # fmt: skip
 
 
@@ -409,6 +409,7 @@ ANSWERS: dict[str, type[answers.Answer]] = {
     "/api/state": answers.Everything,
     "/api/viewers": answers.Viewers,
     "/api/simulation": answers.Simulation,
+    "/api/replay": answers.Replay,
     "/api/topics/gnss/colour": answers.Refusal,
 }
 

@@ -5,6 +5,8 @@ const BACKOFF_S = [0.5, 1, 2, 5];
 const FULL_AGAIN_S = 10; // there are as many viewers as the unit allows
 const FRAME_OVERDUE_S = 2; // frames come five times a second
 const HISTORY_S = 60;
+const RECALL_MS = 150; // after the last of several jumps
+const PLOTTED = ["latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s"];
 
 export const state = signal(null);
 export const contract = signal(null);
@@ -18,12 +20,14 @@ export let history = { time_ns: [], fields: {} }; // as shown
 
 let recent = history; // as received; another object only while the page is paused
 let frozen = null; // while the page is paused: its time, and whether it was live
-let offsetMs = null; // server time minus performance.now()
+let newest = null; // time of the newest frame [ms], performance.now() then, and how fast that time runs
 let lastFrameAt = 0;
 let sequence = -1;
 let version = null;
 let socket = null;
 const PACKED = typeof DecompressionStream === "function";
+let epoch; // jumps of a replay
+let recalling = null;
 let held = null; // what came while the display is paused
 
 export function remember(changes) {
@@ -43,8 +47,9 @@ function read(key, fallback) {
   }
 }
 
-// Milliseconds on the unit's time line; it goes on between frames, and stands while the page is paused.
-const runningMs = () => (offsetMs === null ? null : performance.now() + offsetMs);
+// Milliseconds on the unit's time line; it goes on between frames, at the speed of a replay, and stands while the page
+// is paused.
+const runningMs = () => (newest === null ? null : newest.ms + (performance.now() - newest.at) * newest.rate);
 export const nowMs = () => (frozen ? frozen.nowMs : runningMs());
 const frameAgeS = () => (lastFrameAt ? (performance.now() - lastFrameAt) / 1000 : null);
 const receives = () => link.value.open && frameAgeS() !== null && frameAgeS() < FRAME_OVERDUE_S;
@@ -104,21 +109,44 @@ function note(view) {
   for (const column of Object.values(recent.fields)) column.splice(0, column.length - recent.time_ns.length);
 }
 
+function replaceRecent(past) {
+  recent = past;
+  if (!paused.value) history = recent;
+}
+
+// After a jump of a replay the plots show the minute before the new position.
+function recall() {
+  replaceRecent({ time_ns: [], fields: {} });
+  clearTimeout(recalling);
+  recalling = setTimeout(async () => {
+    const jump = epoch;
+    try {
+      const answer = await fetch(`/api/history?seconds=${HISTORY_S}&fields=${PLOTTED.join(",")}`, { signal: AbortSignal.timeout(3000) });
+      const past = await answer.json();
+      if (answer.ok && jump === epoch) replaceRecent(past);
+    } catch {
+      // The plots then begin at the new position.
+    }
+  }, RECALL_MS);
+}
+
 function take(frame) {
   lastFrameAt = performance.now();
   if (frame.kind === "snapshot") {
     outdated.value = version !== null && version !== frame.version;
     version ??= frame.version;
     contract.value = frame.contract;
-    recent = frame.history;
-    if (!paused.value) history = recent;
+    replaceRecent(frame.history);
     held = frame.state;
   } else {
     if (frame.sequence !== sequence + 1) return socket.close();
     held = merge(held, frame.state);
   }
   sequence = frame.sequence;
-  offsetMs = held.now_ns / 1e6 - performance.now();
+  const replay = held.replay;
+  newest = { ms: held.now_ns / 1e6, at: lastFrameAt, rate: !replay ? 1 : replay.playing ? replay.speed : 0 };
+  if (replay && replay.epoch !== epoch && frame.kind === "difference") recall();
+  epoch = replay?.epoch;
   if (frame.kind === "difference") note(held);
   if (!paused.value) state.value = held;
 }

@@ -235,6 +235,16 @@ class Simulation(Answer):
     simulation: Object | None
 
 
+class Replay(Answer):
+    """Position, extent, speed and events of a replay; null where none runs."""
+
+    replay: Object | None
+
+
+class Taken(Answer):
+    """A command was published; the position follows in the state."""
+
+
 class Accepted(Answer):
     """A command was published; `simulation/state` answers with this ID."""
 

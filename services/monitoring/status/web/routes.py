@@ -35,6 +35,7 @@ from .answers import (
 )
 from .events import Events
 from .pages import Pages
+from .replay import ReplayApi
 from .simulation import SimulationApi
 from .websocket import Stream
 
@@ -51,6 +52,7 @@ TAGS = {
     "unit": "Processes, topics, outages",
     "streams": "Connections that stay open",
     "simulation": "Attacks on a simulated vehicle",
+    "replay": "Controls of a replay",
 }
 GEOJSON = "application/geo+json"
 Responses = dict[int | str, dict[str, Any]]
@@ -178,9 +180,14 @@ class Watching:
     """The streams to clients that stay connected: `/ws` and `/api/events`."""
 
     def __init__(
-        self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int], clients_maximum: int
+        self,
+        state: State,
+        lock: AbstractContextManager[object],
+        now_ns: Callable[[], int],
+        clients_maximum: int,
+        replay: ReplayApi,
     ) -> None:
-        self.stream = Stream(state, lock, now_ns, clients_maximum)
+        self.stream = Stream(state, lock, now_ns, clients_maximum, replay)
         self.events = Events(state, lock, now_ns, clients_maximum)
 
     def add_to(self, app: FastAPI) -> None:
@@ -209,7 +216,11 @@ class Watching:
 
 
 def make_app(
-    api: Api, simulation: SimulationApi, pages: Pages, watching: Watching, allowed_hosts: tuple[str, ...]
+    api: Api,
+    commands: tuple[SimulationApi, ReplayApi],
+    pages: Pages,
+    watching: Watching,
+    allowed_hosts: tuple[str, ...],
 ) -> FastAPI:
     """Put the routes together."""
 
@@ -233,7 +244,8 @@ def make_app(
     )
     watching.stream.version = pages.version
     api.add_to(app)
-    simulation.add_to(app)
+    for command in commands:
+        command.add_to(app)
     watching.add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.include_router(pages.router())
@@ -249,8 +261,9 @@ def openapi() -> dict[str, Any]:
         return 0
 
     api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
-    watching = Watching(state, lock, now_ns, 1)
-    return make_app(api, SimulationApi(state, lock, now_ns), Pages({}, {}), watching, ()).openapi()
+    replay = ReplayApi(None, lock, now_ns)
+    watching = Watching(state, lock, now_ns, 1, replay)
+    return make_app(api, (SimulationApi(state, lock, now_ns), replay), Pages({}, {}), watching, ()).openapi()
 
 
 def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
