@@ -16,6 +16,12 @@ from websockets.asyncio.client import connect
 
 from services.monitoring.status.process import ADDRESS_FILE
 
+HEAD = """# Load of the dashboard's server by the number of viewers
+
+Printed by `python -m benchmarks.viewers`: `monitoring.status` on the messages of the pretended unit of the tests (160 a
+second; memory includes that unit), on a machine with two cores that others use too. The dashboard takes packed frames.
+
+"""
 RESULTS = Path(__file__).parent / "results"
 CLIENTS = (0, 1, 20, 100)
 SETTLE_S, MEASURE_S = 3.0, 15.0
@@ -64,7 +70,7 @@ async def measure(server: psutil.Process, address: str, clients: int) -> dict[st
 
 def main() -> None:
     """Measure each number of clients, plain and packed, and write the table."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-c", SERVER, folder]
         with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
@@ -83,10 +89,10 @@ def main() -> None:
     (RESULTS / "viewers.json").write_text(json.dumps(rows, indent=1) + "\n")
     lines = ["| frames | clients | CPU, % of a core | RSS, MB | kB/s for each |", "| --- | --- | --- | --- | --- |"]
     lines += [
-        f"| {r['form']} | {r['clients']} | {100 * float(r['cpu_share']):.1f} | {r['rss_mb']} | {r['kb_s_per_client']} |"
+        f"| {r['form']} | {r['clients']} | {100 * r['cpu_share']:.1f} | {r['rss_mb']} | {r['kb_s_per_client']} |"
         for r in rows
     ]
-    (RESULTS / "viewers.md").write_text("# Load by dashboards\n\n" + "\n".join(lines) + "\n")
+    (RESULTS / "viewers.md").write_text(HEAD + "\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from tests.browser.conftest import AXE, THEMES
 from tests.support.status_server import Running
 
 PLAIN_FRAMES = "delete window.DecompressionStream"  # so that a test can change them
-WORDS = {
+WORDS: dict[str, str | re.Pattern[str]] = {
     "normal": "SAFE",
     "stale": "NO FIX",
     "alarm": "UNSAFE",

@@ -14,6 +14,7 @@ const SHAPES = {
   unsafe: html`<path d="M8 2h8l6 6v8l-6 6H8l-6-6V8z" fill="currentColor" /><path d="m8.5 8.5 7 7m0-7-7 7" class="cut" />`,
   stale: html`<circle cx="12" cy="12" r="9" class="line" stroke-dasharray="4 3.1" />`,
   above_limit: html`<path d="M3 2h18v20H3z" fill="currentColor" /><path d="M6 6h12M12 19V10m-4 4 4-4 4 4" class="cut" />`,
+  gap: html`<path d="M3 12h4m10 0h4" class="line" />`,
   starting: html`<circle cx="12" cy="12" r="9" class="line" stroke-dasharray="1.5 3.2" /><path d="M7.5 12h.2m4.2 0h.2m4.2 0h.2" class="line" />`,
   broker_lost: html`<path d="M9.5 8.5 6 12a4.2 4.2 0 0 0 6 6l1.5-1.5M14.500 15.500 18 12a4.2 4.2 0 0 0-6-6l-1.500 1.500" class="line" /><path d="m4 4 16 16" class="line" />`,
   disconnected: html`<path d="M3 9a13 13 0 0 1 18 0M6.500 13a8 8 0 0 1 11 0M12 18v.2" class="line" /><path d="M20 4 4 20" class="line" />`,

@@ -80,11 +80,11 @@ class Api:
         def add(path: str, answer: Callable[..., Response], tag: str, responses: Responses) -> None:
             app.add_api_route(path, answer, response_class=Response, tags=[tag], responses=responses)
 
-        health = {200: described(Health, "State of the unit"), 503: described(Health, "The broker is lost")}
+        health: Responses = {200: described(Health, "State of the unit"), 503: described(Health, "The broker is lost")}
         feature = described(Feature, "The solution as a feature", GEOJSON)["content"]
         newest = described(Solution, "The newest solution")
         newest["content"] |= {GEOJSON: {**feature[GEOJSON], "schema": inlined(Feature)}}
-        unknown = {404: described(Refusal, "There is no such name")}
+        unknown: Responses = {404: described(Refusal, "There is no such name")}
         add("/api/solution", self.solution, "position", {200: newest})
         add("/api/history", self.history, "position", {200: described(History, "Columns of values"), **unknown})
         add("/api/trust", self.trust, "integrity", {200: described(TrustReport, "The verdict and its monitors")})

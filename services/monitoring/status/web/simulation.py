@@ -31,7 +31,7 @@ class SimulationApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        shown = {200: described(Simulation, "Attacks")}
+        shown: dict[int | str, dict[str, Any]] = {200: described(Simulation, "Attacks")}
         taken: dict[int | str, dict[str, Any]] = {202: described(Accepted, "Published")}
         taken |= {
             status: described(Refusal, text)
@@ -41,7 +41,7 @@ class SimulationApi:
             )
         }  # fmt: skip
         app.add_api_route(
-            "/api/simulation", self.simulation, response_class=Response, tags=["simulation"], responses={**shown}
+            "/api/simulation", self.simulation, response_class=Response, tags=["simulation"], responses=shown
         )
         app.add_api_route(
             "/api/simulation/attack", self.attack, methods=["POST"], status_code=202, response_class=Response,
