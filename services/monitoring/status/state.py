@@ -13,7 +13,14 @@ from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
-from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState, TruthState
+from shared.messages.navigation import (
+    AidingKind,
+    AidingUpdate,
+    NavigationSolution,
+    NavigationState,
+    SetUpState,
+    TruthState,
+)
 from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth, ProcessState
 from shared.messages.toll import GateCommand, PlazaDetector
 from shared.messages.trust import TrustEvent, TrustLevel, TrustMonitor, TrustState
@@ -366,6 +373,7 @@ class State:
             },
             alert_limit_horizontal_m=navigation.alert_limit_horizontal_m if navigation else None,
             alert_limit_vertical_m=navigation.alert_limit_vertical_m if navigation else None,
+            set_up=self.newest(SetUpState, "navigation/set_up", now_ns),
             cause=self.judgement.cause("navigation/solution"),
         )
 
