@@ -19,6 +19,7 @@ from .history_file import HistoryFile
 from .replay import ReplayFeed
 from .state import State
 from .views.prometheus import StateCollector, registry_of
+from .web.map import MapApi
 from .web.pages import read_pages
 from .web.replay import ReplayApi
 from .web.routes import Api, Watching, make_app, make_server
@@ -29,6 +30,7 @@ log = logging.getLogger(__name__)
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
 HISTORY_FILE = "status.history.jsonl"
+TRACK_FILE = "status.track.jsonl"
 
 
 class Config(Section):
@@ -39,6 +41,7 @@ class Config(Section):
     history_s: float = Field(default=900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
+    map_file: str | None = None  # .pmtiles or .mbtiles: docs/how-to/install-a-map.md
     replay: bool = False  # the messages are those of sensors.replay: show recorded time; `obu replay` sets it
     clients_maximum: int = Field(
         default=100, ge=1, le=256, description="dashboards at once, and as many readers of /api/events"
@@ -61,6 +64,9 @@ class Process:
         kept = None if self._config.replay else HistoryFile(bus.state_dir / HISTORY_FILE)
         if kept and (bad := state.restore(kept.read())):
             log.warning("left out %d lines of %s that cannot be read", bad, HISTORY_FILE)
+        track_file = HistoryFile(bus.state_dir / TRACK_FILE)
+        if not self._config.replay and (bad := state.track.restore(track_file.read(), bus.now_ns())):
+            log.warning("left out %d lines of %s that cannot be read", bad, TRACK_FILE)
         lock = threading.Lock()
         feed = ReplayFeed(state) if self._config.replay else None
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
@@ -73,6 +79,7 @@ class Process:
         while not bus.stopping:
             if feed is None:
                 take_in(bus, state, lock)
+                track_file.append([row._asdict() for row in state.track.unsaved()])
             else:
                 take_in_replay(bus, state, lock, feed)
                 replay.refresh(connected=bus.connected)
@@ -101,7 +108,8 @@ class Process:
         collector = StateCollector(state, now_ns, lock, software_version())
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
         watching = Watching(state, lock, now_ns, self._config.clients_maximum, replay)
-        app = make_app(api, (simulation, replay), read_pages(folder), watching, self._config.allowed_hosts)
+        maps = MapApi(state, lock, now_ns, self._config.map_file)
+        app = make_app(api, (simulation, replay, maps), read_pages(folder), watching, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:

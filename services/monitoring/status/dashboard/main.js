@@ -8,9 +8,9 @@ import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
-const PAGES = ["now", "trust", "toll", "system"];
+const PAGES = ["now", "map", "trust", "toll", "system"];
 const HIDDEN = { rsu: ["now", "trust"], obu: ["toll"] }; // pages of the other role
-const LATER = { trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), system: () => import("./system.js").then((m) => m.SystemPage) };
+const LATER = { map: () => import("./map.js").then((m) => m.MapPage), trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), system: () => import("./system.js").then((m) => m.SystemPage) };
 const loaded = { now: NowPage }; // the others when they are first opened
 
 function useRoute() {
@@ -222,6 +222,7 @@ function useKeys(open) {
       if (!settings.value.shortcuts || typing || event.ctrlKey || event.altKey || event.metaKey) return;
       const key = event.key;
       if (before === "g" && key === "n") go("#/now");
+      else if (before === "g" && key === "m") go("#/map");
       else if (before === "g" && key === "t") go("#/trust");
       else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
       else if (before === "g" && key === "s") go("#/system");

@@ -1,7 +1,7 @@
 // Every word of the page, in one place, so that it can be translated.
 export const words = {
   skip: "Skip to the content",
-  pages: { now: "Now", toll: "Toll", trust: "Trust", system: "System" },
+  pages: { now: "Now", map: "Map", toll: "Toll", trust: "Trust", system: "System" },
   navigation: "Pages",
   unit: "OBU",
   connecting: "Connecting to the on-board unit ...",
@@ -567,6 +567,7 @@ export const words = {
     enabled: "Keyboard shortcuts",
     rows: [
       ["g n", "Now"],
+      ["g m", "Map"],
       ["g t", "Trust"],
       ["g l", "Toll (road-side unit)"],
       ["g s", "System"],

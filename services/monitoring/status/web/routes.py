@@ -2,10 +2,10 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, MutableMapping
+from collections.abc import AsyncIterator, Callable, Iterable, MutableMapping
 from contextlib import AbstractContextManager, asynccontextmanager
 from threading import Lock
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import uvicorn
 from fastapi import FastAPI, HTTPException, Path, Query, Request, Response
@@ -34,6 +34,7 @@ from .answers import (
     inlined,
 )
 from .events import Events
+from .map import MapApi
 from .pages import Pages
 from .replay import ReplayApi
 from .simulation import SimulationApi
@@ -58,6 +59,13 @@ GEOJSON = "application/geo+json"
 Responses = dict[int | str, dict[str, Any]]
 Scope = MutableMapping[str, Any]
 Send = Callable[[Scope], Any]
+
+
+class Routes(Protocol):
+    """A group of routes in a file of its own."""
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
 
 
 class Api:
@@ -217,7 +225,7 @@ class Watching:
 
 def make_app(
     api: Api,
-    commands: tuple[SimulationApi, ReplayApi],
+    further: Iterable[Routes],
     pages: Pages,
     watching: Watching,
     allowed_hosts: tuple[str, ...],
@@ -244,8 +252,8 @@ def make_app(
     )
     watching.stream.version = pages.version
     api.add_to(app)
-    for command in commands:
-        command.add_to(app)
+    for routes in further:
+        routes.add_to(app)
     watching.add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.include_router(pages.router())
@@ -263,7 +271,8 @@ def openapi() -> dict[str, Any]:
     api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
     replay = ReplayApi(None, lock, now_ns)
     watching = Watching(state, lock, now_ns, 1, replay)
-    return make_app(api, (SimulationApi(state, lock, now_ns), replay), Pages({}, {}), watching, ()).openapi()
+    apis = (SimulationApi(state, lock, now_ns), replay, MapApi(state, lock, now_ns, None))
+    return make_app(api, apis, Pages({}, {}), watching, ()).openapi()
 
 
 def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
