@@ -22,14 +22,14 @@ from .views.prometheus import StateCollector, registry_of
 from .web.map import MapApi
 from .web.pages import read_pages
 from .web.replay import ReplayApi
-from .web.routes import Api, make_app, make_server
+from .web.routes import Api, Watching, make_app, make_server
 from .web.simulation import SimulationApi
-from .web.websocket import Stream
 
 log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
+HISTORY_FILE = "status.history.jsonl"
 TRACK_FILE = "status.track.jsonl"
 
 
@@ -43,7 +43,9 @@ class Config(Section):
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
     map_file: str | None = None  # .pmtiles or .mbtiles: docs/how-to/install-a-map.md
     replay: bool = False  # the messages are those of sensors.replay: show recorded time; `obu replay` sets it
-    clients_maximum: int = Field(default=16, ge=1, le=256)
+    clients_maximum: int = Field(
+        default=100, ge=1, le=256, description="dashboards at once, and as many readers of /api/events"
+    )
 
 
 class Process:
@@ -59,6 +61,9 @@ class Process:
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s, replay=self._config.replay)
+        kept = None if self._config.replay else HistoryFile(bus.state_dir / HISTORY_FILE)
+        if kept and (bad := state.restore(kept.read())):
+            log.warning("left out %d lines of %s that cannot be read", bad, HISTORY_FILE)
         track_file = HistoryFile(bus.state_dir / TRACK_FILE)
         if not self._config.replay and (bad := state.track.restore(track_file.read(), bus.now_ns())):
             log.warning("left out %d lines of %s that cannot be read", bad, TRACK_FILE)
@@ -78,6 +83,9 @@ class Process:
             else:
                 take_in_replay(bus, state, lock, feed)
                 replay.refresh(connected=bus.connected)
+            records = state.unsaved()
+            if kept:
+                kept.append(records)
             for commands in (simulation.commands, replay.commands):
                 while not commands.empty():
                     bus.publish(commands.get_nowait())
@@ -99,9 +107,9 @@ class Process:
         simulation, replay = apis
         collector = StateCollector(state, now_ns, lock, software_version())
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
-        stream = Stream(state, lock, now_ns, self._config.clients_maximum, replay)
+        watching = Watching(state, lock, now_ns, self._config.clients_maximum, replay)
         maps = MapApi(state, lock, now_ns, self._config.map_file)
-        app = make_app(api, (simulation, replay, maps), read_pages(folder), stream, self._config.allowed_hosts)
+        app = make_app(api, (simulation, replay, maps), read_pages(folder), watching, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:
