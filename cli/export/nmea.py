@@ -25,10 +25,10 @@ def gga(position: Position) -> pynmea2.GGA:
     known = separation is not None and position.height_ellipsoid_m is not None
     altitude = "" if not known else f"{(position.height_ellipsoid_m or 0.0) - (separation or 0.0):.3f}"
     fix = position.fix
-    return pynmea2.GGA(TALKER, "GGA", (
+    return pynmea2.GGA(TALKER, "GGA", (  # type: ignore[no-untyped-call]  # pynmea2 has no types
         _time(position), *_coordinates(position), str(quality(position)),
-        _text(fix and fix.satellites_used, "{:02d}"), _text(fix and fix.hdop, "{:.2f}"),
-        altitude, "M", _text(separation, "{:.3f}"), "M", _text(fix and fix.correction_age_s, "{:.1f}"), "",
+        _text(fix.satellites_used if fix else None, "{:02d}"), _text(fix.hdop if fix else None, "{:.2f}"),
+        altitude, "M", _text(separation, "{:.3f}"), "M", _text(fix.correction_age_s if fix else None, "{:.1f}"), "",
     ))  # fmt: skip
 
 
@@ -36,7 +36,7 @@ def rmc(position: Position) -> pynmea2.RMC:
     """Make the sentence RMC: the recommended minimum."""
     at = datetime.fromtimestamp(position.time_ns // 1_000_000_000, UTC)
     speed = None if position.speed_m_s is None else position.speed_m_s / KNOT
-    return pynmea2.RMC(TALKER, "RMC", (
+    return pynmea2.RMC(TALKER, "RMC", (  # type: ignore[no-untyped-call]  # pynmea2 has no types
         _time(position), "A", *_coordinates(position), _text(speed, "{:.3f}"),
         _text(position.course_deg, "{:.2f}"), f"{at:%d%m%y}", "", "", MODES[quality(position)],
     ))  # fmt: skip

@@ -70,7 +70,7 @@ def test_geojson_is_a_line_with_the_times_of_its_points(drive: Path, tmp_path: P
 
 def test_nmea_has_valid_checksums_and_the_positions(drive: Path, tmp_path: Path) -> None:
     lines = exported(drive, Format.NMEA, tmp_path, period=1.0).read_text().splitlines()
-    sentences = [pynmea2.parse(line, check=True) for line in lines]
+    sentences = [pynmea2.parse(line, check=True) for line in lines]  # type: ignore[no-untyped-call]  # it has no types
     assert [type(sentence).__name__ for sentence in sentences] == ["GGA", "RMC"] * SECONDS
     gga, rmc = sentences[14], sentences[15]
     assert gga.latitude == pytest.approx(latitude_at(7.0), abs=2e-9)
