@@ -22,6 +22,7 @@ PAGES = (
     "system.js",
     "inspector.js",
     "replay.js",
+    "recordings.js",
 )
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",

@@ -18,6 +18,7 @@ from ..state import State
 from ..views import prometheus, reports
 from . import assets, hosts
 from .pages import Pages
+from .recordings import RecordingsApi
 from .replay import ReplayApi
 from .simulation import SimulationApi
 from .websocket import Stream
@@ -121,7 +122,7 @@ class Guard:
 
 def make_app(
     api: Api,
-    commands: tuple[SimulationApi, ReplayApi],
+    commands: tuple[SimulationApi, ReplayApi, RecordingsApi],
     pages: Pages,
     stream: Stream,
     allowed_hosts: tuple[str, ...],
