@@ -28,6 +28,7 @@ PAGES = (
     "system.js",
     "inspector.js",
     "replay.js",
+    "recordings.js",
 )
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",
