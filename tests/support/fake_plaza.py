@@ -113,9 +113,8 @@ class FakePlaza:
     def _ledger(self, now_ns: int) -> LedgerState:
         if self.problem:
             return LedgerState(now_ns=now_ns, plaza=PLAZA.name, problem=self.problem)
-        states = [
-            state for state in PassageState if state.value in "open charged undecided unregistered missed".split()
-        ]
+        others = (PassageState.CROSSED, PassageState.SUSPECT, PassageState.VOID)
+        states = [state for state in PassageState if state not in others]
         recent = []
         for n, state in enumerate(states):
             charged, missed = state is PassageState.CHARGED, state is PassageState.MISSED
