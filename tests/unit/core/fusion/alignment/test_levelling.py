@@ -59,7 +59,7 @@ def test_a_vehicle_that_drives_off_is_not_waited_for() -> None:
 
 
 def test_a_vehicle_in_motion_is_levelled_while_it_drives() -> None:
-    """Twenty seconds of turns, braking and accelerating leave no more tilt than is stated, and less than 2.5 degrees."""
+    """Twenty seconds of turns, braking and accelerating leave less tilt than is stated, and than 2.5 degrees."""
     levelling = Levelling(Settings())
     for forward, right in ((1.5, 0.5), (0.0, 2.0), (-1.5, -0.5), (0.0, -2.0)) * 5:
         feed(levelling, 1.0, (forward, right, -STANDARD_GRAVITY))
