@@ -48,20 +48,26 @@ def solve(  # noqa: PLR0913  # one argument an option
     *,
     truth: Annotated[
         str | None,
-        typer.Option(help="Truth: fixes, recorded, none, or a CSV file; default: as stated in the recording."),
+        typer.Option(
+            metavar="TRUTH", help="Truth: fixes, recorded, none, or a CSV file; default: as stated in the recording."
+        ),
     ] = None,
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="Vehicle TOML file; default: the recorded one.")
+        Path | None, typer.Option("--vehicle", metavar="FILE", help="Vehicle TOML file; default: the recorded one.")
     ] = None,
     outage: Annotated[
         str | None,
         typer.Option(
+            metavar="GAP/PERIOD[@START]",
             help="Simulate GNSS outages: 10/30 is 10 s of every 30 s after the alignment, 60/180@650 is 60 s of every "
-            "180 s from 650 s after the first input on."
+            "180 s from 650 s after the first input on.",
         ),
     ] = None,
     score_from: Annotated[
-        float, typer.Option(min=0.0, help="Seconds after the first input that are excluded from the errors.")
+        float,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help="Seconds after the first input that are excluded from the errors."
+        ),
     ] = 0.0,
     aiding: Annotated[
         Aiding | None,
@@ -72,13 +78,18 @@ def solve(  # noqa: PLR0913  # one argument an option
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Override a setting of the vehicle, as in the last example; may be repeated."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override a setting of the vehicle, as in the last example; may be repeated.",
+        ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Output folder; default: name of the recording with -solution.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Output folder; default: name of the recording with -solution."),
     ] = None,
     smooth: Annotated[
-        bool, typer.Option(help="Run the Rauch-Tung-Striebel smoother as well: solution_smoothed.csv.")
+        bool, typer.Option("--smooth", help="Run the Rauch-Tung-Striebel smoother as well: solution_smoothed.csv.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as one JSON object.")] = False,
 ) -> int:

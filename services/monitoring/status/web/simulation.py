@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from queue import Full, Queue
+from typing import Any
 from uuid import uuid4
 
 from fastapi import FastAPI, HTTPException, Request, Response
@@ -14,11 +15,11 @@ from shared.messages.simulation import AttackCommand, SimulationAttack
 
 from ..state import State
 from ..views import simulation as views
-from . import hosts
+from . import body, hosts
+from .answers import Accepted, Refusal, Simulation, described, inlined
 
-BODY_BYTES = 2048
 WAITING = 8  # commands that are not yet published
-BODY = {"content": {"application/json": {"schema": SimulationAttack.model_json_schema()}}, "required": True}
+BODY = {"content": {"application/json": {"schema": inlined(SimulationAttack)}}, "required": True}
 
 
 class SimulationApi:
@@ -30,10 +31,21 @@ class SimulationApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        app.add_api_route("/api/simulation", self.simulation, response_class=Response)
+        shown: dict[int | str, dict[str, Any]] = {200: described(Simulation, "Attacks")}
+        taken: dict[int | str, dict[str, Any]] = {202: described(Accepted, "Published")}
+        taken |= {
+            status: described(Refusal, text)
+            for status, text in (
+                (403, "A page from elsewhere"), (409, "Not simulated"), (413, "Too long"), (422, "Not a command"),
+                (503, "Commands are waiting"),
+            )
+        }  # fmt: skip
+        app.add_api_route(
+            "/api/simulation", self.simulation, response_class=Response, tags=["simulation"], responses=shown
+        )
         app.add_api_route(
             "/api/simulation/attack", self.attack, methods=["POST"], status_code=202, response_class=Response,
-            openapi_extra={"requestBody": BODY},
+            tags=["simulation"], responses=taken, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
     def simulation(self) -> Response:
@@ -52,7 +64,7 @@ class SimulationApi:
             raise HTTPException(
                 409, "the data of this unit are not simulated, so nothing can be attacked; run obu demo"
             )
-        command = _command(await _body(request))
+        command = _command(await body.read(request))
         try:
             self.commands.put_nowait(command)
         except Full as error:
@@ -60,19 +72,10 @@ class SimulationApi:
         return _json({"request_id": command.request_id}, 202)
 
 
-async def _body(request: Request) -> bytes:
-    data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > BODY_BYTES:
-            raise HTTPException(413, f"a command has at most {BODY_BYTES} bytes")
-    return data
-
-
-def _command(body: bytes) -> SimulationAttack:
+def _command(data: bytes) -> SimulationAttack:
     """Read a command; what is wrong with it is the answer."""
     try:
-        given = from_json(body, allow_inf_nan=False)
+        given = from_json(data, allow_inf_nan=False)
         if not isinstance(given, dict):
             raise ValueError('a command is an object such as {"command": "start", "attack": "drag_off"}')
         command = SimulationAttack.model_validate_json(to_json({**given, "request_id": uuid4().hex[:12]}))
