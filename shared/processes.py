@@ -86,6 +86,7 @@ PROCESSES = (
         consumes=("gnss/write", "simulation/attack"),
         produces=(
             "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state", "simulation/state",
+            "simulation/roads",
         ),
     ),
     ProcessRow(
@@ -164,7 +165,7 @@ PROCESSES = (
         produces=("trust/monitor", "gnss/fault_free_fix"),
     ),
     ProcessRow(
-        "core.evidence", Kind.STANDING, "evaluates the receiver's own evidence: jamming and spoofing flags, signals, clock",
+        "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",
         consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix"),
         produces=("trust/monitor",),
     ),

@@ -32,7 +32,7 @@ from .messages.navigation import (
 from .messages.neighbours import NeighbourStates
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
 from .messages.replay import ReplayControl, ReplayEvents, ReplayState
-from .messages.simulation import SimulationAttack, SimulationState
+from .messages.simulation import RoadNetwork, SimulationAttack, SimulationState
 from .messages.toll import (
     GateCommand,
     LedgerState,
@@ -167,6 +167,7 @@ TOPICS = (
     Topic("simulation/attack", SimulationAttack, "starts or stops an attack on a simulated vehicle", qos=1),
     Topic("simulation/state", SimulationState, "the attacks of a simulated drive, and the answer to the last command",
           qos=1, retain=True),
+    Topic("simulation/roads", RoadNetwork, "the roads of the simulated world, for a map", qos=1, retain=True),
     Topic("truth/state", TruthState, "true position of the simulated vehicle", rate_hz=10.0, silent_after_s=5.0),
     Topic("health/+", ProcessHealth, "birth, heartbeat, disconnect and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),

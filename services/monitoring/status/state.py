@@ -41,6 +41,8 @@ from .judgement import (
     unavailable,
     watchdog_problem,
 )
+from .track import Track
+from .track_row import track_row
 from .truth_check import TruthCheck
 from .views.banner import KNOWN, Evidence, Trust, Verdict, ratio_of, show
 from .views.geometry import ellipse_95, offset_m
@@ -111,6 +113,7 @@ class State:
         self.verdict: Verdict = show(Evidence(broker=True))
         self.trust_history = TrustHistory(history_s)
         self.truth_check = TruthCheck()
+        self.track = Track()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
@@ -119,9 +122,12 @@ class State:
 
     def clear(self, started_ns: int) -> None:
         """Forget everything, as after a start at another time: a replay jumped."""
+        track = self.track
         vars(self).update(
             vars(State(self.vehicle, tuple(self.expected), started_ns, self.history_s, replay=self.replay))
         )
+        self.track = track  # of the parts that were played
+        self.track.interrupt()
 
     def recall(self, changes: Iterable[tuple[int, str]], outages: Iterable[Outage]) -> None:
         """Insert what happened before everything that is known: changes of the verdict, and outages."""
@@ -222,6 +228,7 @@ class State:
             self._next_sample_ns = now_ns + SAMPLE_NS - SAMPLE_NS // 20  # late calls must not lower the rate
             self._judge(now_ns, connected=broker)
             self.history.add(now_ns, self._sample(now_ns))
+            self.track.add(track_row(self, now_ns))
             self.truth_check.update(
                 now_ns,
                 self.newest(NavigationSolution, "navigation/solution", now_ns, live=True),

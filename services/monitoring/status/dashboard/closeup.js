@@ -109,7 +109,7 @@ export function scene() {
 
 const away = (p) => Math.hypot(p.north, p.east);
 
-function items(sc) {
+export function items(sc) {
   const { s } = sc;
   const rows = [["fused", sc.stale ? w.fusedStale : w.fused, `${s.latitude_deg.toFixed(6)}, ${s.longitude_deg.toFixed(6)}`]];
   rows.push(["ellipse", w.ellipse, `${metres(s.ellipse.semi_major_m)} × ${metres(s.ellipse.semi_minor_m)}`]);
@@ -120,7 +120,7 @@ function items(sc) {
   return rows;
 }
 
-const KEYS = {
+export const SYMBOLS = {
   fused: html`<path d="M9 2l5.5 14L9 13l-5.5 3z" class="vehicle" />`,
   ellipse: html`<ellipse cx="9" cy="9" rx="8" ry="5" class="ellipse" />`,
   level: html`<circle cx="9" cy="9" r="7.5" class="level" />`,
@@ -197,7 +197,7 @@ export function CloseUp() {
       <button onClick=${() => setTable(!table)} class="push" aria-pressed=${table}>${w.table}</button>
     </div>
     <ul class="legend">${items(sc).map(([key, name, value]) => html`<li>
-      <svg width="18" height="18" aria-hidden="true">${KEYS[key]}</svg><span>${name}</span><span class="dim">${key === "fused" ? "" : value}</span>
+      <svg width="18" height="18" aria-hidden="true">${SYMBOLS[key]}</svg><span>${name}</span><span class="dim">${key === "fused" ? "" : value}</span>
     </li>`)}</ul>`}
   </${Card}>`;
 }

@@ -8,9 +8,15 @@ import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
-const PAGES = ["now", "trust", "toll", "system"];
+const PAGES = ["now", "map", "trust", "toll", "recordings", "system"];
 const HIDDEN = { rsu: ["now", "trust"], obu: ["toll"] }; // pages of the other role
-const LATER = { trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), system: () => import("./system.js").then((m) => m.SystemPage) };
+const LATER = {
+  map: () => import("./map.js").then((m) => m.MapPage),
+  trust: () => import("./trust.js").then((m) => m.TrustPage),
+  toll: () => import("./toll.js").then((m) => m.TollPage),
+  recordings: () => import("./recordings.js").then((m) => m.RecordingsPage),
+  system: () => import("./system.js").then((m) => m.SystemPage),
+};
 const loaded = { now: NowPage }; // the others when they are first opened
 
 function useRoute() {
@@ -29,7 +35,7 @@ const go = (hash) => {
 };
 
 const role = () => (state.value?.toll ? "rsu" : "obu");
-const pagesHere = () => PAGES.filter((name) => !HIDDEN[role()].includes(name));
+const pagesHere = () => PAGES.filter((name) => !HIDDEN[role()].includes(name) && !(name === "recordings" && state.value?.replay));
 
 function Origin() {
   const origin = state.value?.origin;
@@ -222,9 +228,11 @@ function useKeys(open) {
       if (!settings.value.shortcuts || typing || event.ctrlKey || event.altKey || event.metaKey) return;
       const key = event.key;
       if (before === "g" && key === "n") go("#/now");
+      else if (before === "g" && key === "m") go("#/map");
       else if (before === "g" && key === "t") go("#/trust");
       else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
       else if (before === "g" && key === "s") go("#/system");
+      else if (before === "g" && key === "r") go("#/recordings");
       else if (key === "?") open("help");
       else if (key === "w" && state.value) open("why");
       else if (key === "p") togglePause();

@@ -26,6 +26,7 @@ const SHAPES = {
   off: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M6 18 18 6" class="line" />`,
   info: html`<rect x="3" y="3" width="18" height="18" rx="3" fill="currentColor" /><path d="M12 11v6m0-10v.2" class="cut" />`,
   now: html`<path d="m12 3 7 17-7-4-7 4z" class="line" />`,
+  map: html`<path d="m3 6 6-2 6 2 6-2v14l-6 2-6-2-6 2zM9 4v14m6-12v14" class="line" />`,
   system: html`<path d="M4 5h16M4 12h16M4 19h16" class="line" /><circle cx="9" cy="5" r="2" fill="currentColor" />
     <circle cx="15" cy="12" r="2" fill="currentColor" /><circle cx="8" cy="19" r="2" fill="currentColor" />`,
   sun: html`<circle cx="12" cy="12" r="4" class="line" />
@@ -34,6 +35,7 @@ const SHAPES = {
   close: html`<path d="m6 6 12 12M18 6 6 18" class="line" />`,
   plus: html`<path d="M12 5v14M5 12h14" class="line" />`,
   minus: html`<path d="M5 12h14" class="line" />`,
+  recordings: html`<rect x="3" y="5" width="18" height="14" rx="2" class="line" /><circle cx="9" cy="12" r="2.5" class="line" /><circle cx="15.5" cy="12" r="2.5" class="line" />`,
   play: html`<path d="M7 4.5v15l12-7.5z" fill="currentColor" />`,
   pause: html`<path d="M8 5v14M16 5v14" class="line" />`,
   next: html`<path d="m9 5 7 7-7 7" class="line" />`,

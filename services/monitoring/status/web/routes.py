@@ -2,10 +2,11 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, MutableMapping
+import pathlib
+from collections.abc import AsyncIterator, Callable, Iterable, MutableMapping
 from contextlib import AbstractContextManager, asynccontextmanager
 from threading import Lock
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import uvicorn
 from fastapi import FastAPI, HTTPException, Path, Query, Request, Response
@@ -14,6 +15,7 @@ from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
+from shared.recording.library import Library
 
 from ..history import FIELDS
 from ..state import State
@@ -34,7 +36,9 @@ from .answers import (
     inlined,
 )
 from .events import Events
+from .map import MapApi
 from .pages import Pages
+from .recordings import Job, RecordingsApi
 from .replay import ReplayApi
 from .simulation import SimulationApi
 from .websocket import Stream
@@ -58,6 +62,13 @@ GEOJSON = "application/geo+json"
 Responses = dict[int | str, dict[str, Any]]
 Scope = MutableMapping[str, Any]
 Send = Callable[[Scope], Any]
+
+
+class Routes(Protocol):
+    """A group of routes in a file of its own."""
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
 
 
 class Api:
@@ -217,7 +228,7 @@ class Watching:
 
 def make_app(
     api: Api,
-    commands: tuple[SimulationApi, ReplayApi],
+    further: Iterable[Routes],
     pages: Pages,
     watching: Watching,
     allowed_hosts: tuple[str, ...],
@@ -244,8 +255,8 @@ def make_app(
     )
     watching.stream.version = pages.version
     api.add_to(app)
-    for command in commands:
-        command.add_to(app)
+    for routes in further:
+        routes.add_to(app)
     watching.add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.include_router(pages.router())
@@ -263,7 +274,9 @@ def openapi() -> dict[str, Any]:
     api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
     replay = ReplayApi(None, lock, now_ns)
     watching = Watching(state, lock, now_ns, 1, replay)
-    return make_app(api, (SimulationApi(state, lock, now_ns), replay), Pages({}, {}), watching, ()).openapi()
+    recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
+    apis = (SimulationApi(state, lock, now_ns), replay, recordings, MapApi(state, lock, now_ns, None))
+    return make_app(api, apis, Pages({}, {}), watching, ()).openapi()
 
 
 def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
