@@ -245,6 +245,35 @@ class Taken(Answer):
     """A command was published; the position follows in the state."""
 
 
+class Track(Answer):
+    """The track of this drive as columns of one length; null where a source was silent."""
+
+    generation: int
+    complete: bool
+    """false: the columns are added to those of the answer before"""
+    spacing_m: float
+    length_m: float
+    started_ns: Stamp | None
+    now_ns: Stamp
+    columns: dict[str, list[Any]]
+
+
+class InstalledMap(Answer):
+    """Container, format, zoom levels, bounds and layers of the map file; `problem` says why there is none."""
+
+    map: Object | None
+    problem: str | None
+
+
+class Recordings(Answer):
+    """The recordings, newest first, what may be done with them, and the job that runs."""
+
+    recordings: list[Object]
+    free_bytes: int | None
+    allowed: list[str]
+    job: Object | None
+
+
 class Accepted(Answer):
     """A command was published; `simulation/state` answers with this ID."""
 
@@ -298,6 +327,11 @@ EXAMPLES: dict[type[Answer], object] = {
     Accepted: {"request_id": "5f0c9a7be2d1"},
     Refusal: {"detail": "there is no topic gnss/colour; /api/state lists them"},
 }  # fmt: skip
+
+
+def file_of(media_type: str, text: str) -> Object:
+    """Describe an answer that is a file."""
+    return {"description": text, "content": {media_type: {"schema": {"type": "string"}}}}
 
 
 def inlined(model: type[BaseModel]) -> Object:
