@@ -34,9 +34,9 @@ log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
-LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
 HISTORY_FILE = "status.history.jsonl"
 TRACK_FILE = "status.track.jsonl"
+LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
 
 
 class Config(Section):

@@ -10,7 +10,13 @@ const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
 const PAGES = ["now", "map", "trust", "toll", "recordings", "system"];
 const HIDDEN = { rsu: ["now", "trust"], obu: ["toll"] }; // pages of the other role
-const LATER = { map: () => import("./map.js").then((m) => m.MapPage), trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), recordings: () => import("./recordings.js").then((m) => m.RecordingsPage), system: () => import("./system.js").then((m) => m.SystemPage) };
+const LATER = {
+  map: () => import("./map.js").then((m) => m.MapPage),
+  trust: () => import("./trust.js").then((m) => m.TrustPage),
+  toll: () => import("./toll.js").then((m) => m.TollPage),
+  recordings: () => import("./recordings.js").then((m) => m.RecordingsPage),
+  system: () => import("./system.js").then((m) => m.SystemPage),
+};
 const loaded = { now: NowPage }; // the others when they are first opened
 
 function useRoute() {
