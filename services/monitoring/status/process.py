@@ -18,6 +18,7 @@ from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.pages import read_pages
 from .web.routes import Api, make_app, make_server
+from .web.series import SeriesApi
 from .web.simulation import SimulationApi
 from .web.websocket import Stream
 
@@ -72,7 +73,8 @@ class Process:
         collector = StateCollector(state, bus.now_ns, lock, software_version())
         api = Api(state, lock, bus.now_ns, registry_of(collector), self._config.history_s)
         stream = Stream(state, lock, bus.now_ns, self._config.clients_maximum)
-        app = make_app(api, simulation, read_pages(folder), stream, self._config.allowed_hosts)
+        series = SeriesApi(state, lock, bus.now_ns, self._config.clients_maximum)
+        app = make_app(api, series, simulation, read_pages(folder), stream, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:

@@ -32,6 +32,7 @@ from .judgement import (
     unavailable,
     watchdog_problem,
 )
+from .series.store import Series
 from .truth_check import TruthCheck
 from .views.banner import Evidence, Trust, Verdict, ratio_of, show
 from .views.geometry import ellipse_95, offset_m
@@ -64,6 +65,7 @@ class State:
         self.verdict: Verdict = show(Evidence(broker=True))
         self.trust_history = TrustHistory(history_s)
         self.truth_check = TruthCheck()
+        self.series = Series()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
@@ -82,6 +84,8 @@ class State:
             self._broker_back_ns = envelope.received_ns
         self._received_ns = max(self._received_ns, envelope.received_ns)
         message = flow.note(envelope)
+        if message is not None and not envelope.retained:
+            self.series.take(name, message, envelope.received_ns)
         match message:
             case ProcessHealth():
                 self._note_health(message, envelope, flow)

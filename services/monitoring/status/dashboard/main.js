@@ -8,9 +8,9 @@ import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
-const PAGES = ["now", "trust", "toll", "system"];
-const HIDDEN = { rsu: ["now", "trust"], obu: ["toll"] }; // pages of the other role
-const LATER = { trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), system: () => import("./system.js").then((m) => m.SystemPage) };
+const PAGES = ["now", "gnss", "charts", "trust", "toll", "system"];
+const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
+const LATER = { gnss: () => import("./gnss.js").then((m) => m.GnssPage), charts: () => import("./charts.js").then((m) => m.ChartsPage), trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), system: () => import("./system.js").then((m) => m.SystemPage) };
 const loaded = { now: NowPage }; // the others when they are first opened
 
 function useRoute() {
@@ -207,6 +207,8 @@ function useKeys(open) {
       const key = event.key;
       if (before === "g" && key === "n") go("#/now");
       else if (before === "g" && key === "t") go("#/trust");
+      else if (before === "g" && key === "g") go("#/gnss");
+      else if (before === "g" && key === "c") go("#/charts");
       else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
       else if (before === "g" && key === "s") go("#/system");
       else if (key === "?") open("help");

@@ -21,6 +21,11 @@ PAGES = (
     "toll.js",
     "system.js",
     "inspector.js",
+    "plot.js",
+    "series.js",
+    "charts.js",
+    "chart_words.js",
+    "gnss.js",
 )
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",
