@@ -21,6 +21,7 @@ from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
+from .gnss_history import GnssHistory
 from .history import History, TrustHistory
 from .judgement import (
     BROKER_SILENT_NS,
@@ -66,6 +67,7 @@ class State:
         self.trust_history = TrustHistory(history_s)
         self.truth_check = TruthCheck()
         self.series = Series()
+        self.gnss = GnssHistory()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
@@ -86,6 +88,8 @@ class State:
         message = flow.note(envelope)
         if message is not None and not envelope.retained:
             self.series.take(name, message, envelope.received_ns)
+        if message is not None:
+            self.gnss.note(message, flow.updated_ns or envelope.received_ns)
         match message:
             case ProcessHealth():
                 self._note_health(message, envelope, flow)

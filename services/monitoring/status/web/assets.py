@@ -26,6 +26,7 @@ PAGES = (
     "charts.js",
     "chart_words.js",
     "gnss.js",
+    "gnss_words.js",
 )
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",

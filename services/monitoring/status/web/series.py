@@ -15,6 +15,7 @@ from ..series import fields
 from ..series.rings import FINE_CELLS, FINE_NS, SECOND_NS
 from ..series.store import HOUR_NS, SeriesFull, described
 from ..state import State
+from ..views import gnss as views
 from . import hosts
 from .clients import Client, Clients
 from .websocket import read_until_closed, run_first_of, write_frames
@@ -39,6 +40,8 @@ class SeriesApi:
         """Add the routes."""
         app.add_api_route("/api/series", self.series, response_class=Response)
         app.add_api_route("/api/fields/{name:path}", self.fields, response_class=Response)
+        app.add_api_route("/api/gnss", self.gnss, response_class=Response)
+        app.add_api_route("/api/gnss/tracks", self.tracks, response_class=Response)
         app.add_api_websocket_route("/ws/series", self.serve)
 
     def series(
@@ -64,6 +67,18 @@ class SeriesApi:
                 raise HTTPException(404, f"there is no topic {name}; /api/state lists them")
             listed = fields_of(flow)
         return _json({"topic": name, "fields": listed})
+
+    def gnss(self) -> Response:
+        """Each GNSS receiver: fix, satellites with the reason why one is not used, signals, configuration, bands."""
+        with self._lock:
+            shown = views.gnss(self._state, self._now_ns())
+        return _json(shown)
+
+    def tracks(self) -> Response:
+        """Tracks of the satellites in the sky over the last hour."""
+        with self._lock:
+            shown = views.tracks(self._state)
+        return _json(shown)
 
     async def serve(self, socket: WebSocket) -> None:
         """Send the past of the fields that are asked for in the address, then what is added, until the page leaves."""

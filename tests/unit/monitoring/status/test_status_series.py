@@ -99,7 +99,7 @@ def test_a_selector_separates_what_shares_a_topic() -> None:
     assert columns["values"] == {names[0]: [0.3], names[1]: [0.7]}
 
 
-def test_errors_against_the_truth_are_computed_at_the_moment_of_the_solution(NOW_NS) -> None:
+def test_errors_against_the_truth_are_computed_at_the_moment_of_the_solution() -> None:
     series = Series()
     solved = solution(NOW_NS)
     truth = TruthState(
