@@ -14,7 +14,8 @@ from shared.recording.writer import VEHICLE_FILE
 from shared.runtime.config import broker_address, load_vehicle, state_dir
 from shared.topics import TOPICS
 
-from .common import meet, open_recording, progress_on, tell_problems
+from ..progress import progress_on
+from .common import meet, open_recording, tell_problems
 
 FLUSH_S = 0.5
 STEP = 2000  # messages between two looks at the progress

@@ -15,7 +15,8 @@ from shared.recording import Recording
 from shared.runtime.config import BrokerAddress, broker_address, load_vehicle, state_dir
 from shared.topics import BY_NAME
 
-from .common import meet, open_recording, progress_on, tell_problems
+from ..progress import progress_on
+from .common import meet, open_recording, tell_problems
 from .replaying import inputs_among, shifted
 
 ORIGIN_S = 2.0

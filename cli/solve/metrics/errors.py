@@ -110,6 +110,13 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
     )
 
 
+def angles_at(track: Track, stamps_ns: Stamps) -> FloatArray:
+    """Roll, pitch and yaw [rad] of a track at given times, shape (n, 3); outside it those of its first or last row."""
+    angles = np.unwrap(track.columns("roll_rad"), axis=0)
+    found: FloatArray = np.column_stack([np.interp(stamps_ns, track.stamps_ns, column) for column in angles.T])
+    return found
+
+
 def _distance(geodetic: FloatArray) -> FloatArray:
     """Cumulative horizontal distance along positions [m], shape (n,)."""
     path = ned_track(geodetic, Geodetic(*geodetic[len(geodetic) // 2].tolist()))

@@ -252,7 +252,7 @@ class State:
         if odometer := self.odometer(now_ns):
             row["speed_odometer_m_s"] = odometer[0]
         if truth := self.newest(TruthState, "truth/state", now_ns, live=True):
-            row["speed_truth_m_s"] = hypot(*truth.velocity_ned_m_s[:2])
+            row["speed_truth_m_s"] = hypot(*truth.velocity_ned_m_s[:2]) if truth.velocity_ned_m_s else None
             if solution and (offset := offset_m(solution, truth)):
                 row["position_error_m"] = hypot(*offset)
         return row
