@@ -4,6 +4,7 @@ import logging
 import os
 import socket
 import threading
+import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
 from shared.runtime.config import Section, parse_vehicle
 
+from .series.recorded import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.pages import read_pages
@@ -26,6 +28,7 @@ log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
+PAST_PERIOD_S = 1.0
 
 
 class Config(Section):
@@ -56,6 +59,8 @@ class Process:
         simulation = SimulationApi(state, lock, bus.now_ns)
         server = self._make_server(state, lock, bus, simulation)
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
+        past = threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True)
+        past.start()
         self._announce(listener, bus)  # before the server can fail and close the port
         thread.start()
         while not bus.stopping:
@@ -96,6 +101,26 @@ def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
                 bus.rejects["payload"] += 1
                 bus.last_error = str(error)[:400]
         state.tick(bus.now_ns(), broker=bus.connected)
+
+
+def read_pasts(bus: Bus, state: State, lock: threading.Lock) -> None:
+    """Read the past of fields that are newly kept from the recordings, in the background."""
+    recorder = parse_vehicle(bus.vehicle_toml).tables.get("monitoring.recorder", {})
+    folder = bus.state_dir / str(recorder.get("folder", "recordings"))
+    while not bus.stopping:
+        with lock:
+            names = state.series.take_wanted()
+        if names and folder.is_dir():
+            now_ns = bus.now_ns()
+            try:
+                for name, values in fill_from_recordings(names, folder, now_ns):
+                    with lock:
+                        state.series.fill(name, values, now_ns)
+            except OSError as error:
+                log.warning("the past of charts cannot be read from %s: %s", folder, error)
+            with lock:
+                state.series.fillings += 1
+        time.sleep(PAST_PERIOD_S)
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -66,6 +66,7 @@ class Series:
     """Takes messages as they come and keeps the fields that are wanted; a bounded number of them."""
 
     def __init__(self, standard: Iterable[str] = STANDARD) -> None:
+        self.fillings = 0  # times that the past of fields was read
         self.refused = 0  # questions for a field that could not be kept
         self.wanted: list[str] = []  # fields that were asked for since their past was last read from a recording
         self._kept: dict[str, Kept] = {}
@@ -121,6 +122,20 @@ class Series:
             "time_ns": [period * period_ns for period in range(first, last + 1)],
             "values": {name: self._kept[name].rings[0 if fine else 1].values(first, last) for name in names},
         }
+
+    def fill(self, name: str, values: Sequence[float | None], to_ns: int) -> None:
+        """Put values, one a second up to a time, where none is; a field that is not kept any more is ignored."""
+        if (kept := self._kept.get(name)) is None:
+            return
+        last = to_ns // SECOND_NS
+        for period, value in enumerate(values, last - len(values) + 1):
+            if value is not None:
+                kept.rings[1].put(period * SECOND_NS, value, fill=True)
+
+    def take_wanted(self) -> list[str]:
+        """Hand over the fields whose past is to be read."""
+        wanted, self.wanted = self.wanted, []
+        return [name for name in wanted if name in self._kept]
 
     def _make_room(self, now_ns: int) -> None:
         """Give up the field that nobody has asked for the longest; those of the page Charts stay."""

@@ -110,8 +110,11 @@ class SeriesApi:
         fine = seconds <= FINE_S
         period_ns = FINE_NS if fine else SECOND_NS
         from_ns = self._now_ns() - round(seconds * SECOND_NS)
-        kind, kept_up = "past", True
+        kind, kept_up, fillings = "past", True, self._state.series.fillings
         while kept_up:
+            if fillings != self._state.series.fillings:  # what lies before has been read from a recording
+                fillings = self._state.series.fillings
+                kind, from_ns = "past", self._now_ns() - round(seconds * SECOND_NS)
             to_ns = self._now_ns() - 2 * period_ns  # what comes later than that belongs to the past already
             if to_ns // period_ns >= from_ns // period_ns:
                 columns = await asyncio.to_thread(self._answer, names, from_ns, to_ns, fine=fine)
