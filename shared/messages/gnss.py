@@ -201,7 +201,6 @@ class ReceiverStatus(SignalFlags):
     """Flags of UBX-NAV-STATUS, and how long the first fix took."""
 
     time_to_first_fix_s: float | None = None  # None before the first fix
-    running_s: float | None = None  # since the receiver's start or reset
 
 
 class RadioPath(Message):

@@ -412,7 +412,7 @@ def test_any_numeric_field_is_a_series_and_a_field_that_cannot_be_is_refused(ser
     assert found["fields"]["navigation/solution:yaw_rad"] == {"unit": "rad", "axis": ""}
     assert {len(values) for values in found["values"].values()} == {len(found["time_ns"])}
     assert [v for v in found["values"]["gnss/fix:hdop"] if v is not None][-1] == 0.8
-    for fields in ("", "hdop", "no/topic:x", ",".join(f"gnss/fix:x{n}" for n in range(65))):
+    for fields in ("", "hdop", "no/topic:x", ",".join(f"gnss/fix:x{n}" for n in range(17))):
         assert ask(server, f"/api/series?fields={fields}").status_code == 422
     assert ask(server, "/api/fields/no/topic").status_code == 404
 

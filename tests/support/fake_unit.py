@@ -444,7 +444,7 @@ class FakeUnit:
         yield (
             "parsers.gnss",
             GnssSignalQuality(
-                status=ReceiverStatus(spoofing=quiet, time_to_first_fix_s=26.0, running_s=90.0),
+                status=ReceiverStatus(spoofing=quiet, time_to_first_fix_s=26.0),
                 security=SignalFlags(jamming=quiet, spoofing=quiet),
                 radio_paths=(RadioPath(number=0, jamming=quiet, gain_ratio=0.6, noise_level=90, narrowband_ratio=0.1),),
                 clock=ReceiverClock(bias_s=4e-4, drift_ratio=3e-7, bias_sd_s=1e-8, drift_sd_ratio=2e-10),

@@ -15,7 +15,7 @@ from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
 from shared.runtime.config import Section, parse_vehicle
 
-from .series.recorded import fill_from_recordings
+from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.pages import read_pages

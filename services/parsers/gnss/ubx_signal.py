@@ -24,7 +24,7 @@ KINDS = {(0x01, 0x03): "STATUS", (0x01, 0x22): "CLOCK", (0x0A, 0x38): "RF", (0x2
 FIELDS = {"STATUS": "status", "CLOCK": "clock", "RF": "radio_paths", "SIG": "security"}  # of `GnssSignalQuality`
 AGC_FULL = 8191  # [-] largest count of the gain control
 INDICATOR_FULL = 255
-_STATUS = struct.Struct("<4x3xBII")
+_STATUS = struct.Struct("<4x3xBI4x")
 _CLOCK = struct.Struct("<4xiiII")
 _PATH = struct.Struct("<BB10xHHB3x")
 _PATH_SIZES = (20, 24)  # [bytes] of ZED-F9R, and of the interface description; what is read is the same
@@ -40,11 +40,10 @@ def decode(kind: str, payload: bytes) -> Part:
 
 
 def _status(payload: bytes) -> ReceiverStatus:
-    flags2, first_fix_ms, running_ms = _exactly(_STATUS, payload)
+    flags2, first_fix_ms = _exactly(_STATUS, payload)
     return ReceiverStatus(
         spoofing=_SPOOFING[flags2 >> 3 & 3],
         time_to_first_fix_s=first_fix_ms * 1e-3 if first_fix_ms else None,
-        running_s=running_ms * 1e-3,
     )
 
 

@@ -192,7 +192,7 @@ function InterferenceCard({ receiver }) {
   const monitor = state.value.trust.monitors.evidence;
   const tests = monitor ? Object.entries(monitor.tests) : [];
   const old = q && freshness("gnss/fix", receiver.updated_ns.quality) === "stale";
-  const number = (v) => (v === null ? "-" : String(+v.toPrecision(3)));
+  const number = (v) => (v === null ? "-" : Math.abs(v) < 1e-3 && v !== 0 ? "< 0.001" : String(+v.toPrecision(3)));
   return html`<${Card} title=${w.interference} note=${w.interferenceNote} id="interference" class="interference-card" aside=${q && html`<${Age} topic="gnss/fix" stamp=${receiver.updated_ns.quality} />`}>
     ${!q ? html`<${Empty} title=${w.noQuality} why=${w.noQualityWhy} />` : html`<dl class="rows ${old ? "old" : ""}">
       <${Row} label=${w.spoofing} value=${html`<${Flag} value=${q.security?.spoofing ?? q.status?.spoofing} />`} extra=${q.security ? "UBX-SEC-SIG" : q.status ? "UBX-NAV-STATUS" : null} />
@@ -222,7 +222,6 @@ function ReceiverCard({ receiver }) {
       <${Row} label=${w.maskRow} value=${c.elevation_mask_rad === null ? w.notStated : `${Math.round(degrees(c.elevation_mask_rad))}°`} />
       <${Row} label=${w.messages} value=${c.messages.length > 0 ? c.messages.map((m) => `UBX-${m}`).join(", ") : w.notStated} />`}
       ${!c && html`<${Row} label=${w.settings} value=${w.notRead} extra=${w.notReadWhy} />`}
-      ${receiver.quality?.status?.running_s != null && html`<${Row} label=${w.running} value=${duration(receiver.quality.status.running_s)} />`}
     </dl>
     ${flows.length > 0 && html`<h3 class="divide">${w.received}</h3><ul class="tags">${flows.map(([name, flow]) => html`<li><a href=${`#/system?topic=${name}`}>${name} ${rate(flow.rate_hz)}/s</a></li>`)}</ul>`}
   </${Card}>`;

@@ -78,6 +78,5 @@ export const gnssWords = {
   dynamic: "Dynamic model",
   maskRow: "Elevation mask",
   messages: "Messages",
-  running: "Running for",
   received: "Topics from receivers",
 };

@@ -17,12 +17,17 @@ function take(frame, seconds) {
     series.value = { ...before, refused: frame.reason, loaded: true };
     return;
   }
+  if (frame.kind === "part") { // further fields of the same past
+    held = { ...before, columns: { ...before.columns, ...frame.values }, fields: { ...before.fields, ...frame.fields } };
+    if (!paused.value) series.value = held;
+    return;
+  }
   const more = frame.kind === "more" && before.loaded;
   const time = [...(more ? before.time : []), ...frame.time_ns.map((ns) => ns / 1e9)];
   const surplus = Math.max(0, time.length - Math.ceil(seconds / frame.period_s) - 1);
   const columns = Object.fromEntries(Object.entries(frame.values).map(([name, values]) =>
     [name, [...(more ? before.columns[name] ?? [] : []), ...values].slice(surplus)]));
-  held = { time: time.slice(surplus), columns, fields: frame.fields, period: frame.period_s, refused: null, loaded: true };
+  held = { time: time.slice(surplus), columns, fields: more ? { ...before.fields, ...frame.fields } : frame.fields, period: frame.period_s, refused: null, loaded: true };
   if (!paused.value) series.value = held;
 }
 

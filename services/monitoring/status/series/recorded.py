@@ -1,9 +1,5 @@
-"""The past of fields, read from the recordings of the last hour in a process of its own.
+"""The past of fields from the recordings of the last hour; run as a process of its own by `past`."""
 
-An hour of driving takes 9 s of processor time and 200 MB of mapped file, for which a web server has no room.
-"""
-
-import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -75,22 +71,6 @@ def _take(series: Series, envelope: Envelope) -> None:
         series.take(envelope.topic, envelope.decode(), envelope.received_ns, fill=True)
     except BadPayload:
         return  # of a version with another contract; its seconds stay empty
-
-
-def fill_from_recordings(
-    series_names: Sequence[str], folder: Path, now_ns: int
-) -> Iterator[tuple[str, list[float | None]]]:
-    """Read the past in another process; yield each field with its values, one a second, up to now."""
-    question = to_json({"folder": str(folder), "now_ns": now_ns, "names": list(series_names)})
-    command = [sys.executable, "-m", __name__]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as reader:
-        assert reader.stdin is not None
-        assert reader.stdout is not None
-        reader.stdin.write(question)
-        reader.stdin.close()
-        for line in reader.stdout:
-            answer = from_json(line)
-            yield answer["name"], answer["values"]
 
 
 def main() -> None:

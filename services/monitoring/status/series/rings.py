@@ -14,12 +14,15 @@ class Ring:
 
     def __init__(self, period_ns: int, cells: int) -> None:
         self.period_ns = period_ns
-        self._cells = array("d", [nan]) * cells
+        self._length = cells
+        self._cells = array("d")  # allocated with the first value
         self._newest = 0  # number of the newest period, counted from time 0
 
     def put(self, time_ns: int, value: float, *, fill: bool = False) -> None:
         """Note a value; one that is older than the ring is dropped, and `fill` leaves what is there."""
-        period, length = time_ns // self.period_ns, len(self._cells)
+        period, length = time_ns // self.period_ns, self._length
+        if not self._cells:
+            self._cells = array("d", [nan]) * length
         if period > self._newest:
             for skipped in range(max(self._newest + 1, period - length + 1), period + 1):
                 self._cells[skipped % length] = nan
@@ -31,9 +34,11 @@ class Ring:
 
     def values(self, first: int, last: int) -> list[float | None]:
         """Give the values of the periods from `first` to `last`, None where there is none."""
-        length = len(self._cells)
+        length = self._length
         oldest = self._newest - length
         return [
-            None if not oldest < period <= self._newest or isnan(value := self._cells[period % length]) else value
+            None
+            if not self._cells or not oldest < period <= self._newest or isnan(value := self._cells[period % length])
+            else value
             for period in range(first, last + 1)
         ]

@@ -20,7 +20,9 @@ from . import hosts
 from .clients import Client, Clients
 from .websocket import read_until_closed, run_first_of, write_frames
 
-FIELDS_ASKED = 64  # in one question
+FIELDS_ASKED = 16  # in one question; more would take megabytes
+FIELDS_FOLLOWED = 96  # over one WebSocket
+FIELDS_IN_FRAME = 8  # of the past
 FIELDS_LISTED = 400  # of one topic
 QUESTION_LENGTH = 6000
 FINE_S = FINE_CELLS * FINE_NS / SECOND_NS
@@ -55,7 +57,7 @@ class SeriesApi:
         carries several things; /api/fields/{topic} lists those of its newest message. A field that nobody has asked for
         before is kept from now on, and its past is read from the recording.
         """
-        names = self._want(fields)
+        names = self._want(fields, FIELDS_ASKED)
         now_ns = self._now_ns()
         return _json(self._answer(names, now_ns - round(seconds * SECOND_NS), now_ns, fine=seconds <= FINE_S))
 
@@ -117,17 +119,19 @@ class SeriesApi:
                 kind, from_ns = "past", self._now_ns() - round(seconds * SECOND_NS)
             to_ns = self._now_ns() - 2 * period_ns  # what comes later than that belongs to the past already
             if to_ns // period_ns >= from_ns // period_ns:
-                columns = await asyncio.to_thread(self._answer, names, from_ns, to_ns, fine=fine)
-                kept_up = client.put(to_json({"kind": kind, **columns}))
+                for part in _parts(names) if kind == "past" else [names]:
+                    columns = await asyncio.to_thread(self._answer, part, from_ns, to_ns, fine=fine)
+                    kept_up = kept_up and client.put(to_json({"kind": kind, **columns}))
+                    kind = "part"
                 kind, from_ns = "more", (to_ns // period_ns + 1) * period_ns
             await asyncio.sleep(period_ns / SECOND_NS)
 
-    def _want(self, text: str) -> list[str]:
+    def _want(self, text: str, maximum: int = FIELDS_FOLLOWED) -> list[str]:
         names = list(dict.fromkeys(name for name in text.split(",") if name))
         if not names:
             raise HTTPException(422, "name the fields, such as fields=gnss/fix:hdop,navigation/solution:roll_rad")
-        if len(names) > FIELDS_ASKED:
-            raise HTTPException(422, f"at most {FIELDS_ASKED} fields at once")
+        if len(names) > maximum:
+            raise HTTPException(422, f"at most {maximum} fields at once")
         try:
             with self._lock:
                 self._state.series.want(names, self._now_ns())
@@ -144,6 +148,10 @@ class SeriesApi:
             series.want(names, to_ns)  # nothing that is looked at gives way
             columns = series.columns(names, max(from_ns, oldest_ns), to_ns, fine=fine)
         return described(names, columns)
+
+
+def _parts(names: list[str]) -> list[list[str]]:
+    return [names[start : start + FIELDS_IN_FRAME] for start in range(0, len(names), FIELDS_IN_FRAME)]
 
 
 def fields_of(flow: TopicFlow) -> list[Json]:
