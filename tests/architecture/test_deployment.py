@@ -16,8 +16,8 @@ SYSTEMD = ROOT / "deploy" / "systemd"
 SIMULATED, VEHICLE, ROADSIDE = "docker-compose.yml", "deploy/compose.vehicle.yml", "deploy/compose.rsu.yml"
 
 Service = dict[str, object]
-OBU = [row for row in PROCESSES if Role.OBU in row.roles]
-RSU = [row for row in PROCESSES if Role.RSU in row.roles]
+OBU = [row for row in PROCESSES if Role.OBU in row.roles and row.kind is not Kind.REPLAY]
+RSU = [row for row in PROCESSES if Role.RSU in row.roles and row.kind is not Kind.REPLAY]
 ON_REQUEST = (Kind.DEVICE_DRIVER, Kind.OPTIONAL)  # run where a profile asks for them
 DEVICES = [row for row in OBU if row.kind is Kind.DEVICE_DRIVER]
 

@@ -27,6 +27,7 @@ PAGES = (
     "chart_words.js",
     "gnss.js",
     "gnss_words.js",
+    "replay.js",
 )
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",

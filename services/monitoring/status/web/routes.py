@@ -18,6 +18,7 @@ from ..state import State
 from ..views import prometheus, reports
 from . import assets, hosts
 from .pages import Pages
+from .replay import ReplayApi
 from .series import SeriesApi
 from .simulation import SimulationApi
 from .websocket import Stream
@@ -121,8 +122,7 @@ class Guard:
 
 def make_app(
     api: Api,
-    series: SeriesApi,
-    simulation: SimulationApi,
+    others: tuple[SeriesApi, SimulationApi, ReplayApi],
     pages: Pages,
     stream: Stream,
     allowed_hosts: tuple[str, ...],
@@ -139,8 +139,8 @@ def make_app(
     app = FastAPI(title="On-board unit", docs_url=None, redoc_url=None, lifespan=lifespan)
     stream.version = pages.version
     api.add_to(app)
-    series.add_to(app)
-    simulation.add_to(app)
+    for other in others:
+        other.add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.add_api_websocket_route("/ws", stream.serve)
     app.include_router(pages.router())
