@@ -115,7 +115,7 @@ def test_any_numeric_field_is_plotted_from_the_inspector_and_all_charts_share_th
     drawer.get_by_role("link", name="2 fields are on the page Charts").click()
     radians = page.get_by_role("region", name="Chosen fields").first
     expect(radians).to_contain_text("in rad", timeout=8000)
-    expect(radians).to_contain_text("navigation/solution:roll_rad 0.01 rad", timeout=8000)
+    expect(radians.locator("li")).to_contain_text("navigation/solution:roll_rad0.01rad", timeout=8000)
     expect(page.get_by_role("region", name="Chosen fields").nth(1)).to_contain_text("velocity_ned_m_s.1 (east)")
     page.get_by_role("button", name="1 min").click()
     speed = page.get_by_role("region", name="Speed", exact=True)

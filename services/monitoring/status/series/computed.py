@@ -34,7 +34,8 @@ class Computed:
                 yield from self._errors(message)
             case TruthState():
                 self._truth = message
-                yield "speed_truth_m_s", hypot(*message.velocity_ned_m_s[:2])
+                if message.velocity_ned_m_s is not None:
+                    yield "speed_truth_m_s", hypot(*message.velocity_ned_m_s[:2])
             case GnssSatellites():
                 yield from _satellites(message)
             case WheelSpeeds():
@@ -53,7 +54,8 @@ class Computed:
             return
         if offset := offset_m(solution, truth):
             yield "error_horizontal_m", hypot(*offset)
-        fall_m = truth.velocity_ned_m_s[2] * (solution.sampled_ns - truth.sampled_ns) * 1e-9
+        fall_m_s = truth.velocity_ned_m_s[2] if truth.velocity_ned_m_s else 0.0
+        fall_m = fall_m_s * (solution.sampled_ns - truth.sampled_ns) * 1e-9
         yield "error_vertical_m", abs(solution.height_ellipsoid_m - truth.height_ellipsoid_m + fall_m)
 
 
