@@ -44,6 +44,9 @@ from shared.messages.navigation import (
     NavigationPhase,
     NavigationSolution,
     NavigationState,
+    SetUpCheck,
+    SetUpState,
+    SetUpVerdict,
     TruthState,
 )
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
@@ -87,6 +90,7 @@ class FakeBus:
         self.offset_ns = 1_795_000_000 * 10**9 - time.monotonic_ns()
         self.unit: FakeUnit | FakePlaza | None = None
         self.published: list[Message] = []
+        self.lives: Counter[str] = Counter()  # restarts of each process
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
         self._next_heartbeat_ns = 0
@@ -107,7 +111,7 @@ class FakeBus:
         with self._lock:
             self._sequence += 1
             now_ns = self.now_ns() + int(delay_s * 1e9)
-            envelope = sent_bytes(topic, body, now_ns, producer, LIFE, self._sequence)
+            envelope = sent_bytes(topic, body, now_ns, producer, LIFE + self.lives[producer], self._sequence)
             self._fed.append(envelope)
             return envelope
 
@@ -145,8 +149,8 @@ class FakeUnit:
         self.lost: set[str] = set()  # processes that were killed
         self.rejecting = False
         self.coasting = False
+        self.protection_level_m = 3.14  # horizontal, while it does not coast
         self.aligning = False  # core.fusion runs, but has no solution yet
-        self.lives: Counter[str] = Counter()
         self.watchdog = Watchdog(SIMULATED, self.started_ns)
         self.trust = TrustProcess(TrustConfig())  # the verdict is that of the real process
         self.attacks: list[AttackRun] = []
@@ -221,7 +225,7 @@ class FakeUnit:
         """Start a process again."""
         self.lost.discard(process)
         self.silent.discard(process)
-        self.lives[process] += 1
+        self.bus.lives[process] += 1
 
     def _angle(self, now_ns: int) -> float:
         return (now_ns - self.started_ns) * 1e-9 * SPEED_M_S / RADIUS_M
@@ -309,7 +313,7 @@ class FakeUnit:
                 gyroscope_bias_rad_s=(1e-4, 2e-4, -1e-4),
                 stationary=False,
                 gnss_age_s=12.4 if self.coasting else (now_ns % 10**9) * 1e-9,
-                protection_level_horizontal_m=14.2 if self.coasting else 3.14,
+                protection_level_horizontal_m=14.2 if self.coasting else self.protection_level_m,
                 protection_level_vertical_m=9.8 if self.coasting else 4.27,
                 integrity_risk=1e-3,
             ),
@@ -378,6 +382,28 @@ class FakeUnit:
                 resets=0,
                 alert_limit_horizontal_m=10.0,
                 alert_limit_vertical_m=20.0,
+            ),
+        )
+        yield (
+            "core.fusion",
+            SetUpState(
+                sampled_ns=now_ns,
+                checks=(
+                    SetUpCheck(
+                        name="imu_axes",
+                        verdict=SetUpVerdict.CONTRADICTS,
+                        since_ns=self.started_ns,
+                        sentence="axes are swapped: forward appears right, right appears backward",
+                        setting="core.fusion.imu.body_from_imu = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]",
+                    ),
+                    SetUpCheck(
+                        name="imu_upright",
+                        verdict=SetUpVerdict.AGREES,
+                        since_ns=self.started_ns,
+                        sentence="gravity is 0.6° from the axis down",
+                    ),
+                    SetUpCheck(name="lever_arm", verdict=SetUpVerdict.UNKNOWN, since_ns=self.started_ns),
+                ),
             ),
         )
         mode = Mode.DEGRADED if self.rejecting or self.coasting else Mode.MEASURING
@@ -469,7 +495,7 @@ class FakeUnit:
                 ProcessHealth(
                     process=name,
                     state=ProcessState.READY,
-                    incarnation=LIFE + self.lives[name],
+                    incarnation=LIFE + self.bus.lives[name],
                     sent_ns=now_ns,
                     messages_in=int(elapsed_s * (110 + 20 * index)),
                     messages_out=int(elapsed_s * (20 + 11 * index)),

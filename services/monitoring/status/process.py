@@ -16,22 +16,25 @@ from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
 from shared.runtime.config import Section, parse_vehicle
 
+from .history_file import HistoryFile
 from .replay import ReplayFeed
 from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
+from .web.map import MapApi
 from .web.pages import read_pages
 from .web.replay import ReplayApi
-from .web.routes import Api, make_app, make_server
+from .web.routes import Api, Watching, make_app, make_server
 from .web.series import SeriesApi
 from .web.simulation import SimulationApi
-from .web.websocket import Stream
 
 log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
 PAST_PERIOD_S = 1.0
+HISTORY_FILE = "status.history.jsonl"
+TRACK_FILE = "status.track.jsonl"
 
 
 class Config(Section):
@@ -42,8 +45,11 @@ class Config(Section):
     history_s: float = Field(default=900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
+    map_file: str | None = None  # .pmtiles or .mbtiles: docs/how-to/install-a-map.md
     replay: bool = False  # the messages are those of sensors.replay: show recorded time; `obu replay` sets it
-    clients_maximum: int = Field(default=16, ge=1, le=256)
+    clients_maximum: int = Field(
+        default=100, ge=1, le=256, description="dashboards at once, and as many readers of /api/events"
+    )
 
 
 class Process:
@@ -59,6 +65,12 @@ class Process:
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s, replay=self._config.replay)
+        kept = None if self._config.replay else HistoryFile(bus.state_dir / HISTORY_FILE)
+        if kept and (bad := state.restore(kept.read())):
+            log.warning("left out %d lines of %s that cannot be read", bad, HISTORY_FILE)
+        track_file = HistoryFile(bus.state_dir / TRACK_FILE)
+        if not self._config.replay and (bad := state.track.restore(track_file.read(), bus.now_ns())):
+            log.warning("left out %d lines of %s that cannot be read", bad, TRACK_FILE)
         lock = threading.Lock()
         feed = ReplayFeed(state) if self._config.replay else None
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
@@ -73,9 +85,13 @@ class Process:
         while not bus.stopping:
             if feed is None:
                 take_in(bus, state, lock)
+                track_file.append([row._asdict() for row in state.track.unsaved()])
             else:
                 take_in_replay(bus, state, lock, feed)
                 replay.refresh(connected=bus.connected)
+            records = state.unsaved()
+            if kept:
+                kept.append(records)
             for commands in (simulation.commands, replay.commands):
                 while not commands.empty():
                     bus.publish(commands.get_nowait())
@@ -97,8 +113,9 @@ class Process:
         series = SeriesApi(state, lock, now_ns, self._config.clients_maximum)
         collector = StateCollector(state, now_ns, lock, software_version())
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
-        stream = Stream(state, lock, now_ns, self._config.clients_maximum, apis[1])
-        app = make_app(api, (series, *apis), read_pages(folder), stream, self._config.allowed_hosts)
+        watching = Watching(state, lock, now_ns, self._config.clients_maximum, apis[1])
+        maps = MapApi(state, lock, now_ns, self._config.map_file)
+        app = make_app(api, (series, *apis, maps), read_pages(folder), watching, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:

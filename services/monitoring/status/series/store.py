@@ -159,7 +159,7 @@ class Series:
         self.wanted.append(field.name)
 
 
-def described(names: Sequence[str], series: Json) -> Json:
+def labelled(names: Sequence[str], series: Json) -> Json:
     """Add unit and axis of each field to its values, and round these to what a plot shows."""
     columns = series["values"]
     assert isinstance(columns, dict)

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import FastAPI, HTTPException, Path, Query, Response, WebSocket
 from pydantic_core import to_json
@@ -13,11 +13,12 @@ from shared.errors import BadPayload
 from ..flow import TopicFlow
 from ..series import fields
 from ..series.rings import FINE_CELLS, FINE_NS, SECOND_NS
-from ..series.store import HOUR_NS, SeriesFull, described
+from ..series.store import HOUR_NS, SeriesFull, labelled
 from ..state import State
 from ..views import gnss as views
 from . import hosts
-from .clients import Client, Clients
+from .answers import Fields, Receivers, Refusal, Series, described
+from .clients import Client, Clients, Frame
 from .websocket import read_until_closed, run_first_of, write_frames
 
 FIELDS_ASKED = 16  # in one question; more would take megabytes
@@ -40,10 +41,18 @@ class SeriesApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        app.add_api_route("/api/series", self.series, response_class=Response)
-        app.add_api_route("/api/fields/{name:path}", self.fields, response_class=Response)
-        app.add_api_route("/api/gnss", self.gnss, response_class=Response)
-        app.add_api_route("/api/gnss/tracks", self.tracks, response_class=Response)
+        refusals: dict[int | str, dict[str, Any]] = {
+            status: described(Refusal, text)
+            for status, text in ((422, "No such field, or too many"), (503, "No further field can be kept"))
+        }
+        unknown: dict[int | str, dict[str, Any]] = {404: described(Refusal, "There is no such topic")}
+        for path, answer, tag, responses in (
+            ("/api/series", self.series, "unit", {200: described(Series, "Columns of values"), **refusals}),
+            ("/api/fields/{name:path}", self.fields, "unit", {200: described(Fields, "Numeric fields"), **unknown}),
+            ("/api/gnss", self.gnss, "position", {200: described(Receivers, "GNSS receivers")}),
+        ):
+            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses=responses)
+        app.add_api_route("/api/gnss/tracks", self.tracks, response_class=Response, include_in_schema=False)
         app.add_api_websocket_route("/ws/series", self.serve)
 
     def series(
@@ -121,7 +130,7 @@ class SeriesApi:
             if to_ns // period_ns >= from_ns // period_ns:
                 for part in _parts(names) if kind == "past" else [names]:
                     columns = await asyncio.to_thread(self._answer, part, from_ns, to_ns, fine=fine)
-                    kept_up = kept_up and client.put(to_json({"kind": kind, **columns}))
+                    kept_up = kept_up and client.put(Frame(to_json({"kind": kind, **columns})))
                     kind = "part"
                 kind, from_ns = "more", (to_ns // period_ns + 1) * period_ns
             await asyncio.sleep(period_ns / SECOND_NS)
@@ -147,7 +156,7 @@ class SeriesApi:
             series = self._state.series
             series.want(names, to_ns)  # nothing that is looked at gives way
             columns = series.columns(names, max(from_ns, oldest_ns), to_ns, fine=fine)
-        return described(names, columns)
+        return labelled(names, columns)
 
 
 def _parts(names: list[str]) -> list[list[str]]:
