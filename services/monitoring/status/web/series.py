@@ -46,11 +46,12 @@ class SeriesApi:
             for status, text in ((422, "No such field, or too many"), (503, "No further field can be kept"))
         }
         unknown: dict[int | str, dict[str, Any]] = {404: described(Refusal, "There is no such topic")}
-        for path, answer, tag, responses in (
+        routes: tuple[tuple[str, Callable[..., Response], str, dict[int | str, dict[str, Any]]], ...] = (
             ("/api/series", self.series, "unit", {200: described(Series, "Columns of values"), **refusals}),
             ("/api/fields/{name:path}", self.fields, "unit", {200: described(Fields, "Numeric fields"), **unknown}),
             ("/api/gnss", self.gnss, "position", {200: described(Receivers, "GNSS receivers")}),
-        ):
+        )
+        for path, answer, tag, responses in routes:
             app.add_api_route(path, answer, response_class=Response, tags=[tag], responses=responses)
         app.add_api_route("/api/gnss/tracks", self.tracks, response_class=Response, include_in_schema=False)
         app.add_api_websocket_route("/ws/series", self.serve)
