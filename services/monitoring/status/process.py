@@ -6,14 +6,18 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Literal
 
 import uvicorn
 from pydantic import Field
 
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
+from shared.messages.operation import RecordingState
+from shared.recording.library import Library
 from shared.runtime.config import Section, parse_vehicle
 
 from .history_file import HistoryFile
@@ -23,6 +27,7 @@ from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.map import MapApi
 from .web.pages import read_pages
+from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
 from .web.routes import Api, Watching, make_app, make_server
 from .web.series import SeriesApi
@@ -35,6 +40,7 @@ ADDRESS_FILE = "status.address"
 PAST_PERIOD_S = 1.0
 HISTORY_FILE = "status.history.jsonl"
 TRACK_FILE = "status.track.jsonl"
+LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
 
 
 class Config(Section):
@@ -47,6 +53,10 @@ class Config(Section):
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
     map_file: str | None = None  # .pmtiles or .mbtiles: docs/how-to/install-a-map.md
     replay: bool = False  # the messages are those of sensors.replay: show recorded time; `obu replay` sets it
+    recordings: tuple[Literal["download", "keep", "delete", "replay", "solve"], ...] = (
+        "download",
+        "keep",
+    )  # what the page Recordings may do: download, keep, delete, replay, solve
     clients_maximum: int = Field(
         default=100, ge=1, le=256, description="dashboards at once, and as many readers of /api/events"
     )
@@ -76,13 +86,19 @@ class Process:
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
         simulation = SimulationApi(state, lock, now_ns)
         replay = ReplayApi(feed, lock, bus.now_ns)
-        server = self._make_server(state, lock, bus, now_ns, (simulation, replay))
+        library, job = Library(recordings_folder(bus)), Job((bus.state_dir / "jobs").resolve())
+        allowed = frozenset(map(Action, () if self._config.replay else self._config.recordings))
+        recordings = RecordingsApi(library, job, allowed, partial(open_name, state))
+        server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings))
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
-        if feed is None:
-            threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
+        threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
         self._announce(listener, bus)  # before the server can fail and close the port
         thread.start()
+        look_ns = 0
         while not bus.stopping:
+            if bus.now_ns() >= look_ns:
+                look_ns = bus.now_ns() + LOOK_NS
+                library.look(open_name(state))
             if feed is None:
                 take_in(bus, state, lock)
                 track_file.append([row._asdict() for row in state.track.unsaved()])
@@ -98,6 +114,8 @@ class Process:
             if not thread.is_alive():
                 raise ObuError("the web server has ended; the line before says why")
         server.should_exit = True
+        library.stop()
+        job.stop()
         thread.join(3.0)
         (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)
 
@@ -107,7 +125,7 @@ class Process:
         lock: threading.Lock,
         bus: Bus,
         now_ns: Callable[[], int],
-        apis: tuple[SimulationApi, ReplayApi],
+        apis: tuple[SimulationApi, ReplayApi, RecordingsApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
         series = SeriesApi(state, lock, now_ns, self._config.clients_maximum)
@@ -126,6 +144,18 @@ class Process:
         log.info("dashboard at %s, listening on %s port %d", address, host, port)
 
 
+def recordings_folder(bus: Bus) -> Path:
+    """Find the folder of the recorder."""
+    table = parse_vehicle(bus.vehicle_toml).tables.get("monitoring.recorder", {})
+    return bus.state_dir / str(table.get("folder", "recordings"))
+
+
+def open_name(state: State) -> str | None:
+    """Name the recording in progress, as the recorder stated it last."""
+    message = state.topics["recording/state"].message
+    return message.file if isinstance(message, RecordingState) else None
+
+
 def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
     """Receive once, and let time pass."""
     envelopes = bus.receive(0.05)
@@ -140,10 +170,9 @@ def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
 
 
 def read_pasts(bus: Bus, state: State, lock: threading.Lock) -> None:
-    """Read the past of fields that are newly kept from the recordings, in the background."""
-    recorder = parse_vehicle(bus.vehicle_toml).tables.get("monitoring.recorder", {})
-    folder = bus.state_dir / str(recorder.get("folder", "recordings"))
-    while not bus.stopping:
+    """Read the past of fields that are newly kept from the recordings, in the background; not of a replay."""
+    folder = recordings_folder(bus)
+    while not (bus.stopping or state.replay):
         with lock:
             names = state.series.take_wanted()
         if names and folder.is_dir():

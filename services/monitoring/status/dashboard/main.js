@@ -8,9 +8,17 @@ import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
-const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "system"];
+const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system"];
 const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
-const LATER = { map: () => import("./map.js").then((m) => m.MapPage), gnss: () => import("./gnss.js").then((m) => m.GnssPage), charts: () => import("./charts.js").then((m) => m.ChartsPage), trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), system: () => import("./system.js").then((m) => m.SystemPage) };
+const LATER = {
+  map: () => import("./map.js").then((m) => m.MapPage),
+  gnss: () => import("./gnss.js").then((m) => m.GnssPage),
+  charts: () => import("./charts.js").then((m) => m.ChartsPage),
+  trust: () => import("./trust.js").then((m) => m.TrustPage),
+  toll: () => import("./toll.js").then((m) => m.TollPage),
+  recordings: () => import("./recordings.js").then((m) => m.RecordingsPage),
+  system: () => import("./system.js").then((m) => m.SystemPage),
+};
 const loaded = { now: NowPage }; // the others when they are first opened
 
 function useRoute() {
@@ -29,7 +37,7 @@ const go = (hash) => {
 };
 
 const role = () => (state.value?.toll ? "rsu" : "obu");
-const pagesHere = () => PAGES.filter((name) => !HIDDEN[role()].includes(name));
+const pagesHere = () => PAGES.filter((name) => !HIDDEN[role()].includes(name) && !(name === "recordings" && state.value?.replay));
 
 function Origin() {
   const origin = state.value?.origin;
@@ -228,6 +236,7 @@ function useKeys(open) {
       else if (before === "g" && key === "c") go("#/charts");
       else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
       else if (before === "g" && key === "s") go("#/system");
+      else if (before === "g" && key === "r") go("#/recordings");
       else if (key === "?") open("help");
       else if (key === "w" && state.value) open("why");
       else if (key === "p") togglePause();

@@ -34,6 +34,7 @@ PAGES = (
     "gnss.js",
     "gnss_words.js",
     "replay.js",
+    "recordings.js",
 )
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",

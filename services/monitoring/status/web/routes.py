@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import pathlib
 from collections.abc import AsyncIterator, Callable, Iterable, MutableMapping
 from contextlib import AbstractContextManager, asynccontextmanager
 from threading import Lock
@@ -14,6 +15,7 @@ from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
+from shared.recording.library import Library
 
 from ..history import FIELDS
 from ..state import State
@@ -36,6 +38,7 @@ from .answers import (
 from .events import Events
 from .map import MapApi
 from .pages import Pages
+from .recordings import Job, RecordingsApi
 from .replay import ReplayApi
 from .simulation import SimulationApi
 from .websocket import Stream
@@ -271,7 +274,8 @@ def openapi() -> dict[str, Any]:
     api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
     replay = ReplayApi(None, lock, now_ns)
     watching = Watching(state, lock, now_ns, 1, replay)
-    apis = (SimulationApi(state, lock, now_ns), replay, MapApi(state, lock, now_ns, None))
+    recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
+    apis = (SimulationApi(state, lock, now_ns), replay, recordings, MapApi(state, lock, now_ns, None))
     return make_app(api, apis, Pages({}, {}), watching, ()).openapi()
 
 
