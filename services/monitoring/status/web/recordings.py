@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
 from fastapi import Path as PathParameter
@@ -19,6 +19,7 @@ from shared.recording.library import Library
 
 from ..views import recordings as views
 from . import body, hosts
+from .answers import Recordings, Taken, described, file_of, inlined
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 OUTPUT_BYTES = 4000  # of a job's output that are read
@@ -117,14 +118,17 @@ class RecordingsApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        app.add_api_route("/api/recordings", self.list, response_class=Response)
-        app.add_api_route("/api/recordings/{name}", self.download, response_class=Response)
-        app.add_api_route("/api/recordings/{name}/report", self.report, response_class=Response)
+        routes: dict[str, tuple[Callable[..., Response], dict[str, Any]]] = {
+            "/api/recordings": (self.list, described(Recordings, "The recordings, and the job that runs")),
+            "/api/recordings/{name}": (self.download, file_of("application/octet-stream", "The MCAP file")),
+            "/api/recordings/{name}/report": (self.report, file_of("text/html", "The report of obu solve")),
+        }
+        for path, (answer, shown) in routes.items():
+            app.add_api_route(path, answer, response_class=Response, tags=["recordings"], responses={200: shown})
         app.add_api_route(
             "/api/recordings", self.command, methods=["POST"], status_code=202, response_class=Response,
-            openapi_extra={
-                "requestBody": {"content": {"application/json": {"schema": Command.model_json_schema()}}},
-            },
+            tags=["recordings"], responses={202: described(Taken, "Carried out, or the job has started")},
+            openapi_extra={"requestBody": {"content": {"application/json": {"schema": inlined(Command)}}}},
         )  # fmt: skip
 
     def list(self) -> Response:
