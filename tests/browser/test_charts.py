@@ -119,7 +119,7 @@ def test_any_numeric_field_is_plotted_from_the_inspector_and_all_charts_share_th
     expect(page.get_by_role("region", name="Chosen fields").nth(1)).to_contain_text("velocity_ned_m_s.1 (east)")
     page.get_by_role("button", name="1 min").click()
     speed = page.get_by_role("region", name="Speed", exact=True)
-    chart = speed.get_by_role("img", name=re.compile("Speed over time. Fused 32.4 km/h"))
+    chart = speed.get_by_role("img", name=re.compile("Speed over time. Fused 32.4 km"))
     expect(chart.locator("canvas")).to_be_visible(timeout=8000)
     box = chart.bounding_box()
     assert box
