@@ -18,6 +18,7 @@ from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..filter.strapdown import rotate
 from ..settings import Settings
+from ..update.standstill_detector import stands
 from .base import Measurement, Observation
 
 FloatArray = npt.NDArray[np.float64]
@@ -84,7 +85,7 @@ class GnssPosition:
         n = self.axes
         return Observation(AidingKind.GNSS_POSITION, z[:n], H[:n], R[:n, :n])
 
-    def teach(self, navigation: ErrorStateFilter) -> None:
+    def teach(self, navigation: ErrorStateFilter, _innovation: tuple[float, ...]) -> None:
         """Update the model of GNSS errors of the filter that has used it."""
         if self.lasts and self.axes == 3 and navigation.colour.is_due(self.time_ns):
             arm_n = rotate(navigation.quaternion, self.lever_arm)
@@ -131,8 +132,20 @@ class GnssVelocity:
         age_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
         z += (age_s - self.removed_s) * navigation.smoothed_acceleration
         H[:, em.GNSS_DELAY] = H[:, em.GNSS_VELOCITY_DELAY] = navigation.smoothed_acceleration
+        z -= navigation.gnss_velocity_error
+        H[:, em.GNSS_VELOCITY_ERROR] = -em.UNIT
         n = self.axes
         return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], self.cov[:n, :n])
+
+    def teach(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
+        """Update the model of velocity errors of the filter that has used it; a standstill shows nothing of them."""
+        if stands(navigation.state.quiet):
+            return
+        n = self.axes
+        residual = np.array(innovation) + navigation.gnss_velocity_error[:n]
+        errors = navigation.velocity_errors.after(self.time_ns, residual, self.cov.diagonal()[:n])
+        navigation.velocity_errors = errors
+        navigation.learn(navigation.colour.with_white_velocity(errors.white))
 
 
 def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> Vector:

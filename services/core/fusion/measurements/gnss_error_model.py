@@ -6,7 +6,7 @@ the fixes' errors. A bank of small filters, one per hypothesis, estimates them; 
 follows from its innovations.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
 from math import exp, log, sqrt
@@ -33,6 +33,7 @@ START_SDS = 100.0  # of the unknown initial position over the error of a fix
 SURPRISE = 9.0  # d² of one axis at which its influence is clipped
 FLOOR = log(0.01) - log(10.0)  # of an axis' likelihood: one fix in a hundred may be ten times as wrong as stated
 PERIOD_S = 2.0  # between fixes used for learning: closer ones show the receiver's smoothing, not its errors
+FOLLOWED = 0.25, 10.0  # variance over the stated one, correlation time [s] of what is left, if positions are followed
 BREAK_S = 10.0  # without a fix, after which the displacement is unknown again
 VELOCITY_CORRELATION_S = 2.0  # of the error of the filter's velocity
 
@@ -50,6 +51,18 @@ class GnssErrorBank:
     error: FloatArray
     cov: tuple[FloatArray, FloatArray, FloatArray]
     time_ns: int | None = None
+    white_velocity: float = 1.0  # probability that velocity errors are white; if not, positions are followed
+
+    @property
+    def follows(self) -> bool:
+        """Whether positions are rather followed than corrected by a time-correlated error."""
+        return self.white_velocity < 0.5
+
+    def with_white_velocity(self, probability: float) -> "GnssErrorBank":
+        """Change the probability that velocity errors are white, if it differs by more than a hundredth."""
+        if abs(probability - self.white_velocity) <= 0.01:
+            return self
+        return replace(self, white_velocity=probability)
 
     @cached_property
     def _weights(self) -> tuple[FloatArray, FloatArray]:
@@ -71,19 +84,21 @@ class GnssErrorBank:
     @cached_property
     def lasting(self) -> float:
         """Time-correlated share of the variance, the mean over all hypotheses."""
-        return float(self.weight @ LASTING)
+        return self.white_velocity * float(self.weight @ LASTING)
 
     @cached_property
     def correlation_s(self) -> float:
         """Correlation time [s], the geometric mean over all hypotheses."""
         weight = self.weight * LASTING + 1e-12
-        return exp(float(weight @ LOG_CORRELATION) / float(weight.sum()))
+        learned = float(weight @ LOG_CORRELATION) / float(weight.sum())
+        return exp(self.white_velocity * learned + (1.0 - self.white_velocity) * log(FOLLOWED[1]))
 
     @cached_property
     def scale(self) -> FloatArray:
         """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
         weight, of_scales = self._weights
-        level, upright = np.sqrt(weight @ of_scales @ SCALES**2).tolist()
+        learned = weight @ of_scales @ SCALES**2
+        level, upright = np.sqrt(FOLLOWED[0] + self.white_velocity * (learned - FOLLOWED[0])).tolist()
         return np.array([level, level, upright])
 
     @cached_property
@@ -101,7 +116,7 @@ class GnssErrorBank:
 
     def at_start(self) -> "GnssErrorBank":
         """Keep the learned model for a new track."""
-        return GnssErrorBank(self.evidence, *_unknown())
+        return GnssErrorBank(self.evidence, *_unknown(), white_velocity=self.white_velocity)
 
     def is_due(self, time_ns: int) -> bool:
         """Whether a fix of this stamp is used for learning."""
@@ -171,7 +186,7 @@ class GnssErrorBank:
             likelihood = np.maximum(-0.5 * (z * z / S + np.log(S / stated)), FLOOR)
             evidence = evidence + likelihood[1:]
             evidence[0] += likelihood[0]
-        return GnssErrorBank(evidence, way, error, after, time_ns)
+        return GnssErrorBank(evidence, way, error, after, time_ns, self.white_velocity)
 
 
 def _of_axes(values: FloatArray) -> FloatArray:
@@ -226,6 +241,15 @@ class KnownGnssErrors:
     def scaled(self, cov: FloatArray) -> FloatArray:
         """Covariance as stated."""
         return cov
+
+    @property
+    def follows(self) -> bool:
+        """Positions are corrected by the time-correlated error."""
+        return False
+
+    def with_white_velocity(self, _probability: float) -> "KnownGnssErrors":
+        """Keep the known model."""
+        return self
 
     def at_start(self) -> "KnownGnssErrors":
         """Keep the known model for a new track."""
