@@ -85,6 +85,10 @@ class GnssPosition:
         n = self.axes
         return Observation(AidingKind.GNSS_POSITION, z[:n], H[:n], R[:n, :n])
 
+    def followed_variances(self, navigation: ErrorStateFilter) -> tuple[float, float]:
+        """Variances [m²] on ground and up of its error that the filter follows, and its covariance lacks."""
+        return navigation.colour.unestimated(self.cov) if self.lasts else (0.0, 0.0)
+
     def teach(self, navigation: ErrorStateFilter, _innovation: tuple[float, ...]) -> None:
         """Update the model of GNSS errors of the filter that has used it."""
         if self.lasts and self.axes == 3 and navigation.colour.is_due(self.time_ns):

@@ -96,10 +96,23 @@ class GnssErrorBank:
     @cached_property
     def scale(self) -> FloatArray:
         """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
-        weight, of_scales = self._weights
-        learned = weight @ of_scales @ SCALES**2
-        level, upright = np.sqrt(FOLLOWED[0] + self.white_velocity * (learned - FOLLOWED[0])).tolist()
+        level, upright = np.sqrt(FOLLOWED[0] + self.white_velocity * (self._learned - FOLLOWED[0])).tolist()
         return np.array([level, level, upright])
+
+    @cached_property
+    def _learned(self) -> FloatArray:
+        """Variance of horizontal and vertical errors over the stated one, the mean over all hypotheses, shape (2,)."""
+        weight, of_scales = self._weights
+        learned: FloatArray = weight @ of_scales @ SCALES**2
+        return learned
+
+    def unestimated(self, cov: FloatArray) -> tuple[float, float]:
+        """Variances [m²] on ground and up of errors that last and are followed, for a stated covariance, shape (3, 3).
+
+        They are what `FOLLOWED` leaves of the stated ones, or of the learned ones if these are smaller.
+        """
+        level, upright = ((1.0 - self.white_velocity) * (1.0 - FOLLOWED[0]) * np.minimum(self._learned, 1.0)).tolist()
+        return level * max(cov.item(0, 0), cov.item(1, 1)), upright * cov.item(2, 2)
 
     @cached_property
     def unit(self) -> FloatArray:
@@ -246,6 +259,10 @@ class KnownGnssErrors:
     def follows(self) -> bool:
         """Positions are corrected by the time-correlated error."""
         return False
+
+    def unestimated(self, _cov: FloatArray) -> tuple[float, float]:
+        """All that lasts is estimated."""
+        return 0.0, 0.0
 
     def with_white_velocity(self, _probability: float) -> "KnownGnssErrors":
         """Keep the known model."""

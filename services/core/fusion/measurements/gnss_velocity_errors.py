@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-CORRELATIONS = np.array([0.1, 0.2, 0.4, 0.6, 0.8])  # [-] of successive errors that are not white
-WHITE_PRIOR = 0.1  # probability that they are; each of the others is equally likely
+CORRELATIONS = np.array([0.2, 0.4, 0.6, 0.8])  # [-] of successive errors that are not white
+WHITE_PRIOR = 0.01  # probability that they are; each of the others is equally likely
 CORRELATION_S = 60.0  # of the error of velocities that are not white
-SHARE = 0.25  # of the stated variance that it has
-MEMORY_S = 300.0  # forgetting time constant
+SHARE = 0.1  # of the stated variance that it has
+MEMORY_S = 600.0  # forgetting time constant
 POWER_MEMORY_S = 60.0  # of the residuals' mean square
 CERTAIN = 10.0  # largest logarithm of a likelihood ratio: what was learned is unlearned in minutes
 LARGEST = 3.0  # [-] standard deviations at which a residual is clipped
@@ -30,7 +30,7 @@ BREAK_S = 2.0  # after it two velocities are no neighbours
 class GnssVelocityErrors:
     """Residuals of velocities, measured minus the filter's, north, east and down, as far as they are remembered."""
 
-    evidence: FloatArray  # shape (5,), logarithmic, of each correlation over white
+    evidence: FloatArray  # shape (4,), logarithmic, of each correlation over white
     power: FloatArray  # [m²/s²] mean square
     last: FloatArray  # [-] residual over the root of that
     variance: FloatArray  # [m²/s²] of the time-correlated error
