@@ -4,7 +4,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 
-from shared.processes import PROCESSES, ProcessRow
+from shared.processes import PROCESSES, Kind, ProcessRow
 from shared.topics import BY_NAME, Topic, measurements, publications, subscriptions
 
 ANY_VEHICLE = "+"
@@ -17,15 +17,19 @@ HEAD = """\
 NOBODY_ELSE = "# Other users may neither read nor write.\n"
 
 
-def access_list(vehicle: str = ANY_VEHICLE, *, nameless_read: bool = False) -> str:
+def access_list(vehicle: str = ANY_VEHICLE, *, nameless_read: bool = False, replay: bool = False) -> str:
     """Print the access list in the format of Mosquitto's `acl_file`.
 
-    It holds for one vehicle or for any; clients without a name may read everything or, ordinarily, nothing.
+    It holds for one vehicle or for any; clients without a name may read everything or, ordinarily, nothing. On the
+    broker of a replay `sensors.replay` publishes in place of every process.
     """
     prefix = f"obu/{vehicle}/"
     everything = f"topic read {prefix}#\n"
     nameless = f"\n# Clients without a name may read.\n{everything}" if nameless_read else NOBODY_ELSE
-    users = (f"\nuser {row.name}\n" + "".join(_lines(row, prefix)) for row in PROCESSES)
+    users = (
+        f"\nuser {row.name}\n" + ("topic write obu/#\n" if replay and row.kind is Kind.REPLAY else "")
+        + "".join(_lines(row, prefix)) for row in PROCESSES
+    )  # fmt: skip
     return f"{HEAD}{nameless}\nuser {OBSERVER}\n{everything}\n{_replay(prefix)}{''.join(users)}"
 
 

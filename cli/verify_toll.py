@@ -6,10 +6,11 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from pydantic import ValidationError
+from rich.console import Console
 
 from services.core.toll.core import VERSION, derive
 from services.core.toll.settings import Settings
@@ -18,6 +19,8 @@ from shared.messages.toll import EvidenceFrame, EvidencePack, PassageState, Toll
 from shared.messages.v2x import Cam
 from shared.toll.plaza import parse_plaza
 from shared.v2x import cam, geonetworking
+
+from .progress import progress_on
 
 COMPARED = ("passage_id", "lane", "lanes", "crossing_ns", "crossing_sd_s", "station_ids", "opened_ns", "delta_ns")
 SQLITE = b"SQLite format 3\0"
@@ -48,18 +51,20 @@ def verify_toll(
     [bold]obu verify-toll packs/3f9a.json[/]
     """
     wrong = number = 0
-    for found in (each for path in evidence for each in read(path)):
-        pack = parse(found)
-        if passage and not pack.charged.passage_id.startswith(passage):
-            continue
-        number += 1
-        differences = differences_of(found, pack)
-        wrong += bool(differences)
-        good = "lane verified, of a continued passage" if is_continued(pack) else "verified"
-        print(f"{pack.charged.passage_id}  lane {pack.lane}  {'; '.join(differences) or good}")
-        if export:
-            export.mkdir(parents=True, exist_ok=True)
-            (export / f"{pack.charged.passage_id}.json").write_bytes(found.pack)
+    with progress_on(Console(stderr=True)) as progress:
+        packs = (each for path in evidence for each in read(path))
+        for found in progress.track(packs, total=sum(map(count, evidence)), description="verifying"):
+            pack = parse(found)
+            if passage and not pack.charged.passage_id.startswith(passage):
+                continue
+            number += 1
+            differences = differences_of(found, pack)
+            wrong += bool(differences)
+            good = "lane verified, of a continued passage" if is_continued(pack) else "verified"
+            print(f"{pack.charged.passage_id}  lane {pack.lane}  {'; '.join(differences) or good}")
+            if export:
+                export.mkdir(parents=True, exist_ok=True)
+                (export / f"{pack.charged.passage_id}.json").write_bytes(found.pack)
     if not number:
         raise UserError(f"no evidence of {passage or 'a charge'} in {', '.join(map(str, evidence))}")
     print(f"{number - wrong} of {number} charges verified")
@@ -68,24 +73,34 @@ def verify_toll(
 
 def read(path: Path) -> Iterator[Evidence]:
     """Read a pack, or each pack of a ledger."""
+    if not _is_ledger(path):
+        yield Evidence(path.name, path.read_bytes())
+        return
+    for passage_id, pack, content in _rows(path, "passage_id, pack, content", "ORDER BY booked_ns"):
+        yield Evidence(passage_id, zlib.decompress(pack), TollTransaction.model_validate_json(content))
+
+
+def count(path: Path) -> int:
+    """Count the packs of a file."""
+    return int(_rows(path, "COUNT(*)")[0][0]) if _is_ledger(path) else 1
+
+
+def _is_ledger(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            head = file.read(len(SQLITE))
-        if head != SQLITE:
-            yield Evidence(path.name, path.read_bytes())
-            return
+            return file.read(len(SQLITE)) == SQLITE
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}; name an evidence pack or a ledger") from error
+
+
+def _rows(path: Path, columns: str, order: str = "") -> list[tuple[Any, ...]]:
+    """Columns of every charge of a ledger."""
+    query = f"SELECT {columns} FROM evidence JOIN booking USING (passage_id) WHERE kind = 'charge' {order}"
     try:
         with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True) as database:
-            rows = database.execute(
-                "SELECT passage_id, pack, content FROM evidence JOIN booking USING (passage_id) WHERE kind = 'charge' "
-                "ORDER BY booked_ns"
-            ).fetchall()
+            return database.execute(query).fetchall()
     except sqlite3.Error as error:
         raise UserError(f"{path} cannot be read as a ledger: {error}; name the file of monitoring.ledger") from error
-    for passage_id, pack, content in rows:
-        yield Evidence(passage_id, zlib.decompress(pack), TollTransaction.model_validate_json(content))
 
 
 def parse(evidence: Evidence) -> EvidencePack:

@@ -29,6 +29,7 @@ class Kind(StrEnum):
     DEVICE_DRIVER = "device driver"  # reads a device that a unit may have
     SIMULATOR = "simulator"  # stands in for devices
     STANDING = "standing"
+    REPLAY = "replay"  # stands in for a whole unit: `obu replay` runs it, and no vehicle does
     OPTIONAL = "optional"  # belongs to a function that not every unit has
 
 
@@ -92,6 +93,12 @@ PROCESSES = (
         consumes=("toll/transaction",),
         produces=("gnss/raw", "origin/state", "toll/registration", "plaza/detector", "toll/receipt", "plaza/truth"),
         roles=(Role.RSU,),
+    ),
+    ProcessRow(
+        "sensors.replay", Kind.REPLAY, "publishes the messages of a recording in place of every process",
+        consumes=("replay/control",),
+        produces=("replay/state", "replay/events", "origin/state"),
+        roles=BOTH,
     ),
     ProcessRow(
         "parsers.gnss", Kind.STANDING, "turns UBX and NMEA bytes into fixes and satellites, and commands into UBX",
@@ -185,7 +192,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "monitoring.status", Kind.STANDING, "serves state, history, metrics and the dashboard",
-        produces=("simulation/attack",), observes_all=True, roles=BOTH,
+        produces=("simulation/attack", "replay/control"), observes_all=True, roles=BOTH,
     ),
 )  # fmt: skip
 BY_NAME = {row.name: row for row in PROCESSES}

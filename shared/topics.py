@@ -30,6 +30,7 @@ from .messages.navigation import (
 )
 from .messages.neighbours import NeighbourStates
 from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.replay import ReplayControl, ReplayEvents, ReplayState
 from .messages.simulation import SimulationAttack, SimulationState
 from .messages.toll import (
     GateCommand,
@@ -156,6 +157,10 @@ TOPICS = (
           rate_hz=1.0, silent_after_s=10.0, qos=1, retain=True),
     Topic("origin/state", Origin, "whether the data are live, simulated or replayed",
           rate_hz=0.5, silent_after_s=10.0, qos=1, retain=True),
+    Topic("replay/control", ReplayControl, "plays, pauses, seeks in a replay, or changes its speed"),
+    Topic("replay/state", ReplayState, "position, extent and speed of a replay"),
+    Topic("replay/events", ReplayEvents, "changes of the verdict and outages of a recorded drive", qos=1,
+          retain=True),
     Topic("simulation/attack", SimulationAttack, "starts or stops an attack on a simulated vehicle", qos=1),
     Topic("simulation/state", SimulationState, "the attacks of a simulated drive, and the answer to the last command",
           qos=1, retain=True),

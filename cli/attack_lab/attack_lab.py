@@ -13,7 +13,7 @@ from rich.table import Table
 
 from shared.errors import UserError
 
-from ..recordings.common import progress_on
+from ..progress import progress_on
 from .cases import ATTACKS, CLEAN, Case, plan
 from .report import detection_rows, document, write
 from .run import run

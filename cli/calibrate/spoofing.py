@@ -30,7 +30,8 @@ from shared.messages.base import Message
 from shared.messages.trust import TrustMonitor
 from shared.runtime.offline import OfflineUnit
 
-from ..recordings.common import open_recording, progress_on, tell_problems, vehicle_of
+from ..progress import progress_on
+from ..recordings.common import open_recording, tell_problems, vehicle_of
 from ..solve.inputs import Inputs, arrival_of, inputs_of
 
 PROCESSES = ("parsers.gnss", "parsers.imu", "parsers.can", "core.fusion", "core.spoofing")

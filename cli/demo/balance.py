@@ -169,7 +169,7 @@ class Balance:
                 a.height_ellipsoid_m + share * (b.height_ellipsoid_m - a.height_ellipsoid_m),
             )
             said = earth.Geodetic(math.radians(latitude), math.radians(longitude), height)
-            lever_n = rotation.ned_from_body(a.roll_rad, a.pitch_rad, a.yaw_rad) @ lever_b
+            lever_n = rotation.ned_from_body(*(a.attitude_rad or (0.0, 0.0, 0.0))) @ lever_b
             errors.append(np.array(earth.ned_from_geodetic_difference(said, true)) - lever_n)
         return np.array(errors).reshape(-1, 3)
 

@@ -5,7 +5,6 @@ import logging
 import os
 import sys
 import time
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -25,7 +24,7 @@ from shared.topics import TOPICS
 from . import plaza_balance
 from .balance import Balance, Summary
 from .detection import AttackSummary
-from .local import ROADSIDE, broker_command, free_port, fresh_folder, only_one, port_or_free, unit
+from .local import ROADSIDE, as_toml, broker_command, free_port, fresh_folder, only_one, port_or_free, unit
 from .plaza_balance import PlazaBalance, PlazaSummary
 from .supervisor import Supervisor
 
@@ -147,22 +146,7 @@ def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
         tables.setdefault("sensors.v2x", {}).update(device=radio)
         tables.setdefault("sensors.traffic", {}).update(vehicles=options.vehicles, seed=options.seed, send_to=radio)
     tables.setdefault("monitoring.status", {}).update(port=http_port)
-    lines = [
-        line
-        for name, table in tables.items()
-        for line in (f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items()), "")
-    ]
-    text = "\n".join(lines)
-    tomllib.loads(text)
-    return parse_vehicle(text, "the demo's vehicle file")
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml(v) for v in value) + "]"
-    return json.dumps(value)  # strings, numbers and booleans are written alike in JSON and TOML
+    return parse_vehicle(as_toml(tables), "the demo's vehicle file")
 
 
 def _watch(
@@ -182,7 +166,7 @@ def _watch(
         while measuring_since is None or options.duration_s is None or \
                 time.monotonic() - measuring_since < options.duration_s:  # fmt: skip
             supervisor.watch()
-            _insist(supervisor)
+            supervisor.insist()
             for envelope in bus.receive(0.1):
                 try:
                     balance.add(envelope.topic, envelope.decode(), envelope.received_ns)
@@ -204,16 +188,6 @@ def _how_to_listen(bus: Bus) -> str:
     """Say what another terminal must be told to hear this unit."""
     broker = f"mqtt://{bus.address.host}:{bus.address.port}"
     return f"to listen: export OBU_BROKER={broker} OBU_VEHICLE={bus.state_dir / 'vehicle.toml'}"
-
-
-def _insist(supervisor: Supervisor) -> None:
-    """End the demo where a process cannot work as it was asked to; its own last line says why."""
-    for child in supervisor.children.values():
-        if child.refuses and child.log_file:
-            lines = child.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
-            raise UserError(
-                f"{child.name} refuses to start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
-            )
 
 
 def _why_unhealthy(summary: Summary | PlazaSummary) -> str:

@@ -3,17 +3,18 @@
 import contextlib
 import errno
 import fcntl
+import json
 import os
 import shutil
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from broker import local_config
 from shared.errors import UserError
 from shared.processes import Role
-from shared.runtime.config import VehicleFile, load_vehicle
+from shared.runtime.config import Table, VehicleFile, load_vehicle
 
 from .supervisor import Supervisor
 
@@ -66,7 +67,7 @@ def fresh_folder(path: Path) -> Path:
     return path
 
 
-def broker_command(folder: Path, port: int, kind: str) -> list[str]:
+def broker_command(folder: Path, port: int, kind: str, acl: Path = local_config.HERE / "acl.conf") -> list[str]:
     """Say how to start a broker on a loopback port: Mosquitto where there is one, else our own.
 
     `kind` is "auto", "mosquitto" or "simulated".
@@ -75,9 +76,25 @@ def broker_command(folder: Path, port: int, kind: str) -> list[str]:
     if not mosquitto and kind == "mosquitto":
         raise UserError("Mosquitto is not installed: `apt-get install mosquitto`, or take `--broker simulated`")
     if mosquitto and kind != "simulated":
-        return [mosquitto, "-c", str(local_config.write(folder, port))]
-    acl = Path(__file__).parents[2] / "broker" / "acl.conf"
+        return [mosquitto, "-c", str(local_config.write(folder, port, acl))]
     return [sys.executable, "-m", "broker.simulated", "--port", str(port), "--acl", str(acl)]
+
+
+def as_toml(tables: Mapping[str, Table]) -> str:
+    """Write sections as the text of a vehicle's file."""
+    return "\n".join(
+        line
+        for name, table in tables.items()
+        for line in (f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items()), "")
+    )
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(v) for v in value) + "]"
+    return json.dumps(value)  # strings, numbers and booleans are written alike in JSON and TOML
 
 
 def unit_file(path: Path | None, role: Role | None) -> VehicleFile:

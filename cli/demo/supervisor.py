@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from shared.errors import UserError
+
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
@@ -78,6 +80,15 @@ class Supervisor:
                     child.process.send_signal(signal.SIGCONT)  # a stopped child cannot hear the other
             for child in children:
                 _wait_for_end(child, deadline if not last else deadline + LAST_STOP_S)
+
+    def insist(self) -> None:
+        """Raise `UserError` where a child cannot work as it was asked to; its own last line says why."""
+        for child in self.children.values():
+            if child.refuses and child.log_file:
+                lines = child.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
+                raise UserError(
+                    f"{child.name} refuses to start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
+                )
 
     def alive(self) -> int:
         """Count the children that run."""

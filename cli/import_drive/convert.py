@@ -17,12 +17,13 @@ from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from . import units
 from .fixes import fixes, usable_fixes
 from .quantities import triples
-from .schema import Force, Gnss, Imu, Rate, Speed, TableFile, Truth, Velocity, Wheels
+from .schema import Force, Gnss, Gyroscope, Imu, Rate, Speed, TableFile, Truth, Velocity, Wheels
 from .stamps import Stamps, stamped
 from .table import Table
 from .truth import true_states
 
 MAXIMUM_IMU_MESSAGES_HZ = 100.0  # samples at higher rates are batched, as on the bus
+LONGEST_STEPS = 3.0  # median intervals of an accelerometer, over which its specific force is interpolated
 GRAVITY_RANGE_M_S2 = (7.0, 13.0)  # plausible median magnitude of a vehicle's specific force
 SCALARS = ("column", "arrival_column", "satellites_used", "front_left", "front_right", "rear_left", "rear_right",
            "hdop", "vdop")  # fmt: skip
@@ -53,7 +54,17 @@ def _columns(document: dict[str, object]) -> Iterator[str]:
             yield value
 
 
-def convert(spec: TableFile, table: Table, *, start_s: float = 0.0) -> Converted:
+@dataclass(frozen=True)
+class Accelerometer:
+    """An accelerometer in a file of its own."""
+
+    spec: Imu
+    table: Table
+
+
+def convert(
+    spec: TableFile, table: Table, *, start_s: float = 0.0, accelerometer: Accelerometer | None = None
+) -> Converted:
     """Convert the rows of one file to messages.
 
     Parameters
@@ -64,6 +75,8 @@ def convert(spec: TableFile, table: Table, *, start_s: float = 0.0) -> Converted
         Its columns.
     start_s : float
         [s] Unix time of zero of the file's clock.
+    accelerometer : Accelerometer, optional
+        That of a gyroscope.
 
     Returns
     -------
@@ -73,9 +86,13 @@ def convert(spec: TableFile, table: Table, *, start_s: float = 0.0) -> Converted
     """
     rows = len(table) + table.rejects.total()
     table = _changes(spec, table)
-    if isinstance(spec, Gnss):
+    if isinstance(spec, Gnss | Truth):
         table = usable_fixes(spec, table)
     table, sampled, received = stamped(spec, table, start_s)
+    if isinstance(spec, Gyroscope):
+        if accelerometer is None:
+            raise ValueError("a gyroscope without accelerometer")
+        return _both(spec, accelerometer, Rows(table, sampled, received), start_s, rows)
     return Converted(list(_messages(spec, table, sampled, received)), rows, table.rejects)
 
 
@@ -104,19 +121,60 @@ def _messages(spec: TableFile, table: Table, sampled: Stamps, received: Stamps) 
             raise ValueError(f"no messages for {type(spec).__name__}")
 
 
+@dataclass(frozen=True)
+class Rows:
+    """Stamped rows of a file."""
+
+    table: Table
+    sampled: Stamps
+    received: Stamps
+
+
 def _imu(spec: Imu, table: Table, sampled: Stamps, received: Stamps) -> Iterator[ImuSamples]:
-    sensor_from_body = spec.matrix().T
-    force = _means(spec.specific_force, units.FORCE, units.FORCE_INCREMENT, table, sampled) @ sensor_from_body
-    rate = _means(spec.angular_rate, units.RATE, units.RATE_INCREMENT, table, sampled) @ sensor_from_body
+    if spec.angular_rate is None:
+        raise ValueError("an accelerometer alone")
+    return _samples(spec.source, _force(spec, table, sampled), _rate(spec, spec.angular_rate, table, sampled),
+                    sampled, received)  # fmt: skip
+
+
+def _force(spec: Imu, table: Table, sampled: Stamps) -> FloatArray:
+    """Specific force [m/s², body], shape (rows, 3)."""
+    force = _means(spec.specific_force, units.FORCE, units.FORCE_INCREMENT, table, sampled) @ spec.matrix().T
     _check_gravity(spec, force)
-    if spec.specific_force.opposite:
-        force = -force
+    return -force if spec.specific_force.opposite else force
+
+
+def _rate(axes: Imu | Gyroscope, rate: Rate, table: Table, sampled: Stamps) -> FloatArray:
+    """Angular rate [rad/s, body], shape (rows, 3)."""
+    return _means(rate, units.RATE, units.RATE_INCREMENT, table, sampled) @ axes.matrix().T
+
+
+def _both(spec: Gyroscope, accelerometer: Accelerometer, gyroscope: Rows, start_s: float, rows: int) -> Converted:
+    """Interpolate the specific force to the stamps of the gyroscope; rows far from any specific force are omitted."""
+    imu = accelerometer.spec
+    table, stamps, _ = stamped(imu, _changes(imu, accelerometer.table), start_s)
+    force, at = _force(imu, table, stamps), gyroscope.sampled
+    if len(stamps) < 2:
+        raise UserError(f"{imu.file} holds a single row; the specific force between rows is interpolated: add rows")
+    after = np.clip(np.searchsorted(stamps, at), 1, len(stamps) - 1)
+    longest = LONGEST_STEPS * float(np.median(np.diff(stamps)))
+    near = (at >= stamps[0]) & (at <= stamps[-1]) & (stamps[after] - stamps[after - 1] <= longest)
+    kept = gyroscope.table.keep(near, f"no specific force of {imu.file} near")
+    at, received = at[near], gyroscope.received[near]
+    between = np.column_stack([np.interp(at, stamps, axis) for axis in force.T])
+    messages = _samples(spec.source, between, _rate(spec, spec.angular_rate, kept, at), at, received)
+    return Converted(list(messages), rows, kept.rejects)
+
+
+def _samples(
+    source: str, force: FloatArray, rate: FloatArray, sampled: Stamps, received: Stamps
+) -> Iterator[ImuSamples]:
     forces, rates, stamps, size = triples(force), triples(rate), sampled.tolist(), _batch(sampled)
     for first in range(0, len(stamps), size):
         part = slice(first, first + size)
         yield ImuSamples(
             received_ns=int(received[part][-1]),
-            source=spec.source,
+            source=source,
             sampled_ns=tuple(stamps[part]),
             specific_force_body_m_s2=tuple(forces[part]),
             angular_rate_body_rad_s=tuple(rates[part]),

@@ -1,14 +1,15 @@
 """Converts rows of a GNSS receiver to fixes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 
 from . import units
-from .quantities import Rows, as_ned, degrees_of, heights, triples
-from .schema import Accuracy, Gnss, Quality, Velocity
+from .positions import positions_of, velocities_of
+from .quantities import Rows, as_ned, degrees_of, triples
+from .schema import Accuracy, Angle, Gnss, Quality, Scalar, Truth
 from .stamps import Stamps
 from .table import Table
 
@@ -20,10 +21,11 @@ QUALITIES = {
 }
 
 
-def usable_fixes(spec: Gnss, table: Table) -> Table:
+def usable_fixes(spec: Gnss | Truth, table: Table) -> Table:
     """Omit rows with an invalid position or a quality that the mapping does not list."""
-    latitude, longitude = degrees_of(spec.latitude, table), degrees_of(spec.longitude, table)
-    table = table.keep((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0), "invalid position")
+    if spec.latitude is not None and spec.longitude is not None:
+        latitude, longitude = degrees_of(spec.latitude, table), degrees_of(spec.longitude, table)
+        table = table.keep((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0), "invalid position")
     if isinstance(spec.quality, Quality):
         listed = [float(number) for number in spec.quality.values]
         table = table.keep(np.isin(table[spec.quality.column], listed), "quality not listed")
@@ -32,15 +34,11 @@ def usable_fixes(spec: Gnss, table: Table) -> Table:
 
 def fixes(spec: Gnss, table: Table, sampled: Stamps, received: Stamps) -> Iterator[GnssFix]:
     """Yield one fix per row."""
-    latitude, longitude = degrees_of(spec.latitude, table).tolist(), degrees_of(spec.longitude, table).tolist()
-    ellipsoid, msl = heights(spec.height, table)
-    velocity = _velocity(spec.velocity, table) if spec.velocity else None
+    horizontal, ellipsoid, msl = positions_of(spec, table)
+    velocity = triples(velocities_of(spec.velocity, table, horizontal, None)) if spec.velocity else None
     position_sd, velocity_sd = _accuracy(spec.position_sd, table), _accuracy(spec.velocity_sd, table)
     satellites = table[spec.satellites_used].tolist() if spec.satellites_used else None
-    ground_speed = (
-        (table[spec.ground_speed.column] * units.SPEED[spec.ground_speed.unit]) if spec.ground_speed else None
-    )
-    course = (table[spec.course.column] * units.ANGLE[spec.course.unit]) if spec.course else None
+    ground_speed, course = _known(spec.ground_speed, units.SPEED, table), _known(spec.course, units.ANGLE, table)
     hdop, vdop = (table[name].tolist() if name else None for name in (spec.hdop, spec.vdop))
     words = _qualities(spec.quality, table)
     for i, stamp in enumerate(sampled.tolist()):
@@ -53,13 +51,13 @@ def fixes(spec: Gnss, table: Table, sampled: Stamps, received: Stamps) -> Iterat
             carrier_solution=carrier,
             differential=differential,
             satellites_used=round(satellites[i]) if satellites else None,
-            latitude_deg=latitude[i],
-            longitude_deg=longitude[i],
+            latitude_deg=float(horizontal[i, 0]),
+            longitude_deg=float(horizontal[i, 1]),
             height_ellipsoid_m=ellipsoid[i] if ellipsoid else None,
             height_msl_m=msl[i] if msl else None,
             velocity_ned_m_s=velocity[i] if velocity else None,
-            ground_speed_m_s=None if ground_speed is None else float(ground_speed[i]),
-            course_rad=None if course is None else float(course[i]),
+            ground_speed_m_s=ground_speed[i],
+            course_rad=course[i],
             hdop=hdop[i] if hdop else None,
             vdop=vdop[i] if vdop else None,
             position_sd_ned_m=position_sd[i] if position_sd else None,
@@ -67,8 +65,11 @@ def fixes(spec: Gnss, table: Table, sampled: Stamps, received: Stamps) -> Iterat
         )
 
 
-def _velocity(spec: Velocity, table: Table) -> Rows:
-    return triples(as_ned(table.many(spec.columns) * units.SPEED[spec.unit], spec.axes))
+def _known(spec: Scalar | Angle | None, factors: Mapping[str, float], table: Table) -> list[float | None]:
+    """Values of each row in SI units; None where the value is unknown."""
+    if spec is None:
+        return [None] * len(table)
+    return [None if value == spec.invalid else value * factors[spec.unit] for value in table[spec.column].tolist()]
 
 
 def _accuracy(spec: Accuracy | None, table: Table) -> Rows | None:
@@ -76,7 +77,7 @@ def _accuracy(spec: Accuracy | None, table: Table) -> Rows | None:
         return None
     if spec.columns is None:
         return [spec.constant_ned] * len(table) if spec.constant_ned else None
-    return triples(as_ned(table.many(spec.columns), spec.axes, signed=False))
+    return triples(as_ned(spec.scale * table.many(spec.columns), spec.axes, signed=False))
 
 
 def _qualities(spec: Quality | str, table: Table) -> list[str]:

@@ -4,15 +4,12 @@ import csv
 import hashlib
 import heapq
 import json
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Annotated
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -33,12 +30,15 @@ from shared.recording import RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.topics import BY_MESSAGE
 
-from ..recordings.common import progress_on
+from ..progress import progress_on
+from . import units
+from .arrays import FORMATS, arrays_of
 from .clocks import offset_of, shifted
-from .convert import Converted, Imported, convert, wanted_columns
+from .convert import Accelerometer, Converted, Imported, convert, wanted_columns
+from .delay import delay_of
 from .gnss_logger import is_log, messages_of, read_log
 from .mapping import Mapping, parse_mapping
-from .schema import Speed, TableFile
+from .schema import Imu, Positioned, Speed, TableFile, Time
 from .table import Table, arrays_table, read_table
 
 
@@ -62,7 +62,7 @@ def import_drive(
         ),
     ] = "y,x,-z",
 ) -> int:
-    """Convert a folder of files (IMU, GNSS, speed, truth; CSV, text or .npz) to a recording.
+    """Convert a folder of files (IMU, GNSS, speed, truth; CSV, text, NumPy .npz or MATLAB .mat) to a recording.
 
     Examples:
     [bold]obu import benchmarks/recordings/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
@@ -86,7 +86,8 @@ def import_drive(
             raise UserError(f"{folder} holds no file {table.file!r}; give the folder that holds it, or edit {mapping}")
     console = Console(stderr=True)
     with progress_on(console) as progress:
-        parts = _on_one_clock(tables, [_read(table, folder, spec.start_utc_s, progress) for table in tables])
+        parts = _converted(tables, [_read(table, folder, progress) for table in tables], spec.start_utc_s)
+        parts = _on_one_clock(tables, _without_delay(tables, parts))
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)
     for sentence in (*(part.clock for part in parts if part.clock), *spec.made()):
@@ -164,6 +165,28 @@ def _on_one_clock(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
     ]
 
 
+def _without_delay(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
+    """Estimate and remove the delays of the stamps where the mapping asks for it."""
+    imu = [message for part in parts for message in part.converted.messages if isinstance(message, ImuSamples)]
+    return [
+        _earlier(part, imu) if isinstance(table, Positioned) and table.estimate_delay else part
+        for table, part in zip(tables, parts, strict=True)
+    ]
+
+
+def _earlier(part: Part, imu: Sequence[ImuSamples]) -> Part:
+    points = part.converted.messages
+    delay = delay_of([message for message in points if isinstance(message, GnssFix | TruthState)], imu)
+    step_ns = round(delay.seconds * 1e9)
+    messages = [message.model_copy(update={"sampled_ns": _stamps(message)[0] - step_ns}) for message in points]
+    clock = (
+        f"The stamps of {part.name} are late by {delay.seconds:.3f} s (standard deviation {delay.sd_s:.3f} s), "
+        f"estimated from the turns of the vehicle ({np.degrees(delay.rms_rad):.2f} deg RMS remain), and corrected. "
+        f"To fix the value: stamps_late_s = {delay.seconds:.3f}."
+    )
+    return replace(part, converted=replace(part.converted, messages=messages), clock=clock)
+
+
 def _shifted(part: Part, fixes: Sequence[GnssFix]) -> Part:
     speeds = [message for message in part.converted.messages if isinstance(message, VehicleSpeed)]
     offset = offset_of(speeds, fixes)
@@ -193,16 +216,16 @@ def _vehicle(spec: Mapping, mapping: Path, vehicle: Path | None) -> VehicleFile:
     return parse_vehicle("", "<no vehicle file>")
 
 
-def _read(spec: TableFile, folder: Path, start_s: float, progress: Progress) -> Part:
+def _read(spec: TableFile, folder: Path, progress: Progress) -> tuple[str, Table]:
+    """Read the columns of a file, and compute its SHA-256."""
     path = folder / spec.file
     task = progress.add_task(f"reading {spec.file}", total=path.stat().st_size)
     digest = hashlib.sha256()
-    if path.suffix == ".npz":
+    if path.suffix in FORMATS:
         data = path.read_bytes()
         digest.update(data)
         progress.advance(task, len(data))
-        table = arrays_table(_arrays(data, spec.file), wanted_columns(spec), spec.file)
-        return Part(spec.file, digest.hexdigest(), convert(spec, table, start_s=start_s))
+        return digest.hexdigest(), arrays_table(arrays_of(data, spec.file), wanted_columns(spec), spec.file)
 
     def lines() -> Iterator[str]:
         with path.open("rb") as file:
@@ -212,15 +235,20 @@ def _read(spec: TableFile, folder: Path, start_s: float, progress: Progress) -> 
                 yield line.decode("utf-8", errors="replace")
 
     table = _table(spec, lines())
-    return Part(spec.file, digest.hexdigest(), convert(spec, table, start_s=start_s))
+    return digest.hexdigest(), table
 
 
-def _arrays(data: bytes, name: str) -> dict[str, npt.NDArray[np.generic]]:
-    try:
-        with np.lib.npyio.NpzFile(BytesIO(data), allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
-    except (OSError, ValueError, EOFError, BadZipFile, zlib.error) as error:
-        raise UserError(f"{name} is not an archive of NumPy arrays ({error}); write it with numpy.savez") from error
+def _converted(tables: Sequence[TableFile], read: Sequence[tuple[str, Table]], start_s: float) -> list[Part]:
+    """Convert every file; the accelerometer of an IMU in two files is converted with its gyroscope."""
+    parts, accelerometer = [], None
+    for spec, (digest, table) in zip(tables, read, strict=True):
+        if isinstance(spec, Imu) and spec.angular_rate is None:
+            accelerometer = Accelerometer(spec, table)
+            converted = Converted([], len(table) + table.rejects.total(), table.rejects)
+        else:
+            converted = convert(spec, table, start_s=start_s, accelerometer=accelerometer)
+        parts.append(Part(spec.file, digest, converted))
+    return parts
 
 
 def _table(spec: TableFile, lines: Iterator[str]) -> Table:
@@ -229,11 +257,16 @@ def _table(spec: TableFile, lines: Iterator[str]) -> Table:
     try:
         # Spreadsheets write a byte order mark, which is not part of the first name.
         header = list(spec.header) or [name.strip().lstrip("\ufeff") for name in next(rows, [])]
-        return read_table(rows, header, wanted_columns(spec), spec.file)
+        return read_table(rows, header, wanted_columns(spec), spec.file, _dates(spec.time))
     except csv.Error as error:
         raise UserError(
             f"{spec.file} is not a CSV file ({error}); check `file` and `separator` of the mapping"
         ) from error
+
+
+def _dates(time: Time) -> tuple[str, ...]:
+    """Columns that hold dates instead of numbers."""
+    return tuple(name for name in (time.column, time.arrival_column) if name and time.unit == units.DATE)
 
 
 def _rows(spec: TableFile, lines: Iterator[str]) -> Iterator[list[str]]:
@@ -248,12 +281,14 @@ def _arrival_ns(message: Imported) -> int:
 
 def _provenance(spec: Mapping, text: str, parts: list[Part]) -> dict[str, str]:
     """Origin of the messages, and the reference that `obu solve` uses as truth."""
+    held = spec.truth.quantities if spec.truth else spec.truth_quantities
     return {
         "name": spec.name,
         "mapping": text,
         "files": json.dumps({part.name: part.sha256 for part in parts}),
         "truth_is": spec.truth_is,
-        "truth_quantities": ",".join(spec.truth_quantities),
+        "truth_quantities": ",".join(quantity for quantity in spec.truth_quantities if quantity in held),
+        "truth_at": spec.truth.at if spec.truth else "imu",
         "made": " ".join(spec.made()),
     }
 
@@ -299,7 +334,8 @@ def _print_summary(output: Path, parts: list[Part]) -> None:
         span_s = (stamps[-1] - stamps[0]) * 1e-9 if stamps else 0.0
         rate = f"{(len(stamps) - 1) / span_s:.2f} Hz" if span_s > 0.0 else "-"
         rejected = ", ".join(f"{count} {reason}" for reason, count in part.converted.rejects.items()) or "none"
-        table.add_row(part.name, str(part.converted.rows), str(len(stamps)), rate, f"{span_s:.1f} s", rejected)
+        count = str(len(stamps)) if stamps else "-"
+        table.add_row(part.name, str(part.converted.rows), count, rate, f"{span_s:.1f} s", rejected)
     console = Console()
     console.print(table)
     console.print(f"wrote {output} ({output.stat().st_size / 1e6:.1f} MB); next: obu solve {output}", soft_wrap=True)

@@ -18,9 +18,13 @@ from .schema import (
     Ecef,
     Force,
     Gnss,
+    Gyroscope,
     Height,
     Imu,
+    Local,
+    Origin,
     Quality,
+    Quaternion,
     Rate,
     Scalar,
     Speed,
@@ -44,6 +48,7 @@ class Mapping(Section):
     truth_is: TruthKind = "none"  # default of the option --truth of `obu solve`
     truth_quantities: tuple[TrustedQuantity, ...] = ("position", "velocity", "attitude")
     imu: Imu | None = None
+    gyroscope: Gyroscope | None = None
     gnss: Gnss | None = None
     speed: Speed | None = None
     wheels: Wheels | None = None
@@ -53,6 +58,14 @@ class Mapping(Section):
     def _something(self) -> Self:
         if not any((self.imu, self.gnss, self.speed, self.wheels)):
             raise ValueError("nothing to import: add [imu], [gnss], [speed] or [wheels]")
+        rates = [table is not None for table in (self.imu and self.imu.angular_rate, self.gyroscope)]
+        if (self.imu is not None) != any(rates) or all(rates):
+            raise ValueError(
+                "an IMU is one [imu] table with `specific_force` and `angular_rate`, or two tables: [imu] with "
+                "`specific_force` and [gyroscope] with `angular_rate`"
+            )
+        if self.imu is None and any(table and table.estimate_delay for table in (self.gnss, self.truth)):
+            raise ValueError("`estimate_delay` requires an [imu]: the delay is that relative to the gyroscope")
         if self.truth_is == "recorded" and self.truth is None:
             raise ValueError('truth_is = "recorded" requires a [truth] table')
         if self.speed is not None and self.speed.clock_by_speed and self.gnss is None:
@@ -63,7 +76,7 @@ class Mapping(Section):
 
     def files(self) -> Iterator[TableFile]:
         """Yield the tables of files, in the order in which rows of equal time are delivered."""
-        for table in (self.imu, self.speed, self.wheels, self.gnss, self.truth):
+        for table in (self.imu, self.gyroscope, self.speed, self.wheels, self.gnss, self.truth):
             if table is not None:
                 yield table
 
@@ -96,7 +109,7 @@ def _explain(error: ValidationError) -> str:
 
 def _every_key() -> set[str]:
     tables: tuple[type[Section], ...] = (
-        Mapping, Imu, Gnss, Speed, Wheels, Truth,
-        Time, Force, Rate, Angle, Angles, Scalar, Coordinate, Height, Ecef, Velocity, Accuracy, Quality,
+        Mapping, Imu, Gyroscope, Gnss, Speed, Wheels, Truth, Time, Force, Rate, Angle, Angles, Scalar, Coordinate,
+        Height, Ecef, Local, Origin, Quaternion, Velocity, Accuracy, Quality,
     )  # fmt: skip
     return {key for table in tables for key in table.model_fields}

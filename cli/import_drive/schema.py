@@ -14,6 +14,7 @@ from shared.runtime.config import Section
 from . import units
 
 Columns = tuple[str, str, str]
+Four = tuple[str, str, str, str]
 Direction = Literal["forward", "backward", "right", "left", "down", "up"]
 QualityWord = Literal["fixed", "float", "differential", "single"]
 DIRECTIONS: dict[str, Vector3] = {
@@ -93,17 +94,19 @@ class Angles(Section):
 
 
 class Scalar(Section):
-    """A speed."""
+    """A speed; `invalid` is the value of a row in which it is unknown."""
 
     column: str
     unit: units.SpeedUnit
+    invalid: float | None = None
 
 
 class Angle(Section):
-    """One angle."""
+    """One angle; `invalid` is the value of a row in which it is unknown."""
 
     column: str
     unit: units.AngleUnit
+    invalid: float | None = None
 
 
 class Coordinate(Section):
@@ -129,12 +132,41 @@ class Ecef(Section):
     unit: units.LengthUnit = "m"
 
 
+class Origin(Section):
+    """Origin of local coordinates; `height_m` is above the ellipsoid."""
+
+    latitude_deg: float = Field(ge=-90.0, le=90.0)
+    longitude_deg: float = Field(ge=-180.0, le=180.0)
+    height_m: float
+
+
+class Local(Section):
+    """Cartesian position in the plane that touches the ellipsoid's normal frame at an origin."""
+
+    columns: Columns
+    unit: units.LengthUnit = "m"
+    axes: Literal["ned", "enu", "neu"]
+    origin: Origin
+
+
+class Quaternion(Section):
+    """Attitude as a unit quaternion.
+
+    `direction` names the rotation as to_from_from: "ned_from_body" turns vectors in body axes to north, east, down.
+    """
+
+    columns: Four
+    order: Literal["wxyz", "xyzw"]
+    direction: Literal["ned_from_body", "body_from_ned", "enu_from_body", "body_from_enu"]
+    body: Literal["frd", "flu"]  # forward, right, down; or forward, left, up
+
+
 class Velocity(Section):
     """Velocity over ground; `axes` defines the frame and order of the three columns."""
 
     columns: Columns
     unit: units.SpeedUnit
-    axes: Literal["ned", "enu", "neu", "body"]
+    axes: Literal["ned", "enu", "neu", "ecef", "body"]
 
 
 class Accuracy(Section):
@@ -142,6 +174,7 @@ class Accuracy(Section):
 
     columns: Columns | None = None
     axes: Literal["ned", "enu", "neu"] = "ned"
+    scale: float = Field(default=1.0, gt=0.0)  # factor of the columns
     constant_ned: Vector3 | None = None
 
     @model_validator(mode="after")
@@ -164,16 +197,13 @@ class Quality(Section):
         return self
 
 
-class Imu(TableFile):
-    """The inertial measurement unit and its mounting in the vehicle.
+class Sensor(TableFile):
+    """Axes and mounting of an inertial sensor in the vehicle.
 
     Either `axes` gives the directions of the sensor's x, y and z axes, or `body_from_sensor` the rotation matrix.
     `mounting_rpy_deg` is an additional rotation of the sensor in the vehicle.
     """
 
-    source: str = "imu"
-    specific_force: Force
-    angular_rate: Rate
     axes: tuple[Direction, Direction, Direction] | None = None
     body_from_sensor: tuple[Vector3, Vector3, Vector3] | None = None
     mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)
@@ -181,7 +211,10 @@ class Imu(TableFile):
     @model_validator(mode="after")
     def _rotation(self) -> Self:
         if (self.axes is None) == (self.body_from_sensor is None):
-            raise ValueError("the sensor axes are given either by `axes` or by `body_from_sensor`")
+            raise ValueError(
+                "the sensor axes are given either by `axes` (three of forward, backward, right, left, down, up) or by "
+                "`body_from_sensor` (a rotation matrix)"
+            )
         matrix = self._turned()
         if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) or np.linalg.det(matrix) < 0.0:
             raise ValueError("the sensor axes are not a right-handed set; check the direction of each")
@@ -199,13 +232,47 @@ class Imu(TableFile):
         return np.array(self.body_from_sensor)
 
 
-class Gnss(TableFile):
+class Imu(Sensor):
+    """The inertial measurement unit; without `angular_rate` its accelerometer, beside a [gyroscope]."""
+
+    source: str = "imu"
+    specific_force: Force
+    angular_rate: Rate | None = None
+
+
+class Gyroscope(Sensor):
+    """A gyroscope in a file of its own; the specific force of [imu] is interpolated to its stamps."""
+
+    source: str = "imu"
+    angular_rate: Rate
+
+
+class Positioned(TableFile):
+    """A file with positions in one of three forms."""
+
+    latitude: Coordinate | None = None
+    longitude: Coordinate | None = None
+    height: Height | None = None
+    position_ecef: Ecef | None = None
+    position_local: Local | None = None
+    estimate_delay: bool = False  # whether the delay of the stamps is estimated from the turns of the vehicle
+
+    @model_validator(mode="after")
+    def _one_position(self) -> Self:
+        geodetic = [item is not None for item in (self.latitude, self.longitude, self.height)]
+        forms = (all(geodetic), self.position_ecef is not None, self.position_local is not None)
+        if any(geodetic) != all(geodetic) or sum(forms) != 1:
+            raise ValueError(
+                "the position is given in one of three forms: `latitude`, `longitude` and `height`; `position_ecef`; "
+                "or `position_local` with `axes` (ned, enu, neu) and `origin`"
+            )
+        return self
+
+
+class Gnss(Positioned):
     """The GNSS receiver: position and velocity of its antenna."""
 
     source: str = "gnss"
-    latitude: Coordinate
-    longitude: Coordinate
-    height: Height
     velocity: Velocity | None = None
     ground_speed: Scalar | None = None
     course: Angle | None = None  # course over ground, clockwise from north
@@ -219,7 +286,7 @@ class Gnss(TableFile):
     @model_validator(mode="after")
     def _earth_axes(self) -> Self:
         if self.velocity is not None and self.velocity.axes == "body":
-            raise ValueError("velocity.axes of a receiver must be ned, enu or neu")
+            raise ValueError("velocity.axes of a receiver must be ned, enu, neu or ecef")
         if (self.ground_speed is None) != (self.course is None):
             raise ValueError("`ground_speed` and `course` must be given together")
         return self
@@ -278,23 +345,33 @@ class Wheels(TableFile):
         return self
 
 
-class Truth(TableFile):
-    """A reference of higher grade: position, velocity, attitude and angular rate of the body."""
+class Truth(Positioned):
+    """A reference of higher grade: position and, if known, velocity, attitude and angular rate of the body.
+
+    `at` is the point of its positions: "imu", or "antenna" for those of a receiver. With `quality`, rows of unlisted
+    values are omitted: the fixes of one quality are then the truth for those of another in [gnss].
+    """
 
     source: str = "truth"
-    position_ecef: Ecef | None = None
-    latitude: Coordinate | None = None
-    longitude: Coordinate | None = None
-    height: Height | None = None
-    velocity: Velocity
-    attitude: Angles
+    at: Literal["imu", "antenna"] = "imu"
+    quality: Quality | None = None
+    velocity: Velocity | None = None
+    attitude: Angles | None = None
+    quaternion: Quaternion | None = None
     angular_rate: Rate | None = None
 
     @model_validator(mode="after")
-    def _one_position(self) -> Self:
-        geodetic = [item is not None for item in (self.latitude, self.longitude, self.height)]
-        if any(geodetic) != all(geodetic) or all(geodetic) == (self.position_ecef is not None):
-            raise ValueError("the true position is `position_ecef`, or `latitude`, `longitude` and `height`")
+    def _known_attitude(self) -> Self:
+        if self.attitude is not None and self.quaternion is not None:
+            raise ValueError("the true attitude is `attitude` (roll, pitch, yaw) or `quaternion`, not both")
+        if self.velocity is not None and self.velocity.axes == "body" and not (self.attitude or self.quaternion):
+            raise ValueError("a velocity in body axes requires `attitude` or `quaternion`; others: ned, enu, neu, ecef")
         if self.height is not None and self.height.kind == "msl" and self.height.geoid_separation_m is None:
             raise ValueError("a true height above sea level requires `geoid_separation_m`")
         return self
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What the table holds."""
+        known = {"velocity": self.velocity, "attitude": self.attitude or self.quaternion}
+        return ("position", *(name for name, given in known.items() if given is not None))

@@ -3,8 +3,9 @@
 import difflib
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +42,9 @@ class Table:
         return Table(self.columns, self.values[wanted], self.row_numbers[wanted], rejects)
 
 
-def read_table(lines: Iterable[list[str]], header: Sequence[str], wanted: Sequence[str], where: str) -> Table:
+def read_table(
+    lines: Iterable[list[str]], header: Sequence[str], wanted: Sequence[str], where: str, dates: Sequence[str] = ()
+) -> Table:
     """Extract the wanted columns of a CSV file.
 
     Parameters
@@ -54,6 +57,8 @@ def read_table(lines: Iterable[list[str]], header: Sequence[str], wanted: Sequen
         The columns to keep; each must be in the header.
     where : str
         File name for error messages.
+    dates : sequence of str
+        Columns with dates (ISO 8601), which are converted to Unix time [s]; without a zone they are UTC.
 
     Returns
     -------
@@ -67,7 +72,7 @@ def read_table(lines: Iterable[list[str]], header: Sequence[str], wanted: Sequen
         A wanted column is missing in the header, or no valid row remains.
     """
     columns = tuple(dict.fromkeys(wanted))
-    places = [_place(column, header, where) for column in columns]
+    places = {_place(column, header, where): _unix_time if column in dates else float for column in columns}
     values: list[list[float]] = []
     numbers: list[int] = []
     rejects: Counter[str] = Counter()
@@ -131,15 +136,21 @@ def _column(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> FloatAr
     return column.astype(np.float64)
 
 
-def _numbers(fields: list[str], places: list[int]) -> list[float] | str:
+def _numbers(fields: list[str], places: Mapping[int, Callable[[str], float]]) -> list[float] | str:
     """The numbers of these fields, or the reason why the row is invalid."""
     try:
-        row = [float(fields[place]) for place in places]
+        row = [number(fields[place]) for place, number in places.items()]
     except IndexError:
         return "too short"
     except ValueError:
         return "not a number"
     return row if all(map(math.isfinite, row)) else "not finite"
+
+
+def _unix_time(text: str) -> float:
+    """Seconds since 1970 of a date."""
+    date = datetime.fromisoformat(text.strip())
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
 def _place(column: str, header: Sequence[str], where: str) -> int:

@@ -9,7 +9,8 @@ from pydantic import AfterValidator
 
 from shared.maths.earth import STANDARD_GRAVITY
 
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+DATE = "date"  # ISO 8601, such as 2026-11-22T10:00:00.5+01:00 or 2026-11-22 09:00:00.5 (UTC); read as seconds
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, DATE: 1.0}
 FORCE = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY}
 RATE = {"rad/s": 1.0, "deg/s": radians(1.0), "mdeg/s": radians(1e-3)}
 # Some sensors output increments over each sample (delta-v, delta-theta) instead of means.

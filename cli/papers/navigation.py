@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from services.core.fusion.alignment.heading import Prior
@@ -25,6 +24,8 @@ from services.sensors.simulator.drive import ODOMETER_SCALE_SD, ODOMETER_SD, Dri
 from services.sensors.simulator.gnss.gnss_errors import BASE_SD, ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import DEGRADED_RMSE, scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_track
+
+from ..progress import progress_on
 
 FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -205,11 +206,14 @@ def measure(job: tuple[Case, int]) -> tuple[str, FloatArray]:
 
 
 def in_parallel(work: Callable[[Job], Found], jobs: Sequence[Job], workers: int, progress: bool) -> Iterator[Found]:
-    """Execute all jobs in worker processes, with a progress bar on a terminal."""
+    """Execute all jobs in worker processes."""
     with multiprocessing.get_context("spawn").Pool(min(workers, len(jobs))) as pool:
         done = pool.imap(work, jobs)
-        console = Console(stderr=True)
-        yield from track(done, "simulating", len(jobs), console=console, disable=not progress)
+        if not progress:
+            yield from done
+            return
+        with progress_on(Console(stderr=True)) as shown:
+            yield from shown.track(done, total=len(jobs), description="simulating")
 
 
 def measure_all(cases: Sequence[Case], runs: int, workers: int, progress: bool) -> list[Result]:

@@ -1,7 +1,6 @@
 """`obu papers`: compares simulations and recordings with published results."""
 
 import json as json_module
-import sys
 from pathlib import Path
 
 from rich.console import Console
@@ -19,9 +18,9 @@ def navigation(runs: int, json: bool) -> int:
     """Print drives and outages; return 1 if a limit is exceeded. Goals missed with default settings are only named."""
     if runs < 1:
         raise UserError(f"{runs} runs: at least 1 is required: try `obu papers navigation --runs 10`")
-    workers, progress = drives_table.WORKERS, sys.stderr.isatty()
-    drives = drives_table.measure_all(drives_table.CASES, runs, workers, progress)
-    outages = outages_table.measure_all(outages_table.AIDS, runs, workers, progress)
+    workers = drives_table.WORKERS
+    drives = drives_table.measure_all(drives_table.CASES, runs, workers, progress=True)
+    outages = outages_table.measure_all(outages_table.AIDS, runs, workers, progress=True)
     faults = drives_table.shortcomings(drives) + outages_table.shortcomings(outages)
     missed = drives_table.missed_goals(drives)
     if json:
@@ -44,14 +43,14 @@ def motion_conflict(drives: int, json: bool, out: Path | None) -> int:
     """Reproduce the speed check of the smart tachograph; return 1 if a number is outside its tolerance."""
     from .motion_conflict.paper import reproduce
 
-    return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)
+    return publish(reproduce(drives, progress=True), json=json, out=out)
 
 
 def cooperative(runs: int, json: bool, out: Path | None) -> int:
     """Reproduce V2X-assisted fault detection; return 1 if a number is outside its tolerance."""
     from .cooperative import reproduce
 
-    return publish(reproduce(runs, sys.stderr.isatty()), json=json, out=out)
+    return publish(reproduce(runs, progress=True), json=json, out=out)
 
 
 def spoofing(drives: int, json: bool, out: Path | None) -> int:
@@ -60,11 +59,11 @@ def spoofing(drives: int, json: bool, out: Path | None) -> int:
         raise UserError(f"{drives} drives: 6 are required, four to learn of: try `obu papers spoofing --drives 6`")
     from .spoofing.paper import reproduce
 
-    return publish(reproduce(drives, sys.stderr.isatty()), json=json, out=out)
+    return publish(reproduce(drives, progress=True), json=json, out=out)
 
 
 def toll(runs: int, json: bool, out: Path | None) -> int:
     """Reproduce tracking by CAM and decide lanes; return 1 if a number is outside its tolerance."""
     from .toll.paper import reproduce
 
-    return publish(reproduce(runs, sys.stderr.isatty()), json=json, out=out)
+    return publish(reproduce(runs, progress=True), json=json, out=out)

@@ -4,7 +4,6 @@ import time
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
 from shared.bus.bus import Bus
 from shared.errors import BadRecording, UserError
@@ -44,11 +43,6 @@ def tell_problems(recording: Recording, console: Console) -> None:
     """Print what could not be read."""
     for problem in recording.problems:
         console.print(f"{recording.path.name}: {problem}", markup=False, highlight=False)
-
-
-def progress_on(console: Console) -> Progress:
-    """Make a progress bar that shows on terminals only, and goes when it is done."""
-    return Progress(console=console, disable=not console.is_terminal, transient=True)
 
 
 def meet(bus: Bus) -> None:

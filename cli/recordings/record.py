@@ -14,7 +14,8 @@ from shared.recording.writer import VEHICLE_FILE
 from shared.runtime.config import broker_address, load_vehicle, state_dir
 from shared.topics import TOPICS
 
-from .common import meet, open_recording, progress_on, tell_problems
+from ..progress import progress_on
+from .common import meet, open_recording, tell_problems
 
 FLUSH_S = 0.5
 STEP = 2000  # messages between two looks at the progress
@@ -58,20 +59,26 @@ def repair(
     """
     console = Console(stderr=True)
     with open_recording(file) as recording:
-        metadata = recording.metadata
-        writer = _create(
-            output,
-            metadata.get("obu", {}).get("vehicle", ""),
-            recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace"),
-            metadata.get("provenance"),
-        )
-        _copy(recording, writer, console)
-        if not writer.messages:
-            output.unlink()
-            raise UserError(f"{file} holds no message that can be read; there is nothing to repair")
-        tell_problems(recording, console)
+        writer = repair_into(recording, output, console)
     print(f"wrote {writer.messages} messages, {writer.bytes_written / 1e6:.1f} MB, to {output}")
     return 0
+
+
+def repair_into(recording: Recording, output: Path, console: Console) -> RecordingWriter:
+    """Copy what can be read of a recording, say what cannot, and return the closed writer."""
+    metadata = recording.metadata
+    writer = _create(
+        output,
+        metadata.get("obu", {}).get("vehicle", ""),
+        recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace"),
+        metadata.get("provenance"),
+    )
+    _copy(recording, writer, console)
+    if not writer.messages:
+        output.unlink()
+        raise UserError(f"{recording.path} holds no message that can be read; there is nothing to repair")
+    tell_problems(recording, console)
+    return writer
 
 
 def _listen(bus: Bus, writer: RecordingWriter, until: float) -> None:

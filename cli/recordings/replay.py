@@ -1,5 +1,8 @@
-"""`obu replay`: the sensors of a recording back onto a bus, as if their devices were here."""
+"""`obu replay`: a recording in the dashboard, with a broker and a dashboard of its own."""
 
+import logging
+import os
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,114 +11,169 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from shared.bus.bus import Bus, Envelope
-from shared.errors import BadPayload, UserError
-from shared.messages.operation import Origin, OriginKind
-from shared.recording import Recording
-from shared.runtime.config import BrokerAddress, broker_address, load_vehicle, state_dir
-from shared.topics import BY_NAME
+from broker.acl import access_list
+from services.monitoring.status.process import ADDRESS_FILE
+from shared.bus import codec
+from shared.bus.envelope import Envelope
+from shared.errors import UserError
+from shared.messages.base import Message, Sender
+from shared.messages.replay import FASTEST, SLOWEST
+from shared.processes import Role
+from shared.recording import Recording, RecordingWriter
+from shared.runtime.config import BrokerAddress, Table, VehicleFile, state_dir
+from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.topics import BY_MESSAGE
 
-from .common import meet, open_recording, progress_on, tell_problems
-from .replaying import inputs_among, shifted
+from ..demo.local import as_toml, broker_command, free_port, port_or_free
+from ..demo.supervisor import Supervisor
+from ..progress import progress_on
+from ..solve.inputs import inputs_of
+from .common import open_recording, vehicle_of
+from .onto_bus import play_onto
+from .record import repair_into
 
-ORIGIN_S = 2.0
-ORIGIN_AGE_NS = 10_000_000_000  # an older one is what the broker kept of a source that has ended
-LISTEN_S = 1.0  # how long another source of data gets to show itself
-STEP = 200
+START_LIMIT_S = 30.0
+RUN_HERE = ("sensors.replay", "monitoring.status")
 
 
-def replay(
-    file: Annotated[
-        Path, typer.Argument(help="A recording, from `obu record` or the unit's recorder or `obu import`.")
-    ],
-    speed: Annotated[float, typer.Option(min=0.01, max=1000.0, help="How many times as fast as it was.")] = 1.0,
-    broker: Annotated[str | None, typer.Option(help="Broker to play to; without it OBU_BROKER.")] = None,
-    vehicle: Annotated[Path | None, typer.Option("--vehicle", help="The vehicle's TOML file of the unit.")] = None,
+def replay(  # one argument an option
+    file: Annotated[Path, typer.Argument(help="A recording, from `obu record`, the unit's recorder or `obu import`.")],
+    *,
+    speed: Annotated[
+        float, typer.Option(min=SLOWEST, max=FASTEST, help="Recorded seconds per second; the page changes it.")
+    ] = 1.0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
+    broker: Annotated[
+        str | None,
+        typer.Option(help="Play what the devices said onto this broker instead, for a unit that runs without sensors."),
+    ] = None,
+    vehicle: Annotated[
+        Path | None, typer.Option("--vehicle", help="The vehicle's TOML file; without it the recorded one.")
+    ] = None,
 ) -> int:
-    """Play what the devices said onto the bus of a unit that runs without sensors; stamps are moved to now.
+    """Show a recording in a dashboard: play, pause, speed, and any position of the drive.
 
-    At a speed other than 1 the stamps keep the recorded intervals and part
-    from the unit's clock: good for watching, not for measuring latency.
+    Starts a broker and a dashboard of its own, and prints the address. A recording without solutions, such as one of
+    `obu import`, is processed first.
 
     Examples:
     [bold]obu replay drive.mcap[/]
-    [bold]obu replay drive.mcap --speed 5 --broker mqtt://127.0.0.1:1884[/]
+    [bold]obu replay drive.mcap --speed 10 --port 8090[/]
+    [bold]obu replay drive.mcap --broker mqtt://127.0.0.1:1884[/]
     """
+    if broker is not None:
+        return play_onto(file, speed, BrokerAddress.parse(broker), vehicle)
     console = Console(stderr=True)
-    address = BrokerAddress.parse(broker) if broker else broker_address()
+    base = state_dir().resolve() / "replays"
+    base.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=base, prefix=f"{file.stem[:40]}-") as folder:
+        return _serve(file, Path(folder), (speed, port), vehicle, console)
+
+
+def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path | None, console: Console) -> int:
+    speed, wanted_port = options
+    unit = _vehicle_of(file, vehicle)
+    played = _playable(file, unit, folder, console)
+    broker_port, (http_port, taken) = free_port(), port_or_free(wanted_port)
+    text = _with_sections(unit, {
+        "sensors.replay": {"file": str(played.resolve()), "speed": speed},
+        "monitoring.status": {"port": http_port, "replay": True},
+    })  # fmt: skip
+    (folder / "vehicle.toml").write_text(text, encoding="utf-8")
+    (folder / "acl.conf").write_text(access_list(replay=True), encoding="utf-8")
+    (folder / "logs").mkdir()
+    environment = {
+        "OBU_VEHICLE": str(folder / "vehicle.toml"),
+        "OBU_BROKER": f"mqtt://127.0.0.1:{broker_port}",
+        "OBU_STATE": str(folder),
+    }
+    supervisor = Supervisor({**os.environ, **environment}, folder / "logs")
+    supervisor.add("broker", broker_command(folder, broker_port, "auto", folder / "acl.conf"), outlives_others=True)
+    for name in RUN_HERE:
+        supervisor.add_process(name)
+    if taken:
+        console.print(f"port {wanted_port} {taken}: the dashboard takes {http_port}; to choose one: --port NUMBER")
+    logging.getLogger("cli.demo.supervisor").setLevel(logging.ERROR)
+    try:
+        _wait_for_page(supervisor, folder)
+        console.print(f"{file.name} is replayed at [bold]http://127.0.0.1:{http_port}[/]   (end with Ctrl-C)")
+        console.print(
+            f"to listen: export OBU_BROKER={environment['OBU_BROKER']} OBU_VEHICLE={environment['OBU_VEHICLE']}",
+            style="dim", soft_wrap=True, highlight=False,
+        )  # fmt: skip
+        while True:
+            supervisor.watch()
+            supervisor.insist()
+            time.sleep(0.2)
+    except (KeyboardInterrupt, SystemExit):
+        return 0
+    finally:
+        supervisor.stop()
+
+
+def _wait_for_page(supervisor: Supervisor, folder: Path) -> None:
+    deadline = time.monotonic() + START_LIMIT_S
+    while not (folder / ADDRESS_FILE).exists():
+        supervisor.watch()
+        supervisor.insist()
+        time.sleep(0.05)
+        if time.monotonic() > deadline:
+            raise UserError(f"the dashboard did not start in {START_LIMIT_S:.0f} s; `obu doctor` checks this machine")
+
+
+def _vehicle_of(file: Path, vehicle: Path | None) -> VehicleFile:
     with open_recording(file) as recording:
-        wanted = inputs_among({envelope.topic for envelope in recording})
-        tell_problems(recording, console)
-        if not wanted:
-            raise UserError(f"{file} holds nothing that a device said; record a unit with sensors or a simulator")
-        bus = Bus("replay", load_vehicle(vehicle).name, address, (BY_NAME["origin/state"],), state_dir(), observer=True)
-        try:
-            meet(bus)
-            _insist_on_silence(bus)
-            count = Player(bus, Origin(now_ns=0, kind=OriginKind.REPLAY, name=file.stem[:64], speed=speed)).play(
-                recording, wanted, console
-            )
-        finally:
-            bus.close()
-    print(f"played {count} messages of {', '.join(sorted(wanted))}")
-    return 0
+        return vehicle_of(recording, vehicle)
 
 
-class Player:
-    """Sends each message when it is due."""
-
-    def __init__(self, bus: Bus, origin: Origin) -> None:
-        self._bus, self._origin = bus, origin
-        self._origin_due = 0.0
-
-    def play(self, recording: Recording, wanted: frozenset[str], console: Console) -> int:
-        """Play a recording to its end; return how many messages were sent."""
-        count = 0
-        with progress_on(console) as progress:
-            task = progress.add_task(recording.path.name, total=recording.size)
-            for envelope, shift_ns in self._paced(e for e in recording if e.topic in wanted):
-                try:
-                    message = shifted(envelope, shift_ns)
-                except BadPayload:
-                    continue  # its consumers would refuse it as well
-                self._bus.publish(message)
-                if count % STEP == 0:
-                    progress.update(task, completed=recording.position)
-                count += 1
-        return count
-
-    def _paced(self, envelopes: Iterator[Envelope]) -> Iterator[tuple[Envelope, int]]:
-        """Yield each message when its time has come, with the way from its stamps to now."""
-        started, first_ns, shift_ns = time.monotonic(), 0, 0
-        for envelope in envelopes:
-            if not first_ns:
-                first_ns = envelope.received_ns
-                shift_ns = self._bus.now_ns() - first_ns
-            due = started + (envelope.received_ns - first_ns) * 1e-9 / self._origin.speed
-            while True:
-                self._say_origin()
-                self._bus.receive(min(max(due - time.monotonic(), 0.0), 0.1))
-                if time.monotonic() >= due:
-                    break
-            yield envelope, shift_ns
-
-    def _say_origin(self) -> None:
-        if time.monotonic() >= self._origin_due:
-            self._origin_due = time.monotonic() + ORIGIN_S
-            self._bus.publish(self._origin.model_copy(update={"now_ns": self._bus.now_ns()}))
+def _playable(file: Path, vehicle: VehicleFile, folder: Path, console: Console) -> Path:
+    """Give the recording itself, or a copy with what it lacks: its index, or solutions."""
+    with open_recording(file) as recording:
+        topics = recording.topics
+        if not topics:
+            console.print(f"{file.name} was not closed: reading all of it first")
+            copy = folder / f"whole-{file.name}"
+            repair_into(recording, copy, console)
+            return _playable(copy, vehicle, folder, console)
+        if "navigation/solution" in topics or vehicle.role is not Role.OBU:
+            return file
+        console.print(f"{file.name} holds no solutions: computing them first")
+        return _solved(recording, vehicle, folder / f"solved-{file.name}", console)
 
 
-def _insist_on_silence(bus: Bus) -> None:
-    """Refuse to mix a recording with the data of a vehicle, of a simulator or of another recording."""
-    deadline = time.monotonic() + LISTEN_S
-    while time.monotonic() < deadline:
-        for envelope in bus.receive(0.1):
-            try:
-                other = envelope.decode()
-            except BadPayload:
-                continue
-            if isinstance(other, Origin) and bus.now_ns() - other.now_ns < ORIGIN_AGE_NS:
-                raise UserError(
-                    f"{envelope.producer} already sends {other.kind} data of {other.name} on this bus; stop it"
-                    " and wait for 10 s, or play to another broker with --broker"
-                )
+def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Console) -> Path:
+    """Write the inputs of a recording, and all that layers 2 to 4 compute of them, into a new one."""
+    inputs = inputs_of(recording)
+    if not inputs.envelopes:
+        raise UserError(f"{recording.path} holds nothing that a device said; record a unit with sensors or a simulator")
+    writer = RecordingWriter(path, vehicle=vehicle.name, vehicle_toml=vehicle.text)
+    unit = OfflineUnit(vehicle)
+    with progress_on(console) as progress:
+        task = progress.add_task("solving", total=len(inputs.envelopes))
+        now_ns = 0
+        for count, message in enumerate(_merged(unit, inputs.messages())):
+            now_ns = max(now_ns, arrival_ns(message) or 0)
+            writer.write(_envelope(message, now_ns, count))
+            if count % 1000 == 0:
+                progress.update(task, completed=count)
+    writer.close()
+    return path
+
+
+def _merged(unit: OfflineUnit, inputs: Iterator[Message]) -> Iterator[Message]:
+    yield from unit.run(inputs)
+    yield from unit.close()
+
+
+def _envelope(message: Message, now_ns: int, sequence: int) -> Envelope:
+    topic = codec.topic_name(message)
+    producers = BY_MESSAGE[type(message)].producers
+    payload = codec.signed(
+        codec.encode(message), Sender(process=producers[0] if producers else "", incarnation=0, sequence=sequence)
+    )
+    return Envelope(topic, payload, now_ns)
+
+
+def _with_sections(vehicle: VehicleFile, sections: dict[str, Table]) -> str:
+    """Write the vehicle's file with other sections in place of some."""
+    return as_toml({**vehicle.tables, **sections})

@@ -22,7 +22,8 @@ from shared.runtime.config import VehicleFile
 from shared.runtime.live import Reactor, load_process
 from shared.topics import topic_of
 
-from .common import open_recording, progress_on, tell_problems, vehicle_of
+from ..progress import progress_on
+from .common import open_recording, tell_problems, vehicle_of
 from .verifying import Key, Repetition, Verdict
 
 KEPT_NS = 60_000_000_000  # how long after its arrival a message can still be named in a journal

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from shared.errors import UserError
 from shared.maths.earth import FloatArray
+from shared.messages.base import Vector3
 from shared.messages.gnss import CarrierSolution, GnssFix
 from shared.messages.navigation import TruthState
 
@@ -70,17 +71,17 @@ def from_fixes(fixes: Sequence[GnssFix], *, delay_s: float = 0.0, velocity_delay
     )
 
 
-def from_states(states: Sequence[TruthState]) -> Reference:
-    """Use recorded true states as truth."""
+def from_states(states: Sequence[TruthState], *, at_antenna: bool = False) -> Reference:
+    """Use recorded true states as truth; a quantity that a state lacks is unknown."""
     if not states:
         raise UserError("the recording holds no truth/state; try --truth fixes, or a CSV file with --truth FILE")
     return Reference(
         f"{len(states)} true states of the recording",
         np.array([s.sampled_ns for s in states], dtype=np.int64),
-        at_antenna=False,
+        at_antenna=at_antenna,
         geodetic=_geodetic([[s.latitude_deg, s.longitude_deg, s.height_ellipsoid_m] for s in states]),
-        velocity_n=np.array([s.velocity_ned_m_s for s in states]),
-        attitude=np.array([[s.roll_rad, s.pitch_rad, s.yaw_rad] for s in states]),
+        velocity_n=_complete([s.velocity_ned_m_s for s in states]),
+        attitude=_complete([s.attitude_rad for s in states]),
     )
 
 
@@ -99,6 +100,11 @@ def from_columns(name: str, stamps_ns: npt.NDArray[np.int64], columns: dict[str,
         velocity_n=together(VELOCITY),
         attitude=together(ATTITUDE),
     )
+
+
+def _complete(rows: Sequence[Vector3 | None]) -> FloatArray | None:
+    known = [row for row in rows if row is not None]
+    return np.array(known) if len(known) == len(rows) else None
 
 
 def _geodetic(rows: FloatArray | list[list[float | None]]) -> FloatArray:

@@ -25,12 +25,14 @@ from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
 from ..import_drive.table import read_table
-from ..recordings.common import open_recording, progress_on, tell_problems, vehicle_of
+from ..progress import progress_on
+from ..recordings.common import open_recording, tell_problems, vehicle_of
 from .files import write
 from .history_file import HistoryFile
 from .inputs import Inputs, all_fixes, arrival_of, inputs_of
 from .metrics.counters import Counters
 from .metrics.errors import errors_against
+from .metrics.gnss_alone import GnssAlone, gnss_alone
 from .metrics.metrics import Run, Value, metrics_of
 from .outages import Outages
 from .overrides import SWITCHES, Aiding, with_settings
@@ -110,7 +112,11 @@ def solve(  # noqa: PLR0913  # one argument an option
     reference = (
         _by_fixes(drive, fixes) if by_fixes == "fixes" or (by_fixes == "perhaps" and _any_fixed(fixes)) else given
     )
-    run = replace(_compared(drive, solved, reference, fixes), scored_from_ns=drive.first_ns + round(score_from * 1e9))
+    run = replace(
+        _compared(drive, solved, reference, fixes),
+        scored_from_ns=drive.first_ns + round(score_from * 1e9),
+        gnss_alone=_gnss_alone(drive, solved, reference) if reference is given else None,
+    )
     metrics = metrics_of(run)
     again = None
     if smoothed is not None:
@@ -267,7 +273,7 @@ def _given_truth(drive: Drive, truth: str | None) -> tuple[Reference | None, str
         return None, word
     if word != "recorded":
         return _truth_file(Path(word)), "none"
-    reference = from_states(drive.inputs.truth)
+    reference = from_states(drive.inputs.truth, at_antenna=drive.provenance.get("truth_at") == "antenna")
     quantities = drive.provenance.get("truth_quantities", "") if truth is None else ""
     return reference.only(quantities.split(",")) if quantities else reference, "none"
 
@@ -320,6 +326,15 @@ def _compared(drive: Drive, solved: Solved, reference: Reference | None, fixes: 
         len(fixes) - len(solved.fixes),
         alert_limits_m=(config.integrity.alert_limit_horizontal_m, config.integrity.alert_limit_vertical_m),
     )
+
+
+def _gnss_alone(drive: Drive, solved: Solved, reference: Reference | None) -> GnssAlone | None:
+    """Errors of the fixes given to the filter; the truth is not made of them."""
+    if reference is None:
+        return None
+    gnss = _fusion(drive.vehicle).gnss
+    track = solved.builder.track().valid()
+    return gnss_alone(solved.fixes, reference, track, lever_arm_b=gnss.lever_arm_body_m, delay_s=gnss.delay_s)
 
 
 def _folder(path: Path) -> Path:

@@ -12,6 +12,7 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -26,7 +27,7 @@ from ..messages.operation import ProcessHealth, ProcessState
 from ..runtime.clock import Clock
 from ..runtime.config import BrokerAddress
 from ..runtime.usage import resident_bytes
-from ..topics import BY_MESSAGE, TOPICS, Topic
+from ..topics import BY_MESSAGE, TOPICS, Topic, topic_of
 from . import codec
 from .envelope import Envelope
 
@@ -120,6 +121,23 @@ class Bus:
         if len(payload) > codec.MAXIMUM_PAYLOAD or not (self.connected or topic.qos):
             self.dropped += 1
         elif self._waiting or not self._ready():
+            self._wait(name, payload, topic)
+        else:
+            self._send(name, payload, topic)
+
+    def forward(self, envelope: Envelope) -> None:
+        """Send a recorded message as it was, with the time of its arrival at the recorder.
+
+        At QoS 0 and not retained, so that messages of all topics keep their order and none outlives a jump.
+        """
+        row = topic_of(envelope.topic)
+        if row is None or not self.connected:
+            self.dropped += 1
+            return
+        topic = replace(row, qos=0, retain=False)
+        name, payload = self._prefix + envelope.topic, codec.replayed(envelope.payload, envelope.received_ns)
+        self.messages_out += 1
+        if self._waiting or not self._ready():
             self._wait(name, payload, topic)
         else:
             self._send(name, payload, topic)

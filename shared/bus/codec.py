@@ -29,6 +29,12 @@ def signed(body: bytes, sender: Sender) -> bytes:
     return SENDER + encode(sender) + b"," + body[1:]
 
 
+def replayed(payload: bytes, recorded_ns: int) -> bytes:
+    """Add to the sender of a recorded payload when it arrived at the recorder."""
+    end = payload.find(b"}")
+    return payload[:end] + b',"recorded_ns":%d' % recorded_ns + payload[end:]
+
+
 def sender_of(payload: bytes) -> Sender:
     """Read who sent a payload, which is its first field, or raise `BadPayload`."""
     if len(payload) > MAXIMUM_PAYLOAD or not payload.startswith(SENDER):

@@ -18,6 +18,7 @@ class Envelope(NamedTuple):
     incarnation: int = 0
     sequence: int = 0
     retained: bool = False
+    recorded_ns: int | None = None  # arrival at the recorder, of a message that is replayed
 
     @classmethod
     def of(cls, topic: str, payload: bytes, received_ns: int, *, retained: bool = False) -> "Envelope":
@@ -25,7 +26,10 @@ class Envelope(NamedTuple):
         if topic_of(topic) is None:
             raise BadPayload(f"{topic} is no topic of the contract")
         sender = codec.sender_of(payload)
-        return cls(topic, payload, received_ns, sender.process, sender.incarnation, sender.sequence, retained)
+        return cls(
+            topic, payload, received_ns, sender.process, sender.incarnation, sender.sequence, retained,
+            sender.recorded_ns,
+        )  # fmt: skip
 
     def decode(self) -> Message:
         """Decode the payload, or raise `BadPayload`."""

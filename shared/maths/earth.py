@@ -37,6 +37,12 @@ def wrap_angle(angle: float) -> float:
     return pi if wrapped == -pi else wrapped
 
 
+def wrap_angles(angles: FloatArray) -> FloatArray:
+    """Wrap angles [rad] of any shape to (-pi, pi]."""
+    wrapped: FloatArray = np.pi - np.mod(np.pi - angles, 2.0 * np.pi)
+    return wrapped
+
+
 def gravity(latitude: float, height: float) -> float:
     """Magnitude of gravity, centrifugal acceleration included, along the ellipsoid normal.
 

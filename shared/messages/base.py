@@ -63,6 +63,7 @@ class Sender(Message):
     process: Name
     incarnation: Annotated[Nanoseconds, unit("ns")]  # start of that life on the OBU time line
     sequence: Annotated[Count, Field(ge=0, lt=LARGEST_NS)]
+    recorded_ns: Nanoseconds | None = None  # arrival at the recorder, of a message that is replayed
 
 
 class Stamped(Message):

@@ -175,14 +175,21 @@ class FilterState(Message):
 
 
 class TruthState(Message):
-    """Where the simulated vehicle really is; never for layers 2 to 4."""
+    """Where the vehicle really is, of the simulator or a reference; never for layers 2 to 4."""
 
     sampled_ns: Nanoseconds
     latitude_deg: Latitude
     longitude_deg: Longitude
     height_ellipsoid_m: Height
-    velocity_ned_m_s: Velocity3
-    roll_rad: float
-    pitch_rad: float
-    yaw_rad: float
-    angular_rate_body_rad_s: Vector3 | None = None  # not every reference tells it
+    velocity_ned_m_s: Velocity3 | None = None  # None: the reference does not hold it
+    roll_rad: float | None = None
+    pitch_rad: float | None = None
+    yaw_rad: float | None = None
+    angular_rate_body_rad_s: Vector3 | None = None
+
+    @property
+    def attitude_rad(self) -> Vector3 | None:
+        """Roll, pitch and yaw."""
+        if self.roll_rad is None or self.pitch_rad is None or self.yaw_rad is None:
+            return None
+        return self.roll_rad, self.pitch_rad, self.yaw_rad

@@ -122,17 +122,29 @@ class Recording:
                 break
 
     def _summary_channels(self) -> dict[int, Channel]:
-        """Read the channels of the summary, so that none is lost with the chunk in which it first occurs.
-
-        None of a recording that was not closed, or whose summary is damaged.
-        """
+        """Read the channels of the summary, so that none is lost with the chunk in which it first occurs."""
         channels: dict[int, Channel] = {}
+        list(_messages(self.summary(), channels))  # it holds no messages
+        return channels
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Topics that the summary names; none of a recording that was not closed."""
+        return frozenset(channel.topic for channel in self._summary_channels().values())
+
+    def summary(self) -> bytes:
+        """Give the summary section; empty for a recording that was not closed, or whose summary is damaged."""
         end = self.size - len(MAGIC) - FOOTER.size
         if end >= 0 and self._buffer[-len(MAGIC) :] == MAGIC:
             _, _, start, _, checksum = FOOTER.unpack(self._buffer[end : end + FOOTER.size])
-            if zlib.crc32(self._buffer[start : end + FOOTER.size - 4]) == checksum:
-                list(_messages(self._buffer[start:end], channels))  # it holds no messages
-        return channels
+            if start and zlib.crc32(self._buffer[start : end + FOOTER.size - 4]) == checksum:
+                return self._buffer[start:end]
+        return b""
+
+    def chunk_at(self, begin: int) -> bytes | None:
+        """Give the raw data of the chunk that begins at a byte; None if it is damaged."""
+        record = self._record(begin)
+        return None if record is None or record.opcode != Opcode.CHUNK else self._content(record)
 
     def _chunks(self) -> Iterator[bytes]:
         """Yield the raw data of each chunk; a record outside chunks comes as a chunk of its own.

@@ -16,8 +16,8 @@ SYSTEMD = ROOT / "deploy" / "systemd"
 SIMULATED, VEHICLE, ROADSIDE = "docker-compose.yml", "deploy/compose.vehicle.yml", "deploy/compose.rsu.yml"
 
 Service = dict[str, object]
-OBU = [row for row in PROCESSES if Role.OBU in row.roles]
-RSU = [row for row in PROCESSES if Role.RSU in row.roles]
+OBU = [row for row in PROCESSES if Role.OBU in row.roles and row.kind is not Kind.REPLAY]
+RSU = [row for row in PROCESSES if Role.RSU in row.roles and row.kind is not Kind.REPLAY]
 ON_REQUEST = (Kind.DEVICE_DRIVER, Kind.OPTIONAL)  # run where a profile asks for them
 DEVICES = [row for row in OBU if row.kind is Kind.DEVICE_DRIVER]
 
@@ -69,6 +69,9 @@ def test_every_process_of_a_road_side_unit_has_a_container_there_with_the_limits
     service = services_of(ROADSIDE).get(container(row), {})
     base = cast("dict[str, str]", service.get("extends", {"file": "", "service": ""}))
     origin = services_of(str((ROOT / "deploy" / base["file"]).resolve().relative_to(ROOT)))[base["service"]]
+    assert "extends" not in origin, (
+        "Compose seeks the file of a second `extends` from the project's folder, not its own"
+    )
     command = service.get("command", origin["command"])
     wanted = f"  {container(row)}:\n    extends: {{file: ../{SIMULATED}, service: core-trust}}\n" \
         f"    environment: *environment\n    command: [run, {row.name}]"  # fmt: skip

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from cli.recordings.onto_bus import play_onto
 from cli.recordings.record import record
-from cli.recordings.replay import replay
 from shared.bus.bus import Bus, Envelope
 from shared.devices import xbus
 from shared.errors import UserError
@@ -20,7 +20,7 @@ from shared.messages.base import Message
 from shared.messages.imu import ImuRaw
 from shared.messages.operation import DeadlineReport, Origin, OriginKind, Outage
 from shared.recording import Recording, RecordingWriter
-from shared.runtime.config import BrokerAddress
+from shared.runtime.config import BrokerAddress, broker_address
 from shared.topics import TOPICS, subscriptions
 from tests.support import brokers
 from tests.support.envelopes import sent, sent_bytes
@@ -218,7 +218,7 @@ def test_a_replay_sends_the_bytes_again_with_stamps_of_now_and_says_that_it_is_o
         writer.write(sent_bytes("mode/state", b'{"k":1}', stamp_ns, "controller.mode", 1, k + 1))
     writer.close()
     with ThreadPoolExecutor(1) as pool:
-        done = pool.submit(replay, path, 2.0, None, None)
+        done = pool.submit(play_onto, path, 2.0, broker_address(), None)
         unit.until(done.done)
     assert done.result() == 0
     unit.wait(0.3)
@@ -246,7 +246,7 @@ def test_a_replay_refuses_a_bus_that_carries_other_data(unit: Unit, tmp_path: Pa
     unit.wait(0.2)
 
     with pytest.raises(UserError, match=r"sensors\.imu already sends live data of car on this bus"):
-        replay(tmp_path / "drive.mcap", 1.0, None, None)
+        play_onto(tmp_path / "drive.mcap", 1.0, broker_address(), None)
 
 
 def test_commands_without_a_broker_say_what_to_try(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

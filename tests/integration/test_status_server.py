@@ -263,7 +263,7 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
     paths = get(server, "/openapi.json")["paths"]
     assert set(paths) == {
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
-        "/api/simulation", "/api/simulation/attack",
+        "/api/simulation", "/api/simulation/attack", "/api/replay",
     }  # fmt: skip
 
 

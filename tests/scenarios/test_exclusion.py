@@ -19,7 +19,6 @@ from tests.support.chain import Chain, attacked
 from tests.support.spoofing import SECOND_NS
 
 BEGIN_S, END_S, DURATION_S = 100.0, 130.0, 180.0
-pytestmark = pytest.mark.xdist_group("exclusion")  # one worker, for the runs are shared
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,6 @@ import pytest
 from benchmarks.integrity import report
 from benchmarks.integrity.simulated import CASES, Judged, judge_all
 
-pytestmark = pytest.mark.xdist_group("integrity")  # one worker, for the runs are shared
-
 
 @pytest.fixture(scope="module")
 def judged() -> list[Judged]:

@@ -9,8 +9,6 @@ from cli.papers import navigation as drives
 from cli.papers import outages, papers
 from shared.errors import UserError
 
-pytestmark = pytest.mark.xdist_group("papers_navigation")  # one worker, for the runs are shared
-
 
 @pytest.fixture(scope="module")
 def results() -> list[drives.Result]:

@@ -22,8 +22,6 @@ from cli.papers.spoofing.paper import (
 from services.core.spoofing.metrics import Metric
 from shared.errors import UserError
 
-pytestmark = pytest.mark.xdist_group("papers_spoofing")  # one worker, for the drives are shared
-
 
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:

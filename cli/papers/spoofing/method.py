@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from services.core.spoofing.compass import device_from_enu
 from services.core.spoofing.metrics import Metric
-from shared.maths.earth import STANDARD_GRAVITY
+from shared.maths.earth import STANDARD_GRAVITY, wrap_angles
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def gnss_rates(velocity_enu: FloatArray, *, filtered: bool = False, cut_off_hz: 
     course = np.arctan2(velocity_enu[:, 0], velocity_enu[:, 1])
     acceleration = np.diff(velocity_enu, axis=0)
     return Rates(
-        _wrapped(np.diff(course)),
+        wrap_angles(np.diff(course)),
         high_pass(acceleration, 1.0, cut_off_hz=cut_off_hz) if filtered else acceleration,
         0.5 * (velocity_enu[1:, 2] + velocity_enu[:-1, 2]),
     )
@@ -129,7 +129,7 @@ def sensor_rates(
     heading = np.arctan2(d_from_enu[:, 1, 0], d_from_enu[:, 1, 1])  # of the device's y axis
     acceleration = high_pass(np.einsum("nji,nj->ni", d_from_enu, force), float(rate_hz), cut_off_hz=cut_off_hz)
     whole = slice(0, len(force) // rate_hz * rate_hz, rate_hz)
-    return Rates(_wrapped(np.diff(heading[whole])), _second_means(acceleration, rate_hz), np.diff(height[whole]))
+    return Rates(wrap_angles(np.diff(heading[whole])), _second_means(acceleration, rate_hz), np.diff(height[whole]))
 
 
 def attitude_rates(
@@ -207,7 +207,3 @@ def window_mean(values: FloatArray) -> FloatArray:
     """Mean of each 5 successive seconds, shape (n - 4, ...)."""
     means: FloatArray = np.lib.stride_tricks.sliding_window_view(values, WINDOW, axis=0).mean(axis=-1)
     return means
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.core.toll.trackers.motion import arc, wrap
+from services.core.toll.trackers.motion import arc
 from services.core.toll.trackers.observation import ACCELERATION, HEADING, SPEED, YAW_RATE, Observation
+from shared.maths.earth import wrap_angles
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -108,7 +109,7 @@ def mixed(fine: int = 10) -> Trajectory:
 def _advance(state: FloatArray, dt: FloatArray) -> None:
     heading, speed, acceleration, yaw_rate = state[:, HEADING:].T
     state[:, :2] += arc(heading, speed, acceleration, yaw_rate, dt).displacement
-    state[:, HEADING] = wrap(state[:, HEADING] + state[:, YAW_RATE] * dt)
+    state[:, HEADING] = wrap_angles(state[:, HEADING] + state[:, YAW_RATE] * dt)
     state[:, SPEED] = np.maximum(state[:, SPEED] + state[:, ACCELERATION] * dt, 0.0)
 
 

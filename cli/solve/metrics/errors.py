@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import FloatArray, Geodetic, ned_track
+from shared.maths.earth import FloatArray, Geodetic, ned_track, wrap_angles
 from shared.messages.base import Vector3
 
 from ..attitude import rotations
@@ -94,8 +94,7 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
     if reference.velocity_n is not None:
         velocity = earlier.linear("velocity_north_m_s") + earlier.arm_velocity(arm) - reference.velocity_n[rows]
     if reference.attitude is not None:
-        difference = state.angles() - reference.attitude[rows]
-        attitude = (difference + np.pi) % (2.0 * np.pi) - np.pi
+        attitude = wrap_angles(state.angles() - reference.attitude[rows])
     angles = None if attitude is None else state.angles()
     return Errors(
         reference.stamps_ns[rows],
@@ -109,6 +108,13 @@ def errors_against(reference: Reference, track: Track, *, lever_arm_b: Vector3) 
         state.linear("protection_level_horizontal_m", 2),
         stated,
     )
+
+
+def angles_at(track: Track, stamps_ns: Stamps) -> FloatArray:
+    """Roll, pitch and yaw [rad] of a track at given times, shape (n, 3); outside it those of its first or last row."""
+    angles = np.unwrap(track.columns("roll_rad"), axis=0)
+    found: FloatArray = np.column_stack([np.interp(stamps_ns, track.stamps_ns, column) for column in angles.T])
+    return found
 
 
 def _distance(geodetic: FloatArray) -> FloatArray:

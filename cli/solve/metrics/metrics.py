@@ -14,11 +14,19 @@ from ..track import Track
 from .counters import Counters
 from .drift import Drift, drifts, horizontal_error
 from .errors import Errors
+from .gnss_alone import GnssAlone
 from .integrity import INTEGRITY, integrity_metrics
 from .mounting import without_mounting
 
 Value = float | int | None
 
+GNSS_ALONE: dict[str, str] = {
+    "gnss_alone_count": "fixes given to the filter that are compared with an independent truth, at the antenna",
+    "gnss_alone_horizontal_rmse_m": "horizontal error of these fixes: GNSS alone, root mean square",
+    "gnss_alone_vertical_rmse_m": "vertical error of these fixes, root mean square",
+    "at_fixes_horizontal_rmse_m": "horizontal error of the solution at these fixes, root mean square",
+    "at_fixes_vertical_rmse_m": "vertical error of the solution at these fixes, root mean square",
+}
 # Name and meaning of each metric, in the order of the files; docs/reference/metrics.md is printed from here.
 METRICS: dict[str, str] = {
     "duration_s": "length of the recording, from its first input to its last",
@@ -55,6 +63,7 @@ METRICS: dict[str, str] = {
     "yaw_rmse_mounted_rad": "heading error after removal of the mounting rotation, root mean square",
     "within_3_sigma_fraction": "fraction of the position errors (north, east and down counted separately) within three "
     "standard deviations: 0.997 for a consistent filter",
+    **GNSS_ALONE,
     "outage_count": "number of evaluated GNSS outages made by --outage",
     "outage_end_error_median_m": "horizontal error at the end of an outage (last truth), median of the outages",
     "outage_end_error_p95_m": "horizontal error at the end of an outage, 95th percentile",
@@ -86,6 +95,7 @@ class Run:
     fixes_removed: int
     scored_from_ns: int = 0  # errors before this time are excluded, except in outages
     alert_limits_m: tuple[float, float] = (10.0, 20.0)  # horizontal, vertical
+    gnss_alone: GnssAlone | None = None
 
     def scored(self) -> Errors | None:
         """The errors that are evaluated."""
@@ -120,6 +130,7 @@ def metrics_of(run: Run) -> dict[str, Value]:
         "filter_resets": None if run.counters.state is None else run.counters.state.resets,
         **_innovations(run.counters),
         **({} if scored is None else _against_truth(scored)),
+        **({} if run.gnss_alone is None else _gnss_alone(run.gnss_alone.since(run.scored_from_ns))),
         **({} if scored is None else integrity_metrics(scored, run.alert_limits_m)),
         **(_outages(run.drifts()) if run.gaps and run.errors and run.errors.position_n is not None else {}),
     }
@@ -167,6 +178,17 @@ def _against_truth(errors: Errors) -> dict[str, Value]:
             **_mounted(errors),
         }
     return found
+
+
+def _gnss_alone(found: GnssAlone) -> dict[str, Value]:
+    known = ~np.isnan(found.gnss_n[:, 2])  # fixes with a height
+    return {
+        "gnss_alone_count": len(found),
+        "gnss_alone_horizontal_rmse_m": _rms(horizontal_error(found.gnss_n)),
+        "gnss_alone_vertical_rmse_m": _rms(found.gnss_n[known, 2]),
+        "at_fixes_horizontal_rmse_m": _rms(horizontal_error(found.solution_n)),
+        "at_fixes_vertical_rmse_m": _rms(found.solution_n[known, 2]),
+    }
 
 
 def _mounted(errors: Errors) -> dict[str, Value]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from math import degrees
 
+from ..metrics.gnss_alone import WORSE
 from ..metrics.metrics import METRICS, Value
 from ..smoothing import SMOOTHED_METRICS
 from .plots import Figure
@@ -84,6 +85,7 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
             f"Position error: {_metres(metrics['horizontal_rmse_m'])} horizontal RMS (95th percentile "
             f"{_metres(metrics['horizontal_p95_m'])}), {_metres(metrics['vertical_rmse_m'])} vertical RMS."
         )
+    found += against_gnss(metrics)
     if metrics["outage_count"]:
         gap_s, _, period_s = (heading.outage or "").partition("@")[0].partition("/")
         often = "once" if metrics["outage_count"] == 1 else f"{metrics['outage_count']} times"
@@ -109,6 +111,33 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
     found.append(f"Truth: {heading.truth}.")
     if heading.made:
         found.append(heading.made)
+    return found
+
+
+def against_gnss(metrics: dict[str, Value]) -> list[str]:
+    """Compare the solution with GNSS alone at the same times; state if it is worse. Empty without a comparison."""
+    gnss, fused = (
+        (metrics.get(f"{name}_horizontal_rmse_m"), metrics.get(f"{name}_vertical_rmse_m"))
+        for name in ("gnss_alone", "at_fixes")
+    )
+    if gnss[0] is None or fused[0] is None:
+        return []
+    shown = ", ".join(
+        f"{_metres(a)} {axis} RMS (fused {_metres(b)})"
+        for axis, a, b in zip(("horizontal", "vertical"), gnss, fused, strict=True)
+        if a is not None and b is not None
+    )
+    axes = [
+        axis
+        for axis, a, b in zip(("horizontally", "vertically"), gnss, fused, strict=True)
+        if a is not None and b is not None and b > WORSE * a
+    ]
+    found = [f"GNSS alone at the same {metrics['gnss_alone_count']} fixes: {shown}."]
+    if axes:
+        found.append(
+            f"Fusion is worse than GNSS alone {' and '.join(axes)}: check lever arm, axes and delays, or the settings "
+            "of the GNSS error model."
+        )
     return found
 
 

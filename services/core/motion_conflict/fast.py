@@ -97,8 +97,3 @@ def fast_statistic(
         variance, half_width = variance + half_width**2 / (3.0 * len(pairs)), 0.0
     probability = tail_probability(difference, sd=sqrt(variance), half_width=half_width)
     return float(chdtri(1, max(probability, LEAST_PROBABILITY)))
-
-
-def threshold(false_alarm_rate: float) -> float:
-    """Chi-square quantile with one degree of freedom: T exceeds it with the given probability per window."""
-    return float(chdtri(1, false_alarm_rate))

@@ -4,6 +4,8 @@ from dataclasses import fields, replace
 
 from scipy.special import ndtri
 
+from shared.maths.quantiles import chi_square_limit
+
 from . import fast
 from .aligned import SECOND_NS
 from .calibration import LEARNED_DELAY_SD_S, SCALE_LIMIT, STEP_LIMIT, STEP_WINDOW_S, Calibration, RecentScale
@@ -46,7 +48,7 @@ class MotionMonitor(SpeedComparison):
     def __init__(self, settings: Settings | None = None, *, start: Calibration | None = None) -> None:
         super().__init__(settings, start=start)
         self._newest = MotionVerdicts(**{field.name: self._base(0.0, "") for field in fields(MotionVerdicts)})
-        self._fast_limit = fast.threshold(self.settings.fast_false_alarm_rate)
+        self._fast_limit = chi_square_limit(1, self.settings.fast_false_alarm_rate)
 
     def verdicts(self, time_ns: int) -> MotionVerdicts:
         """Give all verdicts at a time that is not before any stamp used."""

@@ -4,6 +4,7 @@ import logging
 import os
 import socket
 import threading
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -14,9 +15,11 @@ from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
 from shared.runtime.config import Section, parse_vehicle
 
+from .replay import ReplayFeed
 from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.pages import read_pages
+from .web.replay import ReplayApi
 from .web.routes import Api, make_app, make_server
 from .web.simulation import SimulationApi
 from .web.websocket import Stream
@@ -35,6 +38,7 @@ class Config(Section):
     history_s: float = Field(default=900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
+    replay: bool = False  # the messages are those of sensors.replay: show recorded time; `obu replay` sets it
     clients_maximum: int = Field(default=16, ge=1, le=256)
 
 
@@ -50,29 +54,45 @@ class Process:
         (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)  # of an earlier life
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
-        state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s)
+        state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s, replay=self._config.replay)
         lock = threading.Lock()
-        simulation = SimulationApi(state, lock, bus.now_ns)
-        server = self._make_server(state, lock, bus, simulation)
+        feed = ReplayFeed(state) if self._config.replay else None
+        now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
+        simulation = SimulationApi(state, lock, now_ns)
+        replay = ReplayApi(feed, lock, bus.now_ns)
+        server = self._make_server(state, lock, bus, now_ns, (simulation, replay))
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
         self._announce(listener, bus)  # before the server can fail and close the port
         thread.start()
         while not bus.stopping:
-            take_in(bus, state, lock)
-            while not simulation.commands.empty():
-                bus.publish(simulation.commands.get_nowait())
+            if feed is None:
+                take_in(bus, state, lock)
+            else:
+                take_in_replay(bus, state, lock, feed)
+                replay.refresh(connected=bus.connected)
+            for commands in (simulation.commands, replay.commands):
+                while not commands.empty():
+                    bus.publish(commands.get_nowait())
             if not thread.is_alive():
                 raise ObuError("the web server has ended; the line before says why")
         server.should_exit = True
         thread.join(3.0)
         (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)
 
-    def _make_server(self, state: State, lock: threading.Lock, bus: Bus, simulation: SimulationApi) -> uvicorn.Server:
+    def _make_server(
+        self,
+        state: State,
+        lock: threading.Lock,
+        bus: Bus,
+        now_ns: Callable[[], int],
+        apis: tuple[SimulationApi, ReplayApi],
+    ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
-        collector = StateCollector(state, bus.now_ns, lock, software_version())
-        api = Api(state, lock, bus.now_ns, registry_of(collector), self._config.history_s)
-        stream = Stream(state, lock, bus.now_ns, self._config.clients_maximum)
-        app = make_app(api, simulation, read_pages(folder), stream, self._config.allowed_hosts)
+        simulation, replay = apis
+        collector = StateCollector(state, now_ns, lock, software_version())
+        api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
+        stream = Stream(state, lock, now_ns, self._config.clients_maximum, replay)
+        app = make_app(api, (simulation, replay), read_pages(folder), stream, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:
@@ -94,6 +114,16 @@ def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
                 bus.rejects["payload"] += 1
                 bus.last_error = str(error)[:400]
         state.tick(bus.now_ns(), broker=bus.connected)
+
+
+def take_in_replay(bus: Bus, state: State, lock: threading.Lock, feed: ReplayFeed) -> None:
+    """Receive once from a replay, and let recorded time pass."""
+    envelopes = bus.receive(0.02)
+    with lock:
+        feed.take(envelopes, bus.now_ns())
+        bus.rejects["payload"] = feed.broken
+        state.pass_to(feed.now_ns(bus.now_ns()))
+        state.broker = bus.connected and not feed.lost(bus.now_ns())
 
 
 def listen(host: str, port: int) -> socket.socket:

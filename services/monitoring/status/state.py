@@ -47,8 +47,11 @@ WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s"
 class State:
     """The newest of everything: topics, processes, verdict, history, outages."""
 
-    def __init__(self, vehicle: str, expected: Sequence[str], started_ns: int, history_s: float) -> None:
+    def __init__(
+        self, vehicle: str, expected: Sequence[str], started_ns: int, history_s: float, *, replay: bool = False
+    ) -> None:
         self.vehicle, self.expected, self.started_ns = vehicle, frozenset(expected), started_ns
+        self.history_s, self.replay = history_s, replay  # of a replay, silence is part of the recording
         self.topics = {t.name: TopicFlow(t.name, t) for t in TOPICS if not t.per_process}
         self.processes = {name: ProcessFlow(name) for name in PROCESS_ROWS}
         self.judgement: Judgement = unavailable(self.expected, None)
@@ -68,6 +71,27 @@ class State:
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
         self._next_sample_ns = self._next_second_ns = started_ns
+
+    def clear(self, started_ns: int) -> None:
+        """Forget everything, as after a start at another time: a replay jumped."""
+        vars(self).update(
+            vars(State(self.vehicle, tuple(self.expected), started_ns, self.history_s, replay=self.replay))
+        )
+
+    def recall(self, changes: Iterable[tuple[int, str]], outages: Iterable[Outage]) -> None:
+        """Insert what happened before everything that is known: changes of the verdict, and outages."""
+        known = tuple(self.trust_history.changes)
+        earliest_ns = min((stamp_ns for stamp_ns, _ in known), default=None)
+        before = [change for change in changes if earliest_ns is None or change[0] < earliest_ns]
+        self.trust_history.changes.clear()
+        self.trust_history.changes.extend([*before, *known])
+        for outage in outages:
+            self.outages.note(outage)
+
+    def pass_to(self, now_ns: int) -> None:
+        """Let time pass up to the arrival of the next message of a replay; it never goes back."""
+        if now_ns > self._ticked_ns:
+            self.tick(now_ns, broker=True)
 
     def receive(self, envelope: Envelope) -> None:
         """Take one message; raises `BadPayload` if it cannot be read."""
@@ -171,7 +195,7 @@ class State:
 
     def _broker_lost(self, now_ns: int) -> bool:
         """Whether nothing is delivered any more, not even our own heartbeat."""
-        return now_ns - self._received_ns >= BROKER_SILENT_NS
+        return not self.replay and now_ns - self._received_ns >= BROKER_SILENT_NS
 
     def _judge(self, now_ns: int, *, connected: bool) -> None:
         self.judgement = self._find_judgement(now_ns, connected=connected)
@@ -192,6 +216,8 @@ class State:
         """
         report = self.newest(DeadlineReport, "deadline/report", now_ns)
         reported_ns = self.topics["deadline/report"].updated_ns or 0
+        if self.replay and report is None:
+            return unavailable(self.expected, None)  # none was recorded
         overdue = self._received_ns - max(reported_ns, self._broker_back_ns) >= REPORT_DEADLINE_NS
         if self._broker_lost(now_ns):
             return unavailable(self.expected, broker_problem(self._received_ns, connected=connected))
@@ -244,7 +270,7 @@ class State:
         if odometer := self.odometer(now_ns):
             row["speed_odometer_m_s"] = odometer[0]
         if truth := self.newest(TruthState, "truth/state", now_ns, live=True):
-            row["speed_truth_m_s"] = hypot(*truth.velocity_ned_m_s[:2])
+            row["speed_truth_m_s"] = hypot(*truth.velocity_ned_m_s[:2]) if truth.velocity_ned_m_s else None
             if solution and (offset := offset_m(solution, truth)):
                 row["position_error_m"] = hypot(*offset)
         return row

@@ -38,7 +38,7 @@ class TruthCheck:
         before_ns, self._compared_ns = self._compared_ns, None
         if solution is None or truth is None or trust is None or (offset := offset_m(solution, truth)) is None:
             return
-        fall = truth.velocity_ned_m_s[2] * (solution.sampled_ns - truth.sampled_ns) / NS
+        fall = (truth.velocity_ned_m_s or (0.0, 0.0, 0.0))[2] * (solution.sampled_ns - truth.sampled_ns) / NS
         horizontal, vertical = hypot(*offset), abs(solution.height_ellipsoid_m - truth.height_ellipsoid_m + fall)
         above = horizontal > trust.alert_limit_horizontal_m or vertical > trust.alert_limit_vertical_m
         self.newest, self._compared_ns = Comparison(horizontal, vertical, above), now_ns

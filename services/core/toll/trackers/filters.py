@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.earth import wrap_angles
 from shared.maths.kalman import correct, predict
 
 from .models import Cruise, Ctra, Model
-from .motion import FloatArray, wrap
+from .motion import FloatArray
 from .observation import ACCELERATION, HEADING, SIZE, SPEED, BoolArray, Observation
 
 # Standard deviations at the start of what the first CAM does not say, by component of a CAM.
@@ -102,7 +103,7 @@ class Tracker:
             predicted = _turned(predicted, measured, has)
         z = measured - predicted.x
         if predicted.heading is not None:
-            z[..., predicted.heading] = wrap(z[..., predicted.heading])
+            z[..., predicted.heading] = wrap_angles(z[..., predicted.heading])
         R = np.stack([one.R for one in seen], axis=1)
         H = np.eye(z.shape[-1]) * has[..., None, :]
         # A row of zeros in z and H with unit noise of its own changes neither the state nor the ratio of likelihoods.
@@ -110,7 +111,7 @@ class Tracker:
         correction = correct(predicted.P, np.where(has, z, 0.0), H, R)
         x = predicted.x + correction.x
         if predicted.heading is not None:
-            x[..., predicted.heading] = wrap(x[..., predicted.heading])
+            x[..., predicted.heading] = wrap_angles(x[..., predicted.heading])
         log_likelihood = -0.5 * (correction.distance2 + np.linalg.slogdet(correction.S)[1])
         weight = predicted.probability * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
         return Estimates(x, correction.P, weight / weight.sum(axis=1, keepdims=True), predicted.heading)
@@ -128,13 +129,13 @@ def _turned(predicted: Estimates, z: FloatArray, has: BoolArray) -> Estimates:
     (θ, v, a, w) and (θ + π, -v, -a, w) describe the same motion, so this changes no prediction.
     """
     heading = predicted.x[..., HEADING]
-    opposite = has[..., HEADING] & (np.abs(wrap(z[..., HEADING] - heading)) > 0.5 * np.pi)
+    opposite = has[..., HEADING] & (np.abs(wrap_angles(z[..., HEADING] - heading)) > 0.5 * np.pi)
     sign = np.ones_like(predicted.x)
     sign[..., SPEED] = np.where(opposite, -1.0, 1.0)
     if predicted.x.shape[-1] == SIZE:
         sign[..., ACCELERATION] = sign[..., SPEED]
     x = predicted.x * sign
-    x[..., HEADING] = np.where(opposite, wrap(heading + np.pi), heading)
+    x[..., HEADING] = np.where(opposite, wrap_angles(heading + np.pi), heading)
     return replace(predicted, x=x, P=predicted.P * sign[..., :, None] * sign[..., None, :])
 
 
@@ -151,11 +152,11 @@ def _mixture(estimates: Estimates, weights: FloatArray) -> tuple[FloatArray, Flo
     reference = estimates.x[:, :1]
     away = estimates.x - reference
     if estimates.heading is not None:
-        away[..., estimates.heading] = wrap(away[..., estimates.heading])
+        away[..., estimates.heading] = wrap_angles(away[..., estimates.heading])
     mean = weights @ away
     spread = away[:, None] - mean[:, :, None]  # shape (n, mixtures, m, size)
     P = estimates.P[:, None] + spread[..., :, None] * spread[..., None, :]
     x = mean + reference
     if estimates.heading is not None:
-        x[..., estimates.heading] = wrap(x[..., estimates.heading])
+        x[..., estimates.heading] = wrap_angles(x[..., estimates.heading])
     return x, np.einsum("njm,njmab->njab", weights, P)

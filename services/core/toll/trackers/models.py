@@ -8,7 +8,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from .motion import FloatArray, arc, integrated_noise, wrap
+from shared.maths.earth import wrap_angles
+
+from .motion import FloatArray, arc, integrated_noise
 from .observation import ACCELERATION, HEADING, SIZE, SPEED, YAW_RATE, Observation, X, Y, cartesian
 
 JERK_DENSITY = 0.225  # [m²/s⁵] of white jerk: as much as 1.5 m/s³ that is drawn anew every 0.1 s
@@ -98,7 +100,7 @@ class Ctra:
         moved = x.copy()
         displacement, jacobian = arc(heading, speed, acceleration, yaw_rate, dt)
         moved[:, :2] += displacement
-        moved[:, HEADING] = wrap(heading + yaw_rate * dt)
+        moved[:, HEADING] = wrap_angles(heading + yaw_rate * dt)
         moved[:, SPEED] += acceleration * dt
         Phi = np.eye(SIZE) + np.zeros((len(x), 1, 1))
         Phi[:, :2, HEADING:] = jacobian
@@ -138,7 +140,7 @@ class Ctrv:
         moved = x.copy()
         displacement, jacobian = arc(heading, speed, np.zeros_like(speed), yaw_rate, dt)
         moved[:, :2] += displacement
-        moved[:, HEADING] = wrap(heading + yaw_rate * dt)
+        moved[:, HEADING] = wrap_angles(heading + yaw_rate * dt)
         Phi = np.eye(self.size) + np.zeros((len(x), 1, 1))
         Phi[:, :2, HEADING:] = jacobian[..., [0, 1, 3]]
         Phi[:, HEADING, self.size - 1] = dt

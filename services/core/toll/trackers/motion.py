@@ -21,12 +21,6 @@ class Arc(NamedTuple):
     jacobian: FloatArray  # shape (..., 2, 4): with respect to heading, speed, acceleration and yaw rate
 
 
-def wrap(angle: FloatArray) -> FloatArray:
-    """Wrap angles [rad] to (-pi, pi]."""
-    wrapped: FloatArray = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
-    return wrapped
-
-
 def arc(heading: FloatArray, speed: FloatArray, acceleration: FloatArray, yaw_rate: FloatArray, dt: FloatArray) -> Arc:
     """Displacement with constant acceleration and constant yaw rate (CTRA); CTRV and straight lines are its limits.
 

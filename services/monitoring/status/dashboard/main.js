@@ -158,6 +158,16 @@ function LostBar() {
     <p class=${shownGap === null ? "sr" : "bar back"} role="status">${shownGap === null ? "" : words.lost.back(duration(shownGap))}</p>`;
 }
 
+// The bar of a replay is loaded with the first frame of one.
+function Replay() {
+  const [Bar, setBar] = useState(null);
+  const replay = Boolean(state.value?.replay);
+  useEffect(() => {
+    if (replay && !Bar) import("./replay.js").then((m) => setBar(() => m.ReplayBar), () => {}); // or when the connection is back
+  }, [replay, link.value.open]);
+  return replay && Bar ? html`<${Bar} />` : null;
+}
+
 function Navigation({ page }) {
   const problems = state.value?.problems.length ?? 0;
   return html`<nav class="pages" aria-label=${words.navigation}><ul>
@@ -250,7 +260,7 @@ function App() {
   return html`<a class="skip" href="#content" onClick=${(e) => { e.preventDefault(); heading.current.focus(); }}>${words.skip}</a>
     <${Header} onHelp=${() => setDrawer("help")} />
     <${Banner} onWhy=${() => setDrawer("why")} />
-    <${LostBar} />
+    <${Replay} /><${LostBar} />
     <div class="body"><${Navigation} page=${page} />
       <main id="content" class=${link.value.open || !ready ? "" : "disconnected"}><h1 class="sr" ref=${heading} tabindex="-1">${words.pages[page]}</h1>${shown}</main></div>
     <${Footer} />

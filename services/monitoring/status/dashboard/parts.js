@@ -29,6 +29,8 @@ const SHAPES = {
   close: html`<path d="m6 6 12 12M18 6 6 18" class="line" />`,
   plus: html`<path d="M12 5v14M5 12h14" class="line" />`,
   minus: html`<path d="M5 12h14" class="line" />`,
+  play: html`<path d="M7 4.5v15l12-7.5z" fill="currentColor" />`,
+  pause: html`<path d="M8 5v14M16 5v14" class="line" />`,
   next: html`<path d="m9 5 7 7-7 7" class="line" />`,
 };
 

@@ -4,6 +4,8 @@ import { signal } from "@preact/signals";
 const BACKOFF_S = [0.5, 1, 2, 5];
 const FRAME_OVERDUE_S = 2; // frames come five times a second
 const HISTORY_S = 60;
+const RECALL_MS = 150; // after the last of several jumps
+const PLOTTED = ["latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s"];
 
 export const state = signal(null);
 export const contract = signal(null);
@@ -15,11 +17,13 @@ export const settings = signal(read("obu-settings", { theme: "auto", headingUp: 
 
 export let history = { time_ns: [], fields: {} };
 
-let offsetMs = null; // server time minus performance.now()
+let newest = null; // time of the newest frame [ms], performance.now() then, and how fast that time runs
 let lastFrameAt = 0;
 let sequence = -1;
 let version = null;
 let socket = null;
+let epoch; // jumps of a replay
+let recalling = null;
 let held = null; // what came while the display is paused
 
 export function remember(changes) {
@@ -39,8 +43,8 @@ function read(key, fallback) {
   }
 }
 
-// Milliseconds on the unit's time line; it goes on between frames.
-export const nowMs = () => (offsetMs === null ? null : performance.now() + offsetMs);
+// Milliseconds on the unit's time line; it goes on between frames, at the speed of a replay.
+export const nowMs = () => (newest === null ? null : newest.ms + (performance.now() - newest.at) * newest.rate);
 export const frameAgeS = () => (lastFrameAt ? (performance.now() - lastFrameAt) / 1000 : null);
 export const brokerAnswers = () => link.value.open && state.value.chain.broker.ok; // else no process is known
 export const isLive = () => link.value.open && frameAgeS() !== null && frameAgeS() < FRAME_OVERDUE_S;
@@ -89,6 +93,22 @@ function note(view) {
   for (const column of Object.values(history.fields)) column.splice(0, column.length - history.time_ns.length);
 }
 
+// After a jump of a replay the plots show the minute before the new position.
+function recall() {
+  history = { time_ns: [], fields: {} };
+  clearTimeout(recalling);
+  recalling = setTimeout(async () => {
+    const jump = epoch;
+    try {
+      const answer = await fetch(`/api/history?seconds=${HISTORY_S}&fields=${PLOTTED.join(",")}`, { signal: AbortSignal.timeout(3000) });
+      const past = await answer.json();
+      if (answer.ok && jump === epoch) history = past;
+    } catch {
+      // The plots then begin at the new position.
+    }
+  }, RECALL_MS);
+}
+
 function take(frame) {
   lastFrameAt = performance.now();
   if (frame.kind === "snapshot") {
@@ -102,7 +122,10 @@ function take(frame) {
     held = merge(held, frame.state);
   }
   sequence = frame.sequence;
-  offsetMs = held.now_ns / 1e6 - performance.now();
+  const replay = held.replay;
+  newest = { ms: held.now_ns / 1e6, at: lastFrameAt, rate: !replay ? 1 : replay.playing ? replay.speed : 0 };
+  if (replay && replay.epoch !== epoch && frame.kind === "difference") recall();
+  epoch = replay?.epoch;
   if (frame.kind === "difference") note(held);
   if (!paused.value) state.value = held;
 }

@@ -1,12 +1,14 @@
 """What the close-up view draws: the 95 % error ellipse of a covariance, and offsets on the ground."""
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, log, radians, sqrt
+from math import atan2, cos, hypot, log, radians, remainder, sqrt
 
 from shared.maths.ellipsoid import curvature_radii
 from shared.messages.base import Symmetric3
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution, TruthState
+
+LatitudeLongitude = tuple[float, float]  # [deg, deg]
 
 CHI_SQUARE_95_TWO = -2.0 * log(0.05)  # 95 % quantile: with two degrees of freedom it is closed
 
@@ -63,6 +65,16 @@ def vertical_sd(covariance_ned: Symmetric3) -> float:
     return sqrt(max(covariance_ned[5], 0.0))
 
 
+def ground_offset(point: LatitudeLongitude, origin: LatitudeLongitude) -> tuple[float, float]:
+    """Give the metres north and east of an origin [deg, deg], by the radii of curvature there."""
+    latitude = radians(origin[0])
+    meridian, transverse = curvature_radii(latitude)
+    return (
+        radians(point[0] - origin[0]) * meridian,
+        radians(remainder(point[1] - origin[1], 360.0)) * transverse * cos(latitude),
+    )
+
+
 def offset_m(solution: NavigationSolution, reference: TruthState | GnssFix) -> tuple[float, float] | None:
     """Tell how far a solution is from a reference, north and east [m]; None if the reference has no position.
 
@@ -73,8 +85,7 @@ def offset_m(solution: NavigationSolution, reference: TruthState | GnssFix) -> t
     if reference.latitude_deg is None or reference.longitude_deg is None:
         return None
     delay_s = (solution.sampled_ns - reference.sampled_ns) * 1e-9
-    latitude = radians(reference.latitude_deg)
-    meridian, transverse = curvature_radii(latitude)
-    north = radians(solution.latitude_deg - reference.latitude_deg) * meridian
-    east = radians(solution.longitude_deg - reference.longitude_deg) * transverse * cos(latitude)
+    north, east = ground_offset(
+        (solution.latitude_deg, solution.longitude_deg), (reference.latitude_deg, reference.longitude_deg)
+    )
     return north - velocity[0] * delay_s, east - velocity[1] * delay_s

@@ -292,7 +292,7 @@ def _truth(state: State, now_ns: int) -> Json | None:
         "updated_ns": state.topics["truth/state"].updated_ns,
         "latitude_deg": round(truth.latitude_deg, 9),
         "longitude_deg": round(truth.longitude_deg, 9),
-        "speed_m_s": round(hypot(*truth.velocity_ned_m_s[:2]), 3),
+        "speed_m_s": round(hypot(*truth.velocity_ned_m_s[:2]), 3) if truth.velocity_ned_m_s else None,
         "error_north_m": round(error[0], 3) if error else None,
         "error_east_m": round(error[1], 3) if error else None,
     }

@@ -1,9 +1,7 @@
 """The toll plaza as JSON for the dashboard: everything in metres north and east of the antenna, with its stamps."""
 
-from math import cos, radians
 from typing import TYPE_CHECKING
 
-from shared.maths.ellipsoid import curvature_radii
 from shared.messages.toll import (
     LedgerState,
     PlazaDescription,
@@ -14,6 +12,7 @@ from shared.messages.toll import (
 )
 
 from .banner import Check, Trust, Verdict
+from .geometry import ground_offset
 
 if TYPE_CHECKING:
     from ..state import State
@@ -147,8 +146,7 @@ def _tracks(message: TollTracks, description: PlazaDescription) -> list[Json]:
 def _plane(point: Position | TollTrack, description: PlazaDescription) -> tuple[float, float]:
     """Metres north and east of the antenna, by the radii of curvature there."""
     antenna = description.antenna
-    latitude = radians(antenna.latitude_deg)
-    meridian, transverse = curvature_radii(latitude)
-    north = radians(point.latitude_deg - antenna.latitude_deg) * meridian
-    east = radians(point.longitude_deg - antenna.longitude_deg) * transverse * cos(latitude)
+    north, east = ground_offset(
+        (point.latitude_deg, point.longitude_deg), (antenna.latitude_deg, antenna.longitude_deg)
+    )
     return round(north, 2), round(east, 2)

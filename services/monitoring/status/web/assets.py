@@ -21,6 +21,7 @@ PAGES = (
     "toll.js",
     "system.js",
     "inspector.js",
+    "replay.js",
 )
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",

@@ -18,6 +18,7 @@ from ..state import State
 from ..views import prometheus, reports
 from . import assets, hosts
 from .pages import Pages
+from .replay import ReplayApi
 from .simulation import SimulationApi
 from .websocket import Stream
 
@@ -119,7 +120,11 @@ class Guard:
 
 
 def make_app(
-    api: Api, simulation: SimulationApi, pages: Pages, stream: Stream, allowed_hosts: tuple[str, ...]
+    api: Api,
+    commands: tuple[SimulationApi, ReplayApi],
+    pages: Pages,
+    stream: Stream,
+    allowed_hosts: tuple[str, ...],
 ) -> FastAPI:
     """Put the routes together."""
 
@@ -133,7 +138,8 @@ def make_app(
     app = FastAPI(title="On-board unit", docs_url=None, redoc_url=None, lifespan=lifespan)
     stream.version = pages.version
     api.add_to(app)
-    simulation.add_to(app)
+    for command in commands:
+        command.add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
     app.add_api_websocket_route("/ws", stream.serve)
     app.include_router(pages.router())

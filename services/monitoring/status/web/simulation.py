@@ -14,9 +14,8 @@ from shared.messages.simulation import AttackCommand, SimulationAttack
 
 from ..state import State
 from ..views import simulation as views
-from . import hosts
+from . import body, hosts
 
-BODY_BYTES = 2048
 WAITING = 8  # commands that are not yet published
 BODY = {"content": {"application/json": {"schema": SimulationAttack.model_json_schema()}}, "required": True}
 
@@ -52,7 +51,7 @@ class SimulationApi:
             raise HTTPException(
                 409, "the data of this unit are not simulated, so nothing can be attacked; run obu demo"
             )
-        command = _command(await _body(request))
+        command = _command(await body.read(request))
         try:
             self.commands.put_nowait(command)
         except Full as error:
@@ -60,19 +59,10 @@ class SimulationApi:
         return _json({"request_id": command.request_id}, 202)
 
 
-async def _body(request: Request) -> bytes:
-    data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > BODY_BYTES:
-            raise HTTPException(413, f"a command has at most {BODY_BYTES} bytes")
-    return data
-
-
-def _command(body: bytes) -> SimulationAttack:
+def _command(data: bytes) -> SimulationAttack:
     """Read a command; what is wrong with it is the answer."""
     try:
-        given = from_json(body, allow_inf_nan=False)
+        given = from_json(data, allow_inf_nan=False)
         if not isinstance(given, dict):
             raise ValueError('a command is an object such as {"command": "start", "attack": "drag_off"}')
         command = SimulationAttack.model_validate_json(to_json({**given, "request_id": uuid4().hex[:12]}))

@@ -13,6 +13,7 @@ from ..views.patch import difference
 from ..views.snapshot import Json
 from . import hosts
 from .clients import Client, Clients
+from .replay import ReplayApi
 
 PERIOD_S = 0.2
 PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s")
@@ -22,8 +23,14 @@ class Stream:
     """Compares the state with what browsers have been told, and tells them the difference."""
 
     def __init__(
-        self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int], clients_maximum: int
+        self,
+        state: State,
+        lock: AbstractContextManager[object],
+        now_ns: Callable[[], int],
+        clients_maximum: int,
+        replay: ReplayApi,
     ) -> None:
+        self._replay = replay
         self._state, self._lock, self._now_ns = state, lock, now_ns
         self.clients = Clients(clients_maximum)
         self._told: Json = {}
@@ -33,7 +40,7 @@ class Stream:
     async def run(self) -> None:
         """Send a frame each period while somebody watches."""
         while True:
-            await asyncio.sleep(PERIOD_S)
+            await self._replay.pause(PERIOD_S)
             if len(self.clients):
                 self.clients.broadcast(self.difference())
 
@@ -79,7 +86,7 @@ class Stream:
 
     def _view(self) -> Json:
         with self._lock:
-            return snapshot.dashboard(self._state, self._now_ns())
+            return {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
 
 
 async def _write(socket: WebSocket, client: Client) -> None:

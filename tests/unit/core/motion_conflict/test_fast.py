@@ -8,8 +8,9 @@ from scipy.integrate import quad
 from scipy.stats import binom, chi2, norm
 
 from services.core.motion_conflict.aligned import AlignedPair
-from services.core.motion_conflict.fast import fast_statistic, tail_probability, threshold
+from services.core.motion_conflict.fast import fast_statistic, tail_probability
 from shared.maths.correlated_noise import mean_variance
+from shared.maths.quantiles import chi_square_limit
 
 SECOND_NS = 1_000_000_000
 STEP = 1.0 / 3.6
@@ -43,13 +44,13 @@ def test_the_variance_of_a_mean_lies_between_that_of_white_and_of_constant_error
 
 @pytest.mark.parametrize("rate", [1e-2, 1e-3, 1e-5])
 def test_the_threshold_is_the_chi_square_quantile_and_not_its_square(rate: float) -> None:
-    assert threshold(rate) == pytest.approx(chi2.isf(rate, 1), rel=1e-9)
+    assert chi_square_limit(1, rate) == pytest.approx(chi2.isf(rate, 1), rel=1e-9)
 
 
 def test_the_statistic_of_a_gross_difference_is_finite() -> None:
     pairs = [AlignedPair(k * SECOND_NS, 140.0, 0.05, 0.0, 0.0, STEP) for k in range(6)]
     found = fast_statistic(pairs, scale=1.0, calibration_variance=0.0, correlation_s=2.0, dead_zone_m_s=0.8)
-    assert threshold(1e-5) < found < 2000.0
+    assert chi_square_limit(1, 1e-5) < found < 2000.0
 
 
 def test_a_dead_zone_explains_a_slow_speed_at_an_odometer_of_zero() -> None:
@@ -57,9 +58,9 @@ def test_a_dead_zone_explains_a_slow_speed_at_an_odometer_of_zero() -> None:
         pairs = [AlignedPair(k * SECOND_NS, gnss, SD, odometer, 0.0, STEP) for k in range(6)]
         return fast_statistic(pairs, scale=1.0, calibration_variance=0.0, correlation_s=2.0, dead_zone_m_s=0.83)
 
-    assert found(0.8, 0.0) < threshold(1e-2)
-    assert found(10.8, 10.0) > threshold(1e-5)
-    assert found(2.0, 0.0) > threshold(1e-5)
+    assert found(0.8, 0.0) < chi_square_limit(1, 1e-2)
+    assert found(10.8, 10.0) > chi_square_limit(1, 1e-5)
+    assert found(2.0, 0.0) > chi_square_limit(1, 1e-5)
 
 
 @pytest.mark.parametrize("rate", [1e-2, 1e-3])
@@ -75,7 +76,7 @@ def test_the_false_alarm_rate_of_100_000_windows_lies_in_the_binomial_interval(r
     true = rng.uniform(5.0, 40.0, windows)
     scale_error = rng.normal(0.0, 0.002, windows)
     odometer = np.floor(true * (1.0 + scale_error) / STEP + 0.5) * STEP
-    limit, alarms = threshold(rate), 0
+    limit, alarms = chi_square_limit(1, rate), 0
     for index in range(windows):
         speed = float(odometer[index])
         pairs = [

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose
 from cli.papers.toll.trajectory import cam_of, mixed
 from services.core.toll.trackers.filters import MANOEUVRE, Tracker, imm
 from services.core.toll.trackers.models import Cruise, Ctra, Ctrv, FourState, Linear, Model
-from services.core.toll.trackers.motion import arc, integrated_noise, wrap
+from services.core.toll.trackers.motion import arc, integrated_noise
 from services.core.toll.trackers.observation import ACCELERATION, YAW_RATE, Observation, cartesian
+from shared.maths.earth import wrap_angles
 
 MODELS: tuple[Model, ...] = (Linear(2, 1.5), Linear(3, 1.0), Ctrv(), Ctra(), Cruise(), FourState())
 RUNS = 20
@@ -87,7 +88,7 @@ def test_every_jacobian_agrees_with_finite_differences(model: Model) -> None:
             ahead, behind = model.transition(x + step, dt).x, model.transition(x - step, dt).x
             difference = (ahead - behind)[0]
             if model.heading is not None:
-                difference[model.heading] = wrap(difference[model.heading])
+                difference[model.heading] = wrap_angles(difference[model.heading])
             assert_allclose(Phi[:, column], difference / 2e-5, rtol=1e-6, atol=1e-7)
 
 
@@ -146,7 +147,7 @@ def test_headings_on_both_sides_of_south_west_north_are_averaged_across_the_wrap
     beyond = Observation.of(np.array([[-1.0, 0.0, -pi + 0.01, 10.0, 0.0, 0.0]]), sd)
     tracker = imm()
     after = tracker.update(tracker.predict(tracker.start(west), np.array([0.1])), beyond)
-    assert abs(wrap(after.mean[:, 2] - pi)[0]) < 0.02
+    assert abs(wrap_angles(after.mean[:, 2] - pi)[0]) < 0.02
     assert after.cov[0, 2, 2] < 0.02**2
 
 
@@ -232,7 +233,7 @@ def test_the_covariance_of_ctra_is_consistent_with_its_own_noise() -> None:
         z = Observation.of(state + sd * rng.standard_normal(state.shape), sd)
         estimates = tracker.update(tracker.predict(estimates, dt), z)
         error = estimates.mean - state
-        error[:, 2] = wrap(error[:, 2])
+        error[:, 2] = wrap_angles(error[:, 2])
         nees.append(np.vecdot(error, np.linalg.solve(estimates.cov, error[..., None])[..., 0]).mean())
     assert isclose(float(np.mean(nees)), 6.0, abs_tol=0.3)
 
@@ -253,5 +254,5 @@ def test_a_vehicle_that_begins_to_reverse_is_tracked_on(tracker: Tracker) -> Non
         )
     assert estimates is not None
     assert_allclose(estimates.mean[0, :2], 0.0, atol=0.3)
-    assert abs(wrap(estimates.mean[0, 2:3] - pi)[0]) < 0.02
+    assert abs(wrap_angles(estimates.mean[0, 2:3] - pi)[0]) < 0.02
     assert isclose(estimates.mean[0, 3], 2.0, abs_tol=0.3)

@@ -1,0 +1,100 @@
+"""The controls of a replay over the web, and what a page shows of it."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from queue import Full, Queue
+
+from fastapi import FastAPI, HTTPException, Request, Response
+from pydantic import ValidationError
+from pydantic_core import to_json
+
+from shared.messages.replay import ReplayCommand, ReplayControl
+
+from ..replay import ReplayFeed
+from . import body, hosts
+
+WAITING = 32  # commands that are not yet published
+LOOK_S = 0.02  # between two looks for a jump that is complete
+BODY = {"content": {"application/json": {"schema": ReplayControl.model_json_schema()}}, "required": True}
+
+
+class ReplayApi:
+    """Checks commands and queues them for the bus; without a replay it refuses them."""
+
+    def __init__(
+        self, feed: ReplayFeed | None, lock: AbstractContextManager[object], host_ns: Callable[[], int]
+    ) -> None:
+        self._feed, self._lock, self._host_ns = feed, lock, host_ns
+        self.commands: Queue[ReplayControl] = Queue(WAITING)
+        self._connected = False
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
+        app.add_api_route("/api/replay", self.replay, response_class=Response)
+        app.add_api_route(
+            "/api/replay", self.control, methods=["POST"], status_code=202, response_class=Response,
+            openapi_extra={"requestBody": BODY},
+        )  # fmt: skip
+
+    def refresh(self, *, connected: bool) -> None:
+        """Ask for the present position when the connection to the bus begins."""
+        if connected and not self._connected and not self.commands.full():
+            self.commands.put_nowait(ReplayControl(command=ReplayCommand.REFRESH))
+        self._connected = connected
+
+    def replay(self) -> Response:
+        """Position, extent, speed and events of the replay; null if this is none."""
+        with self._lock:
+            return _json({"replay": self.view()}, 200)
+
+    async def control(self, request: Request) -> Response:
+        """Play, pause, seek, or set the speed; 202, and the position follows in the state."""
+        if not hosts.same_origin(request.headers.get("origin"), request.headers.get("host")):
+            raise HTTPException(403, "this page is not from here")
+        if self._feed is None:
+            raise HTTPException(409, "this unit shows no recording; run obu replay FILE")
+        try:
+            command = ReplayControl.model_validate_json(await body.read(request))
+        except ValidationError as error:
+            first = error.errors(include_url=False, include_input=False)[0]
+            raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        try:
+            self.commands.put_nowait(command)
+        except Full as error:
+            raise HTTPException(503, "the bus does not take the commands before this one; try again") from error
+        return _json({}, 202)
+
+    async def pause(self, period_s: float) -> None:
+        """Wait for a period, or until a jump of the replay is complete."""
+        if self._feed is None:
+            await asyncio.sleep(period_s)
+            return
+        for _ in range(round(period_s / LOOK_S)):
+            await asyncio.sleep(LOOK_S)
+            if self._feed.fresh:
+                break
+        self._feed.fresh = False
+
+    def view(self) -> dict[str, object] | None:
+        """Show the replay; the caller holds the lock."""
+        feed = self._feed
+        if feed is None or feed.newest is None:
+            return None
+        newest = feed.newest
+        return {
+            "name": newest.name,
+            "position_ns": feed.now_ns(self._host_ns()),
+            "begin_ns": newest.begin_ns,
+            "end_ns": newest.end_ns,
+            "speed": newest.speed,
+            "playing": newest.playing,
+            "epoch": newest.epoch,
+            "lost": feed.lost(self._host_ns()),
+            "trust": [change.model_dump() for change in feed.events.trust],
+            "outages": [outage.model_dump() for outage in feed.events.outages],
+        }
+
+
+def _json(content: object, status: int) -> Response:
+    return Response(to_json(content), status, {"Cache-Control": "no-store"}, "application/json")

@@ -1,0 +1,1 @@
+"""Publishes the messages of a recording in place of every process."""

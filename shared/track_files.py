@@ -1,0 +1,98 @@
+"""Formats a track as GPX 1.1 and as timed KML (gx:Track), line by line; a break in the track begins a new segment.
+
+Heights are those above the WGS84 ellipsoid, and both files say so: GPX and KML have no field for the datum.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from xml.sax.saxutils import escape, quoteattr
+
+Extra = float | int | str | None
+DATUM = "Heights are above the WGS84 ellipsoid."
+EXTENSIONS = "urn:obu:track"  # namespace of the extra fields in GPX
+
+
+@dataclass(frozen=True)
+class TrackPoint:
+    """One position; `extras` are further fields by name, None where a value is unknown."""
+
+    time_ns: int  # [ns] UTC since 1970
+    latitude_deg: float
+    longitude_deg: float
+    height_ellipsoid_m: float | None = None
+    extras: Mapping[str, Extra] = field(default_factory=dict)
+
+
+Segment = Sequence[TrackPoint]
+
+
+def gpx_lines(name: str, segments: Iterable[Segment]) -> Iterator[str]:
+    """Format segments as one GPX track.
+
+    References
+    ----------
+    GPX 1.1 Schema Documentation, https://www.topografix.com/GPX/1/1/
+    """
+    yield '<?xml version="1.0" encoding="UTF-8"?>\n'
+    yield f'<gpx version="1.1" creator="obu" xmlns="http://www.topografix.com/GPX/1/1" xmlns:obu="{EXTENSIONS}">\n'
+    yield f"<trk><name>{escape(name)}</name><desc>{DATUM}</desc>\n"
+    for segment in segments:
+        yield "<trkseg>\n"
+        yield from map(_gpx_point, segment)
+        yield "</trkseg>\n"
+    yield "</trk>\n</gpx>\n"
+
+
+def kml_lines(name: str, segments: Iterable[Segment]) -> Iterator[str]:
+    """Format segments as one KML placemark with a time for each point.
+
+    References
+    ----------
+    OGC 12-007r2, KML 2.3, section 11.3 (Track and MultiTrack), in the form of Google's extension namespace.
+    """
+    yield '<?xml version="1.0" encoding="UTF-8"?>\n'
+    yield '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2">\n'
+    yield f"<Document><name>{escape(name)}</name><description>{DATUM}</description>\n"
+    yield '<Style id="track"><LineStyle><color>ffb27200</color><width>3</width></LineStyle></Style>\n'
+    yield f"<Placemark><name>{escape(name)}</name><styleUrl>#track</styleUrl><gx:MultiTrack>\n"
+    for segment in segments:
+        yield from _kml_track(segment)
+    yield "</gx:MultiTrack></Placemark>\n</Document>\n</kml>\n"
+
+
+def iso_time(time_ns: int) -> str:
+    """Write a time as ISO 8601 in UTC, to the millisecond."""
+    return datetime.fromtimestamp(time_ns // 1_000_000 / 1000, UTC).isoformat(timespec="milliseconds")[:-6] + "Z"
+
+
+def _gpx_point(point: TrackPoint) -> str:
+    height = "" if point.height_ellipsoid_m is None else f"<ele>{point.height_ellipsoid_m:.3f}</ele>"
+    extras = "".join(f"<obu:{k}>{_text(v)}</obu:{k}>" for k, v in point.extras.items() if v is not None)
+    extensions = f"<extensions>{extras}</extensions>" if extras else ""
+    return (
+        f'<trkpt lat="{point.latitude_deg:.9f}" lon="{point.longitude_deg:.9f}">'
+        f"{height}<time>{iso_time(point.time_ns)}</time>{extensions}</trkpt>\n"
+    )
+
+
+def _kml_track(segment: Segment) -> Iterator[str]:
+    """Format one track: all times, then all places, then one array for each extra field."""
+    yield "<gx:Track><altitudeMode>clampToGround</altitudeMode>\n"
+    for point in segment:
+        yield f"<when>{iso_time(point.time_ns)}</when>\n"
+    for point in segment:
+        height = "" if point.height_ellipsoid_m is None else f" {point.height_ellipsoid_m:.3f}"
+        yield f"<gx:coord>{point.longitude_deg:.9f} {point.latitude_deg:.9f}{height}</gx:coord>\n"
+    names = dict.fromkeys(name for point in segment for name in point.extras)
+    if names:
+        yield "<ExtendedData><SchemaData>\n"
+        for name in names:
+            values = "".join(f"<gx:value>{_text(point.extras.get(name))}</gx:value>" for point in segment)
+            yield f"<gx:SimpleArrayData name={quoteattr(name)}>{values}</gx:SimpleArrayData>\n"
+        yield "</SchemaData></ExtendedData>\n"
+    yield "</gx:Track>\n"
+
+
+def _text(value: Extra) -> str:
+    return "" if value is None else escape(f"{value:.6g}" if isinstance(value, float) else str(value))
