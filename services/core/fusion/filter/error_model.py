@@ -9,7 +9,7 @@ z = measured - predicted = H x + noise with H = -d(predicted)/d(state). The atti
 vector in NED axes, C_estimated = (I + sk(psi)) C; the position error is in metres NED.
 
 The errors grow by x' = F x + noise. Attitude, velocity and position are driven by each other and by the errors of the
-IMU; every other state is constant, a random walk, or (the time-correlated GNSS error) a Gauss-Markov process.
+IMU; every other state is constant, a random walk, or (the time-correlated GNSS errors) a Gauss-Markov process.
 """
 
 from math import exp, inf, sqrt
@@ -197,7 +197,8 @@ def transition_matrix(
 ) -> FloatArray:
     """Transition matrix Phi, shape (34, 34), of a short step: I + F t.
 
-    The time-correlated GNSS error decays by exp(-t/T), exact at any step because nothing drives it.
+    The time-correlated errors of GNSS positions and velocities decay by exp(-t/T), exact at any step because nothing
+    drives them.
     """
     Phi = UNIT_STATES + F * step_s
     Phi[GNSS_ERROR, GNSS_ERROR] = exp(-step_s / gnss_correlation_s) * UNIT
@@ -231,11 +232,7 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
 
 @compilable
 def process_noise(
-    psd: FloatArray,
-    attitude_psd: float,
-    velocity_psd: float,
-    step_s: float,
-    gnss_correlation_s: float = inf,
+    psd: FloatArray, attitude_psd: float, velocity_psd: float, step_s: float, gnss_correlation_s: float = inf
 ) -> FloatArray:
     """Diagonal of the process noise Q of a step.
 
@@ -292,6 +289,9 @@ def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and ar
         [m/s, NED], [rad, body] Integrals of specific force and angular rate over the step.
     step_s, psd, attitude_psd, velocity_psd, gnss_correlation_s
         See `process_noise`.
+    velocity_correlation_s, velocity_variance : float, ndarray of shape (3,)
+        [s], [m²/s²] Correlation time T and stationary variance s² of the error of GNSS velocities, NED:
+        Q = s² (1 - exp(-2t/T)).
 
     Returns
     -------

@@ -4,6 +4,10 @@ A receiver states the size of its errors, not always rightly, and never their co
 inertial sensors know the displacement to centimetres, so that differences of fixes minus displacement are changes of
 the fixes' errors. A bank of small filters, one per hypothesis, estimates them; the likelihood of each hypothesis
 follows from its innovations.
+
+That displacement is no better than the velocities behind it. Where their errors are not white (`gnss_velocity_errors`)
+the model does not hold, and positions are followed: what is stated is white to a quarter, and the rest, which is not
+estimated, is a part of the protection levels.
 """
 
 from dataclasses import dataclass, replace

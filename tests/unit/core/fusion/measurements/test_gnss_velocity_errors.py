@@ -1,0 +1,88 @@
+"""Whether velocity errors are white: found, unlearned, and what follows for the positions."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from services.core.fusion.measurements.gnss_error_model import FOLLOWED, GnssErrorBank
+from services.core.fusion.measurements.gnss_error_model import UNKNOWN as UNKNOWN_POSITIONS
+from services.core.fusion.measurements.gnss_velocity_errors import SHARE, UNKNOWN, GnssVelocityErrors
+
+FloatArray = npt.NDArray[np.float64]
+
+STATED = np.array([0.08, 0.08, 0.15]) ** 2  # [m²/s²]
+PERIOD_NS = 200_000_000
+COV = np.diag([4.0, 4.0, 25.0])
+
+
+def residuals(correlation: float, n: int, seed: int, size: float = 1.0) -> FloatArray:
+    """Draw residuals whose neighbours have this correlation, shape (n, 3) [m/s]."""
+    drawn = np.random.default_rng(seed).standard_normal((n, 3))
+    for k in range(1, n):
+        drawn[k] = correlation * drawn[k - 1] + (1.0 - correlation**2) ** 0.5 * drawn[k]
+    return size * np.sqrt(STATED) * drawn
+
+
+def taught(errors: GnssVelocityErrors, drawn: FloatArray) -> GnssVelocityErrors:
+    for residual in drawn:
+        errors = errors.after(errors.time_ns + PERIOD_NS, residual, STATED)
+    return errors
+
+
+@pytest.mark.parametrize("size", [0.2, 1.0, 3.0])
+def test_white_velocity_errors_are_found_within_a_minute_whatever_their_size(size: float) -> None:
+    for seed in range(5):
+        assert taught(UNKNOWN, residuals(0.0, 300, seed, size)).white > 0.9
+
+
+@pytest.mark.parametrize("correlation", [0.3, 0.5, 0.9])
+def test_velocity_errors_that_repeat_are_found_within_a_minute(correlation: float) -> None:
+    for seed in range(5):
+        errors = taught(UNKNOWN, residuals(correlation, 300, seed))
+        assert errors.white < 0.01
+        assert errors.variance == pytest.approx(SHARE * STATED, rel=0.01)
+
+
+def test_what_was_learned_is_unlearned_within_two_minutes_when_the_evidence_turns() -> None:
+    for seed in range(3):
+        white = taught(UNKNOWN, residuals(0.0, 6000, seed))
+        repeating = taught(white, residuals(0.5, 600, seed + 10))
+        assert white.white > 0.99
+        assert repeating.white < 0.01
+        assert taught(repeating, residuals(0.0, 600, seed + 20)).white > 0.9
+
+
+def test_without_evidence_positions_are_followed_and_without_velocities_nothing_changes() -> None:
+    assert UNKNOWN.white == 1.0
+    assert taught(UNKNOWN, residuals(0.0, 1, 1)).white < 0.02
+    assert UNKNOWN_POSITIONS.with_white_velocity(1.0) is UNKNOWN_POSITIONS
+
+
+def test_a_pause_is_no_evidence() -> None:
+    errors = taught(UNKNOWN, residuals(0.0, 300, 1))
+    later = errors.after(errors.time_ns + 3_000_000_000, errors.last * np.sqrt(errors.power), STATED)
+    assert later.white == errors.white
+
+
+def test_followed_positions_have_no_estimated_error_and_the_levels_hold_what_is_stated() -> None:
+    followed = followed_by(0.0)
+    assert followed.follows
+    assert followed.lasting == 0.0
+    assert followed.scaled(COV) == pytest.approx(FOLLOWED[0] * COV)
+    level, upright = followed.unestimated(COV)
+    assert level + FOLLOWED[0] * COV[0, 0] == pytest.approx(COV[0, 0])
+    assert upright + FOLLOWED[0] * COV[2, 2] == pytest.approx(COV[2, 2])
+    assert followed_by(1.0).unestimated(COV) == (0.0, 0.0)
+
+
+def test_an_overstated_size_does_not_count_in_full_where_positions_are_followed() -> None:
+    evidence = np.zeros_like(UNKNOWN_POSITIONS.evidence)
+    evidence[:, :, 0] = 100.0  # the smallest scale, an eighth
+    level, _ = replace(followed_by(0.0), evidence=evidence).unestimated(COV)
+    assert level == pytest.approx((1.0 - FOLLOWED[0]) * COV[0, 0] / 64.0, rel=0.01)
+
+
+def followed_by(white: float) -> GnssErrorBank:
+    return replace(UNKNOWN_POSITIONS, white_velocity=white)
