@@ -291,6 +291,11 @@ class ErrorStateFilter:
         for place in range(em.GNSS_ERROR.start, em.GNSS_ERROR.stop):
             self.set_parameter(place, 0.0, 1.0)
 
+    def forget_gnss_velocity_error(self) -> None:
+        """End the estimate of the time-correlated error of GNSS velocities: it is zero."""
+        for place in range(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.stop):
+            self.set_parameter(place, 0.0, 0.0)
+
     def set_parameter(self, place: int, value: float, sd: float) -> None:
         """Begin a parameter anew, independent of what was estimated before."""
         own = place - em.DRIVING

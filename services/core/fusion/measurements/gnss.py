@@ -150,8 +150,10 @@ class GnssVelocity:
         n = self.axes
         residual = np.array(innovation) + navigation.gnss_velocity_error[:n]
         errors = navigation.velocity_errors.after(self.time_ns, residual, self.cov.diagonal()[:n])
+        if navigation.velocity_errors.follows and not errors.follows:
+            navigation.forget_gnss_velocity_error()
         navigation.velocity_errors = errors
-        navigation.learn(navigation.colour.with_white_velocity(errors.white))
+        navigation.learn(navigation.colour.following(errors.follows))
 
 
 def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> Vector:

@@ -55,18 +55,11 @@ class GnssErrorBank:
     error: FloatArray
     cov: tuple[FloatArray, FloatArray, FloatArray]
     time_ns: int | None = None
-    white_velocity: float = 1.0  # probability that velocity errors are white; if not, positions are followed
+    follows: bool = False  # positions are followed, not corrected by a time-correlated error
 
-    @property
-    def follows(self) -> bool:
-        """Whether positions are rather followed than corrected by a time-correlated error."""
-        return self.white_velocity < 0.5
-
-    def with_white_velocity(self, probability: float) -> "GnssErrorBank":
-        """Change the probability that velocity errors are white, if it differs by more than a hundredth."""
-        if abs(probability - self.white_velocity) <= 0.01:
-            return self
-        return replace(self, white_velocity=probability)
+    def following(self, follows: bool) -> "GnssErrorBank":
+        """Follow positions, or estimate their time-correlated error."""
+        return self if follows == self.follows else replace(self, follows=follows)
 
     @cached_property
     def _weights(self) -> tuple[FloatArray, FloatArray]:
@@ -88,19 +81,22 @@ class GnssErrorBank:
     @cached_property
     def lasting(self) -> float:
         """Time-correlated share of the variance, the mean over all hypotheses."""
-        return self.white_velocity * float(self.weight @ LASTING)
+        return 0.0 if self.follows else float(self.weight @ LASTING)
 
     @cached_property
     def correlation_s(self) -> float:
         """Correlation time [s], the geometric mean over all hypotheses."""
+        if self.follows:
+            return FOLLOWED[1]
         weight = self.weight * LASTING + 1e-12
-        learned = float(weight @ LOG_CORRELATION) / float(weight.sum())
-        return exp(self.white_velocity * learned + (1.0 - self.white_velocity) * log(FOLLOWED[1]))
+        return exp(float(weight @ LOG_CORRELATION) / float(weight.sum()))
 
     @cached_property
     def scale(self) -> FloatArray:
         """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
-        level, upright = np.sqrt(FOLLOWED[0] + self.white_velocity * (self._learned - FOLLOWED[0])).tolist()
+        if self.follows:
+            return np.full(3, sqrt(FOLLOWED[0]))
+        level, upright = np.sqrt(self._learned).tolist()
         return np.array([level, level, upright])
 
     @cached_property
@@ -115,7 +111,9 @@ class GnssErrorBank:
 
         They are what `FOLLOWED` leaves of the stated ones, or of the learned ones if these are smaller.
         """
-        level, upright = ((1.0 - self.white_velocity) * (1.0 - FOLLOWED[0]) * np.minimum(self._learned, 1.0)).tolist()
+        if not self.follows:
+            return 0.0, 0.0
+        level, upright = ((1.0 - FOLLOWED[0]) * np.minimum(self._learned, 1.0)).tolist()
         return level * max(cov.item(0, 0), cov.item(1, 1)), upright * cov.item(2, 2)
 
     @cached_property
@@ -133,7 +131,7 @@ class GnssErrorBank:
 
     def at_start(self) -> "GnssErrorBank":
         """Keep the learned model for a new track."""
-        return GnssErrorBank(self.evidence, *_unknown(), white_velocity=self.white_velocity)
+        return GnssErrorBank(self.evidence, *_unknown(), follows=self.follows)
 
     def is_due(self, time_ns: int) -> bool:
         """Whether a fix of this stamp is used for learning."""
@@ -203,7 +201,7 @@ class GnssErrorBank:
             likelihood = np.maximum(-0.5 * (z * z / S + np.log(S / stated)), FLOOR)
             evidence = evidence + likelihood[1:]
             evidence[0] += likelihood[0]
-        return GnssErrorBank(evidence, way, error, after, time_ns, self.white_velocity)
+        return GnssErrorBank(evidence, way, error, after, time_ns, self.follows)
 
 
 def _of_axes(values: FloatArray) -> FloatArray:
@@ -261,14 +259,14 @@ class KnownGnssErrors:
 
     @property
     def follows(self) -> bool:
-        """Positions are corrected by the time-correlated error."""
+        """Whether positions are followed; they are corrected by the time-correlated error."""
         return False
 
     def unestimated(self, _cov: FloatArray) -> tuple[float, float]:
         """All that lasts is estimated."""
         return 0.0, 0.0
 
-    def with_white_velocity(self, _probability: float) -> "KnownGnssErrors":
+    def following(self, _follows: bool) -> "KnownGnssErrors":
         """Keep the known model."""
         return self
 

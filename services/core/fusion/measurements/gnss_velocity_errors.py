@@ -6,7 +6,7 @@ two of them. A receiver that smooths has errors that repeat from one velocity to
 which no inertial sensor sees, may be as large. So the correlation of successive residuals decides.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp
 
@@ -17,10 +17,12 @@ FloatArray = npt.NDArray[np.float64]
 
 CORRELATIONS = np.array([0.2, 0.4, 0.6, 0.8])  # [-] of successive errors that are not white
 WHITE_PRIOR = 0.01  # probability that they are; each of the others is equally likely
+SURE = 0.99  # such a probability ends that positions are followed; one below a half begins it again
 CORRELATION_S = 60.0  # of the error of velocities that are not white
 SHARE = 0.1  # of the stated variance that it has
 MEMORY_S = 600.0  # forgetting time constant
 POWER_MEMORY_S = 60.0  # of the residuals' mean square
+INDEPENDENT_S = 0.5  # between velocities that count in full: more of them in that time count as one
 CERTAIN = 10.0  # largest logarithm of a likelihood ratio: what was learned is unlearned in minutes
 LARGEST = 3.0  # [-] standard deviations at which a residual is clipped
 BREAK_S = 2.0  # after it two velocities are no neighbours
@@ -36,6 +38,7 @@ class GnssVelocityErrors:
     variance: FloatArray  # [m²/s²] of the time-correlated error
     time_ns: int = 0
     count: int = 0
+    follows: bool = False  # positions are followed, for velocity errors are not known to be white
 
     @cached_property
     def white(self) -> float:
@@ -52,7 +55,7 @@ class GnssVelocityErrors:
         -----
         With u a residual over its root mean square and r a correlation, each axis adds to the evidence of r::
 
-            log p(u_k | u_k-1, r) / p(u_k | white) = ((u_k)² - (u_k - r u_k-1)² / (1 - r²) - log(1 - r²)) / 2
+            log p(u_k | u_k-1, r) / p(u_k | white) = (u_k² - (u_k - r u_k-1)² / (1 - r²) - log(1 - r²)) / 2
         """
         n, step_s = len(residual), (time_ns - self.time_ns) * 1e-9
         weight = max(1.0 / (self.count + 1), 1.0 - exp(-max(step_s, 0.0) / POWER_MEMORY_S))
@@ -64,9 +67,12 @@ class GnssVelocityErrors:
             rest = 1.0 - CORRELATIONS**2
             apart = last[:n] - CORRELATIONS[:, np.newaxis] * self.last[:n]
             ratio = 0.5 * (last[:n] ** 2 - apart**2 / rest[:, np.newaxis] - np.log(rest)[:, np.newaxis])
-            evidence = np.clip(exp(-step_s / MEMORY_S) * evidence + ratio.sum(axis=1), -CERTAIN, CERTAIN)
-        variance[:n] = SHARE * (1.0 - self.white) * stated
-        return GnssVelocityErrors(evidence, power, last, variance, time_ns, self.count + 1)
+            counted = min(1.0, step_s / INDEPENDENT_S) * ratio.sum(axis=1)
+            evidence = np.clip(exp(-step_s / MEMORY_S) * evidence + counted, -CERTAIN, CERTAIN)
+        learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, self.count + 1)
+        follows = learned.white < (SURE if self.follows or not self.count else 0.5)
+        variance[:n] = SHARE * stated if follows else 0.0
+        return replace(learned, follows=follows)
 
 
 UNKNOWN = GnssVelocityErrors(np.zeros(len(CORRELATIONS)), np.zeros(3), np.zeros(3), np.zeros(3))
