@@ -11,9 +11,8 @@ from shared.maths.earth import Geodetic
 from shared.maths.kalman import Correction, correct
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
-from ..measurements.gnss_error_model import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..measurements import gnss_velocity_errors
-from ..measurements.gnss_velocity_errors import GnssVelocityErrors
+from ..measurements.gnss_error_model import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..update.standstill_detector import Limits

@@ -121,6 +121,7 @@ class GnssVelocity:
     axes: int
     lever_arm: Vector
     lasts: bool = False  # the error of the position beside it, in part
+    stated: bool = True  # its covariance, by the receiver
     removed_s: float = 0.0  # of its age, in `time_ns`
     left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
@@ -149,7 +150,8 @@ class GnssVelocity:
             return
         n = self.axes
         residual = np.array(innovation) + navigation.gnss_velocity_error[:n]
-        errors = navigation.velocity_errors.after(self.time_ns, residual, self.cov.diagonal()[:n])
+        variances = self.cov.diagonal()[:n]
+        errors = navigation.velocity_errors.after(self.time_ns, residual, variances, stated=self.stated)
         if navigation.velocity_errors.follows and not errors.follows:
             navigation.forget_gnss_velocity_error()
         navigation.velocity_errors = errors
@@ -224,6 +226,7 @@ def gnss_measurements(
                 axes=velocity.axes,
                 lever_arm=settings.gnss.lever_arm_body_m,
                 lasts=lasts,
+                stated=velocity.cov is not None,
                 left_out=left_out,
             )
         )

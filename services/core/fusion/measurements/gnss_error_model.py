@@ -6,8 +6,8 @@ the fixes' errors. A bank of small filters, one per hypothesis, estimates them; 
 follows from its innovations.
 
 That displacement is no better than the velocities behind it. Where their errors are not white (`gnss_velocity_errors`)
-the model does not hold, and positions are followed: what is stated is white to a quarter, and the rest, which is not
-estimated, is a part of the protection levels.
+the model does not hold, and positions are followed: what is stated is white to a quarter, and half of it, which is
+not estimated, is a part of the protection levels.
 """
 
 from dataclasses import dataclass, replace
@@ -38,6 +38,7 @@ SURPRISE = 9.0  # d² of one axis at which its influence is clipped
 FLOOR = log(0.01) - log(10.0)  # of an axis' likelihood: one fix in a hundred may be ten times as wrong as stated
 PERIOD_S = 2.0  # between fixes used for learning: closer ones show the receiver's smoothing, not its errors
 FOLLOWED = 0.25, 10.0  # variance over the stated one, correlation time [s] of what is left, if positions are followed
+LASTS = 0.5  # of the stated variance, which the levels then hold for errors that last
 BREAK_S = 10.0  # without a fix, after which the displacement is unknown again
 VELOCITY_CORRELATION_S = 2.0  # of the error of the filter's velocity
 
@@ -109,11 +110,11 @@ class GnssErrorBank:
     def unestimated(self, cov: FloatArray) -> tuple[float, float]:
         """Variances [m²] on ground and up of errors that last and are followed, for a stated covariance, shape (3, 3).
 
-        They are what `FOLLOWED` leaves of the stated ones, or of the learned ones if these are smaller.
+        They are half the stated ones, or half the learned ones if these are smaller.
         """
         if not self.follows:
             return 0.0, 0.0
-        level, upright = ((1.0 - FOLLOWED[0]) * np.minimum(self._learned, 1.0)).tolist()
+        level, upright = (LASTS * np.minimum(self._learned, 1.0)).tolist()
         return level * max(cov.item(0, 0), cov.item(1, 1)), upright * cov.item(2, 2)
 
     @cached_property

@@ -16,8 +16,8 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 CORRELATIONS = np.array([0.2, 0.4, 0.6, 0.8])  # [-] of successive errors that are not white
-WHITE_PRIOR = 0.01  # probability that they are; each of the others is equally likely
-SURE = 0.99  # such a probability ends that positions are followed; one below a half begins it again
+WHITE_PRIOR = 0.5, 0.01  # probability that they are, of a receiver that states their size, and of one that does not
+SURE = 0.01  # positions are followed below this probability of white errors, until it is one less this
 CORRELATION_S = 60.0  # of the error of velocities that are not white
 SHARE = 0.1  # of the stated variance that it has
 MEMORY_S = 600.0  # forgetting time constant
@@ -38,18 +38,19 @@ class GnssVelocityErrors:
     variance: FloatArray  # [m²/s²] of the time-correlated error
     time_ns: int = 0
     count: int = 0
-    follows: bool = False  # positions are followed, for velocity errors are not known to be white
+    prior: float = WHITE_PRIOR[0]
+    follows: bool = False  # positions are followed, for velocity errors are not white
 
     @cached_property
     def white(self) -> float:
         """Probability that velocity errors are white; one while no velocity is known."""
         if not self.count:
             return 1.0
-        others = (1.0 - WHITE_PRIOR) / len(CORRELATIONS) * float(np.exp(self.evidence).sum())
-        return WHITE_PRIOR / (WHITE_PRIOR + others)
+        others = (1.0 - self.prior) * float(np.exp(self.evidence).mean())
+        return self.prior / (self.prior + others)
 
-    def after(self, time_ns: int, residual: FloatArray, stated: FloatArray) -> "GnssVelocityErrors":
-        """Learn from a residual [m/s] and the variances [m²/s²] that the receiver states, both of shape (n,).
+    def after(self, time_ns: int, residual: FloatArray, variances: FloatArray, *, stated: bool) -> "GnssVelocityErrors":
+        """Learn from a residual [m/s] and its variances [m²/s²], both of shape (n,), which the receiver states or not.
 
         Notes
         -----
@@ -69,9 +70,10 @@ class GnssVelocityErrors:
             ratio = 0.5 * (last[:n] ** 2 - apart**2 / rest[:, np.newaxis] - np.log(rest)[:, np.newaxis])
             counted = min(1.0, step_s / INDEPENDENT_S) * ratio.sum(axis=1)
             evidence = np.clip(exp(-step_s / MEMORY_S) * evidence + counted, -CERTAIN, CERTAIN)
-        learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, self.count + 1)
-        follows = learned.white < (SURE if self.follows or not self.count else 0.5)
-        variance[:n] = SHARE * stated if follows else 0.0
+        prior = WHITE_PRIOR[0] if stated else WHITE_PRIOR[1]
+        learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, self.count + 1, prior)
+        follows = learned.white < (1.0 - SURE if self.follows else SURE) or not (self.count or stated)
+        variance[:n] = SHARE * variances if follows else 0.0
         return replace(learned, follows=follows)
 
 

@@ -118,7 +118,9 @@ class HistoryRecorder:
         self._store.push(Start(filter_.inertial.time_ns))
         self._add_knot(filter_)
 
-    def record_step(self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, decays: tuple[float, float]) -> None:
+    def record_step(
+        self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, decays: tuple[float, float]
+    ) -> None:
         """Record a covariance step over a time, with the system matrix F [1/s] of that time."""
         time_ns = filter_.time_ns
         self._store.push(Step(time_ns, F[: em.MOVING, : em.DRIVING] * step_s, decays))

@@ -77,9 +77,7 @@ class Aids:
             if outcome.used and isinstance(measurement, GnssPosition | GnssVelocity):
                 gate = gating.false_alarm_probability, gating.robust_limit
                 self.pull = self.pull.after(outcome, P, navigation.P, gate)
-            estimated = (
-                isinstance(measurement, GnssPosition) and measurement.lasts and not navigation.colour.follows
-            )
+            estimated = isinstance(measurement, GnssPosition) and measurement.lasts and not navigation.colour.follows
             self.watch = self.watch.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated
             )
