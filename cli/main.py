@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from enum import StrEnum
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
@@ -28,7 +29,6 @@ from .solve.solve import solve
 from .verify_toll import verify_toll
 
 app = typer.Typer(
-    help="A vehicle on-board unit: position, velocity and attitude of the vehicle, with their integrity.",
     epilog="Begin with [bold]obu demo[/]. The help of each command has examples, such as [bold]obu solve --help[/].",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -50,7 +50,10 @@ recordings = typer.Typer()
 app.add_typer(recordings, name="record")
 
 VehicleOption = Annotated[
-    Path | None, typer.Option("--vehicle", help="The vehicle's TOML file; without it OBU_VEHICLE, else all defaults.")
+    Path | None,
+    typer.Option(
+        "--vehicle", metavar="FILE", help="The vehicle's TOML file; without it OBU_VEHICLE, else all defaults."
+    ),
 ]
 
 
@@ -62,28 +65,55 @@ class BrokerKind(StrEnum):
     SIMULATED = "simulated"
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"obu {version('obu')}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _program(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """A vehicle on-board unit: position, velocity and attitude of the vehicle, with their integrity."""
+
+
 @app.command()
 def demo(  # noqa: PLR0913, PLR0917  # one argument an option
     scenario: Annotated[
-        str, typer.Option(help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded.")
+        str,
+        typer.Option(
+            metavar="NAME", help="parking_lot, urban, highway, tunnel, degraded-1 to degraded-5, or degraded."
+        ),
     ] = "urban",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Seed of everything random.")] = 1,
     duration: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Seconds to drive, counted from the first message; without it until Ctrl-C."),
+        typer.Option(
+            min=1.0,
+            metavar="SECONDS",
+            help="Seconds to drive, counted from the first message; without it until Ctrl-C.",
+        ),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the balance as one JSON object.")] = False,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, metavar="PORT", help="Port of the dashboard; if taken, a free one.")
+    ] = 8080,
     broker: Annotated[BrokerKind, typer.Option(help="auto: Mosquitto if it is there, else our own.")] = BrokerKind.AUTO,
     attack: Annotated[
         list[str] | None,
         typer.Option(
+            metavar="ATTACK",
             help="Repeatable; name@start, name@start:duration or name(parameter=value,...)@start, in seconds. "
-            f"Names: {', '.join(AttackName)}."
+            f"Names: {', '.join(AttackName)}.",
         ),
     ] = None,
     role: Annotated[Role, typer.Option(help="obu: a vehicle; rsu: a toll plaza.")] = Role.OBU,
-    vehicles: Annotated[int, typer.Option(min=1, max=200, help="Vehicles at the toll plaza at a time.")] = 50,
+    vehicles: Annotated[
+        int, typer.Option(min=1, max=200, metavar="COUNT", help="Vehicles at the toll plaza at a time.")
+    ] = 50,
 ) -> None:
     """Run the whole unit here with simulated sensors: no Docker, no hardware, no account.
 
@@ -180,7 +210,7 @@ def topics(
 def tail(
     topic: Annotated[str, typer.Argument(help="Short name such as navigation/solution, or '#' for all.")] = "#",
     vehicle: VehicleOption = None,
-    count: Annotated[int | None, typer.Option(min=1, help="Stop after this many messages.")] = None,
+    count: Annotated[int | None, typer.Option(min=1, metavar="COUNT", help="Stop after this many messages.")] = None,
     raw: Annotated[
         bool, typer.Option("--raw", help="Write the device's own bytes instead, for a pipe or a file.")
     ] = False,
@@ -244,7 +274,7 @@ def _end_on_sigterm() -> None:
 
 @papers.command()
 def navigation(
-    runs: Annotated[int, typer.Option(min=1, help="Number of seeds per row.")] = 10,
+    runs: Annotated[int, typer.Option(min=1, metavar="COUNT", help="Number of seeds per row.")] = 10,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the table.")] = False,
 ) -> None:
     """Simulate the degraded scenarios of the EMERGE paper, compare with its table 2, and simulate outages.
@@ -260,12 +290,16 @@ def navigation(
 
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the tables.")]
-FiguresOption = Annotated[Path | None, typer.Option(help="Folder of the figures (SVG); without it none are written.")]
+FiguresOption = Annotated[
+    Path | None, typer.Option(metavar="FOLDER", help="Folder of the figures (SVG); without it none are written.")
+]
 
 
 @papers.command("motion-conflict")
 def motion_conflict(
-    drives: Annotated[int, typer.Option(min=1, help="Simulated drives of 15 minutes, of each kind.")] = 20,
+    drives: Annotated[
+        int, typer.Option(min=1, metavar="COUNT", help="Simulated drives of 15 minutes, of each kind.")
+    ] = 20,
     as_json: JsonOption = False,
     out: FiguresOption = None,
 ) -> None:
@@ -285,7 +319,9 @@ def motion_conflict(
 
 @papers.command()
 def cooperative(
-    runs: Annotated[int, typer.Option(min=1, help="Runs of 90 epochs of each of the ten ratios.")] = 500,
+    runs: Annotated[
+        int, typer.Option(min=1, metavar="COUNT", help="Runs of 90 epochs of each of the ten ratios.")
+    ] = 500,
     as_json: JsonOption = False,
     out: FiguresOption = None,
 ) -> None:
@@ -304,7 +340,9 @@ def cooperative(
 
 @papers.command()
 def spoofing(
-    drives: Annotated[int, typer.Option(min=6, help="Simulated drives of 15 minutes: two thirds to learn of.")] = 36,
+    drives: Annotated[
+        int, typer.Option(min=6, metavar="COUNT", help="Simulated drives of 15 minutes: two thirds to learn of.")
+    ] = 36,
     as_json: JsonOption = False,
     out: FiguresOption = None,
 ) -> None:
@@ -325,7 +363,8 @@ def spoofing(
 @papers.command()
 def toll(
     runs: Annotated[
-        int, typer.Option(min=2, help="Runs of the filters per noise model; 30 times as many of lanes.")
+        int,
+        typer.Option(min=2, metavar="COUNT", help="Runs of the filters per noise model; 30 times as many of lanes."),
     ] = 20,
     as_json: JsonOption = False,
     out: FiguresOption = None,
@@ -347,9 +386,12 @@ def toll(
 def _record(
     context: typer.Context,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="The recording to write; without it a name of the moment.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="The recording to write; without it a name of the moment."),
     ] = None,
-    duration: Annotated[float | None, typer.Option(min=0.1, help="Seconds to record; without it until Ctrl-C.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.1, metavar="SECONDS", help="Seconds to record; without it until Ctrl-C.")
+    ] = None,
     vehicle: VehicleOption = None,
 ) -> None:
     """Record everything that a running unit says, beside its own recorder.

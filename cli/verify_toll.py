@@ -37,8 +37,12 @@ class Evidence:
 
 def verify_toll(
     evidence: Annotated[list[Path], typer.Argument(help="Evidence packs (JSON), or ledgers (SQLite).")],
-    passage: Annotated[str | None, typer.Option(help="Only the passage with this ID, or the begin of it.")] = None,
-    export: Annotated[Path | None, typer.Option(help="Also write each pack into this folder, as JSON.")] = None,
+    passage: Annotated[
+        str | None, typer.Option(metavar="ID", help="Only the passage with this ID, or the begin of it.")
+    ] = None,
+    export: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Also write each pack into this folder, as JSON.")
+    ] = None,
 ) -> int:
     """Derive each charge again from its evidence, and compare it bit for bit.
 

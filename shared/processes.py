@@ -143,7 +143,10 @@ PROCESSES = (
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
             "navigation/filter_state", "trust/state", "gnss/fault_free_fix",
         ),
-        produces=("navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding"),
+        produces=(
+            "navigation/solution", "navigation/state", "navigation/filter_state", "navigation/aiding",
+            "navigation/set_up",
+        ),
     ),
     ProcessRow(
         "core.motion_conflict", Kind.STANDING, "compares the speeds of GNSS and odometer as the smart tachograph does",

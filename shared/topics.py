@@ -26,6 +26,7 @@ from .messages.navigation import (
     LastPosition,
     NavigationSolution,
     NavigationState,
+    SetUpState,
     TruthState,
 )
 from .messages.neighbours import NeighbourStates
@@ -127,6 +128,8 @@ TOPICS = (
           rate_hz=10.0, silent_after_s=2.0),
     Topic("navigation/state", NavigationState, "what the navigation filter is doing and why",
           rate_hz=1.0, silent_after_s=5.0, qos=1, retain=True),
+    Topic("navigation/set_up", SetUpState, "checks of axes, mounting, signs, delays, scales and lever arm",
+          qos=1, retain=True),
     Topic("navigation/filter_state", FilterState, "state and covariance of the filter, for its next process",
           qos=1, retain=True),
     Topic("navigation/aiding", AidingUpdate, "each measurement as the filter saw it"),

@@ -19,19 +19,38 @@ from rich.progress import Progress
 
 from benchmarks.bus.report import machine
 
-from .cases import CASES, ROWS, Case, Row
+from .cases import CASES, GNSS_ALONE, ROWS, Case, Row
 from .peers import PEERS, PeerResult
 from .runs import REPOSITORY, Metrics, data_folder, import_drives, jobs_of, present, recording, solve_cases
 
 RESULTS = REPOSITORY / "benchmarks" / "results"
 PAGE = REPOSITORY / "docs" / "reference" / "drives.md"
 SPEED_SETS = ("rtk", "spp")
+HOW_TO = REPOSITORY / "docs" / "how-to" / "solve-a-recorded-drive.md"
+BEGIN, END = "<!-- printed by `make drives` -->\n", "<!-- end -->\n"
+OWN_FIXES = (
+    "`rtkexp_drive`",
+    "`wid_car` trial 02",
+    "`wid_car` trial 08",
+    "`wid_car` trial 10",
+)  # truth: their RTK fixes
+# Name in the how-to, its case, and that of its outages of 10 s.
+REAL_DRIVES = (
+    ("`rtkexp_drive`", "rtkexp", "rtkexp nhc 10 s"),
+    *((f"`wid_car` trial {trial}", f"wid{trial}", f"wid{trial} nhc 10 s") for trial in ("02", "08", "10")),
+    ("`navmatlab_car`", "navmatlab", None),
+    ("`navmatlab_car_0327`", "navmatlab 0327", None),
+    ("`comma_segment`", "comma", "comma wheel 10 s"),
+)
+UNMEASURED = "not measured"
 NOTES = """
 `rtk` and `spp` are the two sets of `rtk_drive_57min`: errors of the 300 s after the protocol's start are left out,
 outages of 60 s come every 180 s in three runs shifted by 60 s. Those of `navmatlab` and `rtkexp` are shifted alike.
 `free` is GNSS, IMU and standstill; `nhc` adds wheels that do not slide; `odometer` and `wheel` add the speed as well.
 The odometer of `navmatlab` is made from its reference with 0.1 m/s of noise, for the car had none. Recordings are not
 part of the repository; docs/how-to/import-a-drive.md says how to come by a recording of your own.
+*GNSS alone* is the receiver's position against the same truth, at the antenna and at the times of the fixes given to
+the filter (docs/reference/metrics.md); our errors are those at all times of the truth.
 
 """
 HEAD = "<!-- Printed by `make drives` from benchmarks/results/navigation.json; a test holds it to that file. -->\n\n"
@@ -60,6 +79,9 @@ class Document(TypedDict):
 def main(arguments: Sequence[str]) -> int:
     """Measure the drives that are there."""
     options = _options(arguments)
+    if options.print:
+        write_pages(json.loads((RESULTS / "navigation.json").read_text(encoding="utf-8")))
+        return 0
     cases = {key: case for key, case in CASES.items() if not options.only or case.drive in options.only}
     if options.quick:
         cases = {key: replace(case, outages=case.outages[:1]) for key, case in cases.items()}
@@ -90,6 +112,9 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.navigation", description=__doc__)
     names = sorted({case.drive for case in CASES.values()})
     parser.add_argument("--only", nargs="+", choices=names, help="these drives alone; prints, and keeps nothing")
+    parser.add_argument(
+        "--print", action="store_true", help="print the pages of the last results again; measure nothing"
+    )
     parser.add_argument("--quick", action="store_true", help="of the shifted runs the first alone")
     parser.add_argument(
         "--keep",
@@ -138,7 +163,42 @@ def store(document: Document, *, partial: bool) -> None:
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "navigation.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     (RESULTS / "navigation.md").write_text(text, encoding="utf-8")
-    PAGE.write_text(HEAD + text, encoding="utf-8")
+    write_pages(document)
+
+
+def write_pages(document: Document) -> None:
+    """Print docs/reference/drives.md, and the tables of the how-to between their marks."""
+    PAGE.write_text(HEAD + page(document), encoding="utf-8")
+    HOW_TO.write_text(with_tables(HOW_TO.read_text(encoding="utf-8"), document), encoding="utf-8")
+
+
+def with_tables(text: str, document: Document) -> str:
+    """Replace the table of real drives in the how-to, which lies between two marks."""
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise ValueError(f"{HOW_TO} has no {BEGIN.strip()} ... {END.strip()}")
+    return f"{before}{begin}{real_drives(document['cases'])}{end}{after}"
+
+
+def real_drives(cases: dict[str, Metrics]) -> str:
+    """Lay out the table of the how-to."""
+    rows = []
+    for name, case, cut in REAL_DRIVES:
+        metrics, outages = cases.get(case, {}), cases.get(cut, {}) if cut else {}
+        median, largest = (outages.get(f"outage_end_error_{what}_m") for what in ("median", "max"))
+        gap = "" if cut is None else f"{_metres(median)}, {_metres(largest)}{_count(outages)}"
+        alone = "" if name in OWN_FIXES else _metres(metrics.get("gnss_alone_horizontal_rmse_m"))
+        found = (_metres(metrics.get(metric)) for metric in ("horizontal_rmse_m", "innovation_horizontal_rms_m"))
+        ours, innovation = found
+        rows.append((name, ours, alone, innovation, gap))
+    head = ("drive", "horizontal RMSE [m]", "GNSS alone [m]", "horizontal innovation RMS [m]",
+            "end of a 10 s outage: median, maximum [m]")  # fmt: skip
+    return _markdown(head, rows)
+
+
+def _metres(value: float | None) -> str:
+    return UNMEASURED if value is None else f"{value:.2g}"
 
 
 def page(document: Document) -> str:
@@ -148,7 +208,9 @@ def page(document: Document) -> str:
         f"Measured {document['measured_at']} on {document['machine']}; load {document['load_before']:.1f} before. "
         + ("**Of the shifted runs the first alone was made.** " if document["quick"] else "")
         + "Peers: published or measured by others on the same data, none of them in this run.\n\n"
-        + _markdown(("drive", "quantity", "ours", "goal", "holds", "peers"), list(_accuracy(document["cases"])))
+        + _markdown(
+            ("drive", "quantity", "ours", "GNSS alone", "goal", "holds", "peers"), list(_accuracy(document["cases"]))
+        )
         + NOTES
         + "## Cost of an inertial sample\n\n"
         + _markdown(("program", "set", "CPU, us a sample", "peak memory, MB"), list(_costs(document)))
@@ -161,12 +223,31 @@ def page(document: Document) -> str:
 
 def _accuracy(cases: dict[str, Metrics]) -> Iterator[tuple[str, ...]]:
     for row in ROWS:
-        if row.case in cases:
-            value = shown(row, cases[row.case])
-            holds = "" if row.goal is None or value is None else ("yes" if value <= row.goal else "**no**")
-            goal = "" if row.goal is None else f"<= {row.goal:g}"
-            ours = "unknown" if value is None else f"{value:.3g} {row.unit}".strip()
-            yield f"{row.case}{_count(cases[row.case])}", row.quantity, ours, goal, holds, row.peers
+        metrics = cases.get(row.case, {})
+        value, alone = shown(row, metrics), gnss_alone(row, metrics)
+        limits = [limit for limit in (row.goal, alone if row.at_most_gnss else None) if limit is not None]
+        undecided = value is None or (row.at_most_gnss and alone is None)
+        holds = "" if undecided or not limits or value is None else ("yes" if value <= min(limits) else "**no**")
+        goals = [f"<= {row.goal:g}"] if row.goal is not None else []
+        goals += ["<= GNSS alone"] if row.at_most_gnss else []
+        yield (f"{row.case}{_count(metrics)}", row.quantity, _with_unit(value, row), _alone(row, alone),
+               " and ".join(goals), holds, row.peers)  # fmt: skip
+
+
+def _with_unit(value: float | None, row: Row) -> str:
+    return UNMEASURED if value is None else f"{value:.3g} {row.unit}".strip()
+
+
+def _alone(row: Row, value: float | None) -> str:
+    """GNSS alone beside a row; empty if it says nothing, as against its own fixes."""
+    if value is None:
+        return UNMEASURED if row.at_most_gnss else ""
+    return _with_unit(value, row)
+
+
+def gnss_alone(row: Row, metrics: Metrics) -> float | None:
+    """Error of the receiver's positions at the same fixes as a row, in its unit."""
+    return metrics.get(GNSS_ALONE.get(row.metric, ""))
 
 
 def shown(row: Row, metrics: Metrics) -> float | None:

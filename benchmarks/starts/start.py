@@ -56,14 +56,14 @@ class Start:
         made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": self.drive.lever_arm_b, **(settings or {})}))
         yield from self.lead(made, duration_s)
 
-    def lead(self, made: Navigator, duration_s: float) -> Iterator[tuple[int, Navigator]]:
-        """Lead a navigator on from there."""
+    def lead(self, made: Navigator, duration_s: float, until_s: float = inf) -> Iterator[tuple[int, Navigator]]:
+        """Lead a navigator on from there, with fixes until a time of the drive."""
         d, receiver, rng = self.drive, self.receiver, np.random.default_rng((self.seed, 77))
         first = round(self.at_s / STEP_S)
         every, wait = round(1.0 / (receiver.rate_hz * STEP_S)), round(self.first_fix_s / STEP_S)
         lasting = receiver.lasting_m * rng.standard_normal(3)
         for i in range(first, min(len(d.t_ns), first + round(duration_s / STEP_S))):
-            if i % every == 0 and i - first >= wait:
+            if i % every == 0 and i - first >= wait and i * STEP_S < until_s:
                 self._fix(made, i, rng, lasting)
             made.imu(int(d.t_ns[i]), d.force_b[i].tolist(), d.rate_b[i].tolist())
             yield i, made

@@ -27,21 +27,30 @@ def attack_lab(  # one argument an option
     *,
     attack: Annotated[
         list[str] | None,
-        typer.Option(help="Attack as in `obu demo --attack`; may be repeated. Default: all. `clean` for none."),
+        typer.Option(
+            metavar="ATTACK", help="Attack as in `obu demo --attack`; may be repeated. Default: all. `clean` for none."
+        ),
     ] = None,
     scenario: Annotated[
-        list[str] | None, typer.Option(help="Simulated drive; may be repeated. Default: urban and highway.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Simulated drive; may be repeated. Default: urban and highway."),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=0, max=1000, help="Runs of each simulated drive, seeds 1 to this.")] = 3,
+    seeds: Annotated[
+        int, typer.Option(min=0, max=1000, metavar="COUNT", help="Runs of each simulated drive, seeds 1 to this.")
+    ] = 3,
     recording: Annotated[
-        list[Path] | None, typer.Option(help="Recording of `obu record` or `obu import` to attack; may be repeated.")
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Recording of `obu record` or `obu import` to attack; may be repeated."),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Four attacks, one seed of the urban drive: a few minutes.")]
-    = False,
-    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("attack-lab"),
-    jobs: Annotated[int, typer.Option(min=0, help="Runs at the same time; 0: one for each processor.")] = 0,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Four attacks, one seed of the urban drive: a few minutes.")
+    ] = False,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Output folder.")] = Path("attack-lab"),
+    jobs: Annotated[
+        int, typer.Option(min=0, metavar="COUNT", help="Runs at the same time; 0: one for each processor.")
+    ] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report card as JSON.")] = False,
-) -> int:  # fmt: skip
+) -> int:
     """Attack simulated and recorded drives; write report.html and report.json with rates of detection and false alarm.
 
     Examples:

@@ -169,7 +169,7 @@ def _figures(runs: Sequence[Run]) -> Iterator[Figure]:
             continue
         drawn: list[str] = []
         title = f"{case.label} on {Path(case.drive).name}"
-        with stacked_axes(1, 2.6, drawn.append) as (axes,):
+        with stacked_axes(1, 2.6, drawn.append, width=8.6) as (axes,):
             edges = np.r_[timeline.verdict_s, timeline.duration_s]
             for begin, end, level in zip(edges, edges[1:], timeline.verdicts, strict=False):
                 axes.axvspan(begin, end, color=COLOURS.get(level, GREY), alpha=0.18, linewidth=0)

@@ -39,13 +39,18 @@ PROCESSES = ("parsers.gnss", "parsers.imu", "parsers.can", "core.fusion", "core.
 
 def calibrate_spoofing(
     drives: Annotated[list[Path], typer.Argument(help="Recordings without spoofing, ten minutes or more in all.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The profile to write.")] = Path("profile.json"),
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The profile to write.")] = Path(
+        "profile.json"
+    ),
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="Vehicle TOML file; default: the one in each recording.")
+        Path | None,
+        typer.Option("--vehicle", metavar="FILE", help="Vehicle TOML file; default: the one in each recording."),
     ] = None,
     threshold: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Standard deviations; default: the least of 5 to 15 with one alarm an hour."),
+        typer.Option(
+            min=1.0, metavar="VALUE", help="Standard deviations; default: the least of 5 to 15 with one alarm an hour."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the profile as one JSON object.")] = False,
 ) -> int:

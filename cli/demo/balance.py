@@ -19,6 +19,7 @@ from shared.messages.trust import TrustLevel, TrustState
 from shared.runtime.config import VehicleFile
 from shared.topics import topic_of
 
+from ..solve.metrics.gnss_alone import WORSE
 from .detection import NS, AttackSummary, seconds_in_states, summarise
 
 T = TypeVar("T")
@@ -28,7 +29,10 @@ KEPT = 36_000  # the last hour of what comes ten times a second
 
 @dataclass(frozen=True)
 class Summary:
-    """The balance of a run. Errors are 3-D root mean squares over the run, in metres."""
+    """The balance of a run. Errors are root mean squares over the run, in metres; 3-D where nothing else is said.
+
+    `gnss_*` and `fusion_at_fixes_*` are errors at the same times, those of the fixes: of the antenna and of the IMU.
+    """
 
     healthy: bool
     duration_s: float
@@ -38,6 +42,10 @@ class Summary:
     messages_per_second: float
     broken_messages: int
     gnss_position_rmse_m: float | None
+    gnss_horizontal_rmse_m: float | None
+    fusion_at_fixes_position_rmse_m: float | None
+    fusion_at_fixes_horizontal_rmse_m: float | None
+    fusion_worse_than_gnss: bool | None  # by more than 2 %, horizontally or in three dimensions
     fusion_position_rmse_m: float | None
     fusion_horizontal_rmse_m: float | None
     protection_horizontal_median_m: float | None
@@ -105,7 +113,7 @@ class Balance:
         fusion = self._errors([(s.sampled_ns, _position(s)) for s in judged], np.zeros(3))
         levels = np.array([_levels(s) for s in judged]).reshape(-1, 2)
         fixes = [(f.sampled_ns, position) for f in self._fixes if (position := _fix_position(f)) is not None]
-        gnss = self._errors(fixes, self._lever_b)
+        gnss, at_fixes = self._same_epochs(fixes)
         runs = self._simulation.attacks if self._simulation else ()
         ready = [h for h in self._health.values() if h.state == ProcessState.READY]
         dated = [t for t in self._report.topics if _has_deadline(t)] if self._report else []
@@ -119,6 +127,10 @@ class Balance:
             messages_per_second=round(sum(t.rate_hz for t in self._report.topics), 1) if self._report else 0.0,
             broken_messages=self.broken_messages,
             gnss_position_rmse_m=_rms(gnss),
+            gnss_horizontal_rmse_m=_rms(gnss[:, :2]),
+            fusion_at_fixes_position_rmse_m=_rms(at_fixes),
+            fusion_at_fixes_horizontal_rmse_m=_rms(at_fixes[:, :2]),
+            fusion_worse_than_gnss=_worse(at_fixes, gnss),
             fusion_position_rmse_m=_rms(fusion),
             fusion_horizontal_rmse_m=_rms(fusion[:, :2]),
             protection_horizontal_median_m=_median(levels[:, 0]),
@@ -135,6 +147,24 @@ class Balance:
             safe_above_alert_limit_s=self._misleading_s([s.sampled_ns for s in judged], fusion),
             attacks=summarise(runs, self._verdicts, self._begin_ns or self._first_ns),
         )
+
+    def _same_epochs(self, fixes: list[tuple[int, tuple[float, float, float]]]) -> tuple[FloatArray, FloatArray]:
+        """Errors of fixes and of the solution at their times [m, NED], where both are known, shape (n, 3) each.
+
+        The error of the solution is that at the IMU, interpolated linearly between two solutions.
+        """
+        judged = {s.sampled_ns: _position(s) for s in self._solutions if self._knows(s.sampled_ns)}
+        errors = self._errors(list(judged.items()), np.zeros(3))
+        stamps = np.array(sorted(judged), dtype=np.int64)
+        if len(stamps) < 2:
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        errors = errors[np.argsort(np.array(list(judged), dtype=np.int64))]
+        kept = [fix for fix in fixes if self._knows(fix[0]) and stamps[0] <= fix[0] <= stamps[-1]]
+        after = np.clip(np.searchsorted(stamps, [stamp for stamp, _ in kept]), 1, len(stamps) - 1)
+        near = stamps[after] - stamps[after - 1] <= NS
+        kept = [fix for fix, is_near in zip(kept, near.tolist(), strict=True) if is_near]
+        at = np.array([stamp for stamp, _ in kept], dtype=np.int64)
+        return self._errors(kept, self._lever_b), np.column_stack([np.interp(at, stamps, axis) for axis in errors.T])
 
     def _misleading_s(self, stamps_ns: list[int], errors: FloatArray) -> float:
         """Time [s] for which the newest verdict was SAFE and the error of the solution above the alert limit."""
@@ -172,6 +202,13 @@ class Balance:
             lever_n = rotation.ned_from_body(*(a.attitude_rad or (0.0, 0.0, 0.0))) @ lever_b
             errors.append(np.array(earth.ned_from_geodetic_difference(said, true)) - lever_n)
         return np.array(errors).reshape(-1, 3)
+
+
+def _worse(fused: FloatArray, gnss: FloatArray) -> bool | None:
+    """Whether the solution is worse than GNSS alone; None without fixes to compare with."""
+    if not len(gnss):
+        return None
+    return any(bool((fused[:, :axes] ** 2).sum() > WORSE**2 * (gnss[:, :axes] ** 2).sum()) for axes in (2, 3))
 
 
 def _has_deadline(age: TopicAge) -> bool:

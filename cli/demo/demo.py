@@ -221,6 +221,11 @@ def _print(summary: Summary | PlazaSummary, options: DemoOptions, console: Conso
         for attack in summary.attacks:
             console.print(f"  {_detection(attack)}", highlight=False)
         del shown["attacks"]
+        if summary.fusion_worse_than_gnss:
+            console.print(
+                f"  The fused position is worse than GNSS alone at the same fixes: "
+                f"{summary.fusion_at_fixes_horizontal_rmse_m} m horizontal RMS instead of "
+                f"{summary.gnss_horizontal_rmse_m} m.", soft_wrap=True, highlight=False)  # fmt: skip
     for name, value in shown.items():
         console.print(f"  {name:32} {value if value is not None else '-'}")
     sys.stderr.flush()

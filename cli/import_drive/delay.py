@@ -1,124 +1,122 @@
-"""Estimates the delay of position stamps relative to the gyroscope from the turns of the vehicle."""
+"""Estimates how late stamps are: those of fixes relative to the IMU, and those of a reference relative to the fixes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from shared.errors import UserError
 from shared.maths.earth import FloatArray, Geodetic, ned_track
+from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
-from shared.messages.imu import ImuSamples
-from shared.messages.navigation import TruthState
+from shared.messages.navigation import NavigationState, TruthState
+from shared.runtime.config import VehicleFile
+from shared.runtime.offline import OfflineUnit
 
-EARLIEST_S, LATEST_S, STEP_S = -1.0, 3.0, 0.01
-CHORD_S = (0.7, 1.6)  # time between two positions whose direction is used
-SLOWEST_M_S = 2.0  # the direction of a shorter chord is noise
-LEAST_TURN_RAD = 1.0  # sum of the turns: below it the delay is not observable
-LEAST_CHORDS = 20
+from ..solve.overrides import with_settings
+
+LONGEST_S = 400.0  # of a drive, over which the filter estimates a delay
+WORST_SD_S = 0.1  # standard deviation above which the delay of fixes is not known
+LARGEST_S, STEP_S = 3.0, 0.02  # range and step of the delays of a reference
+SLOWEST_M_S = 2.0  # the delay is not observable at standstill
+GAP_S = 2.5  # longest time between two fixes that is interpolated
+LEAST_ROWS = 30
 
 
 @dataclass(frozen=True)
 class Delay:
-    """Delay of the stamps [s], its standard deviation, and the RMS of the turns that remain [rad]."""
+    """Delay of stamps [s]: positive if they are late; and its standard deviation."""
 
     seconds: float
     sd_s: float
-    rms_rad: float
 
 
-def delay_of(points: Sequence[GnssFix | TruthState], imu: Sequence[ImuSamples]) -> Delay:
-    """Estimate by how much the stamps of positions are late, relative to those of the gyroscope.
+def delay_of_fixes(messages: Iterable[Message], vehicle: VehicleFile) -> Delay:
+    """Estimate the delay of the fixes relative to the inertial samples by the filter itself.
 
     Parameters
     ----------
-    points : sequence of GnssFix or TruthState
-        Positions, about 0.5 Hz or faster.
-    imu : sequence of ImuSamples
-        Angular rates in body axes.
+    messages : iterable of Message
+        Inertial samples, fixes and speeds in the order of arrival.
+    vehicle : VehicleFile
+        Its lever arm and noise; the delay found is that beyond `gnss.delay_s`.
 
     Returns
     -------
     Delay
-        Positive: the stamps of the positions are late.
+        The estimate of `core.fusion` with `estimate_delays`, after at most 400 s.
 
     Raises
     ------
     UserError
-        The vehicle does not turn enough while it drives.
-
-    Notes
-    -----
-    The change of the course c between successive chords of positions is that of the heading, the integral of the yaw
-    rate w about gravity, plus that of the slip at an antenna a distance l ahead of the rear axle, w l / v. For each
-    delay d, yaw bias b and l minimise the sum of squares of::
-
-        e_k = c_{k+1} - c_k - [h(t_{k+1} - d) - h(t_k - d)] - b (t_{k+1} - t_k) - l (w_{k+1} / v_{k+1} - w_k / v_k)
-
-    with h the integral of w. The delay is that of the least sum S; its variance is 2 S / n over the second derivative
-    of S.
+        The standard deviation of the estimate is above 0.1 s.
     """
-    time_s, course, speed = _chords(points)
-    heading_time_s, heading, rate = _headings(imu)
-    inside = (time_s[:-1] + EARLIEST_S > heading_time_s[0] - 1.0) & (time_s[1:] < heading_time_s[-1] + 1.0)
-    turn = (np.diff(course) + np.pi) % (2.0 * np.pi) - np.pi
-    used = inside & (np.diff(time_s) < CHORD_S[1]) & (np.minimum(speed[1:], speed[:-1]) > SLOWEST_M_S)
-    if used.sum() < LEAST_CHORDS or np.abs(turn[used]).sum() < LEAST_TURN_RAD:
+    unit = OfflineUnit(with_settings(vehicle, ("core.fusion.estimate_delays=true",)), ["core.fusion"])
+    states = (message for message in unit.run(messages) if isinstance(message, NavigationState))
+    last = first = next(states, None)
+    for last in states:
+        if first is not None and last.sampled_ns - first.sampled_ns > LONGEST_S * 1e9:
+            break
+    if last is None or last.gnss_delay_s is None or last.gnss_delay_sd_s is None or last.gnss_delay_sd_s > WORST_SD_S:
         raise UserError(
-            "the delay of the stamps cannot be estimated: the vehicle turns too little while it drives; give it as "
+            "the delay of the fixes cannot be estimated: the drive has too few turns and changes of speed; give it as "
             "`stamps_late_s`"
         )
+    return Delay(round(last.gnss_delay_s, 3), last.gnss_delay_sd_s)
+
+
+def delay_of_reference(states: Sequence[TruthState], fixes: Sequence[GnssFix]) -> Delay:
+    """Estimate the delay of a reference relative to fixes that were stamped correctly.
+
+    Parameters
+    ----------
+    states : sequence of TruthState
+        Positions with the delay to estimate.
+    fixes : sequence of GnssFix
+        Positions of a receiver.
+
+    Returns
+    -------
+    Delay
+        That of the least sum of squares S of the horizontal differences while the vehicle drives, after removal of
+        their mean (another point of the vehicle, or a constant error). Its variance is 2 S / n over the second
+        derivative of S, as if the differences were white.
+    """
+    time_s, path = _path([(s.sampled_ns, s.latitude_deg, s.longitude_deg) for s in states])
+    known = [(f.sampled_ns, f.latitude_deg, f.longitude_deg) for f in fixes if f.latitude_deg and f.longitude_deg]
+    fix_time_s, fix_path = _path(known, states)
+    if min(len(time_s), len(fix_time_s)) < LEAST_ROWS:
+        raise UserError("the delay of the reference cannot be estimated from so few positions; give `stamps_late_s`")
+    speed = np.hypot(*np.gradient(path, time_s, axis=0).T)
+    after = np.clip(np.searchsorted(fix_time_s, time_s), 1, len(fix_time_s) - 1)
+    near = fix_time_s[after] - fix_time_s[after - 1] < GAP_S
+    inside = (time_s > fix_time_s[0] + LARGEST_S) & (time_s < fix_time_s[-1] - LARGEST_S)
+    rows = near & inside & (speed > SLOWEST_M_S)
+    if rows.sum() < LEAST_ROWS:
+        raise UserError("the delay of the reference cannot be estimated at standstill; give `stamps_late_s`")
 
     def squares(delay_s: float) -> float:
-        here = np.interp(time_s - delay_s, heading_time_s, heading)
-        slip = np.interp(time_s - delay_s, heading_time_s, rate) / np.maximum(speed, SLOWEST_M_S)
-        left = turn - np.diff(here)
-        left = ((left + np.pi) % (2.0 * np.pi) - np.pi)[used]
-        columns = np.column_stack([np.diff(time_s), np.diff(slip)])[used]
-        good = np.abs(left) < 0.5  # a position that jumps turns its chords by more
-        solution, *_ = np.linalg.lstsq(columns[good], left[good], rcond=None)
-        return float(np.mean((left[good] - columns[good] @ solution) ** 2))
+        at = time_s[rows] - delay_s
+        difference = path[rows] - np.column_stack([np.interp(at, fix_time_s, axis) for axis in fix_path.T])
+        return float(np.mean(((difference - difference.mean(axis=0)) ** 2).sum(axis=1)))
 
-    delays = np.arange(EARLIEST_S, LATEST_S, STEP_S)
+    delays = np.arange(-LARGEST_S, LARGEST_S + STEP_S, STEP_S)
     costs = np.array([squares(delay) for delay in delays.tolist()])
-    near = slice(max(0, int(costs.argmin()) - 10), int(costs.argmin()) + 11)
-    curvature, slope, _ = np.polyfit(delays[near], costs[near], 2)
-    if curvature <= 0.0 or not 0 < costs.argmin() < len(costs) - 1:
-        raise UserError(
-            f"the delay of the stamps lies outside {EARLIEST_S:g} to {LATEST_S:g} s, or the drive does not determine "
-            "it; give it as `stamps_late_s`"
-        )
-    least = float(costs.min())
-    variance = least / used.sum() / curvature
-    return Delay(round(float(-0.5 * slope / curvature), 3), float(np.sqrt(variance)), float(np.sqrt(least)))
+    least = int(costs.argmin())
+    near_least = slice(max(0, least - 15), least + 16)
+    curvature, slope, _ = np.polyfit(delays[near_least], costs[near_least], 2)
+    if curvature <= 0.0 or not 0 < least < len(delays) - 1:
+        raise UserError(f"the delay of the reference is not within {LARGEST_S:g} s; give it as `stamps_late_s`")
+    return Delay(round(float(-0.5 * slope / curvature), 3), float(np.sqrt(costs[least] / rows.sum() / curvature)))
 
 
-def _chords(points: Sequence[GnssFix | TruthState]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Middle times [s], courses [rad] and speeds [m/s] of chords of about a second."""
-    known = [p for p in points if p.latitude_deg is not None and p.longitude_deg is not None]
-    if len(known) < 2:
-        return np.zeros(1), np.zeros(1), np.zeros(1)
-    stamps = np.array([p.sampled_ns for p in known], dtype=float) * 1e-9
-    place = np.array([[np.radians(p.latitude_deg or 0.0), np.radians(p.longitude_deg or 0.0), 0.0] for p in known])
-    path = ned_track(place, Geodetic(*place[0].tolist()))[:, :2]
-    stride = max(1, round(1.0 / float(np.median(np.diff(stamps)))))
-    lengths = stamps[stride:] - stamps[:-stride]
-    chords = path[stride:] - path[:-stride]
-    kept = (lengths > CHORD_S[0]) & (lengths < CHORD_S[1])
-    rows = np.flatnonzero(kept)[::stride]  # chords that do not overlap
-    middle: FloatArray = 0.5 * (stamps[stride:] + stamps[:-stride])[rows]
-    return middle, np.arctan2(chords[rows, 1], chords[rows, 0]), np.hypot(*chords[rows].T) / lengths[rows]
-
-
-def _headings(imu: Sequence[ImuSamples]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times [s], integral of the yaw rate [rad], and yaw rate smoothed over a second [rad/s]."""
-    stamps = np.array([stamp for message in imu for stamp in message.sampled_ns], dtype=float) * 1e-9
-    rates = np.array([rate for message in imu for rate in message.angular_rate_body_rad_s])
-    forces = np.array([force for message in imu for force in message.specific_force_body_m_s2])
-    down = -forces.mean(axis=0) / np.linalg.norm(forces.mean(axis=0))
-    yaw = rates @ down
-    steps = np.diff(stamps)
-    heading: FloatArray = np.r_[0.0, np.cumsum(0.5 * (yaw[1:] + yaw[:-1]) * np.minimum(steps, 1.5))]
-    width = max(1, round(1.0 / float(np.median(steps))))
-    smooth: FloatArray = np.convolve(yaw, np.ones(width) / width, mode="same")
-    return stamps, heading, smooth
+def _path(
+    points: Sequence[tuple[int, float, float]], around: Sequence[TruthState] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and horizontal positions [m, north and east]; `around` holds the origin."""
+    if not points:
+        return np.zeros(0), np.zeros((0, 2))
+    place = np.array([[np.radians(latitude), np.radians(longitude), 0.0] for _, latitude, longitude in points])
+    first = np.radians([around[0].latitude_deg, around[0].longitude_deg]) if around else place[0, :2]
+    path: FloatArray = ned_track(place, Geodetic(float(first[0]), float(first[1]), 0.0))[:, :2]
+    return np.array([stamp for stamp, _, _ in points], dtype=float) * 1e-9, path

@@ -35,10 +35,10 @@ from . import units
 from .arrays import FORMATS, arrays_of
 from .clocks import offset_of, shifted
 from .convert import Accelerometer, Converted, Imported, convert, wanted_columns
-from .delay import delay_of
+from .delay import Delay, delay_of_fixes, delay_of_reference
 from .gnss_logger import is_log, messages_of, read_log
 from .mapping import Mapping, parse_mapping
-from .schema import Imu, Positioned, Speed, TableFile, Time
+from .schema import Gnss, Imu, Positioned, Speed, TableFile, Time
 from .table import Table, arrays_table, read_table
 
 
@@ -50,15 +50,19 @@ def import_drive(
     folder: Annotated[
         Path | None, typer.Argument(help="Folder with the files named in the mapping; none with a GnssLogger log.")
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Output recording.")] = Path("drive.mcap"),
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Output recording.")] = Path(
+        "drive.mcap"
+    ),
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="Vehicle TOML file; default: the one named in the mapping.")
+        Path | None,
+        typer.Option("--vehicle", metavar="FILE", help="Vehicle TOML file; default: the one named in the mapping."),
     ] = None,
     axes: Annotated[
         str,
         typer.Option(
+            metavar="X,Y,Z",
             help="Axes of the phone (x right, y top, z out of the screen) that point forward, right and down in the "
-            "vehicle, of a GnssLogger log; default: flat, top ahead."
+            "vehicle, of a GnssLogger log; default: flat, top ahead.",
         ),
     ] = "y,x,-z",
 ) -> int:
@@ -87,7 +91,7 @@ def import_drive(
     console = Console(stderr=True)
     with progress_on(console) as progress:
         parts = _converted(tables, [_read(table, folder, progress) for table in tables], spec.start_utc_s)
-        parts = _on_one_clock(tables, _without_delay(tables, parts))
+        parts = _on_one_clock(tables, _without_delay(tables, parts, file))
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)
     for sentence in (*(part.clock for part in parts if part.clock), *spec.made()):
@@ -165,24 +169,27 @@ def _on_one_clock(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
     ]
 
 
-def _without_delay(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
-    """Estimate and remove the delays of the stamps where the mapping asks for it."""
-    imu = [message for part in parts for message in part.converted.messages if isinstance(message, ImuSamples)]
-    return [
-        _earlier(part, imu) if isinstance(table, Positioned) and table.estimate_delay else part
-        for table, part in zip(tables, parts, strict=True)
-    ]
+def _without_delay(tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleFile) -> list[Part]:
+    """Estimate and remove the delays of the stamps where the mapping asks for it: of the fixes, then of the truth."""
+    for place, table in enumerate(tables):
+        if isinstance(table, Positioned) and table.estimate_delay:
+            messages = list(heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns))
+            if isinstance(table, Gnss):
+                delay, against = delay_of_fixes((m for m in messages if not isinstance(m, TruthState)), vehicle), "IMU"
+            else:
+                states = [message for message in messages if isinstance(message, TruthState)]
+                fixes = [message for message in messages if isinstance(message, GnssFix)]
+                delay, against = delay_of_reference(states, fixes), "fixes"
+            parts[place] = _earlier(parts[place], delay, against)
+    return parts
 
 
-def _earlier(part: Part, imu: Sequence[ImuSamples]) -> Part:
-    points = part.converted.messages
-    delay = delay_of([message for message in points if isinstance(message, GnssFix | TruthState)], imu)
+def _earlier(part: Part, delay: Delay, against: str) -> Part:
     step_ns = round(delay.seconds * 1e9)
-    messages = [message.model_copy(update={"sampled_ns": _stamps(message)[0] - step_ns}) for message in points]
+    messages = [m.model_copy(update={"sampled_ns": _stamps(m)[0] - step_ns}) for m in part.converted.messages]
     clock = (
-        f"The stamps of {part.name} are late by {delay.seconds:.3f} s (standard deviation {delay.sd_s:.3f} s), "
-        f"estimated from the turns of the vehicle ({np.degrees(delay.rms_rad):.2f} deg RMS remain), and corrected. "
-        f"To fix the value: stamps_late_s = {delay.seconds:.3f}."
+        f"The stamps of {part.name} are late by {delay.seconds:.3f} s relative to the {against} (estimated, standard "
+        f"deviation {delay.sd_s:.3f} s) and were corrected. To fix the value: stamps_late_s = {delay.seconds:.3f}."
     )
     return replace(part, converted=replace(part.converted, messages=messages), clock=clock)
 

@@ -64,8 +64,10 @@ class Mapping(Section):
                 "an IMU is one [imu] table with `specific_force` and `angular_rate`, or two tables: [imu] with "
                 "`specific_force` and [gyroscope] with `angular_rate`"
             )
-        if self.imu is None and any(table and table.estimate_delay for table in (self.gnss, self.truth)):
-            raise ValueError("`estimate_delay` requires an [imu]: the delay is that relative to the gyroscope")
+        if self.imu is None and self.gnss is not None and self.gnss.estimate_delay:
+            raise ValueError("`estimate_delay` of [gnss] requires an [imu]: the delay is that relative to the IMU")
+        if self.gnss is None and self.truth is not None and self.truth.estimate_delay:
+            raise ValueError("`estimate_delay` of [truth] requires a [gnss]: the delay is that relative to the fixes")
         if self.truth_is == "recorded" and self.truth is None:
             raise ValueError('truth_is = "recorded" requires a [truth] table')
         if self.speed is not None and self.speed.clock_by_speed and self.gnss is None:

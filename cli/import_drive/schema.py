@@ -255,7 +255,7 @@ class Positioned(TableFile):
     height: Height | None = None
     position_ecef: Ecef | None = None
     position_local: Local | None = None
-    estimate_delay: bool = False  # whether the delay of the stamps is estimated from the turns of the vehicle
+    estimate_delay: bool = False  # whether the delay of the stamps is estimated, relative to IMU or fixes
 
     @model_validator(mode="after")
     def _one_position(self) -> Self:

@@ -51,7 +51,7 @@ def record(output: Path | None, duration: float | None, vehicle: Path | None) ->
 
 def repair(
     file: Annotated[Path, typer.Argument(help="A recording that was cut or damaged.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The whole recording to write.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The whole recording to write.")],
 ) -> int:
     """Write what can be read of a damaged recording into a new one that every MCAP tool opens.
 

@@ -40,15 +40,24 @@ def replay(  # one argument an option
     file: Annotated[Path, typer.Argument(help="A recording, from `obu record`, the unit's recorder or `obu import`.")],
     *,
     speed: Annotated[
-        float, typer.Option(min=SLOWEST, max=FASTEST, help="Recorded seconds per second; the page changes it.")
+        float,
+        typer.Option(
+            min=SLOWEST, max=FASTEST, metavar="FACTOR", help="Recorded seconds per second; the page changes it."
+        ),
     ] = 1.0,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the dashboard; if taken, a free one.")] = 8080,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, metavar="PORT", help="Port of the dashboard; if taken, a free one.")
+    ] = 8080,
     broker: Annotated[
         str | None,
-        typer.Option(help="Play what the devices said onto this broker instead, for a unit that runs without sensors."),
+        typer.Option(
+            metavar="URL",
+            help="Play what the devices said onto this broker instead, for a unit that runs without sensors.",
+        ),
     ] = None,
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="The vehicle's TOML file; without it the recorded one.")
+        Path | None,
+        typer.Option("--vehicle", metavar="FILE", help="The vehicle's TOML file; without it the recorded one."),
     ] = None,
 ) -> int:
     """Show a recording in a dashboard: play, pause, speed, and any position of the drive.

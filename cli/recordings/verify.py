@@ -37,10 +37,12 @@ INCOMPLETE = (
 def verify(
     files: Annotated[list[Path], typer.Argument(help="A recording of the unit, or several in the order of time.")],
     process: Annotated[
-        str | None, typer.Option("--process", help="Only this process; without it all of layers 2 to 4.")
+        str | None,
+        typer.Option("--process", metavar="NAME", help="Only this process; without it all of layers 2 to 4."),
     ] = None,
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="The vehicle's TOML file instead of the recorded one.")
+        Path | None,
+        typer.Option("--vehicle", metavar="FILE", help="The vehicle's TOML file instead of the recorded one."),
     ] = None,
 ) -> int:
     """Repeat what each process consumed, in the order in which it did, and compare what it says byte for byte.

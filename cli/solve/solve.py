@@ -20,7 +20,7 @@ from services.core.fusion.smoothing.rts import smoothed_filters
 from shared.errors import ConfigError, UserError
 from shared.messages.base import Message
 from shared.messages.gnss import CarrierSolution, GnssFix, GnssRaw
-from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState
+from shared.messages.navigation import AidingUpdate, NavigationSolution, NavigationState, SetUpState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
@@ -38,6 +38,7 @@ from .outages import Outages
 from .overrides import SWITCHES, Aiding, with_settings
 from .reference_track import ATTITUDE, POSITION, VELOCITY, Reference, from_columns, from_fixes, from_states
 from .report.report import Heading, summary
+from .set_up import findings
 from .smoothing import smoothed_metrics, smoothed_run, smoothed_track
 from .track import Track, TrackBuilder
 
@@ -47,20 +48,26 @@ def solve(  # noqa: PLR0913  # one argument an option
     *,
     truth: Annotated[
         str | None,
-        typer.Option(help="Truth: fixes, recorded, none, or a CSV file; default: as stated in the recording."),
+        typer.Option(
+            metavar="TRUTH", help="Truth: fixes, recorded, none, or a CSV file; default: as stated in the recording."
+        ),
     ] = None,
     vehicle: Annotated[
-        Path | None, typer.Option("--vehicle", help="Vehicle TOML file; default: the recorded one.")
+        Path | None, typer.Option("--vehicle", metavar="FILE", help="Vehicle TOML file; default: the recorded one.")
     ] = None,
     outage: Annotated[
         str | None,
         typer.Option(
+            metavar="GAP/PERIOD[@START]",
             help="Simulate GNSS outages: 10/30 is 10 s of every 30 s after the alignment, 60/180@650 is 60 s of every "
-            "180 s from 650 s after the first input on."
+            "180 s from 650 s after the first input on.",
         ),
     ] = None,
     score_from: Annotated[
-        float, typer.Option(min=0.0, help="Seconds after the first input that are excluded from the errors.")
+        float,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help="Seconds after the first input that are excluded from the errors."
+        ),
     ] = 0.0,
     aiding: Annotated[
         Aiding | None,
@@ -71,13 +78,18 @@ def solve(  # noqa: PLR0913  # one argument an option
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Override a setting of the vehicle, as in the last example; may be repeated."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override a setting of the vehicle, as in the last example; may be repeated.",
+        ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Output folder; default: name of the recording with -solution.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Output folder; default: name of the recording with -solution."),
     ] = None,
     smooth: Annotated[
-        bool, typer.Option(help="Run the Rauch-Tung-Striebel smoother as well: solution_smoothed.csv.")
+        bool, typer.Option("--smooth", help="Run the Rauch-Tung-Striebel smoother as well: solution_smoothed.csv.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as one JSON object.")] = False,
 ) -> int:
@@ -124,7 +136,9 @@ def solve(  # noqa: PLR0913  # one argument an option
         metrics |= smoothed_metrics(run, again)
     truth_is = reference.description if reference else "none"
     risk, made = _fusion(drive.vehicle).integrity.risk, drive.provenance.get("made", "")
-    heading = Heading(drive.name, truth_is, outage, _facts(drive, changes), risk, made)
+    heading = Heading(
+        drive.name, truth_is, outage, _facts(drive, changes), risk, made, findings(solved.counters.set_up)
+    )
     write(folder, (run, again), reference, heading, metrics)
     timings: dict[str, Value] = {
         "solve_seconds": round(solved.seconds, 3),
@@ -234,6 +248,8 @@ def _run(drive: Drive, outages: Outages | None, progress: Progress, history: His
                 counters.add_update(message)
             case NavigationState():
                 counters.add_state(message)
+            case SetUpState():
+                counters.set_up = message
             case GnssFix() if message.latitude_deg is not None:
                 fixes.append(message)
     return Solved(builder, counters, outages, fixes, time.perf_counter() - started)

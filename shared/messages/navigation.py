@@ -103,6 +103,36 @@ class NavigationState(Message):
     satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
 
 
+class SetUpVerdict(StrEnum):
+    """What a check of the set-up has found."""
+
+    UNKNOWN = "unknown"  # the drive has not shown enough
+    AGREES = "agrees"
+    CONTRADICTS = "contradicts"
+
+
+class SetUpCheck(Message):
+    """One property of the set-up against independent measurements."""
+
+    name: Name
+    verdict: SetUpVerdict
+    since_ns: Nanoseconds  # of this verdict
+    sentence: Reason = ""  # what was compared, and what came out
+    statistic: Annotated[float, unit("of the check")] | None = None
+    statistic_sd: Annotated[float, unit("of the check")] | None = None
+    expected: Annotated[float, unit("of the check")] | None = None
+    limit: Annotated[float, unit("of the check")] | None = None  # of the difference from the expected value
+    unit: Name = "-"
+    setting: Reason | None = None  # that corrects it, to paste into the vehicle's file
+
+
+class SetUpState(Message):
+    """How sensors are mounted, connected and stamped, as far as driving has shown it."""
+
+    sampled_ns: Nanoseconds
+    checks: Annotated[tuple[SetUpCheck, ...], Field(max_length=32)] = ()
+
+
 class AidingKind(StrEnum):
     """What a measurement that aids the filter is made of."""
 

@@ -26,6 +26,9 @@ from shared.messages.navigation import (
     NavigationPhase,
     NavigationSolution,
     NavigationState,
+    SetUpCheck,
+    SetUpState,
+    SetUpVerdict,
     TruthState,
 )
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind, ProcessHealth, ProcessState, RecordingState
@@ -354,6 +357,28 @@ class FakeUnit:
                 resets=0,
                 alert_limit_horizontal_m=10.0,
                 alert_limit_vertical_m=20.0,
+            ),
+        )
+        yield (
+            "core.fusion",
+            SetUpState(
+                sampled_ns=now_ns,
+                checks=(
+                    SetUpCheck(
+                        name="imu_axes",
+                        verdict=SetUpVerdict.CONTRADICTS,
+                        since_ns=self.started_ns,
+                        sentence="axes are swapped: forward appears right, right appears backward",
+                        setting="core.fusion.imu.body_from_imu = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]",
+                    ),
+                    SetUpCheck(
+                        name="imu_upright",
+                        verdict=SetUpVerdict.AGREES,
+                        since_ns=self.started_ns,
+                        sentence="gravity is 0.6° from the axis down",
+                    ),
+                    SetUpCheck(name="lever_arm", verdict=SetUpVerdict.UNKNOWN, since_ns=self.started_ns),
+                ),
             ),
         )
         mode = Mode.DEGRADED if self.rejecting or self.coasting else Mode.MEASURING

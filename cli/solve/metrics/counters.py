@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
-from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationState
+from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationState, SetUpState
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class Counters:
 
     aligned_ns: int | None = None
     state: NavigationState | None = None
+    set_up: SetUpState | None = None
     _updates: dict[AidingKind, list[AidingUpdate]] = field(default_factory=dict)
 
     def add_state(self, state: NavigationState) -> None:

@@ -25,6 +25,7 @@ GNSS_ALONE: dict[str, str] = {
     "gnss_alone_horizontal_rmse_m": "horizontal error of these fixes: GNSS alone, root mean square",
     "gnss_alone_vertical_rmse_m": "vertical error of these fixes, root mean square",
     "at_fixes_horizontal_rmse_m": "horizontal error of the solution at these fixes, root mean square",
+    "gnss_alone_standstill_horizontal_rmse_m": "horizontal error of these fixes while standstill is detected",
     "at_fixes_vertical_rmse_m": "vertical error of the solution at these fixes, root mean square",
 }
 # Name and meaning of each metric, in the order of the files; docs/reference/metrics.md is printed from here.
@@ -61,6 +62,8 @@ METRICS: dict[str, str] = {
     "roll_rmse_mounted_rad": "roll error after removal of the mounting rotation, root mean square",
     "pitch_rmse_mounted_rad": "pitch error after removal of the mounting rotation, root mean square",
     "yaw_rmse_mounted_rad": "heading error after removal of the mounting rotation, root mean square",
+    "standstill_horizontal_rmse_m": "horizontal position error while standstill is detected, root mean square: "
+    "independent of the stamps of the truth",
     "within_3_sigma_fraction": "fraction of the position errors (north, east and down counted separately) within three "
     "standard deviations: 0.997 for a consistent filter",
     **GNSS_ALONE,
@@ -130,6 +133,7 @@ def metrics_of(run: Run) -> dict[str, Value]:
         "filter_resets": None if run.counters.state is None else run.counters.state.resets,
         **_innovations(run.counters),
         **({} if scored is None else _against_truth(scored)),
+        **_standstill(run, scored),
         **({} if run.gnss_alone is None else _gnss_alone(run.gnss_alone.since(run.scored_from_ns))),
         **({} if scored is None else integrity_metrics(scored, run.alert_limits_m)),
         **(_outages(run.drifts()) if run.gaps and run.errors and run.errors.position_n is not None else {}),
@@ -177,6 +181,24 @@ def _against_truth(errors: Errors) -> dict[str, Value]:
             "yaw_sd_rad": _rms(about_mean),
             **_mounted(errors),
         }
+    return found
+
+
+def _standstill(run: Run, scored: Errors | None) -> dict[str, Value]:
+    """Errors while the vehicle stands, of the solution and of GNSS alone."""
+    flags = run.track.columns("stationary", 1)[:, 0]
+
+    def still(stamps_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        stands: npt.NDArray[np.bool_] = np.interp(stamps_ns, run.track.stamps_ns, flags) == 1.0
+        return stands
+
+    found: dict[str, Value] = {}
+    if scored is not None and scored.position_n is not None:
+        found["standstill_horizontal_rmse_m"] = _rms(horizontal_error(scored.position_n[still(scored.stamps_ns)]))
+    if run.gnss_alone is not None:
+        alone = run.gnss_alone.since(run.scored_from_ns)
+        errors = horizontal_error(alone.gnss_n[still(alone.stamps_ns)])
+        found["gnss_alone_standstill_horizontal_rmse_m"] = _rms(errors)
     return found
 
 

@@ -1,7 +1,7 @@
 """The figures of the report as inline SVG."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import StringIO
@@ -24,11 +24,16 @@ if TYPE_CHECKING:
 POINTS = 1500  # maximum points per line
 BLUE, ORANGE, GREEN, RED, GREY = "#0a5fb4", "#c75b00", "#2b7a3f", "#c01c28", "#8a8f98"
 COLOURS = (BLUE, ORANGE, GREEN)
+WIDTH_IN = 5.6  # at the width of a phone, text of 10 pt has 9 pixels
+# Colours that a page replaces in its dark mode, each by the CSS variable of this name.
+VARIABLES = {
+    BLUE: "blue", ORANGE: "orange", GREEN: "green", RED: "red", GREY: "grey", "#000000": "ink", "#e3e6ea": "grid",
+}  # fmt: skip
 STYLE = {
     "svg.hashsalt": "obu",  # reproducible identifiers
     "svg.fonttype": "none",
     "font.family": "sans-serif",
-    "font.size": 9.0,
+    "font.size": 10.0,
     "axes.grid": True,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -36,7 +41,7 @@ STYLE = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.1,
     "legend.frameon": False,
-    "legend.fontsize": 8.0,
+    "legend.fontsize": 9.0,
     "path.simplify": False,  # would remove dots; lines are decimated in `thinned`
 }
 
@@ -95,13 +100,15 @@ class _Labels:
 
 
 @contextmanager
-def stacked_axes(rows: int, height: float, store: Callable[[str], None]) -> Iterator[list["Axes"]]:
+def stacked_axes(
+    rows: int, height: float, store: Callable[[str], None], width: float = WIDTH_IN
+) -> Iterator[list["Axes"]]:
     """Create stacked axes; on exit pass the figure to `store` as SVG."""
     from matplotlib import style
     from matplotlib.figure import Figure as Canvas
 
     with style.context(STYLE):
-        canvas = Canvas(figsize=(8.6, height), layout="constrained")
+        canvas = Canvas(figsize=(width, height), layout="constrained")
         axes = np.atleast_1d(canvas.subplots(rows, 1, sharex=True)).tolist()
         yield axes
         text = StringIO()
@@ -109,12 +116,15 @@ def stacked_axes(rows: int, height: float, store: Callable[[str], None]) -> Iter
     store(text.getvalue())
 
 
-def inline_svg(svg: str, title: str) -> str:
-    """Remove the prologue, and make identifiers unique within the page."""
+def inline_svg(svg: str, title: str, variables: Mapping[str, str] = VARIABLES) -> str:
+    """Remove the prologue, make identifiers unique within the page, and colours those of its CSS variables."""
     prefix = re.sub(r"\W+", "-", title.lower())
     body = svg[svg.index("<svg") :]
     body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{prefix}-", body)
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    for colour, name in variables.items():
+        body = body.replace(f": {colour}", f": var(--{name}, {colour})")
+        body = body.replace(f'fill="{colour}"', f'style="fill: var(--{name}, {colour})"')
     # Coordinates are truncated to 0.01 pt, which halves the size of the page.
     body = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), body)
     return re.sub(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>',
@@ -126,7 +136,7 @@ def _trajectory(run: Run, reference: Reference | None) -> Figure:
     drawn: list[str] = []
     origin = Geodetic(*run.track.geodetic[0].tolist())
     path = ned_track(run.track.geodetic, origin)
-    with stacked_axes(1, 5.2, drawn.append) as (axes,):
+    with stacked_axes(1, 4.2, drawn.append) as (axes,):
         if reference is not None and reference.geodetic is not None:
             true = ned_track(reference.geodetic, origin)
             true = true[:: max(1, len(true) // POINTS)]

@@ -1,5 +1,6 @@
 """The report: one self-contained HTML page with all figures."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -11,15 +12,35 @@ from ..smoothing import SMOOTHED_METRICS
 from .plots import Figure
 
 STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #1d2129; background: #fff; max-width: 960px; margin: 2rem auto;
-  padding: 0 1rem; }
-h1 { font-size: 1.5rem; margin: 0; } h2 { font-size: 1.1rem; margin: 2rem 0 .3rem; }
-.lead { font-size: 1.1rem; } .muted, figcaption, td.meaning { color: #565d68; }
-table { border-collapse: collapse; width: 100%; } td, th { text-align: left; padding: .25rem .6rem .25rem 0;
-  border-bottom: 1px solid #e3e6ea; vertical-align: top; } td.name, td.value { white-space: nowrap; }
-  td.value {  font-variant-numeric: tabular-nums; } code { font-size: .9em; overflow-wrap: anywhere; }
-figure { margin: 0; } svg { width: 100%; height: auto; }
+:root { color-scheme: light dark; --page: #fff; --ink: #1d2129; --muted: #565d68; --grid: #e3e6ea; --tile: #f4f6f8; }
+@media (prefers-color-scheme: dark) { :root { --page: #14171c; --ink: #e6e9ee; --muted: #a3abb6; --grid: #2c323b;
+  --tile: #1d2229; --blue: #6cb0f5; --orange: #f0934a; --green: #6cc282; --red: #f2777f; --grey: #7d8590;
+  --nominal: #18231b; --nominal-line: #34483a; --unavailable: #20242b; --unavailable-line: #434b57;
+  --misleading: #2b2820; --misleading-line: #6d6754; --unavailable-misleading: #332d1e;
+  --unavailable-misleading-line: #7d7150; --hazardous: #38241f; --hazardous-line: #a37f72; } }
+* { box-sizing: border-box; }
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--page); max-width: 1200px;
+  margin: 0 auto; padding: 1rem; }
+h1 { font-size: 1.1rem; margin: 0; color: var(--muted); font-weight: 600; overflow-wrap: anywhere; }
+h2 { font-size: 1.05rem; margin: 0 0 .3rem; }
+.verdict { font-size: 1.3rem; line-height: 1.35; margin: .3rem 0 1rem; } .verdict.worse { color: var(--red, #b3141f); }
+.numbers { display: grid; grid-template-columns: repeat(3, 1fr); gap: .6rem; margin: 0; }
+.numbers div { background: var(--tile); border-radius: .5rem; padding: .6rem .7rem; }
+dt { font-size: .8rem; line-height: 1.3; color: var(--muted); } dd { margin: .2rem 0 0; font-size: 1.2rem;
+  font-weight: 600; white-space: nowrap; font-variant-numeric: tabular-nums; }
+.first, .figures { display: grid; grid-template-columns: minmax(0, 1fr); gap: 1.2rem; }
+@media (min-width: 800px) { .first, .figures { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 1.2rem 2rem; }
+  .first { grid-template-rows: auto 1fr; } .track { grid-area: 1 / 2 / 3 / 3; } }
+.said { padding-left: 1.1rem; margin: 0; } figcaption, td.meaning { color: var(--muted); font-size: .9rem; }
+details { border-top: 1px solid var(--grid); margin-top: 1.2rem; padding: .6rem 0; }
+summary { cursor: pointer; font-weight: 600; padding: .3rem 0; }
+.wide { overflow-x: auto; } table { border-collapse: collapse; width: 100%; }
+td, th { text-align: left; padding: .3rem .6rem .3rem 0; border-bottom: 1px solid var(--grid); vertical-align: top; }
+td.value { white-space: nowrap; font-variant-numeric: tabular-nums; }
+code { font-size: .85em; overflow-wrap: anywhere; }
+@media (max-width: 600px) { .metrics tr { display: block; padding: .4rem 0; border-bottom: 1px solid var(--grid); }
+  .metrics td, .metrics th { display: block; border: 0; padding: 0; } .metrics tr:first-child { display: none; } }
+figure { margin: 0; } svg { width: 100%; height: auto; display: block; } svg text { fill: var(--ink); }
 """
 
 
@@ -33,48 +54,112 @@ class Heading:
     facts: Sequence[tuple[str, str]]  # of the recording: name and value
     integrity_risk: float | None = None  # integrity risk of the protection levels
     made: str = ""  # statement on computed instead of measured data
+    set_up: Sequence[str] = ()  # findings of the checks of the set-up
 
 
 def page(heading: Heading, metrics: dict[str, Value], figures: Sequence[Figure]) -> str:
-    """Create the report as HTML without external resources."""
-    lead = " ".join(escape(sentence) for sentence in summary(heading, metrics))
+    """Create the report as HTML without external resources; the first figure is the map of the track."""
+    said = "\n".join(f"<li>{escape(sentence)}</li>" for sentence in summary(heading, metrics))
     rows = "\n".join(
         f'<tr><td class="name"><code>{name}</code></td><td class="value">{_shown(name, metrics[name])}</td>'
         f'<td class="meaning">{escape(meaning)}</td></tr>'
         for name, meaning in (METRICS | SMOOTHED_METRICS).items()
         if metrics.get(name) is not None
     )
-    drawn = "\n".join(
-        f"<h2>{escape(f.title)}</h2>\n<figure>{f.svg}<figcaption>{escape(f.caption)}</figcaption></figure>"
+    track, *others = [
+        f"<figure><h2>{escape(f.title)}</h2>{f.svg}<figcaption>{escape(f.caption)}</figcaption></figure>"
         for f in figures
-    )
+    ]
+    drawn = "\n".join(others)
     facts = "\n".join(f"<tr><td>{escape(k)}</td><td><code>{escape(v)}</code></td></tr>" for k, v in heading.facts)
+    tiles = "\n".join(f"<div><dt>{escape(what)}</dt><dd>{escape(value)}</dd></div>" for what, value in numbers(metrics))
+    judged = re.sub(r"(\d) (m)\b", "\\1\u00a0\\2", verdict(metrics))  # a number stays with its unit
+    worse = " worse" if worse_axes(metrics) else ""
     return f"""<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
 <title>{escape(heading.name)}: solved drive</title>
 <style>{STYLE}</style>
 </head>
 <body>
 <main>
 <h1>{escape(heading.name)}</h1>
-<p class="lead">{lead}</p>
+<p class="verdict{worse}">{escape(judged)}</p>
+<div class="first">
+<dl class="numbers">
+{tiles}
+</dl>
+<div class="track">{track}</div>
+<ul class="said">
+{said}
+</ul>
+</div>
+<details open>
+<summary>Figures</summary>
+<div class="figures">
 {drawn}
-<h2>Metrics</h2>
-<table>
+</div>
+</details>
+<details>
+<summary>Metrics</summary>
+<table class="metrics">
 <tr><th>name</th><th>value</th><th>meaning</th></tr>
 {rows}
 </table>
-<h2>Data sources</h2>
-<table>
+</details>
+<details>
+<summary>Data sources and settings</summary>
+<div class="wide"><table>
 {facts}
-</table>
+</table></div>
+</details>
 </main>
 </body>
 </html>
 """
+
+
+def verdict(metrics: dict[str, Value]) -> str:
+    """Judge the drive in one sentence."""
+    ours, gnss = metrics["at_fixes_horizontal_rmse_m"], metrics["gnss_alone_horizontal_rmse_m"]
+    if ours is not None and gnss is not None:
+        axes = worse_axes(metrics)
+        equal = "better than" if ours < gnss / WORSE else "as good as"
+        compared = f"worse than GNSS alone {' and '.join(axes)}" if axes else f"{equal} GNSS alone"
+        height = metrics["at_fixes_vertical_rmse_m"], metrics["gnss_alone_vertical_rmse_m"]
+        vertical = f", vertically {_metres(height[0])} instead of {_metres(height[1])}" if None not in height else ""
+        return f"Position {compared}: horizontally {_metres(ours)} RMS instead of {_metres(gnss)}{vertical}."
+    if metrics["horizontal_rmse_m"] is not None:
+        return (
+            f"The position is {_metres(metrics['horizontal_rmse_m'])} from the truth horizontally and "
+            f"{_metres(metrics['vertical_rmse_m'])} vertically (RMS)."
+        )
+    if metrics["innovation_horizontal_rms_m"] is not None:
+        return (
+            f"There is no truth; the next fix is predicted to {_metres(metrics['innovation_horizontal_rms_m'])} (RMS)."
+        )
+    return "There is neither a truth nor a used fix to judge the position by."
+
+
+def numbers(metrics: dict[str, Value]) -> list[tuple[str, str]]:
+    """Three numbers for the first screen: errors if the truth is known, otherwise how well the fixes fit."""
+    if metrics["horizontal_rmse_m"] is None:
+        return [
+            ("Horizontal innovation, RMS", _metres(metrics["innovation_horizontal_rms_m"])),
+            ("Fixes rejected", f"{metrics['fixes_rejected']} of {metrics['fixes_recorded']}"),
+            ("Distance", f"{_number(metrics['distance_m'])} m"),
+        ]
+    share = metrics.get("protection_horizontal_misleading_fraction")
+    return [
+        ("Horizontal error, RMS", _metres(metrics["horizontal_rmse_m"])),
+        ("End of an outage, median", _metres(metrics["outage_end_error_median_m"]))
+        if metrics["outage_count"]
+        else ("Vertical error, RMS", _metres(metrics["vertical_rmse_m"])),
+        ("Errors above protection level", "unknown" if share is None else f"{100.0 * share:.3g} %"),
+    ]
 
 
 def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
@@ -111,34 +196,42 @@ def summary(heading: Heading, metrics: dict[str, Value]) -> list[str]:
     found.append(f"Truth: {heading.truth}.")
     if heading.made:
         found.append(heading.made)
+    found += heading.set_up
     return found
 
 
 def against_gnss(metrics: dict[str, Value]) -> list[str]:
     """Compare the solution with GNSS alone at the same times; state if it is worse. Empty without a comparison."""
-    gnss, fused = (
-        (metrics.get(f"{name}_horizontal_rmse_m"), metrics.get(f"{name}_vertical_rmse_m"))
-        for name in ("gnss_alone", "at_fixes")
-    )
-    if gnss[0] is None or fused[0] is None:
-        return []
+    gnss, fused = _errors("gnss_alone", metrics), _errors("at_fixes", metrics)
     shown = ", ".join(
         f"{_metres(a)} {axis} RMS (fused {_metres(b)})"
         for axis, a, b in zip(("horizontal", "vertical"), gnss, fused, strict=True)
         if a is not None and b is not None
     )
-    axes = [
-        axis
-        for axis, a, b in zip(("horizontally", "vertically"), gnss, fused, strict=True)
-        if a is not None and b is not None and b > WORSE * a
-    ]
+    if not shown:
+        return []
     found = [f"GNSS alone at the same {metrics['gnss_alone_count']} fixes: {shown}."]
-    if axes:
+    if axes := worse_axes(metrics):
         found.append(
             f"Fusion is worse than GNSS alone {' and '.join(axes)}: check lever arm, axes and delays, or the settings "
             "of the GNSS error model."
         )
     return found
+
+
+def worse_axes(metrics: dict[str, Value]) -> list[str]:
+    """How the solution is worse than GNSS alone: horizontally, vertically, both or not at all."""
+    gnss, fused = _errors("gnss_alone", metrics), _errors("at_fixes", metrics)
+    return [
+        axis
+        for axis, a, b in zip(("horizontally", "vertically"), gnss, fused, strict=True)
+        if a is not None and b is not None and b > WORSE * a
+    ]
+
+
+def _errors(whose: str, metrics: dict[str, Value]) -> tuple[Value, Value]:
+    """Horizontal and vertical root mean square errors."""
+    return metrics.get(f"{whose}_horizontal_rmse_m"), metrics.get(f"{whose}_vertical_rmse_m")
 
 
 def _protection(risk: float | None, metrics: dict[str, Value]) -> list[str]:

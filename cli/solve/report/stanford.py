@@ -7,7 +7,7 @@ import numpy as np
 from shared.maths.earth import FloatArray
 
 from ..metrics.integrity import Protected, Region
-from .plots import GREY, Figure, inline_svg, stacked_axes
+from .plots import GREY, VARIABLES, Figure, inline_svg, stacked_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +23,12 @@ LOOKS = {
     Region.UNAVAILABLE_MISLEADING: ("#ece4d3", "\\\\\\", "#b0a283"),
     Region.HAZARDOUS: ("#e2d6cf", "xxx", "#7a6f66"),
 }
+# CSS variables of the fills and hatches: --nominal and --nominal-line, and so on.
+SHADES = {
+    colour: region.name.lower().replace("_", "-") + suffix
+    for region, (face, _, edge) in LOOKS.items()
+    for colour, suffix in ((face, ""), (edge, "-line"))
+}
 CAPTION = (
     "Number of epochs by error and protection level (colour, logarithmic); values below the axis range are shown at "
     "its edge. Hatched: error above the protection level. Dashed: alert limit of {limit:g} m."
@@ -33,9 +39,9 @@ def stanford(one: Protected) -> Figure:
     """Draw the diagram of one axis, with the counts of its regions as legend."""
     drawn: list[str] = []
     title = f"Stanford diagram, {one.axis}"
-    with stacked_axes(1, 5.6, drawn.append) as (axes,):
+    with stacked_axes(1, 7.6, drawn.append) as (axes,):
         draw(axes, one)
-    return Figure(title, CAPTION.format(limit=one.alert_limit_m), inline_svg(drawn[0], title))
+    return Figure(title, CAPTION.format(limit=one.alert_limit_m), inline_svg(drawn[0], title, VARIABLES | SHADES))
 
 
 def draw(axes: "Axes", one: Protected) -> None:
@@ -47,8 +53,8 @@ def draw(axes: "Axes", one: Protected) -> None:
     axes.axvline(one.alert_limit_m, color=GREY, linestyle="--", linewidth=1.0)
     axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), aspect="equal",
              xlabel=f"{one.axis} error [m]", ylabel=f"{one.axis} protection level [m]")  # fmt: skip
-    axes.legend(loc="upper left", bbox_to_anchor=(1.03, 1.0), borderaxespad=0.0, frameon=False, fontsize=9,
-                labelspacing=1.2, handlelength=2.2, handleheight=2.0)  # fmt: skip
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.13), borderaxespad=0.0, frameon=False, fontsize=9,
+                labelspacing=0.7, handlelength=2.2, handleheight=1.4)  # fmt: skip
 
 
 def _range(one: Protected) -> tuple[float, float]:
@@ -70,8 +76,8 @@ def _regions(axes: "Axes", one: Protected, low: float, high: float) -> None:
     for region, count in one.regions().items():
         face, hatch, edge = LOOKS[region]
         axes.fill_between(*areas[region], facecolor=face, hatch=hatch, edgecolor=edge, linewidth=0, zorder=0,
-                          label=f"{region.value}\n{count} ({100.0 * count / total:.3g} %)")  # fmt: skip
-    axes.plot([low, high], [low, high], color="#1d2129", linewidth=1.2)
+                          label=f"{region.value}: {count} ({100.0 * count / total:.3g} %)")  # fmt: skip
+    axes.plot([low, high], [low, high], color="#000000", linewidth=1.2)
 
 
 def _cells(axes: "Axes", one: Protected, edges: FloatArray) -> None:

@@ -17,6 +17,8 @@ from shared.messages.navigation import (
     NavigationPhase,
     NavigationSolution,
     NavigationState,
+    SetUpCheck,
+    SetUpState,
 )
 from shared.messages.trust import TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
@@ -27,8 +29,10 @@ from .filter.strapdown import InertialState
 from .measurements.base import Measurement, Outcome
 from .measurements.dual_antenna import BaselineHeading
 from .measurements.gnss import Reading, Stamp, gnss_measurements, true_time_ns
+from .measurements.odometer import WheelSpeed
 from .navigator import Navigator
-from .settings import Settings
+from .set_up.monitor import ArmError, SetUpMonitor
+from .settings import Matrix3, Settings
 from .solution import Solution
 from .timing.delay_compensation import known_delays
 
@@ -37,6 +41,7 @@ FloatArray = npt.NDArray[np.float64]
 USABLE = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 COURSE_SPEED_M_S = 0.5  # below it the course of a receiver is noise
 GROUND_SPEED_SD = 0.3  # [m/s] of a speed and course that the receiver has smoothed
+UNTURNED: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 LEAST_BASELINE_SD = 1e-3  # [rad]
 WORST_DOP = 1000.0  # some receivers say 99.99 where they know nothing
 UERE_M = 2.5  # [m] times the dilution of precision it is what a receiver without covariance is good for
@@ -59,9 +64,18 @@ Given = GnssFix | VehicleSpeed | WheelSpeeds | LastPosition
 InertialSample = tuple[int, Vector3, Vector3]
 
 
-def samples_of(batch: ImuSamples) -> Iterator[InertialSample]:
+def samples_of(batch: ImuSamples, settings: Settings) -> Iterator[InertialSample]:
     """Take a batch apart: stamp, specific force [m/s², body] and angular rate [rad/s, body] of each sample."""
-    return zip(batch.sampled_ns, batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s, strict=True)
+    forces, rates = batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s
+    turn = settings.imu.body_from_imu
+    if turn != UNTURNED:
+        forces, rates = turned(turn, forces), turned(turn, rates)
+    return zip(batch.sampled_ns, forces, rates, strict=True)
+
+
+def turned(matrix: Matrix3, vectors: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
+    """Multiply each vector by a matrix."""
+    return tuple(map(tuple, (np.array(vectors) @ np.array(matrix).T).tolist()))
 
 
 def give(navigator: Navigator, message: Given) -> bool:
@@ -123,25 +137,67 @@ def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
         navigator.magnetic_field(sampled_ns, batch.magnetic_field_body, received_ns=received_ns, source=source)
 
 
-def give_speed(navigator: Navigator, speed: VehicleSpeed | WheelSpeeds) -> None:
-    """Hand a speed to the navigator: the mean of the rear wheels, or of all if no rear wheel is given."""
-    if isinstance(speed, VehicleSpeed):
-        value, resolution, of_wheels, exact = speed.speed_m_s, speed.resolution_m_s or 0.0, False, False
+def give_speed(navigator: Navigator, message: VehicleSpeed | WheelSpeeds) -> None:
+    """Hand a speed to the navigator."""
+    if (seen := speed_of(message, navigator.settings)) is not None:
+        navigator.speed(
+            seen.time_ns,
+            seen.speed,
+            resolution=seen.resolution,
+            of_wheels=seen.of_wheels,
+            exact=seen.exact,
+            received_ns=seen.received_ns,
+            source=seen.source,
+        )
+
+
+def speed_of(message: VehicleSpeed | WheelSpeeds, settings: Settings) -> WheelSpeed | None:
+    """Make a measurement of a speed: the mean of the rear wheels, or of all if no rear wheel is given."""
+    if isinstance(message, VehicleSpeed):
+        value, resolution, of_wheels, exact = message.speed_m_s, message.resolution_m_s or 0.0, False, False
     else:
-        rear = [wheel for wheel in (speed.rear_left_m_s, speed.rear_right_m_s) if wheel is not None]
-        wheels = rear or [wheel for wheel in (speed.front_left_m_s, speed.front_right_m_s) if wheel is not None]
+        rear = [wheel for wheel in (message.rear_left_m_s, message.rear_right_m_s) if wheel is not None]
+        wheels = rear or [wheel for wheel in (message.front_left_m_s, message.front_right_m_s) if wheel is not None]
         if not wheels:
-            return
+            return None
         value, resolution, of_wheels, exact = sum(wheels) / len(wheels), 0.0, True, len(rear) == 2
-    navigator.speed(
-        speed.sampled_ns,
-        value,
-        resolution=resolution,
-        of_wheels=of_wheels,
-        exact=exact,
-        received_ns=speed.received_ns,
-        source=speed.source,
+    scale, stamp = settings.odometer.scale, (message.sampled_ns, message.received_ns, message.source)
+    return WheelSpeed(*stamp, scale * value, scale * resolution, of_wheels, exact, settings)
+
+
+def show_set_up(set_up: SetUpMonitor, message: GnssFix | VehicleSpeed | WheelSpeeds, settings: Settings) -> None:
+    """Hand a fix or a speed to the checks of the set-up, whatever the filter makes of it."""
+    if isinstance(message, GnssFix):
+        for measurement in measurements_from_fix(message, settings):
+            set_up.see(measurement)
+    elif settings.odometer.enabled and (speed := speed_of(message, settings)) is not None:
+        set_up.see(speed)
+
+
+def arm_error(navigator: Navigator) -> ArmError:
+    """Error of the lever arm by the innovations of the filter."""
+    arm = navigator.engine.aids.judge.arm
+    return ArmError(*arm.error(), arm.wrong() is not None)
+
+
+def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:
+    """Put the checks of the set-up on the bus."""
+    checks = (
+        SetUpCheck(
+            name=check.name,
+            verdict=check.verdict,
+            since_ns=since_ns,
+            sentence=check.sentence,
+            statistic=check.statistic,
+            statistic_sd=check.sd,
+            expected=check.expected,
+            limit=check.limit,
+            unit=check.unit,
+            setting=check.setting,
+        )
+        for check, since_ns in set_up.checks.values()
     )
+    return SetUpState(sampled_ns=sampled_ns, checks=tuple(checks))
 
 
 def _position_cov(fix: GnssFix) -> FloatArray | None:

@@ -12,19 +12,21 @@ from shared.messages.navigation import (
     NavigationPhase,
     NavigationSolution,
     NavigationState,
+    SetUpState,
 )
 from shared.messages.trust import TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
 from . import messages
 from .navigator import Navigator
+from .set_up.monitor import SetUpMonitor
 from .settings import Settings
 
 STATE_PERIOD_NS, SILENT_NS = 1_000_000_000, 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
 In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | TrustState | FaultFreeFix | Tick
 Exclusion = tuple[int | None, bool, tuple[str, ...]]  # of GNSS since a time, of the odometer, of satellites
 NOTHING: Exclusion = (None, False, ())
-Out = NavigationSolution | NavigationState | FilterState | AidingUpdate
+Out = NavigationSolution | NavigationState | FilterState | AidingUpdate | SetUpState
 
 
 class Config(Settings):
@@ -36,6 +38,7 @@ class Process:
 
     def __init__(self, config: Config) -> None:
         self._navigator = Navigator(config)
+        self._set_up = SetUpMonitor(config)
         self.rejects, self.record_history = self._navigator.rejects, self._navigator.record_history
         self._solution_period_ns = round(config.solution_period_s * 1e9)
         self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
@@ -52,6 +55,8 @@ class Process:
             case GnssFix() | VehicleSpeed() | WheelSpeeds() | LastPosition():
                 if not messages.give(self._navigator, message):
                     self.rejects["fix without position"] += 1
+                if not isinstance(message, LastPosition):
+                    messages.show_set_up(self._set_up, message, self._navigator.settings)
                 if isinstance(message, GnssFix):
                     yield from self._silence(message.received_ns)
             case FaultFreeFix():
@@ -69,7 +74,7 @@ class Process:
             messages.give_filter_state(self._navigator, self._saved, batch)
             self._saved = None
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
-        for sampled_ns, force, rate in messages.samples_of(batch):
+        for sampled_ns, force, rate in messages.samples_of(batch, self._navigator.settings):
             due = self._is_due(sampled_ns)
             self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated)
             if due:  # first: whoever needs it shall not wait for what is late anyway
@@ -80,6 +85,10 @@ class Process:
             if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from messages.filter_states(self._navigator, batch.source)
             self._sampled_ns = sampled_ns
+            self._set_up.sample(sampled_ns, force, rate)
+        if self._set_up.is_due(self._sampled_ns):
+            self._set_up.evaluate(self._sampled_ns, messages.arm_error(self._navigator))
+            yield messages.set_up_message(self._set_up, self._sampled_ns)
         messages.give_environment(self._navigator, batch)
 
     def _is_due(self, sampled_ns: int) -> bool:

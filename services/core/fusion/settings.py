@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from math import pi, radians
 from typing import ClassVar
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from shared.messages.base import Vector3
 from shared.runtime.config import Section
@@ -12,10 +12,26 @@ from shared.runtime.config import Section
 _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet
 _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet
 _CORRELATION_S = 200.0
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+ORTHOGONAL = 1e-3  # largest error of a rounded rotation
 
 
 class ImuSettings(Section):
-    """Noise, biases and scale errors of the inertial sensors."""
+    """Axes, noise, biases and scale errors of the inertial sensors."""
+
+    body_from_imu: Matrix3 = Field(
+        default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        description="matrix from the axes of `imu/sample` to those of the vehicle (forward, right, down), row by row: "
+        "corrects a mount that is askew, and axes that are swapped or mirrored",
+    )
+
+    @field_validator("body_from_imu")
+    @classmethod
+    def _is_orthogonal(cls, rows: Matrix3) -> Matrix3:
+        product = [sum(a * b for a, b in zip(one, other, strict=True)) for one in rows for other in rows]
+        if any(abs(value - (1.0 if place % 4 == 0 else 0.0)) > ORTHOGONAL for place, value in enumerate(product)):
+            raise ValueError("the rows must be perpendicular to each other and of length one")
+        return rows
 
     angle_random_walk_rad_sqrt_s: float = Field(
         default=1.222e-4, gt=0.0, description="angle random walk: root of the PSD of the gyroscopes' white noise"
@@ -37,7 +53,9 @@ class ImuSettings(Section):
         description="PSD of the white noise that drives the random walk of the accelerometer biases",
     )
     gyroscope_bias_sd_rad_s: float = Field(
-        default=radians(0.2), gt=0.0, description="standard deviation of the gyroscope biases at switch-on"
+        default=radians(2.5),
+        gt=0.0,
+        description="standard deviation of the gyroscope biases at switch-on; a start at rest measures them",
     )
     accelerometer_bias_sd_m_s2: float = Field(
         default=0.03, gt=0.0, description="standard deviation of the accelerometer biases at switch-on"
@@ -128,6 +146,7 @@ class OdometerSettings(Section):
     speed_sd_m_s: float = Field(
         default=0.05, gt=0.0, description="standard deviation of a wheel speed, apart from its resolution"
     )
+    scale: float = Field(default=1.0, gt=0.0, le=10.0, description="true speed over the speed that is indicated")
     scale_sd: float = Field(
         default=0.02, gt=0.0, description="standard deviation of the scale error at switch-on, which is estimated"
     )

@@ -11,7 +11,14 @@ from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix
-from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState, TruthState
+from shared.messages.navigation import (
+    AidingKind,
+    AidingUpdate,
+    NavigationSolution,
+    NavigationState,
+    SetUpState,
+    TruthState,
+)
 from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth
 from shared.messages.toll import GateCommand, PlazaDetector
 from shared.messages.trust import TrustEvent, TrustState
@@ -249,6 +256,7 @@ class State:
             aiding={kind: (u, (now_ns - ns) * 1e-9) for kind, (u, ns) in self.aiding.items()},
             alert_limit_horizontal_m=navigation.alert_limit_horizontal_m if navigation else None,
             alert_limit_vertical_m=navigation.alert_limit_vertical_m if navigation else None,
+            set_up=self.newest(SetUpState, "navigation/set_up", now_ns),
             cause=self.judgement.cause("navigation/solution"),
         )
 

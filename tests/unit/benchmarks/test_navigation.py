@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks.navigation import report
-from benchmarks.navigation.cases import CASES, DRIVES, ROWS, Row
+from benchmarks.navigation.cases import CASES, DRIVES, GNSS_ALONE, ROWS, Row
 from benchmarks.navigation.peers import PEERS
 from benchmarks.navigation.peers.common import Given, given, judged, protocol_gaps, thinned
 from benchmarks.navigation.peers.kf_gins import KfGins
 from benchmarks.navigation.peers.ob_gins import at_whole_seconds
-from benchmarks.navigation.runs import MAPPINGS, jobs_of, pooled
+from benchmarks.navigation.runs import MAPPINGS, Metrics, jobs_of, pooled
 from cli.solve.metrics.metrics import METRICS
 from tests.support.data import REPOSITORY
 
@@ -60,8 +60,9 @@ def test_a_missed_goal_is_said_and_units_are_those_of_the_row() -> None:
         peers={"KF-GINS": {"absent": "OBU_KF_GINS names no program.", "sets": {}}},
     )  # fmt: skip
     text = report.page(document)
-    assert "| truck | heading, standard deviation about its mean | 1 deg | <= 1 | **no** |" in text
-    assert "| balzer | resets of the filter | 0 | <= 0 | yes |" in text
+    assert "| truck | heading, standard deviation about its mean | 1 deg |  | <= 1 | **no** |" in text
+    assert "| balzer | filter resets | 0 |  | <= 0 | yes |" in text
+    assert "| comma | horizontal RMSE | not measured | not measured | <= 0.44 and <= GNSS alone |  |" in text
     assert "| ours | rtk | 7.12 | 50 |" in text and "KF-GINS: not run. OBU_KF_GINS names no program." in text
 
 
@@ -69,6 +70,30 @@ def test_the_page_in_the_documentation_is_that_of_the_last_run() -> None:
     kept = REPOSITORY / "benchmarks" / "results" / "navigation.json"
     printed = (REPOSITORY / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
     assert printed == report.HEAD + report.page(json.loads(kept.read_text(encoding="utf-8"))), "run `make drives`"
+
+
+def test_a_solution_worse_than_gnss_alone_misses_the_goal() -> None:
+    def line(ours: float, alone: float) -> str:
+        cases: dict[str, Metrics] = {"navmatlab": {"horizontal_rmse_m": ours, "gnss_alone_horizontal_rmse_m": alone}}
+        return next(" | ".join(row) for row in report._accuracy(cases) if row[:2] == ("navmatlab", "horizontal RMSE"))
+
+    assert line(0.60, 0.69).startswith("navmatlab | horizontal RMSE | 0.6 m | 0.69 m | <= 0.65 and <= GNSS alone | yes")
+    assert "**no**" in line(0.60, 0.59) and "**no**" in line(0.66, 0.69)
+
+
+def test_every_row_with_truth_has_a_goal() -> None:
+    without = {row.case for row in ROWS if row.goal is None and not row.at_most_gnss}
+    assert without == {"balzer"}, "which has no truth"
+    assert {GNSS_ALONE[row.metric] for row in ROWS if row.at_most_gnss} <= set(METRICS)
+
+
+def test_the_how_to_holds_the_tables_of_the_last_run() -> None:
+    kept = json.loads((REPOSITORY / "benchmarks" / "results" / "navigation.json").read_text(encoding="utf-8"))
+    text = report.HOW_TO.read_text(encoding="utf-8")
+    assert text == report.with_tables(text, kept), "run `python -m benchmarks.navigation --print`"
+    assert {case for _, *cases in report.REAL_DRIVES for case in cases if case} <= set(CASES)
+    with pytest.raises(ValueError, match="printed by"):
+        report.with_tables("no marks", kept)
 
 
 @pytest.fixture

@@ -3,10 +3,12 @@
 import re
 import shlex
 from collections.abc import Iterator
+from importlib.metadata import version
 
 import pytest
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.testing import CliRunner
 
 from cli.main import app
 
@@ -36,6 +38,19 @@ def test_every_command_has_examples_that_the_command_line_accepts(name: str) -> 
         path = next(" ".join(arguments[:n]) for n in (2, 1) if " ".join(arguments[:n]) in ALL)
         # Parsed as the command would, but not run: an option that is gone or renamed raises here.
         ALL[path].make_context(path, arguments[len(path.split()) :])
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_value_of_every_option_is_named_by_its_meaning_or_its_choices(name: str) -> None:
+    text = CliRunner().invoke(app, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
+    options = [line for line in text.splitlines() if re.match(r"\W+--?\w", line)]
+    assert len(options) >= 1
+    assert not [line for line in options if re.search(r"<(str|path|int|float|list)", line)], "give a metavar"
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    found = CliRunner().invoke(app, ["--version"])
+    assert found.exit_code == 0 and found.output == f"obu {version('obu')}\n"
 
 
 def test_all_commands_are_found() -> None:

@@ -156,7 +156,7 @@ class Alignment:
         saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
         known = [way for way in (kept, saved) if way and not self.comparison.contradicts(way.turn)]
         course = self._course and forwards_or_backwards(self._course, self.comparison)
-        matched = heading_of_accelerations(self.comparison)
+        matched = heading_of_accelerations(self.comparison, self.levelling)
         return min(
             (way for way in (*known, course, matched, self._two_antennas(fix)) if way),
             key=lambda way: way.sd,
@@ -228,6 +228,10 @@ class Alignment:
             tilt = _tilt_by_bias_error(matrix_from_quaternion(quaternion))
             P[em.ATTITUDE, em.ACCELEROMETER_BIAS] = tilt @ bias_cov
             P[em.ACCELEROMETER_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.ACCELEROMETER_BIAS].T
+        if self._lost is None and self.levelling.quaternion_at_rest is None:
+            level = np.diag([1.0, 1.0, 0.0]) @ matrix_from_quaternion(quaternion)
+            P[em.ATTITUDE, em.GYROSCOPE_BIAS] = self.levelling.drift.both * level
+            P[em.GYROSCOPE_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.GYROSCOPE_BIAS].T
         P[em.SCALES, em.SCALES] = self._scales_cov()
         P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
         P[em.POSITION, em.POSITION] = first.cov
@@ -277,7 +281,10 @@ class Alignment:
             return bias, np.eye(3) * REST_RATE_SD**2
         if self._lost is not None:
             return self._lost.imu.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
-        return self.levelling.rate_bias, np.eye(3) * self._settings.imu.gyroscope_bias_sd_rad_s**2
+        horizontal = self.levelling.drift.bias
+        C = matrix_from_quaternion(self.levelling.quaternion)
+        cov = np.diag([horizontal, horizontal, self._settings.imu.gyroscope_bias_sd_rad_s**2])
+        return self.levelling.rate_bias, C.T @ cov @ C
 
 
 def gnss_error_model(settings: Settings) -> GnssErrorBank | KnownGnssErrors:

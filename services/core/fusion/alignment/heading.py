@@ -10,7 +10,7 @@ from shared.maths.rotation import Vector
 from ..measurements.gnss import GnssPosition
 from ..settings import Settings
 from .levelling import Levelling
-from .velocity_matching import Comparison
+from .velocity_matching import MEMORY_S, Comparison
 
 MATCH_S = 20.0  # how long the velocity gained since a rest is good enough to be matched with that of GNSS
 MATCH_ACCELERATION_SD = 0.05  # [m/s²] by which it drifts: tilt
@@ -91,10 +91,15 @@ def heading_of_motion(motion: Motion, levelling: Levelling, settings: Settings) 
     return Heading(turn, hypot(noise, settings.alignment.course_yaw_sd_rad), COURSE)
 
 
-def heading_of_accelerations(comparison: Comparison) -> Heading | None:
-    """Match the accelerations of the last half minute; it needs neither rest nor straight mount, but manoeuvres."""
+def heading_of_accelerations(comparison: Comparison, levelling: Levelling) -> Heading | None:
+    """Match the accelerations of the last half minute; it needs neither rest nor straight mount, but manoeuvres.
+
+    A gyroscope bias that no rest has measured turns the level frame meanwhile, on average by half of the whole.
+    """
     turn, sd = comparison.precise()
-    return Heading(turn, max(sd, ACCELERATIONS_SD), "matched accelerations") if sd < ACCELERATIONS_LIMIT else None
+    if sd >= ACCELERATIONS_LIMIT:
+        return None
+    return Heading(turn, hypot(max(sd, ACCELERATIONS_SD), 0.5 * levelling.turn_sd(MEMORY_S)), "matched accelerations")
 
 
 def forwards_or_backwards(course: Heading, comparison: Comparison) -> Heading:

@@ -27,7 +27,7 @@ FORCE_CHANGE_LIMIT = 0.06  # [m/s²] of a block's mean against the mean so far, 
 RATE_CHANGE_LIMIT = 0.004  # [rad/s] for the rate, each with
 SPREAD_SHARE = 0.2  # of the standard deviation of the samples, but no more than
 LARGEST_FORCE_CHANGE, LARGEST_RATE_CHANGE = 0.2, 0.008  # [m/s²], [rad/s]
-RATE_LIMIT = 0.05  # [rad/s] of a block's mean: the bias at switch-on
+RATE_LIMIT = 0.1  # [rad/s] of a block's mean: the bias at switch-on
 REST_S = 2.0  # blocks that agree for so long are a rest
 BIAS_CHANGE_LIMIT = 0.0015  # [rad/s] from rest to rest; a shorter one that differs by more was a creep
 LEVEL_FORCE_LIMIT = 0.15  # [m/s²] by which it may differ from the attitude kept since; beyond it was even acceleration
@@ -37,6 +37,7 @@ MOTION_S = 3.0  # of motion without a rest, after which levelling goes on while 
 MOTION_TILT_SD = 0.05  # [rad] a car's acceleration against gravity
 REST_TILT_SD = 0.001  # [rad] apart from the accelerometer's bias
 SLOW_S = 30.0  # time constant of levelling on the move
+LEAN_PSD = 0.0125  # [rad² s] of the vehicle's own accelerations over gravity, when it is levelled by its mean force
 FAST_M_S = 0.5  # [m/s] a vehicle that GNSS sees as fast as this does not rest
 FAST_S = 1.5  # how long that observation holds
 
@@ -119,6 +120,8 @@ class Levelling:
         self.yaw_at_start: float | None = None  # in the level frame, of a vehicle that stood when all this began
         self.rate: Vector = (0.0, 0.0, 0.0)  # [rad/s, body] last sample, mean rate of the rest removed
         self._started, self._bias_before = self.ready, bias
+        self.turn_rate_sd = 0.0 if quaternion else settings.imu.gyroscope_bias_sd_rad_s  # [rad/s] of an unmeasured bias
+        self.drift = Drift(bias=self.turn_rate_sd**2)  # of levelling on the move
         self._longest_s = 0.0  # of all rests
         self._elapsed_s = SLOW_S if self.ready else 0.0
         self._unrest_s = 0.0
@@ -152,8 +155,14 @@ class Levelling:
 
     @property
     def tilt_sd(self) -> float:
-        """Standard deviation of roll and pitch [rad], apart from the accelerometer's bias."""
-        return MOTION_TILT_SD if self.quaternion_at_rest is None else REST_TILT_SD + 2e-4 * self.moving_s
+        """Standard deviation of roll and pitch [rad], apart from the biases."""
+        if self.quaternion_at_rest is None:
+            return max(MOTION_TILT_SD, sqrt(self.drift.tilt))
+        return REST_TILT_SD + 2e-4 * self.moving_s
+
+    def turn_sd(self, span_s: float) -> float:
+        """By how much the level frame may have turned in a time [rad] for a bias that no rest has measured."""
+        return self.turn_rate_sd * min(span_s, self.moving_s) if self.quaternion_at_rest is None else 0.0
 
     @property
     def yaw(self) -> float:
@@ -195,10 +204,16 @@ class Levelling:
             self._block = _Block()
 
     def _level_slowly(self, north: float, east: float, step_s: float) -> None:
-        """Align the vertical of the level frame with the mean specific force so far."""
-        share = step_s / min(self._elapsed_s, SLOW_S) / STANDARD_GRAVITY
+        """Align the vertical of the level frame with the mean specific force, and learn the horizontal biases."""
+        self.drift, gain, bias_gain = self.drift.after(step_s)
+        share = gain / STANDARD_GRAVITY
         correction = quaternion_from_rotation_vector((-east * share, north * share, 0.0))
         self.quaternion = normalised(quaternion_product(correction, self.quaternion))
+        w, i, j, k = self.quaternion
+        seen = -bias_gain / STANDARD_GRAVITY
+        x, y, z = rotate((w, -i, -j, -k), (east * seen, -north * seen, 0.0))
+        bx, by, bz = self.rate_bias
+        self.rate_bias = (bx + x, by + y, bz + z)
         (a, b), (x, y) = self._leant, self.before
         self._leant = a + STANDARD_GRAVITY * share * north, b + STANDARD_GRAVITY * share * east
         self.before = x + a * step_s, y + b * step_s
@@ -229,6 +244,28 @@ class Levelling:
         (north, east), (x, y) = self.velocity, self.before
         self.before = (x + north, y + east)
         self.velocity, self.way, self.moving_s = (0.0, 0.0), 0j, 0.0
+
+
+class Drift(NamedTuple):
+    """Covariance of tilt and horizontal gyroscope bias, alike about both level axes, of levelling on the move.
+
+    A Kalman filter of psi, the error of the tilt, and beta, that of the bias, which takes the vehicle's own
+    accelerations for white noise of PSD r on the tilt. Without a bias its gain is 1/t at first, and then 1/(30 s)::
+
+        psi' = -beta + noise of PSD r / (30 s)²,    z = psi + noise of PSD r
+    """
+
+    tilt: float = 1.0  # [rad²]
+    both: float = 0.0  # [rad²/s]
+    bias: float = 0.0  # [rad²/s²]
+
+    def after(self, step_s: float) -> "tuple[Drift, float, float]":
+        """Predict and correct over a step: the covariance, and the gains of tilt [-] and bias [1/s]."""
+        tilt = self.tilt - 2.0 * self.both * step_s + self.bias * step_s**2 + LEAN_PSD * step_s / SLOW_S**2
+        both = self.both - self.bias * step_s
+        total = tilt + LEAN_PSD / step_s
+        gain, bias_gain = tilt / total, both / total
+        return Drift((1.0 - gain) * tilt, (1.0 - gain) * both, self.bias - bias_gain * both), gain, bias_gain
 
 
 class _Block(NamedTuple):

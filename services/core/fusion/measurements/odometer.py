@@ -25,6 +25,7 @@ UNKNOWN_ARM_SD = 1.0  # [m] of the rear axle, where its position is not configur
 HALF_TRACK_M = 0.8  # by which a speed may be that of one side
 STAMP_SD = 0.02  # [s] of the speed's stamp, because the age of a control unit's value is unknown
 DEAD_ZONE_SD = 0.3  # [m/s] of a speed of zero: sensors are silent at a walking pace
+SWAY_SD = 0.1  # [m/s] of a body on its springs, sideways and vertically, while the wheels stand
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class WheelSpeed:
     exact: bool
     settings: Settings
     removed_s: float = 0.0  # of its age, in `time_ns`
+    doubt: str | None = None  # why a speed of zero may be no standstill
 
     def observers(self) -> Iterator[Callable[[ErrorStateFilter], Observation]]:
         """Speed alone."""
@@ -65,7 +67,23 @@ class WheelSpeed:
             direction = tanh(speed * predicted / (float(H[0] @ navigation.P @ H[0]) + variance))
             variance += speed**2 * (1.0 - direction**2)
             speed *= direction
+        if self.speed == 0.0:
+            return self._observe_zero(navigation, ahead, H, predicted, variance)
         return Observation(AidingKind.ODOMETER, np.array([speed - predicted]), H, np.array([[variance]]))
+
+    def _observe_zero(
+        self, navigation: ErrorStateFilter, ahead: FloatArray, H: FloatArray, predicted: float, variance: float
+    ) -> Observation:
+        """Wheels that stand move the axle in no direction: forward to within the dead zone, sideways and down at once.
+
+        A zero in doubt is not used while the filter does not know better; where it does, the gate decides.
+        """
+        arm_sd = UNKNOWN_ARM_SD if self.settings.non_holonomic.rear_axle_body_m is None else 0.0
+        sway2 = SWAY_SD**2 + (arm_sd * navigation.rate[2]) ** 2
+        rows = np.vstack([H, _axle(navigation, self.settings)[1][1:]])
+        unsure = float(H[0] @ navigation.P @ H[0]) > DEAD_ZONE_SD**2
+        z, R = np.array([-predicted, -float(ahead[1]), -float(ahead[2])]), np.diag([variance, sway2, sway2])
+        return Observation(AidingKind.ODOMETER, z, rows, R, self.doubt if unsure else None)
 
     def _variance(self, navigation: ErrorStateFilter) -> float:
         noise = hypot(self.settings.odometer.speed_sd_m_s, self.resolution / 12.0**0.5)

@@ -12,6 +12,7 @@ from ..measurements.base import FilterEvent, Measurement, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.magnetometer import CompassCheck, MagneticHeading
 from ..measurements.odometer import WheelSpeed
+from ..plausibility.zero_speeds import ZeroSpeeds
 from ..settings import Settings
 from ..timing.delay_compensation import FoundDelay
 from .duplicate_epochs import Epochs
@@ -30,6 +31,7 @@ class Aids:
         self.watch = Watch()
         self.pull = Pull()
         self._odometer: WheelSpeed | None = None  # newest speed of the odometer in use
+        self._zeros = ZeroSpeeds()  # of the same
         self._compass = CompassCheck()
         self._epochs = Epochs()
         self._delay: FoundDelay | None = None  # newest one, for a filter that starts after it
@@ -62,8 +64,11 @@ class Aids:
 
     def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
         """Use a measurement, unless a better device measures the same."""
-        if isinstance(measurement, WheelSpeed) and self._is_redundant(measurement, navigation):
-            return
+        if isinstance(measurement, WheelSpeed):
+            if self._is_redundant(measurement, navigation):
+                return
+            self._zeros = self._zeros.after(measurement.time_ns, measurement.speed)
+            measurement = replace(measurement, doubt=self._zeros.doubt)
         if isinstance(measurement, MagneticHeading):
             self._compass = self._compass.judged(measurement, navigation)
             measurement = replace(measurement, check=self._compass)
@@ -93,11 +98,10 @@ class Aids:
             yield self.judge.compare_only(navigation, measurement, observe(navigation), why)
 
     def standstill_limits(self, time_ns: int, navigation: ErrorStateFilter) -> Limits:
-        """Limits of the standstill detector; wheels at zero speed replace the condition on the filter's speed."""
-        limits, seen = limits_of(navigation.P), self._odometer
-        if seen is not None and seen.speed == 0.0 and time_ns - seen.time_ns <= ODOMETER_SILENT_NS:
-            return limits._replace(pace=1.0)
-        return limits
+        """Limits of the standstill detector; wheels at zero speed replace the longer time of an uncertain filter."""
+        limits, seen = limits_of(navigation.P), self._zeros
+        zero = seen.speed == 0.0 and seen.doubt is None and time_ns - seen.time_ns <= ODOMETER_SILENT_NS
+        return limits._replace(pace=1.0, tilted_pace=1.0) if zero else limits
 
     def _is_redundant(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
         """Whether another odometer is in use. When the odometer changes, its scale is estimated anew."""
@@ -107,5 +111,6 @@ class Aids:
             if not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS:
                 return True
             navigation.forget_odometer()
+            self._zeros = ZeroSpeeds()
         self._odometer = seen
         return False

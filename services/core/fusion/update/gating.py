@@ -182,7 +182,7 @@ class Judge:
         if gnss and refused and ratio > 1.0:
             navigation.inflate(**WIDENING[seen.kind])
         if seen.kind is AidingKind.ODOMETER:
-            self._follow_speed(navigation, seen, measurement.time_ns, refused is not None)
+            self._follow_speed(navigation, seen, measurement.time_ns, refused is not None and seen.unfit is None)
         if seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3 and not refused:
             self._height_ns = None
         return _outcome(measurement, seen, correction, ratio, refused or remark, weight)

@@ -42,10 +42,14 @@ class Quiet(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Speed [m/s] below which the vehicle may stand, and pace [-] at which the time of quiet counts."""
+    """Speed [m/s] below which the vehicle may stand, and pace [-] at which the time of quiet counts.
+
+    `tilted_pace` holds while a constant acceleration may be a tilt.
+    """
 
     speed: float
     pace: float
+    tilted_pace: float = QUIET_S / UNCERTAIN_QUIET_S
 
 
 UNSETTLED = Quiet((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), -SMOOTHING_S, (0.0, 0.0, 0.0))
@@ -87,7 +91,7 @@ def detect(quiet: Quiet, rate: Vector, acceleration: Vector, speed: float, step:
         (x, y, z), (a, b, c) = acceleration, quiet.reference
         if norm((x - a, y - b, z - c)) >= ACCELERATION_LIMIT or norm(acceleration) >= TILT_ACCELERATION_LIMIT:
             return Quiet(rate, acceleration, 0.0, acceleration)
-        pace = min(pace, SLOWEST_PACE)
+        pace = min(pace, limits.tilted_pace)
     holds = norm(rate) < RATE_LIMIT and speed < limits.speed
     return Quiet(rate, acceleration, quiet.quiet_s + pace * step if holds else 0.0, quiet.reference)
 

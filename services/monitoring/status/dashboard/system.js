@@ -233,11 +233,30 @@ function UnitCard() {
   </dl></${Card}>`;
 }
 
+// What driving has shown of axes, signs, delays and scales; findings first.
+function SetUpCard() {
+  const t = words.setUp;
+  const { set_up: setUp } = state.value;
+  const order = ["contradicts", "agrees", "unknown"];
+  const checks = [...(setUp?.checks ?? [])].sort((a, b) => order.indexOf(a.verdict) - order.indexOf(b.verdict));
+  const known = checks.filter((c) => c.verdict !== "unknown");
+  const unknown = checks.filter((c) => c.verdict === "unknown").map((c) => t.names[c.name] ?? c.name);
+  return html`<${Card} title=${t.title} note=${t.note} id="set-up">
+    ${known.length === 0 && html`<p class="note block">${t.empty}</p>`}
+    <ul class="outages">${known.map((c) => html`<li key=${c.name} class=${c.verdict === "contradicts" ? "open" : ""}>
+      <span><${StateIcon} state=${c.verdict === "contradicts" ? "caution" : "safe"} word=${t.verdicts[c.verdict]} /><strong>${t.names[c.name] ?? c.name}</strong></span>
+      <span class="dim">${c.sentence}</span>
+      ${c.setting && html`<span class="dim">${t.setting} <code>${c.setting}</code></span>`}
+    </li>`)}</ul>
+    ${unknown.length > 0 && html`<p class="note block">${t.unknown(unknown)}</p>`}
+  </${Card}>`;
+}
+
 export function SystemPage({ query, go }) {
   const back = () => go("#/system");
   const node = query.get("node");
   const topic = query.get("topic");
-  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><div class="stack"><${OutagesCard} /><${UnitCard} /></div>
+  return html`<div class="page system"><${LayersCard} /><${TopicsCard} /><div class="stack"><${OutagesCard} /><${SetUpCard} /><${UnitCard} /></div>
     ${node && contract.value.processes[node] && html`<${NodeDrawer} key=${node} name=${node} onClose=${back} />`}
     ${topic && html`<${TopicDrawer} key=${topic} name=${topic} onClose=${back} />`}
   </div>`;

@@ -437,6 +437,21 @@ export const words = {
     affected: (topics) => `affected: ${topics.length > 6 ? `${topics.length} topics` : topics.join(", ")}`,
   },
 
+  setUp: {
+    title: "Set-up",
+    note: "axes, signs, delays and scales, as driving shows them",
+    empty: "Nothing is known yet. A few minutes of driving with bends and stops show most of it.",
+    verdicts: { contradicts: "wrong", agrees: "agrees" },
+    setting: "Setting:",
+    unknown: (names) => `Not shown yet: ${names.join(", ")}.`,
+    names: {
+      accelerometer_scale: "accelerometer scale", imu_upright: "IMU upright", imu_axes: "IMU axes", imu_mounting: "IMU mounting",
+      gyroscope_axes: "gyroscope axes", gyroscope_bias: "gyroscope bias", gnss_velocity_axes: "axes of GNSS velocity", gnss_height: "GNSS height",
+      gnss_vertical_velocity: "vertical GNSS velocity", gnss_delay: "delay of GNSS position", gnss_velocity_delay: "delay of GNSS velocity",
+      odometer_scale: "odometer scale", lever_arm: "lever arm",
+    },
+  },
+
   unitCard: {
     title: "Unit",
     note: "what it does, and why",

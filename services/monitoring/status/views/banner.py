@@ -10,7 +10,14 @@ from enum import StrEnum
 from math import degrees
 
 from shared.messages.gnss import FixType, GnssFix
-from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationSolution
+from shared.messages.navigation import (
+    AidingKind,
+    AidingUpdate,
+    NavigationPhase,
+    NavigationSolution,
+    SetUpState,
+    SetUpVerdict,
+)
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
 from shared.runtime.freshness import STARTUP_GRACE_S, limits_of
 from shared.topics import BY_NAME
@@ -82,6 +89,7 @@ class Evidence:
     aiding: Mapping[AidingKind, tuple[AidingUpdate, float]] | None = None  # newest of each kind, and its age
     alert_limit_horizontal_m: float | None = None  # as configured, from `navigation/state`
     alert_limit_vertical_m: float | None = None
+    set_up: SetUpState | None = None
     cause: str | None = None  # root cause of a missing or old solution
 
 
@@ -195,6 +203,7 @@ def _checks(e: Evidence) -> list[Check]:
         _age_check("imu", "Inertial unit", e.imu_age_s, "imu/sample", "samples"),
         _phase_check(e),
         _heading_check(e),
+        *_set_up_checks(e),
         *_gate_checks(e),
         _age_check("odometer", "Vehicle speed", e.odometer_age_s, "vehicle/wheel_speed", "speed"),
     ]
@@ -282,6 +291,15 @@ def _heading_check(e: Evidence) -> Check:
         min(sd_deg / HEADING_SD_LIMIT_DEG, RATIO_MAXIMUM),
         "system?topic=navigation/solution",
     )
+
+
+def _set_up_checks(e: Evidence) -> list[Check]:
+    """Show what driving has found wrong with the set-up; the page System has all checks and the settings to paste."""
+    return [
+        Check(f"set-up {check.name}", "Set-up", Trust.CAUTION, check.sentence, link="system?topic=navigation/set_up")
+        for check in (e.set_up.checks if e.set_up else ())
+        if check.verdict is SetUpVerdict.CONTRADICTS
+    ]
 
 
 def _protection_check(e: Evidence) -> Check:

@@ -4,7 +4,7 @@ from math import hypot
 
 from shared.messages.base import Message
 from shared.messages.gnss import GnssFix, GnssSatellites
-from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
+from shared.messages.navigation import NavigationSolution, NavigationState, SetUpState, TruthState
 from shared.messages.operation import (
     Freshness,
     ModeState,
@@ -74,6 +74,7 @@ def dashboard(state: State, now_ns: int) -> Json:
         "truth": _truth(state, now_ns),
         "simulation": simulation_views.simulation(state, now_ns),
         "navigation": _dated(state, "navigation/state", NavigationState, now_ns),
+        "set_up": _dated(state, "navigation/set_up", SetUpState, now_ns),
         "mode": _dated(state, "mode/state", ModeState, now_ns),
         "recording": _dated(state, "recording/state", RecordingState, now_ns),
         "topics": {name: traffic(flow) for name, flow in state.topics.items()},

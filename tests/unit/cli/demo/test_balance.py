@@ -3,6 +3,7 @@
 import pytest
 
 from cli.demo.balance import Balance
+from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import NavigationSolution, TruthState
 from shared.runtime.config import parse_vehicle
 from tests.support.tracks import START_NS, solution
@@ -26,6 +27,28 @@ def truth(time_s: float) -> TruthState:
 def promised(time_s: float, level: float | None) -> NavigationSolution:
     made = solution(time_s, error_n=(3.0, 4.0, -2.0))
     return made.model_copy(update={"protection_level_horizontal_m": level, "protection_level_vertical_m": level})
+
+
+def fix(time_s: float, error_east_m: float) -> GnssFix:
+    s = solution(time_s, error_n=(0.0, error_east_m, 0.0))
+    return GnssFix(
+        sampled_ns=s.sampled_ns, received_ns=s.sampled_ns, source="gnss", fix_type=FixType.THREE_D,
+        latitude_deg=s.latitude_deg, longitude_deg=s.longitude_deg, height_ellipsoid_m=s.height_ellipsoid_m,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("fused_m", "worse"), [(1.0, False), (3.0, True)])
+def test_gnss_alone_and_the_solution_are_compared_at_the_fixes(fused_m: float, worse: bool) -> None:
+    balance = Balance(parse_vehicle("[vehicle]\nname = 'truck-07'\n"))
+    for k in range(40):
+        balance.add("truth/state", truth(0.1 * k), START_NS)
+        balance.add("navigation/solution", solution(0.1 * k, error_n=(0.0, fused_m, 0.0)), START_NS)
+    for time_s in (0.55, 1.55, 2.55, 30.0):
+        balance.add("gnss/fix", fix(time_s, 2.0), START_NS)
+    found = balance.summary(alive=1, expected=1, restarts=0)
+    assert found.gnss_horizontal_rmse_m == pytest.approx(2.0, abs=0.03), "the chord of the truth is 2 cm short"
+    assert found.fusion_at_fixes_horizontal_rmse_m == pytest.approx(fused_m, abs=0.01)
+    assert found.fusion_worse_than_gnss is worse
 
 
 def test_misleading_solutions_are_counted_against_the_truth() -> None:

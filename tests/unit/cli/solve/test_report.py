@@ -73,15 +73,29 @@ def test_the_page_is_complete_and_has_no_external_resources() -> None:
 def test_the_page_has_all_figures_and_a_summary() -> None:
     text = report()
     titles = re.findall(r"<h2>(.*?)</h2>", text)
+    assert re.findall(r"<summary>(.*?)</summary>", text) == ["Figures", "Metrics", "Data sources and settings"]
     assert titles == ["Trajectory", "Position errors", "Velocity errors", "Attitude errors",
                       "Stanford diagram, horizontal", "Stanford diagram, vertical", "Speed", "Innovations",
-                      "Sensor biases", "Metrics", "Data sources"]  # fmt: skip
+                      "Sensor biases"]  # fmt: skip
     assert text.count("<svg") == 9 and text.count('role="img"') == 9
     assert "drive &lt;1&gt;" in text and "file &amp; co" in text
+    assert len(re.findall(r"<div><dt>", text)) == 3
+    assert re.search(r'<p class="verdict">The position is [\d.]+\sm from the truth horizontally', text)
     assert "GNSS was removed once" in text
     assert re.search(r"Above the protection level: \d+ of \d+ horizontal errors", text)
     assert "the integrity risk allows 0.1 %." in text
     assert "Truth: a circle." in text
+
+
+def test_every_colour_of_a_figure_follows_the_dark_mode_of_the_page() -> None:
+    text = report()
+    body = text[text.index("</style>") :]
+    assert "@media (prefers-color-scheme: dark)" in text and "svg text { fill: var(--ink); }" in text
+    fixed = set(re.findall(r"(?<!, )#[0-9a-f]{6}\b", re.sub(r"(href|id)=\"[^\"]*\"|url\([^)]*\)", "", body)))
+    blues = {colour for colour in fixed if int(colour[5:7], 16) > int(colour[1:3], 16)}
+    assert fixed == blues, "only the counts of the Stanford diagrams have colours of their own"
+    used = set(re.findall(r"var\(--([\w-]+), #", body))
+    assert used <= set(re.findall(r"--([\w-]+):", text[: text.index("</style>")]))
 
 
 def test_equal_runs_give_equal_pages_of_bounded_size() -> None:

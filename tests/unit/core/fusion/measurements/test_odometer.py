@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from benchmarks.starts.start import Receiver, Start
 from cli.papers.navigation import give_fix
 from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.filter import error_model as em
@@ -15,6 +16,7 @@ from services.core.fusion.filter.eskf import ErrorStateFilter
 from services.core.fusion.measurements.base import Outcome
 from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
 from services.core.fusion.navigator import Navigator
+from services.core.fusion.plausibility.zero_speeds import ZeroSpeeds
 from services.core.fusion.settings import Settings
 from services.core.fusion.update.gating import Judge
 from services.core.fusion.update.standstill_detector import QUIET_S, SMOOTHING_S, UNSETTLED, Limits, detect, stands
@@ -22,6 +24,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
 from shared.messages.navigation import AidingKind
+from tests.support.starts import manoeuvre
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -222,12 +225,75 @@ def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> Non
 @pytest.mark.parametrize(("speed", "supports"), [(0.0, True), (0.4, False)])
 def test_only_wheels_that_stand_now_vouch_for_a_rest(speed: float, supports: bool) -> None:
     made = navigator()
-    feed(made, np.where(np.arange(1101) > 1050, speed, drive().odometer))
+    feed(made, np.interp(np.arange(1101), [1000, 1050], [0.0, 1.0]) * (speed - drive().odometer) + drive().odometer)
     aids = made.engine.aids
     inside = filter_of(made)
     inside.inflate(velocity_sd=1.0)
-    limit, pace = aids.standstill_limits(inside.time_ns, inside)
+    limit, pace, _ = aids.standstill_limits(inside.time_ns, inside)
     assert limit > 3.0
     assert (pace == 1.0) is supports, "without them quiet has to last"
     if supports:
         assert aids.standstill_limits(inside.time_ns + 3 * 10**9, inside).pace < 1.0, "it was too long ago"
+
+
+def test_wheels_that_stand_stop_a_slide_at_once() -> None:
+    """An outage has left 0.2 m/s to the side and downwards; the first zero takes most of it away."""
+    twin = backing(0.0, 0.3)
+    slide = twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([0.0, 0.2, 0.2])
+    twin.inertial = twin.inertial._replace(velocity=(float(slide[0]), float(slide[1]), float(slide[2])))
+    twin.state = twin.state._replace(rate_b=(0.0, 0.0, 0.0))
+    settings = navigator().settings
+    outcome = Judge(settings).judge(twin, zero := wheels(0.0, settings), zero.observe(twin))
+    assert outcome.used and len(outcome.innovation) == 3
+    assert hypot(*twin.velocity) < 0.04
+    assert np.sqrt(twin.P[em.VELOCITY, em.VELOCITY].trace()) < 0.3
+
+
+@pytest.mark.parametrize("before", [None, 12.0])
+def test_a_dead_odometer_is_no_standstill(before: float | None) -> None:
+    """It never indicated motion, or fell from 12 m/s to zero in a tenth of a second, while the filter is unsure."""
+    settings = navigator().settings
+    zeros = ZeroSpeeds()
+    if before is not None:
+        zeros = zeros.after(0, before)
+        assert zeros.doubt is None
+    zeros = zeros.after(100_000_000, 0.0)
+    twin = backing(-5.0, 2.0)
+    zero = wheels(0.0, settings, zeros.doubt)
+    outcome = Judge(settings).judge(twin, zero, zero.observe(twin))
+    assert not outcome.used and outcome.reason == zeros.doubt
+    assert hypot(*twin.velocity) > 4.5
+    assert zeros.after(200_000_000, 5.0).after(700_000_000, 0.0).doubt is None, "it moved, and braked as a vehicle does"
+
+
+def wheels(speed: float, settings: Settings, doubt: str | None = None) -> WheelSpeed:
+    return WheelSpeed(0, 0, "", speed, 0.0, True, True, settings, doubt=doubt)
+
+
+@pytest.mark.parametrize(("period_s", "step_m_s"), [(0.1, 0.0), (1.0, 1.0 / 3.6)])
+def test_a_stop_in_an_outage_is_a_standstill_within_two_seconds(period_s: float, step_m_s: float) -> None:
+    """20 s without GNSS, then the car stops: the wheels, or OBD in steps of 1 km/h, say so; nothing slides on."""
+    legs = (
+        (12.0, 0.0, 0.0),
+        (5.0, 1.6, 0.0),
+        (8.0, 0.0, 0.08),
+        (12.0, 0.0, -0.08),
+        (8.0, -1.0, 0.05),
+        (10.0, 0.0, 0.0),
+    )
+    car = Start(manoeuvre(legs, seed=4, yaw=1.0), Receiver(rate_hz=4), 0.0, 0.0, 5)
+    made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": car.drive.lever_arm_b}))
+    truth = np.hypot(car.drive.velocity_n[:, 0], car.drive.velocity_n[:, 1])
+    every, stops = round(period_s * 100), 45.0
+    slid = []
+    for i, _ in car.lead(made, 55.0, until_s=25.0):
+        if i % every == 0:
+            speed = truth[i] if step_m_s == 0.0 else np.floor(truth[i] / step_m_s) * step_m_s
+            made.speed(
+                int(car.drive.t_ns[i]), float(speed), resolution=step_m_s, of_wheels=step_m_s == 0.0, exact=False
+            )
+        solution = made.solution()
+        if solution and car.drive.t_ns[i] * 1e-9 > stops + 1.7 + period_s:
+            slid.append(hypot(*solution.velocity))
+    assert len(slid) > 500
+    assert max(slid) < 0.03

@@ -1,0 +1,1 @@
+"""Checks of the set-up by independent measurements: axes, mounting, signs, delays, scales, lever arm."""

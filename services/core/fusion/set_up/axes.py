@@ -1,0 +1,233 @@
+"""Axes and mounting of the IMU, by gravity, by accelerations and by turns of GNSS.
+
+Over an interval, with a the acceleration of the speed, v the speed and chi' the rate of the course by GNSS, an IMU
+measures, with the columns of M the vehicle's axes forward, right, down in published axes::
+
+    mean f = M (a, v chi', 0) - g m_3 + noise        mean w = m_3 chi' + bias + noise
+
+M should be the identity. Its first two columns follow by least squares, the third from the direction of gravity. With
+axes swapped or mirrored M is near another signed permutation, with a skewed mount it is a rotation.
+"""
+
+from dataclasses import dataclass, field
+from math import atan2, degrees, hypot, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import STANDARD_GRAVITY
+
+from ..settings import Matrix3
+from .findings import Check, Verdict, matrix_text
+from .motion import Intervals, Motion
+from .regression import Fit, least_squares, nearest_permutation
+
+FloatArray = npt.NDArray[np.float64]
+
+AXES = ("forward", "right", "down")
+OPPOSITE = ("backward", "left", "up")
+FEWEST = 20  # intervals
+LEVELLED_S = 20.0  # of samples that tell the direction of gravity
+COLUMN_SD = 0.2  # of a column of M that is known
+RATE_SD = 0.1  # of the response of the gyroscopes to a turn
+EXPLAINED = 0.6  # share of the variance of the rate along the axis of turns that the course explains
+MARGIN = 0.8  # by which tr(PᵀM) of another permutation must exceed that of the identity
+GAIN = (0.5, 1.6)  # length of a column of M that is of this motion: a car pitches and rolls with its accelerations
+SDS = 5.0
+BIAS_SDS = 3.0
+FORCE_LIMIT = 0.1  # relative error of the mean specific force against gravity
+RATE_LIMIT = 0.25  # relative error of the gyroscopes against the course
+SKEWED = radians(9.0)  # of a mount beyond the default prior (3 degrees, three standard deviations)
+
+
+@dataclass(frozen=True)
+class AxesFit:
+    """M as far as it is known, with standard deviations, and the response of the gyroscopes to turns."""
+
+    gravity: float  # [m/s²] size of the mean specific force
+    down: FloatArray  # direction of gravity, shape (3,)
+    columns: FloatArray | None = None  # of M, shape (3, 3)
+    sd: float = 0.0  # largest of the first two columns
+    turn: FloatArray | None = None  # response of the gyroscopes [-], shape (3,)
+    turn_sd: float = 0.0
+    bias: FloatArray | None = None  # [rad/s, body] of the gyroscopes, shape (3,)
+    bias_sd: float = 0.0
+    present: FloatArray = field(default_factory=lambda: np.eye(3))  # `imu.body_from_imu` of the settings
+
+
+def fit_axes(motion: Motion, intervals: Intervals | None, present: Matrix3) -> AxesFit | None:
+    """Estimate M; None while gravity is not known. `present` is the correction that the samples have had already."""
+    span = motion.nodes[-1] - motion.nodes[0] - (motion.integrals[-1, 6] - motion.integrals[0, 6])
+    if span < LEVELLED_S:
+        return None
+    force = (motion.integrals[-1, :3] - motion.integrals[0, :3]) / (motion.nodes[-1] - motion.nodes[0])
+    gravity = float(np.linalg.norm(force))
+    if gravity < 1e-3:
+        return None
+    fit = AxesFit(gravity, -force / gravity, present=np.array(present))
+    if intervals is None:
+        return fit
+    turning = np.isfinite(intervals.course_rate)
+    a, lateral, rate = intervals.acceleration[turning], intervals.lateral[turning], intervals.course_rate[turning]
+    one = np.ones_like(a)
+    forces = least_squares(np.column_stack([a, lateral, one]), intervals.force[turning]) if len(a) >= FEWEST else None
+    rates = least_squares(np.column_stack([rate, one]), intervals.rate[turning]) if len(a) >= FEWEST else None
+    if rates is not None and np.corrcoef(intervals.rate[turning] @ rates.coefficients[0], rate)[0, 1] ** 2 < EXPLAINED:
+        rates = None
+    return _with_fits(fit, forces, rates)
+
+
+def _with_fits(fit: AxesFit, forces: Fit | None, rates: Fit | None) -> AxesFit:
+    columns, sd, turn, turn_sd, bias, bias_sd = None, 0.0, None, 0.0, None, 0.0
+    if forces is not None and float(forces.sd[:2].max()) < COLUMN_SD:
+        down = -forces.coefficients[2] / np.linalg.norm(forces.coefficients[2])
+        columns, sd = (
+            np.column_stack([forces.coefficients[0], forces.coefficients[1], down]),
+            float(forces.sd[:2].max()),
+        )
+    if rates is not None and float(rates.sd[0].max()) < RATE_SD * max(
+        1.0, float(np.linalg.norm(rates.coefficients[0]))
+    ):
+        turn, turn_sd = rates.coefficients[0], float(rates.sd[0].max())
+        bias, bias_sd = rates.coefficients[1], float(rates.sd[1].max())
+    return AxesFit(fit.gravity, fit.down, columns, sd, turn, turn_sd, bias, bias_sd, fit.present)
+
+
+def check_accelerometer_scale(fit: AxesFit | None) -> Check:
+    """Compare the mean specific force with gravity."""
+    name = "accelerometer_scale"
+    if fit is None:
+        return Check(name)
+    ratio = fit.gravity / STANDARD_GRAVITY
+    text = f"the mean specific force is {fit.gravity:.2f} m/s², {ratio:.3f} of gravity"
+    if abs(ratio - 1.0) <= FORCE_LIMIT:
+        return Check(name, Verdict.AGREES, text, ratio, None, 1.0, FORCE_LIMIT)
+    advice = "its unit may be g, or an axis is missing: check the columns and the unit of the accelerometer"
+    return Check(name, Verdict.CONTRADICTS, f"{text}: {advice}", ratio, None, 1.0, FORCE_LIMIT)
+
+
+def check_upright(fit: AxesFit | None) -> Check:
+    """Compare the direction of gravity with the axis down."""
+    name = "imu_upright"
+    if fit is None:
+        return Check(name)
+    tilt = degrees(float(np.arccos(np.clip(fit.down[2], -1.0, 1.0))))
+    axis = axis_name(fit.down)
+    if tilt <= 45.0:
+        return Check(name, Verdict.AGREES, f"gravity is {tilt:.1f}° from the axis down", tilt, None, 0.0, 45.0, "deg")
+    what = "the IMU is upside down" if tilt > 135.0 else "the IMU lies on its side"
+    text = f"{what}: gravity acts along its axis {axis}, {tilt:.0f}° from down"
+    return Check(name, Verdict.CONTRADICTS, text, tilt, None, 0.0, 45.0, "deg", _axes_setting(fit))
+
+
+def check_axes(fit: AxesFit | None) -> Check:
+    """Find the signed permutation of the axes that agrees with gravity and the accelerations of GNSS."""
+    name = "imu_axes"
+    if fit is None or fit.columns is None or not _is_motion(fit.columns):
+        return Check(name)
+    best, gap = nearest_permutation(fit.columns)
+    if np.array_equal(best, np.eye(3)):
+        text = f"accelerations of GNSS appear along their own axes, to within {fit.sd:.2f} (1 σ)"
+        return Check(name, Verdict.AGREES, text, gap, fit.sd, 0.0, MARGIN)
+    if gap < max(MARGIN, SDS * fit.sd):
+        return Check(name)
+    seen = [f"{AXES[place]} appears {axis_name(best[:, place])}" for place in range(3) if best[place, place] != 1.0]
+    mirrored = "" if np.linalg.det(best) > 0.0 else "; the axes are mirrored, which no mount does"
+    text = f"axes are swapped: {', '.join(seen)}{mirrored}"
+    return Check(name, Verdict.CONTRADICTS, text, gap, fit.sd, 0.0, MARGIN, "-", _axes_setting(fit))
+
+
+def check_mounting(fit: AxesFit | None, limit_rad: float) -> Check:
+    """Find a mount that is askew beyond what the filter assumes."""
+    name = "imu_mounting"
+    if fit is None or fit.columns is None or not _is_motion(fit.columns):
+        return Check(name)
+    best, _ = nearest_permutation(fit.columns)
+    if not np.array_equal(best, np.eye(3)):
+        return Check(name)
+    limit = max(SKEWED, limit_rad)
+    R = mounting_of(fit.columns)
+    yaw, pitch = atan2(R[1, 0], R[0, 0]), -atan2(R[2, 0], hypot(R[0, 0], R[1, 0]))
+    size, sd = max(abs(yaw), abs(pitch)), fit.sd
+    text = (
+        f"the IMU is askew by {degrees(-yaw):.1f}° in yaw and {degrees(-pitch):.1f}° in pitch (1 σ {degrees(sd):.1f}°)"
+    )
+    values = degrees(size), degrees(sd), 0.0, degrees(limit), "deg"
+    if size < limit + 3.0 * sd:
+        return Check(name, Verdict.AGREES if size < limit else Verdict.UNKNOWN, text, *values)
+    return Check(name, Verdict.CONTRADICTS, text, *values, _axes_setting(fit))
+
+
+def check_gyroscope(fit: AxesFit | None) -> Check:
+    """Compare the response of the gyroscopes to turns with the direction of gravity, in size and sense."""
+    name = "gyroscope_axes"
+    if fit is None or fit.turn is None:
+        return Check(name)
+    size = float(np.linalg.norm(fit.turn))
+    gain, sd = float(fit.down @ fit.turn), fit.turn_sd
+    values = gain, sd, 1.0, RATE_LIMIT
+    if gain < 0.5 * size:
+        sense = "against the sense" if gain < -0.7 * size else f"about its axis {axis_name(fit.turn / size)} instead"
+        text = (
+            f"the gyroscopes show turns of the course {sense} of the vertical of the accelerometers (factor {gain:.2f})"
+        )
+        return Check(name, Verdict.CONTRADICTS, f"{text}: check sign and order of their axes", *values)
+    if abs(size - 1.0) > RATE_LIMIT + SDS * sd:
+        text = f"the gyroscopes show {size:.2f} of the turns of the course"
+        unit = "; their unit may be deg/s" if 40.0 < size < 80.0 else ""
+        return Check(name, Verdict.CONTRADICTS, f"{text}: check their unit{unit}", *values)
+    return Check(name, Verdict.AGREES, f"turns of the course appear with a factor of {gain:.2f} ± {sd:.2f}", *values)
+
+
+def check_gyroscope_bias(fit: AxesFit | None, assumed_sd: float) -> Check:
+    """Compare the gyroscope bias, by the course, with its prior."""
+    name = "gyroscope_bias"
+    if fit is None or fit.bias is None or fit.bias_sd > radians(0.5):
+        return Check(name)
+    size = float(np.abs(fit.bias).max())
+    x, y, z = np.degrees(fit.bias).tolist()
+    text = f"gyroscope biases by the course over ground: {x:.2f}, {y:.2f}, {z:.2f} °/s"
+    values = degrees(size), degrees(fit.bias_sd), 0.0, degrees(BIAS_SDS * assumed_sd), "deg/s"
+    if size < BIAS_SDS * assumed_sd + 3.0 * fit.bias_sd:
+        return Check(name, Verdict.AGREES, text, *values)
+    setting = f"core.fusion.imu.gyroscope_bias_sd_rad_s = {size:.2g}"
+    return Check(name, Verdict.CONTRADICTS, text, *values, setting)
+
+
+def forward_of(fit: AxesFit | None) -> FloatArray | None:
+    """Direction forward in published axes, shape (3,), of length one; None while it is not known."""
+    if fit is None or fit.columns is None or not _is_motion(fit.columns):
+        return None
+    ahead: FloatArray = fit.columns[:, 0] / np.linalg.norm(fit.columns[:, 0])
+    return ahead
+
+
+def mounting_of(columns: FloatArray) -> FloatArray:
+    """Rotation from vehicle to published axes next to M: its third column, and the first across it; shape (3, 3)."""
+    down = columns[:, 2] / np.linalg.norm(columns[:, 2])
+    ahead = columns[:, 0] - (columns[:, 0] @ down) * down
+    across = columns[:, 1] - (columns[:, 1] @ down) * down
+    handed = 1.0 if np.linalg.det(columns) > 0.0 else -1.0
+    ahead = ahead + handed * np.cross(across, down)
+    ahead /= np.linalg.norm(ahead)
+    return np.column_stack([ahead, handed * np.cross(down, ahead), down])
+
+
+def axis_name(direction: FloatArray) -> str:
+    """Nearest axis to a direction in words."""
+    place = int(np.argmax(np.abs(direction)))
+    return AXES[place] if direction[place] > 0.0 else OPPOSITE[place]
+
+
+def _is_motion(columns: FloatArray) -> bool:
+    return all(GAIN[0] < float(np.linalg.norm(columns[:, place])) < GAIN[1] for place in (0, 1))
+
+
+def _axes_setting(fit: AxesFit) -> str | None:
+    """Setting that turns published axes into those of the vehicle: exact where axes are only swapped."""
+    if fit.columns is None or not _is_motion(fit.columns):
+        return None
+    best, _ = nearest_permutation(fit.columns)
+    swapped = not np.array_equal(best, np.eye(3))
+    correction = best.T if swapped else mounting_of(fit.columns).T
+    return f"core.fusion.imu.body_from_imu = {matrix_text(correction @ fit.present)}"

@@ -1,0 +1,93 @@
+"""Delay of GNSS beyond the settings, by the lag at which changes of speed and course fit the inertial sensors best.
+
+The likelihood of a lag is that of the residuals of two regressions, change of speed on mean force and change of course
+on mean rate; mounting and biases are in the coefficients, as in `timing.delay_search`, which works on line.
+"""
+
+from math import log
+
+import numpy as np
+import numpy.typing as npt
+
+from .findings import Check, Verdict
+from .motion import Changes, Motion, Velocities
+
+FloatArray = npt.NDArray[np.float64]
+
+LARGEST_S = 1.6
+COARSE_S = np.arange(-8, 9) * 0.2
+FINE_S = np.arange(-5, 6) * 0.05  # about the best of them
+NEAR_S = 0.25
+LEAST_SD_S, LARGEST_SD_S = 0.02, 0.08
+FEWEST = 30
+EXPLAINED = 0.5  # share of the variance of the course rate that the best lag explains
+CLEAR = 12.0  # logarithm of the likelihood over that of no lag
+REPEATED = 3.0  # residuals in a row that count as one
+LATE_S = 0.15
+
+
+def check_delay(name: str, what: str, motion: Motion, velocities: Velocities, setting: tuple[str, float]) -> Check:
+    """Find the lag of velocities against the inertial sensors.
+
+    Parameters
+    ----------
+    name, what : str
+        Of the check, and of what is late, in words.
+    motion : Motion
+        Of the window.
+    velocities : Velocities
+        Of the receiver, or of its positions.
+    setting : tuple of str and float
+        Key of the delay, and its present value [s].
+    """
+    found = lag_of(motion, velocities)
+    if found is None:
+        return Check(name)
+    lag_s, sd_s, gain = found
+    values = lag_s, sd_s, 0.0, LATE_S, "s"
+    if abs(lag_s) < LATE_S:
+        text = f"{what} agrees with the inertial sensors at a lag of {lag_s:.2f} ± {sd_s:.2f} s"
+        return Check(name, Verdict.AGREES, text, *values)
+    if abs(lag_s) < LATE_S + 2.0 * sd_s or gain < CLEAR:
+        return Check(name)
+    key, present_s = setting
+    sense = "older" if lag_s > 0.0 else "newer"
+    text = f"{what} is {abs(lag_s):.2f} ± {sd_s:.2f} s {sense} than its stamps and the settings say"
+    return Check(name, Verdict.CONTRADICTS, text, *values, f"{key} = {present_s + lag_s:.2f}")
+
+
+def lag_of(motion: Motion, velocities: Velocities) -> tuple[float, float, float] | None:
+    """Lag and its standard deviation [s], and the log-likelihood over that of no lag; None while not known."""
+    changes = Changes.of(velocities).within(motion, LARGEST_S + NEAR_S)
+    turning = np.isfinite(changes.course_rate)
+    if turning.sum() < FEWEST:
+        return None
+
+    def log_likelihood(lag_s: float) -> tuple[float, float]:
+        inertial = changes.inertial(motion, lag_s)
+        by_force, _ = _fit(inertial[:, :3], changes.acceleration)
+        by_rate, explained = _fit(inertial[turning, 3:], changes.course_rate[turning])
+        return (by_force + by_rate) / REPEATED, explained
+
+    coarse = [log_likelihood(lag) for lag in COARSE_S]
+    best = float(COARSE_S[max(range(len(coarse)), key=lambda place: coarse[place][0])])
+    lags = best + FINE_S
+    fine = [log_likelihood(lag) for lag in lags.tolist()]
+    total = np.array([likelihood for likelihood, _ in fine])
+    if max(explained for _, explained in fine) < EXPLAINED:
+        return None
+    weight = np.exp(total - total.max())
+    weight /= weight.sum()
+    lag = float(weight @ lags)
+    sd = float(np.hypot(np.sqrt(weight @ (lags - lag) ** 2), LEAST_SD_S))
+    return (lag, sd, float(total.max()) - log_likelihood(0.0)[0]) if sd < LARGEST_SD_S else None
+
+
+def _fit(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Logarithm of the likelihood of y = x b + b0, large residuals counted less, and the share of y's variance."""
+    design = np.column_stack([x, np.ones(len(y))])
+    size = np.abs(y - design @ np.linalg.lstsq(design, y, rcond=None)[0])
+    left = np.minimum(size, 4.0 * np.median(size))
+    variance = float(((y - y.mean()) ** 2).sum()) + 1e-12
+    residual = max(float(left @ left), 1e-9 * variance)
+    return -0.5 * len(y) * log(residual / variance), 1.0 - residual / variance

@@ -1,0 +1,31 @@
+"""Result of one check of the set-up."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.messages.navigation import SetUpVerdict as Verdict
+
+__all__ = ["Check", "Verdict", "matrix_text"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a check has found: unknown until the drive has shown enough."""
+
+    name: str
+    verdict: Verdict = Verdict.UNKNOWN
+    sentence: str = ""
+    statistic: float | None = None  # in `unit`
+    sd: float | None = None
+    expected: float | None = None
+    limit: float | None = None  # of the difference
+    unit: str = "-"
+    setting: str | None = None  # to paste into the vehicle's file or the mapping of the import
+
+
+def matrix_text(matrix: npt.NDArray[np.float64]) -> str:
+    """Matrix as TOML, with four digits."""
+    rows = ("[" + ", ".join(f"{value + 0.0:.4g}" for value in row) + "]" for row in np.round(matrix, 4).tolist())
+    return "[" + ", ".join(rows) + "]"

@@ -1,0 +1,142 @@
+"""All checks of the set-up, once in ten seconds; a finding holds until a later evaluation contradicts it."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from shared.maths.rotation import Vector
+
+from ..measurements.base import Measurement
+from ..settings import Settings
+from . import axes, receiver
+from .delay import check_delay
+from .findings import Check, Verdict
+from .motion import Motion, MotionLog, Velocities, intervals_of
+from .odometer import check_odometer_scale
+
+PERIOD_NS = 10_000_000_000
+FEWEST_VELOCITIES = 20
+
+
+class ArmError(NamedTuple):
+    """Error of the lever arm [m, forward and right] by the filter's innovations, and whether it is significant."""
+
+    error: tuple[float, float]
+    sds: float
+    wrong: bool
+
+
+class SetUpMonitor:
+    """Collects motion, and evaluates the checks.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the filter: lever arm, delays, scale and priors that the checks refer to.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._log = MotionLog()
+        self._due_ns: int | None = None
+        self._suspects: dict[str, Verdict] = {}  # verdict of the last evaluation
+        self.checks: dict[str, tuple[Check, int]] = {}  # newest known result of each, and since when its verdict holds
+
+    def sample(self, time_ns: int, force: Vector, rate: Vector) -> None:
+        """Take the next inertial sample [m/s², rad/s; body]."""
+        self._log.sample(time_ns, force, rate)
+
+    def see(self, measurement: Measurement) -> None:
+        """Take a position, velocity or speed."""
+        self._log.see(measurement)
+
+    def is_due(self, time_ns: int) -> bool:
+        """Whether an evaluation is due at a stamp of the samples."""
+        self._due_ns = time_ns + PERIOD_NS if self._due_ns is None else self._due_ns
+        return time_ns >= self._due_ns
+
+    def evaluate(self, time_ns: int, arm: ArmError | None) -> None:
+        """Evaluate all checks."""
+        self._due_ns = time_ns + PERIOD_NS
+        motion = self._log.motion()
+        if motion is None:
+            return
+        for check in evaluate(self._settings, motion, arm):
+            self._adopt(check, time_ns)
+
+    def _adopt(self, check: Check, time_ns: int) -> None:
+        """Keep what is known: a finding needs two evaluations in a row, and ignorance replaces nothing."""
+        last, self._suspects[check.name] = self._suspects.get(check.name), check.verdict
+        known = self.checks.get(check.name)
+        if known is None:
+            known = self.checks[check.name] = (Check(check.name), time_ns)
+        if check.verdict is Verdict.UNKNOWN or (check.verdict is Verdict.CONTRADICTS and last is not check.verdict):
+            return
+        since_ns = known[1] if known[0].verdict is check.verdict else time_ns
+        self.checks[check.name] = (check, since_ns)
+
+
+def evaluate(settings: Settings, motion: Motion, arm: ArmError | None = None) -> Iterator[Check]:
+    """Evaluate all checks on one window of motion; later ones rest on what the earlier ones have found."""
+    by_receiver, by_positions = motion.of_receiver(), motion.of_positions()
+    same = receiver.check_velocity_axes(motion)
+    has_velocity = len(by_receiver.begin) >= FEWEST_VELOCITIES
+    delays = tuple(_delays(settings, motion, by_receiver if has_velocity else None, by_positions))
+    chosen, delay = by_positions, delays[0]
+    if has_velocity and same.verdict is not Verdict.CONTRADICTS:
+        chosen, delay = by_receiver, delays[1]
+    late = delay.verdict is Verdict.CONTRADICTS
+    lag_s = delay.statistic if late and delay.statistic is not None else 0.0
+    intervals = intervals_of(motion, chosen, lag_s) if len(chosen.begin) >= FEWEST_VELOCITIES else None
+    fit = axes.fit_axes(motion, intervals, settings.imu.body_from_imu)
+    of_imu = (
+        axes.check_accelerometer_scale(fit),
+        axes.check_upright(fit),
+        axes.check_axes(fit),
+        axes.check_mounting(fit, 3.0 * settings.non_holonomic.mounting_sd_rad),
+        axes.check_gyroscope(fit),
+        axes.check_gyroscope_bias(fit, settings.imu.gyroscope_bias_sd_rad_s),
+    )
+    yield from of_imu
+    yield same
+    yield from receiver.check_vertical(motion, intervals, axes.forward_of(fit))
+    yield from delays
+    yield check_odometer_scale(motion, chosen, settings.odometer.scale)
+    misled = late or any(check.verdict is Verdict.CONTRADICTS for check in (*of_imu, same))
+    yield Check("lever_arm") if misled or arm is None else check_arm(settings, arm)
+
+
+def _delays(
+    settings: Settings, motion: Motion, by_receiver: Velocities | None, by_positions: Velocities
+) -> Iterator[Check]:
+    """Compare the stamps of positions, and of velocities, with the inertial sensors."""
+    gnss = settings.gnss
+    enough = len(by_positions.begin) >= FEWEST_VELOCITIES
+    key = "core.fusion.gnss.delay_s", gnss.delay_s
+    position = check_delay("gnss_delay", "the position of GNSS", motion, by_positions, key) if enough else None
+    yield position or Check("gnss_delay")
+    late_s = position.statistic if position is not None and position.verdict is Verdict.CONTRADICTS else None
+    if by_receiver is None:
+        yield Check("gnss_velocity_delay")
+        return
+    if position is not None and position.verdict is not Verdict.UNKNOWN:
+        key = "core.fusion.gnss.velocity_delay_s", gnss.velocity_delay_s - (late_s or 0.0)
+    yield check_delay("gnss_velocity_delay", "the velocity of GNSS", motion, by_receiver, key)
+
+
+def check_arm(settings: Settings, arm: ArmError) -> Check:
+    """Put the filter's own comparison of the antenna with its prediction in turns into a finding."""
+    forward, right = arm.error
+    x, y, z = settings.gnss.lever_arm_body_m
+    size = (forward**2 + right**2) ** 0.5
+    along, across = "ahead of" if forward > 0.0 else "behind", "right" if right > 0.0 else "left"
+    text = (
+        f"in turns the antenna is {abs(forward):.1f} m {along} and {abs(right):.1f} m {across} of where the settings "
+        "have it"
+    )
+    values = size, size / max(arm.sds, 1e-9), 0.0, 0.5, "m"
+    if arm.wrong:
+        setting = f"core.fusion.gnss.lever_arm_body_m = [{x + forward:.2f}, {y + right:.2f}, {z:.2f}]"
+        return Check("lever_arm", Verdict.CONTRADICTS, text, *values, setting)
+    if arm.sds > 0.0 and size / arm.sds < 0.2 and size < 0.5:
+        return Check("lever_arm", Verdict.AGREES, "in turns the antenna is where the settings have it", *values)
+    return Check("lever_arm")

@@ -1,0 +1,44 @@
+"""Scale of the odometer, by the speed of GNSS."""
+
+import numpy as np
+
+from .findings import Check, Verdict
+from .motion import Motion, Velocities
+from .regression import least_squares
+
+FAST_M_S = 4.0
+FEWEST = 30
+SCALE_LIMIT = 0.1
+SCALE_SD = 0.02
+
+
+def check_odometer_scale(motion: Motion, velocities: Velocities, present: float) -> Check:
+    """Compare the speed of the odometer with that of GNSS; `present` is the scale of the settings."""
+    name = "odometer_scale"
+    time, speed = motion.speeds.T
+    if len(time) < 2 or len(velocities.begin) < FEWEST:
+        return Check(name)
+    middle = 0.5 * (velocities.begin + velocities.end)
+    near = np.searchsorted(time, middle).clip(1, len(time) - 1)
+    fresh = (time[near] - time[near - 1] < 1.5) & (middle >= time[0]) & (middle <= time[-1])
+    gnss = np.hypot(velocities.ned[:, 0], velocities.ned[:, 1])
+    fit_for = fresh & (gnss > FAST_M_S)
+    if fit_for.sum() < FEWEST:
+        return Check(name)
+    wheel = np.interp(middle, time, speed)[fit_for]
+    fit = least_squares(gnss[fit_for, np.newaxis], np.abs(wheel)[:, np.newaxis])
+    if fit is None or float(fit.sd[0, 0]) > SCALE_SD:
+        return Check(name)
+    ratio, sd = float(fit.coefficients[0, 0]), float(fit.sd[0, 0])
+    values = ratio, sd, 1.0, SCALE_LIMIT
+    text = f"the odometer indicates {ratio:.3f} ± {sd:.3f} of the speed of GNSS"
+    if abs(ratio - 1.0) < SCALE_LIMIT:
+        return Check(name, Verdict.AGREES, text, *values)
+    if abs(ratio - 1.0) < SCALE_LIMIT + 2.0 * sd:
+        return Check(name)
+    setting = (
+        f"core.fusion.odometer.scale = {present / ratio:.3f}"
+        if ratio > 0.05
+        else "core.fusion.odometer.enabled = false"
+    )
+    return Check(name, Verdict.CONTRADICTS, text, *values, "-", setting)

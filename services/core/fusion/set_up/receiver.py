@@ -1,0 +1,173 @@
+"""Signs and axes of what the receiver says: velocity against positions, heights against the pitch of the road.
+
+On a road the specific force along the vehicle is f = a + g sin(slope), so that the climb over a window of speed v is::
+
+    climb = sum(v f dt) / g + c1 way + c2 v²/2 + noise
+
+with c1 the pitch of the mount and the bias, and c2 the acceleration and the pitch that goes with it.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from shared.maths.earth import STANDARD_GRAVITY
+
+from .findings import Check, Verdict
+from .motion import Intervals, Motion, Velocities
+from .regression import Fit, least_squares, nearest_permutation
+
+FloatArray = npt.NDArray[np.float64]
+
+WINDOW_S = 8.0
+FEWEST = 12  # windows, or velocities
+GAIN_SD = 0.25
+AXES_SD = 0.15
+SDS = 5.0
+WRONG_GAIN = 0.5  # below it a sign is wrong
+MAPPING = "axes and signs of `velocity` in the mapping of the import"
+HEIGHTS = "sign and kind of `height` in the mapping of the import"
+
+
+def check_velocity_axes(motion: Motion) -> Check:
+    """Compare the receiver's horizontal velocity with the difference of its positions, as a 2x2 matrix."""
+    name = "gnss_velocity_axes"
+    track = motion.of_positions()
+    seen = _mean_velocity(motion.velocities, track)
+    both = np.isfinite(seen).all(axis=1)
+    if both.sum() < FEWEST:
+        return Check(name)
+    fit = least_squares(track.ned[both, :2], seen[both])
+    if fit is None or float(fit.sd.max()) > AXES_SD:
+        return Check(name)
+    best, gap = nearest_permutation(fit.coefficients.T)
+    sd = float(fit.sd.max())
+    values = gap, sd, 0.0, 0.8
+    if np.array_equal(best, np.eye(2)):
+        return Check(name, Verdict.AGREES, "the receiver's velocity is that of its positions", *values)
+    if gap < max(0.8, SDS * sd):
+        return Check(name)
+    words = {(1, 0): "north", (0, 1): "east", (-1, 0): "south", (0, -1): "west"}
+    shown = [
+        f"{name} appears {words[(round(best[0, place]), round(best[1, place]))]}"
+        for place, name in enumerate(("north", "east"))
+        if best[place, place] != 1.0
+    ]
+    text = f"the receiver's velocity contradicts its positions: {', '.join(shown)}"
+    return Check(name, Verdict.CONTRADICTS, f"{text}: check {MAPPING}", *values)
+
+
+def check_vertical(motion: Motion, intervals: Intervals | None, ahead: FloatArray | None) -> tuple[Check, Check]:
+    """Compare heights and vertical velocity with the pitch of the road, and with each other.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of the window.
+    intervals : Intervals or None
+        Of velocities.
+    ahead : ndarray, shape (3,), or None
+        [-, body] Direction forward in published axes; None while it is not known.
+    """
+    height, velocity = Check("gnss_height"), Check("gnss_vertical_velocity")
+    by_height = by_velocity = None
+    if intervals is not None and ahead is not None:
+        by_height = _gain(motion, intervals, ahead, motion.positions[:, 0], -motion.positions[:, 3])
+        if (climbed := _integrated(motion.velocities)) is not None:
+            by_velocity = _gain(motion, intervals, ahead, climbed[:, 0], climbed[:, 1])
+    each_other = _heights_against_velocity(motion)
+    if by_velocity is not None:
+        velocity = _verdict(
+            "gnss_vertical_velocity", "vertical velocity", by_velocity, "the pitch of the road", MAPPING
+        )
+    if by_height is not None:
+        height = _verdict("gnss_height", "height", by_height, "the pitch of the road", HEIGHTS)
+    elif each_other is not None and velocity.verdict is Verdict.AGREES:
+        height = _verdict("gnss_height", "height", each_other, "the vertical velocity", HEIGHTS)
+    if by_velocity is None and each_other is not None and height.verdict is Verdict.AGREES:
+        velocity = _verdict("gnss_vertical_velocity", "vertical velocity", each_other, "the height", MAPPING)
+    return height, velocity
+
+
+def _verdict(name: str, what: str, fit: tuple[float, float], than: str, where: str) -> Check:
+    gain, sd = fit
+    text = f"the {what} of GNSS changes by {gain:.2f} ± {sd:.2f} of what {than} says"
+    values = gain, sd, 1.0, 1.5
+    if gain > WRONG_GAIN:
+        return Check(name, Verdict.AGREES, text, *values)
+    if gain > -WRONG_GAIN or 1.0 - gain < SDS * sd:
+        return Check(name)
+    return Check(name, Verdict.CONTRADICTS, f"{text}: its sign is wrong; check {where}", *values)
+
+
+def _gain(
+    motion: Motion, intervals: Intervals, ahead: FloatArray, time: FloatArray, climb: FloatArray
+) -> tuple[float, float] | None:
+    """Factor of a climb [m] on that of pitch and speed, with its standard deviation."""
+    if len(time) < FEWEST or not np.isfinite(climb).any():
+        return None
+    starts, n = intervals.begin, len(intervals.begin)
+    rows, climbs = [], []
+    first = 0
+    while first < n:
+        last = int(np.searchsorted(starts, starts[first] + WINDOW_S))
+        inside = slice(first, last)
+        span = intervals.span[inside]
+        end = starts[last - 1] + span[-1]
+        if last - first >= 4 and abs(span.sum() - (end - starts[first])) < 0.3 and _covered(time, starts[first], end):
+            v = intervals.speed[inside]
+            work = float((v * (intervals.force[inside] @ ahead) * span).sum()) / STANDARD_GRAVITY
+            rows.append((work, float((v * span).sum()), float((v * intervals.acceleration[inside] * span).sum())))
+            climbs.append(float(np.interp(end, time, climb) - np.interp(starts[first], time, climb)))
+        first = last
+    if len(rows) < FEWEST:
+        return None
+    return _known(least_squares(np.array(rows), np.array(climbs)[:, np.newaxis]))
+
+
+def _covered(time: FloatArray, begin: float, end: float) -> bool:
+    first, last = np.searchsorted(time, begin), np.searchsorted(time, end)
+    return bool(first > 0 and last < len(time) and np.diff(time[first - 1 : last + 1]).max() < 3.0)
+
+
+def _heights_against_velocity(motion: Motion) -> tuple[float, float] | None:
+    """Factor of changes of height on the climb by the receiver's vertical velocity."""
+    climbed = _integrated(motion.velocities)
+    if climbed is None or len(motion.positions) < FEWEST:
+        return None
+    edges = np.arange(climbed[0, 0], climbed[-1, 0], WINDOW_S)
+    if len(edges) < FEWEST:
+        return None
+    by_height = np.diff(np.interp(edges, motion.positions[:, 0], -motion.positions[:, 3]))
+    by_velocity = np.diff(np.interp(edges, climbed[:, 0], climbed[:, 1]))
+    way = np.full_like(by_height, WINDOW_S)
+    return _known(least_squares(np.column_stack([by_velocity, way]), by_height[:, np.newaxis]))
+
+
+def _known(fit: Fit | None) -> tuple[float, float] | None:
+    if fit is None or float(fit.sd[0, 0]) > GAIN_SD:
+        return None
+    return float(fit.coefficients[0, 0]), float(fit.sd[0, 0])
+
+
+def _integrated(velocities: FloatArray) -> FloatArray | None:
+    """Time and climb [m] by the receiver's vertical velocity, shape (n, 2)."""
+    known = velocities[np.isfinite(velocities[:, 3])]
+    if len(known) < FEWEST:
+        return None
+    up = -known[:, 3]
+    step = np.diff(known[:, 0])
+    climb = np.concatenate([[0.0], np.cumsum(0.5 * (up[1:] + up[:-1]) * step)])
+    return np.column_stack([known[:, 0], climb])
+
+
+def _mean_velocity(velocities: FloatArray, track: Velocities) -> FloatArray:
+    """Mean horizontal velocity of the receiver over each time of a track [m/s], NaN where it has gaps, shape (n, 2)."""
+    if len(velocities) < 2:
+        return np.full((len(track.begin), 2), np.nan)
+    time = velocities[:, 0]
+    gap = np.interp(0.5 * (track.begin + track.end), 0.5 * (time[1:] + time[:-1]), np.diff(time))
+    way = [np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(time))]) for v in velocities[:, 1:3].T]
+    span = track.end - track.begin
+    mean = np.column_stack([(np.interp(track.end, time, w) - np.interp(track.begin, time, w)) / span for w in way])
+    inside = (track.begin >= time[0]) & (track.end <= time[-1]) & (gap < 1.5)
+    return np.where(inside[:, np.newaxis], mean, np.nan)

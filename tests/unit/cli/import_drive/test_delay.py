@@ -1,0 +1,78 @@
+"""Delays of stamps that are known, and what is estimated of them."""
+
+import math
+from operator import attrgetter
+
+import numpy as np
+import pytest
+
+from cli.import_drive.delay import delay_of_fixes, delay_of_reference
+from services.sensors.simulator.drive import simulate
+from shared.errors import UserError
+from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuSamples
+from shared.messages.navigation import TruthState
+from shared.runtime.config import parse_vehicle
+from tests.support.tracks import START_NS, solution
+
+S = 1_000_000_000
+LATE_S = 0.31
+
+
+def fix(time_s: float, error_m: float) -> GnssFix:
+    s = solution(time_s, error_n=(error_m, -error_m, 0.0))
+    return GnssFix(
+        sampled_ns=s.sampled_ns, received_ns=s.sampled_ns, source="gnss", fix_type=FixType.THREE_D,
+        latitude_deg=s.latitude_deg, longitude_deg=s.longitude_deg, height_ellipsoid_m=s.height_ellipsoid_m,
+    )  # fmt: skip
+
+
+def truth(time_s: float) -> TruthState:
+    s = solution(time_s)
+    return TruthState(
+        sampled_ns=s.sampled_ns + round(LATE_S * S), latitude_deg=s.latitude_deg, longitude_deg=s.longitude_deg,
+        height_ellipsoid_m=s.height_ellipsoid_m,
+    )  # fmt: skip
+
+
+def test_the_delay_of_a_reference_is_found_beside_a_constant_offset() -> None:
+    rng = np.random.default_rng(1)
+    fixes = [fix(0.5 * k, 2.0 + rng.normal(0.0, 0.3)) for k in range(240)]
+    found = delay_of_reference([truth(0.9 + k) for k in range(110)], fixes)
+    assert found.seconds == pytest.approx(LATE_S, abs=5.0 * found.sd_s + 0.01)
+    assert found.sd_s < 0.02
+
+
+def test_a_reference_at_standstill_or_beyond_the_range_is_an_error() -> None:
+    still = [truth(0.0).model_copy(update={"sampled_ns": START_NS + k * S}) for k in range(100)]
+    fixes = [fix(0.5 * k, 0.0) for k in range(240)]
+    with pytest.raises(UserError, match="standstill"):
+        delay_of_reference(still, fixes)
+    with pytest.raises(UserError, match="so few positions"):
+        delay_of_reference(still[:5], fixes)
+
+
+@pytest.mark.slow
+def test_the_delay_of_fixes_stamped_on_arrival_is_that_of_the_simulation() -> None:
+    drive = simulate("parking_lot", seed=3, duration_s=150.0)
+    imu = [
+        ImuSamples(
+            received_ns=t, source="imu", sampled_ns=(t,), specific_force_body_m_s2=(tuple(f),),
+            angular_rate_body_rad_s=(tuple(w),),
+        )
+        for t, f, w in zip(drive.t_ns.tolist(), drive.force_b.tolist(), drive.rate_b.tolist(), strict=True)
+    ]  # fmt: skip
+    late = round(LATE_S * S)
+    fixes = [
+        GnssFix(
+            sampled_ns=int(drive.fix_ns[k]) + late, received_ns=int(drive.fix_ns[k]) + late, source="gnss",
+            fix_type=FixType.THREE_D, latitude_deg=math.degrees(drive.fix_position[k, 0]),
+            longitude_deg=math.degrees(drive.fix_position[k, 1]), height_ellipsoid_m=float(drive.fix_position[k, 2]),
+            velocity_ned_m_s=tuple(drive.fix_velocity_n[k].tolist()),
+        )
+        for k in np.flatnonzero(drive.fix_valid).tolist()
+    ]  # fmt: skip
+    text = f"[vehicle]\nname = 'made'\n[core.fusion.gnss]\nlever_arm_body_m = {list(drive.lever_arm_b)}\n"
+    arrived: list[ImuSamples | GnssFix] = sorted([*imu, *fixes], key=attrgetter("received_ns"))
+    found = delay_of_fixes(arrived, parse_vehicle(text))
+    assert found.seconds == pytest.approx(LATE_S, abs=0.05)

@@ -1,0 +1,141 @@
+"""Checks of the set-up: every spoiled drive is found out by name, and no good drive is accused."""
+
+import tomllib
+from functools import cache
+from math import radians
+
+import numpy as np
+import pytest
+
+from services.core.fusion.set_up.findings import Check, Verdict
+from services.core.fusion.set_up.monitor import ArmError, SetUpMonitor
+from services.core.fusion.set_up.motion import MotionLog
+from services.core.fusion.set_up.regression import least_squares, nearest_permutation
+from services.core.fusion.settings import Settings
+from services.sensors.simulator.drive import simulate
+from tests.support.set_up import Recorded, Spoiled, matrix_of, simulated
+
+SECONDS = 180.0
+
+
+@cache
+def town() -> Recorded:
+    """Three minutes of stop and go in a town with hills."""
+    return simulated(simulate("urban", seed=3, duration_s=SECONDS), exact_heights=True)
+
+
+def accused(checks: dict[str, Check]) -> set[str]:
+    return {name for name, check in checks.items() if check.verdict is Verdict.CONTRADICTS}
+
+
+SPOILED = {
+    "axes swapped and mirrored": (Spoiled(axes=("y", "x", "z")), {"imu_axes"}),
+    "axis mirrored": (Spoiled(axes=("x", "-y", "z")), {"imu_axes"}),
+    "turned by 90 degrees": (Spoiled(axes=("y", "-x", "z")), {"imu_axes"}),
+    "backwards": (Spoiled(axes=("-x", "-y", "z")), {"imu_axes"}),
+    "upside down": (Spoiled(axes=("x", "-y", "-z")), {"imu_axes", "imu_upright"}),
+    "on its side": (Spoiled(axes=("x", "z", "-y")), {"imu_axes", "imu_upright"}),
+    "gyroscope of the wrong sense": (Spoiled(gyroscope_axes=("x", "y", "-z")), {"gyroscope_axes"}),
+    "gyroscope in other axes": (Spoiled(gyroscope_axes=("z", "y", "-x")), {"gyroscope_axes"}),
+    "forces in g": (Spoiled(accelerometer=1.0 / 9.80665), {"accelerometer_scale"}),
+    "askew by 20 degrees": (Spoiled(yaw_rad=radians(20.0)), {"imu_mounting"}),
+    "biased gyroscope": (Spoiled(bias_rad_s=(0.06, -0.17, 0.04)), {"gyroscope_bias"}),
+    "heights downwards": (Spoiled(height_sign=-1.0), {"gnss_height"}),
+    "vertical velocity upwards": (Spoiled(velocity_axes=("x", "y", "-z")), {"gnss_vertical_velocity"}),
+    "east before north": (Spoiled(velocity_axes=("y", "x", "z")), {"gnss_velocity_axes"}),
+    "stamps late": (Spoiled(late_s=0.4), {"gnss_velocity_delay"}),
+    "stamps early": (Spoiled(late_s=-0.3), {"gnss_velocity_delay"}),
+    "odometer of other tyres": (Spoiled(odometer=1.15), {"odometer_scale"}),
+    "lever arm": (Spoiled(arm=ArmError((2.0, 0.1), 12.0, wrong=True)), {"lever_arm"}),
+}
+
+
+@pytest.mark.parametrize("what", SPOILED)
+def test_a_spoiled_set_up_is_found_out_by_name(what: str) -> None:
+    spoiled, expected = SPOILED[what]
+    found = accused(spoiled.checks(town()))
+    assert expected <= found
+    assert found <= expected | {"gnss_delay"}, "and nothing else is accused"
+
+
+def test_what_a_check_says_corrects_the_set_up() -> None:
+    """The setting to paste turns swapped axes into those of the vehicle; delay and scale are those that were made."""
+    axes = ("y", "-x", "z")
+    setting = tomllib.loads(Spoiled(axes=axes).checks(town())["imu_axes"].setting or "")
+    correction = np.array(setting["core"]["fusion"]["imu"]["body_from_imu"])
+    assert correction @ matrix_of(axes) == pytest.approx(np.eye(3))
+    late = Spoiled(late_s=0.4).checks(town())["gnss_velocity_delay"]
+    assert late.statistic == pytest.approx(0.4, abs=0.06) and "delay_s = 0.4" in (late.setting or "")
+    scale = tomllib.loads(Spoiled(odometer=1.15).checks(town())["odometer_scale"].setting or "")
+    assert scale["core"]["fusion"]["odometer"]["scale"] == pytest.approx(1.0 / 1.15, rel=0.01)
+    skewed = tomllib.loads(Spoiled(yaw_rad=radians(20.0)).checks(town())["imu_mounting"].setting or "")
+    turned = np.array(skewed["core"]["fusion"]["imu"]["body_from_imu"])
+    assert np.degrees(np.arctan2(-turned[0, 1], turned[0, 0])) == pytest.approx(20.0, abs=2.0)
+    Settings().with_values({"imu.body_from_imu": turned.tolist()})
+
+
+@pytest.mark.parametrize(
+    ("scenario", "seed"), [("urban", 1), ("parking_lot", 1), ("parking_lot", 2), ("degraded", 4), ("highway", 1)]
+)
+def test_a_good_drive_is_not_accused(scenario: str, seed: int) -> None:
+    checks = Spoiled(arm=ArmError((0.05, 0.05), 1.0, wrong=False)).checks(
+        simulated(simulate(scenario, seed, duration_s=SECONDS))
+    )
+    assert not accused(checks)
+    assert checks["accelerometer_scale"].verdict is checks["imu_upright"].verdict is Verdict.AGREES
+
+
+def test_most_of_the_set_up_is_known_after_three_minutes() -> None:
+    checks = Spoiled().checks(town())
+    unknown = {name for name, check in checks.items() if check.verdict is Verdict.UNKNOWN}
+    assert unknown <= {"gnss_delay", "lever_arm"}
+
+
+def test_a_standing_vehicle_shows_gravity_alone() -> None:
+    n = 3000
+    still = Recorded(np.arange(1, n + 1) * 10_000_000, np.tile([0.0, 0.0, -9.81], (n, 1)), np.zeros((n, 3)), fixes=[])
+    known = {name for name, check in Spoiled().checks(still).items() if check.verdict is not Verdict.UNKNOWN}
+    assert known == {"accelerometer_scale", "imu_upright"}
+
+
+def test_a_finding_needs_two_evaluations_and_outlives_ignorance() -> None:
+    monitor = SetUpMonitor(Settings())
+    wrong, right = Check("imu_axes", Verdict.CONTRADICTS), Check("imu_axes", Verdict.AGREES)
+    monitor._adopt(wrong, 10)
+    assert monitor.checks["imu_axes"][0].verdict is Verdict.UNKNOWN
+    monitor._adopt(wrong, 20)
+    monitor._adopt(Check("imu_axes"), 30)
+    assert monitor.checks["imu_axes"] == (wrong, 20)
+    monitor._adopt(right, 40)
+    assert monitor.checks["imu_axes"] == (right, 40)
+
+
+def test_regression_has_honest_errors_and_drops_outliers() -> None:
+    rng = np.random.default_rng(1)
+    truth = np.array([[1.0, -2.0], [0.5, 3.0]])
+    pulls = []
+    for _ in range(200):
+        x = rng.standard_normal((60, 2))
+        y = x @ truth + 0.1 * rng.standard_normal((60, 2))
+        y[7] += 100.0
+        fit = least_squares(x, y)
+        assert fit is not None
+        pulls.append((fit.coefficients - truth) / fit.sd)
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 0.9, "rows count half: they may be correlated"
+    assert least_squares(np.ones((20, 2)), np.ones((20, 1))) is None
+
+
+def test_the_nearest_permutation_of_a_skewed_one_is_itself() -> None:
+    rng = np.random.default_rng(2)
+    true = matrix_of(("-z", "x", "y"))
+    found, gap = nearest_permutation(true + 0.2 * rng.standard_normal((3, 3)))
+    assert np.array_equal(found, true) and gap > 2.0
+
+
+def test_the_log_forgets_and_keeps_to_one_device() -> None:
+    log = MotionLog()
+    for k in range(40_000):
+        log.sample(k * 10_000_000, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))
+    motion = log.motion()
+    assert motion is not None
+    assert motion.nodes[-1] - motion.nodes[0] == pytest.approx(300.0, abs=0.2)
