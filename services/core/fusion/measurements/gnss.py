@@ -20,6 +20,7 @@ from ..filter.strapdown import rotate
 from ..settings import Settings
 from ..update.standstill_detector import stands
 from .base import Measurement, Observation
+from .gnss_error_model import KnownGnssErrors
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -146,7 +147,8 @@ class GnssVelocity:
 
     def teach(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
         """Update the model of velocity errors of the filter that has used it; a standstill shows nothing of them."""
-        if not self.lasts or stands(navigation.state.quiet):
+        known = isinstance(navigation.colour, KnownGnssErrors)
+        if known or not self.lasts or stands(navigation.state.quiet):
             return
         n = self.axes
         residual = np.array(innovation) + navigation.gnss_velocity_error[:n]
