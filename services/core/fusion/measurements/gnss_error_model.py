@@ -95,9 +95,8 @@ class GnssErrorBank:
     @cached_property
     def scale(self) -> FloatArray:
         """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
-        if self.follows:
-            return np.full(3, sqrt(FOLLOWED[0]))
-        level, upright = np.sqrt(self._learned).tolist()
+        learned = FOLLOWED[0] * np.minimum(self._learned, 1.0) if self.follows else self._learned
+        level, upright = np.sqrt(learned).tolist()
         return np.array([level, level, upright])
 
     @cached_property
