@@ -26,6 +26,10 @@ Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # SHA-256, hexadecima
 Cents = Annotated[int, Field(ge=-10_000_000, le=10_000_000), unit("1/100 of the currency")]
 PASSAGES = 400  # at most in one message
 STATIONS = 1000  # at most in one message
+SETTLED = 5000  # at most in one message
+STATION_IDS = 16  # of one passage
+LANES = 500  # of a plaza
+FRAMES, DELTAS, POSTERIORS = 3000, 1800, 600  # of one passage, as evidence
 
 
 class Position(Message):
@@ -49,7 +53,7 @@ class LaneDescription(Message):
     direction: Name  # of the carriageway
     mode: GateMode
     width_m: Deviation
-    centre: tuple[Position, ...]
+    centre: Annotated[tuple[Position, ...], Field(max_length=500)]
     approach_line: tuple[Position, Position]
     gate_line: tuple[Position, Position]
     exit_line: tuple[Position, Position]
@@ -63,7 +67,7 @@ class PlazaDescription(Message):
     plaza_digest: Digest  # of the file's bytes
     antenna: Position  # surveyed
     antenna_height_ellipsoid_m: Height
-    lanes: tuple[LaneDescription, ...]
+    lanes: Annotated[tuple[LaneDescription, ...], Field(max_length=LANES)]
 
 
 class TollRegistration(Message):
@@ -117,6 +121,9 @@ class LaneProbability(Message):
     probability: Ratio
 
 
+LaneProbabilities = Annotated[tuple[LaneProbability, ...], Field(max_length=LANES)]
+
+
 class TollTrack(Message):
     """One vehicle as `core.toll` tracks it: front point, motion, uncertainty, lane."""
 
@@ -130,7 +137,7 @@ class TollTrack(Message):
     ellipse_major_m: Deviation  # semi-axes of the 95 % ellipse
     ellipse_minor_m: Deviation
     ellipse_orientation_rad: float  # of the major axis, clockwise from north
-    lanes: tuple[LaneProbability, ...] = ()
+    lanes: LaneProbabilities = ()
     lane: Name | None = None  # None: undecided
     delta_applied: bool = False
     registered: bool = False
@@ -141,7 +148,7 @@ class TollTracks(Message):
     """Every vehicle that is tracked now."""
 
     sampled_ns: Nanoseconds
-    tracks: tuple[TollTrack, ...]
+    tracks: Annotated[tuple[TollTrack, ...], Field(max_length=5000)]
     cams: Count = 0  # used since the start of the process
     rejected: Count = 0
     trust: Reason = ""  # state of the surveyed antenna and its receiver
@@ -177,7 +184,7 @@ class LanePosterior(Message):
     """Lane probabilities at one time."""
 
     sampled_ns: Nanoseconds
-    lanes: tuple[LaneProbability, ...]
+    lanes: LaneProbabilities
 
 
 class PassageEvidence(Message):
@@ -186,9 +193,10 @@ class PassageEvidence(Message):
     version: Name  # of the algorithms
     settings: Annotated[str, Field(max_length=20_000)]  # of core.toll, as JSON
     track_since_ns: Nanoseconds  # start of the track that made the decision
-    frames: tuple[EvidenceFrame, ...]  # used by that track, in the order of use
-    deltas: tuple[TollDelta, ...]  # received while it existed
-    lanes: tuple[LanePosterior, ...]  # once a second, and at the crossing
+    # Used by that track, in the order of use; deltas of its time; lanes once a second and at the crossing.
+    frames: Annotated[tuple[EvidenceFrame, ...], Field(max_length=FRAMES)]
+    deltas: Annotated[tuple[TollDelta, ...], Field(max_length=DELTAS)]
+    lanes: Annotated[tuple[LanePosterior, ...], Field(max_length=POSTERIORS)]
 
 
 class TollPassage(Message):
@@ -204,13 +212,13 @@ class TollPassage(Message):
     state: PassageState
     reason: Reason = ""
     checkpoint: bool = False  # the state is that of an earlier statement
-    station_ids: tuple[StationId, ...]  # used on this passage, in their order
+    station_ids: Annotated[tuple[StationId, ...], Field(max_length=STATION_IDS)]  # used on this passage, in their order
     opened_ns: Nanoseconds
     crossing_ns: Nanoseconds | None = None
     crossing_sd_s: Deviation | None = None
     exit_ns: Nanoseconds | None = None
     lane: Name | None = None  # None: undecided
-    lanes: tuple[LaneProbability, ...] = ()
+    lanes: LaneProbabilities = ()
     # Where the front point is, for a process that continues the passage after a restart.
     latitude_deg: Latitude
     longitude_deg: Longitude
@@ -305,7 +313,8 @@ class OpenPassages(Message):
 
     sampled_ns: Nanoseconds
     passages: Annotated[tuple[TollPassage, ...], Field(max_length=PASSAGES)]  # newest statement of each, no evidence
-    settled: tuple[Digest, ...]  # final and stored in the last minutes: their statements need not be repeated
+    # Final and stored in the last minutes, the newest: their statements need not be repeated.
+    settled: Annotated[tuple[Digest, ...], Field(max_length=SETTLED)]
     registered: Annotated[tuple[RegisteredStation, ...], Field(max_length=STATIONS)] = ()  # the newest
 
 
@@ -353,8 +362,8 @@ class LedgerState(Message):
     amount_cents: Cents = 0
     outbox: Count = 0  # transactions without a receipt
     last_receipt_ns: Nanoseconds | None = None
-    lanes: tuple[LaneBalance, ...] = ()  # of this hour and the last
-    recent: tuple[PassageSummary, ...] = ()
+    lanes: Annotated[tuple[LaneBalance, ...], Field(max_length=2 * LANES + 2)] = ()  # of this hour and the last
+    recent: Annotated[tuple[PassageSummary, ...], Field(max_length=PASSAGES)] = ()
 
 
 class TrafficVehicle(Message):

@@ -67,6 +67,7 @@ class FakeBus:
         self.offset_ns = 1_795_000_000 * 10**9 - time.monotonic_ns()
         self.unit: FakeUnit | FakePlaza | None = None
         self.published: list[Message] = []
+        self.lives: Counter[str] = Counter()  # restarts of each process
         self._fed: deque[Envelope] = deque()
         self._sequence = 0
         self._next_heartbeat_ns = 0
@@ -87,7 +88,7 @@ class FakeBus:
         with self._lock:
             self._sequence += 1
             now_ns = self.now_ns() + int(delay_s * 1e9)
-            envelope = sent_bytes(topic, body, now_ns, producer, LIFE, self._sequence)
+            envelope = sent_bytes(topic, body, now_ns, producer, LIFE + self.lives[producer], self._sequence)
             self._fed.append(envelope)
             return envelope
 
@@ -125,8 +126,8 @@ class FakeUnit:
         self.lost: set[str] = set()  # processes that were killed
         self.rejecting = False
         self.coasting = False
+        self.protection_level_m = 3.14  # horizontal, while it does not coast
         self.aligning = False  # core.fusion runs, but has no solution yet
-        self.lives: Counter[str] = Counter()
         self.watchdog = Watchdog(SIMULATED, self.started_ns)
         self.trust = TrustProcess(TrustConfig())  # the verdict is that of the real process
         self.attacks: list[AttackRun] = []
@@ -201,7 +202,7 @@ class FakeUnit:
         """Start a process again."""
         self.lost.discard(process)
         self.silent.discard(process)
-        self.lives[process] += 1
+        self.bus.lives[process] += 1
 
     def _angle(self, now_ns: int) -> float:
         return (now_ns - self.started_ns) * 1e-9 * SPEED_M_S / RADIUS_M
@@ -289,7 +290,7 @@ class FakeUnit:
                 gyroscope_bias_rad_s=(1e-4, 2e-4, -1e-4),
                 stationary=False,
                 gnss_age_s=12.4 if self.coasting else (now_ns % 10**9) * 1e-9,
-                protection_level_horizontal_m=14.2 if self.coasting else 3.14,
+                protection_level_horizontal_m=14.2 if self.coasting else self.protection_level_m,
                 protection_level_vertical_m=9.8 if self.coasting else 4.27,
                 integrity_risk=1e-3,
             ),
@@ -422,7 +423,7 @@ class FakeUnit:
                 ProcessHealth(
                     process=name,
                     state=ProcessState.READY,
-                    incarnation=LIFE + self.lives[name],
+                    incarnation=LIFE + self.bus.lives[name],
                     sent_ns=now_ns,
                     messages_in=int(elapsed_s * (110 + 20 * index)),
                     messages_out=int(elapsed_s * (20 + 11 * index)),

@@ -34,7 +34,9 @@ class Errors:
     @property
     def model(self) -> ErrorModel:
         """The a priori error model of core.toll with these values."""
-        return replace(ErrorModel(), common_sd=self.common, vehicle_sd=self.vehicle, unit_sd=self.unit)
+        return replace(
+            ErrorModel(), common_sd=self.common, vehicle_sd=self.vehicle, unit_sd=self.unit, white_sd=self.white
+        )
 
 
 ROWS = (Errors(3.0, 0.6, 0.4, 0.3), Errors(3.0, 1.0, 0.8, 0.4), Errors(1.5, 0.4, 0.3, 0.2), Errors(4.2, 0.6, 1.13, 0.3))
@@ -103,7 +105,7 @@ def simulate(errors: Errors, runs: int, seed: int, *, corrected: bool = False) -
     for k in range(1, count):
         estimates = tracker.update(tracker.predict(estimates, np.full(runs, STEP_S)), Observation.of(z[:, k], sd))
     shift = np.array([_delta(errors, unit[run]) for run in range(runs)])  # east, north, sd
-    honest = np.hypot(errors.vehicle, 0.0 if corrected else errors.common)
+    honest = np.linalg.norm([errors.vehicle, errors.white, 0.0 if corrected else errors.common])
     fixes = Fixes(
         estimates.mean[:, :2],
         estimates.cov[:, :2, :2],

@@ -16,12 +16,19 @@ from math import atan2, cos, degrees, hypot, pi, radians, sin, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import Geodetic, geodetic_from_ned_difference
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference, wrap_angle
 from shared.maths.rotation import cross, ned_from_body
 from shared.messages.base import Symmetric3, Vector3
 from shared.messages.navigation import NavigationSolution
 from shared.messages.trust import TrustLevel, TrustState
-from shared.messages.v2x import DriveDirection, LowFrequencyContainer, OwnCam, StationType, VehicleRole
+from shared.messages.v2x import (
+    DriveDirection,
+    LowFrequencyContainer,
+    OwnCam,
+    PathPoint,
+    StationType,
+    VehicleRole,
+)
 from shared.v2x.generation import Dynamics
 
 NS = 1_000_000_000
@@ -30,6 +37,10 @@ ELLIPSE_95 = 2.447747  # sqrt of the 0.95 quantile of chi-square with 2 degrees 
 SLOWEST_COURSE_M_S = 1.0  # below it the heading is that of the body, since the course is noise
 ACCELERATION_WINDOW_NS = NS // 2
 TRUST_SILENT_NS = 5 * NS
+PATH_STEP_M = 10.0  # between two points of the path
+PATH_POINTS = 23  # 230 m at least
+LARGEST_STEP_DEG = 0.0131  # of latitude or longitude between two points: 131071 units of 1e-7 degrees
+LONGEST_PATH_NS = 600 * NS  # a point that is older is left out; its code ends at 655 s
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -72,6 +83,37 @@ class Motion:
         return (last - first) / ((last_ns - first_ns) / NS)
 
 
+@dataclass
+class PathHistory:
+    """Where the reference point has been: a point every 10 m, the newest first."""
+
+    _points: deque[tuple[int, Geodetic]] = field(default_factory=lambda: deque(maxlen=PATH_POINTS))
+
+    def add(self, time_ns: int, point: Geodetic) -> None:
+        """Keep a point that is 10 m or more from the last one; forget all of them where the time goes back."""
+        if self._points and time_ns < self._points[0][0]:
+            self._points.clear()
+        if not self._points or hypot(*ned_from_geodetic_difference(point, self._points[0][1])[:2]) >= PATH_STEP_M:
+            self._points.appendleft((time_ns, point))
+
+    def points(self, time_ns: int, here: Geodetic) -> tuple[PathPoint, ...]:
+        """Differences from each point to the one before it, as a CAM has them; the first from the place of the CAM."""
+        found, before_ns, before = [], time_ns, here
+        for past_ns, past in self._points:
+            if past_ns == time_ns:
+                continue
+            latitude = degrees(past.latitude - before.latitude)
+            longitude = degrees(wrap_angle(past.longitude - before.longitude))
+            if time_ns - past_ns > LONGEST_PATH_NS or max(abs(latitude), abs(longitude)) > LARGEST_STEP_DEG:
+                break
+            elapsed_s = (before_ns - past_ns) / NS
+            found.append(
+                PathPoint(delta_latitude_deg=latitude, delta_longitude_deg=longitude, delta_time_s=max(elapsed_s, 0.01))
+            )
+            before_ns, before = past_ns, past
+        return tuple(found)
+
+
 def dynamics(solution: NavigationSolution, vehicle: Vehicle) -> Dynamics:
     """What the generation rules look at."""
     velocity_n = _reference_velocity(solution, vehicle)
@@ -83,6 +125,7 @@ def own_cam(
     solution: NavigationSolution,
     vehicle: Vehicle,
     motion: Motion,
+    path: PathHistory,
     trust: TrustState | None,
     *,
     its_time_ms: int,
@@ -117,7 +160,11 @@ def own_cam(
         longitudinal_acceleration_m_s2=motion.longitudinal_acceleration_m_s2,
         curvature=yaw_rate / speed if speed >= SLOWEST_COURSE_M_S else None,
         yaw_rate_rad_s=yaw_rate,
-        low_frequency=LowFrequencyContainer(vehicle_role=vehicle.role) if low_frequency else None,
+        low_frequency=(
+            LowFrequencyContainer(vehicle_role=vehicle.role, path=path.points(solution.sampled_ns, point))
+            if low_frequency
+            else None
+        ),
     )
 
 

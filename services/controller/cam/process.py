@@ -13,7 +13,7 @@ from shared.runtime.config import Section
 from shared.v2x.generation import GenerationRules
 from shared.v2x.its_time import its_time_ms
 
-from .content import Motion, Vehicle, dynamics, own_cam
+from .content import Motion, PathHistory, Vehicle, dynamics, own_cam
 
 
 class Config(Section):
@@ -36,7 +36,7 @@ class Process:
     def __init__(self, config: Config) -> None:
         self._vehicle = Vehicle(**{name: getattr(config, name) for name in Config.model_fields})
         self._rules = GenerationRules()
-        self._motion = Motion()
+        self._motion, self._path = Motion(), PathHistory()
         self._trust: TrustState | None = None
         self._utc_offset_ns: int | None = None  # UTC - OBU time line
 
@@ -49,12 +49,15 @@ class Process:
                 self._trust = message
             case NavigationSolution() if self._utc_offset_ns is not None:
                 self._motion.add(message)
-                generation = self._rules.check(dynamics(message, self._vehicle))
+                now = dynamics(message, self._vehicle)
+                self._path.add(now.time_ns, now.position)
+                generation = self._rules.check(now)
                 if generation is not None:
                     yield own_cam(
                         message,
                         self._vehicle,
                         self._motion,
+                        self._path,
                         self._trust,
                         its_time_ms=its_time_ms(message.sampled_ns + self._utc_offset_ns),
                         low_frequency=generation.low_frequency,

@@ -30,6 +30,8 @@ from .v2x.neighbours import NeighbourReport
 In = GnssRawEpoch | GnssNavigationBits | GnssFix | NeighbourStates | NavigationState | Tick
 Out = TrustMonitor | FaultFreeFix
 MAX_LISTS = 20  # of neighbours between two epochs; the newest are used
+MOST_FAULTY = 2  # satellites that fail at a time; more that agree with all others are not what is wrong
+AHEAD_NS = 3_000_000_000  # by which a list's stamp may be later than the newest tick or epoch
 PERIOD_NS = 900_000_000  # epochs that follow faster are not evaluated: one a second is enough
 SIGNALS = {("gps", "1C"), ("galileo", "1C"), ("galileo", "1B")}  # on 1575.42 MHz, with broadcast ephemerides
 # Reasons for which a measurement is not used in the ordinary course of things; the others are rejects.
@@ -77,6 +79,8 @@ class Process:
         self._plainly_excluded: frozenset[SatelliteId] = frozenset()  # by plain RAIM, in the epoch before
         self._neighbours: deque[NeighbourStates] = deque()
         self._radio: str | None = None
+        self._radio_ns = 0  # of its newest list
+        self._now_ns: int | None = None
         self._alert_limit_m: float | None = None
         self._store = EphemerisStore()
         self._rejected: Counter[str] = Counter()
@@ -105,6 +109,7 @@ class Process:
             case NavigationState():
                 self._alert_limit_m = message.alert_limit_horizontal_m
             case Tick():
+                self._now(message.now_ns)
                 if self._is_silent(message.now_ns):
                     why = self._why_silent(message.now_ns)
                     yield self._remembered(silent(why, message.now_ns, self._epoch_ns, self._since))
@@ -119,6 +124,7 @@ class Process:
         if self._epoch_ns is not None and 0 <= message.sampled_ns - self._epoch_ns < PERIOD_NS:
             return
         self._epoch_ns = message.sampled_ns
+        self._now(message.sampled_ns)
         measurements = tuple(measured for one in message.measurements if (measured := _measurement(one)))
         epoch = RawEpoch(message.gps_time_ns, measurements)
         reports = tuple(self._reports_until(message.sampled_ns))
@@ -136,7 +142,9 @@ class Process:
     ) -> tuple[SatelliteVerdict, SatelliteVerdict | None]:
         """Test with neighbours first, and then plainly what is left; a start needs the plain solution first.
 
-        What plain RAIM excludes in an epoch the filters do not use from then on.
+        What plain RAIM excludes in an epoch the filters do not use from then on. Where the filters exclude more than
+        two satellites and all of them agree with one another, no satellite is at fault: all signals are false and the
+        neighbours contradict them, or they were false and are true again. The filters start anew.
         """
         cooperative, plain = self._cooperative, None
         if cooperative is None:
@@ -145,6 +153,12 @@ class Process:
             plain = self._plain.evaluate(epoch, self._store)
         start = plain.solution if plain and (plain.fault_free or plain.outcome is Outcome.NOT_EVALUATED) else None
         helped = cooperative.evaluate(epoch, self._store, reports, road_e=None, start=start)
+        if len(helped.excluded) > MOST_FAULTY and self._plain.all_agree(epoch, self._store):
+            cooperative.restart()
+            reason = "all satellites contradict the filters and agree with one another: the filters start anew"
+            helped = SatelliteVerdict(
+                Outcome.NOT_EVALUATED, reason, neighbours=helped.neighbours, rejected=helped.rejected
+            )
         plain = plain or self._plain.evaluate(epoch, self._store, frozenset(helped.excluded))
         if plain.fault_free:
             excluded = frozenset(plain.excluded)
@@ -153,15 +167,30 @@ class Process:
         return plain, helped
 
     def _use_neighbours(self, message: NeighbourStates) -> None:
-        self._radio = self._radio or message.source
+        if self._now_ns is not None and message.sampled_ns > self._now_ns + AHEAD_NS:
+            self._rejected["neighbour_from_the_future"] += len(message.neighbours)
+            return
+        if self._radio is None or abs(message.sampled_ns - self._radio_ns) > self._silent_ns:
+            self._radio = message.source  # the first one, or the former one is silent
+            self._neighbours.clear()
         if message.source != self._radio:
             self._rejected["second_radio"] += 1
-        elif self._neighbours and message.sampled_ns <= self._neighbours[-1].sampled_ns:
+            return
+        self._radio_ns = max(self._radio_ns, message.sampled_ns)
+        if self._neighbours and message.sampled_ns <= self._neighbours[-1].sampled_ns:
             self._rejected["late_neighbour"] += len(message.neighbours)
         else:
             self._neighbours.append(message)
         while len(self._neighbours) > MAX_LISTS:
             self._rejected["too_many_neighbours"] += len(self._neighbours.popleft().neighbours)
+
+    def _now(self, time_ns: int) -> None:
+        """Note the time, and drop lists of a later one: they came before the time was known."""
+        self._now_ns = time_ns
+        for states in [one for one in self._neighbours if one.sampled_ns > time_ns + AHEAD_NS]:
+            self._rejected["neighbour_from_the_future"] += len(states.neighbours)
+            self._neighbours.remove(states)
+        self._radio_ns = min(self._radio_ns, time_ns + AHEAD_NS)
 
     def _reports_until(self, time_ns: int) -> Iterator[NeighbourReport]:
         """Neighbours of lists up to a time; those of later lists wait for the next epoch."""

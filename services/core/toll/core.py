@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import cos, hypot, pi, sin, sqrt
+from math import pi, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,8 @@ from shared.maths.earth import FloatArray
 from shared.messages.base import LARGEST_NS
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 from shared.messages.toll import (
+    DELTAS,
+    STATION_IDS,
     EvidenceFrame,
     GateCommand,
     GateMode,
@@ -35,9 +37,9 @@ from .gates import Arrival, is_near, refusal
 from .lanes import LaneGeometry
 from .location import COMMON, Fixes, Location, locate
 from .measurement import ELLIPSE_95
-from .passages import Crossing, Here, Passage, crossing_between, overlap, passage_id
+from .passages import Crossing, Here, Passage, can_reach, crossing_between, overlap, passage_id
 from .settings import Settings
-from .tracks import Track, TrackTable, Update
+from .tracks import Track, TrackTable, Update, away_from_prediction
 
 VERSION = "1"  # of the algorithms, for evidence
 SECOND_NS = 10**9
@@ -46,7 +48,6 @@ ON_ROAD = 0.5  # probability of all lanes together above which a vehicle may ope
 MAX_REGISTRATIONS = 20_000
 MAX_UNSETTLED = 2000  # final statements that wait for the ledger
 REPEATED = 50  # of them a second
-DELTAS = 1800  # half an hour, for evidence
 GATE_VALID_S = 5  # after the predicted crossing
 LEAST_PROBABILITY = 1e-9  # that is published
 DELTA_ROUNDING = 4  # decimals of metres
@@ -122,7 +123,13 @@ class Core:
                 self._rejected[reason] += 1
 
     def estimate_delta(self, now_ns: int) -> TollDelta:
-        """Compute the delta position; it is used once it is passed to `use_delta`."""
+        """Compute the delta position; it is used once it is passed to `use_delta`.
+
+        A delta of a later time was retained in another life of the host, and would keep out those of this one.
+        """
+        while self._deltas and self._deltas[-1].sampled_ns > now_ns:
+            self._rejected["delta_from_the_future"] += 1
+            self._deltas.pop()
         found = self._estimator.delta(now_ns)
         if isinstance(found, str):
             return TollDelta(sampled_ns=now_ns, plaza=self._plaza.name, valid=False, reason=found)
@@ -302,7 +309,7 @@ class Core:
         if journey.passage is None and self._may_open(track, here):
             here = self._reborn(update)
             if self._may_open(track, here):
-                yield self._opened(journey, update, here)
+                yield from self._opened(journey, update, here)
         self._note(journey, here, self._settings.passage.decided)
         passage = journey.passage
         if passage is None:
@@ -340,7 +347,7 @@ class Core:
         self._table.restart(update)
         return self._located([update])[0]
 
-    def _opened(self, journey: Journey, update: Update, here: Here) -> TollPassage:
+    def _opened(self, journey: Journey, update: Update, here: Here) -> Iterator[TollPassage]:
         passage = Passage(
             passage_id(self._plaza.name, update.measured.cam.frame),
             opened_ns=here.time_ns,
@@ -349,16 +356,25 @@ class Core:
             here=here,
             track=update.track.number,
         )
+        for other in list(self._passages.values()):
+            if update.track.station_id in other.station_ids and not other.state.is_final:
+                yield self._contradiction(passage, other)
         passage.registered = self._is_registered(passage.station_ids, here.time_ns)
         journey.passage, journey.before, journey.crossing = passage, None, None
         self._passages[passage.passage_id] = passage
-        return self._statement(passage, here.time_ns)
+        yield self._statement(passage, here.time_ns)
+
+    def _contradiction(self, younger: Passage, older: Passage) -> TollPassage:
+        """Note that two passages with one station ID are of two vehicles; return the statement on the older one."""
+        younger.contradict(older)
+        older.contradict(younger)
+        return self._statement(older, older.here.time_ns, checkpoint=True)
 
     def _changed(self, passage: Passage, track: Track, here: Here) -> TollPassage:
         """Make the statement on a change of a passage's state; one that overlaps another passage is suspect."""
         crossing = passage.crossing
-        if passage.state is PassageState.CROSSED and crossing and (other := self._overlapped(passage, here)):
-            passage.suspect(other)
+        if passage.state is PassageState.CROSSED and crossing:
+            passage.suspect(self._overlapped(passage, here))
         evidence = None
         if passage.registered and passage.state in (PassageState.CROSSED, PassageState.CHARGED):
             evidence = self._evidence(passage, track)
@@ -393,9 +409,12 @@ class Core:
         journey.before = journey.before or old.before
 
     def _adopt(self, journey: Journey, track: Track, here: Here) -> None:
-        """Continue a passage that no track has: of the same station ID, or where its vehicle must be now."""
-        idle = [passage for passage in self._passages.values() if passage.track is None]
-        own = [passage for passage in idle if track.station_id in passage.station_ids]
+        """Continue a passage that no track has, if its vehicle can be here now.
+
+        It has the same station ID, or that has fallen silent and this track begins where the vehicle must be.
+        """
+        idle = [passage for passage in self._passages.values() if not passage.doubt and self._is_idle(passage)]
+        own = [passage for passage in idle if track.station_id in passage.station_ids and self._reaches(passage, here)]
         near = [passage for passage in idle if self._is_near(passage, here)]
         if found := (own or near):
             self._attach(journey, found[0], track)
@@ -410,15 +429,27 @@ class Core:
         elapsed_s = (here.time_ns - last.time_ns) * 1e-9
         if not 0.0 < elapsed_s <= self._settings.track.deleted_after_s:
             return False
-        east = last.east + last.speed * elapsed_s * cos(last.heading)
-        north = last.north + last.speed * elapsed_s * sin(last.heading)
-        return hypot(here.east - east, here.north - north) <= self._settings.track.link_gate_m + elapsed_s
+        moved = np.array([[here.east - last.east, here.north - last.north]])
+        dt, heading, speed, now = np.array([[elapsed_s], [last.heading], [last.speed], [here.speed]])
+        gate_m = self._settings.track.link_gate_m
+        return bool(np.isfinite(away_from_prediction(moved, dt, heading, speed, now, gate_m)[0]))
 
-    @staticmethod
-    def _attach(journey: Journey, passage: Passage, track: Track) -> None:
+    def _is_idle(self, passage: Passage) -> bool:
+        track = self._table.by_station.get(passage.station_ids[-1])
+        return track is None or track.number != passage.track
+
+    def _reaches(self, passage: Passage, here: Here) -> bool:
+        """Whether the vehicle of a passage can be here: a CAM is not signed, and anybody can use its station ID."""
+        settings = self._settings
+        return can_reach(passage.here, here, gate_m=settings.track.link_gate_m, longest_s=settings.passage.lost_after_s)
+
+    def _attach(self, journey: Journey, passage: Passage, track: Track) -> None:
+        others = [station for station in passage.station_ids if station != track.station_id]
+        if len(others) >= STATION_IDS:
+            self._rejected["too_many_station_ids"] += 1
+            return
+        passage.station_ids = [*others, track.station_id]
         journey.passage, passage.track = passage, track.number
-        if track.station_id not in passage.station_ids:
-            passage.station_ids.append(track.station_id)
 
     def _continued(self, statement: TollPassage) -> Passage:
         """Make a passage from the ledger's newest statement on it."""
@@ -458,6 +489,7 @@ class Core:
             station_ids=list(statement.station_ids),
             here=here,
             state=statement.state,
+            doubt=statement.reason,
             crossing=crossing,
             stated_ns=statement.sampled_ns,
         )
@@ -470,6 +502,9 @@ class Core:
             return
         younger = journey.passage
         if younger is None or younger.state.is_final or younger.opened_ns <= passage.opened_ns:
+            return
+        if not self._reaches(passage, journey.here):
+            yield self._contradiction(younger, passage)
             return
         younger.give_way(passage)
         yield self._ended(younger, journey.here.time_ns)
@@ -546,7 +581,7 @@ class Core:
             plaza=self._plaza.name,
             plaza_digest=self._plaza.digest,
             state=passage.state,
-            reason=passage.reason,
+            reason=passage.reason or passage.doubt,
             checkpoint=checkpoint,
             station_ids=tuple(passage.station_ids),
             opened_ns=passage.opened_ns,
@@ -573,15 +608,15 @@ class Core:
         )
 
     def _evidence(self, passage: Passage, track: Track) -> PassageEvidence:
-        first_ns, last_ns = track.cams[0].received_ns, track.cams[-1].received_ns
+        first_ns, last_ns = track.frames[0][1], track.frames[-1][1]
         before_ns = round((self._settings.delta.max_age_s + self._settings.delta.latency_s) * SECOND_NS)
         return PassageEvidence(
             version=VERSION,
             settings=self._settings.model_dump_json(),
             track_since_ns=track.since_ns,
             frames=tuple(
-                EvidenceFrame(sampled_ns=cam.sampled_ns, received_ns=cam.received_ns, data=cam.frame)
-                for cam in track.cams
+                EvidenceFrame(sampled_ns=sampled_ns, received_ns=received_ns, data=data)
+                for sampled_ns, received_ns, data in track.frames
             ),
             deltas=tuple(d for d in self._deltas if first_ns - before_ns <= d.sampled_ns <= last_ns),
             lanes=tuple(

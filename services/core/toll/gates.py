@@ -40,6 +40,8 @@ def refusal(passage: Passage, ahead: Passage | None) -> str:
     """
     if not passage.registered:
         return "no contract is known"
+    if passage.doubt:
+        return passage.doubt
     if ahead is not None:
         return f"passage {ahead.passage_id[:8]} is before it"
     return ""

@@ -73,12 +73,14 @@ def locate(
     Notes
     -----
     A vehicle's receiver errs as the unit's (the delta applies), is corrected already, or errs independently. With the
-    own error σ_o of the vehicle, what the delta leaves σ_Δ and the common error σ_c::
+    own error σ_o of the vehicle, its white noise σ_w, what the delta leaves σ_Δ and the common error σ_c::
 
         hypothesis    added   variance of what is left     honest statement of the vehicle
-        common        Δ       σ_o² + σ_Δ²                  σ_c² + σ_o²
-        corrected     0       σ_o²                         σ_o²
-        independent   0       σ_o² + σ_c²                  σ_c² + σ_o²
+        common        Δ       σ_o² + σ_Δ²                  σ_c² + σ_o² + σ_w²
+        corrected     0       σ_o²                         σ_o² + σ_w²
+        independent   0       σ_o² + σ_c²                  σ_c² + σ_o² + σ_w²
+
+    The white noise left after filtering is in P_lat. A vehicle that states more than is honest has a larger σ_o.
 
         P(h, lane) ~ P(h) · N(log stated; log honest, 0.5) · P(lane) · N(left + added; 0, P_lat + left + 0.3²/3)
 
@@ -92,12 +94,12 @@ def locate(
     filter_cov = fixes.cov[:, None]
     across_variance = np.vecdot(left_of, np.matvec(filter_cov, left_of))
     stated = np.where(fixes.states_sd, fixes.stated_sd, 0.0) ** 2
-    common, own = model.common_sd**2, model.vehicle_sd**2
-    own_uncorrected = np.maximum(own, stated - common)
-    own_corrected = np.maximum(own, stated)
+    common, own, white = model.common_sd**2, model.vehicle_sd**2, model.white_sd**2
+    own_uncorrected = np.maximum(own, stated - common - white)
+    own_corrected = np.maximum(own, stated - white)
     shift = np.array([1.0, 0.0, 0.0])[:, None, None] * fixes.shift
     variance = np.stack([own_uncorrected + fixes.shift_sd**2, own_corrected, own_uncorrected + common])
-    honest = np.sqrt([common + own, own, common + own])[:, None]
+    honest = np.sqrt([common + own + white, own + white, common + own + white])[:, None]
     stated_sd = np.clip(np.where(fixes.states_sd, fixes.stated_sd, honest), honest[CORRECTED], honest[COMMON])
     surprise = (np.log(stated_sd) - np.log(honest)) / agreement.stated_log_sd
     weight = np.exp(-0.5 * surprise**2) * _priors(agreement)[:, None]

@@ -4,11 +4,11 @@ import hashlib
 from dataclasses import dataclass, field
 from math import hypot
 
-from shared.messages.toll import PassageState
+from shared.messages.toll import POSTERIORS, PassageState
 
 from .settings import PassageSettings
 
-MAX_POSTERIORS = 600  # ten minutes
+ACCELERATION, FASTEST = 3.0, 70.0  # [m/s²], [m/s] of a vehicle that is not seen
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,7 @@ class Passage:
     here: Here
     state: PassageState = PassageState.OPEN
     reason: str = ""
+    doubt: str = ""  # why it will be suspect once it has crossed
     crossing: Crossing | None = None
     exit_ns: int | None = None
     registered: bool = False
@@ -96,7 +97,7 @@ class Passage:
         """Note the lane probabilities of now, as evidence."""
         if not self.posteriors or self.posteriors[-1][0] < self.here.time_ns:
             self.posteriors.append((self.here.time_ns, self.here.lanes))
-            del self.posteriors[:-MAX_POSTERIORS]
+            del self.posteriors[:-POSTERIORS]
 
     def advance(self, here: Here, crossing: Crossing | None, exit_line: float, settings: PassageSettings) -> bool:
         """Use a position; return whether the state has changed.
@@ -122,7 +123,7 @@ class Passage:
             self._end(PassageState.VOID, f"turned around {side} the gate line")
         elif self.state is PassageState.OPEN and crossing and here.along >= settings.crossed_m:
             self.state, self.crossing = PassageState.CROSSED, crossing
-            self.posteriors.append((here.time_ns, crossing.lanes))
+            self.posteriors = [*self.posteriors[1 - POSTERIORS :], (here.time_ns, crossing.lanes)]
         if self.state is PassageState.CROSSED and here.along >= exit_line:
             self.exit_ns = here.time_ns
             if not self.registered:
@@ -133,9 +134,16 @@ class Passage:
                 self._end(PassageState.CHARGED, "passed the exit line")
         return self.state is not before
 
-    def suspect(self, other: "Passage") -> None:
-        """End the passage because it overlaps another one in its lane."""
-        self._end(PassageState.SUSPECT, f"overlaps passage {other.passage_id[:8]} in its lane")
+    def contradict(self, other: "Passage") -> None:
+        """Note that another passage has the same station ID, and that they cannot be of one vehicle."""
+        self.doubt = f"passage {other.passage_id[:8]} has the same station ID at another place"
+
+    def suspect(self, overlapped: "Passage | None") -> None:
+        """End the passage if it overlaps another one in its lane, or if another one has its station ID."""
+        if overlapped:
+            self._end(PassageState.SUSPECT, f"overlaps passage {overlapped.passage_id[:8]} in its lane")
+        elif self.doubt:
+            self._end(PassageState.SUSPECT, self.doubt)
 
     def lose(self) -> None:
         """End the passage of a vehicle that fell silent."""
@@ -148,6 +156,32 @@ class Passage:
 
     def _end(self, state: PassageState, reason: str) -> None:
         self.state, self.reason = state, reason
+
+
+def can_reach(last: Here, here: Here, *, gate_m: float, longest_s: float) -> bool:
+    """Whether a vehicle can have driven from one position to another on its carriageway.
+
+    Parameters
+    ----------
+    last, here : Here
+        The positions; a late CAM of before `last` may be used after it.
+    gate_m : float
+        [m] Tolerance along the road, beside three standard deviations of the distance.
+    longest_s : float
+        [s] Longest time between the two.
+
+    Notes
+    -----
+    In a time t it comes at most v t + ½ a t² further, not faster than 70 m/s, and not back.
+    """
+    elapsed_s = (here.time_ns - last.time_ns) * 1e-9
+    if here.direction != last.direction or not here.aligned or abs(elapsed_s) > longest_s:
+        return False
+    t = abs(elapsed_s)
+    way = min(last.speed * t + 0.5 * ACCELERATION * t**2, FASTEST * t)
+    moved = here.along - last.along if elapsed_s >= 0.0 else last.along - here.along
+    tolerance = gate_m + 3.0 * hypot(last.along_sd, here.along_sd)
+    return -tolerance <= moved <= way + tolerance
 
 
 def overlap(front: Passage, behind: Here, length_m: float, *, relative_sd: float) -> bool:

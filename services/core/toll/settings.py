@@ -17,21 +17,23 @@ class ErrorSettings(Section):
     vehicle_s: float = Field(default=20.0, gt=0.0, description="its correlation time")
     unit_sd_m: float = Field(default=0.3, gt=0.0, description="multipath of the unit's receiver")
     unit_s: float = Field(default=60.0, gt=0.0, description="its correlation time")
+    unit_white_sd_m: float = Field(default=0.2, gt=0.0, description="white noise of the unit's positions")
     white_sd_m: float = Field(default=0.5, gt=0.0, description="white noise of a vehicle's positions")
 
     @property
     def model(self) -> ErrorModel:
         """The error model of the delta position."""
         return ErrorModel(
-            self.common_sd_m, self.common_s, self.vehicle_sd_m, self.vehicle_s, self.unit_sd_m, self.unit_s
-        )
+            self.common_sd_m, self.common_s, self.vehicle_sd_m, self.vehicle_s, self.unit_sd_m, self.unit_s,
+            self.unit_white_sd_m, self.white_sd_m,
+        )  # fmt: skip
 
 
 class DeltaSettings(Section):
     """Delta position: the common GNSS error, from the unit's own receiver."""
 
-    window_s: float = Field(default=30.0, ge=20.0, le=60.0, description="length of the moving average")
-    least_s: float = Field(default=10.0, gt=0.0, le=60.0, description="shortest average that is used")
+    window_s: float = Field(default=30.0, ge=20.0, le=60.0, description="length of the window of fixes")
+    least_s: float = Field(default=3.0, gt=0.0, le=60.0, description="shortest window that is used")
     max_age_s: float = Field(default=10.0, gt=0.0, le=60.0, description="age at which a delta is not used any more")
     latency_s: float = Field(
         default=1.0, ge=0.0, le=5.0, description="time after its newest fix from which a delta is used"

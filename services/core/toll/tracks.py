@@ -8,6 +8,8 @@ from math import hypot
 
 import numpy as np
 
+from shared.maths.earth import FloatArray
+from shared.messages.toll import FRAMES, STATION_IDS
 from shared.messages.v2x import Cam
 from shared.toll.plaza import Plaza
 
@@ -16,7 +18,13 @@ from .settings import Settings
 from .trackers.filters import Estimates, imm
 
 LINK_ACCELERATION = 3.0  # [m/s²] that a vehicle may have between its last CAM and the first with another station ID
-MAX_FRAMES = 3000  # of one track; a vehicle that takes longer has evidence of its last ones only
+LINK_ACROSS_M = 2.0  # that it may be beside its prediction; the next lane is 3.5 m away
+LINK_SPEED_M_S = 1.0  # by which its speed may differ, beside what it has accelerated
+SLOW_M_S = 4.0  # below it a vehicle sends one CAM a second, and one that is lost is no sign of a new station ID
+
+# sampled_ns, received_ns and bytes of a frame, for evidence. The garbage collector does not follow such a tuple;
+# a minute of CAM of 200 vehicles, kept as messages, stops the process for 0.35 s in each search.
+Received = tuple[int, int, bytes]
 
 
 @dataclass
@@ -31,9 +39,10 @@ class Track:
     received_ns: int
     clock_offset_ns: int  # added to the CAM's times
     length_m: float | None = None
-    cams: deque[Cam] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))  # used, in the order of use
+    frames: deque[Received] = field(default_factory=lambda: deque(maxlen=FRAMES))  # the last used, in the order of use
     jumps: int = 0  # consecutive CAM outside the gate
-    predecessor: "Track | None" = None  # a track that this one may continue under a new station ID
+    predecessor: "Track | None" = None  # a track that this one may continue under a new station ID ...
+    silent_for_ns: int = 0  # ... once that has been silent for so long
     born_ns: int = 0  # time of the first CAM
 
     @property
@@ -52,6 +61,37 @@ class Update:
     continues: Track | None = None  # track whose station ID is confirmed to have changed to this one's; it is deleted
 
 
+def away_from_prediction(
+    moved: FloatArray, dt: FloatArray, heading: FloatArray, speed: FloatArray, speed_now: FloatArray, gate_m: float
+) -> FloatArray:
+    """Distance [m] of a vehicle from where n others must be if they went on; infinite if it cannot be one of them.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (n, 2)
+        [m] From the last position of each.
+    dt, heading, speed : ndarray, shape (n,)
+        [s] Since then, [rad] and [m/s] then.
+    speed_now : ndarray, shape (n,)
+        [m/s] Of the vehicle.
+    gate_m : float
+        [m] Tolerance along the road.
+
+    Notes
+    -----
+    With an acceleration of up to a = 3 m/s²: |s - v dt| <= gate + ½ a dt² along the road, 2 m across it, and
+    |v_now - v| <= a dt + 1 m/s.
+    """
+    along = np.cos(heading) * moved[:, 0] + np.sin(heading) * moved[:, 1] - speed * dt
+    across = np.cos(heading) * moved[:, 1] - np.sin(heading) * moved[:, 0]
+    can_be = (
+        (np.abs(along) <= gate_m + 0.5 * LINK_ACCELERATION * dt**2)
+        & (np.abs(across) <= LINK_ACROSS_M)
+        & (np.abs(speed_now - speed) <= LINK_ACCELERATION * dt + LINK_SPEED_M_S)
+    )
+    return np.where(can_be, np.hypot(along, across), np.inf)
+
+
 class TrackTable:
     """The tracks and their estimates, which are rows of arrays: one round of the IMM updates many vehicles."""
 
@@ -62,6 +102,7 @@ class TrackTable:
         self._imm = imm()
         self._numbers = count(1)
         self.by_station: dict[int, Track] = {}
+        self._busy: set[int] = set()  # numbers of the tracks that have used a CAM of this round
         self.rejected: Counter[str] = Counter()
         size, start = self._settings.max_tracks, self._imm.start(observation([], 1.0))
         self._x = np.zeros((size, *start.x.shape[1:]))
@@ -100,7 +141,7 @@ class TrackTable:
         """Begin a track's estimate anew with its newest CAM: what follows depends on the CAM from here on only."""
         track = update.track
         track.since_ns = update.measured.time_ns
-        track.cams = deque([update.measured.cam], maxlen=MAX_FRAMES)
+        track.frames = deque([_received(update.measured.cam)], maxlen=FRAMES)
         self._put([track], self._imm.start(observation([update.measured], self._white_sd)))
 
     def delete_silent(self, now_ns: int) -> list[Track]:
@@ -142,6 +183,7 @@ class TrackTable:
     def _round(self, measured: Sequence[Measured]) -> list[Update]:
         """Use one CAM of each of several stations."""
         known, births = [], []
+        self._busy.clear()
         for one in map(self._on_unit_time, measured):
             track = self.by_station.get(one.cam.station_id)
             if track is None:
@@ -178,6 +220,7 @@ class TrackTable:
         if used:
             seen = observation([one for _, one in used], self._white_sd)
             self._put([track for track, _ in used], self._imm.update(predicted[inside], seen))
+        self._busy.update(track.number for track, _ in used)
         return [self._noted(track, one, born=False) for track, one in used]
 
     def _bear(self, one: Measured) -> Update | None:
@@ -194,32 +237,41 @@ class TrackTable:
             received_ns=one.cam.received_ns,
             clock_offset_ns=one.clock_offset_ns,
         )
-        track.predecessor = self._silent_here(one)
+        track.predecessor, track.silent_for_ns = self._silent_here(one)
         track.born_ns = one.time_ns
         self.by_station[one.cam.station_id] = track
         self._put([track], self._imm.start(observation([one], self._white_sd)))
         return self._noted(track, one, born=True)
 
-    def _silent_here(self, one: Measured) -> Track | None:
-        """Find the nearest track whose prediction is where an unknown station appears."""
+    def _silent_here(self, one: Measured) -> tuple[Track | None, int]:
+        """Find the nearest track whose prediction is where an unknown station appears.
+
+        Returns
+        -------
+        Track or None, int
+            The track, and [ns] the silence of its station ID that confirms that it has changed.
+        """
         tracks = [
             track for track in self.tracks
             if 0 < one.time_ns - track.updated_ns < 2.0 * self._settings.link_after_s * 1e9
         ]  # fmt: skip
         if not tracks:
-            return None
+            return None, 0
         state = self.estimates(tracks).mean
         dt = (one.time_ns - np.array([track.updated_ns for track in tracks])) * 1e-9
-        ahead = state[:, 3, None] * dt[:, None] * np.stack([np.cos(state[:, 2]), np.sin(state[:, 2])], axis=-1)
-        distance = np.hypot(*(state[:, :2] + ahead - np.array([one.east, one.north])).T)
+        speed = state[:, 3] if one.cam.speed_m_s is None else np.full(len(dt), one.cam.speed_m_s)
+        moved = np.array([one.east, one.north]) - state[:, :2]
+        distance = away_from_prediction(moved, dt, state[:, 2], state[:, 3], speed, self._settings.link_gate_m)
         nearest = int(np.argmin(distance))
-        limit = self._settings.link_gate_m + 0.5 * LINK_ACCELERATION * dt[nearest] ** 2
-        return tracks[nearest] if distance[nearest] <= limit else None
+        if not np.isfinite(distance[nearest]):
+            return None, 0
+        silence_s = self._settings.link_after_s * (2.0 if abs(state[nearest, 3]) < SLOW_M_S else 1.0)
+        return tracks[nearest], round(silence_s * 1e9)
 
     def _noted(self, track: Track, one: Measured, *, born: bool) -> Update:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns
         track.length_m = one.cam.vehicle_length_m or track.length_m
-        track.cams.append(one.cam)
+        track.frames.append(_received(one.cam))
         return Update(track, one, born, self._confirmed_predecessor(track))
 
     def _confirmed_predecessor(self, track: Track) -> Track | None:
@@ -227,17 +279,18 @@ class TrackTable:
         old = track.predecessor
         if old is None:
             return None
-        if old.updated_ns >= track.born_ns:  # both station IDs are in use
+        owner = self.by_station.get(old.station_id)
+        if old.updated_ns >= track.born_ns or owner not in (None, old):  # both station IDs are in use
             track.predecessor = None
             return None
-        if track.updated_ns - old.updated_ns < self._settings.link_after_s * 1e9:
+        if old.number in self._busy or track.updated_ns - old.updated_ns < track.silent_for_ns:
             return None
         track.predecessor = None
-        track.station_ids = old.station_ids + track.station_ids
-        track.cams = deque([*old.cams, *track.cams], maxlen=MAX_FRAMES)
+        track.station_ids = (old.station_ids + track.station_ids)[-STATION_IDS:]
+        track.frames = deque([*old.frames, *track.frames], maxlen=FRAMES)
         track.since_ns = old.since_ns
         track.length_m = track.length_m or old.length_m
-        if self.by_station.get(old.station_id) is old:
+        if owner is old:
             self._delete(old)
         return old
 
@@ -248,3 +301,7 @@ class TrackTable:
     def _delete(self, track: Track) -> None:
         del self.by_station[track.station_id]
         self._free.append(track.slot)
+
+
+def _received(cam: Cam) -> Received:
+    return cam.sampled_ns, cam.received_ns, cam.frame

@@ -12,6 +12,8 @@ from collections import Counter
 from pydantic import Field
 
 from shared.messages.toll import (
+    PASSAGES,
+    SETTLED,
     STATIONS,
     EvidencePack,
     LaneBalance,
@@ -44,6 +46,7 @@ class Settings(Section):
     """How long the ledger waits, and how long it keeps what."""
 
     registration_limit_s: float = Field(default=300.0, gt=0, le=600.0)  # longest validity of a registration
+    registration_wait_s: float = Field(default=15.0, ge=0)  # for a registration that was lost, behind the exit line
     silence_limit_s: float = Field(default=120.0, gt=0)  # a passage without a statement for so long is settled
     uncharged_kept_s: float = Field(
         default=300.0, gt=0, le=600.0
@@ -65,6 +68,9 @@ class Ledger:
         self.rejects: Counter[str] = Counter()
         self._unregistered: dict[str, TollPassage] = {}  # in progress; in memory only
         self._next_send: dict[str, tuple[int, int]] = {}  # attempts and time of the next, by transaction
+        self._numbers: Counter[str] = Counter()  # bookings by kind, up to the row `_summed`: none is ever changed
+        self._amount_cents = self._summed = 0
+        self._cleaned_ns = 0  # what was settled before and not charged is deleted
 
     # What arrives
 
@@ -135,9 +141,12 @@ class Ledger:
         kept_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
         self._store.execute("DELETE FROM registration WHERE valid_until_ns < ?", now_ns)
         self._store.execute(
-            "DELETE FROM settled WHERE final_ns < ? AND passage_id NOT IN (SELECT passage_id FROM booking)", kept_ns
-        )
-        self._store.execute("DELETE FROM pulse WHERE done AND sampled_ns < ?", now_ns - DAY_NS)
+            "DELETE FROM settled WHERE final_ns >= ? AND final_ns < ? "
+            "AND NOT EXISTS (SELECT 1 FROM booking WHERE booking.passage_id = settled.passage_id)",
+            self._cleaned_ns, kept_ns,
+        )  # fmt: skip
+        self._cleaned_ns = max(self._cleaned_ns, kept_ns)
+        self._store.execute("DELETE FROM pulse WHERE sampled_ns < ? AND done", now_ns - DAY_NS)
         evidence_ns = now_ns - round(self._settings.evidence_kept_days * DAY_NS)
         self._store.execute("DELETE FROM evidence WHERE stored_ns < ?", evidence_ns)
 
@@ -157,7 +166,7 @@ class Ledger:
                 continue
             crossing = crossings.pop(found[row["rowid"]], None) if row["rowid"] in found else None
             self._count(row["lane"], row["sampled_ns"], crossing["state"] if crossing else PassageState.MISSED)
-            self._store.execute("UPDATE pulse SET done = 1 WHERE rowid = ?", row["rowid"])
+            self._store.execute("UPDATE pulse SET done = ? WHERE rowid = ?", 1 if crossing else 2, row["rowid"])
             if crossing:
                 self._store.execute("DELETE FROM crossing WHERE number = ?", crossing["number"])
         waiting = set(found.values())
@@ -174,7 +183,7 @@ class Ledger:
         """List the transactions to send now: those without a receipt, again after growing pauses."""
         rows = self._store.rows(
             "SELECT outbox.transaction_id, content FROM outbox JOIN booking USING (transaction_id) "
-            "ORDER BY booked_ns LIMIT 100"
+            "ORDER BY outbox.rowid LIMIT 100"
         )
         found = []
         for row in rows:
@@ -192,14 +201,16 @@ class Ledger:
         rows = self._store.rows("SELECT statement FROM passage ORDER BY sampled_ns DESC LIMIT 300")
         stored = tuple(TollPassage.model_validate_json(row["statement"]) for row in rows)
         recently_ns = now_ns - round(self._settings.uncharged_kept_s * NS)
-        settled = self._store.rows("SELECT passage_id FROM settled WHERE final_ns >= ?", recently_ns)
+        settled = self._store.rows(
+            "SELECT passage_id FROM settled WHERE final_ns >= ? ORDER BY final_ns DESC LIMIT ?", recently_ns, SETTLED
+        )
         registered = self._store.rows(
             "SELECT station_id, valid_until_ns FROM registration WHERE valid_until_ns >= ? "
             "ORDER BY sampled_ns DESC LIMIT ?", now_ns, STATIONS,
         )  # fmt: skip
         return OpenPassages(
             sampled_ns=now_ns,
-            passages=stored + tuple(self._unregistered.values())[: 400 - len(stored)],
+            passages=stored + tuple(self._unregistered.values())[: PASSAGES - len(stored)],
             settled=tuple(row["passage_id"] for row in settled),
             registered=tuple(
                 RegisteredStation(station_id=row["station_id"], valid_until_ns=row["valid_until_ns"])
@@ -209,16 +220,18 @@ class Ledger:
 
     def state(self, now_ns: int) -> LedgerState:
         """Sum up charges, outbox and the account of this hour and the last."""
-        booked = self._store.rows("SELECT kind, COUNT(*) AS n, SUM(amount_cents) AS cents FROM booking GROUP BY kind")
-        number = {row["kind"]: row["n"] for row in booked}
+        for row in self._store.rows("SELECT rowid, kind, amount_cents FROM booking WHERE rowid > ?", self._summed):
+            self._summed = row["rowid"]
+            self._numbers[row["kind"]] += 1
+            self._amount_cents += row["amount_cents"]
         last = self._store.row("SELECT MAX(received_ns) AS ns FROM receipt")
         outbox = self._store.row("SELECT COUNT(*) AS n FROM outbox")
         return LedgerState(
             now_ns=now_ns,
             plaza=self._plaza.name,
-            transactions=number.get("charge", 0),
-            reversals=number.get("reversal", 0),
-            amount_cents=sum(row["cents"] for row in booked),
+            transactions=self._numbers[TransactionKind.CHARGE],
+            reversals=self._numbers[TransactionKind.REVERSAL],
+            amount_cents=self._amount_cents,
             outbox=outbox["n"] if outbox else 0,
             last_receipt_ns=last["ns"] if last else None,
             lanes=self.balances(now_ns // HOUR_NS * HOUR_NS - HOUR_NS),
@@ -286,8 +299,15 @@ class Ledger:
     def _charge(
         self, message: TollPassage, crossed: TollPassage | None, contracts: set[tuple[str, str]], now_ns: int
     ) -> None:
-        """Charge a passage that is complete, or say why not."""
+        """Charge a passage that is complete, or say why not.
+
+        `core.toll` knows a contract. Where the ledger does not, it was down when that was registered: the vehicle
+        repeats the registration, and `core.toll` this statement.
+        """
         proof = crossed or message
+        waited_ns = now_ns - (message.exit_ns or message.crossing_ns or message.sampled_ns)
+        if not contracts and waited_ns < self._settings.registration_wait_s * NS:
+            return
         if len(contracts) > 1:
             self._settle(message, PassageState.SUSPECT, "station IDs of two contracts", now_ns)
         elif message.lane is None:
@@ -296,16 +316,21 @@ class Ledger:
             self._settle(message, PassageState.UNREGISTERED, "no contract for its station ID", now_ns)
         elif message.crossing_ns is None or message.crossing_sd_s is None or proof.evidence is None:
             self._settle(message, PassageState.SUSPECT, "its statement has no crossing or no evidence", now_ns)
+        elif (cents := self._plaza.tariff.classes.get(min(contracts)[1])) is None:  # the file has changed since
+            self.rejects["tariff class"] += 1
+            reason = f"the tariff has no class {min(contracts)[1]}: add it to the plaza's file"
+            self._settle(message, PassageState.SUSPECT, reason, now_ns)
         else:
-            ((contract, tariff_class),) = contracts
-            self._book(message, proof, contract, tariff_class, now_ns)
+            self._book(message, proof, *min(contracts), cents, now_ns)
 
-    def _book(self, message: TollPassage, crossed: TollPassage, contract: str, tariff_class: str, now_ns: int) -> None:
+    def _book(
+        self, message: TollPassage, crossed: TollPassage, contract: str, tariff_class: str, cents: int, now_ns: int
+    ) -> None:
         """Store charge, outbox row and evidence; `passage` has made sure that none is there, and UNIQUE insists."""
         tariff, lane = self._plaza.tariff, message.lane or ""
         pack = EvidencePack(
             plaza_file=self._plaza_file, tariff_version=tariff.version, contract=contract, tariff_class=tariff_class,
-            lane=lane, amount_cents=tariff.classes[tariff_class], crossed=crossed, charged=message,
+            lane=lane, amount_cents=cents, crossed=crossed, charged=message,
         ).model_dump_json(exclude_none=True).encode()  # fmt: skip
         transaction = TollTransaction(
             transaction_id=transaction_id(message.passage_id, TransactionKind.CHARGE),
@@ -320,7 +345,7 @@ class Ledger:
             contract=contract,
             tariff_class=tariff_class,
             tariff_version=tariff.version,
-            amount_cents=tariff.classes[tariff_class],
+            amount_cents=cents,
             currency=tariff.currency,
             authenticated=message.authenticated,
             evidence_digest=hashlib.sha256(pack).hexdigest(),
@@ -389,18 +414,25 @@ class Ledger:
 
     def _recent(self) -> tuple[PassageSummary, ...]:
         rows = self._store.rows(
-            "SELECT summary, (SELECT COUNT(*) FROM receipt JOIN booking USING (transaction_id) "
+            "SELECT final_ns, summary, (SELECT COUNT(*) FROM receipt JOIN booking USING (transaction_id) "
             "WHERE booking.passage_id = settled.passage_id) AS receipts FROM settled ORDER BY final_ns DESC LIMIT ?",
             RECENT,
         )
-        settled = [
-            PassageSummary.model_validate_json(row["summary"]).model_copy(update={"receipt": row["receipts"] > 0})
+        ended = [
+            (row["final_ns"],
+             PassageSummary.model_validate_json(row["summary"]).model_copy(update={"receipt": row["receipts"] > 0}))
             for row in rows
-        ]
+        ]  # fmt: skip
+        missed = self._store.rows(
+            "SELECT lane, since_ns, number, sampled_ns FROM pulse WHERE done = 2 ORDER BY sampled_ns DESC LIMIT ?",
+            RECENT,
+        )
+        ended += [(row["sampled_ns"], _missed(row)) for row in missed]
+        ended.sort(key=lambda one: one[0], reverse=True)
         stored = self._store.rows("SELECT statement FROM passage ORDER BY sampled_ns DESC LIMIT ?", RECENT)
         open_ = [TollPassage.model_validate_json(row["statement"]) for row in stored]
         open_ += list(self._unregistered.values())[-RECENT:]
-        return (*(_summary(passage) for passage in open_), *settled)
+        return (*(_summary(passage) for passage in open_), *(summary for _, summary in ended))
 
 
 def transaction_id(passage_id: str, kind: TransactionKind) -> str:
@@ -410,6 +442,15 @@ def transaction_id(passage_id: str, kind: TransactionKind) -> str:
 
 def _crossing(row: Row) -> Crossing:
     return Crossing(row["number"], row["crossing_ns"], row["sd_s"], row["lane"], json.loads(row["lanes"]))
+
+
+def _missed(row: Row) -> PassageSummary:
+    """Summarise a pulse that no passage explains; its digest stands for the ID of the passage that is not known."""
+    name = f"missed:{row['lane']}:{row['since_ns']}:{row['number']}"
+    return PassageSummary(
+        passage_id=hashlib.sha256(name.encode()).hexdigest(), state=PassageState.MISSED, lane=row["lane"],
+        crossing_ns=row["sampled_ns"], reason="the lane's detector has counted it, and no passage explains it",
+    )  # fmt: skip
 
 
 def _probability(passage: TollPassage) -> float | None:

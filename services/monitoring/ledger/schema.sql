@@ -24,7 +24,8 @@ CREATE TABLE IF NOT EXISTS evidence (
 -- Reconciliation: pulses and crossings that wait for each other, without names, and what came of them by hour.
 CREATE TABLE IF NOT EXISTS pulse (
     lane TEXT NOT NULL, since_ns INTEGER NOT NULL, number INTEGER NOT NULL, sampled_ns INTEGER NOT NULL,
-    done INTEGER NOT NULL DEFAULT 0, PRIMARY KEY (lane, since_ns, number)
+    done INTEGER NOT NULL DEFAULT 0,  -- 1: a passage explains it; 2: none does
+    PRIMARY KEY (lane, since_ns, number)
 );
 CREATE TABLE IF NOT EXISTS crossing (
     number INTEGER PRIMARY KEY, crossing_ns INTEGER NOT NULL, sd_s REAL NOT NULL, state TEXT NOT NULL,
@@ -34,3 +35,12 @@ CREATE TABLE IF NOT EXISTS balance (
     lane TEXT NOT NULL, hour_ns INTEGER NOT NULL, outcome TEXT NOT NULL, n INTEGER NOT NULL,
     PRIMARY KEY (lane, hour_ns, outcome)
 );
+-- Each is for a query that is repeated: nothing that is done every second reads a table that grows with the years.
+CREATE INDEX IF NOT EXISTS registration_until ON registration (valid_until_ns);
+CREATE INDEX IF NOT EXISTS settled_final ON settled (final_ns);
+CREATE INDEX IF NOT EXISTS receipt_received ON receipt (received_ns);
+CREATE INDEX IF NOT EXISTS evidence_stored ON evidence (stored_ns);
+CREATE INDEX IF NOT EXISTS pulse_sampled ON pulse (sampled_ns);
+CREATE INDEX IF NOT EXISTS pulse_waiting ON pulse (sampled_ns) WHERE NOT done;
+CREATE INDEX IF NOT EXISTS pulse_missed ON pulse (sampled_ns) WHERE done = 2;
+CREATE INDEX IF NOT EXISTS balance_hour ON balance (hour_ns);

@@ -83,6 +83,13 @@ class SatelliteMonitor:
             return SatelliteVerdict(Outcome.NOT_EVALUATED, reason, rejected=rejected)
         return self._verdict(tested.position, tested, left_out, rejected)
 
+    def all_agree(self, epoch: RawEpoch, store: EphemerisStore) -> bool:
+        """Whether the satellites of an epoch, without exception, pass the global test; nothing is remembered."""
+        sights, _ = usable_sights(epoch, store, self._settings.model)
+        sky = Sky(sights, epoch.gps_time_ns, store.ionosphere, self._settings.model)
+        tested = self._test(sky, frozenset())
+        return tested.passes and not tested.excluded
+
     def _test(self, sky: Sky, excluded: frozenset[SatelliteId]) -> _Tested:
         """Solve without the excluded satellites; while the global test fails, exclude the one with the largest w."""
         rate = self._settings.false_alarm_rate

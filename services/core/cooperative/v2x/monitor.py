@@ -88,6 +88,11 @@ class CooperativeMonitor:
         gap_s = (gps_time_ns - self._time_ns) * 1e-9
         return self._bank is not None and 0.0 < gap_s <= self._settings.longest_gap_s
 
+    def restart(self) -> None:
+        """Forget the filters, and whom they have excluded: the next epoch needs a start."""
+        self._bank = None
+        self._neighbour_test.clear()
+
     def exclude(self, satellites: frozenset[SatelliteId]) -> None:
         """Exclude satellites that another test has found in the epoch that was evaluated last."""
         for number, satellite in enumerate(self._satellites):

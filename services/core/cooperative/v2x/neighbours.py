@@ -96,6 +96,10 @@ class NeighbourTest:
         self._forget_ns = round(forget_after_s * SECOND_NS)
         self._healthy: dict[str, tuple[int, int]] = {}  # of the excluded: healthy epochs, and when it was seen [ns]
 
+    def clear(self) -> None:
+        """Forget which neighbours were left out."""
+        self._healthy.clear()
+
     def evaluate(
         self, names: tuple[str, ...], neighbours: Neighbours, estimate: Estimate, time_ns: int
     ) -> tuple[BoolArray, tuple[NeighbourFinding, ...]]:

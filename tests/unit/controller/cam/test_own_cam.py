@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from services.controller.cam.content import confidence_ellipse
+from services.controller.cam.content import PATH_POINTS, PathHistory, confidence_ellipse
 from services.controller.cam.process import Config, Process
 from services.parsers.v2x.process import Config as ParserConfig
 from services.parsers.v2x.process import Process as Parser
@@ -227,3 +227,36 @@ def test_a_drive_is_sent_by_the_generation_rules() -> None:
     assert resting == list(range(0, 10_001, 1000))
     moving = [later - earlier for earlier, later in pairwise(times_ms) if earlier > 10_400]
     assert set(moving) == {400}
+
+
+def test_the_path_behind_the_vehicle_is_in_every_low_frequency_container() -> None:
+    """40 s at 10 m/s to the north: a point every 10 m or the first one behind it, of 23 points."""
+    step_deg = math.degrees(1.0 / 6_373_000.0)
+    given = [
+        solution(START_NS + k * 100 * MS, velocity_ned_m_s=(10.0, 0.0, 0.0)).model_copy(
+            update={"latitude_deg": math.degrees(IMU.latitude) + k * step_deg}
+        )
+        for k in range(400)
+    ]
+    found = [cam for cam in sent([FIX, *given]) if cam.low_frequency]
+    assert found[0].low_frequency is not None and found[0].low_frequency.path == ()
+    last = found[-1]
+    assert last.low_frequency is not None and last.latitude_deg is not None
+    path = last.low_frequency.path
+    assert len(path) in (PATH_POINTS - 1, PATH_POINTS)
+    for point in path[1:]:
+        assert point.delta_latitude_deg == pytest.approx(-10.0 * step_deg, rel=0.12)
+        assert point.delta_longitude_deg == pytest.approx(0.0, abs=1e-9)
+        assert point.delta_time_s == pytest.approx(1.0, abs=0.11)
+    assert 0.0 <= -(path[0].delta_latitude_deg or 0.0) / step_deg <= 11.0
+
+
+def test_the_path_ends_where_it_is_old_or_not_continuous() -> None:
+    here, history = Geodetic(0.8, 0.1, 0.0), PathHistory()
+    history.add(0, Geodetic(0.8, 0.1 - 1e-3, 0.0))
+    assert history.points(10**9, here) == (), "further than a point of the path can be"
+    history.add(1, Geodetic(0.8, 0.1 - 1e-5, 0.0))
+    assert len(history.points(10**9, here)) == 1
+    assert history.points(700 * 10**9, here) == ()
+    history.add(0, here)
+    assert history.points(10**9, here)[0].delta_longitude_deg == 0.0, "the time went back"

@@ -10,9 +10,11 @@ from services.core.cooperative.measurements import Constellation, RawEpoch, Sate
 from services.core.cooperative.process import MAX_LISTS, Config, Process, largest_sd
 from shared.maths.earth import geodetic_from_ecef, ned_from_ecef
 from shared.maths.frequency_offset import cfo_from_range_rate
+from shared.messages.base import Tick
 from shared.messages.navigation import NavigationPhase, NavigationState
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from tests.support.constellation import NOW_NS, raw_epoch
 from tests.unit.core.cooperative.test_satellite_process import HERE, NS, at, informed, message, said
 
 TO_NED = ned_from_ecef(*geodetic_from_ecef((HERE[0], HERE[1], HERE[2]))[:2])
@@ -173,6 +175,43 @@ def test_lists_out_of_order_of_a_second_radio_or_without_end_are_counted() -> No
     flood = [neighbours(second).model_copy(update={"neighbours": crowd}) for second in range(1, MAX_LISTS + 11)]
     assert not said(process, *flood)
     assert process.rejects == {"too_many_neighbours": 10 * MAX_NEIGHBOURS}
+
+
+def test_when_all_satellites_jump_together_the_filters_start_anew_and_no_satellite_is_accused() -> None:
+    """So it is at the end of a drag-off: the signals, which agree with one another, are true again."""
+    process = informed()
+    run(process, range(1, 12))
+
+    def jumped(second: int) -> RawEpoch:
+        place = HERE + TO_NED.T @ np.array([150.0, 80.0, 0.0])
+        return raw_epoch(place, gps_time_ns=NOW_NS + second * NS, rng=np.random.default_rng((7, second)))
+
+    statements = run(process, range(12, 30), jumped)
+    assert by_name(statements[0], "cooperative").reason == (
+        "all satellites contradict the filters and agree with one another: the filters start anew"
+    )
+    assert not any(one.startswith(("G", "E")) for statement in statements for one in statement.accused)
+    assert by_name(statements[-1], "cooperative").outcome is not MonitorOutcome.ACCUSES
+
+
+def test_another_radio_is_used_when_the_first_one_is_silent() -> None:
+    process = informed()
+    run(process, range(1, 5))
+    others = [neighbours(second).model_copy(update={"source": "radio1"}) for second in range(9, 13)]
+    for second, states in zip(range(9, 13), others, strict=True):
+        (*_, last) = said(process, states, message(at(second), float(second)))
+    assert "second_radio" not in process.rejects
+    assert by_name(last, "cooperative").reason == "with 3 neighbours"
+
+
+@pytest.mark.parametrize("tick_first", [True, False])
+def test_a_list_of_the_future_does_not_keep_out_those_of_now(tick_first: bool) -> None:
+    process = informed()
+    ahead, tick = neighbours(10_000), Tick(now_ns=NS // 2)
+    said(process, *((tick, ahead) if tick_first else (ahead, tick)))
+    *_, last = run(process, range(1, 5))
+    assert process.rejects == {"neighbour_from_the_future": 3}
+    assert by_name(last, "cooperative").reason == "with 3 neighbours"
 
 
 def test_when_neighbours_stop_plain_raim_goes_on_and_says_why_they_do_not_help() -> None:

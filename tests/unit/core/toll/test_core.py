@@ -1,5 +1,6 @@
 """Passages of simulated vehicles: opened, crossed, charged, or not."""
 
+import gc
 from dataclasses import replace
 from math import isclose
 
@@ -8,7 +9,7 @@ import pytest
 
 from services.core.toll.core import derive
 from services.core.toll.settings import Settings
-from shared.messages.toll import OpenPassages, PassageState, TollPassage
+from shared.messages.toll import STATION_IDS, OpenPassages, PassageState, TollPassage
 from shared.messages.v2x import CamList, StationType
 from tests.support.toll import START_NS, Plant, Vehicle, fix, lane_of, place
 
@@ -403,3 +404,155 @@ def test_a_batch_with_several_cam_of_a_vehicle_gives_the_statements_of_single_ca
         ])  # fmt: skip
     assert said[0] == said[1]
     assert any(one.state is PassageState.CROSSED for one in said[0])
+
+
+SLOW = replace(CAR, speed=10.0)
+
+
+def test_a_station_that_comes_back_where_its_vehicle_can_be_continues_its_passage() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(SLOW, until=8.0)
+    plant.drive(since=8.0, until=14.5)
+    plant.drive(SLOW, since=14.5, until=30.0)
+    assert plant.states == ["open", "crossed", "charged"]
+    assert len({one.passage_id for one in plant.passages}) == 1
+
+
+@pytest.mark.parametrize("lane", ["n2", "s2"])
+def test_a_station_id_that_comes_back_at_another_place_does_not_continue_the_passage(lane: str) -> None:
+    """Anybody can send unsigned CAM with the station ID of a vehicle that has fallen silent."""
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=8.0)
+    first = plant.passages[0].passage_id
+    plant.drive(since=8.0, until=15.0)
+    plant.drive(replace(CAR, lane=lane, since=15.0), since=15.0, until=31.0)
+    plant.drive(since=31.0, until=42.0)
+    ends = {one.passage_id == first: one for one in plant.passages if one.state.is_final}
+    assert ends[True].state is PassageState.VOID
+    assert ends[False].state is PassageState.SUSPECT
+    assert "same station ID at another place" in ends[False].reason
+    assert not any(command.open for command in plant.gates if command.passage_id != first)
+
+
+def test_a_contradiction_is_known_after_a_restart() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=8.0)
+    plant.drive(since=8.0, until=15.0)
+    again = replace(CAR, since=15.0)
+    plant.drive(again, since=15.0, until=20.0)
+    newest = {one.passage_id: one for one in plant.said if isinstance(one, TollPassage)}
+    fixes, plant.core = plant.core, plant.new_core()
+    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=tuple(newest.values()), settled=())))
+    plant.drive(again, since=21.0, until=31.0)
+    assert plant.states.count("suspect") == 1
+    assert "charged" not in plant.states
+
+
+def test_an_answer_of_the_ledger_on_a_vehicle_elsewhere_does_not_end_the_younger_passage() -> None:
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(CAR, until=8.0)
+    stored = [one for one in plant.said if isinstance(one, TollPassage)][-1]
+    plant.core = plant.new_core()
+    plant.drive(replace(CAR, since=9.0), since=9.0, until=14.0)
+    plant.said += plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=()))
+    plant.drive(replace(CAR, since=9.0), since=14.0, until=25.0)
+    assert plant.states == ["open", "open", "suspect"]
+
+
+def test_a_silence_of_more_than_five_seconds_between_two_ticks_continues_the_passage() -> None:
+    """The CAM that ends the silence arrives before the tick that would have deleted the old track."""
+    plant = Plant(COMMON)
+    plant.register(7)
+    cams = [SLOW.cam(plant.plaza, k / 10.0) for k in range(300)]
+    said = [*plant.core.use(cams[:80]), *plant.core.use(cams[132:])]
+    ends = [one for one in said if isinstance(one, TollPassage) and one.state.is_final and not one.checkpoint]
+    assert len(ends) == 1
+    assert len({one.passage_id for one in said if isinstance(one, TollPassage)}) == 1
+
+
+def test_a_passage_has_a_bounded_number_of_station_ids() -> None:
+    plant = Plant(COMMON)
+    crawl = replace(CAR, speed=2.0, start=-140.0)
+    for k in range(STATION_IDS + 3):
+        plant.drive(crawl.named(100 + k), since=3.4 * k, until=3.4 * k + 3.3)
+    assert max(len(one.station_ids) for one in plant.said if isinstance(one, TollPassage)) == STATION_IDS
+
+
+def test_two_stations_at_one_place_that_arrive_in_one_batch_leave_both_tracks() -> None:
+    """A late CAM of the old station ID arrives with the one that would confirm the new one."""
+    plant = Plant(COMMON)
+    old, new = CAR, CAR.named(70)
+    plant.drive(old, until=5.0)
+    list(plant.core.use([new.cam(plant.plaza, 5.2)]))
+    late, confirming = old.cam(plant.plaza, 5.1, latency_s=1.6), new.cam(plant.plaza, 6.7)
+    list(plant.core.use([confirming, late]))
+    table = plant.core._table
+    assert {track.slot for track in table.tracks}.isdisjoint(table._free)
+    for update in table.use([new.cam(plant.plaza, 6.8)]):
+        assert [one.track.station_id for one in update] == [70]
+    assert {track.slot for track in table.tracks}.isdisjoint(table._free)
+    assert len(set(table._free)) == len(table._free)
+
+
+def test_a_station_id_in_use_again_does_not_lend_its_passage_to_another() -> None:
+    """The old track was deleted for its silence, and the same station ID is used again before the link is confirmed."""
+    plant = Plant(COMMON)
+    table = plant.core._table
+    list(table.use([CAR.cam(plant.plaza, 1.0)]))
+    list(table.use([CAR.named(70).cam(plant.plaza, 2.0)]))
+    list(table.use([replace(CAR, start=-300.0).cam(plant.plaza, 6.5)]))
+    (update,) = next(iter(table.use([CAR.named(70).cam(plant.plaza, 6.6)])))
+    assert update.continues is None
+    assert update.track.station_ids == [70]
+
+
+def test_a_retained_delta_of_a_later_time_does_not_keep_out_those_of_now() -> None:
+    """The host's monotonic clock begins anew when it starts."""
+    plant = Plant(COMMON)
+    ours = plant.core.estimate_delta(START_NS)
+    core = type(plant.core)(plant.plaza, plant.settings)
+    core._estimator = plant.core._estimator
+    core.use_delta(ours.model_copy(update={"sampled_ns": START_NS + 10**15}))
+    core.use_delta(core.estimate_delta(START_NS))
+    assert [one.sampled_ns for one in core._deltas] == [ours.sampled_ns]
+    assert core.rejected["delta_from_the_future"] == 1
+
+
+def test_the_frames_that_are_kept_for_evidence_are_nothing_for_the_garbage_collector() -> None:
+    plant = Plant(COMMON)
+    plant.drive(CAR, until=6.0)
+    gc.collect()
+    (track,) = plant.core._table.tracks
+    assert len(track.frames) > 5
+    assert not any(gc.is_tracked(one) for one in track.frames)
+
+
+def test_a_vehicle_beside_a_slow_one_that_is_silent_for_a_moment_does_not_continue_it() -> None:
+    """A vehicle that crawls sends one CAM a second, and one in twenty is lost."""
+    plant = Plant(COMMON)
+    plant.register(7, 8)
+    crawl, beside = replace(CAR, lane="n3", speed=1.0, start=-60.0), replace(CAR, lane="n2", speed=10.0, start=-150.0)
+    for second in range(20):
+        if second % 4 != 3:
+            plant.said += plant.core.use([crawl.cam(plant.plaza, float(second))])
+        plant.drive(beside.named(8), since=max(float(second), 9.2), until=second + 1.0)
+    assert {track.station_id for track in plant.core.tracks(START_NS + 20 * 10**9).tracks} == {7, 8}
+    assert all(len(one.station_ids) == 1 and not one.reason.startswith("passage") for one in plant.passages)
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_a_crawling_vehicle_that_misses_one_cam_is_not_continued_by_one_in_its_place(speed: float) -> None:
+    plant = Plant(COMMON)
+    table = plant.core._table
+    near = replace(CAR, speed=1.0, start=-60.0)
+    list(table.use([near.cam(plant.plaza, 1.0)]))
+    list(table.use([replace(near, speed=speed, start=-61.0, since=2.0).named(8).cam(plant.plaza, 2.0)]))
+    (update,) = next(
+        iter(table.use([replace(near, speed=speed, start=-61.0, since=2.0).named(8).cam(plant.plaza, 2.9)]))
+    )
+    assert update.continues is None

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from services.monitoring.ledger.ledger import Ledger
-from services.monitoring.ledger.store import LedgerFault, Store
-from shared.messages.toll import EvidencePack, PassageState, TransactionKind
+from services.monitoring.ledger.ledger import Ledger, Settings
+from services.monitoring.ledger.store import LedgerFault, Row, Store, Value
+from shared.messages.toll import SETTLED, EvidencePack, PassageState, TransactionKind
 from tests.support.tolling import NS, PLAZA, START_NS, STATION, Vehicle, answer, ledger_at
 
 OPEN, CROSSED, CHARGED = PassageState.OPEN, PassageState.CROSSED, PassageState.CHARGED
@@ -288,3 +288,101 @@ def test_ten_minutes_later_nothing_of_an_uncharged_vehicle_is_on_the_disk(tmp_pa
     ledger.expire(LATER_NS + 61 * 86_400 * NS)
     assert ledger.evidence(charged.passage_id) is None
     store.close()
+
+
+GROWING = {"booking", "settled", "receipt", "evidence", "pulse", "balance"}
+
+
+class Watched(Store):
+    """A store that remembers its statements."""
+
+    said: dict[str, int]
+
+    def rows(self, sql: str, *values: Value) -> list[Row]:
+        self.said[sql] = len(values)
+        return super().rows(sql, *values)
+
+    def execute(self, sql: str, *values: Value) -> int:
+        self.said[sql] = len(values)
+        return super().execute(sql, *values)
+
+
+def test_what_is_done_every_second_reads_no_growing_table_from_end_to_end(tmp_path: Path) -> None:
+    store = Watched(tmp_path / "ledger.sqlite")
+    store.said = {}
+    ledger = Ledger(store, PLAZA, "", Settings(), START_NS)
+    drive(ledger, Vehicle())
+    ledger.detect(Vehicle().pulse(), LATER_NS)
+    store.said.clear()
+    later_ns = LATER_NS + 200 * NS
+    ledger.expire(later_ns)
+    ledger.reconcile(later_ns)
+    ledger.due(later_ns)
+    ledger.open_passages(later_ns)
+    ledger.state(later_ns)
+    assert len(store.said) > 15
+    for sql, values in store.said.items():
+        for row in Store.rows(store, f"EXPLAIN QUERY PLAN {sql}", *[0] * values):
+            words = row["detail"].split()
+            is_indexed = "INDEX" in words  # an ordered scan that LIMIT ends
+            assert words[0] != "SCAN" or words[1] not in GROWING or is_indexed, (sql, row["detail"])
+    assert ledger.state(later_ns).amount_cents == 240
+    store.close()
+
+
+def test_totals_are_those_of_all_bookings_also_after_a_restart(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    for name in "abc":
+        drive(ledger, Vehicle(name))
+        ledger.state(LATER_NS)
+    ledger.passage(Vehicle("b").says(PassageState.VOID), LATER_NS)
+    found = ledger.state(LATER_NS)
+    assert (found.transactions, found.reversals, found.amount_cents) == (3, 1, 480)
+    store.close()
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    again = ledger.state(LATER_NS)
+    assert (again.transactions, again.reversals, again.amount_cents) == (3, 1, 480)
+    store.close()
+
+
+def test_a_class_that_the_tariff_has_lost_is_not_charged_and_counted(tmp_path: Path) -> None:
+    """The plaza's file was edited between the registration and the exit line."""
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    vehicle = Vehicle()
+    ledger.register(vehicle.registration(tariff_class="van"), START_NS)
+    ledger.passage(vehicle.says(OPEN), START_NS)
+    classes = {"car": 240}
+    plaza = PLAZA.model_copy(update={"tariff": PLAZA.tariff.model_copy(update={"classes": classes})})
+    ledger = Ledger(store, plaza, "", Settings(), START_NS)
+    ledger.passage(vehicle.says(CHARGED), LATER_NS)
+    assert outcomes(ledger) == {vehicle.passage_id: PassageState.SUSPECT}
+    assert "no class van" in ledger.state(LATER_NS).recent[0].reason
+    assert ledger.due(LATER_NS) == []
+    assert ledger.rejects == {"tariff class": 1}
+    store.close()
+
+
+def test_the_list_of_settled_passages_is_bounded_and_has_the_newest(opened: tuple[Ledger, Store]) -> None:
+    ledger, store = opened
+    with store.transaction():
+        for k in range(SETTLED + 10):
+            store.execute("INSERT INTO settled VALUES (?, ?, '{}')", f"{k:064x}", LATER_NS + k)
+    found = ledger.open_passages(LATER_NS + NS).settled
+    assert len(found) == SETTLED
+    assert found[0] == f"{SETTLED + 9:064x}"
+
+
+def test_a_registration_that_was_lost_while_the_ledger_was_down_is_waited_for(opened: tuple[Ledger, Store]) -> None:
+    ledger, _ = opened
+    vehicle = Vehicle()
+    exit_ns = vehicle.crossing_ns + 2 * NS
+    charged = vehicle.says(CHARGED, exit_ns=exit_ns)
+    ledger.passage(charged, exit_ns)
+    assert outcomes(ledger) == {}
+    ledger.register(vehicle.registration(), exit_ns + 9 * NS)
+    ledger.passage(charged.model_copy(update={"checkpoint": True}), exit_ns + 10 * NS)
+    assert outcomes(ledger) == {vehicle.passage_id: CHARGED}
+    other = Vehicle("b", station_ids=(9,))
+    for waited_s in (1, 16):
+        ledger.passage(other.says(CHARGED, exit_ns=exit_ns), exit_ns + waited_s * NS)
+    assert outcomes(ledger)[other.passage_id] is PassageState.UNREGISTERED

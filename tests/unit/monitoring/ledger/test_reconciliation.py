@@ -104,3 +104,19 @@ def test_pulses_of_another_plaza_or_from_another_year_are_not_counted(tmp_path: 
     ledger.detect(Vehicle(crossing_ns=START_NS - 86_400 * 365 * NS).pulse(), START_NS)
     assert ledger.balances(0) == () and ledger.rejects == {"another plaza": 2}
     store.close()
+
+
+def test_a_missed_vehicle_is_a_row_of_its_lane_between_the_passages(tmp_path: Path) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    early, late = Vehicle("a"), Vehicle("b", crossing_ns=START_NS + 90 * NS)
+    ledger.register(early.registration(), START_NS)
+    ledger.passage(early.says(PassageState.CHARGED), early.crossing_ns)
+    unseen = Vehicle("c", crossing_ns=START_NS + 40 * NS)
+    for number, vehicle in enumerate((early, unseen, late)):
+        ledger.detect(vehicle.pulse(number), vehicle.crossing_ns)
+    ledger.passage(late.says(PassageState.CHARGED), late.crossing_ns)
+    ledger.reconcile(START_NS + 300 * NS)
+    rows = ledger.state(START_NS + 300 * NS).recent
+    assert [row.state.value for row in rows] == ["charged", "missed", "charged"]
+    assert (rows[1].lane, rows[1].crossing_ns) == ("n2", unseen.crossing_ns)
+    store.close()

@@ -213,3 +213,18 @@ def test_the_operator_books_once_and_always_answers(tmp_path: Path) -> None:
     assert [a.duplicate for a in answers] == [False, True, True] and all(a.accepted for a in answers)
     assert len(operator.booked) == 1 and transaction.kind is TransactionKind.CHARGE
     store.close()
+
+
+def test_the_operator_remembers_a_bounded_number_of_transactions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ledger, store = ledger_at(tmp_path / "ledger.sqlite")
+    ledger.register(Vehicle().registration(), START_NS)
+    ledger.passage(Vehicle().says(PassageState.CHARGED), START_NS + 30 * NS)
+    (transaction,) = ledger.due(START_NS + 30 * NS)
+    store.close()
+    monkeypatch.setattr("services.sensors.traffic.operator.MAX_BOOKED", 3)
+    operator = Operator()
+    for k in range(5):
+        operator.receive(transaction.model_copy(update={"transaction_id": f"{k:064x}"}), START_NS)
+    assert list(operator.booked) == [f"{k:064x}" for k in (2, 3, 4)]

@@ -79,6 +79,17 @@ def test_bare_cams_arrive_with_their_ages_and_frames_that_are_too_long_are_count
     radio.close()
 
 
+def test_a_sender_of_frames_that_are_rejected_does_not_hold_a_reading(port: int, far: mqtt.Client) -> None:
+    rejects: Counter[str] = Counter()
+    radio = connected(port, far, rejects)
+    for _ in range(50):
+        far.publish("plaza/received", b"")
+    time.sleep(0.3)
+    assert radio.read(10) == []
+    assert rejects["frame_length"] <= 10
+    radio.close()
+
+
 def test_a_packet_is_sent_as_bare_cam(port: int, far: mqtt.Client) -> None:
     radio = connected(port, far, Counter())
     payload = cam.encode(cams.BRAKING, 1)
