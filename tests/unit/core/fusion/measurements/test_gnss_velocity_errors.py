@@ -22,7 +22,8 @@ def residuals(correlation: float, n: int, seed: int, size: float = 1.0) -> Float
     drawn = np.random.default_rng(seed).standard_normal((n, 3))
     for k in range(1, n):
         drawn[k] = correlation * drawn[k - 1] + (1.0 - correlation**2) ** 0.5 * drawn[k]
-    return size * np.sqrt(STATED) * drawn
+    scaled: FloatArray = size * np.sqrt(STATED) * drawn
+    return scaled
 
 
 def taught(errors: GnssVelocityErrors, drawn: FloatArray, *, stated: bool = True) -> GnssVelocityErrors:
