@@ -269,6 +269,7 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
         "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
         "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
+        "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
     }  # fmt: skip
 
 
@@ -411,6 +412,9 @@ ANSWERS: dict[str, type[answers.Answer]] = {
     "/api/viewers": answers.Viewers,
     "/api/simulation": answers.Simulation,
     "/api/replay": answers.Replay,
+    "/api/track": answers.TrackRows,
+    "/api/map": answers.InstalledMap,
+    "/api/recordings": answers.Recordings,
     "/api/topics/gnss/colour": answers.Refusal,
 }
 

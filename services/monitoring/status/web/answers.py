@@ -241,14 +241,88 @@ class Replay(Answer):
     replay: Object | None
 
 
+class Done(Answer):
+    """The action was carried out, or its job was started."""
+
+
 class Taken(Answer):
     """A command was published; the position follows in the state."""
+
+
+class Recordings(Answer):
+    """The recordings, newest first, what may be done with them, and the job that runs."""
+
+    recordings: list[Object]
+    free_bytes: int | None
+    allowed: list[str]
+    job: Object | None
 
 
 class Accepted(Answer):
     """A command was published; `simulation/state` answers with this ID."""
 
     request_id: str
+
+
+class TrackColumns(Answer):
+    """Columns of one length, one row a position; null where a source was silent."""
+
+    time_ns: list[Stamp]
+    state: list[Trust]
+    """the verdict shown"""
+    aided: list[Literal[0, 1]]
+    """1: GNSS was part of the solution within the last 3 s"""
+    height_ellipsoid_m: list[float | None]
+    radius_95_m: list[float | None]
+    """semi-major axis of the 95 % error ellipse"""
+    level_m: list[float | None]
+    """horizontal protection level"""
+    fused_latitude_deg: list[float | None]
+    fused_longitude_deg: list[float | None]
+    gnss_latitude_deg: list[float | None]
+    """of GNSS alone"""
+    gnss_longitude_deg: list[float | None]
+    truth_latitude_deg: list[float | None]
+    """of the simulator"""
+    truth_longitude_deg: list[float | None]
+
+
+class TrackRows(Answer):
+    """The track of this drive, thinned to a bounded number of rows."""
+
+    generation: int
+    """changes when rows were removed"""
+    complete: bool
+    """all rows, not only those after `after_ns`"""
+    spacing_m: float
+    """distance between rows"""
+    length_m: float
+    """distance driven, without the spans in which there was no position"""
+    started_ns: Stamp | None
+    now_ns: Stamp
+    columns: TrackColumns
+
+
+class MapFile(Answer):
+    """The map that is installed."""
+
+    container: Literal["pmtiles", "mbtiles"]
+    tiles: Literal["mvt", "png", "jpg", "webp"]
+    zoom_minimum: int
+    zoom_maximum: int
+    bounds_deg: tuple[float, float, float, float]
+    """west, south, east, north"""
+    attribution: str
+    layers: list[str]
+    """of vector tiles"""
+
+
+class InstalledMap(Answer):
+    """The map file, or why there is none."""
+
+    map: MapFile | None
+    problem: str | None
+    """why the file that is named cannot be used"""
 
 
 class Refusal(Answer):
@@ -298,6 +372,11 @@ EXAMPLES: dict[type[Answer], object] = {
     Accepted: {"request_id": "5f0c9a7be2d1"},
     Refusal: {"detail": "there is no topic gnss/colour; /api/state lists them"},
 }  # fmt: skip
+
+
+def file_of(media_type: str, text: str) -> Object:
+    """Describe an answer that is a file."""
+    return {"description": text, "content": {media_type: {"schema": {"type": "string"}}}}
 
 
 def inlined(model: type[BaseModel]) -> Object:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi import Path as PathParameter
@@ -17,6 +17,7 @@ from shared.track_files import Segment, gpx_lines, kml_lines
 from ..state import State
 from ..track import columns, length_m, segments
 from . import tiles
+from .answers import InstalledMap, TrackRows, described, file_of
 
 Source = Literal["fused", "gnss", "truth"]
 GZIP_FROM_BYTES = 2000
@@ -34,10 +35,14 @@ class MapApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        app.add_api_route("/api/track", self.track, response_class=Response)
-        app.add_api_route("/api/track.gpx", self.gpx, response_class=Response)
-        app.add_api_route("/api/track.kml", self.kml, response_class=Response)
-        app.add_api_route("/api/map", self.map, response_class=Response)
+        routes: dict[str, tuple[Callable[..., Response], str, dict[str, Any]]] = {
+            "/api/track": (self.track, "position", described(TrackRows, "Columns of the track")),
+            "/api/track.gpx": (self.gpx, "position", file_of("application/gpx+xml", "GPX 1.1")),
+            "/api/track.kml": (self.kml, "position", file_of("application/vnd.google-earth.kml+xml", "Timed KML")),
+            "/api/map": (self.map, "unit", described(InstalledMap, "The installed map, or why there is none")),
+        }
+        for path, (answer, tag, shown) in routes.items():
+            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses={200: shown})
         app.add_api_route("/map/tiles.pmtiles", self.archive, include_in_schema=False)
         app.add_api_route("/map/tiles/{zoom}/{x}/{y}", self.tile, include_in_schema=False)
 
