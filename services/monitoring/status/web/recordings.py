@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
 from fastapi import Path as PathParameter
@@ -19,8 +19,10 @@ from shared.recording.library import Library
 
 from ..views import recordings as views
 from . import body, hosts
+from .answers import Done, Recordings, Refusal, described, inlined
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+Responses = dict[int | str, dict[str, Any]]
 OUTPUT_BYTES = 4000  # of a job's output that are read
 
 
@@ -117,14 +119,29 @@ class RecordingsApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        app.add_api_route("/api/recordings", self.list, response_class=Response)
-        app.add_api_route("/api/recordings/{name}", self.download, response_class=Response)
-        app.add_api_route("/api/recordings/{name}/report", self.report, response_class=Response)
+        wrong = {403: "Not allowed, or a page from elsewhere", 404: "No such recording"}
+        missing: Responses = {status: described(Refusal, text) for status, text in wrong.items()}
+        more = {409: "It is being written, is kept, or a job runs", 413: "Too long", 422: "Not a command"}
+        done: Responses = {
+            202: described(Done, "Carried out"),
+            **missing,
+            **{status: described(Refusal, text) for status, text in more.items()},
+        }
+        listed: Responses = {200: described(Recordings, "Recordings, newest first")}
+        text = {"schema": {"type": "string"}}
+        binary = {"schema": {"type": "string", "format": "binary"}}
+        file: Responses = {200: {"description": "The file", "content": {"application/octet-stream": binary}}, **missing}
+        html: Responses = {200: {"description": "The report", "content": {"text/html": text}}, **missing}
+        schema = {"requestBody": {"content": {"application/json": {"schema": inlined(Command)}}, "required": True}}
+        for path, answer, responses in (
+            ("/api/recordings", self.list, listed),
+            ("/api/recordings/{name}", self.download, file),
+            ("/api/recordings/{name}/report", self.report, html),
+        ):
+            app.add_api_route(path, answer, response_class=Response, tags=["recordings"], responses=responses)
         app.add_api_route(
             "/api/recordings", self.command, methods=["POST"], status_code=202, response_class=Response,
-            openapi_extra={
-                "requestBody": {"content": {"application/json": {"schema": Command.model_json_schema()}}},
-            },
+            tags=["recordings"], responses=done, openapi_extra=schema,
         )  # fmt: skip
 
     def list(self) -> Response:
