@@ -268,8 +268,8 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
     assert set(paths) == {
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
         "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
-        "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
         "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
+        "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
     }  # fmt: skip
 
 
@@ -412,9 +412,8 @@ ANSWERS: dict[str, type[answers.Answer]] = {
     "/api/viewers": answers.Viewers,
     "/api/simulation": answers.Simulation,
     "/api/replay": answers.Replay,
-    "/api/track": answers.Track,
+    "/api/track": answers.TrackRows,
     "/api/map": answers.InstalledMap,
-    "/api/recordings": answers.Recordings,
     "/api/topics/gnss/colour": answers.Refusal,
 }
 
@@ -491,7 +490,7 @@ def test_the_process_fits_into_60_megabytes(tmp_path: Path) -> None:
         with connect(address.replace("http", "ws") + "/ws", max_size=None) as browser:
             for _ in range(10):
                 browser.recv(timeout=5.0)
-            for path in ("/", "/api/state", "/metrics", "/api/history?seconds=900"):
+            for path in ("/", "/api/state", "/metrics", "/api/history?seconds=900", "/api/track", "/lib/maplibre.js"):
                 httpx.get(address + path, timeout=5.0)
             status = Path(f"/proc/{process.pid}/status").read_text()
         process.stdin.close()

@@ -1,8 +1,10 @@
 """What the API answers, as models: they are the schemas of /openapi.json, and tests hold every answer to them."""
 
+from collections.abc import Iterator
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic.json_schema import models_json_schema
 
 from shared.messages.operation import Freshness, Outage, ProcessStatus
 
@@ -13,6 +15,7 @@ SENTENCE = (
     "The position can be used: protection levels 3.0 m horizontal and 4.0 m vertical, alert limits 10.0 m and 20.0 m; "
     "no monitor accuses GNSS."
 )
+REFERENCE = "#/components/schemas/{model}"
 Stamp = int  # [ns] on the OBU time line, which is UTC as nanoseconds since 1970
 Object = dict[str, Any]  # described by asyncapi.json, or by no contract
 
@@ -20,7 +23,7 @@ Object = dict[str, Any]  # described by asyncapi.json, or by no contract
 class Answer(BaseModel):
     """An answer, of which every field is described."""
 
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, defer_build=True)
 
 
 class Position(Answer):
@@ -245,26 +248,6 @@ class Taken(Answer):
     """A command was published; the position follows in the state."""
 
 
-class Track(Answer):
-    """The track of this drive as columns of one length; null where a source was silent."""
-
-    generation: int
-    complete: bool
-    """false: the columns are added to those of the answer before"""
-    spacing_m: float
-    length_m: float
-    started_ns: Stamp | None
-    now_ns: Stamp
-    columns: dict[str, list[Any]]
-
-
-class InstalledMap(Answer):
-    """Container, format, zoom levels, bounds and layers of the map file; `problem` says why there is none."""
-
-    map: Object | None
-    problem: str | None
-
-
 class Recordings(Answer):
     """The recordings, newest first, what may be done with them, and the job that runs."""
 
@@ -278,6 +261,67 @@ class Accepted(Answer):
     """A command was published; `simulation/state` answers with this ID."""
 
     request_id: str
+
+
+class TrackColumns(Answer):
+    """Columns of one length, one row a position; null where a source was silent."""
+
+    time_ns: list[Stamp]
+    state: list[Trust]
+    """the verdict shown"""
+    aided: list[Literal[0, 1]]
+    """1: GNSS was part of the solution within the last 3 s"""
+    height_ellipsoid_m: list[float | None]
+    radius_95_m: list[float | None]
+    """semi-major axis of the 95 % error ellipse"""
+    level_m: list[float | None]
+    """horizontal protection level"""
+    fused_latitude_deg: list[float | None]
+    fused_longitude_deg: list[float | None]
+    gnss_latitude_deg: list[float | None]
+    """of GNSS alone"""
+    gnss_longitude_deg: list[float | None]
+    truth_latitude_deg: list[float | None]
+    """of the simulator"""
+    truth_longitude_deg: list[float | None]
+
+
+class TrackRows(Answer):
+    """The track of this drive, thinned to a bounded number of rows."""
+
+    generation: int
+    """changes when rows were removed"""
+    complete: bool
+    """all rows, not only those after `after_ns`"""
+    spacing_m: float
+    """distance between rows"""
+    length_m: float
+    """distance driven, without the spans in which there was no position"""
+    started_ns: Stamp | None
+    now_ns: Stamp
+    columns: TrackColumns
+
+
+class MapFile(Answer):
+    """The map that is installed."""
+
+    container: Literal["pmtiles", "mbtiles"]
+    tiles: Literal["mvt", "png", "jpg", "webp"]
+    zoom_minimum: int
+    zoom_maximum: int
+    bounds_deg: tuple[float, float, float, float]
+    """west, south, east, north"""
+    attribution: str
+    layers: list[str]
+    """of vector tiles"""
+
+
+class InstalledMap(Answer):
+    """The map file, or why there is none."""
+
+    map: MapFile | None
+    problem: str | None
+    """why the file that is named cannot be used"""
 
 
 class Refusal(Answer):
@@ -334,22 +378,27 @@ def file_of(media_type: str, text: str) -> Object:
     return {"description": text, "content": {media_type: {"schema": {"type": "string"}}}}
 
 
-def inlined(model: type[BaseModel]) -> Object:
-    """Give the schema of a model without references, for a place where OpenAPI keeps no definitions."""
-    schema = model.model_json_schema()
-    definitions = schema.pop("$defs", {})
+def schemas(*others: type[BaseModel]) -> Object:
+    """Give the schemas of all answers, and of other models, by name; they are built when somebody asks for them."""
+    models = [*_below(Answer), *others]
+    _, found = models_json_schema([(model, "validation") for model in models], ref_template=REFERENCE)
+    definitions = found["$defs"]
+    assert isinstance(definitions, dict)
+    return definitions
 
-    def resolve(part: object) -> object:
-        if isinstance(part, dict):
-            if "$ref" in part:
-                return resolve(definitions[part["$ref"].rsplit("/", 1)[1]])
-            return {key: resolve(value) for key, value in part.items()}
-        return [resolve(entry) for entry in part] if isinstance(part, list) else part
 
-    return {key: resolve(value) for key, value in schema.items()}
+def _below(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    for child in model.__subclasses__():
+        yield child
+        yield from _below(child)
+
+
+def reference_to(model: type[BaseModel]) -> Object:
+    """Refer to the schema of a model."""
+    return {"$ref": REFERENCE.format(model=model.__name__)}
 
 
 def described(model: type[Answer], text: str, media_type: str = "application/json") -> Object:
     """Describe an answer of a route: its schema, and an example where there is one."""
     example = {"example": EXAMPLES[model]} if model in EXAMPLES else {}
-    return {"description": text, "model": model, "content": {media_type: example}}
+    return {"description": text, "content": {media_type: {"schema": reference_to(model), **example}}}

@@ -19,7 +19,7 @@ from shared.recording.library import Library
 
 from ..views import recordings as views
 from . import body, hosts
-from .answers import Recordings, Taken, described, file_of, inlined
+from .answers import Recordings, Taken, described, file_of, reference_to
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 OUTPUT_BYTES = 4000  # of a job's output that are read
@@ -128,7 +128,7 @@ class RecordingsApi:
         app.add_api_route(
             "/api/recordings", self.command, methods=["POST"], status_code=202, response_class=Response,
             tags=["recordings"], responses={202: described(Taken, "Carried out, or the job has started")},
-            openapi_extra={"requestBody": {"content": {"application/json": {"schema": inlined(Command)}}}},
+            openapi_extra={"requestBody": {"content": {"application/json": {"schema": reference_to(Command)}}}},
         )  # fmt: skip
 
     def list(self) -> Response:
