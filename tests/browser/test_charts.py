@@ -121,9 +121,7 @@ def test_any_numeric_field_is_plotted_from_the_inspector_and_all_charts_share_th
     speed = page.get_by_role("region", name="Speed", exact=True)
     chart = speed.get_by_role("img", name=re.compile("Speed over time. Fused 32.4 km"))
     expect(chart.locator("canvas")).to_be_visible(timeout=8000)
-    box = chart.bounding_box()
-    assert box
-    page.mouse.move(box["x"] + box["width"] - 30, box["y"] + 60)
+    speed.locator(".u-over").hover()
     expect(page.locator(".cursor-time")).to_have_text(re.compile(r"At \d\d:\d\d:\d\d UTC"))
     shown = page.locator(".u-cursor-x").evaluate_all("all => all.map((e) => e.style.transform)")
     assert len(shown) > 5 and len(set(shown)) == 1, "a cursor in every chart, at one place"

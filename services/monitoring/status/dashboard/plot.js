@@ -104,7 +104,6 @@ export function Plot({ time, lines, columns, label, axisLabel, span }) {
   }, [shape]);
   useEffect(() => {
     plot.current?.setData(data, false);
-    plot.current?.redraw();
     range();
   }, [time, shape]);
   // Arrow keys move the cursor of all charts.

@@ -24,6 +24,7 @@ from .websocket import read_until_closed, run_first_of, write_frames
 FIELDS_ASKED = 16  # in one question; more would take megabytes
 FIELDS_FOLLOWED = 96  # over one WebSocket
 FIELDS_IN_FRAME = 8  # of the past
+FRAME_S = 0.5  # between two frames at least: a page draws a dozen charts with each
 FIELDS_LISTED = 400  # of one topic
 QUESTION_LENGTH = 6000
 FINE_S = FINE_CELLS * FINE_NS / SECOND_NS
@@ -134,7 +135,7 @@ class SeriesApi:
                     kept_up = kept_up and client.put(Frame(to_json({"kind": kind, **columns})))
                     kind = "part"
                 kind, from_ns = "more", (to_ns // period_ns + 1) * period_ns
-            await asyncio.sleep(period_ns / SECOND_NS)
+            await asyncio.sleep(max(period_ns / SECOND_NS, FRAME_S))
 
     def _want(self, text: str, maximum: int = FIELDS_FOLLOWED) -> list[str]:
         names = list(dict.fromkeys(name for name in text.split(",") if name))
