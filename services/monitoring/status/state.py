@@ -7,7 +7,7 @@ from math import hypot
 from statistics import fmean
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
@@ -64,6 +64,7 @@ WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s"
 class KeptVerdict(BaseModel):
     """State of one second, and the monitors' statistics over thresholds."""
 
+    model_config = ConfigDict(defer_build=True)
     kind: Literal["verdict"]
     ns: int
     state: Trust
@@ -73,6 +74,7 @@ class KeptVerdict(BaseModel):
 class KeptOutage(BaseModel):
     """Begin or end of an outage."""
 
+    model_config = ConfigDict(defer_build=True)
     kind: Literal["outage"]
     ns: int
     message: Outage
@@ -81,14 +83,13 @@ class KeptOutage(BaseModel):
 class KeptEvent(BaseModel):
     """Change of the verdict."""
 
+    model_config = ConfigDict(defer_build=True)
     kind: Literal["event"]
     ns: int
     message: TrustEvent
 
 
-KEPT: TypeAdapter[KeptVerdict | KeptOutage | KeptEvent] = TypeAdapter(
-    Annotated[KeptVerdict | KeptOutage | KeptEvent, Field(discriminator="kind")]
-)
+Kept = Annotated[KeptVerdict | KeptOutage | KeptEvent, Field(discriminator="kind")]
 
 
 class State:
@@ -204,10 +205,11 @@ class State:
 
     def restore(self, lines: Iterable[bytes]) -> int:
         """Take over what earlier lives have kept of the last hour; returns the number of lines that cannot be read."""
-        bad = 0
+        bad, reader = 0, None
         for line in lines:
+            reader = reader or TypeAdapter[KeptVerdict | KeptOutage | KeptEvent](Kept)  # 1 MB, only while it is used
             try:
-                kept = KEPT.validate_json(line)
+                kept = reader.validate_json(line)
             except ValidationError:
                 bad += 1
                 continue

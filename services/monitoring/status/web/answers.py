@@ -1,8 +1,10 @@
 """What the API answers, as models: they are the schemas of /openapi.json, and tests hold every answer to them."""
 
+from collections.abc import Iterator
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic.json_schema import models_json_schema
 
 from shared.messages.operation import Freshness, Outage, ProcessStatus
 
@@ -13,6 +15,7 @@ SENTENCE = (
     "The position can be used: protection levels 3.0 m horizontal and 4.0 m vertical, alert limits 10.0 m and 20.0 m; "
     "no monitor accuses GNSS."
 )
+REFERENCE = "#/components/schemas/{model}"
 Stamp = int  # [ns] on the OBU time line, which is UTC as nanoseconds since 1970
 Object = dict[str, Any]  # described by asyncapi.json, or by no contract
 
@@ -20,7 +23,7 @@ Object = dict[str, Any]  # described by asyncapi.json, or by no contract
 class Answer(BaseModel):
     """An answer, of which every field is described."""
 
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, defer_build=True)
 
 
 class Position(Answer):
@@ -415,22 +418,27 @@ def file_of(media_type: str, text: str) -> Object:
     return {"description": text, "content": {media_type: {"schema": {"type": "string"}}}}
 
 
-def inlined(model: type[BaseModel]) -> Object:
-    """Give the schema of a model without references, for a place where OpenAPI keeps no definitions."""
-    schema = model.model_json_schema()
-    definitions = schema.pop("$defs", {})
+def schemas(*others: type[BaseModel]) -> Object:
+    """Give the schemas of all answers, and of other models, by name; they are built when somebody asks for them."""
+    models = [*_below(Answer), *others]
+    _, found = models_json_schema([(model, "validation") for model in models], ref_template=REFERENCE)
+    definitions = found["$defs"]
+    assert isinstance(definitions, dict)
+    return definitions
 
-    def resolve(part: object) -> object:
-        if isinstance(part, dict):
-            if "$ref" in part:
-                return resolve(definitions[part["$ref"].rsplit("/", 1)[1]])
-            return {key: resolve(value) for key, value in part.items()}
-        return [resolve(entry) for entry in part] if isinstance(part, list) else part
 
-    return {key: resolve(value) for key, value in schema.items()}
+def _below(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    for child in model.__subclasses__():
+        yield child
+        yield from _below(child)
+
+
+def reference_to(model: type[BaseModel]) -> Object:
+    """Refer to the schema of a model."""
+    return {"$ref": REFERENCE.format(model=model.__name__)}
 
 
 def described(model: type[Answer], text: str, media_type: str = "application/json") -> Object:
     """Describe an answer of a route: its schema, and an example where there is one."""
     example = {"example": EXAMPLES[model]} if model in EXAMPLES else {}
-    return {"description": text, "model": model, "content": {media_type: example}}
+    return {"description": text, "content": {media_type: {"schema": reference_to(model), **example}}}
