@@ -17,7 +17,11 @@ from shared.track_files import Segment, gpx_lines, kml_lines
 from ..state import State
 from ..track import columns, length_m, segments
 from . import tiles
+<<<<<<< HEAD
 from .answers import InstalledMap, TrackRows, described, file_of
+=======
+from .answers import InstalledMap, TrackRows, described
+>>>>>>> state
 
 Source = Literal["fused", "gnss", "truth"]
 GZIP_FROM_BYTES = 2000
@@ -35,6 +39,7 @@ class MapApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
+<<<<<<< HEAD
         routes: dict[str, tuple[Callable[..., Response], str, dict[str, Any]]] = {
             "/api/track": (self.track, "position", described(TrackRows, "Columns of the track")),
             "/api/track.gpx": (self.gpx, "position", file_of("application/gpx+xml", "GPX 1.1")),
@@ -43,6 +48,16 @@ class MapApi:
         }
         for path, (answer, tag, shown) in routes.items():
             app.add_api_route(path, answer, response_class=Response, tags=[tag], responses={200: shown})
+=======
+
+        def add(path: str, answer: Callable[..., Response], tag: str, good: dict[str, Any]) -> None:
+            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses={200: good})
+
+        add("/api/track", self.track, "position", described(TrackRows, "Columns of the track"))
+        add("/api/track.gpx", self.gpx, "position", _file(GPX, "GPX 1.1"))
+        add("/api/track.kml", self.kml, "position", _file(KML, "KML with times"))
+        add("/api/map", self.map, "unit", described(InstalledMap, "The map, or why there is none"))
+>>>>>>> state
         app.add_api_route("/map/tiles.pmtiles", self.archive, include_in_schema=False)
         app.add_api_route("/map/tiles/{zoom}/{x}/{y}", self.tile, include_in_schema=False)
 

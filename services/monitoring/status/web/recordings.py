@@ -19,7 +19,11 @@ from shared.recording.library import Library
 
 from ..views import recordings as views
 from . import body, hosts
+<<<<<<< HEAD
 from .answers import Done, Recordings, Refusal, described, inlined
+=======
+from .answers import Recordings, Taken, described, file_of, reference_to
+>>>>>>> state
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 Responses = dict[int | str, dict[str, Any]]
@@ -141,7 +145,12 @@ class RecordingsApi:
             app.add_api_route(path, answer, response_class=Response, tags=["recordings"], responses=responses)
         app.add_api_route(
             "/api/recordings", self.command, methods=["POST"], status_code=202, response_class=Response,
+<<<<<<< HEAD
             tags=["recordings"], responses=done, openapi_extra=schema,
+=======
+            tags=["recordings"], responses={202: described(Taken, "Carried out, or the job has started")},
+            openapi_extra={"requestBody": {"content": {"application/json": {"schema": reference_to(Command)}}}},
+>>>>>>> state
         )  # fmt: skip
 
     def list(self) -> Response:
