@@ -113,8 +113,9 @@ class Watch:
 
     @cached_property
     def overstatement(self) -> float:
-        """By how much the filter overstates what it has learnt."""
-        return max(self.position.overstatement, self.velocity.overstatement)
+        """By how much the filter overstates what it has learnt; errors of followed positions repeat by themselves."""
+        of_positions = 1.0 if self.followed[0] > 0.0 else self.position.overstatement
+        return max(of_positions, self.velocity.overstatement)
 
     @cached_property
     def scale_horizontal(self) -> float:
