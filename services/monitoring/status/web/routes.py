@@ -15,7 +15,7 @@ from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
-from shared.recording.library import Library
+from shared.library.library import Library
 
 from ..history import FIELDS
 from ..state import State
