@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
 BROKER_PROCESS = {"mosquitto": "mosquitto.conf", "simulated": "broker.simulated"}
 SHOWN_S = 15.0  # deadlines are 2 s, but a busy machine answers late
-RECOVERY_S = 40.0  # the filter needs up to 19 s to align anew
+RECOVERY_S = 60.0  # 19 s to align anew, and up to 30 s at a red light, where no heading is known
 Outage = dict[str, Any]
 
 
@@ -289,7 +289,7 @@ def test_a_hung_watchdog_leaves_the_rest_unknown_and_the_position_shown(units: l
         with unit.suspend("run monitoring.health"):
             unit.until(lambda _: text in unit.problems, "the page says that the watchdog is silent")
             state = unit.look()["position"]["state"]  # type: ignore[index]
-            assert state in ("safe", "caution", "unsafe", "dead_reckoning"), "a verdict on a position that is shown"
+            assert state not in ("starting", "stale", "broker_lost"), "the verdict of core.trust is shown as before"
         unit.until_well()
         assert unit.causes == {"monitoring.health"}
 

@@ -11,8 +11,8 @@ const LEVEL_COLOURS = {
   dark: ["#7dbcf0", "#35c495", "#dcc24a", "#f2913d", "#ff8aa0"],
   night: ["#7a3026", "#a33c2e", "#c9503f", "#f0604d", "#ff9a88"],
 };
-const VERDICTS = ["safe", "caution", "unsafe", "dead_reckoning", "no_fix", "initialising", "stale"];
-const MARKS = { dead_reckoning: "info", no_fix: "stale", initialising: "stale" };
+const VERDICTS = ["safe", "caution", "unsafe", "above_limit", "dead_reckoning", "no_fix", "initialising", "starting", "stale", "broker_lost"];
+const MARKS = { above_limit: "unsafe", dead_reckoning: "info", no_fix: "stale", initialising: "stale", starting: "stale", broker_lost: "stale" };
 
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 

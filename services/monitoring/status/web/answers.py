@@ -241,21 +241,17 @@ class Replay(Answer):
     replay: Object | None
 
 
+class Taken(Answer):
+    """A command was published; the position follows in the state."""
+
+
 class Recordings(Answer):
-    """Recordings with their summaries, newest first; what may be done with them, and the job that runs."""
+    """The recordings, newest first, what may be done with them, and the job that runs."""
 
     recordings: list[Object]
     free_bytes: int | None
     allowed: list[str]
     job: Object | None
-
-
-class Done(Answer):
-    """The action was carried out, or its job was started."""
-
-
-class Taken(Answer):
-    """A command was published; the position follows in the state."""
 
 
 class Accepted(Answer):
@@ -372,6 +368,11 @@ EXAMPLES: dict[type[Answer], object] = {
     Accepted: {"request_id": "5f0c9a7be2d1"},
     Refusal: {"detail": "there is no topic gnss/colour; /api/state lists them"},
 }  # fmt: skip
+
+
+def file_of(media_type: str, text: str) -> Object:
+    """Describe an answer that is a file."""
+    return {"description": text, "content": {media_type: {"schema": {"type": "string"}}}}
 
 
 def inlined(model: type[BaseModel]) -> Object:

@@ -57,7 +57,7 @@ TAGS = {
     "streams": "Connections that stay open",
     "simulation": "Attacks on a simulated vehicle",
     "replay": "Controls of a replay",
-    "recordings": "Recorded drives",
+    "recordings": "Recorded drives: list, download, keep, delete, replay, solve",
 }
 GEOJSON = "application/geo+json"
 Responses = dict[int | str, dict[str, Any]]
