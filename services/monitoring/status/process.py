@@ -16,8 +16,8 @@ from pydantic import Field
 
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
+from shared.library.library import Library
 from shared.messages.operation import RecordingState
-from shared.recording.library import Library
 from shared.runtime.config import Section, parse_vehicle
 
 from .history_file import HistoryFile

@@ -15,9 +15,9 @@ from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
+from shared.library.library import Library
 from shared.messages.replay import ReplayControl
 from shared.messages.simulation import SimulationAttack
-from shared.recording.library import Library
 
 from ..history import FIELDS
 from ..state import State

@@ -3,13 +3,15 @@
 import gzip
 import json
 import re
-import sqlite3
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
-from typing import cast
+from typing import TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    import sqlite3
 
 HOW = "see docs/how-to/install-a-map.md"
 METADATA_BYTES = 2_000_000
@@ -51,6 +53,8 @@ class MapDescription:
 
 def describe(path: Path) -> MapDescription:
     """Read what a file says of itself; raises `BadMap`."""
+    import sqlite3  # 1 MB of memory, which a unit without a map saves
+
     try:
         if path.suffix == ".pmtiles":
             return _describe_pmtiles(path)
@@ -113,9 +117,11 @@ def read_tile(path: Path, zoom: int, x: int, y: int) -> bytes | None:
     return bytes(row[0]) if row else None
 
 
-def _open(path: Path) -> sqlite3.Connection:
+def _open(path: Path) -> "sqlite3.Connection":
     if not path.is_file():
         raise FileNotFoundError(path)
+    import sqlite3
+
     return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True, timeout=1.0)
 
 
