@@ -21,6 +21,7 @@ from shared.runtime.config import load_vehicle
 
 from .attack_lab.attack_lab import attack_lab
 from .calibrate.spoofing import calibrate_spoofing
+from .export.export import export
 from .import_drive.import_drive import import_drive
 from .recordings.record import record, repair
 from .recordings.replay import replay
@@ -412,5 +413,6 @@ app.command("solve")(_ended(solve))
 app.command("attack-lab")(_ended(attack_lab))
 recordings.command("repair")(_ended(repair))
 app.command("replay")(_ended(replay))
+app.command("export")(_ended(export))
 app.command("verify")(_ended(verify))
 app.command("verify-toll")(_ended(verify_toll))

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
+from services.monitoring.status.web.routes import openapi
 from shared.bus.contract import Json, asyncapi_json, diagram, processes_table, table, topics_table
 from shared.processes import PROCESSES, Role, running
 from shared.runtime.config import Section
@@ -85,6 +86,40 @@ def metrics_page() -> str:
     )
 
 
+def api_page(description: Json) -> str:
+    """Print the routes of the unit's web server."""
+    tags = {tag["name"]: tag["description"] for tag in cast("list[dict[str, str]]", description["tags"])}
+    routes = cast("dict[str, dict[str, dict[str, Json]]]", description["paths"])
+    parts = [
+        "# API\n\n",
+        f"{cast('Json', description['info'])['description']} `/docs` of a unit shows the same with forms to try, "
+        "[openapi.json](openapi.json) is the description for programs, and [Read the unit from a program]"
+        "(../how-to/read-the-unit-from-a-program.md) has examples.\n",
+    ]
+    for tag, about in tags.items():
+        rows = [
+            (f"`{method.upper()} {path}`", str(route["description"]).replace("\n", " "), _answers(route))
+            for path, methods in routes.items()
+            for method, route in methods.items()
+            if tag in cast("list[str]", route["tags"])
+        ]
+        parts.append(f"\n## {tag.capitalize()}\n\n{about}.\n\n{table(('route', 'answer', 'types'), rows)}\n")
+    parts.append(
+        "\n## WebSocket\n\n`/ws` sends a snapshot (`kind: snapshot`), then five times a second what changed "
+        "(`kind: difference`): objects merge into the state, everything else replaces it, and what is gone becomes "
+        "null. `sequence` counts by one; who misses one connects again. `/ws?packed=1` sends the same as binary "
+        "messages in zlib's format, each complete in itself.\n"
+    )
+    return "".join(parts)
+
+
+def _answers(route: dict[str, Json]) -> str:
+    """Name the media types of the good answer."""
+    answers = cast("dict[str, dict[str, dict[str, Json]]]", route["responses"])
+    good = next(answer for status, answer in answers.items() if status in ("200", "202"))
+    return ", ".join(f"`{kind}`" for kind in good["content"])
+
+
 def pages() -> dict[str, str]:
     """Make every page of docs/reference that is printed from code: file name and text."""
     return {
@@ -95,6 +130,8 @@ def pages() -> dict[str, str]:
         f"(`obu`, an on-board unit, or `rsu`, a road-side unit).\n\n{configuration_pages()}",
         "metrics.md": HEAD + metrics_page(),
         "asyncapi.json": asyncapi_json() + "\n",
+        "api.md": HEAD + api_page(cast("Json", (description := openapi()))),
+        "openapi.json": json.dumps(description, indent=1, ensure_ascii=False) + "\n",
     }
 
 

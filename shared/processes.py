@@ -86,6 +86,7 @@ PROCESSES = (
         consumes=("gnss/write", "simulation/attack"),
         produces=(
             "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state", "simulation/state",
+            "simulation/roads",
         ),
     ),
     ProcessRow(
@@ -126,7 +127,7 @@ PROCESSES = (
         roles=BOTH,
     ),
     ProcessRow(
-        "controller.mode", Kind.STANDING, "decides what the unit should be doing now",
+        "controller.mode", Kind.STANDING, "decides the operating mode of the unit",
         consumes=(
             "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution", "navigation/state",
         ),
@@ -138,7 +139,7 @@ PROCESSES = (
         produces=("v2x/own_cam",),
     ),
     ProcessRow(
-        "core.fusion", Kind.STANDING, "says where the vehicle is and how well that is known",
+        "core.fusion", Kind.STANDING, "estimates position, velocity and attitude with their covariance",
         consumes=(
             "gnss/fix", "imu/sample", "vehicle/speed", "vehicle/wheel_speed", "navigation/last_position",
             "navigation/filter_state", "trust/state", "gnss/fault_free_fix",
@@ -164,7 +165,7 @@ PROCESSES = (
         produces=("trust/monitor", "gnss/fault_free_fix"),
     ),
     ProcessRow(
-        "core.evidence", Kind.STANDING, "judges what the receiver says of jamming, spoofing, its signals and its clock",
+        "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",
         consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix"),
         produces=("trust/monitor",),
     ),
@@ -190,7 +191,7 @@ PROCESSES = (
         produces=("recording/state",), observes_all=True, roles=BOTH,
     ),
     ProcessRow(
-        "monitoring.health", Kind.STANDING, "holds every topic and process against its deadline",
+        "monitoring.health", Kind.STANDING, "compares every topic and process with its deadline",
         produces=("deadline/report", "outage/event"), observes_all=True, roles=BOTH,
     ),
     ProcessRow(

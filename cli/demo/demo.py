@@ -145,7 +145,9 @@ def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
         radio = f"udp://127.0.0.1:{free_port()}"
         tables.setdefault("sensors.v2x", {}).update(device=radio)
         tables.setdefault("sensors.traffic", {}).update(vehicles=options.vehicles, seed=options.seed, send_to=radio)
-    tables.setdefault("monitoring.status", {}).update(port=http_port)
+    tables.setdefault("monitoring.status", {}).update(
+        port=http_port, recordings=["download", "keep", "delete", "replay", "solve"]
+    )
     return parse_vehicle(as_toml(tables), "the demo's vehicle file")
 
 

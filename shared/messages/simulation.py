@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .base import Message, Name, Nanoseconds, Reason, unit
+from .base import Deviation, Latitude, Longitude, Message, Name, Nanoseconds, Reason, unit
 
 Parameters = Annotated[dict[str, Annotated[float, unit("of the parameter")]], Field(max_length=8)]
 LONGEST_S = 86_400.0
@@ -68,3 +68,19 @@ class SimulationState(Message):
     request_id: Name | None = None  # of the last command; None where an attack was scheduled
     refused: Reason | None = None  # why the last command was not executed; None where it was
     attacks: tuple[AttackRun, ...] = ()  # the newest 32, in the order of their start
+
+
+class RoadLine(Message):
+    """Centre line of one road, as many latitudes as longitudes."""
+
+    tunnel: bool  # no GNSS signals
+    width_m: Deviation
+    latitude_deg: Annotated[tuple[Latitude, ...], Field(min_length=2, max_length=4000)]
+    longitude_deg: Annotated[tuple[Longitude, ...], Field(min_length=2, max_length=4000)]
+
+
+class RoadNetwork(Message):
+    """The roads of the simulated world, for a map."""
+
+    sampled_ns: Nanoseconds
+    roads: Annotated[tuple[RoadLine, ...], Field(max_length=200)]

@@ -13,11 +13,24 @@ from ..bus.contract import payload_schema
 from ..bus.envelope import Envelope
 from ..messages.base import RawBytes, Sender
 from ..topics import topic_of
+from . import foxglove
+
+# What the base64 of the field `data` holds.
+RAW_FORMATS = {
+    "gnss/raw": "base64 of the receiver's bytes: UBX and NMEA 0183",
+    "gnss/write": "base64 of bytes to the receiver: UBX",
+    "imu/raw": "base64 of the sensor's bytes: Xbus",
+    "can/raw": "base64 of lines of a candump log",
+    "v2x/raw": "base64 of frames of the radio: GeoNetworking, BTP and CAM (UPER)",
+    "v2x/send": "base64 of frames for the radio: GeoNetworking, BTP and CAM (UPER)",
+}
 
 
 @cache
 def schema_of(topic: str) -> tuple[str, bytes] | None:
     """Describe the payloads of a topic: name and JSON schema; None for a topic that is not of the contract."""
+    if (drawn := foxglove.TOPICS.get(topic)) is not None:
+        return drawn, json.dumps(foxglove.SCHEMAS[drawn]).encode()
     row = topic_of(topic)
     if row is None:
         return None

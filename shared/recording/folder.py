@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..bus.envelope import Envelope
+from .summary import SUFFIX as SUMMARY_SUFFIX
 from .writer import Opener, RecordingWriter, open_new
 
 log = logging.getLogger(__name__)
@@ -83,6 +84,7 @@ class RecordingFolder:
         for name in names:
             log.info("deleting %s", name)
             (self.path / name).unlink(missing_ok=True)
+            (self.path / (name + SUMMARY_SUFFIX)).unlink(missing_ok=True)
 
     def open(self, name: str, *, vehicle: str, vehicle_toml: str, chunk_bytes: int) -> None:
         """Begin a recording; a name that is taken gets a number."""

@@ -19,6 +19,7 @@ from mcap.records import Attachment, Channel, Metadata
 from ..bus.envelope import Envelope
 from ..errors import BadPayload, BadRecording
 from .channels import envelope_of
+from .foxglove import PREFIX
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
@@ -130,7 +131,8 @@ class Recording:
     @property
     def topics(self) -> frozenset[str]:
         """Topics that the summary names; none of a recording that was not closed."""
-        return frozenset(channel.topic for channel in self._summary_channels().values())
+        names = (channel.topic for channel in self._summary_channels().values())
+        return frozenset(name for name in names if not name.startswith(PREFIX))
 
     def summary(self) -> bytes:
         """Give the summary section; empty for a recording that was not closed, or whose summary is damaged."""
@@ -244,6 +246,8 @@ def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | 
                 channels[channel.id] = channel
             elif opcode == Opcode.MESSAGE:
                 id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(data, start)
+                if channels[id_].topic.startswith(PREFIX):
+                    continue  # made of another message, for other tools
                 content = data[start + MESSAGE_FIELDS.size : position]
                 yield envelope_of(channels[id_], content, log_time, sequence, publish_time)
         except (*MALFORMED, BadPayload, KeyError):

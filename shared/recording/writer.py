@@ -7,7 +7,8 @@ from typing import IO, Protocol, cast
 from mcap.writer import Writer
 
 from ..bus.envelope import Envelope
-from .channels import schema_of
+from .channels import RAW_FORMATS, schema_of
+from .foxglove import Foxglove
 
 CHUNK_BYTES = 256 * 1024
 VEHICLE_FILE = "vehicle.toml"
@@ -104,6 +105,7 @@ class RecordingWriter:
         self.pending = 0  # that are not in it yet
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._foxglove = Foxglove()
         self._chunks = _WholeChunks(opener(path))
         self._mcap = Writer(cast(IO[bytes], self._chunks), chunk_size=chunk_bytes)
         try:
@@ -127,10 +129,15 @@ class RecordingWriter:
         """Add a message; once the chunk is full it goes to the file."""
         topic, arrival_ns = envelope.topic, max(envelope.received_ns, 0)
         if topic not in self._channels:
-            self._channels[topic] = self._mcap.register_channel(topic, "json", self._schema_id(topic))
+            metadata = {"data": RAW_FORMATS[topic]} if topic in RAW_FORMATS else {}
+            self._channels[topic] = self._mcap.register_channel(topic, "json", self._schema_id(topic), metadata)
             self._commit()  # a chunk that this has made full
         self.pending += 1
         self._mcap.add_message(self._channels[topic], arrival_ns, envelope.payload, arrival_ns)
+        for drawn, payload in self._foxglove.messages(envelope):
+            if drawn not in self._channels:
+                self._channels[drawn] = self._mcap.register_channel(drawn, "json", self._schema_id(drawn))
+            self._mcap.add_message(self._channels[drawn], arrival_ns, payload, arrival_ns)
         self._commit()
 
     def flush(self) -> None:

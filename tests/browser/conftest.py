@@ -12,6 +12,7 @@ from services.monitoring.status.process import DASHBOARD
 from tests.support.status_server import Running, status_server
 
 AXE = DASHBOARD / "node_modules" / "axe-core" / "axe.min.js"
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # in software
 THEMES: dict[str, ViewportSize] = {
     "light": {"width": 1440, "height": 900},
     "dark": {"width": 1440, "height": 900},
@@ -34,7 +35,11 @@ def browser() -> Iterator[Browser]:
     if not AXE.exists():
         pytest.skip("the browser tests' libraries are missing: `python deploy/install_dashboard.py --testing`")
     # A name that resolves here makes the page an insecure context, as on a vehicle's own network.
-    arguments = ["--host-resolver-rules=MAP obu.local 127.0.0.1", *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+    arguments = [
+        "--host-resolver-rules=MAP obu.local 127.0.0.1",
+        *WEBGL,
+        *(["--no-sandbox"] if os.geteuid() == 0 else []),
+    ]
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=path, args=arguments)
         yield chromium

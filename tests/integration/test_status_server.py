@@ -7,20 +7,27 @@ import socket
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from openapi_spec_validator import validate
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from services.monitoring.status.process import ADDRESS_FILE, Config, Process
 from services.monitoring.status.views.patch import merge
+from services.monitoring.status.web import answers
 from shared.errors import UserError
+from shared.messages.gnss import FixType, GnssFix
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.simulation import AttackName
+from shared.recording.folder import RecordingFolder
+from tests.support.envelopes import sent
 from tests.support.fake_unit import FakeBus
 from tests.support.status_server import Running, eventually, status_server
 
@@ -230,7 +237,7 @@ def test_a_lost_broker_is_the_only_reason_for_503(server: Running) -> None:
     server.bus.connected = False
     eventually(lambda: ask(server, "/api/health").status_code == 503)
     assert get(server, "/api/health")["state"] == "failed"
-    eventually(lambda: get(server, "/api/state")["banner"]["word"] == "NO DATA")
+    eventually(lambda: get(server, "/api/state")["banner"]["word"] == "BROKER LOST")
     server.bus.connected = True
     eventually(lambda: ask(server, "/api/health").status_code == 200)
 
@@ -263,7 +270,10 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
     paths = get(server, "/openapi.json")["paths"]
     assert set(paths) == {
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
-        "/api/simulation", "/api/simulation/attack", "/api/replay",
+        "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
+        "/api/series", "/api/fields/{name}", "/api/gnss",
+        "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
+        "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
     }  # fmt: skip
 
 
@@ -277,12 +287,164 @@ def test_a_folder_without_libraries_says_what_to_do(tmp_path: Path) -> None:
         assert ask(server, "/api/state").status_code == 200
 
 
-def test_one_browser_too_many_is_refused_with_words(tmp_path: Path) -> None:
+def test_one_viewer_too_many_is_refused_with_their_number(tmp_path: Path) -> None:
     with status_server(tmp_path, unit=False, clients_maximum=1) as server, watch(server) as first:
         frame(first)
         with pytest.raises(InvalidStatus) as refused:
             watch(server)
         assert refused.value.response.status_code == 503
+        assert refused.value.response.body == b"too many viewers: 1 are connected; try again\n"
+        assert get(server, "/api/viewers") == {"connected": 1, "events": 0, "maximum": 1}
+
+
+def test_a_packed_frame_is_the_same_frame_in_less_than_half_the_bytes(server: Running) -> None:
+    packed = connect(server.address.replace("http", "ws") + "/ws?packed=1", max_size=None)
+    with packed, watch(server) as plain:
+        one, other = packed.recv(timeout=5.0), plain.recv(timeout=5.0)
+        assert isinstance(one, bytes) and json.loads(zlib.decompress(one))["kind"] == frame_of(other)["kind"]
+        sizes, frames = [0, 0], {}
+        for _ in range(10):
+            text = plain.recv(timeout=5.0)
+            frames[frame_of(text)["sequence"]] = text
+            sizes[0] += len(text)
+            body = packed.recv(timeout=5.0)
+            assert isinstance(body, bytes)
+            sizes[1] += len(body)
+            unpacked = zlib.decompress(body).decode()
+            assert frames.get(frame_of(unpacked)["sequence"], unpacked) == unpacked
+        assert sizes[1] < sizes[0] / 2
+
+
+def frame_of(text: str | bytes) -> Json:
+    found = json.loads(text)
+    assert isinstance(found, dict)
+    return found
+
+
+def events(answer: httpx.Response) -> Iterator[tuple[str, Json | None]]:
+    """Read server-sent events; comments have no content."""
+    kind = ""
+    for line in answer.iter_lines():
+        if line.startswith(":"):
+            yield line, None
+        elif line.startswith("event: "):
+            kind = line.removeprefix("event: ")
+        elif line.startswith("data: "):
+            yield kind, json.loads(line.removeprefix("data: "))
+
+
+def test_events_give_the_verdict_when_it_changes_the_solution_each_second_and_heartbeats(tmp_path: Path) -> None:
+    with status_server(tmp_path, clients_maximum=1) as server:
+        assert server.unit is not None
+        eventually(lambda: get(server, "/api/health")["position"]["state"] == "safe")
+        with httpx.stream("GET", server.address + "/api/events", timeout=8.0) as stream:
+            assert stream.headers["content-type"].startswith("text/event-stream")
+            seen: list[tuple[str, Json | None]] = []
+            for kind, content in events(stream):
+                if len(seen) == 2:
+                    assert ask(server, "/api/events").status_code == 503, "the bound on readers"
+                    server.unit.rejecting = True  # the inertial monitor accuses GNSS
+                seen.append((kind, content))
+                verdicts = [shown["state"] for name, shown in seen if name == "verdict" and shown]
+                stamps = [shown["sampled_ns"] for name, shown in seen if name == "solution" and shown]
+                if len(verdicts) > 1 and len(stamps) > 3 and (": heartbeat", None) in seen:
+                    break
+            assert verdicts[:2] == ["safe", "unsafe"]
+            steps_s = [(b - a) * 1e-9 for a, b in pairwise(stamps[1:])]
+            assert steps_s and all(0.7 < step_s < 1.4 for step_s in steps_s)
+        eventually(lambda: get(server, "/api/viewers")["events"] == 0)
+
+
+def test_an_outage_is_an_event_when_it_begins_and_when_it_ends(tmp_path: Path) -> None:
+    with status_server(tmp_path) as server:
+        unit = server.unit
+        assert unit is not None
+        eventually(lambda: get(server, "/api/health")["state"] == "ok")
+        with httpx.stream("GET", server.address + "/api/events", timeout=8.0) as stream:
+            seen = []
+            for kind, content in events(stream):
+                if kind == "verdict":
+                    unit.kill("parsers.can")
+                if kind == "outage" and content:
+                    seen.append(content)
+                    unit.revive("parsers.can")
+                    if content["until_ns"]:
+                        break
+        assert {row["what"] for row in seen} == {"parsers.can"}
+        assert seen[0]["until_ns"] is None
+
+
+def test_the_solution_is_json_or_geojson_as_asked(server: Running) -> None:
+    flat = get(server, "/api/solution")
+    assert flat["live"] and flat["verdict_known"] and flat["age_s"] < 2.0
+    for answer in (
+        ask(server, "/api/solution?format=geojson"),
+        ask(server, "/api/solution", Accept="application/geo+json"),
+    ):
+        assert answer.headers["content-type"] == "application/geo+json"
+        feature = answer.json()
+        longitude, latitude, height = feature["geometry"]["coordinates"]
+        assert longitude == pytest.approx(flat["longitude_deg"], abs=1e-3)
+        assert latitude == pytest.approx(flat["latitude_deg"], abs=1e-3)
+        assert height == pytest.approx(flat["height_ellipsoid_m"], abs=1.0)
+        assert feature["properties"]["state"] == "safe"
+    asked = ask(server, "/api/solution?format=json", Accept="application/geo+json")
+    assert asked.headers["content-type"] == "application/json"
+    assert ask(server, "/api/solution?format=kml").status_code == 422
+
+
+def test_without_a_solution_every_value_is_null_and_nothing_is_live(tmp_path: Path) -> None:
+    with status_server(tmp_path, unit=False) as server:
+        flat = get(server, "/api/solution")
+        assert (flat["state"], flat["live"], flat["latitude_deg"]) == ("starting", False, None)
+        feature = get(server, "/api/solution?format=geojson")
+        assert feature["geometry"] is None
+        for model, shown in ((answers.Solution, flat), (answers.Feature, feature)):
+            model.model_validate_json(json.dumps(shown))
+
+
+ANSWERS: dict[str, type[answers.Answer]] = {
+    "/api/solution": answers.Solution,
+    "/api/solution?format=geojson": answers.Feature,
+    "/api/health": answers.Health,
+    "/api/trust": answers.TrustReport,
+    "/api/history": answers.History,
+    "/api/outages": answers.Outages,
+    "/api/topics/gnss/fix": answers.Topic,
+    "/api/topics/imu/raw": answers.Topic,
+    "/api/state": answers.Everything,
+    "/api/viewers": answers.Viewers,
+    "/api/simulation": answers.Simulation,
+    "/api/replay": answers.Replay,
+    "/api/track": answers.TrackRows,
+    "/api/map": answers.InstalledMap,
+    "/api/recordings": answers.Recordings,
+    "/api/topics/gnss/colour": answers.Refusal,
+}
+
+
+@pytest.mark.parametrize("path", ANSWERS)
+def test_every_answer_is_what_its_schema_says(server: Running, path: str) -> None:
+    body = ask(server, path).content
+    ANSWERS[path].model_validate_json(body)
+
+
+def test_the_description_of_the_api_is_openapi_with_a_tag_and_a_schema_for_every_route(server: Running) -> None:
+    description = get(server, "/openapi.json")
+    validate(description)
+    tags = {tag["name"] for tag in description["tags"]}
+    for path, methods in description["paths"].items():
+        for operation in methods.values():
+            assert set(operation["tags"]) <= tags and operation["tags"], path
+            assert operation["description"], path
+            good = next(answer for status, answer in operation["responses"].items() if status in ("200", "202"))
+            for kind, content in good["content"].items():
+                assert content["schema"], (path, kind)
+
+
+@pytest.mark.parametrize("model", answers.EXAMPLES)
+def test_every_example_keeps_to_its_schema(model: type[answers.Answer]) -> None:
+    model.model_validate_json(json.dumps(answers.EXAMPLES[model]))
 
 
 def test_a_port_that_is_taken_is_explained(tmp_path: Path) -> None:
@@ -394,3 +556,60 @@ def test_a_unit_that_is_not_simulated_refuses_attacks(tmp_path: Path) -> None:
         eventually(lambda: len(get(real, "/api/state")["topics"]["origin/state"]) > 0)
         assert command(real, {"command": "stop"}).status_code == 409, "a real receiver among simulated devices"
         assert not real.bus.published and get(real, "/api/state")["simulation"] is None
+
+
+def test_any_numeric_field_is_a_series_and_a_field_that_cannot_be_is_refused(server: Running) -> None:
+    listed = {field["path"]: field for field in get(server, "/api/fields/navigation/aiding")["fields"]}
+    assert listed["test_ratio"]["name"].startswith("navigation/aiding[gnss_")
+    assert get(server, "/api/fields/gnss/fix")["fields"][-1]["path"] == "@latency_s"
+    names = "navigation/solution:yaw_rad,computed:error_horizontal_m,gnss/fix:hdop"
+    get(server, f"/api/series?fields={names}&seconds=30")
+    eventually(lambda: known(get(server, f"/api/series?fields={names}&seconds=30"), "navigation/solution:yaw_rad") > 2)
+    found = get(server, f"/api/series?fields={names}&seconds=30")
+    assert found["period_s"] == 0.2
+    assert found["fields"]["navigation/solution:yaw_rad"] == {"unit": "rad", "axis": ""}
+    assert {len(values) for values in found["values"].values()} == {len(found["time_ns"])}
+    assert [v for v in found["values"]["gnss/fix:hdop"] if v is not None][-1] == 0.8
+    for fields in ("", "hdop", "no/topic:x", ",".join(f"gnss/fix:x{n}" for n in range(17))):
+        assert ask(server, f"/api/series?fields={fields}").status_code == 422
+    assert ask(server, "/api/fields/no/topic").status_code == 404
+
+
+def known(series: Json, name: str) -> int:
+    return sum(value is not None for value in series["values"][name])
+
+
+def test_series_are_continued_over_a_websocket_without_a_gap_or_a_repetition(server: Running) -> None:
+    address = server.address.replace("http", "ws")
+    with connect(f"{address}/ws/series?fields=computed:speed_m_s&seconds=20") as socket:
+        frames = [json.loads(socket.recv(timeout=5.0)) for _ in range(6)]
+    assert [frame["kind"] for frame in frames] == ["past", *["more"] * 5]
+    stamps = [ns for frame in frames for ns in frame["time_ns"]]
+    assert {b - a for a, b in pairwise(stamps)} == {200_000_000}
+    with connect(f"{address}/ws/series?fields=nothing") as socket:
+        refused = json.loads(socket.recv(timeout=5.0))
+    assert refused["kind"] == "refused"
+    assert "write topic:field" in refused["reason"]
+
+
+def test_the_past_of_charts_is_read_from_the_recording_after_a_restart(tmp_path: Path) -> None:
+    start_ns = 1_795_000_000 * 10**9  # of the pretended unit
+    folder = RecordingFolder(tmp_path / "recordings")
+    folder.stored()
+    folder.open("drive", vehicle="truck-07", vehicle_toml="", chunk_bytes=4096)
+    stamps = [start_ns - second * 10**9 for second in range(1200, 0, -1)]
+    fixes = [
+        GnssFix(sampled_ns=ns, received_ns=ns, source="gnss0", fix_type=FixType.THREE_D, hdop=1 + n / 1000, vdop=2.0)
+        for n, ns in enumerate(stamps)
+    ]
+    folder.write([sent(fix, fix.sampled_ns + 1_000_000, "parsers.gnss") for fix in fixes])
+    folder.flush()  # it is not closed: the recorder still writes it
+    with status_server(tmp_path, unit=False) as running:
+        address = "/api/series?fields=gnss/fix:hdop,gnss/fix:satellites_used&seconds=1100"
+        eventually(lambda: known(get(running, address), "gnss/fix:hdop") > 1000, within_s=20.0)
+        found = [value for value in get(running, address)["values"]["gnss/fix:hdop"] if value is not None]
+        assert found == sorted(found) and found[-1] == pytest.approx(2.199)
+        chosen = "/api/series?fields=gnss/fix:@latency_s&seconds=1100"  # nobody has asked for it before the restart
+        eventually(lambda: known(get(running, chosen), "gnss/fix:@latency_s") > 1000, within_s=20.0)
+        assert next(v for v in get(running, chosen)["values"]["gnss/fix:@latency_s"] if v) == pytest.approx(1e-3)
+    folder.close()

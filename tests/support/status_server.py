@@ -36,10 +36,19 @@ class Running:
 
 @contextmanager
 def status_server(
-    state_dir: Path, *, unit: bool = True, plaza: FakePlaza | None = None, **settings: object
+    state_dir: Path,
+    *,
+    unit: bool = True,
+    plaza: FakePlaza | None = None,
+    offset_ns: int | None = None,
+    **settings: object,
 ) -> Iterator[Running]:
-    """Run the status process of a vehicle or of a plaza; its address is known when the block begins."""
+    """Run the status process of a vehicle or of a plaza; its address is known when the block begins.
+
+    With `offset_ns` of an earlier bus the time line goes on.
+    """
     bus = FakeBus(state_dir)
+    bus.offset_ns = bus.offset_ns if offset_ns is None else offset_ns
     if plaza is not None:
         plaza.join(bus)
     fake = FakeUnit(bus) if unit and plaza is None else None

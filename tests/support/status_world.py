@@ -27,6 +27,7 @@ class World:
     broker: bool = True
     state: State = field(init=False)
     sequence: int = 0
+    lives: dict[str, int] = field(default_factory=dict)  # incarnations of processes that were restarted
     watchdog: Watchdog | None = field(init=False)  # None: monitoring.health does not run
 
     def __post_init__(self) -> None:
@@ -50,7 +51,8 @@ class World:
     ) -> None:
         self.sequence += 1
         received_ns = self.now_ns + int(delay_s * 1e9)
-        envelope = sent_bytes(topic, body, received_ns, producer, 1, self.sequence, retained=retained)
+        life = self.lives.get(producer, START_NS)
+        envelope = sent_bytes(topic, body, received_ns, producer, life, self.sequence, retained=retained)
         if self.watchdog:
             self.watchdog.take(envelope, message)
         self.state.receive(envelope)
@@ -65,9 +67,10 @@ class World:
                 self.hear(message, "monitoring.health")
             self.state.tick(self.now_ns, broker=self.broker)
 
-    def beat(self, *processes: str, incarnation: int = START_NS, **changes: object) -> None:
+    def beat(self, *processes: str, **changes: object) -> None:
         for name in processes:
-            health = ProcessHealth(process=name, state=ProcessState.READY, incarnation=incarnation, sent_ns=self.now_ns)
+            life = self.lives.get(name, START_NS)
+            health = ProcessHealth(process=name, state=ProcessState.READY, incarnation=life, sent_ns=self.now_ns)
             self.hear(health.model_copy(update=changes), name)
 
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 FINE_S, FINE_HZ = 60.0, 5.0
 COARSE_HZ = 1.0
 CHANGES_MAXIMUM = 500  # of the verdict
+SECOND_NS, GAP_NS = 1_000_000_000, 3_000_000_000
+GAP = "gap"  # state of a time in which this process did not run
 FIELDS = (
     "latitude_deg",
     "longitude_deg",
@@ -52,14 +54,24 @@ class TrustHistory:
 
     def __init__(self, history_s: float) -> None:
         self.changes: deque[tuple[int, str]] = deque(maxlen=CHANGES_MAXIMUM)  # stamp and state, oldest first
+        self._last_ns = 0
         self._ratios: deque[tuple[int, Mapping[str, float]]] = deque(maxlen=max(int(history_s * COARSE_HZ), 1))
 
-    def add(self, now_ns: int, state: str, ratios: Mapping[str, float | None]) -> None:
-        """Note the state, and at most once a second the ratios; one that is None was not evaluated."""
-        if not self.changes or self.changes[-1][1] != state:
+    def add(self, now_ns: int, state: str, ratios: Mapping[str, float | None]) -> bool:
+        """Note the state, and at most once a second the ratios, of which None was not evaluated; says whether it did.
+
+        A time without any note is a gap: nobody knows the state of then.
+        """
+        if self._last_ns and now_ns - self._last_ns > GAP_NS:
+            self.changes.append((self._last_ns + SECOND_NS, GAP))
+        self._last_ns = now_ns
+        changed = not self.changes or self.changes[-1][1] != state
+        if changed:
             self.changes.append((now_ns, state))
-        if not self._ratios or now_ns - self._ratios[-1][0] >= 0.95e9 / COARSE_HZ:
+        second = not self._ratios or now_ns - self._ratios[-1][0] >= 0.95e9 / COARSE_HZ
+        if second:
             self._ratios.append((now_ns, {name: ratio for name, ratio in ratios.items() if ratio is not None}))
+        return changed or second
 
     def columns(self, now_ns: int, seconds: float) -> dict[str, object]:
         """Give the last seconds: changes, stamps, and a list of ratios for each monitor, None where not evaluated."""

@@ -4,30 +4,43 @@ import logging
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Literal
 
 import uvicorn
 from pydantic import Field
 
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
+from shared.messages.operation import RecordingState
+from shared.recording.library import Library
 from shared.runtime.config import Section, parse_vehicle
 
+from .history_file import HistoryFile
 from .replay import ReplayFeed
+from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
+from .web.map import MapApi
 from .web.pages import read_pages
+from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
-from .web.routes import Api, make_app, make_server
+from .web.routes import Api, Watching, make_app, make_server
+from .web.series import SeriesApi
 from .web.simulation import SimulationApi
-from .web.websocket import Stream
 
 log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
+PAST_PERIOD_S = 1.0
+HISTORY_FILE = "status.history.jsonl"
+TRACK_FILE = "status.track.jsonl"
+LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
 
 
 class Config(Section):
@@ -38,8 +51,15 @@ class Config(Section):
     history_s: float = Field(default=900.0, gt=0, le=86_400)
     static_dir: str | None = None  # another dashboard than the one beside this file
     allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
+    map_file: str | None = None  # .pmtiles or .mbtiles: docs/how-to/install-a-map.md
     replay: bool = False  # the messages are those of sensors.replay: show recorded time; `obu replay` sets it
-    clients_maximum: int = Field(default=16, ge=1, le=256)
+    recordings: tuple[Literal["download", "keep", "delete", "replay", "solve"], ...] = (
+        "download",
+        "keep",
+    )  # what the page Recordings may do: download, keep, delete, replay, solve
+    clients_maximum: int = Field(
+        default=100, ge=1, le=256, description="dashboards at once, and as many readers of /api/events"
+    )
 
 
 class Process:
@@ -55,27 +75,47 @@ class Process:
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s, replay=self._config.replay)
+        kept = None if self._config.replay else HistoryFile(bus.state_dir / HISTORY_FILE)
+        if kept and (bad := state.restore(kept.read())):
+            log.warning("left out %d lines of %s that cannot be read", bad, HISTORY_FILE)
+        track_file = HistoryFile(bus.state_dir / TRACK_FILE)
+        if not self._config.replay and (bad := state.track.restore(track_file.read(), bus.now_ns())):
+            log.warning("left out %d lines of %s that cannot be read", bad, TRACK_FILE)
         lock = threading.Lock()
         feed = ReplayFeed(state) if self._config.replay else None
         now_ns = bus.now_ns if feed is None else lambda: feed.now_ns(bus.now_ns())
         simulation = SimulationApi(state, lock, now_ns)
         replay = ReplayApi(feed, lock, bus.now_ns)
-        server = self._make_server(state, lock, bus, now_ns, (simulation, replay))
+        library, job = Library(recordings_folder(bus)), Job((bus.state_dir / "jobs").resolve())
+        allowed = frozenset(map(Action, () if self._config.replay else self._config.recordings))
+        recordings = RecordingsApi(library, job, allowed, partial(open_name, state))
+        server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings))
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
+        threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
         self._announce(listener, bus)  # before the server can fail and close the port
         thread.start()
+        look_ns = 0
         while not bus.stopping:
+            if bus.now_ns() >= look_ns:
+                look_ns = bus.now_ns() + LOOK_NS
+                library.look(open_name(state))
             if feed is None:
                 take_in(bus, state, lock)
+                track_file.append([row._asdict() for row in state.track.unsaved()])
             else:
                 take_in_replay(bus, state, lock, feed)
                 replay.refresh(connected=bus.connected)
+            records = state.unsaved()
+            if kept:
+                kept.append(records)
             for commands in (simulation.commands, replay.commands):
                 while not commands.empty():
                     bus.publish(commands.get_nowait())
             if not thread.is_alive():
                 raise ObuError("the web server has ended; the line before says why")
         server.should_exit = True
+        library.stop()
+        job.stop()
         thread.join(3.0)
         (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)
 
@@ -85,14 +125,15 @@ class Process:
         lock: threading.Lock,
         bus: Bus,
         now_ns: Callable[[], int],
-        apis: tuple[SimulationApi, ReplayApi],
+        apis: tuple[SimulationApi, ReplayApi, RecordingsApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
-        simulation, replay = apis
+        series = SeriesApi(state, lock, now_ns, self._config.clients_maximum)
         collector = StateCollector(state, now_ns, lock, software_version())
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
-        stream = Stream(state, lock, now_ns, self._config.clients_maximum, replay)
-        app = make_app(api, (simulation, replay), read_pages(folder), stream, self._config.allowed_hosts)
+        watching = Watching(state, lock, now_ns, self._config.clients_maximum, apis[1])
+        maps = MapApi(state, lock, now_ns, self._config.map_file)
+        app = make_app(api, (series, *apis, maps), read_pages(folder), watching, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:
@@ -101,6 +142,18 @@ class Process:
         address = f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
         (bus.state_dir / ADDRESS_FILE).write_text(address)
         log.info("dashboard at %s, listening on %s port %d", address, host, port)
+
+
+def recordings_folder(bus: Bus) -> Path:
+    """Find the folder of the recorder."""
+    table = parse_vehicle(bus.vehicle_toml).tables.get("monitoring.recorder", {})
+    return bus.state_dir / str(table.get("folder", "recordings"))
+
+
+def open_name(state: State) -> str | None:
+    """Name the recording in progress, as the recorder stated it last."""
+    message = state.topics["recording/state"].message
+    return message.file if isinstance(message, RecordingState) else None
 
 
 def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
@@ -114,6 +167,25 @@ def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
                 bus.rejects["payload"] += 1
                 bus.last_error = str(error)[:400]
         state.tick(bus.now_ns(), broker=bus.connected)
+
+
+def read_pasts(bus: Bus, state: State, lock: threading.Lock) -> None:
+    """Read the past of fields that are newly kept from the recordings, in the background; not of a replay."""
+    folder = recordings_folder(bus)
+    while not (bus.stopping or state.replay):
+        with lock:
+            names = state.series.take_wanted()
+        if names and folder.is_dir():
+            now_ns = bus.now_ns()
+            try:
+                for name, values in fill_from_recordings(names, folder, now_ns):
+                    with lock:
+                        state.series.fill(name, values, now_ns)
+            except OSError as error:
+                log.warning("the past of charts cannot be read from %s: %s", folder, error)
+            with lock:
+                state.series.fillings += 1
+        time.sleep(PAST_PERIOD_S)
 
 
 def take_in_replay(bus: Bus, state: State, lock: threading.Lock, feed: ReplayFeed) -> None:

@@ -1,11 +1,13 @@
 """All that the status process knows, updated message by message; pure: time is an argument."""
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import hypot
 from statistics import fmean
-from typing import TypeVar
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
@@ -19,15 +21,16 @@ from shared.messages.navigation import (
     SetUpState,
     TruthState,
 )
-from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth
+from shared.messages.operation import DeadlineReport, Freshness, Origin, OriginKind, Outage, ProcessHealth, ProcessState
 from shared.messages.toll import GateCommand, PlazaDetector
-from shared.messages.trust import TrustEvent, TrustState
+from shared.messages.trust import TrustEvent, TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESS_ROWS
 from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
+from .gnss_history import GnssHistory
 from .history import History, TrustHistory
 from .judgement import (
     BROKER_SILENT_NS,
@@ -39,16 +42,53 @@ from .judgement import (
     unavailable,
     watchdog_problem,
 )
+from .series.store import Series
+from .track import Track
+from .track_row import track_row
 from .truth_check import TruthCheck
-from .views.banner import Evidence, Trust, Verdict, ratio_of, show
+from .views.banner import KNOWN, Evidence, Trust, Verdict, ratio_of, show
 from .views.geometry import ellipse_95, offset_m
 from .views.toll import verdict as plaza_verdict
 
 M = TypeVar("M", bound=Message)
+Record = Mapping[str, object]
+RESTORED_NS = 3_600_000_000_000  # what is older belongs to another drive
+UNSAVED = 1000  # records
 SAMPLE_NS = 200_000_000
 SECOND_NS = STALL_NS = 1_000_000_000
+WITH_POSITION = (TrustLevel.SAFE, TrustLevel.CAUTION, TrustLevel.DEAD_RECKONING)
 TRUST_EVENTS = 50  # newest, kept
 WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s")
+
+
+class KeptVerdict(BaseModel):
+    """State of one second, and the monitors' statistics over thresholds."""
+
+    kind: Literal["verdict"]
+    ns: int
+    state: Trust
+    ratios: dict[str, float]
+
+
+class KeptOutage(BaseModel):
+    """Begin or end of an outage."""
+
+    kind: Literal["outage"]
+    ns: int
+    message: Outage
+
+
+class KeptEvent(BaseModel):
+    """Change of the verdict."""
+
+    kind: Literal["event"]
+    ns: int
+    message: TrustEvent
+
+
+KEPT: TypeAdapter[KeptVerdict | KeptOutage | KeptEvent] = TypeAdapter(
+    Annotated[KeptVerdict | KeptOutage | KeptEvent, Field(discriminator="kind")]
+)
 
 
 class State:
@@ -65,6 +105,7 @@ class State:
         self.origins: dict[str, tuple[Origin, int]] = {}
         self.aiding: dict[AidingKind, tuple[AidingUpdate, int]] = {}
         self.rejections: dict[AidingKind, int] = {}
+        self.monitor_producers: dict[str, str] = {}  # process that publishes the statements of each monitor
         self.history, self.outages = History(history_s), OutageList()
         self.gates: dict[str, GateCommand] = {}  # newest of each lane
         self.pulses: dict[str, int] = {}  # time of the newest detector pulse of each lane
@@ -74,16 +115,24 @@ class State:
         self.verdict: Verdict = show(Evidence(broker=True))
         self.trust_history = TrustHistory(history_s)
         self.truth_check = TruthCheck()
+        self.series = Series()
+        self.gnss = GnssHistory()
+        self.track = Track()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
         self._delays_s: deque[float] = deque(maxlen=256)
         self._next_sample_ns = self._next_second_ns = started_ns
+        self._unsaved: deque[Record] = deque(maxlen=UNSAVED)
 
     def clear(self, started_ns: int) -> None:
         """Forget everything, as after a start at another time: a replay jumped."""
+        track, fillings = self.track, self.series.fillings + 1  # pages ask for the past of the other time
         vars(self).update(
             vars(State(self.vehicle, tuple(self.expected), started_ns, self.history_s, replay=self.replay))
         )
+        self.track = track  # of the parts that were played
+        self.track.interrupt()
+        self.series.fillings = fillings
 
     def recall(self, changes: Iterable[tuple[int, str]], outages: Iterable[Outage]) -> None:
         """Insert what happened before everything that is known: changes of the verdict, and outages."""
@@ -113,6 +162,10 @@ class State:
             self._broker_back_ns = envelope.received_ns
         self._received_ns = max(self._received_ns, envelope.received_ns)
         message = flow.note(envelope)
+        if message is not None and not envelope.retained:
+            self.series.take(name, message, envelope.received_ns)
+        if message is not None:
+            self.gnss.note(message, flow.updated_ns or envelope.received_ns)
         match message:
             case ProcessHealth():
                 self._note_health(message, envelope, flow)
@@ -123,21 +176,51 @@ class State:
             case Origin():
                 self.origins[envelope.producer] = (message, flow.updated_ns or 0)
             case _:
-                self._note_event(message)
+                self._note_event(message, envelope.producer)
 
-    def _note_event(self, message: Message | None) -> None:
+    def _note_event(self, message: Message | None, producer: str) -> None:
         """Keep what is shown beyond the newest message of its topic."""
         match message:
             case Outage():
                 self.outages.note(message)
+                self._unsaved.append({"kind": "outage", "ns": message.since_ns, "message": message})
             case TrustEvent():
                 self.trust_events.append(message)
+                self._unsaved.append({"kind": "event", "ns": message.sampled_ns, "message": message})
+            case TrustMonitor():
+                self.monitor_producers[message.monitor] = producer
             case GateCommand():
                 self.gates[message.lane] = message
             case PlazaDetector():
                 self.pulses[message.lane] = message.sampled_ns
             case _:
                 pass
+
+    def unsaved(self) -> list[Record]:
+        """Hand over what a later life of this process must know, once."""
+        records = list(self._unsaved)
+        self._unsaved.clear()
+        return records
+
+    def restore(self, lines: Iterable[bytes]) -> int:
+        """Take over what earlier lives have kept of the last hour; returns the number of lines that cannot be read."""
+        bad = 0
+        for line in lines:
+            try:
+                kept = KEPT.validate_json(line)
+            except ValidationError:
+                bad += 1
+                continue
+            if not 0 <= self.started_ns - kept.ns <= RESTORED_NS:
+                continue
+            match kept:
+                case KeptVerdict():
+                    self.trust_history.add(kept.ns, kept.state, kept.ratios)
+                case KeptOutage():
+                    self.outages.note(kept.message)
+                case KeptEvent():
+                    self.trust_events.append(kept.message)
+        return bad
 
     def tick(self, now_ns: int, *, broker: bool) -> None:
         """Let time pass: renew rates once a second, verdict and history five times."""
@@ -154,6 +237,7 @@ class State:
             self._next_sample_ns = now_ns + SAMPLE_NS - SAMPLE_NS // 20  # late calls must not lower the rate
             self._judge(now_ns, connected=broker)
             self.history.add(now_ns, self._sample(now_ns))
+            self.track.add(track_row(self, now_ns))
             self.truth_check.update(
                 now_ns,
                 self.newest(NavigationSolution, "navigation/solution", now_ns, live=True),
@@ -164,13 +248,50 @@ class State:
     def newest(self, kind: type[M], name: str, now_ns: int, *, live: bool = False) -> M | None:
         """Give the newest message of a topic; with `live`, only while it is not stale."""
         flow = self.topics[name]
-        if live and flow.freshness(now_ns) in ("stale", "never"):
+        if live and (flow.freshness(now_ns) in ("stale", "never") or self.is_earlier(name)):
             return None
         return flow.message if isinstance(flow.message, kind) else None
 
+    def is_earlier(self, name: str) -> bool:
+        """Whether the newest message of a periodic topic is from before the last start of its producer.
+
+        Or from before the last start of this process or of the broker: then the broker has kept it.
+        """
+        flow = self.topics[name]
+        if flow.limits is None or flow.newest is None or flow.updated_ns is None:
+            return False
+        return flow.updated_ns < self._counts_from_ns or flow.newest.incarnation < self._life(flow.newest.producer)
+
+    def is_awaited(self, name: str, now_ns: int) -> bool:
+        """Whether a topic is still to come after a start, and nothing is known that keeps it away."""
+        flow = self.topics[name]
+        if flow.newest is not None and not self.is_earlier(name):
+            return False
+        life_ns = self._life(flow.newest.producer) if flow.newest else 0
+        started_ns = max(self._counts_from_ns, life_ns)
+        down = any(self._is_down(producer) for producer in flow.topic.producers)
+        silent = any(problem.what == name for problem in self.judgement.problems)
+        return (now_ns - started_ns) * 1e-9 < STARTUP_GRACE_S and not down and not silent
+
+    def _is_down(self, process: str) -> bool:
+        """Whether a process is reported down, and has not published a heartbeat itself since."""
+        health = self.processes[process].health
+        back = health is not None and health.state is ProcessState.READY and health.sent_ns >= self._counts_from_ns
+        return self.judgement.statuses[process].down and not back
+
+    @property
+    def _counts_from_ns(self) -> int:
+        """Time of the last start of this process, or return of the broker."""
+        return max(self.started_ns, self._broker_back_ns)
+
+    def _life(self, producer: str) -> int:
+        """Incarnation of a process by its newest heartbeat or last will; 0 if none is known."""
+        process = self.processes.get(producer)
+        return process.health.incarnation if process and process.health else 0
+
     def age_s(self, name: str, now_ns: int) -> float | None:
-        """Age of the newest message of a topic."""
-        return self.topics[name].age_s(now_ns)
+        """Age of the newest message of a topic since the last start of its producer."""
+        return None if self.is_earlier(name) else self.topics[name].age_s(now_ns)
 
     def live_origins(self, now_ns: int) -> list[tuple[Origin, int]]:
         """Give each origin of the data that was stated lately, with its stamp."""
@@ -211,10 +332,14 @@ class State:
             since_ns = self.verdict.since_ns if shown.state is self.verdict.state else now_ns
             self.verdict = replace(shown, since_ns=since_ns)
         else:
-            self.verdict = show(self.evidence(now_ns))
-        trust = None if self.verdict.state is Trust.STALE else self.newest(TrustState, "trust/state", now_ns)
+            shown = show(self.evidence(now_ns))
+            since_ns = shown.since_ns or (self.verdict.since_ns if shown.state is self.verdict.state else now_ns)
+            self.verdict = replace(shown, since_ns=since_ns)
+        trust = self.newest(TrustState, "trust/state", now_ns, live=True) if self.verdict.state in KNOWN else None
         ratios = {m.monitor: ratio_of(m.outcome, m.statistic, m.threshold) for m in trust.monitors} if trust else {}
-        self.trust_history.add(now_ns, self.verdict.state, ratios)
+        if self.trust_history.add(now_ns, self.verdict.state, ratios):
+            known = {name: round(ratio, 4) for name, ratio in ratios.items() if ratio is not None}
+            self._unsaved.append({"kind": "verdict", "ns": now_ns, "state": self.verdict.state, "ratios": known})
 
     def _find_judgement(self, now_ns: int, *, connected: bool) -> Judgement:
         """Take the judgement of `monitoring.health`, unless the broker is lost or the report is overdue.
@@ -228,21 +353,25 @@ class State:
         overdue = self._received_ns - max(reported_ns, self._broker_back_ns) >= REPORT_DEADLINE_NS
         if self._broker_lost(now_ns):
             return unavailable(self.expected, broker_problem(self._received_ns, connected=connected))
-        if report is not None and reported_ns >= self._broker_back_ns and not overdue:
+        if report is not None and not self.is_earlier("deadline/report") and not overdue:
             return from_report(report)
         if reported_ns < self.started_ns and (now_ns - self.started_ns) * 1e-9 < STARTUP_GRACE_S:
             return unavailable(self.expected, None)
-        if not overdue:
-            return self.judgement  # the broker is back, and the first report is to come
+        if not overdue:  # the broker or monitoring.health was restarted, and the first report is to come
+            return unavailable(self.expected, None) if self.judgement.complete else self.judgement
         return unavailable(self.expected, watchdog_problem(max(reported_ns, self.started_ns)))
 
     def evidence(self, now_ns: int) -> Evidence:
         """Collect what the banner shows."""
         solution = self.newest(NavigationSolution, "navigation/solution", now_ns)
         navigation = self.newest(NavigationState, "navigation/state", now_ns, live=True)
+        trust = None if self.is_earlier("trust/state") else self.newest(TrustState, "trust/state", now_ns)
         return Evidence(
             broker=not self._broker_lost(now_ns),
-            trust=self.newest(TrustState, "trust/state", now_ns),
+            received_ns=self._received_ns,
+            awaited=self._awaited(trust, now_ns),
+            earlier_monitors=frozenset(m.monitor for m in trust.monitors if self._is_old(m)) if trust else frozenset(),
+            trust=trust,
             trust_age_s=self.age_s("trust/state", now_ns),
             trust_cause=self.judgement.cause("trust/state"),
             solution=solution,
@@ -253,12 +382,28 @@ class State:
             fix_age_s=self.age_s("gnss/fix", now_ns),
             imu_age_s=self.age_s("imu/sample", now_ns),
             odometer_age_s=_least(self.age_s(name, now_ns) for name in ("vehicle/wheel_speed", "vehicle/speed")),
-            aiding={kind: (u, (now_ns - ns) * 1e-9) for kind, (u, ns) in self.aiding.items()},
+            aiding={
+                kind: (u, (now_ns - ns) * 1e-9)
+                for kind, (u, ns) in self.aiding.items()
+                if ns >= max(self._counts_from_ns, self._life("core.fusion"))
+            },
             alert_limit_horizontal_m=navigation.alert_limit_horizontal_m if navigation else None,
             alert_limit_vertical_m=navigation.alert_limit_vertical_m if navigation else None,
             set_up=self.newest(SetUpState, "navigation/set_up", now_ns),
             cause=self.judgement.cause("navigation/solution"),
         )
+
+    def _awaited(self, trust: TrustState | None, now_ns: int) -> str | None:
+        """Name what must come before a verdict holds: the verdict itself, and the solution if it says there is one."""
+        if trust is None:
+            return "the first verdict of core.trust" if self.is_awaited("trust/state", now_ns) else None
+        if trust.state in WITH_POSITION and self.is_earlier("navigation/solution"):
+            return "the first solution after the restart of core.fusion"
+        return None
+
+    def _is_old(self, statement: TrustMonitor) -> bool:
+        """Whether the process of a monitor was restarted since this statement."""
+        return statement.sampled_ns < self._life(self.monitor_producers.get(statement.monitor, ""))
 
     def _sample(self, now_ns: int) -> dict[str, float | None]:
         """Take one row of the history; what is stale is missing."""

@@ -23,6 +23,7 @@ from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
 NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are published
 
+EPOCH_NS = 900_000_000  # within which the messages of an epoch arrive
 SAME_EPOCH_MS = 12  # times of week of one epoch are closer: RXM-RAWX has the receiver's own clock
 
 Output = GnssFix | GnssSatellites | GnssRawEpoch | GnssNavigationBits | GnssSignalQuality | GnssConfiguration
@@ -41,7 +42,7 @@ class Receiver:
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
         # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
         self._waiting: dict[type[GnssSatellites | GnssRawEpoch], tuple[int, GnssSatellites | GnssRawEpoch]] = {}
-        self._signal: dict[str, ubx_signal.Part] = {}  # of this epoch
+        self._signal: dict[str, tuple[int, ubx_signal.Part]] = {}  # of this epoch, each with its arrival [ns]
         self._resets: dict[ClockMapping, int] = {}  # of each mapping, published already
         self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and time stamp [ns] of the newest fix
         self._ubx_fix_ns: int | None = None
@@ -119,12 +120,20 @@ class Receiver:
         part = ubx_signal.decode(kind, payload)
         if kind in self._signal:
             yield from self._signal_quality(received_ns, received_ns)
-        self._signal[kind] = part
+        self._signal[kind] = received_ns, part
 
     def _signal_quality(
         self, sampled_ns: int, received_ns: int, clock: ClockMapping | None = None
     ) -> Iterator[GnssSignalQuality]:
-        """Publish what has been collected, and a step of the clock mapping that stamped this epoch."""
+        """Publish what has been collected, and a step of the clock mapping that stamped this epoch.
+
+        Parts of an epoch whose fix was lost are not part of the epoch of a later fix.
+        """
+        if clock is not None:
+            late = [kind for kind, (part_ns, _) in self._signal.items() if received_ns - part_ns > EPOCH_NS]
+            for kind in late:
+                del self._signal[kind]
+                self._rejects["ubx_signal_without_fix"] += 1
         stepped = clock is not None and clock.resets > self._resets.get(clock, 0)
         if clock is not None:
             self._resets[clock] = clock.resets
@@ -134,7 +143,7 @@ class Receiver:
             sampled_ns=sampled_ns, received_ns=received_ns, source=self._source,
             time_step_s=clock.step_s if clock is not None and stepped else None,
         )  # fmt: skip
-        fields = {ubx_signal.FIELDS[kind]: part for kind, part in self._signal.items()}
+        fields = {ubx_signal.FIELDS[kind]: part for kind, (_, part) in self._signal.items()}
         self._signal.clear()
         yield quality.model_copy(update=fields)
 

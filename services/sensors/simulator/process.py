@@ -14,6 +14,7 @@ from shared.messages.simulation import SimulationAttack
 from shared.runtime.config import Section
 
 from .gnss.simulated_receiver import SOURCE
+from .motion.centre_line import road_network
 from .scenarios import scenario_of
 from .v2x.traffic import MAX_COUNT
 from .world import Equipment, World
@@ -91,6 +92,7 @@ class Process:
         world = World(scenario, config.seed, bus.now_ns(), equipment, config.scheduled)
         log.info("simulating %s with seed %d: %s", scenario.name, self._config.seed, scenario.purpose)
         bus.publish(world.attack_state(bus.now_ns()))
+        bus.publish(road_network(scenario.course, scenario.start, bus.now_ns()))
         for due_ns, message in world:
             self._wait(bus, due_ns, world)
             if bus.stopping:

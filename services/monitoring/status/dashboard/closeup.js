@@ -1,6 +1,6 @@
 // The close-up view from above: our own drawing, so that it works without a map, a GPU or the internet.
 import { useEffect, useRef, useState } from "preact/hooks";
-import { ageS, clock, freshness, history, remember, settings, state } from "./store.js";
+import { ageS, clock, history, isOld, remember, settings, state } from "./store.js";
 import { Age, Card, Empty, Icon, compass, degrees, fixed, html, metres } from "./parts.js";
 import { words } from "./words.js";
 
@@ -94,9 +94,9 @@ export function scene() {
   const view = state.value;
   const s = view?.solution;
   if (!s) return null;
-  const stale = freshness("navigation/solution", s.updated_ns) === "stale";
+  const stale = isOld("navigation/solution", s.updated_ns);
   const age = ageS(s.updated_ns) ?? 0;
-  const gnssLive = !stale && view.fix && freshness("gnss/fix", view.fix.updated_ns) !== "stale" && view.fix.north_m != null;
+  const gnssLive = !stale && view.fix && !isOld("gnss/fix", view.fix.updated_ns) && view.fix.north_m != null;
   const truthLive = !stale && view.truth && view.truth.error_north_m != null;
   return {
     s,
@@ -109,7 +109,7 @@ export function scene() {
 
 const away = (p) => Math.hypot(p.north, p.east);
 
-function items(sc) {
+export function items(sc) {
   const { s } = sc;
   const rows = [["fused", sc.stale ? w.fusedStale : w.fused, `${s.latitude_deg.toFixed(6)}, ${s.longitude_deg.toFixed(6)}`]];
   rows.push(["ellipse", w.ellipse, `${metres(s.ellipse.semi_major_m)} × ${metres(s.ellipse.semi_minor_m)}`]);
@@ -120,7 +120,7 @@ function items(sc) {
   return rows;
 }
 
-const KEYS = {
+export const SYMBOLS = {
   fused: html`<path d="M9 2l5.5 14L9 13l-5.5 3z" class="vehicle" />`,
   ellipse: html`<ellipse cx="9" cy="9" rx="8" ry="5" class="ellipse" />`,
   level: html`<circle cx="9" cy="9" r="7.5" class="level" />`,
@@ -197,7 +197,7 @@ export function CloseUp() {
       <button onClick=${() => setTable(!table)} class="push" aria-pressed=${table}>${w.table}</button>
     </div>
     <ul class="legend">${items(sc).map(([key, name, value]) => html`<li>
-      <svg width="18" height="18" aria-hidden="true">${KEYS[key]}</svg><span>${name}</span><span class="dim">${key === "fused" ? "" : value}</span>
+      <svg width="18" height="18" aria-hidden="true">${SYMBOLS[key]}</svg><span>${name}</span><span class="dim">${key === "fused" ? "" : value}</span>
     </li>`)}</ul>`}
   </${Card}>`;
 }

@@ -1,16 +1,24 @@
 // The shell around the pages: who speaks, whether it is connected, one sentence on trust, and the way about.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, contract, freshness, isLive, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
+import { brokerAnswers, clock, connected, contract, isLive, isOld, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";
 import { Drawer, Empty, Icon, StateIcon, bytes, checksNow, copyText, duration, html, rate, seconds, timeOfDay, verdict } from "./parts.js";
 import { NowPage } from "./now.js";
 import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
-const PAGES = ["now", "trust", "toll", "system"];
-const HIDDEN = { rsu: ["now", "trust"], obu: ["toll"] }; // pages of the other role
-const LATER = { trust: () => import("./trust.js").then((m) => m.TrustPage), toll: () => import("./toll.js").then((m) => m.TollPage), system: () => import("./system.js").then((m) => m.SystemPage) };
+const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system"];
+const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
+const LATER = {
+  map: () => import("./map.js").then((m) => m.MapPage),
+  gnss: () => import("./gnss.js").then((m) => m.GnssPage),
+  charts: () => import("./charts.js").then((m) => m.ChartsPage),
+  trust: () => import("./trust.js").then((m) => m.TrustPage),
+  toll: () => import("./toll.js").then((m) => m.TollPage),
+  recordings: () => import("./recordings.js").then((m) => m.RecordingsPage),
+  system: () => import("./system.js").then((m) => m.SystemPage),
+};
 const loaded = { now: NowPage }; // the others when they are first opened
 
 function useRoute() {
@@ -29,7 +37,7 @@ const go = (hash) => {
 };
 
 const role = () => (state.value?.toll ? "rsu" : "obu");
-const pagesHere = () => PAGES.filter((name) => !HIDDEN[role()].includes(name));
+const pagesHere = () => PAGES.filter((name) => !HIDDEN[role()].includes(name) && !(name === "recordings" && state.value?.replay));
 
 function Origin() {
   const origin = state.value?.origin;
@@ -43,7 +51,7 @@ const servicesOk = ({ ok, up, of }) => (ok && up < of ? null : ok); // null: not
 
 function links() {
   const c = state.value?.chain;
-  const up = link.value.open && isLive();
+  const up = connected() && isLive();
   const known = up && c;
   return [
     ["browser", true, ""],
@@ -57,6 +65,7 @@ function links() {
 function worstOf(chain) {
   const t = words.chain.worst;
   const c = state.value?.chain;
+  if (link.value.why === "full" && !link.value.open) return t.full;
   const worst = chain.find(([, ok]) => ok === false)?.[0];
   if (!worst) return null;
   if (worst === "services") return t.services(c.services.worst);
@@ -79,9 +88,9 @@ function Chain() {
 
 function Clock() {
   clock.value;
-  const live = isLive() && !paused.value;
+  const live = isLive();
   const shown = live ? nowMs() : (state.value?.now_ns ?? 0) / 1e6;
-  return html`<p class="clock ${live ? "" : "stopped"}"><span class="dim">${words.utc}</span> <time>${shown ? timeOfDay(shown) : "--:--:--"}</time>${!live && html`<span class="note">${words.utcStopped}</span>`}</p>`;
+  return html`<p class="clock ${live && !paused.value ? "" : "stopped"}"><span class="dim">${words.utc}</span> <time>${shown ? timeOfDay(shown) : "--:--:--"}</time>${paused.value ? html`<strong class="paused-badge">${words.pausedBadge}</strong>` : !live && html`<span class="note">${words.utcStopped}</span>`}</p>`;
 }
 
 function Header({ onHelp }) {
@@ -100,12 +109,13 @@ function Banner({ onWhy }) {
   clock.value;
   const v = verdict();
   const since = v.since_ns && nowMs() ? duration(Math.max(0, (nowMs() - v.since_ns / 1e6) / 1000)) : null;
+  const alarming = ["unsafe", "above_limit"].includes(v.state);
   const spoken = useRef({ key: "", text: "", alarm: "" });
   // Read aloud when the state or the row that decided changes, not with every number in the sentence.
   const key = `${v.state} ${v.row}`;
   if (spoken.current.key !== key) {
     const text = `${v.word}. ${v.sentence}`;
-    spoken.current = { key, text, alarm: v.state === "unsafe" ? text : "" };
+    spoken.current = { key, text, alarm: alarming ? text : "" };
   }
   useEffect(() => {
     document.title = `${v.word} - ${state.value?.vehicle ?? ""} - OBU`;
@@ -115,7 +125,7 @@ function Banner({ onWhy }) {
     <p class="word">${v.word}</p>
     <p class="sentence">${v.sentence}${since && html`<span class="since"> ${words.banner.since(since)}</span>`}</p>
     ${state.value && html`<button class="why" onClick=${onWhy}>${words.banner.why}<${Icon} name="next" /></button>`}
-    <p class="sr" role="status">${v.state === "unsafe" ? "" : spoken.current.text}</p>
+    <p class="sr" role="status">${alarming ? "" : spoken.current.text}</p>
     <p class="sr" role="alert">${spoken.current.alarm}</p>
   </section>`;
 }
@@ -127,7 +137,7 @@ function WhyDrawer({ onClose }) {
   const report = () => copyText([`${v.word}: ${v.sentence}`, ...checksNow(banner).map((c) => `- ${c.label}: ${words.check[c.state]}, ${c.text}`)].join("\n"));
   return html`<${Drawer} title=${words.banner.drawer(v.word)} onClose=${onClose} head=${html`<button onClick=${report}>${words.copyReport}</button>`}>
     <p class="lead-text">${v.sentence}</p>
-    <h3>${words.banner.action}</h3><p>${banner.action}</p>
+    ${v.action && html`<h3>${words.banner.action}</h3><p>${v.action}</p>`}
     <h3>${words.banner.checks}</h3>
     ${role() === "obu" && html`<p class="note block"><a href="#/trust" onClick=${onClose}>${words.banner.page}</a></p>`}
     ${checksNow(banner).some((c) => c.ratio !== null) && html`<p class="note block">${words.banner.meter}</p>`}
@@ -151,10 +161,12 @@ function LostBar() {
     const timer = setTimeout(() => setShownGap(null), 6000);
     return () => clearTimeout(timer);
   }, [open, gap]);
-  const visible = !open && lostS > LOST_BAR_AFTER_S;
-  return html`${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${state.value ? words.lost.bar(duration(lostS)) : words.lost.never} <span>${words.lost.why[why] ?? ""}</span></p></div>`}
+  const full = why === "full";
+  const visible = !open && lostS > LOST_BAR_AFTER_S && (state.value || !full); // without any data the page says it
+  const reason = full ? words.lost.full(link.value.viewers.connected) : words.lost.why[why] ?? "";
+  return html`${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${state.value ? words.lost.bar(duration(lostS)) : words.lost.never} <span>${reason}</span></p></div>`}
     ${outdated.value && html`<div class="bar"><p>${words.lost.outdated}</p><button onClick=${() => location.reload()}>${words.lost.reload}</button></div>`}
-    ${paused.value && html`<div class="bar"><p>${words.paused}</p><button onClick=${togglePause}>${words.resume}</button></div>`}
+    ${paused.value && html`<div class="bar paused"><p>${words.paused(timeOfDay(nowMs()))}</p><button onClick=${togglePause}>${words.resume}</button></div>`}
     <p class=${shownGap === null ? "sr" : "bar back"} role="status">${shownGap === null ? "" : words.lost.back(duration(shownGap))}</p>`;
 }
 
@@ -184,15 +196,17 @@ function Footer() {
   const first = problems[0];
   const target = first && (first.what.includes("/") ? `topic=${first.what}` : `node=${first.what}`);
   const live = brokerAnswers();
-  const heard = recording && !["stale", "never"].includes(freshness("recording/state", recording.updated_ns));
+  const v = verdict();
+  const received = recording && !isOld("recording/state", recording.updated_ns);
   return html`<footer class="foot" aria-label=${t.label}>
     ${live && html`<span>${t.rate(rate(bus.messages_hz))}</span>
     ${bus.delay_p95_s != null && html`<span>${t.delay(seconds(bus.delay_p95_s))}</span>`}
     ${bus.rss_bytes > 0 && html`<span class="wide-only">${t.load(`${Math.round(bus.cpu_share * 100)} %`, bytes(bus.rss_bytes))}</span>`}
-    ${heard && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
-    <span class=${heard && recording.recording ? "rec" : ""}>${!heard ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
+    ${received && html`<span>${t.disk(bytes(recording.free_bytes))}</span>`}
+    <span class=${received && recording.recording ? "rec" : ""}>${!received ? t.recordingUnknown : recording.recording ? t.recording(bytes(recording.bytes_written)) : t.notRecording}</span>`}
+    ${v.state !== "safe" && html`<a class="problems verdict-state" href=${role() === "rsu" ? "#/toll" : "#/trust"}><${StateIcon} state=${v.state} word="" />${v.word}</a>`}
     ${first ? html`<a class="problems" href=${`#/system?${target}`}><${Icon} name="caution" />${t.problems(problems.length, first.text, first.since_ns && nowMs() ? duration(Math.max(0, (nowMs() - first.since_ns / 1e6) / 1000)) : null)}</a>`
-      : html`<span class="push dim">${!live ? words.status.unknown : toCome > 0 ? t.toCome(toCome) : t.noProblems}</span>`}
+      : html`<span class=${v.state === "safe" ? "push dim" : "dim"}>${!live ? words.status.unknown : toCome > 0 ? t.toCome(toCome) : t.noProblems}</span>`}
   </footer>`;
 }
 
@@ -216,9 +230,13 @@ function useKeys(open) {
       if (!settings.value.shortcuts || typing || event.ctrlKey || event.altKey || event.metaKey) return;
       const key = event.key;
       if (before === "g" && key === "n") go("#/now");
+      else if (before === "g" && key === "m") go("#/map");
       else if (before === "g" && key === "t") go("#/trust");
+      else if (before === "g" && key === "g") go("#/gnss");
+      else if (before === "g" && key === "c") go("#/charts");
       else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
       else if (before === "g" && key === "s") go("#/system");
+      else if (before === "g" && key === "r") go("#/recordings");
       else if (key === "?") open("help");
       else if (key === "w" && state.value) open("why");
       else if (key === "p") togglePause();
@@ -254,7 +272,10 @@ function App() {
     );
   }, [page, link.value.open]);
   const ready = state.value && contract.value;
-  const shown = !ready ? html`<p class="boot">${words.connecting}</p>`
+  const { why, viewers, open } = link.value;
+  const full = !state.value && !open && why === "full";
+  const shown = full ? html`<${Empty} title=${words.lost.full(viewers.connected)} why=${words.lost.fullWhy(viewers.maximum)} what=${html`<button onClick=${() => location.reload()}>${words.lost.again}</button>`} />`
+    : !ready ? html`<p class="boot">${words.connecting}</p>`
     : loaded[page] ? html`<${loaded[page]} query=${query} go=${go} onWhy=${() => setDrawer("why")} />`
     : link.value.open ? null : html`<${Empty} title=${words.lost.page} why=${words.lost.pageWhy} />`;
   return html`<a class="skip" href="#content" onClick=${(e) => { e.preventDefault(); heading.current.focus(); }}>${words.skip}</a>
@@ -262,7 +283,7 @@ function App() {
     <${Banner} onWhy=${() => setDrawer("why")} />
     <${Replay} /><${LostBar} />
     <div class="body"><${Navigation} page=${page} />
-      <main id="content" class=${link.value.open || !ready ? "" : "disconnected"}><h1 class="sr" ref=${heading} tabindex="-1">${words.pages[page]}</h1>${shown}</main></div>
+      <main id="content" class=${connected() || !ready ? "" : "disconnected"}><h1 class="sr" ref=${heading} tabindex="-1">${words.pages[page]}</h1>${shown}</main></div>
     <${Footer} />
     ${drawer === "why" && ready && html`<${WhyDrawer} onClose=${() => setDrawer(null)} />`}
     ${drawer === "help" && html`<${HelpDrawer} onClose=${() => setDrawer(null)} />`}`;

@@ -1,6 +1,6 @@
 // The page that most people open: where the vehicle is, how well that is known, and what the sources say.
 import { useEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, freshness, history, isLive, link, nowMs, settings, state } from "./store.js";
+import { brokerAnswers, clock, history, isLive, isOld, link, nowMs, settings, state } from "./store.js";
 import {
   Age, Band, Card, Empty, Row, STATUS_STATE, StateIcon, bandsOf, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, timeOfDay,
 } from "./parts.js";
@@ -14,7 +14,8 @@ function PositionCard() {
   const { solution: s, fix, satellites, navigation, truth, mode } = state.value;
   clock.value;
   if (!s) return html`<${Card} title=${p.title} id="position"><${Empty} title=${p.empty} why=${p.emptyWhy} /></${Card}>`;
-  const old = freshness("navigation/solution", s.updated_ns) === "stale" ? "old" : "";
+  const old = isOld("navigation/solution", s.updated_ns) ? "old" : "";
+  const why = navigation && !isOld("navigation/state", navigation.updated_ns) && s.phase !== "navigating" ? navigation.reason : null;
   const digits = s.ellipse.semi_major_m < 0.1 ? 7 : 6;
   const { stale, withinM } = scene();
   const off = truth?.error_north_m == null ? null : Math.hypot(truth.error_north_m, truth.error_east_m);
@@ -24,7 +25,7 @@ function PositionCard() {
         <div><dt>${p.latitude}</dt><dd>${fixed(s.latitude_deg, digits)}<span aria-hidden="true">°</span><span class="sr"> ${p.degrees}</span></dd></div>
         <div><dt>${p.longitude}</dt><dd>${fixed(s.longitude_deg, digits)}<span aria-hidden="true">°</span><span class="sr"> ${p.degrees}</span></dd></div>
       </dl>
-      <p class="accuracy"><span>±</span> ${metres(stale ? withinM : s.ellipse.semi_major_m)} <span class="note">${stale ? p.byNow : p.error95}</span></p>
+      <p class="accuracy">${stale ? p.upTo(metres(withinM)) : html`<span>±</span> ${metres(s.ellipse.semi_major_m)} <span class="note">${p.error95}</span>`}</p>
     </div>
     <dl class="rows ${old}">
       <${Row} label=${p.speed} value=${fixed(s.speed_m_s * KMH, 1)} unit=${words.speed.unit} unitName=${words.speed.unitName} extra=${s.stationary ? p.standing : null} />
@@ -32,7 +33,7 @@ function PositionCard() {
       <${Row} label=${p.height} value=${fixed(s.height_ellipsoid_m, 1)} unit="m" unitName="metres" extra=${`± ${metres(s.height_sd_m)} ${p.heightNote}`} />
       ${s.protection_level_horizontal_m != null && html`<${Row} label=${p.levels} value=${p.levelsValue(metres(s.protection_level_horizontal_m), metres(s.protection_level_vertical_m))}
         extra=${old ? p.levelsOld : p.levelsMeaning(Math.round(1 / s.integrity_risk).toLocaleString("en"))} />`}
-      <${Row} label=${p.phase} value=${p.phases[s.phase] ?? s.phase} extra=${navigation && s.phase !== "navigating" ? navigation.reason : null} />
+      <${Row} label=${p.phase} value=${p.phases[s.phase] ?? s.phase} extra=${why} />
       <${Row} label=${p.gnssUsed} value=${s.gnss_age_s == null ? p.never : p.ago(s.gnss_age_s < 1 ? words.age.now : duration(s.gnss_age_s))} />
       ${off !== null && html`<${Row} label=${p.truthError} value=${metres(off)} extra=${p.truthNote} />`}
     </dl>
@@ -43,15 +44,17 @@ function PositionCard() {
 function FixRows({ fix, satellites, mode }) {
   const p = words.position;
   if (!fix) return html`<p class="note block">${p.fix}: ${words.topics.never}</p>`;
-  const old = freshness("gnss/fix", fix.updated_ns) === "stale" ? "old" : "";
+  const old = isOld("gnss/fix", fix.updated_ns) ? "old" : "";
+  const inView = satellites && !isOld("gnss/satellites", satellites.updated_ns) ? satellites.in_view : null;
+  const modeOld = mode && isOld("mode/state", mode.updated_ns);
   const carrier = p.carrier[fix.carrier_solution];
   return html`<h3 class="divide">${p.fix}<${Age} topic="gnss/fix" stamp=${fix.updated_ns} /></h3>
     <dl class="rows ${old}">
       <${Row} label=${p.kind} value=${[p.fixType[fix.fix_type], carrier].filter(Boolean).join(", ")} />
-      <${Row} label=${p.satellites} value=${fix.satellites_used == null ? "-" : p.satellitesOf(fix.satellites_used, satellites?.in_view)} />
+      <${Row} label=${p.satellites} value=${fix.satellites_used == null ? "-" : p.satellitesOf(fix.satellites_used, inView)} />
       <${Row} label=${p.correction} value=${fix.correction_age_s == null ? p.correctionNone : p.correctionAge(`${fixed(fix.correction_age_s, 1)} s`)} />
-      ${mode && html`<${Row} label=${p.mode} value=${mode.mode.replaceAll("_", " ")} />`}
-    </dl>`;
+    </dl>
+    ${mode && html`<dl class="rows ${modeOld ? "old" : ""}"><${Row} label=${p.mode} value=${mode.mode.replaceAll("_", " ")} extra=${modeOld ? html`<${Age} topic="mode/state" stamp=${mode.updated_ns} />` : null} /></dl>`}`;
 }
 
 // What the phone shows right under the picture; the cards below say the same at length.
@@ -61,12 +64,12 @@ function Glance() {
   clock.value;
   const sc = scene();
   if (!sc) return null;
-  const kind = !fix || freshness("gnss/fix", fix.updated_ns) === "stale" ? words.topics.stale
+  const kind = !fix || isOld("gnss/fix", fix.updated_ns) ? words.topics.stale
     : words.position.carrier[fix.carrier_solution] || words.position.fixType[fix.fix_type];
   const cells = [
     [g.speed, html`<span class="value">${fixed(s.speed_m_s * KMH, 1)}</span><small> ${words.speed.unit}</small>`],
     [g.fix, kind],
-    [sc.stale ? words.position.byNow : words.position.error95, html`± ${metres(sc.stale ? sc.withinM : s.ellipse.semi_major_m)}`],
+    [sc.stale ? words.position.away : words.position.error95, html`${sc.stale ? "≤" : "±"} ${metres(sc.stale ? sc.withinM : s.ellipse.semi_major_m)}`],
     ...(s.protection_level_horizontal_m == null || sc.stale ? [] : [[g.level, metres(s.protection_level_horizontal_m)]]),
     [g.age, html`<${Age} topic="navigation/solution" stamp=${s.updated_ns} />`],
   ];

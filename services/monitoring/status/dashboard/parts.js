@@ -2,7 +2,7 @@
 import { h } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import htm from "htm";
-import { ageS, clock, freshness, isLive, link, state } from "./store.js";
+import { ageS, clock, connected, freshness, isLive, link, paused, state } from "./store.js";
 import { words } from "./words.js";
 
 export const html = htm.bind(h);
@@ -13,6 +13,11 @@ const SHAPES = {
     <path d="M12 9v5.5m0 3v.2" class="cut" />`,
   unsafe: html`<path d="M8 2h8l6 6v8l-6 6H8l-6-6V8z" fill="currentColor" /><path d="m8.5 8.5 7 7m0-7-7 7" class="cut" />`,
   stale: html`<circle cx="12" cy="12" r="9" class="line" stroke-dasharray="4 3.1" />`,
+  above_limit: html`<path d="M3 2h18v20H3z" fill="currentColor" /><path d="M6 6h12M12 19V10m-4 4 4-4 4 4" class="cut" />`,
+  gap: html`<path d="M3 12h4m10 0h4" class="line" />`,
+  starting: html`<circle cx="12" cy="12" r="9" class="line" stroke-dasharray="1.5 3.2" /><path d="M7.5 12h.2m4.2 0h.2m4.2 0h.2" class="line" />`,
+  broker_lost: html`<path d="M9.5 8.5 6 12a4.2 4.2 0 0 0 6 6l1.5-1.5M14.500 15.500 18 12a4.2 4.2 0 0 0-6-6l-1.500 1.500" class="line" /><path d="m4 4 16 16" class="line" />`,
+  disconnected: html`<path d="M3 9a13 13 0 0 1 18 0M6.500 13a8 8 0 0 1 11 0M12 18v.2" class="line" /><path d="M20 4 4 20" class="line" />`,
   dead_reckoning: html`<path d="M12 2 22 12 12 22 2 12z" fill="currentColor" /><path d="M8 12h8m-3-3.5 3 3.5-3 3.5" class="cut" />`,
   no_fix: html`<rect x="2.5" y="2.5" width="19" height="19" rx="3" fill="currentColor" /><path d="M7 12h10" class="cut" />`,
   initialising: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M12 6.5V12l3.5 2.5" class="line" />`,
@@ -21,14 +26,18 @@ const SHAPES = {
   off: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M6 18 18 6" class="line" />`,
   info: html`<rect x="3" y="3" width="18" height="18" rx="3" fill="currentColor" /><path d="M12 11v6m0-10v.2" class="cut" />`,
   now: html`<path d="m12 3 7 17-7-4-7 4z" class="line" />`,
+  map: html`<path d="m3 6 6-2 6 2 6-2v14l-6 2-6-2-6 2zM9 4v14m6-12v14" class="line" />`,
   system: html`<path d="M4 5h16M4 12h16M4 19h16" class="line" /><circle cx="9" cy="5" r="2" fill="currentColor" />
     <circle cx="15" cy="12" r="2" fill="currentColor" /><circle cx="8" cy="19" r="2" fill="currentColor" />`,
+  gnss: html`<path d="M12 12 20 4M6 12a6 6 0 0 0 6 6M2.5 12a9.5 9.5 0 0 0 9.5 9.5" class="line" /><circle cx="12" cy="12" r="2.5" fill="currentColor" /><circle cx="19" cy="5" r="2.5" fill="currentColor" />`,
+  charts: html`<path d="M4 4v16h16" class="line" /><path d="m7 15 4-5 3 3 5-7" class="line" />`,
   sun: html`<circle cx="12" cy="12" r="4" class="line" />
     <path d="M12 2v3m0 14v3M2 12h3m14 0h3M5 5l2 2m10 10 2 2M5 19l2-2M17 7l2-2" class="line" />`,
   help: html`<circle cx="12" cy="12" r="9" class="line" /><path d="M9.5 9.5a2.5 2.5 0 1 1 3.5 2.3c-.7.4-1 .9-1 1.7m0 3v.2" class="line" />`,
   close: html`<path d="m6 6 12 12M18 6 6 18" class="line" />`,
   plus: html`<path d="M12 5v14M5 12h14" class="line" />`,
   minus: html`<path d="M5 12h14" class="line" />`,
+  recordings: html`<rect x="3" y="5" width="18" height="14" rx="2" class="line" /><circle cx="9" cy="12" r="2.5" class="line" /><circle cx="15.5" cy="12" r="2.5" class="line" />`,
   play: html`<path d="M7 4.5v15l12-7.5z" fill="currentColor" />`,
   pause: html`<path d="M8 5v14M16 5v14" class="line" />`,
   next: html`<path d="m9 5 7 7-7 7" class="line" />`,
@@ -45,7 +54,7 @@ export const STATUS_STATE = {
   ready: "safe", late: "caution", restarting: "caution", stale: "stale", lost: "unsafe", ended: "off",
   waiting: "info", missing: "unsafe", absent: "off", unknown: "stale",
 };
-export const FRESH_STATE = { fresh: "safe", late: "caution", stale: "stale", never: "off", quiet: "info" };
+export const FRESH_STATE = { fresh: "safe", late: "caution", stale: "stale", earlier: "starting", never: "off", quiet: "info" };
 
 export const fixed = (value, digits) => (value == null ? words.age.bar : value.toFixed(digits));
 
@@ -92,6 +101,7 @@ export function Age({ topic, stamp }) {
   const text =
     age === null ? words.age.never
     : state === "stale" ? words.age.stale(timeOfDay(stamp / 1e6), duration(age))
+    : state === "earlier" ? words.age.earlier(duration(age))
     : state === "late" ? words.age.late(age < 10 ? `${age.toFixed(1)} s` : duration(age))
     : age < 1 ? words.age.now
     : duration(age);
@@ -157,13 +167,15 @@ export const checksNow = (banner) => (isLive() ? banner.checks
 // What the banner says: the server's words, or that the connection is lost and so no verdict is known.
 export function verdict() {
   const banner = state.value?.banner;
-  if (!banner) return { state: "stale", word: words.trust.stale, sentence: words.connecting, since_ns: null };
+  if (!banner && link.value.why === "full") return { state: "disconnected", word: words.trust.disconnected, sentence: words.lost.full(link.value.viewers.connected), since_ns: null };
+  if (!banner) return { state: "starting", word: words.trust.starting, sentence: words.connecting, since_ns: null };
   const lostS = link.value.lostAt === null ? 0 : (performance.now() - link.value.lostAt) / 1000;
-  if (!isLive() && (lostS > 1 || link.value.open)) return { ...banner, state: "stale", word: words.trust.stale, sentence: words.banner.disconnected, since_ns: state.value.now_ns };
+  if (!isLive() && (paused.value || lostS > 1 || connected())) return { ...banner, state: "disconnected", word: words.trust.disconnected, sentence: words.banner.disconnected, action: null, since_ns: state.value.now_ns };
   return banner;
 }
 
-export const verdictStands = () => isLive() && verdict().state !== "stale";
+const UNKNOWN = ["stale", "starting", "broker_lost", "disconnected"];
+export const verdictStands = () => !UNKNOWN.includes(verdict().state);
 
 export const SPAN_S = 900; // of the bands
 
@@ -177,8 +189,8 @@ export function bandsOf(changes, nowNs) {
 
 export function Band({ bands, nowNs }) {
   const share = (ns) => `${(100 * ns) / (SPAN_S * 1e9)}%`;
-  const told = bands.slice(-6).map((b) => `${words.trust[b.state]} ${duration((b.to - b.from) / 1e9)}`).join(", ");
-  return html`<div class="band" role="img" aria-label=${words.trustCard.label(told)}>
-    ${bands.map((b) => html`<span class="segment ${b.state}" style=${{ left: share(b.from - nowNs + SPAN_S * 1e9), width: share(b.to - b.from) }}></span>`)}
+  const listed = bands.slice(-6).map((b) => `${words.trust[b.state]} ${duration((b.to - b.from) / 1e9)}`).join(", ");
+  return html`<div class="band" role="img" aria-label=${words.trustCard.label(listed)}>
+    ${bands.map((b) => html`<span class="segment ${b.state}" title=${words.trust[b.state]} style=${{ left: share(b.from - nowNs + SPAN_S * 1e9), width: share(b.to - b.from) }}></span>`)}
   </div>`;
 }

@@ -2,6 +2,7 @@
 import { signal } from "@preact/signals";
 
 const BACKOFF_S = [0.5, 1, 2, 5];
+const FULL_AGAIN_S = 10; // there are as many viewers as the unit allows
 const FRAME_OVERDUE_S = 2; // frames come five times a second
 const HISTORY_S = 60;
 const RECALL_MS = 150; // after the last of several jumps
@@ -15,13 +16,16 @@ export const paused = signal(false);
 export const outdated = signal(false); // the server has a newer edition of this page
 export const settings = signal(read("obu-settings", { theme: "auto", headingUp: false, shortcuts: true }));
 
-export let history = { time_ns: [], fields: {} };
+export let history = { time_ns: [], fields: {} }; // as shown
 
+let recent = history; // as received; another object only while the page is paused
+let frozen = null; // while the page is paused: its time, and whether it was live
 let newest = null; // time of the newest frame [ms], performance.now() then, and how fast that time runs
 let lastFrameAt = 0;
 let sequence = -1;
 let version = null;
 let socket = null;
+const PACKED = typeof DecompressionStream === "function";
 let epoch; // jumps of a replay
 let recalling = null;
 let held = null; // what came while the display is paused
@@ -43,11 +47,15 @@ function read(key, fallback) {
   }
 }
 
-// Milliseconds on the unit's time line; it goes on between frames, at the speed of a replay.
-export const nowMs = () => (newest === null ? null : newest.ms + (performance.now() - newest.at) * newest.rate);
-export const frameAgeS = () => (lastFrameAt ? (performance.now() - lastFrameAt) / 1000 : null);
-export const brokerAnswers = () => link.value.open && state.value.chain.broker.ok; // else no process is known
-export const isLive = () => link.value.open && frameAgeS() !== null && frameAgeS() < FRAME_OVERDUE_S;
+// Milliseconds on the unit's time line; it goes on between frames, at the speed of a replay, and stands while the page
+// is paused.
+const runningMs = () => (newest === null ? null : newest.ms + (performance.now() - newest.at) * newest.rate);
+export const nowMs = () => (frozen ? frozen.nowMs : runningMs());
+const frameAgeS = () => (lastFrameAt ? (performance.now() - lastFrameAt) / 1000 : null);
+const receives = () => link.value.open && frameAgeS() !== null && frameAgeS() < FRAME_OVERDUE_S;
+export const isLive = () => (frozen ? frozen.live : receives());
+export const connected = () => (frozen ? frozen.open : link.value.open);
+export const brokerAnswers = () => connected() && state.value.chain.broker.ok; // else no process is known
 
 export function ageS(stampNs) {
   const now = nowMs();
@@ -61,9 +69,13 @@ export function freshness(topic, stampNs) {
   if (row?.stale_after_s === null) return "quiet"; // events: their silence says nothing, not even at the start
   if (age === null) return "never";
   if (!row) return "quiet";
+  if (state.value?.topics[topic]?.earlier) return age >= row.stale_after_s ? "stale" : "earlier"; // of before a restart
   if (age >= row.stale_after_s) return "stale";
   return age >= row.late_after_s ? "late" : "fresh";
 }
+
+// Whether a value must not be shown as live.
+export const isOld = (topic, stampNs) => ["stale", "never", "earlier"].includes(freshness(topic, stampNs));
 
 function merge(old, changes) {
   if (old === null || typeof old !== "object" || Array.isArray(old)) return changes;
@@ -76,8 +88,12 @@ function merge(old, changes) {
 }
 
 function note(view) {
-  const s = view.solution && freshness("navigation/solution", view.solution.updated_ns) !== "stale" ? view.solution : null;
-  const fix = view.fix && freshness("gnss/fix", view.fix.updated_ns) !== "stale" ? view.fix : null;
+  const live = (topic, value) => {
+    const limits = contract.value.topics[topic];
+    return value && !view.topics[topic]?.earlier && (view.now_ns - value.updated_ns) / 1e9 < limits.stale_after_s ? value : null;
+  };
+  const s = live("navigation/solution", view.solution);
+  const fix = live("gnss/fix", view.fix);
   const row = {
     latitude_deg: s?.latitude_deg,
     longitude_deg: s?.longitude_deg,
@@ -85,24 +101,29 @@ function note(view) {
     speed_gnss_m_s: fix?.ground_speed_m_s,
     speed_odometer_m_s: view.odometer?.speed_m_s,
   };
-  history.time_ns.push(view.now_ns);
-  for (const name of Object.keys(row)) (history.fields[name] ??= []).push(row[name] ?? null);
+  recent.time_ns.push(view.now_ns);
+  for (const name of Object.keys(row)) (recent.fields[name] ??= []).push(row[name] ?? null);
   let old = 0;
-  while (history.time_ns[old] < view.now_ns - HISTORY_S * 1e9) old += 1;
-  history.time_ns.splice(0, old);
-  for (const column of Object.values(history.fields)) column.splice(0, column.length - history.time_ns.length);
+  while (recent.time_ns[old] < view.now_ns - HISTORY_S * 1e9) old += 1;
+  recent.time_ns.splice(0, old);
+  for (const column of Object.values(recent.fields)) column.splice(0, column.length - recent.time_ns.length);
+}
+
+function replaceRecent(past) {
+  recent = past;
+  if (!paused.value) history = recent;
 }
 
 // After a jump of a replay the plots show the minute before the new position.
 function recall() {
-  history = { time_ns: [], fields: {} };
+  replaceRecent({ time_ns: [], fields: {} });
   clearTimeout(recalling);
   recalling = setTimeout(async () => {
     const jump = epoch;
     try {
       const answer = await fetch(`/api/history?seconds=${HISTORY_S}&fields=${PLOTTED.join(",")}`, { signal: AbortSignal.timeout(3000) });
       const past = await answer.json();
-      if (answer.ok && jump === epoch) history = past;
+      if (answer.ok && jump === epoch) replaceRecent(past);
     } catch {
       // The plots then begin at the new position.
     }
@@ -115,7 +136,7 @@ function take(frame) {
     outdated.value = version !== null && version !== frame.version;
     version ??= frame.version;
     contract.value = frame.contract;
-    history = frame.history;
+    replaceRecent(frame.history);
     held = frame.state;
   } else {
     if (frame.sequence !== sequence + 1) return socket.close();
@@ -130,12 +151,15 @@ function take(frame) {
   if (!paused.value) state.value = held;
 }
 
+// Why there is no connection, as far as an ordinary request can tell.
 async function findReason() {
   try {
-    const answer = await fetch("/api/health", { signal: AbortSignal.timeout(3000) });
-    return answer.ok || answer.status === 503 ? "full" : answer.status === 421 ? "name" : "error";
+    const answer = await fetch("/api/viewers", { signal: AbortSignal.timeout(3000) });
+    if (!answer.ok) return { why: answer.status === 421 ? "name" : "error" };
+    const viewers = await answer.json();
+    return { why: viewers.connected >= viewers.maximum ? "full" : "interrupted", viewers };
   } catch {
-    return "unreachable";
+    return { why: "unreachable" };
   }
 }
 
@@ -143,23 +167,33 @@ async function lost() {
   const before = link.value;
   const attempts = before.attempts + 1;
   link.value = { ...before, open: false, lostAt: before.lostAt ?? performance.now(), attempts, gap: null };
-  setTimeout(connect, 1000 * BACKOFF_S[Math.min(attempts - 1, BACKOFF_S.length - 1)]);
-  const why = await findReason();
-  if (!link.value.open) link.value = { ...link.value, why };
+  const waitS = before.why === "full" ? FULL_AGAIN_S : BACKOFF_S[Math.min(attempts - 1, BACKOFF_S.length - 1)];
+  setTimeout(connect, 1000 * waitS);
+  const found = await findReason();
+  if (!link.value.open) link.value = { ...link.value, ...found };
 }
 
+const unpack = (data) => (typeof data === "string" ? JSON.parse(data)
+  : new Response(data.stream().pipeThrough(new DecompressionStream("deflate"))).json());
+
 function connect() {
-  const opening = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
+  const opening = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${PACKED ? "?packed=1" : ""}`);
   socket = opening;
+  let before = Promise.resolve(); // frames are taken in their order, though they are unpacked in the background
   opening.onmessage = (event) => {
-    if (opening !== socket) return;
-    take(JSON.parse(event.data));
-    if (!link.value.open) {
-      const gap = link.value.lostAt === null ? null : (performance.now() - link.value.lostAt) / 1000;
-      link.value = { open: true, lostAt: null, why: null, gap, attempts: 0 };
-    }
+    const frame = unpack(event.data);
+    before = before.then(async () => receive(opening, await frame));
   };
   opening.onclose = () => opening === socket && lost();
+}
+
+function receive(from, frame) {
+  if (from !== socket) return;
+  take(frame);
+  if (!link.value.open) {
+    const gap = link.value.lostAt === null ? null : (performance.now() - link.value.lostAt) / 1000;
+    link.value = { open: true, lostAt: null, why: null, gap, attempts: 0 };
+  }
 }
 
 export function start() {
@@ -171,7 +205,16 @@ export function start() {
   }, 200);
 }
 
+// Paused, the page stands as it was: its values, their ages, its plots and what it says of the connection.
 export function togglePause() {
+  if (!state.value) return;
+  if (paused.value) {
+    frozen = null;
+    history = recent;
+    state.value = held;
+  } else {
+    frozen = { nowMs: runningMs(), live: receives(), open: link.value.open };
+    history = structuredClone(recent);
+  }
   paused.value = !paused.value;
-  if (!paused.value && held) state.value = held;
 }

@@ -1,6 +1,6 @@
 // The five layers, live: processes as lists, topics as lines between them, outages, and why the unit does what it does.
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, contract, freshness, link, nowMs, state } from "./store.js";
+import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "./store.js";
 import {
   Age, Card, Drawer, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
 } from "./parts.js";
@@ -20,7 +20,7 @@ function Node({ name, onHover }) {
     <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word=${words.status[status]} /><span class="sr">${name}</span><span aria-hidden="true">${short(name)}</span>${p.restarts > 0 && html`<span class="restarts">${w.restarted(p.restarts)}</span>`}</span>
     <span class="figures">${status === "waiting" || status === "missing" ? words.status[status]
       : status !== "ready" ? html`<strong>${words.status[status]}</strong>`
-      : html`<span aria-hidden="true">${[p.out_hz == null ? null : `${rate(p.out_hz)}/s`, p.latency_p99_s == null ? null : seconds(p.latency_p99_s)].filter(Boolean).join(" · ")}</span><span class="sr">${w.told(rate(p.out_hz), seconds(p.latency_p99_s))}</span>`}</span>
+      : html`<span aria-hidden="true">${[p.out_hz == null ? null : `${rate(p.out_hz)}/s`, p.latency_p99_s == null ? null : seconds(p.latency_p99_s)].filter(Boolean).join(" · ")}</span><span class="sr">${w.load(rate(p.out_hz), seconds(p.latency_p99_s))}</span>`}</span>
   </a></li>`;
 }
 
@@ -133,7 +133,7 @@ function LayersCard() {
         <section class="layer layer-${layer}" aria-label=${`${layer} ${w.layers[layer - 1]}`}>
           <h3><span class="number">${layer}</span>${w.layers[layer - 1]}<span class="note">${w.layerNotes[layer - 1]}</span></h3>
           <${Layer} names=${processes.filter(([, p]) => p.layer === layer).map(([name]) => name)} onHover=${setHovered} />
-          ${layer === 5 && html`<p class="rail"><span>${w.everything}${link.value.open ? ` · ${words.footer.rate(rate(bus.messages_hz))}` : ""}</span></p>`}
+          ${layer === 5 && html`<p class="rail"><span>${w.everything}${connected() ? ` · ${words.footer.rate(rate(bus.messages_hz))}` : ""}</span></p>`}
         </section>`)}
     </div>
     <${Legend} />
@@ -146,8 +146,8 @@ function NodeDrawer({ name, onClose }) {
   clock.value;
   const status = statusOf(name);
   const topics = Object.entries(contract.value.topics);
-  const says = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
-  const hears = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
+  const published = topics.filter(([, t]) => t.producers.includes(name)).map(([topic]) => topic);
+  const subscribed = topics.filter(([, t]) => t.consumers.includes(name)).map(([topic]) => topic);
   const rejects = Object.entries(p.rejects ?? {}).map(([kind, n]) => `${n} × ${kind}`).join(", ");
   const list = (names) => (names.length ? html`<ul class="tags">${names.map((t) => html`<li><a href=${`#/system?topic=${t}`}>${t}</a></li>`)}</ul>` : words.system.nothing);
   return html`<${Drawer} title=${w.drawer(name)} onClose=${onClose}>
@@ -158,8 +158,8 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.uptime} value=${p.since_ns && status === "ready" ? duration(Math.max(0, (nowMs() - p.since_ns / 1e6) / 1000)) : "-"} />
       <${Row} label=${w.restarts} value=${p.restarts} />
       <${Row} label=${w.lastError} value=${p.last_error ?? w.noError} />
-      <${Row} label=${w.rate} value=${rate(p.out_hz)} unit="/s" unitName="messages a second" />
-      <${Row} label=${w.heard} value=${rate(p.in_hz)} unit="/s" unitName="messages a second" />
+      <${Row} label=${w.sent} value=${rate(p.out_hz)} unit="/s" unitName="messages a second" />
+      <${Row} label=${w.received} value=${rate(p.in_hz)} unit="/s" unitName="messages a second" />
       <${Row} label=${w.latency} value=${`${seconds(p.latency_p50_s)} / ${seconds(p.latency_p99_s)}`} extra=${p.latency_of && w.latencyOf(p.latency_of)} />
       <${Row} label=${w.cpu} value=${percent(p.cpu_share)} extra=${w.cpuNote} />
       <${Row} label=${w.memory} value=${bytes(p.rss_bytes)} />
@@ -167,8 +167,8 @@ function NodeDrawer({ name, onClose }) {
       <${Row} label=${w.dropped} value=${p.dropped ?? 0} extra=${w.droppedNote} />
       <${Row} label=${w.reconnections} value=${p.reconnections ?? 0} />
     </dl>
-    <h3>${w.says}</h3>${list([...says, `health/${name}`])}
-    <h3>${w.hears}</h3>${row.observes_all ? html`<p>${w.everything}</p>` : list(hears)}
+    <h3>${w.publishes}</h3>${list([...published, `health/${name}`])}
+    <h3>${w.subscribes}</h3>${row.observes_all ? html`<p>${w.everything}</p>` : list(subscribed)}
   </${Drawer}>`;
 }
 
@@ -193,7 +193,7 @@ function TopicsCard() {
           <td class="number wide-only">${seconds(flow.latency_p99_s)}</td>
           <td class="number">${never ? "-" : html`<${Age} topic=${name} stamp=${flow.updated_ns} />`}</td></tr>`;
       })}</tbody></table></div>
-    <ul class="legend">${["fresh", "late", "stale", "never", "quiet"].map((kind) => html`<li><${StateIcon} state=${FRESH_STATE[kind]} word="" />${t.legend[kind]}</li>`)}</ul>`}
+    <ul class="legend">${["fresh", "late", "stale", "earlier", "never", "quiet"].map((kind) => html`<li><${StateIcon} state=${FRESH_STATE[kind]} word="" />${t.legend[kind]}</li>`)}</ul>`}
   </${Card}>`;
 }
 
@@ -219,16 +219,16 @@ function UnitCard() {
   const t = words.unitCard;
   const { mode, navigation, recording } = state.value;
   clock.value;
-  const old = (topic, message) => ["stale", "never"].includes(freshness(topic, message?.updated_ns));
+  const old = (topic, message) => isOld(topic, message?.updated_ns);
   const sources = mode && [mode.gnss_source, mode.imu_source, mode.speed_source].filter(Boolean).join(", ");
   return html`<${Card} title=${t.title} note=${t.note} id="unit"><dl class="rows">
     <${Row} dim=${old("mode/state", mode)} label=${t.mode} value=${mode ? mode.mode.replaceAll("_", " ") : words.topics.never} extra=${mode?.reason} />
-    ${mode && html`<${Row} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} />
-    <${Row} label=${t.sources} value=${sources || t.none} />`}
+    ${mode && html`<${Row} dim=${old("mode/state", mode)} label=${t.modeFor} value=${duration(Math.max(0, (nowMs() - mode.since_ns / 1e6) / 1000))} />
+    <${Row} dim=${old("mode/state", mode)} label=${t.sources} value=${sources || t.none} />`}
     <${Row} dim=${old("navigation/state", navigation)} label=${t.filter} value=${navigation ? words.position.phases[navigation.phase] ?? navigation.phase : words.topics.never} extra=${navigation?.reason} />
-    ${navigation && html`<${Row} label=${t.fixes} value=${t.usedRejected(navigation.fixes_used, navigation.fixes_rejected)} />
-    <${Row} label=${t.samples} value=${t.usedRejected(navigation.samples_used, navigation.samples_rejected)} />
-    <${Row} label=${t.gaps} value=${t.gapsResets(navigation.imu_gaps, navigation.resets)} />`}
+    ${navigation && html`<${Row} dim=${old("navigation/state", navigation)} label=${t.fixes} value=${t.usedRejected(navigation.fixes_used, navigation.fixes_rejected)} />
+    <${Row} dim=${old("navigation/state", navigation)} label=${t.samples} value=${t.usedRejected(navigation.samples_used, navigation.samples_rejected)} />
+    <${Row} dim=${old("navigation/state", navigation)} label=${t.gaps} value=${t.gapsResets(navigation.imu_gaps, navigation.resets)} />`}
     <${Row} dim=${old("recording/state", recording)} label=${t.recording} value=${recording?.file ?? (recording ? words.footer.notRecording : words.topics.never)} extra=${recording?.reason ?? (recording && t.written(bytes(recording.bytes_written), recording.dropped))} />
   </dl></${Card}>`;
 }

@@ -1,6 +1,6 @@
 // The page Toll of a road-side unit: the plaza from above, its lanes, its passages, and the account of every detection.
 import { useState } from "preact/hooks";
-import { clock, freshness, link, nowMs, state } from "./store.js";
+import { clock, isOld as old, link, nowMs, state } from "./store.js";
 import { Age, Card, Drawer, Empty, Row, StateIcon, compass, duration, fixed, html, metres, percent, rate, timeOfDay } from "./parts.js";
 import { words } from "./words.js";
 
@@ -11,7 +11,6 @@ const OUTCOMES = ["charged", "undecided", "unregistered", "suspect", "void", "mi
 const paths = new Map(); // of each track: [ns, north, east] of the last seconds
 let drawnNs = null;
 
-const old = (topic, stamp) => ["stale", "never"].includes(freshness(topic, stamp));
 const amount = (cents, currency) => (cents == null ? words.age.bar : `${(cents / 100).toFixed(2)} ${currency ?? ""}`);
 const ago = (ns) => (ns == null || nowMs() === null ? words.age.bar : w.ago(duration(Math.max(0, (nowMs() - ns / 1e6) / 1000))));
 

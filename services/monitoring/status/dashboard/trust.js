@@ -138,7 +138,7 @@ function useHistory() {
       gone = true;
       clearInterval(timer);
     };
-  }, [link.value.open]);
+  }, [link.value.open, paused.value]);
   return history;
 }
 

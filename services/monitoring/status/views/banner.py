@@ -5,7 +5,7 @@ the newest `trust/state` is within its deadline and says so.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import degrees
 
@@ -26,7 +26,7 @@ from .geometry import vertical_sd
 from .plain_words import label_of, plain, sentence, who
 
 HEADING_SD_LIMIT_DEG = 3.0  # above, a heading misleads more than it helps: 5 % of the distance sideways
-FITS = {AidingKind.NON_HOLONOMIC: "non-holonomic constraint"}
+FITS = {AidingKind.NON_HOLONOMIC: "Non-holonomic constraint"}
 GATE_LIMIT = 1.0  # by definition of the test ratio
 AIDING_RECENT_S = 5.0
 RATIO_MAXIMUM = 9.99
@@ -34,15 +34,21 @@ MONITORS_MAXIMUM = 16  # shown
 
 
 class Trust(StrEnum):
-    """State of the banner, or of a check: those of `TrustLevel`, and what is not known or not evaluated."""
+    """State of the banner, or of a check: those of `TrustLevel`, and what is not known or not evaluated.
+
+    UNSAFE for an exceeded alert limit is a state of its own: its cause is accuracy, not an accusation.
+    """
 
     SAFE = "safe"
     CAUTION = "caution"
     UNSAFE = "unsafe"
+    ABOVE_LIMIT = "above_limit"
     DEAD_RECKONING = "dead_reckoning"
     NO_FIX = "no_fix"
     INITIALISING = "initialising"
+    STARTING = "starting"  # nothing newer than the last start of a process or of the broker is received yet
     STALE = "stale"
+    BROKER_LOST = "broker_lost"
     OFF = "off"
 
 
@@ -50,12 +56,17 @@ WORDS = {
     Trust.SAFE: "SAFE",
     Trust.CAUTION: "CAUTION",
     Trust.UNSAFE: "UNSAFE",
+    Trust.ABOVE_LIMIT: "ABOVE LIMIT",
     Trust.DEAD_RECKONING: "DEAD RECKONING",
     Trust.NO_FIX: "NO FIX",
     Trust.INITIALISING: "INITIALISING",
+    Trust.STARTING: "STARTING",
     Trust.STALE: "NO DATA",
+    Trust.BROKER_LOST: "BROKER LOST",
     Trust.OFF: "NOT EVALUATED",
 }
+KNOWN = frozenset(Trust(level.value) for level in TrustLevel) | {Trust.ABOVE_LIMIT}  # a verdict is there
+ROW_ABOVE_LIMIT = 3  # of the verdict table of `core.trust`
 OUTCOMES = {
     MonitorOutcome.PASS: Trust.SAFE,
     MonitorOutcome.ACCUSES: Trust.UNSAFE,
@@ -72,9 +83,12 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the banner shows; ages in seconds, None for what never came."""
+    """What the banner shows; ages in seconds, None for what did not come since the last start of its producer."""
 
     broker: bool
+    received_ns: int | None = None  # stamp of the newest message of all
+    awaited: str | None = None  # what is to come after a start, as long as nothing is known to keep it away
+    earlier_monitors: frozenset[str] = frozenset()  # their process was restarted since their last statement
     trust: TrustState | None = None
     trust_age_s: float | None = None
     trust_cause: str | None = None  # root cause of a missing or old verdict
@@ -120,9 +134,9 @@ class Verdict:
 
 WAITING = {
     NavigationPhase.WAITING_FOR_IMU: "no inertial data are received",
-    NavigationPhase.LEVELLING: "the filter is levelling, which needs the vehicle to stand still",
+    NavigationPhase.LEVELLING: "levelling: keep the vehicle still",
     NavigationPhase.WAITING_FOR_GNSS: "no usable GNSS fix is received",
-    NavigationPhase.WAITING_FOR_HEADING: "the heading is not known, which needs the vehicle to drive a little",
+    NavigationPhase.WAITING_FOR_HEADING: "the heading is not known: drive a few metres",
 }
 SENTENCES = {
     TrustLevel.SAFE: "The position can be used",
@@ -150,6 +164,10 @@ ACTIONS = {
         "The checks show which input is missing. Outdoors a first position takes up to a minute."
     ),
 }  # fmt: skip
+ABOVE_LIMIT_ACTION = (
+    "Do not use the position where an error above the alert limit does harm. The protection level falls with more "
+    "satellites, corrections or a moving vehicle. The alert limits are set in the vehicle's file."
+)
 
 
 def show(evidence: Evidence) -> Verdict:
@@ -157,9 +175,17 @@ def show(evidence: Evidence) -> Verdict:
     e, checks = evidence, tuple(_checks(evidence))
     if not e.broker:
         return Verdict(
-            Trust.STALE,
+            Trust.BROKER_LOST,
             f"Nothing is known: {e.cause or 'the broker is not reachable'}.",
             "Start the broker or read its log. All messages pass through it; processes reconnect by themselves.",
+            tuple(replace(check, state=Trust.STALE, text="not known", ratio=None) for check in checks),
+            e.received_ns,
+        )
+    if e.awaited:
+        return Verdict(
+            Trust.STARTING,
+            f"Nothing is known yet: waiting for {e.awaited}.",
+            "Wait a few seconds. If it lasts, the page System shows which process does not publish.",
             checks,
         )
     if e.trust is None or (missing := no_verdict(e.trust_age_s)):
@@ -185,10 +211,11 @@ def _verdict(e: Evidence, trust: TrustState, checks: tuple[Check, ...]) -> Verdi
     waiting = WAITING.get(e.phase) if e.phase else None
     lost = "; ".join(why for why in (e.cause, waiting) if why)
     detail = {TrustLevel.NO_FIX: lost, TrustLevel.INITIALISING: waiting or e.cause}.get(trust.state)
+    above = trust.state is TrustLevel.UNSAFE and trust.row == ROW_ABOVE_LIMIT
     return Verdict(
-        Trust(trust.state.value),
+        Trust.ABOVE_LIMIT if above else Trust(trust.state.value),
         sentence(f"{SENTENCES[trust.state]}: {reason}", detail),
-        ACTIONS[trust.state],
+        ABOVE_LIMIT_ACTION if above else ACTIONS[trust.state],
         checks,
         trust.since_ns,
         trust.row,
@@ -213,15 +240,16 @@ def _monitor_checks(e: Evidence) -> list[Check]:
     """Show the outcome of each monitor as `core.trust` used it; of an old verdict none is known to hold any more."""
     if e.trust is None:
         return []
-    missing = no_verdict(e.trust_age_s)
     checks = []
     for statement in e.trust.monitors[:MONITORS_MAXIMUM]:
+        earlier = "no statement since its process was restarted" if statement.monitor in e.earlier_monitors else None
+        missing = no_verdict(e.trust_age_s) or earlier
         text = plain(statement.reason)
         ratio = ratio_of(statement.outcome, statement.statistic, statement.threshold)
         if statement.accused:
             text = f"accuses {who(statement.accused)}: {text}"
         elif statement.outcome is MonitorOutcome.PASS and ratio is not None:
-            text = f"{ratio:.2f} of the threshold"
+            text = f"{100.0 * ratio:.0f} % of threshold"
         checks.append(
             Check(
                 statement.monitor,
@@ -321,7 +349,7 @@ def _protection_check(e: Evidence) -> Check:
     ratios = [level_m / limit_m for _, level_m, limit_m in levels if limit_m is not None]
     if not ratios:
         return Check(name, label, Trust.STALE, f"{text}; alert limits not received", link=link)
-    state = Trust.SAFE if max(ratios) <= 1.0 else Trust.CAUTION
+    state = Trust.SAFE if max(ratios) <= 1.0 else Trust.ABOVE_LIMIT
     return Check(name, label, state, text, min(max(ratios), RATIO_MAXIMUM), link)
 
 
@@ -330,8 +358,8 @@ def _gate_checks(e: Evidence) -> list[Check]:
     checks = []
     for kind, update, _ in _recent(e):
         good = update.used and update.test_ratio <= GATE_LIMIT
-        text = f"{update.test_ratio:.2f} of the limit" + ("" if update.used else ", rejected")
-        label = f"Fit of {FITS.get(kind) or kind.replace('_', ' ').replace('gnss', 'GNSS')}"
+        text = f"{100.0 * update.test_ratio:.0f} % of limit" + ("" if update.used else ", rejected")
+        label = f"{FITS.get(kind) or _capital(kind.replace('_', ' ').replace('gnss', 'GNSS'))} residual"
         state = Trust.SAFE if good else Trust.CAUTION
         checks.append(
             Check(
@@ -346,12 +374,16 @@ def _gate_checks(e: Evidence) -> list[Check]:
     return checks or [
         Check(
             "gate",
-            "Fit of the measurements",
+            "Residuals",
             Trust.STALE,
             f"none in {AIDING_RECENT_S:g} s",
             link="system?topic=navigation/aiding",
         )
     ]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _is_old(e: Evidence) -> bool:

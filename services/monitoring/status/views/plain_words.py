@@ -14,6 +14,7 @@ LABELS = {
 }
 STATED = re.compile(r"(?:monitor )?([a-z_]+): (.+)", re.DOTALL)
 ACCUSES = re.compile(r"\bmonitor ([a-z_]+) accuses\b")
+NESTED = re.compile(r"(?<=: )([a-z_]+): ")  # a monitor's reason inside that of a row
 GNSS = re.compile(r"\bgnss\b")
 SINCE = re.compile(r"since (\d{9,10}\.\d) s")  # on the OBU time line, which is UTC
 
@@ -38,6 +39,7 @@ def plain(reason: str) -> str:
         else:
             said.append((names, text))
     joined = "; ".join(_stated(names, text) for names, text in said)
+    joined = NESTED.sub(lambda found: f"{LABELS[found[1]]}: " if found[1] in LABELS else found[0], joined)
     joined = ACCUSES.sub(lambda found: f"{label_of(found[1])} accuses", joined)
     joined = SINCE.sub(lambda found: f"since {datetime.fromtimestamp(float(found[1]), UTC):%H:%M:%S} UTC", joined)
     return GNSS.sub("GNSS", joined.replace("_", " "))

@@ -7,7 +7,7 @@ from shared.messages.operation import ProcessStatus
 from ..flow import TopicFlow
 from ..state import State
 from . import snapshot as views
-from .banner import Trust
+from .banner import WORDS, Trust
 from .snapshot import Json, dashboard, rounded, traffic
 
 BYTES_SHOWN = 512
@@ -18,12 +18,17 @@ def health(state: State, now_ns: int) -> Json:
     judgement = state.judgement
     lost = any(problem.what == "broker" for problem in judgement.problems) and not judgement.complete
     verdict = state.verdict
-    degraded = judgement.problems or verdict.state in (Trust.STALE, Trust.NO_FIX, Trust.INITIALISING)
+    degraded = judgement.problems or verdict.state not in (Trust.SAFE, Trust.CAUTION)
     return {
         "state": "failed" if lost else "degraded" if degraded else "ok",
         "now_ns": now_ns,
         "broker": state.broker,
-        "position": {"state": verdict.state, "sentence": verdict.sentence, "since_ns": verdict.since_ns},
+        "position": {
+            "state": verdict.state,
+            "word": WORDS[verdict.state],
+            "sentence": verdict.sentence,
+            "since_ns": verdict.since_ns,
+        },
         "problems": views.problems(state),
         "processes": {
             name: {

@@ -77,7 +77,7 @@ def dashboard(state: State, now_ns: int) -> Json:
         "set_up": _dated(state, "navigation/set_up", SetUpState, now_ns),
         "mode": _dated(state, "mode/state", ModeState, now_ns),
         "recording": _dated(state, "recording/state", RecordingState, now_ns),
-        "topics": {name: traffic(flow) for name, flow in state.topics.items()},
+        "topics": {name: {**traffic(flow), **_earlier(state, name)} for name, flow in state.topics.items()},
         "processes": processes(state, now_ns),
         "problems": problems(state),
         "outages": [outage.model_dump(mode="json") for outage in outages(state)[:OUTAGES_SHOWN]],
@@ -200,6 +200,11 @@ def outages(state: State) -> list[Outage]:
     """List the outages: open ones first, then the newest."""
     open_ = [problem.outage for problem in state.judgement.problems if problem.outage is not None]
     return [*open_, *(outage for outage in state.outages.closed() if not _same(outage, open_))]
+
+
+def _earlier(state: State, name: str) -> Json:
+    """Mark a topic whose newest message is from before a restart, so that nobody takes it for live."""
+    return {"earlier": True} if state.is_earlier(name) else {}
 
 
 def traffic(flow: TopicFlow) -> Json:

@@ -50,7 +50,10 @@ def verdict(state: "State", now_ns: int, *, broker: bool) -> Verdict:
     delta = state.newest(TollDelta, "toll/delta", now_ns, live=True)
     checks = (_ledger_check(ledger), _delta_check(delta), _accounts_check(ledger))
     if not broker:
-        return Verdict(Trust.STALE, "No data: the broker does not answer", "Check the broker.", checks)
+        return Verdict(Trust.BROKER_LOST, "Nothing is known: the broker does not answer.", "Check the broker.", checks)
+    if ledger is None and state.is_awaited("ledger/state", now_ns):
+        sentence = "Nothing is known yet: waiting for the first state of the ledger."
+        return Verdict(Trust.STARTING, sentence, "If it lasts, the page System shows what does not publish.", checks)
     worst = min(checks, key=lambda check: _ORDER.index(check.state))
     sentence, action = _SENTENCES[worst.name, worst.state is Trust.SAFE]
     text = "" if worst.state is Trust.SAFE else f": {worst.text}"

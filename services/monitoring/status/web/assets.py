@@ -15,13 +15,26 @@ PAGES = (
     "words.js",
     "parts.js",
     "now.js",
+    "map.js",
+    "mapstyle.js",
+    "maplayers.js",
+    "mapview.js",
+    "mapwords.js",
+    "geo.js",
     "closeup.js",
     "trust.js",
     "attacks.js",
     "toll.js",
     "system.js",
     "inspector.js",
+    "plot.js",
+    "series.js",
+    "charts.js",
+    "chart_words.js",
+    "gnss.js",
+    "gnss_words.js",
     "replay.js",
+    "recordings.js",
 )
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",
@@ -31,6 +44,14 @@ LIBRARIES = {
     "signals.js": "@preact/signals/dist/signals.mjs",
     "uplot.js": "uplot/dist/uPlot.iife.min.js",
 }
+MAP_LIBRARIES = {
+    "maplibre.js": "maplibre-gl/dist/maplibre-gl.mjs",
+    "maplibre-worker.js": "maplibre-gl/dist/maplibre-gl-worker.mjs",
+    "maplibre.css": "maplibre-gl/dist/maplibre-gl.css",
+    "pmtiles.js": "pmtiles/dist/pmtiles.js",
+}  # of the page Map alone: read and compressed when first asked for
+WORKERS = ("maplibre-worker.js",)  # a worker keeps the policy of its own file: it may load tiles from here
+WORKER_POLICY = "default-src 'none'; script-src 'self'; connect-src 'self'"
 LIBRARY_STYLE = "uplot/dist/uPlot.min.css"  # sent in front of our own style: one request less
 DOCUMENTATION = {
     "swagger-ui.js": "swagger-ui-dist/swagger-ui-bundle.js",

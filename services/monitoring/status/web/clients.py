@@ -1,18 +1,34 @@
-"""The browsers that watch: every one is given the same frame, and one that does not keep up is let go."""
+"""Clients that stay connected: every one is sent the same frame; one that does not keep up is disconnected."""
 
 import asyncio
+import zlib
+from dataclasses import dataclass, field
+from functools import cached_property
 
 QUEUE_FRAMES = 15  # three seconds at 5 Hz
 
 
+@dataclass(frozen=True)
+class Frame:
+    """One message to all clients: encoded once, and compressed once if anybody wants it so."""
+
+    plain: bytes
+
+    @cached_property
+    def packed(self) -> bytes:
+        """The frame in zlib's format, complete in itself: no client needs a compressor of its own."""
+        return zlib.compress(self.plain, 6)
+
+
+@dataclass(eq=False)
 class Client:
-    """One browser's queue of frames; None ends it."""
+    """One client's queue of frames; None ends it."""
 
-    def __init__(self) -> None:
-        self.frames: asyncio.Queue[bytes | None] = asyncio.Queue(QUEUE_FRAMES)
+    packed: bool = False  # takes frames in zlib's format
+    frames: asyncio.Queue[Frame | None] = field(default_factory=lambda: asyncio.Queue(QUEUE_FRAMES))
 
-    def put(self, frame: bytes) -> bool:
-        """Queue a frame; False if the browser is too slow."""
+    def put(self, frame: Frame) -> bool:
+        """Queue a frame; False if the client is too slow."""
         if self.frames.full():
             return False
         self.frames.put_nowait(frame)
@@ -23,17 +39,17 @@ class Clients:
     """A bounded set of clients."""
 
     def __init__(self, maximum: int) -> None:
-        self._maximum = maximum
+        self.maximum = maximum
         self._clients: set[Client] = set()
 
     def __len__(self) -> int:
         return len(self._clients)
 
-    def enter(self) -> Client | None:
-        """Admit a client, or None if the house is full."""
-        if len(self._clients) >= self._maximum:
+    def enter(self, *, packed: bool = False) -> Client | None:
+        """Admit a client, or None if there are as many as allowed."""
+        if len(self._clients) >= self.maximum:
             return None
-        client = Client()
+        client = Client(packed)
         self._clients.add(client)
         return client
 
@@ -41,8 +57,8 @@ class Clients:
         """Forget a client."""
         self._clients.discard(client)
 
-    def broadcast(self, frame: bytes) -> None:
-        """Queue one frame for everyone, and let go who has not read the last ones."""
+    def broadcast(self, frame: Frame) -> None:
+        """Queue one frame for everyone, and disconnect who has not read the last ones."""
         for client in [client for client in self._clients if not client.put(frame)]:
             self.leave(client)
             client.frames.get_nowait()  # make room for the end

@@ -22,9 +22,11 @@ The description itself is at /openapi.json
 class Pages:
     """Serves files from memory; the few large ones of the API's description from disk."""
 
-    def __init__(self, files: Mapping[str, bytes], documentation: Mapping[str, Path]) -> None:
+    def __init__(
+        self, files: Mapping[str, bytes], documentation: Mapping[str, Path], later: Mapping[str, Path] | None = None
+    ) -> None:
         self._assets = assets.make_assets(files)
-        self._documentation = documentation
+        self._documentation, self._later = documentation, dict(later or {})
         page = files.get("index.html", b"").decode()
         self._policy = assets.security_policy(page)
         self._complete = all(name in files for name in (*assets.PAGES, *(f"lib/{n}" for n in assets.LIBRARIES)))
@@ -53,7 +55,10 @@ class Pages:
         """Serve a library."""
         if path := self._documentation.get(name):
             return FileResponse(path, media_type=assets.TYPES[name.rsplit(".", 1)[1]])
-        return self._asset(f"lib/{name}", request)
+        if name in self._later and f"lib/{name}" not in self._assets:
+            self._assets[f"lib/{name}"] = assets.make_asset(name, self._later[name].read_bytes())
+        headers = {"Content-Security-Policy": assets.WORKER_POLICY} if name in assets.WORKERS else {}
+        return self._asset(f"lib/{name}", request, headers)
 
     def docs(self) -> Response:
         """Show the API's description."""
@@ -62,10 +67,10 @@ class Pages:
         policy = assets.documentation_policy(DOCS)
         return HTMLResponse(DOCS, headers={"Content-Security-Policy": policy})
 
-    def _asset(self, path: str, request: Request) -> Response:
+    def _asset(self, path: str, request: Request, headers: Mapping[str, str] | None = None) -> Response:
         if path not in self._assets:
             raise HTTPException(404, f"there is no {path} here")
-        return _send(self._assets[path], request, {})
+        return _send(self._assets[path], request, headers or {})
 
 
 def _send(asset: Asset, request: Request, headers: Mapping[str, str]) -> Response:
@@ -86,4 +91,5 @@ def read_pages(folder: Path) -> Pages:
     files = {name: path.read_bytes() for name, path in wanted.items() if path.is_file()}
     if "style.css" in files and (libraries / assets.LIBRARY_STYLE).is_file():
         files["style.css"] = (libraries / assets.LIBRARY_STYLE).read_bytes() + files["style.css"]
-    return Pages(files, large if all(path.is_file() for path in large.values()) else {})
+    of_map = {name: libraries / path for name, path in assets.MAP_LIBRARIES.items() if (libraries / path).is_file()}
+    return Pages(files, large if all(path.is_file() for path in large.values()) else {}, of_map)

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from queue import Full, Queue
+from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
 from pydantic import ValidationError
@@ -13,10 +14,11 @@ from shared.messages.replay import ReplayCommand, ReplayControl
 
 from ..replay import ReplayFeed
 from . import body, hosts
+from .answers import Refusal, Replay, Taken, described, inlined
 
 WAITING = 32  # commands that are not yet published
 LOOK_S = 0.02  # between two looks for a jump that is complete
-BODY = {"content": {"application/json": {"schema": ReplayControl.model_json_schema()}}, "required": True}
+BODY = {"content": {"application/json": {"schema": inlined(ReplayControl)}}, "required": True}
 
 
 class ReplayApi:
@@ -31,10 +33,16 @@ class ReplayApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        app.add_api_route("/api/replay", self.replay, response_class=Response)
+        taken: dict[int | str, dict[str, Any]] = {202: described(Taken, "Published")}
+        refused = {403: "A page from elsewhere", 409: "No replay", 413: "Too long", 422: "Not a command", 503: "Full"}
+        taken |= {status: described(Refusal, text) for status, text in refused.items()}
+        app.add_api_route(
+            "/api/replay", self.replay, response_class=Response, tags=["replay"],
+            responses={200: described(Replay, "The replay, or null")},
+        )  # fmt: skip
         app.add_api_route(
             "/api/replay", self.control, methods=["POST"], status_code=202, response_class=Response,
-            openapi_extra={"requestBody": BODY},
+            tags=["replay"], responses=taken, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
     def refresh(self, *, connected: bool) -> None:

@@ -2,30 +2,75 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, MutableMapping
+import pathlib
+from collections.abc import AsyncIterator, Callable, Iterable, MutableMapping
 from contextlib import AbstractContextManager, asynccontextmanager
-from typing import Annotated, Any
+from threading import Lock
+from typing import Annotated, Any, Literal, Protocol
 
 import uvicorn
-from fastapi import FastAPI, HTTPException, Path, Query, Response
+from fastapi import FastAPI, HTTPException, Path, Query, Request, Response
+from fastapi.responses import StreamingResponse
 from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
+from shared.recording.library import Library
 
 from ..history import FIELDS
 from ..state import State
-from ..views import prometheus, reports
+from ..views import position, prometheus, reports
 from . import assets, hosts
+from .answers import (
+    Everything,
+    Feature,
+    Health,
+    History,
+    Outages,
+    Refusal,
+    Solution,
+    Topic,
+    TrustReport,
+    Viewers,
+    described,
+    inlined,
+)
+from .events import Events
+from .map import MapApi
 from .pages import Pages
+from .recordings import Job, RecordingsApi
 from .replay import ReplayApi
+from .series import SeriesApi
 from .simulation import SimulationApi
 from .websocket import Stream
 
 log = logging.getLogger(__name__)
 
+API_VERSION = "1.0"
+DESCRIPTION = (
+    "State of the on-board unit, for programs. Stamps are nanoseconds on the unit's time line, which is UTC; what is "
+    "not known is null. The messages themselves are described in /asyncapi.json."
+)
+TAGS = {
+    "position": "Where the vehicle is, and how well that is known",
+    "integrity": "Whether the position can be used, and why",
+    "unit": "Processes, topics, outages",
+    "streams": "Connections that stay open",
+    "simulation": "Attacks on a simulated vehicle",
+    "replay": "Controls of a replay",
+    "recordings": "Recorded drives: list, download, keep, delete, replay, solve",
+}
+GEOJSON = "application/geo+json"
+Responses = dict[int | str, dict[str, Any]]
 Scope = MutableMapping[str, Any]
 Send = Callable[[Scope], Any]
+
+
+class Routes(Protocol):
+    """A group of routes in a file of its own."""
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
 
 
 class Api:
@@ -44,13 +89,38 @@ class Api:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        app.add_api_route("/api/state", self.state, response_class=Response)
-        app.add_api_route("/api/health", self.health, response_class=Response)
-        app.add_api_route("/api/topics/{name:path}", self.topic, response_class=Response)
-        app.add_api_route("/api/history", self.history, response_class=Response)
-        app.add_api_route("/api/trust", self.trust, response_class=Response)
-        app.add_api_route("/api/outages", self.outages, response_class=Response)
-        app.add_api_route("/metrics", self.metrics, response_class=Response)
+
+        def add(path: str, answer: Callable[..., Response], tag: str, responses: Responses) -> None:
+            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses=responses)
+
+        health: Responses = {200: described(Health, "State of the unit"), 503: described(Health, "The broker is lost")}
+        feature = described(Feature, "The solution as a feature", GEOJSON)["content"]
+        newest = described(Solution, "The newest solution")
+        newest["content"] |= {GEOJSON: {**feature[GEOJSON], "schema": inlined(Feature)}}
+        unknown: Responses = {404: described(Refusal, "There is no such name")}
+        add("/api/solution", self.solution, "position", {200: newest})
+        add("/api/history", self.history, "position", {200: described(History, "Columns of values"), **unknown})
+        add("/api/trust", self.trust, "integrity", {200: described(TrustReport, "The verdict and its monitors")})
+        add("/api/health", self.health, "unit", health)
+        add("/api/outages", self.outages, "unit", {200: described(Outages, "Outages by root cause")})
+        add("/api/state", self.state, "unit", {200: described(Everything, "Everything at once")})
+        add("/api/topics/{name:path}", self.topic, "unit", {200: described(Topic, "One topic"), **unknown})
+        text = {"text/plain": {"schema": {"type": "string"}, "example": 'obu_process_up{process="core.fusion"} 1.0\n'}}
+        add("/metrics", self.metrics, "unit", {200: {"description": "Metrics for Prometheus", "content": text}})
+
+    def solution(
+        self,
+        request: Request,
+        form: Annotated[Literal["json", "geojson"] | None, Query(alias="format")] = None,
+    ) -> Response:
+        """The newest position with uncertainty, protection levels and verdict: JSON, or GeoJSON if asked for.
+
+        `format` decides, or else the header `Accept: application/geo+json`. Look at `verdict_known` and `live`: an old
+        solution stays here with its age.
+        """
+        if form == "geojson" or (form is None and GEOJSON in request.headers.get("accept", "")):
+            return self._answer(lambda now_ns: position.feature(self._state, now_ns), GEOJSON)
+        return self._answer(lambda now_ns: position.solution(self._state, now_ns))
 
     def state(self) -> Response:
         """Everything at once: banner, solution, processes, and the newest message of every topic."""
@@ -94,10 +164,10 @@ class Api:
         """The state for Prometheus."""
         return Response(prometheus.text(self._registry), media_type="text/plain; version=0.0.4; charset=utf-8")
 
-    def _answer(self, ask: Callable[[int], object]) -> Response:
+    def _answer(self, ask: Callable[[int], object], media_type: str = "application/json") -> Response:
         with self._lock:
             answer = ask(self._now_ns())
-        return _json(answer, 200)
+        return _json(answer, 200, media_type)
 
 
 class Guard:
@@ -119,32 +189,97 @@ class Guard:
         await Response(text, 421)(scope, receive, _with_headers(send))
 
 
+class Watching:
+    """The streams to clients that stay connected: `/ws` and `/api/events`."""
+
+    def __init__(
+        self,
+        state: State,
+        lock: AbstractContextManager[object],
+        now_ns: Callable[[], int],
+        clients_maximum: int,
+        replay: ReplayApi,
+    ) -> None:
+        self.stream = Stream(state, lock, now_ns, clients_maximum, replay)
+        self.events = Events(state, lock, now_ns, clients_maximum)
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
+        example = 'event: solution\ndata: {"state": "safe", "latitude_deg": 48.135124}\n\n'
+        content = {"text/event-stream": {"schema": {"type": "string"}, "example": example}}
+        answers: Responses = {
+            200: {"description": "verdict, solution, outage; comments as heartbeats", "content": content},
+            503: described(Refusal, "Too many readers"),
+        }
+        viewers: Responses = {200: described(Viewers, "Clients and their limit")}
+        app.add_api_route(
+            "/api/events", self.read, response_class=StreamingResponse, tags=["streams"], responses=answers
+        )
+        app.add_api_route("/api/viewers", self.viewers, response_class=Response, tags=["streams"], responses=viewers)
+        app.add_api_websocket_route("/ws", self.stream.serve)
+
+    async def read(self) -> StreamingResponse:
+        """Server-sent events: the verdict when it changes, the solution once a second, outages."""
+        return self.events.stream()
+
+    def viewers(self) -> Response:
+        """How many clients are connected, and how many may be."""
+        connected, events = len(self.stream.clients), len(self.events.clients)
+        return _json({"connected": connected, "events": events, "maximum": self.stream.clients.maximum}, 200)
+
+
 def make_app(
     api: Api,
-    commands: tuple[SimulationApi, ReplayApi],
+    further: Iterable[Routes],
     pages: Pages,
-    stream: Stream,
+    watching: Watching,
     allowed_hosts: tuple[str, ...],
 ) -> FastAPI:
     """Put the routes together."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        task = asyncio.create_task(stream.run())
-        task.add_done_callback(lambda done: _end_with(done, app.state.server))
+        tasks = [asyncio.create_task(part.run()) for part in (watching.stream, watching.events)]
+        for task in tasks:
+            task.add_done_callback(lambda done: _end_with(done, app.state.server))
         yield
-        task.cancel()
+        for task in tasks:
+            task.cancel()
 
-    app = FastAPI(title="On-board unit", docs_url=None, redoc_url=None, lifespan=lifespan)
-    stream.version = pages.version
+    app = FastAPI(
+        title="On-board unit",
+        description=DESCRIPTION,
+        version=API_VERSION,
+        openapi_tags=[{"name": name, "description": text} for name, text in TAGS.items()],
+        docs_url=None,
+        redoc_url=None,
+        lifespan=lifespan,
+    )
+    watching.stream.version = pages.version
     api.add_to(app)
-    for command in commands:
-        command.add_to(app)
+    for routes in further:
+        routes.add_to(app)
+    watching.add_to(app)
     app.add_api_route("/asyncapi.json", lambda: _json(asyncapi(), 200), include_in_schema=False)
-    app.add_api_websocket_route("/ws", stream.serve)
     app.include_router(pages.router())
     app.add_middleware(Guard, allowed_hosts=allowed_hosts)
     return app
+
+
+def openapi() -> dict[str, Any]:
+    """Describe the API without a unit, as it is printed in docs/reference."""
+    state, lock = State("", (), 0, 900.0), Lock()
+
+    def now_ns() -> int:
+        return 0
+
+    api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
+    replay = ReplayApi(None, lock, now_ns)
+    watching = Watching(state, lock, now_ns, 1, replay)
+    recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
+    simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
+    apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, maps)
+    return make_app(api, apis, Pages({}, {}), watching, ()).openapi()
 
 
 def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
@@ -174,8 +309,8 @@ def _end_with(task: asyncio.Task[None], server: uvicorn.Server) -> None:
         server.should_exit = True
 
 
-def _json(content: object, status: int) -> Response:
-    return Response(to_json(content), status, {"Cache-Control": "no-store"}, "application/json")
+def _json(content: object, status: int, media_type: str = "application/json") -> Response:
+    return Response(to_json(content), status, {"Cache-Control": "no-store"}, media_type)
 
 
 def _with_headers(send: Send) -> Send:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from queue import Full, Queue
+from typing import Any
 from uuid import uuid4
 
 from fastapi import FastAPI, HTTPException, Request, Response
@@ -15,9 +16,10 @@ from shared.messages.simulation import AttackCommand, SimulationAttack
 from ..state import State
 from ..views import simulation as views
 from . import body, hosts
+from .answers import Accepted, Refusal, Simulation, described, inlined
 
 WAITING = 8  # commands that are not yet published
-BODY = {"content": {"application/json": {"schema": SimulationAttack.model_json_schema()}}, "required": True}
+BODY = {"content": {"application/json": {"schema": inlined(SimulationAttack)}}, "required": True}
 
 
 class SimulationApi:
@@ -29,10 +31,21 @@ class SimulationApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        app.add_api_route("/api/simulation", self.simulation, response_class=Response)
+        shown: dict[int | str, dict[str, Any]] = {200: described(Simulation, "Attacks")}
+        taken: dict[int | str, dict[str, Any]] = {202: described(Accepted, "Published")}
+        taken |= {
+            status: described(Refusal, text)
+            for status, text in (
+                (403, "A page from elsewhere"), (409, "Not simulated"), (413, "Too long"), (422, "Not a command"),
+                (503, "Commands are waiting"),
+            )
+        }  # fmt: skip
+        app.add_api_route(
+            "/api/simulation", self.simulation, response_class=Response, tags=["simulation"], responses=shown
+        )
         app.add_api_route(
             "/api/simulation/attack", self.attack, methods=["POST"], status_code=202, response_class=Response,
-            openapi_extra={"requestBody": BODY},
+            tags=["simulation"], responses=taken, openapi_extra={"requestBody": BODY},
         )  # fmt: skip
 
     def simulation(self) -> Response:

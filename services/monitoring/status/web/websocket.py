@@ -1,4 +1,8 @@
-"""The WebSocket: a snapshot on opening, then what changed, five times a second, one encoded frame for everyone."""
+"""The WebSocket: a snapshot on opening, then what changed, five times a second, one encoded frame for everyone.
+
+`/ws` sends JSON as text; `/ws?packed=1` sends the same JSON in zlib's format as binary messages. Each frame is
+compressed once for all; permessage-deflate would need a compressor with 256 kB for every client.
+"""
 
 import asyncio
 from collections.abc import Callable, Coroutine
@@ -12,7 +16,7 @@ from ..views import snapshot
 from ..views.patch import difference
 from ..views.snapshot import Json
 from . import hosts
-from .clients import Client, Clients
+from .clients import Client, Clients, Frame
 from .replay import ReplayApi
 
 PERIOD_S = 0.2
@@ -20,7 +24,7 @@ PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s",
 
 
 class Stream:
-    """Compares the state with what browsers have been told, and tells them the difference."""
+    """Compares the state with what clients were sent, and sends them the difference."""
 
     def __init__(
         self,
@@ -33,7 +37,7 @@ class Stream:
         self._replay = replay
         self._state, self._lock, self._now_ns = state, lock, now_ns
         self.clients = Clients(clients_maximum)
-        self._told: Json = {}
+        self._sent: Json = {}
         self._sequence = 0
         self.version = ""
 
@@ -44,17 +48,17 @@ class Stream:
             if len(self.clients):
                 self.clients.broadcast(self.difference())
 
-    def difference(self) -> bytes:
+    def difference(self) -> Frame:
         """Encode what changed since the last frame."""
-        before, self._told = self._told, self._view()
+        before, self._sent = self._sent, self._view()
         self._sequence += 1
-        changes = difference(before, self._told)
-        return to_json({"kind": "difference", "sequence": self._sequence, "state": changes})
+        changes = difference(before, self._sent)
+        return Frame(to_json({"kind": "difference", "sequence": self._sequence, "state": changes}))
 
-    def snapshot(self) -> bytes:
-        """Encode everything: what was told to the others last, what never changes, and the last minute."""
+    def snapshot(self) -> Frame:
+        """Encode everything: what was sent to the others last, what never changes, and the last minute."""
         if len(self.clients) <= 1:
-            self._told = self._view()
+            self._sent = self._view()
         with self._lock:
             now_ns = self._now_ns()
             history = self._state.history.columns(now_ns, 60.0, PLOTTED)
@@ -64,23 +68,24 @@ class Stream:
             "sequence": self._sequence,
             "contract": snapshot.contract(),
             "history": history,
-            "state": self._told,
+            "state": self._sent,
         }
-        return to_json(frame)
+        return Frame(to_json(frame))
 
     async def serve(self, socket: WebSocket) -> None:
         """Serve one browser until it leaves or falls behind."""
         if not hosts.same_origin(socket.headers.get("origin"), socket.headers.get("host")):
             await socket.send_denial_response(Response("this page is not from here\n", 403))
             return
-        client = self.clients.enter()
+        client = self.clients.enter(packed=socket.query_params.get("packed") == "1")
         if client is None:
-            await socket.send_denial_response(Response("too many dashboards are open; close one\n", 503))
+            text = f"too many viewers: {len(self.clients)} are connected; try again\n"
+            await socket.send_denial_response(Response(text, 503, {"Retry-After": "10"}))
             return
         try:
             await socket.accept()
             client.put(self.snapshot())
-            await _first_of(_write(socket, client), _read(socket))
+            await run_first_of(write_frames(socket, client), read_until_closed(socket))
         finally:
             self.clients.leave(client)
 
@@ -89,18 +94,22 @@ class Stream:
             return {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
 
 
-async def _write(socket: WebSocket, client: Client) -> None:
+async def write_frames(socket: WebSocket, client: Client) -> None:
+    """Send what is queued for a browser until its end is."""
     while (frame := await client.frames.get()) is not None:
-        await socket.send_text(frame.decode())
+        if client.packed:
+            await socket.send_bytes(frame.packed)
+        else:
+            await socket.send_text(frame.plain.decode())
 
 
-async def _read(socket: WebSocket) -> None:
+async def read_until_closed(socket: WebSocket) -> None:
     """Listen only for the end: a dashboard has nothing to say."""
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass
 
 
-async def _first_of(*coroutines: Coroutine[None, None, None]) -> None:
+async def run_first_of(*coroutines: Coroutine[None, None, None]) -> None:
     """Run until the first one ends, and end the others."""
     tasks = [asyncio.create_task(coroutine) for coroutine in coroutines]
     try:

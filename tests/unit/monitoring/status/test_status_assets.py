@@ -25,7 +25,7 @@ def test_every_file_of_the_dashboard_is_on_the_allow_list() -> None:
 def test_every_module_that_is_imported_is_served() -> None:
     page = (DASHBOARD / "index.html").read_text()
     mapped = set(re.findall(r'"(/lib/[^"]+)"', page))
-    assert mapped <= {f"/lib/{name}" for name in assets.LIBRARIES}
+    assert mapped <= {f"/lib/{name}" for name in (*assets.LIBRARIES, *assets.MAP_LIBRARIES)}
     names = set(re.findall(r'"([^"]+)": "/lib', page))
     for path in DASHBOARD.glob("*.js"):
         for module in re.findall(r'from "([^"]+)"|import\("([^"]+)"\)', path.read_text()):

@@ -87,8 +87,35 @@ def test_it_is_safe_when_and_only_when_a_verdict_within_its_deadline_says_so(
     shown = show(evidence)
     valid = broker and level is not None and trust_age_s < 5.0
     assert (shown.state is Trust.SAFE) == (valid and level is TrustLevel.SAFE)
-    assert (shown.state is Trust.STALE) == (not valid)
+    assert (shown.state is Trust.BROKER_LOST) == (not broker)
+    assert (shown.state is Trust.STALE) == (broker and not valid)
     assert shown.sentence.endswith(".")
+
+
+def test_an_exceeded_alert_limit_differs_from_an_accusation_in_state_word_and_advice() -> None:
+    why = ("horizontal protection level 25.0 m is above the alert limit of 10.0 m",)
+    above = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, reasons=why, row=3)))
+    accused = show(changed(trust=trust(START_NS, TrustLevel.UNSAFE, reasons=("GNSS is accused",), row=4)))
+    assert (above.state, WORDS[above.state]) == (Trust.ABOVE_LIMIT, "ABOVE LIMIT")
+    assert above.sentence == f"The position must not be used: {why[0]}."
+    assert accused.state is Trust.UNSAFE
+    assert above.action != accused.action
+
+
+def test_before_the_first_verdict_after_a_start_the_banner_says_what_it_waits_for() -> None:
+    shown = show(changed(trust=None, trust_age_s=None, awaited="the first verdict of core.trust"))
+    assert shown.state is Trust.STARTING
+    assert shown.sentence == "Nothing is known yet: waiting for the first verdict of core.trust."
+
+
+def test_every_state_has_its_own_word() -> None:
+    assert len(set(WORDS.values())) == len(Trust) == len(WORDS)
+
+
+def test_a_monitor_whose_process_was_restarted_has_no_outcome_until_it_states_one() -> None:
+    evidence = changed(earlier_monitors=frozenset({"inertial_short"}))
+    state, text = check(evidence, "inertial_short")
+    assert (state, text) == (Trust.STALE, "no statement since its process was restarted")
 
 
 def test_an_old_verdict_is_said_with_its_age_and_root_cause() -> None:
@@ -104,7 +131,8 @@ def test_a_verdict_that_never_came_is_said() -> None:
 
 
 def test_a_lost_broker_leaves_nothing_known() -> None:
-    assert show(changed(broker=False)).state is Trust.STALE
+    assert show(changed(broker=False)).state is Trust.BROKER_LOST
+    assert {c.state for c in show(changed(broker=False)).checks} == {Trust.STALE}, "no row is green"
     sentence = show(changed(broker=False, cause="the broker hangs: it is connected, but delivers nothing")).sentence
     assert sentence == "Nothing is known: the broker hangs: it is connected, but delivers nothing."
 
@@ -125,7 +153,7 @@ def test_each_outcome_of_a_monitor_is_a_state_of_its_own() -> None:
         monitor(START_NS, "satellites", outcome=MonitorOutcome.NOT_EVALUATED, reason="4 satellites"),
     )
     evidence = changed(trust=trust(START_NS, TrustLevel.UNSAFE, monitors=monitors))
-    assert check(evidence, "motion") == (Trust.SAFE, "0.50 of the threshold")
+    assert check(evidence, "motion") == (Trust.SAFE, "50 % of threshold")
     assert check(evidence, "inertial_short") == (Trust.UNSAFE, "accuses GNSS: statistic below the threshold")
     assert check(evidence, "satellites") == (Trust.OFF, "4 satellites")
     ratios = {c.name: c.ratio for c in show(evidence).checks if c.kind is Kind.MONITOR}
@@ -173,7 +201,7 @@ def test_a_rejected_measurement_and_the_state_of_the_filter_are_shown_as_inputs(
         phase=NavigationPhase.WAITING_FOR_GNSS,
         filter_says="17 fixes without a position",
     )
-    assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "4.70 of the limit, rejected")
+    assert check(evidence, f"gate {kind}") == (Trust.CAUTION, "470 % of limit, rejected")
     assert check(evidence, "phase") == (Trust.CAUTION, "waiting for GNSS: 17 fixes without a position")
     assert show(evidence).state is Trust.SAFE, "inputs do not make the verdict"
 
@@ -210,11 +238,18 @@ def test_sensors_that_never_spoke_are_not_green() -> None:
 
 def test_protection_levels_are_compared_with_the_configured_alert_limits() -> None:
     assert check(GOOD, "protection") == (Trust.SAFE, "3.1 m horizontal (limit 10 m), 4.2 m vertical (limit 20 m)")
-    assert check(changed(alert_limit_horizontal_m=3.0), "protection")[0] is Trust.CAUTION
-    assert check(changed(alert_limit_vertical_m=4.0), "protection")[0] is Trust.CAUTION
+    assert check(changed(alert_limit_horizontal_m=3.0), "protection")[0] is Trust.ABOVE_LIMIT
+    assert check(changed(alert_limit_vertical_m=4.0), "protection")[0] is Trust.ABOVE_LIMIT
     unknown = changed(alert_limit_horizontal_m=None, alert_limit_vertical_m=None)
     assert check(unknown, "protection") == (
         Trust.STALE, "3.1 m horizontal, 4.2 m vertical; alert limits not received",
     )  # fmt: skip
     assert check(changed(solution=solution(START_NS)), "protection") == (Trust.OFF, "not published by the filter")
     assert check(changed(solution_age_s=60.0), "protection") == (Trust.STALE, "unknown")
+
+
+def test_reasons_of_monitors_inside_a_reason_name_them_by_their_labels() -> None:
+    shown = plain("neither inertial nor motion monitors evaluated: inertial_short: no samples; motion: warming up")
+    assert shown == (
+        "neither inertial nor motion monitors evaluated: Short inertial window: no samples; Motion conflict: warming up"
+    )

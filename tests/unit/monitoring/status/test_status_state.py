@@ -1,9 +1,13 @@
 """What the status process makes of the messages of a whole unit."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from services.monitoring.status import history_file
+from services.monitoring.status.history_file import HistoryFile
+from services.monitoring.status.state import State
 from services.monitoring.status.views import reports, snapshot
 from services.monitoring.status.views.banner import Trust
 from shared.bus.codec import encode
@@ -84,6 +88,7 @@ def problems(world: World) -> list[str]:
     return [problem.text for problem in world.state.judgement.problems]
 
 
+AWAITS_TRUST = "Nothing is known yet: waiting for the first verdict of core.trust."
 STALE = "core.fusion is stale: connected, but without heartbeat; it hangs or is overloaded"
 
 
@@ -144,7 +149,7 @@ def test_a_unit_that_has_just_started_has_no_root_cause_yet() -> None:
     starting = World()
     starting.beat(*ALL)
     starting.pass_time(0.8)
-    assert starting.state.verdict.sentence == "Trust is not evaluated: core.trust has not published a verdict yet."
+    assert starting.state.verdict.sentence == AWAITS_TRUST
 
 
 def test_an_outage_lasts_from_the_last_message_to_the_first_after_it(driving: World) -> None:
@@ -205,7 +210,7 @@ def test_a_lost_or_hung_broker_is_the_only_problem_and_all_else_is_unknown(
         driving.state.tick(driving.now_ns, broker=connected)
         assert problems(driving) in ([], [text])
     assert status(driving, "core.fusion") is ProcessStatus.UNKNOWN
-    assert driving.state.verdict.state is Trust.STALE
+    assert driving.state.verdict.state is Trust.BROKER_LOST
     assert driving.state.verdict.sentence == f"Nothing is known: {text}."
     assert reports.health(driving.state, driving.now_ns)["state"] == "failed"
     [outage] = rows(reports.outages(driving.state)["open"])
@@ -292,15 +297,105 @@ def test_the_verdict_ends_at_the_deadline_of_trust_state_and_is_never_safe_after
     assert verdict.sentence.startswith("Trust is not evaluated: no verdict for 9 s")
     assert all(check.state is Trust.STALE for check in verdict.checks if check.kind == "monitor")
     health = reports.health(driving.state, driving.now_ns)
-    assert health["position"] == {"state": "stale", "sentence": verdict.sentence, "since_ns": None}
+    position = health["position"]
+    assert isinstance(position, dict)
+    assert (position["state"], position["word"], position["sentence"]) == ("stale", "NO DATA", verdict.sentence)
+    assert position["since_ns"] == pytest.approx(said_ns + 5 * SECOND_NS, abs=0.3 * SECOND_NS)
+    assert health["state"] == "degraded"
 
 
 def test_a_retained_verdict_of_a_former_life_is_no_verdict() -> None:
     world = World()
     world.hear(trust(world.now_ns - 3600 * SECOND_NS), "core.trust", retained=True)
     world.pass_time(0.5)
-    assert world.state.verdict.state is Trust.STALE
-    assert "no verdict for 36" in world.state.verdict.sentence
+    assert (world.state.verdict.state, world.state.verdict.sentence) == (Trust.STARTING, AWAITS_TRUST)
+    world.beat("core.trust")
+    world.pass_time(125.0, step_s=0.5)
+    assert world.state.verdict.state is Trust.STALE, "what has not come within the time for a start is missing"
+
+
+def test_no_verdict_is_shown_after_a_start_before_one_newer_than_the_start() -> None:
+    world = World()
+    world.hear(trust(world.now_ns - SECOND_NS // 2), "core.trust", retained=True)
+    world.hear(solution(world.now_ns - SECOND_NS // 10), "core.fusion", retained=True)
+    world.pass_time(0.5)
+    assert shown_state(world) == "starting"
+    assert not [check.name for check in world.state.verdict.checks if check.state is Trust.SAFE]
+    drive(world, 0.3)
+    assert shown_state(world) == "safe"
+
+
+def shown_state(world: World) -> str:
+    return world.state.verdict.state.value
+
+
+def restart(world: World, process: str) -> None:
+    """Kill a process, and let it come back a moment later, without a message but its heartbeat."""
+    life = world.lives.get(process, START_NS)
+    will = ProcessHealth(process=process, state=ProcessState.LOST, incarnation=life, sent_ns=world.now_ns)
+    world.hear(will, process)
+    drive(world, 0.3, without=(process,))
+    world.lives[process] = world.now_ns
+    world.beat(process)
+
+
+def test_a_verdict_of_before_the_restart_of_core_trust_is_not_shown_any_more(driving: World) -> None:
+    restart(driving, "core.trust")
+    drive(driving, 0.3, without=("core.trust",))
+    assert (driving.state.verdict.state, driving.state.verdict.sentence) == (Trust.STARTING, AWAITS_TRUST)
+    drive(driving, 1.2)
+    assert driving.state.verdict.state is Trust.SAFE
+
+
+def test_a_verdict_on_a_solution_of_before_the_restart_of_core_fusion_is_not_shown(driving: World) -> None:
+    restart(driving, "core.fusion")
+    drive(driving, 1.2, without=("core.fusion",))
+    verdict = driving.state.verdict
+    assert verdict.state is Trust.STARTING
+    assert "the first solution after the restart of core.fusion" in verdict.sentence
+    green = {check.name for check in verdict.checks if check.state is Trust.SAFE}
+    assert not green & {"phase", "heading", "protection", "gate"}
+    drive(driving, 0.3, without=("core.fusion",), level=TrustLevel.NO_FIX)
+    drive(driving, 1.0, without=("core.fusion",), level=TrustLevel.NO_FIX)
+    assert shown_state(driving) == "no_fix", "that there is no solution is known without one"
+    drive(driving, 1.2)
+    assert shown_state(driving) == "safe"
+
+
+def test_a_value_of_before_the_restart_of_its_producer_is_no_live_value(driving: World) -> None:
+    restart(driving, "parsers.gnss")
+    drive(driving, 0.3, without=("parsers.gnss",))
+    assert driving.state.is_earlier("gnss/fix")
+    assert driving.state.evidence(driving.now_ns).fix_age_s is None
+    shown = snapshot.dashboard(driving.state, driving.now_ns)["topics"]
+    assert isinstance(shown, dict)
+    assert shown["gnss/fix"]["earlier"] and "earlier" not in shown["imu/raw"]
+    drive(driving, 1.2)
+    assert not driving.state.is_earlier("gnss/fix")
+
+
+def test_no_process_is_ready_after_the_restart_of_the_watchdog_before_its_first_report(driving: World) -> None:
+    assert status(driving, "core.fusion") is ProcessStatus.READY
+    watchdog, driving.watchdog = driving.watchdog, None
+    driving.lives["monitoring.health"] = driving.now_ns
+    driving.beat("monitoring.health")
+    drive(driving, 0.5)
+    assert ProcessStatus.READY not in driving.state.judgement.statuses.values()
+    driving.watchdog = watchdog
+    drive(driving, 0.7)
+    assert status(driving, "core.fusion") is ProcessStatus.READY
+
+
+def test_an_exceeded_alert_limit_degrades_the_health_and_is_a_state_of_its_own(driving: World) -> None:
+    why = ("horizontal protection level 25.0 m is above the alert limit of 10.0 m",)
+    driving.hear(trust(driving.now_ns, TrustLevel.UNSAFE, reasons=why, row=3), "core.trust")
+    driving.pass_time(0.3)
+    health = reports.health(driving.state, driving.now_ns)
+    assert health["state"] == "degraded"
+    position = health["position"]
+    assert isinstance(position, dict)
+    assert (position["state"], position["word"]) == ("above_limit", "ABOVE LIMIT")
+    assert driving.state.trust_history.changes[-1][1] == "above_limit"
 
 
 def test_the_page_trust_has_the_verdict_every_monitor_and_its_tests(driving: World) -> None:
@@ -449,3 +544,50 @@ def test_the_dashboard_has_the_same_keys_with_and_without_data(driving: World) -
     assert (
         snapshot.dashboard(empty.state, empty.now_ns).keys() == snapshot.dashboard(driving.state, driving.now_ns).keys()
     )
+
+
+def test_a_restart_keeps_the_verdicts_their_changes_and_the_outages(driving: World, tmp_path: Path) -> None:
+    accusing = monitor(driving.now_ns, outcome=MonitorOutcome.ACCUSES, accused=("gnss",), statistic=9.0)
+    change = TrustEvent(
+        sampled_ns=driving.now_ns, before=TrustLevel.SAFE, after=TrustLevel.UNSAFE, reasons=("GNSS is accused",),
+        monitors=(accusing,),
+    )  # fmt: skip
+    driving.hear(change, "core.trust")
+    drive(driving, 6.0, without=("core.fusion",), level=TrustLevel.NO_FIX)
+    drive(driving, 2.0)
+    before = driving.state
+    file = HistoryFile(tmp_path / "kept.jsonl")
+    file.append(before.unsaved())
+    assert not before.unsaved(), "every record is handed over once"
+    with (tmp_path / "kept.jsonl").open("ab") as cut:
+        cut.write(b'{"kind":"verdict","ns":17950')
+    started_ns = driving.now_ns + 20 * SECOND_NS
+    after = State("truck-07", ALL, started_ns, 900.0)
+    assert after.restore(file.read()) == 1, "the line that was cut short"
+    assert list(after.trust_history.changes) == list(before.trust_history.changes)
+    assert list(after.trust_events) == [change]
+    assert after.outages.closed() == before.outages.closed() and len(after.outages.closed()) == 1
+    kept, shown = (s.trust_history.columns(started_ns, 900.0)["ratios"] for s in (before, after))
+    assert kept == shown
+    after.tick(started_ns, broker=True)
+    states = [(ns, state) for ns, state in after.trust_history.changes][-2:]
+    assert [state for _, state in states] == ["gap", "starting"], "nobody knows the verdict of the time in between"
+    assert states[0][0] < driving.now_ns + SECOND_NS and states[1][0] == started_ns
+    later = State("truck-07", ALL, started_ns + 3600 * SECOND_NS, 900.0)
+    later.restore(file.read())
+    assert not later.trust_history.changes and not later.outages.closed(), "that was another drive"
+
+
+def test_the_history_of_earlier_lives_is_bounded_and_a_full_disk_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(history_file, "FILE_BYTES", 1000)
+    file = HistoryFile(tmp_path / "kept.jsonl")
+    for k in range(200):
+        file.append([{"kind": "verdict", "ns": k}])
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 2200
+    assert list(file.read())[-1] == b'{"kind":"verdict","ns":199}'
+    lost = HistoryFile(tmp_path / "absent" / "kept.jsonl")
+    for _ in range(3):
+        lost.append([{"kind": "verdict", "ns": 1}])
+    assert [record.message for record in caplog.records if "does not outlive" in record.message][1:] == []

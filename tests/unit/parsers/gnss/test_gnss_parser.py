@@ -14,7 +14,7 @@ from pyubx2.ubxmessage import UBXMessage
 
 from services.parsers.gnss.process import Config, Process
 from shared.messages.base import Message
-from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw, GnssSatellites
+from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw, GnssSatellites, GnssSignalQuality
 from tests.support.data import recording
 
 NS = 1_000_000_000
@@ -348,3 +348,26 @@ def test_fixes_of_a_recording_equal_those_of_gpsd(name: str, least: int) -> None
         compared["height"] += abs((known.height_ellipsoid_m or 0) - report.get("altHAE", math.inf)) < 2e-3
         compared["speed"] += abs((known.ground_speed_m_s or 0) - report.get("speed", math.inf)) < 2e-3
     assert min(compared["position"], compared["height"], compared["speed"]) >= least
+
+
+def test_the_clock_of_an_epoch_whose_fix_was_lost_is_not_that_of_a_later_fix() -> None:
+    """A gap in the bytes after NAV-CLOCK: a bias of then with the stamp of now looks like a jump of the clock."""
+
+    def clock(second: int, bias_ns: int) -> bytes:
+        fields = {"iTOW": 1000 * second, "clkB": bias_ns, "clkD": 50, "tAcc": 20, "fAcc": 1000}
+        return bytes(UBXMessage("NAV", "NAV-CLOCK", 0, **fields).serialize())
+
+    process = Process(Config())
+    biases = []
+    for second, data in (
+        (0, clock(0, 100) + pvt(0) + eoe(0)),
+        (1, clock(1, 150)),
+        (10, pvt(10) + eoe(10) + clock(10, 600)),
+        (11, clock(11, 650) + pvt(11) + eoe(11)),
+    ):
+        for message in feed(process, data, second):
+            if isinstance(message, GnssSignalQuality) and message.clock:
+                biases.append((round((message.received_ns - START_NS) * 1e-9), round(message.clock.bias_s * 1e9)))
+    assert (10, 150) not in biases
+    assert biases[0][1] == 100 and biases[-1][1] == 650
+    assert process.rejects["ubx_signal_without_fix"] == 1

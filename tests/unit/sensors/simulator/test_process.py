@@ -13,7 +13,7 @@ from shared.bus.bus import Envelope
 from shared.messages.base import Message, RawBytes
 from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.messages.imu import ImuRaw
-from shared.messages.simulation import SimulationState
+from shared.messages.simulation import RoadNetwork, SimulationState
 from shared.runtime.config import load_vehicle
 from tests.support.envelopes import sent, sent_bytes
 from tests.support.fake_bus import FakeBus
@@ -53,7 +53,8 @@ def test_the_messages_of_the_world_are_published_when_they_are_due(tmp_path: Pat
     expected = list(messages("parking_lot", 1, 2.9, START_NS))
     assert len(bus.published) >= len(expected) > 300
     assert bus.published[0] == SimulationState(sampled_ns=START_NS)
-    assert bus.published[1 : len(expected) + 1] == expected
+    assert isinstance(bus.published[1], RoadNetwork)
+    assert bus.published[2 : len(expected) + 2] == expected
     late = max(message.received_ns for message in bus.published if isinstance(message, RawBytes))
     assert late <= bus.now_ns()
 

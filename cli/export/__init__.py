@@ -1,0 +1,1 @@
+"""`obu export`: a recording in the formats of other tools."""

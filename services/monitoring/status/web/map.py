@@ -1,0 +1,134 @@
+"""The routes of the page Map: the track, its files for download, and the tiles of the map that is installed."""
+
+import gzip
+import re
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import FastAPI, HTTPException, Query, Request, Response
+from fastapi import Path as PathParameter
+from fastapi.responses import FileResponse
+from pydantic_core import to_json
+
+from shared.track_files import Segment, gpx_lines, kml_lines
+
+from ..state import State
+from ..track import columns, length_m, segments
+from . import tiles
+from .answers import InstalledMap, TrackRows, described, file_of
+
+Source = Literal["fused", "gnss", "truth"]
+GZIP_FROM_BYTES = 2000
+ZOOM_MAXIMUM = 24
+
+
+class MapApi:
+    """What the page Map asks for."""
+
+    def __init__(
+        self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int], map_file: str | None
+    ) -> None:
+        self._state, self._lock, self._now_ns = state, lock, now_ns
+        self._path = Path(map_file).expanduser() if map_file else None
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
+        routes: dict[str, tuple[Callable[..., Response], str, dict[str, Any]]] = {
+            "/api/track": (self.track, "position", described(TrackRows, "Columns of the track")),
+            "/api/track.gpx": (self.gpx, "position", file_of("application/gpx+xml", "GPX 1.1")),
+            "/api/track.kml": (self.kml, "position", file_of("application/vnd.google-earth.kml+xml", "Timed KML")),
+            "/api/map": (self.map, "unit", described(InstalledMap, "The installed map, or why there is none")),
+        }
+        for path, (answer, tag, shown) in routes.items():
+            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses={200: shown})
+        app.add_api_route("/map/tiles.pmtiles", self.archive, include_in_schema=False)
+        app.add_api_route("/map/tiles/{zoom}/{x}/{y}", self.tile, include_in_schema=False)
+
+    def track(
+        self,
+        request: Request,
+        after_ns: Annotated[int, Query(ge=0, lt=2**63, description="only rows later than this")] = 0,
+        generation: Annotated[int, Query(ge=-1, description="of the answer that rows are to be added to")] = -1,
+    ) -> Response:
+        """The track of this drive as columns, thinned to a bounded number of rows; null where a source was silent.
+
+        The rows later than `after_ns` if `generation` is that of the answer before, else all rows. `aided`: GNSS was
+        part of the solution within the last 3 s. `level_m`: horizontal protection level.
+        """
+        with self._lock:
+            track = self._state.track
+            complete = generation != track.generation
+            rows = list(track.rows) if complete else track.after(after_ns)
+            head = {
+                "generation": track.generation,
+                "complete": complete,
+                "spacing_m": track.spacing_m,
+                "length_m": round(length_m(track.rows), 1),
+                "started_ns": track.rows[0].time_ns if track.rows else None,
+                "now_ns": self._now_ns(),
+            }
+        return _packed(request, to_json({**head, "columns": columns(rows)}))
+
+    def gpx(self, source: Source = "fused") -> Response:
+        """The track of this drive as GPX 1.1, one segment for each unbroken part."""
+        return self._download(gpx_lines, source, "application/gpx+xml", "gpx")
+
+    def kml(self, source: Source = "fused") -> Response:
+        """The track of this drive as KML with a time for each point."""
+        return self._download(kml_lines, source, "application/vnd.google-earth.kml+xml", "kml")
+
+    def _download(
+        self, lines: Callable[[str, Iterable[Segment]], Iterable[str]], source: Source, media_type: str, suffix: str
+    ) -> Response:
+        with self._lock:
+            rows, vehicle = list(self._state.track.rows), self._state.vehicle
+        text = "".join(lines(f"{vehicle}, {source}", segments(rows, source)))
+        name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', vehicle)[:40]}-{source}.{suffix}"
+        headers = {"Cache-Control": "no-store", "Content-Disposition": f'attachment; filename="{name}"'}
+        return Response(text, 200, headers, media_type)
+
+    def map(self) -> Response:
+        """The installed map: container, format, zoom levels, bounds, layers; `problem` says why there is none."""
+        if self._path is None:
+            return _json({"map": None, "problem": None})
+        try:
+            return _json({"map": tiles.describe(self._path).as_json(), "problem": None})
+        except tiles.BadMap as error:
+            return _json({"map": None, "problem": str(error)})
+
+    def archive(self) -> Response:
+        """The PMTiles file, in the ranges that are asked for."""
+        if self._path is None or self._path.suffix != ".pmtiles" or not self._path.is_file():
+            raise HTTPException(404, "no PMTiles file is installed; /api/map says why")
+        return FileResponse(self._path, media_type="application/octet-stream")
+
+    def tile(
+        self,
+        zoom: Annotated[int, PathParameter(ge=0, le=ZOOM_MAXIMUM)],
+        x: Annotated[int, PathParameter(ge=0, lt=2**ZOOM_MAXIMUM)],
+        y: Annotated[int, PathParameter(ge=0, lt=2**ZOOM_MAXIMUM)],
+    ) -> Response:
+        """One tile of an MBTiles file; 204 where the map has none."""
+        if self._path is None or self._path.suffix != ".mbtiles":
+            raise HTTPException(404, "no MBTiles file is installed; /api/map says why")
+        try:
+            description, data = tiles.describe(self._path), tiles.read_tile(self._path, zoom, x, y)
+        except tiles.BadMap as error:
+            raise HTTPException(404, str(error)) from error
+        if data is None:
+            return Response(status_code=204)
+        headers = {"Content-Encoding": "gzip"} if data[:2] == b"\x1f\x8b" else {}
+        return Response(data, 200, headers, tiles.CONTENT_TYPES[description.tiles])
+
+
+def _json(content: object) -> Response:
+    return Response(to_json(content), 200, {"Cache-Control": "no-store"}, "application/json")
+
+
+def _packed(request: Request, data: bytes) -> Response:
+    headers = {"Cache-Control": "no-store", "Vary": "Accept-Encoding"}
+    if len(data) >= GZIP_FROM_BYTES and "gzip" in request.headers.get("accept-encoding", ""):
+        return Response(gzip.compress(data, 1), 200, {**headers, "Content-Encoding": "gzip"}, "application/json")
+    return Response(data, 200, headers, "application/json")

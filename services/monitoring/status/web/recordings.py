@@ -1,0 +1,216 @@
+"""Recordings over the web: the list, a download, and what the configuration allows besides."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import FastAPI, HTTPException, Request, Response
+from fastapi import Path as PathParameter
+from fastapi.responses import FileResponse
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import to_json
+
+from shared.recording.library import Library
+
+from ..views import recordings as views
+from . import body, hosts
+from .answers import Done, Recordings, Refusal, described, inlined
+
+REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+Responses = dict[int | str, dict[str, Any]]
+OUTPUT_BYTES = 4000  # of a job's output that are read
+
+
+class Action(StrEnum):
+    """What can be done with a recording over the web."""
+
+    DOWNLOAD = "download"
+    KEEP = "keep"
+    RELEASE = "release"  # the recorder may delete it again
+    DELETE = "delete"
+    REPLAY = "replay"
+    SOLVE = "solve"
+    STOP = "stop"  # the job that runs
+
+
+class Command(BaseModel):
+    """An action on a recording."""
+
+    model_config = ConfigDict(extra="forbid")
+    action: Action
+    name: Annotated[str, Field(max_length=200)] = ""
+
+
+class Job:
+    """One child process at a time: a replay or a solution."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._child: subprocess.Popen[bytes] | None = None
+        self.action: Action | None = None
+        self.name = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether the job has not ended."""
+        return self._child is not None and self._child.poll() is None
+
+    def start(self, action: Action, name: str, recording: Path) -> None:
+        """Start a job; the caller has made sure that none runs."""
+        self._folder.mkdir(exist_ok=True)
+        more = ["--port", "0"] if action is Action.REPLAY else ["--out", str(self.report(name).parent)]
+        command = [sys.executable, "-m", "cli", action.value, str(recording), *more]
+        environment = {k: v for k, v in os.environ.items() if k not in ("OBU_VEHICLE", "OBU_BROKER")}
+        self.action, self.name = action, name
+        with (self._folder / "job.log").open("wb") as output:
+            self._child = subprocess.Popen(
+                ["nice", *command], stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+                env={**environment, "OBU_STATE": str(self._folder)},
+            )  # fmt: skip
+
+    def cancel(self) -> None:
+        """Ask the job to end, as Ctrl-C would."""
+        if self._child is not None and self.running:
+            self._child.terminate()
+
+    def stop(self) -> None:
+        """End the job, and wait for its end."""
+        self.cancel()
+        if self._child is not None and self.running:
+            try:
+                self._child.wait(6.0)
+            except subprocess.TimeoutExpired:
+                self._child.kill()
+                self._child.wait()
+
+    def report(self, name: str) -> Path:
+        """Give the path of a recording's report."""
+        return self._folder / f"{Path(name).stem}-solution" / "report.html"
+
+    def view(self) -> dict[str, object] | None:
+        """Show the job: its last line of output, and the port of a replay."""
+        if self._child is None:
+            return None
+        text = (self._folder / "job.log").read_bytes()[-OUTPUT_BYTES:].decode(errors="replace")
+        port = re.search(r"replayed at http://[^ ]*?:(\d+)", text)
+        lines = [line for line in text.splitlines() if line.strip()]
+        return {
+            "action": self.action,
+            "name": self.name,
+            "running": self.running,
+            "failed": not self.running and self._child.returncode not in (0, -15),
+            "port": int(port[1]) if port and self.running else None,
+            "text": lines[-1][:300] if lines else "",
+        }
+
+
+class RecordingsApi:
+    """Answers questions about recordings, and carries out what the configuration allows."""
+
+    def __init__(
+        self, library: Library, job: Job, allowed: frozenset[Action], open_name: Callable[[], str | None]
+    ) -> None:
+        self._library, self._job, self._allowed, self._open_name = library, job, allowed, open_name
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
+        wrong = {403: "Not allowed, or a page from elsewhere", 404: "No such recording"}
+        missing: Responses = {status: described(Refusal, text) for status, text in wrong.items()}
+        more = {409: "It is being written, is kept, or a job runs", 413: "Too long", 422: "Not a command"}
+        done: Responses = {
+            202: described(Done, "Carried out"),
+            **missing,
+            **{status: described(Refusal, text) for status, text in more.items()},
+        }
+        listed: Responses = {200: described(Recordings, "Recordings, newest first")}
+        text = {"schema": {"type": "string"}}
+        binary = {"schema": {"type": "string", "format": "binary"}}
+        file: Responses = {200: {"description": "The file", "content": {"application/octet-stream": binary}}, **missing}
+        html: Responses = {200: {"description": "The report", "content": {"text/html": text}}, **missing}
+        schema = {"requestBody": {"content": {"application/json": {"schema": inlined(Command)}}, "required": True}}
+        for path, answer, responses in (
+            ("/api/recordings", self.list, listed),
+            ("/api/recordings/{name}", self.download, file),
+            ("/api/recordings/{name}/report", self.report, html),
+        ):
+            app.add_api_route(path, answer, response_class=Response, tags=["recordings"], responses=responses)
+        app.add_api_route(
+            "/api/recordings", self.command, methods=["POST"], status_code=202, response_class=Response,
+            tags=["recordings"], responses=done, openapi_extra=schema,
+        )  # fmt: skip
+
+    def list(self) -> Response:
+        """Every recording, newest first, with its summary as soon as it is computed, and the job that runs."""
+        shown = views.recordings(self._library.entries.values(), self._open_name())
+        for one in shown:
+            one["report"] = self._job.report(str(one["name"])).is_file()
+        return _json({
+            "recordings": shown,
+            "free_bytes": self._library.free_bytes,
+            "allowed": sorted(self._allowed),
+            "job": self._job.view(),
+        }, 200)  # fmt: skip
+
+    def download(self, name: Annotated[str, PathParameter(max_length=200)]) -> Response:
+        """The MCAP file."""
+        self._insist(Action.DOWNLOAD, name)
+        path = self._library.folder / name
+        return FileResponse(path, media_type="application/octet-stream", filename=name)
+
+    def report(self, name: Annotated[str, PathParameter(max_length=200)]) -> Response:
+        """The report of the last solution of a recording."""
+        path = self._job.report(name)
+        if name not in self._library.entries or not path.is_file():
+            raise HTTPException(404, "there is no report; solve the recording first")
+        return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+
+    async def command(self, request: Request) -> Response:
+        """Keep, release, delete, replay or solve a recording, or stop the job."""
+        if not hosts.same_origin(request.headers.get("origin"), request.headers.get("host")):
+            raise HTTPException(403, "this page is not from here")
+        try:
+            command = Command.model_validate_json(await body.read(request))
+        except ValidationError as error:
+            first = error.errors(include_url=False, include_input=False)[0]
+            raise HTTPException(422, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        self._carry_out(command)
+        return _json({}, 202)
+
+    def _carry_out(self, command: Command) -> None:
+        action, name = command.action, command.name
+        if action is Action.STOP:
+            self._job.cancel()
+            return
+        self._insist(Action.KEEP if action is Action.RELEASE else action, name)
+        entry = self._library.entries[name]
+        match action:
+            case Action.KEEP | Action.RELEASE:
+                self._library.keep(name, keep=action is Action.KEEP)
+            case Action.DELETE if name == self._open_name():
+                raise HTTPException(409, "this recording is being written")
+            case Action.DELETE if entry.kept:
+                raise HTTPException(409, "this recording is kept; release it first")
+            case Action.DELETE:
+                self._library.delete(name)
+            case Action.REPLAY | Action.SOLVE:
+                if self._job.running:
+                    raise HTTPException(409, "another job runs; stop it first")
+                self._job.start(action, name, (self._library.folder / name).resolve())
+            case _:
+                raise HTTPException(422, f"{action} is no command")
+
+    def _insist(self, action: Action, name: str) -> None:
+        """Refuse what the configuration does not allow, and names that are not in the list."""
+        if action not in self._allowed:
+            raise HTTPException(403, f"{action} is not allowed; add it to `recordings` in [monitoring.status]")
+        if name not in self._library.entries:
+            raise HTTPException(404, "there is no such recording")
+
+
+def _json(content: object, status: int) -> Response:
+    return Response(to_json(content), status, {"Cache-Control": "no-store"}, "application/json")

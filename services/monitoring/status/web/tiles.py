@@ -1,0 +1,132 @@
+"""The map that the configuration names: one PMTiles or MBTiles file, described and read from disk."""
+
+import gzip
+import json
+import re
+import sqlite3
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from struct import Struct
+from typing import cast
+
+HOW = "see docs/how-to/install-a-map.md"
+METADATA_BYTES = 2_000_000
+# PMTiles specification, version 3, section 3: offsets of the fields that are read here.
+_PLACES = Struct("<Q")  # 24: offset of the metadata, 32: their length
+_BOUNDS = Struct("<4i")  # 102: west, south, east, north [1e-7 deg]
+HEADER_BYTES, VERSION = 127, 3
+COMPRESSION_NONE, COMPRESSION_GZIP = 1, 2
+TILE_FORMATS = {1: "mvt", 2: "png", 3: "jpg", 4: "webp"}
+MBTILES_FORMATS = {"pbf": "mvt", "mvt": "mvt", "png": "png", "jpg": "jpg", "jpeg": "jpg", "webp": "webp"}
+CONTENT_TYPES = {
+    "mvt": "application/vnd.mapbox-vector-tile",
+    "png": "image/png",
+    "jpg": "image/jpeg",
+    "webp": "image/webp",
+}
+
+
+class BadMap(Exception):
+    """The map cannot be used; the text says why and what to do."""
+
+
+@dataclass(frozen=True)
+class MapDescription:
+    """What a browser must know of a map before it asks for tiles."""
+
+    container: str  # pmtiles or mbtiles
+    tiles: str  # mvt, png, jpg or webp
+    zoom_minimum: int
+    zoom_maximum: int
+    bounds_deg: tuple[float, float, float, float]  # west, south, east, north
+    attribution: str  # plain text
+    layers: tuple[str, ...]  # of vector tiles
+
+    def as_json(self) -> dict[str, object]:
+        """Give the fields for JSON."""
+        return dict(vars(self))
+
+
+def describe(path: Path) -> MapDescription:
+    """Read what a file says of itself; raises `BadMap`."""
+    try:
+        if path.suffix == ".pmtiles":
+            return _describe_pmtiles(path)
+        if path.suffix == ".mbtiles":
+            return _describe_mbtiles(path)
+    except FileNotFoundError as error:
+        raise BadMap(f"the map {path.name} named by map_file is not there; {HOW}") from error
+    except (OSError, ValueError, EOFError, sqlite3.Error) as error:
+        raise BadMap(f"the map {path.name} cannot be read ({error}); {HOW}") from error
+    raise BadMap(f"the map {path.name} is neither a .pmtiles nor a .mbtiles file; {HOW}")
+
+
+def _describe_pmtiles(path: Path) -> MapDescription:
+    with path.open("rb") as file:
+        header = file.read(HEADER_BYTES)
+        if len(header) < HEADER_BYTES or header[:7] != b"PMTiles" or header[7] != VERSION:
+            raise ValueError(f"it is no PMTiles file of version {VERSION}")
+        begin, size = (_PLACES.unpack_from(header, at)[0] for at in (24, 32))
+        if size > METADATA_BYTES:
+            raise ValueError(f"its metadata have {size} bytes, more than {METADATA_BYTES}")
+        file.seek(begin)
+        packed = file.read(size)
+    tiles, compression = TILE_FORMATS.get(header[99]), header[97]
+    if tiles is None or compression not in (COMPRESSION_NONE, COMPRESSION_GZIP):
+        raise ValueError("its tiles are neither MVT nor PNG, JPEG or WebP, or it is not packed with gzip")
+    metadata = _object(gzip.decompress(packed) if compression == COMPRESSION_GZIP else packed)
+    west, south, east, north = (e7 * 1e-7 for e7 in _BOUNDS.unpack_from(header, 102))
+    return MapDescription(
+        "pmtiles", tiles, header[100], header[101], (west, south, east, north), *_credits(metadata, metadata)
+    )
+
+
+def _describe_mbtiles(path: Path) -> MapDescription:
+    with closing(_open(path)) as database:
+        metadata = {str(k): str(v) for k, v in database.execute("select name, value from metadata limit 200")}
+    tiles = MBTILES_FORMATS.get(metadata.get("format", ""))
+    if tiles is None:
+        raise ValueError(f"its format {metadata.get('format')!r} is none of {', '.join(MBTILES_FORMATS)}")
+    bounds = tuple(float(part) for part in metadata.get("bounds", "-180,-85,180,85").split(","))
+    if len(bounds) != 4:
+        raise ValueError("its bounds are not four numbers")
+    zooms = int(metadata.get("minzoom", "0")), int(metadata.get("maxzoom", "14"))
+    return MapDescription(
+        "mbtiles", tiles, *zooms, bounds, *_credits(metadata, _object(metadata.get("json", "{}").encode()))
+    )
+
+
+def read_tile(path: Path, zoom: int, x: int, y: int) -> bytes | None:
+    """Read a tile of an MBTiles file by its XYZ address; None where the map has none.
+
+    References
+    ----------
+    MBTiles specification 1.3: rows are counted from the south, as in the Tile Map Service specification.
+    """
+    with closing(_open(path)) as database:
+        row = database.execute(
+            "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?",
+            (zoom, x, (1 << zoom) - 1 - y),
+        ).fetchone()
+    return bytes(row[0]) if row else None
+
+
+def _open(path: Path) -> sqlite3.Connection:
+    if not path.is_file():
+        raise FileNotFoundError(path)
+    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True, timeout=1.0)
+
+
+def _object(data: bytes) -> Mapping[str, object]:
+    content = json.loads(data or b"{}")
+    return cast(Mapping[str, object], content) if isinstance(content, dict) else {}
+
+
+def _credits(metadata: Mapping[str, object], described: Mapping[str, object]) -> tuple[str, tuple[str, ...]]:
+    """Find the attribution, without its markup, and the names of the vector layers."""
+    attribution = re.sub(r"<[^>]*>", "", str(metadata.get("attribution", "")))[:300].replace("&copy;", "©")
+    layers = described.get("vector_layers")
+    names = [str(layer.get("id")) for layer in layers if isinstance(layer, dict)] if isinstance(layers, list) else []
+    return attribution, tuple(names[:50])

@@ -1,0 +1,148 @@
+"""`obu export`: each format is read by a reader of its own, and compared with the drive."""
+
+import csv
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pynmea2
+import pytest
+
+from cli.export.export import Format, export
+from shared.errors import UserError
+from shared.messages.gnss import Constellation, GnssRawEpoch, RawMeasurement
+from shared.recording import RecordingWriter
+from tests.support.drives import BEGIN_NS, LATITUDE_DEG, LONGITUDE_DEG, NORTH_M_S, SECOND, record, solution
+from tests.support.envelopes import sent
+
+SECONDS = 20
+GPX = {"g": "http://www.topografix.com/GPX/1/1"}
+GPS_NS = 1_384_035_218_000_000_000  # of BEGIN_NS, 2023-11-14 22:13:20 UTC, in GPS time since 1980: 18 s ahead
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("drive") / "drive.mcap", SECONDS)
+
+
+def exported(drive: Path, to: Format, folder: Path, **options: object) -> Path:
+    out = folder / f"drive.{to}"
+    assert export(drive, to=to, out=out, **options) == 0  # type: ignore[arg-type]  # the options are typed there
+    return out
+
+
+def latitude_at(second: float) -> float:
+    return solution(BEGIN_NS + round(second * SECOND)).latitude_deg
+
+
+def test_csv_has_a_row_for_each_message_and_a_column_for_each_element(drive: Path, tmp_path: Path) -> None:
+    rows = list(csv.DictReader(exported(drive, Format.CSV, tmp_path).read_text().splitlines()))
+    assert len(rows) == SECONDS * 10
+    assert int(rows[15]["sampled_ns"]) == BEGIN_NS + 15 * SECOND // 10
+    assert float(rows[15]["latitude_deg"]) == latitude_at(1.5)
+    assert float(rows[0]["velocity_ned_m_s.0"]) == NORTH_M_S
+    assert rows[0]["protection_level_horizontal_m"] == "", "what is unknown is empty"
+    fixes = list(csv.DictReader(exported(drive, Format.CSV, tmp_path, topic="gnss/fix").read_text().splitlines()))
+    assert [fix["satellites_used"] for fix in fixes] == ["9"] * SECONDS
+
+
+def test_gpx_has_the_positions_with_their_times(drive: Path, tmp_path: Path) -> None:
+    points = ElementTree.parse(exported(drive, Format.GPX, tmp_path, period=1.0)).findall(".//g:trkpt", GPX)
+    assert len(points) == SECONDS
+    assert float(points[7].attrib["lat"]) == pytest.approx(latitude_at(7.0), abs=1e-9)
+    assert points[7].findtext("g:time", namespaces=GPX) == "2023-11-14T22:13:27.000Z"
+
+
+def test_kml_has_as_many_times_as_places(drive: Path, tmp_path: Path) -> None:
+    root = ElementTree.parse(exported(drive, Format.KML, tmp_path)).getroot()
+    tags = [element.tag.split("}")[1] for element in root.iter()]
+    assert tags.count("when") == tags.count("coord") == SECONDS * 10
+
+
+def test_geojson_is_a_line_with_the_times_of_its_points(drive: Path, tmp_path: Path) -> None:
+    [feature] = json.loads(exported(drive, Format.GEOJSON, tmp_path).read_text())["features"]
+    places, times = feature["geometry"]["coordinates"], feature["properties"]["times"]
+    assert feature["geometry"]["type"] == "LineString" and len(places) == len(times) == SECONDS * 10
+    assert places[0] == [LONGITUDE_DEG, LATITUDE_DEG, 500.0]
+
+
+def test_nmea_has_valid_checksums_and_the_positions(drive: Path, tmp_path: Path) -> None:
+    lines = exported(drive, Format.NMEA, tmp_path, period=1.0).read_text().splitlines()
+    sentences = [pynmea2.parse(line, check=True) for line in lines]  # type: ignore[no-untyped-call]  # it has no types
+    assert [type(sentence).__name__ for sentence in sentences] == ["GGA", "RMC"] * SECONDS
+    gga, rmc = sentences[14], sentences[15]
+    assert gga.latitude == pytest.approx(latitude_at(7.0), abs=2e-9)
+    assert (gga.gps_qual, gga.num_sats) == (1, "09")
+    assert gga.altitude is None, "the receiver stated no height of the geoid"
+    assert rmc.datetime.isoformat() == "2023-11-14T22:13:27+00:00"
+    assert rmc.spd_over_grnd == pytest.approx(NORTH_M_S * 3600 / 1852, abs=1e-3)
+
+
+@pytest.mark.skipif(shutil.which("gpsdecode") is None, reason="gpsdecode is not installed: apt install gpsd-clients")
+def test_gpsd_reads_the_nmea(drive: Path, tmp_path: Path) -> None:
+    text = exported(drive, Format.NMEA, tmp_path, period=1.0).read_bytes()
+    output = subprocess.run(["gpsdecode"], input=text, capture_output=True, check=True, timeout=20).stdout
+    reports = [json.loads(line) for line in output.splitlines()]
+    fixes = [report for report in reports if report.get("class") == "TPV" and "lat" in report]
+    assert len(fixes) >= SECONDS - 1
+    assert fixes[-1]["lat"] == pytest.approx(latitude_at(SECONDS - 1), abs=1e-7)
+    assert fixes[-1]["speed"] == pytest.approx(NORTH_M_S, abs=0.01)
+
+
+def raw_drive(path: Path) -> Path:
+    """Record two epochs: GPS L1 and L5, Galileo E1 whose lock is younger in the second."""
+    writer = RecordingWriter(path, vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
+    for k in range(2):
+        gps = [
+            RawMeasurement(constellation=Constellation.GPS, number=5, signal=signal, pseudorange_m=21_000_000.1234 + k,
+                           carrier_phase_cycles=110_355_000.5 + k, half_cycle_resolved=True, doppler_hz=-1234.5678,
+                           cn0_db_hz=45.0, lock_time_s=10.0 + k)
+            for signal in ("1C", "5Q")
+        ]  # fmt: skip
+        galileo = RawMeasurement(constellation=Constellation.GALILEO, number=11, signal="1C",
+                                 pseudorange_m=25_000_000.0, carrier_phase_cycles=-7.25, half_cycle_resolved=k == 0,
+                                 lock_time_s=5.0 - 4.0 * k)  # fmt: skip
+        qzss = RawMeasurement(constellation=Constellation.QZSS, number=194, signal="1C", pseudorange_m=38_000_000.0)
+        epoch = GnssRawEpoch(
+            sampled_ns=BEGIN_NS + k * SECOND, received_ns=BEGIN_NS + k * SECOND, source="gnss0",
+            gps_time_ns=GPS_NS + k * SECOND + 300_000, leap_seconds=18, measurements=(*gps, galileo, qzss),
+        )  # fmt: skip
+        writer.write(sent(epoch, BEGIN_NS + k * SECOND, "parsers.gnss", 1, k + 1))
+    writer.close()
+    return path
+
+
+def test_rinex_has_every_observation_in_its_columns(tmp_path: Path) -> None:
+    text = exported(raw_drive(tmp_path / "raw.mcap"), Format.RINEX, tmp_path).read_text()
+    header, body = text.split("END OF HEADER\n")
+    labels = [line[60:].strip() for line in header.splitlines()]
+    assert labels[0] == "RINEX VERSION / TYPE" and header.startswith("     3.05           OBSERVATION DATA    M")
+    assert "G    8 C1C L1C D1C S1C C5Q L5Q D5Q S5Q" in header and "J    4 C1C" in header
+    assert all(len(line) <= 80 for line in header.splitlines())
+    lines = body.splitlines()
+    assert lines[0] == "> 2023 11 14 22 13 38.0003000  0  3"
+    assert [line[:3] for line in lines[1:4]] == ["E11", "G05", "J02"]
+    gps = lines[2]
+    fields = [gps[3 + 16 * n : 19 + 16 * n] for n in range(8)]
+    assert [float(field[:14]) for field in fields[:4]] == [21_000_000.123, 110_355_000.5, -1234.568, 45.0]
+    assert fields[0][15] == "7", "45 dB-Hz are strength 7 of 9"
+    galileo = [line for line in lines if line.startswith("E11")]
+    assert [line[3 + 16 + 14 : 3 + 16 + 15] for line in galileo] == ["", "3"], "lock lost, half a cycle open"
+    assert float(galileo[0][19:33]) == -7.25
+
+
+def test_what_a_recording_does_not_hold_is_named_with_what_to_try(drive: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"holds no raw measurements; .*--format nmea"):
+        exported(drive, Format.RINEX, tmp_path)
+    with pytest.raises(UserError, match=r"holds no imu/sample; it holds .*gnss/fix.*--topic"):
+        exported(drive, Format.CSV, tmp_path, topic="imu/sample")
+    with pytest.raises(UserError, match="gpx is made of positions: give --topic navigation/solution"):
+        exported(drive, Format.GPX, tmp_path, topic="trust/state")
+    assert not list(tmp_path.iterdir()), "nothing is left of a file that could not be written"
+
+
+def test_a_recording_that_was_not_closed_is_exported_as_far_as_it_goes(tmp_path: Path) -> None:
+    cut = record(tmp_path / "cut.mcap", 3, close=False)
+    assert len(exported(cut, Format.CSV, tmp_path).read_text().splitlines()) == 31

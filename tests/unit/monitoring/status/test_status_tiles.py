@@ -1,0 +1,67 @@
+import gzip
+import sqlite3
+from math import cos, log, pi, radians, tan
+from pathlib import Path
+
+import pytest
+
+from services.monitoring.status.web.tiles import BadMap, describe, read_tile
+from tests.support.tile_files import _address, write_mbtiles, write_pmtiles
+
+LATITUDE_DEG, LONGITUDE_DEG = 48.1351, 11.5820
+
+
+def test_a_pmtiles_file_is_described_by_its_header_and_metadata(tmp_path: Path) -> None:
+    write_pmtiles(tmp_path / "a.pmtiles", LATITUDE_DEG, LONGITUDE_DEG, protomaps=True)
+    found = describe(tmp_path / "a.pmtiles")
+    assert (found.container, found.tiles, found.zoom_minimum, found.zoom_maximum) == ("pmtiles", "mvt", 10, 14)
+    assert found.bounds_deg == pytest.approx((11.082, 47.6351, 12.082, 48.6351), abs=1e-6)
+    assert found.attribution == "© test mappers", "text without markup"
+    assert "roads" in found.layers
+
+
+def test_an_mbtiles_file_is_described_and_its_rows_are_counted_from_the_south(tmp_path: Path) -> None:
+    path = tmp_path / "a.mbtiles"
+    write_mbtiles(path, LATITUDE_DEG, LONGITUDE_DEG)
+    found = describe(path)
+    assert (found.container, found.tiles, found.attribution) == ("mbtiles", "mvt", "© test mappers")
+    assert "transportation" in found.layers
+    x, y = _address(14, LATITUDE_DEG, LONGITUDE_DEG)
+    phi = radians(LATITUDE_DEG)  # the form of the formula that OpenStreetMap's wiki gives
+    assert y == int((1.0 - log(tan(phi) + 1.0 / cos(phi)) / pi) / 2.0 * 2**14)
+    data = read_tile(path, 14, x, y)
+    assert data is not None and b"transportation" in gzip.decompress(data)
+    assert read_tile(path, 14, x, y + 1) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("a.pmtiles", b"", "no PMTiles file of version 3"),
+        ("a.pmtiles", b"PMTiles\x02" + bytes(200), "no PMTiles file of version 3"),
+        ("a.pmtiles", b"PMTiles\x03" + bytes(24) + b"\xff" * 100, "more than 2000000"),
+        ("a.pmtiles", b"PMTiles\x03" + bytes(200), "neither MVT nor PNG"),
+        ("a.mbtiles", b"no database at all" * 100, "not a database"),
+        ("a.zip", b"", "neither a .pmtiles nor a .mbtiles"),
+    ],
+)
+def test_a_file_that_is_no_map_is_refused_with_the_how_to(tmp_path: Path, name: str, content: bytes, why: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BadMap, match=why) as found:
+        describe(tmp_path / name)
+    assert "install-a-map.md" in str(found.value)
+
+
+@pytest.mark.parametrize("name", ["b.pmtiles", "b.mbtiles"])
+def test_a_map_that_is_not_there_is_said_to_be_missing(tmp_path: Path, name: str) -> None:
+    with pytest.raises(BadMap, match="is not there"):
+        describe(tmp_path / name)
+
+
+def test_bounds_of_a_hostile_database_are_refused(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "c.mbtiles") as database:
+        database.execute("create table metadata (name text, value text)")
+        database.execute("insert into metadata values ('format', 'png'), ('bounds', '1,2,x')")
+    database.close()
+    with pytest.raises(BadMap, match="cannot be read"):
+        describe(tmp_path / "c.mbtiles")
