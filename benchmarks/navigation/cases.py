@@ -84,11 +84,10 @@ H, V = "horizontal_rmse_m", "vertical_rmse_m"
 YAW, VELOCITY = "yaw_rmse_rad", "velocity_horizontal_rmse_m_s"
 WORST, MEDIAN, SHARE = "outage_largest_error_rms_m", "outage_end_error_median_m", "outage_end_error_share_median"
 INNOVATION, STILL = "innovation_horizontal_rms_m", "standstill_horizontal_rmse_m"
-# The metric of GNSS alone that stands beside one of ours.
+# The metrics of GNSS alone, and of the solution at the same fixes, that stand beside one of ours.
 GNSS_ALONE = {
-    H: "gnss_alone_horizontal_rmse_m",
-    V: "gnss_alone_vertical_rmse_m",
-    STILL: "gnss_alone_standstill_horizontal_rmse_m",
+    H: ("gnss_alone_horizontal_rmse_m", "at_fixes_horizontal_rmse_m"),
+    V: ("gnss_alone_vertical_rmse_m", "at_fixes_vertical_rmse_m"),
 }
 
 

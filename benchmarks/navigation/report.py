@@ -50,7 +50,8 @@ outages of 60 s come every 180 s in three runs shifted by 60 s. Those of `navmat
 The odometer of `navmatlab` is made from its reference with 0.1 m/s of noise, for the car had none. Recordings are not
 part of the repository; docs/how-to/import-a-drive.md says how to come by a recording of your own.
 *GNSS alone* is the receiver's position against the same truth, at the antenna and at the times of the fixes given to
-the filter (docs/reference/metrics.md); our errors are those at all times of the truth.
+the filter (docs/reference/metrics.md), with our error at the same fixes in brackets, which is compared with it. The
+column *ours* holds errors at all times of the truth.
 
 """
 HEAD = "<!-- Printed by `make drives` from benchmarks/results/navigation.json; a test holds it to that file. -->\n\n"
@@ -224,13 +225,14 @@ def page(document: Document) -> str:
 def _accuracy(cases: dict[str, Metrics]) -> Iterator[tuple[str, ...]]:
     for row in ROWS:
         metrics = cases.get(row.case, {})
-        value, alone = shown(row, metrics), gnss_alone(row, metrics)
-        limits = [limit for limit in (row.goal, alone if row.at_most_gnss else None) if limit is not None]
-        undecided = value is None or (row.at_most_gnss and alone is None)
-        holds = "" if undecided or not limits or value is None else ("yes" if value <= min(limits) else "**no**")
+        value, (alone, at_fixes) = shown(row, metrics), gnss_alone(row, metrics)
+        met = [] if row.goal is None or value is None else [value <= row.goal]
+        met += [at_fixes <= alone] if row.at_most_gnss and alone is not None and at_fixes is not None else []
+        wanted = (row.goal is not None) + row.at_most_gnss
+        holds = "" if not wanted or (len(met) < wanted and all(met)) else ("yes" if all(met) else "**no**")
         goals = [f"<= {row.goal:g}"] if row.goal is not None else []
         goals += ["<= GNSS alone"] if row.at_most_gnss else []
-        yield (f"{row.case}{_count(metrics)}", row.quantity, _with_unit(value, row), _alone(row, alone),
+        yield (f"{row.case}{_count(metrics)}", row.quantity, _with_unit(value, row), _alone(row, alone, at_fixes),
                " and ".join(goals), holds, row.peers)  # fmt: skip
 
 
@@ -238,16 +240,17 @@ def _with_unit(value: float | None, row: Row) -> str:
     return UNMEASURED if value is None else f"{value:.3g} {row.unit}".strip()
 
 
-def _alone(row: Row, value: float | None) -> str:
-    """GNSS alone beside a row; empty if it says nothing, as against its own fixes."""
-    if value is None:
+def _alone(row: Row, alone: float | None, at_fixes: float | None) -> str:
+    """GNSS alone beside a row, and ours at the same fixes; empty where it says nothing, as against its own fixes."""
+    if alone is None or at_fixes is None:
         return UNMEASURED if row.at_most_gnss else ""
-    return _with_unit(value, row)
+    return f"{_with_unit(alone, row)} (ours {_with_unit(at_fixes, row)})"
 
 
-def gnss_alone(row: Row, metrics: Metrics) -> float | None:
-    """Error of the receiver's positions at the same fixes as a row, in its unit."""
-    return metrics.get(GNSS_ALONE.get(row.metric, ""))
+def gnss_alone(row: Row, metrics: Metrics) -> tuple[float | None, float | None]:
+    """Errors of the receiver's positions and of the solution, both at the same fixes, in the unit of a row."""
+    alone, at_fixes = GNSS_ALONE.get(row.metric, ("", ""))
+    return metrics.get(alone), metrics.get(at_fixes)
 
 
 def shown(row: Row, metrics: Metrics) -> float | None:

@@ -38,7 +38,8 @@ from .convert import Accelerometer, Converted, Imported, convert, wanted_columns
 from .delay import Delay, delay_of_fixes, delay_of_reference
 from .gnss_logger import is_log, messages_of, read_log
 from .mapping import Mapping, parse_mapping
-from .schema import Gnss, Imu, Positioned, Speed, TableFile, Time
+from .mounting import mounting_of, rotated
+from .schema import Gnss, Imu, Positioned, Sensor, Speed, TableFile, Time
 from .table import Table, arrays_table, read_table
 
 
@@ -48,7 +49,10 @@ def import_drive(
         typer.Argument(help="TOML file that defines the columns, or a log of Android's GnssLogger."),
     ],
     folder: Annotated[
-        Path | None, typer.Argument(help="Folder with the files named in the mapping; none with a GnssLogger log.")
+        Path | None,
+        typer.Argument(
+            help="Folder with the files named in the mapping, or one file for all tables; none with a GnssLogger log."
+        ),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Output recording.")] = Path(
         "drive.mcap"
@@ -70,6 +74,7 @@ def import_drive(
 
     Examples:
     [bold]obu import benchmarks/recordings/mappings/rtkexp_drive.toml ~/drives/0708 -o drive.mcap[/]
+    [bold]obu import benchmarks/recordings/mappings/phone_drives_1hz.toml 2023-08-09_16-37-41.csv -o phone.mcap[/]
     [bold]obu import gnss_log_2026_11_22.txt -o phone.mcap[/]
     [bold]obu import gnss_log_2026_11_22.txt --axes "z,-x,-y" -o phone.mcap[/]
     """
@@ -84,14 +89,17 @@ def import_drive(
     text = _text(mapping)
     spec = parse_mapping(text, str(mapping))
     file = _vehicle(spec, mapping, vehicle)
-    tables = [table for table in spec.files() if not table.optional or (folder / table.file).is_file()]
+    tables = list(spec.files())
+    if folder.is_file():  # one file for all tables
+        folder, tables = folder.parent, [table.model_copy(update={"file": folder.name}) for table in tables]
+    tables = [table for table in tables if not table.optional or (folder / table.file).is_file()]
     for table in tables:
         if not (folder / table.file).is_file():
             raise UserError(f"{folder} holds no file {table.file!r}; give the folder that holds it, or edit {mapping}")
     console = Console(stderr=True)
     with progress_on(console) as progress:
         parts = _converted(tables, [_read(table, folder, progress) for table in tables], spec.start_utc_s)
-        parts = _on_one_clock(tables, _without_delay(tables, parts, file))
+        parts = _on_one_clock(tables, _without_delay(tables, _in_body_axes(tables, parts), file, progress))
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)
     for sentence in (*(part.clock for part in parts if part.clock), *spec.made()):
@@ -106,7 +114,7 @@ class Part:
     name: str
     sha256: str
     converted: Converted
-    clock: str = ""  # description of the clock alignment, if one was made
+    clock: str = ""  # what was estimated of its clock or axes
 
 
 def _beginning(path: Path) -> list[str]:
@@ -169,13 +177,36 @@ def _on_one_clock(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
     ]
 
 
-def _without_delay(tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleFile) -> list[Part]:
+def _in_body_axes(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
+    """Estimate the axes of the IMU where the mapping asks for it."""
+    fixes = [message for part in parts for message in part.converted.messages if isinstance(message, GnssFix)]
+    return [
+        _turned(part, fixes) if isinstance(table, Sensor) and table.estimate_axes and part.converted.messages else part
+        for table, part in zip(tables, parts, strict=True)
+    ]
+
+
+def _turned(part: Part, fixes: Sequence[GnssFix]) -> Part:
+    imu = [message for message in part.converted.messages if isinstance(message, ImuSamples)]
+    found = mounting_of(imu, fixes)
+    clock = (
+        f"The axes of {part.name} were estimated (correlation with the changes of speed {found.correlation:.2f}). "
+        f"To fix them: body_from_sensor = {found.body_from_sensor.round(3).tolist()}."
+    )
+    return replace(part, converted=replace(part.converted, messages=rotated(imu, found.body_from_sensor)), clock=clock)
+
+
+def _without_delay(
+    tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleFile, progress: Progress
+) -> list[Part]:
     """Estimate and remove the delays of the stamps where the mapping asks for it: of the fixes, then of the truth."""
     for place, table in enumerate(tables):
         if isinstance(table, Positioned) and table.estimate_delay:
             messages = list(heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns))
             if isinstance(table, Gnss):
-                delay, against = delay_of_fixes((m for m in messages if not isinstance(m, TruthState)), vehicle), "IMU"
+                inputs = [message for message in messages if not isinstance(message, TruthState)]
+                shown = progress.track(inputs, description=f"estimating the delay of {table.file}")
+                delay, against = delay_of_fixes(shown, vehicle), "IMU"
             else:
                 states = [message for message in messages if isinstance(message, TruthState)]
                 fixes = [message for message in messages if isinstance(message, GnssFix)]

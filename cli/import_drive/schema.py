@@ -200,20 +200,21 @@ class Quality(Section):
 class Sensor(TableFile):
     """Axes and mounting of an inertial sensor in the vehicle.
 
-    Either `axes` gives the directions of the sensor's x, y and z axes, or `body_from_sensor` the rotation matrix.
-    `mounting_rpy_deg` is an additional rotation of the sensor in the vehicle.
+    Either `axes` gives the directions of the sensor's x, y and z axes, or `body_from_sensor` the rotation matrix, or
+    both are estimated. `mounting_rpy_deg` is an additional rotation of the sensor in the vehicle.
     """
 
+    estimate_axes: bool = False  # whether they are estimated from gravity and the changes of the speed of the fixes
     axes: tuple[Direction, Direction, Direction] | None = None
     body_from_sensor: tuple[Vector3, Vector3, Vector3] | None = None
     mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _rotation(self) -> Self:
-        if (self.axes is None) == (self.body_from_sensor is None):
+        if sum((self.axes is not None, self.body_from_sensor is not None, self.estimate_axes)) != 1:
             raise ValueError(
                 "the sensor axes are given either by `axes` (three of forward, backward, right, left, down, up) or by "
-                "`body_from_sensor` (a rotation matrix)"
+                "`body_from_sensor` (a rotation matrix), or estimated (`estimate_axes = true`)"
             )
         matrix = self._turned()
         if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) or np.linalg.det(matrix) < 0.0:
@@ -229,7 +230,7 @@ class Sensor(TableFile):
     def _turned(self) -> FloatArray:
         if self.axes is not None:
             return np.array([DIRECTIONS[word] for word in self.axes]).T
-        return np.array(self.body_from_sensor)
+        return np.eye(3) if self.body_from_sensor is None else np.array(self.body_from_sensor)
 
 
 class Imu(Sensor):

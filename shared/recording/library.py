@@ -1,6 +1,7 @@
 """The recordings of a unit with their summaries, which are computed one at a time beside them."""
 
 import shutil
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from .summary import SUFFIX as SUMMARY_SUFFIX
 from .summary import RecordingSummary, SummaryWorker, read_summary
 
 MOST = 200  # recordings that are listed, the newest
+SETTLED_S = 5.0  # without a change: a recorder writes twice a second
 READ_AT_ONCE = 10  # summaries: the caller has other work
 
 
@@ -19,6 +21,7 @@ class Entry:
 
     name: str
     size_bytes: int
+    modified_s: float  # since 1970
     kept: bool
     summary: RecordingSummary | None
 
@@ -48,7 +51,8 @@ class Library:
         self._worker = None
         for entry in self.entries.values():
             key = entry.name, entry.size_bytes
-            if entry.summary is None and entry.name != open_name and key not in self._tried:
+            settled = entry.name != open_name and time.time() - entry.modified_s > SETTLED_S
+            if entry.summary is None and settled and key not in self._tried:
                 self._tried.add(key)
                 self._worker = SummaryWorker(self.folder / entry.name, self.folder)
                 return
@@ -73,15 +77,16 @@ class Library:
 
     def _entry(self, path: Path) -> Entry | None:
         try:
-            size = path.stat().st_size
+            status = path.stat()
         except FileNotFoundError:  # deleted since it was listed
             return None
+        size, modified_s = status.st_size, status.st_mtime
         known = self.entries.get(path.name)
         kept = path.with_name(path.name + KEEP_SUFFIX).exists()
         if known is not None and known.size_bytes == size and known.summary is not None:
-            return Entry(path.name, size, kept, known.summary)
+            return Entry(path.name, size, modified_s, kept, known.summary)
         stored = path.with_name(path.name + SUMMARY_SUFFIX)
         if self._reads <= 0 or not stored.exists():
-            return Entry(path.name, size, kept, None)
+            return Entry(path.name, size, modified_s, kept, None)
         self._reads -= 1
-        return Entry(path.name, size, kept, read_summary(stored, size))
+        return Entry(path.name, size, modified_s, kept, read_summary(stored, size))

@@ -73,6 +73,10 @@ def test_vehicles_lanes_passages_and_accounts_are_shown(
     expect(page.locator(".lanes-card tr", has_text="n3")).to_contain_text("opens")
     expect(page.locator(".account-card tbody tr")).to_contain_text("n1")
     expect(page.locator(".delta-card")).to_contain_text("-2.10 m")
+    missed = page.locator(".passages-card tr", has_text="Missed")
+    expect(missed).to_contain_text("n1")
+    missed.get_by_role("button").click()
+    expect(page.get_by_role("dialog", name="Passage")).not_to_contain_text("Passage ID")
 
 
 def test_a_charge_opens_its_evidence_and_says_how_to_verify_it(

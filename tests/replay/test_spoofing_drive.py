@@ -51,8 +51,12 @@ class RealDrive:
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> RealDrive:
-    path: Path = tmp_path_factory.mktemp("rtkexp") / "drive.mcap"
-    import_drive(RECORDINGS / "mappings" / "rtkexp_drive.toml", recording("rtkexp_drive"), path)
+    return real_drive("rtkexp_drive", "rtkexp_drive", tmp_path_factory.mktemp("rtkexp"))
+
+
+def real_drive(name: str, vehicle_name: str, folder: Path) -> RealDrive:
+    path = folder / "drive.mcap"
+    import_drive(RECORDINGS / "mappings" / f"{name}.toml", recording(name), path)
     with Recording(path) as file:
         given = inputs_of(file)
     messages: list[Input] = []
@@ -65,12 +69,12 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> RealDrive:
             messages.append(message)
     first = messages[0]
     assert not isinstance(first, Tick)
-    vehicle = load_vehicle(RECORDINGS / "vehicles" / "rtkexp_drive.toml")
+    vehicle = load_vehicle(RECORDINGS / "vehicles" / f"{vehicle_name}.toml")
     return RealDrive(vehicle, messages, first.received_ns)
 
 
-def monitored(drive: RealDrive, config: Config, messages: list[Input]) -> Result:
-    fusion = Fusion(drive.vehicle.section("core.fusion", FusionConfig))
+def monitored(drive: RealDrive, config: Config, messages: list[Input], **values: float) -> Result:
+    fusion = Fusion(drive.vehicle.section("core.fusion", FusionConfig).with_values(values))
     return run(fusion, Process(config), iter(messages))
 
 
@@ -123,3 +127,16 @@ def test_a_drag_off_of_0_3_m_s2_on_the_recording_is_accused(drive: RealDrive, co
     times = [result.first_s(monitor) for monitor in ("inertial_short", "inertial_long")]
     found = [time_s - begin_s for time_s in times if time_s is not None]
     assert found and 0.0 < min(found) <= 30.0, "17.5 s were measured"
+
+
+def test_a_minute_of_another_car_raises_no_alarm(tmp_path: Path) -> None:
+    """The recording does not say how old its fixes are: from 0.05 to 0.15 s there is no alarm, at 0 s the long one."""
+    drive = real_drive("comma_segment", "comma_segment", tmp_path)
+    delay_s = 0.1
+    config = Config().with_values(
+        LOW_COST_IMU | {"gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": delay_s}
+    )
+    result = monitored(drive, config, drive.messages, **{"gnss.delay_s": delay_s, "gnss.velocity_delay_s": delay_s})
+    assert result.episodes("inertial_short") == result.episodes("inertial_long") == 0
+    assert result.share("inertial_short", MonitorOutcome.PASS) > 0.8
+    assert result.share("inertial_long", MonitorOutcome.PASS) > 0.3

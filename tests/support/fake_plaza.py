@@ -113,14 +113,16 @@ class FakePlaza:
     def _ledger(self, now_ns: int) -> LedgerState:
         if self.problem:
             return LedgerState(now_ns=now_ns, plaza=PLAZA.name, problem=self.problem)
-        states = (PassageState.OPEN, PassageState.CHARGED, PassageState.UNDECIDED, PassageState.UNREGISTERED)
+        others = (PassageState.CROSSED, PassageState.SUSPECT, PassageState.VOID)
+        states = [state for state in PassageState if state not in others]
         recent = []
         for n, state in enumerate(states):
-            charged = state is PassageState.CHARGED
+            charged, missed = state is PassageState.CHARGED, state is PassageState.MISSED
             recent.append(
                 PassageSummary(
-                    passage_id=Vehicle(f"v{n}").passage_id, state=state, lane="n1" if n < 2 else None,
-                    crossing_ns=self.started_ns - n * 20 * NS if n else None, probability=0.995 if charged else 0.7,
+                    passage_id=Vehicle(f"v{n}").passage_id, state=state, lane="n1" if n < 2 or missed else None,
+                    crossing_ns=self.started_ns - n * 20 * NS if n else None,
+                    probability=0.995 if charged else None if missed else 0.7,
                     tariff_class="car" if charged else None, amount_cents=240 if charged else None,
                     currency="EUR" if charged else None, receipt=charged,
                     evidence_digest="ab" * 32 if charged else None,

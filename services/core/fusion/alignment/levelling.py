@@ -27,7 +27,7 @@ FORCE_CHANGE_LIMIT = 0.06  # [m/s²] of a block's mean against the mean so far, 
 RATE_CHANGE_LIMIT = 0.004  # [rad/s] for the rate, each with
 SPREAD_SHARE = 0.2  # of the standard deviation of the samples, but no more than
 LARGEST_FORCE_CHANGE, LARGEST_RATE_CHANGE = 0.2, 0.008  # [m/s²], [rad/s]
-RATE_LIMIT = 0.1  # [rad/s] of a block's mean: the bias at switch-on
+RATE_LIMIT = 0.095  # [rad/s] of a block's mean: the bias at switch-on
 REST_S = 2.0  # blocks that agree for so long are a rest
 BIAS_CHANGE_LIMIT = 0.0015  # [rad/s] from rest to rest; a shorter one that differs by more was a creep
 LEVEL_FORCE_LIMIT = 0.15  # [m/s²] by which it may differ from the attitude kept since; beyond it was even acceleration
@@ -37,7 +37,7 @@ MOTION_S = 3.0  # of motion without a rest, after which levelling goes on while 
 MOTION_TILT_SD = 0.05  # [rad] a car's acceleration against gravity
 REST_TILT_SD = 0.001  # [rad] apart from the accelerometer's bias
 SLOW_S = 30.0  # time constant of levelling on the move
-LEAN_PSD = 0.0125  # [rad² s] of the vehicle's own accelerations over gravity, when it is levelled by its mean force
+LEAN_PSD = 0.025  # [rad² s] of the vehicle's own accelerations over gravity, when it is levelled by its mean force
 FAST_M_S = 0.5  # [m/s] a vehicle that GNSS sees as fast as this does not rest
 FAST_S = 1.5  # how long that observation holds
 

@@ -152,7 +152,7 @@ function PassageDrawer({ passage: p, onClose }) {
   return html`<${Drawer} title=${w.drawer} onClose=${onClose}><dl class="rows">
     <${Row} label=${w.columns.state} value=${w.states[p.state]} extra=${p.reason} /><${Row} label=${w.columns.lane} value=${p.lane ?? words.age.bar} extra=${p.probability == null ? null : percent(p.probability)} />
     <${Row} label=${w.columns.time} value=${p.crossing_ns ? timeOfDay(p.crossing_ns / 1e6, true) : w.notCrossed} /><${Row} label=${w.columns.amount} value=${amount(p.amount_cents, p.currency)} extra=${p.tariff_class} />
-    <${Row} label=${w.passageId} value=${html`<code class="digest">${p.passage_id}</code>`} />${p.evidence_digest && html`<${Row} label=${w.evidence} value=${html`<code class="digest">${p.evidence_digest}</code>`} />`}
+    ${p.state !== "missed" && html`<${Row} label=${w.passageId} value=${html`<code class="digest">${p.passage_id}</code>`} />`}${p.evidence_digest && html`<${Row} label=${w.evidence} value=${html`<code class="digest">${p.evidence_digest}</code>`} />`}
   </dl>
   ${p.state === "charged" && html`<h3>${w.verify}</h3><p class="note block">${w.verifyHow}</p><p><code class="digest">obu verify-toll ledger.sqlite --passage ${p.passage_id}</code></p>`}</${Drawer}>`;
 }

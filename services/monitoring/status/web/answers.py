@@ -244,6 +244,10 @@ class Replay(Answer):
     replay: Object | None
 
 
+class Done(Answer):
+    """The action was carried out, or its job was started."""
+
+
 class Taken(Answer):
     """A command was published; the position follows in the state."""
 

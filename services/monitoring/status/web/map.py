@@ -17,10 +17,9 @@ from shared.track_files import Segment, gpx_lines, kml_lines
 from ..state import State
 from ..track import columns, length_m, segments
 from . import tiles
-from .answers import InstalledMap, TrackRows, described
+from .answers import InstalledMap, TrackRows, described, file_of
 
 Source = Literal["fused", "gnss", "truth"]
-GPX, KML = "application/gpx+xml", "application/vnd.google-earth.kml+xml"
 GZIP_FROM_BYTES = 2000
 ZOOM_MAXIMUM = 24
 
@@ -36,14 +35,14 @@ class MapApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-
-        def add(path: str, answer: Callable[..., Response], tag: str, good: dict[str, Any]) -> None:
-            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses={200: good})
-
-        add("/api/track", self.track, "position", described(TrackRows, "Columns of the track"))
-        add("/api/track.gpx", self.gpx, "position", _file(GPX, "GPX 1.1"))
-        add("/api/track.kml", self.kml, "position", _file(KML, "KML with times"))
-        add("/api/map", self.map, "unit", described(InstalledMap, "The map, or why there is none"))
+        routes: dict[str, tuple[Callable[..., Response], str, dict[str, Any]]] = {
+            "/api/track": (self.track, "position", described(TrackRows, "Columns of the track")),
+            "/api/track.gpx": (self.gpx, "position", file_of("application/gpx+xml", "GPX 1.1")),
+            "/api/track.kml": (self.kml, "position", file_of("application/vnd.google-earth.kml+xml", "Timed KML")),
+            "/api/map": (self.map, "unit", described(InstalledMap, "The installed map, or why there is none")),
+        }
+        for path, (answer, tag, shown) in routes.items():
+            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses={200: shown})
         app.add_api_route("/map/tiles.pmtiles", self.archive, include_in_schema=False)
         app.add_api_route("/map/tiles/{zoom}/{x}/{y}", self.tile, include_in_schema=False)
 
@@ -74,11 +73,11 @@ class MapApi:
 
     def gpx(self, source: Source = "fused") -> Response:
         """The track of this drive as GPX 1.1, one segment for each unbroken part."""
-        return self._download(gpx_lines, source, GPX, "gpx")
+        return self._download(gpx_lines, source, "application/gpx+xml", "gpx")
 
     def kml(self, source: Source = "fused") -> Response:
         """The track of this drive as KML with a time for each point."""
-        return self._download(kml_lines, source, KML, "kml")
+        return self._download(kml_lines, source, "application/vnd.google-earth.kml+xml", "kml")
 
     def _download(
         self, lines: Callable[[str, Iterable[Segment]], Iterable[str]], source: Source, media_type: str, suffix: str
@@ -122,10 +121,6 @@ class MapApi:
             return Response(status_code=204)
         headers = {"Content-Encoding": "gzip"} if data[:2] == b"\x1f\x8b" else {}
         return Response(data, 200, headers, tiles.CONTENT_TYPES[description.tiles])
-
-
-def _file(media_type: str, text: str) -> dict[str, Any]:
-    return {"description": text, "content": {media_type: {"schema": {"type": "string"}}}}
 
 
 def _json(content: object) -> Response:

@@ -19,9 +19,10 @@ from shared.recording.library import Library
 
 from ..views import recordings as views
 from . import body, hosts
-from .answers import Recordings, Taken, described, file_of, reference_to
+from .answers import Done, Recordings, Refusal, described, reference_to
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+Responses = dict[int | str, dict[str, Any]]
 OUTPUT_BYTES = 4000  # of a job's output that are read
 
 
@@ -118,17 +119,29 @@ class RecordingsApi:
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
-        routes: dict[str, tuple[Callable[..., Response], dict[str, Any]]] = {
-            "/api/recordings": (self.list, described(Recordings, "The recordings, and the job that runs")),
-            "/api/recordings/{name}": (self.download, file_of("application/octet-stream", "The MCAP file")),
-            "/api/recordings/{name}/report": (self.report, file_of("text/html", "The report of obu solve")),
+        wrong = {403: "Not allowed, or a page from elsewhere", 404: "No such recording"}
+        missing: Responses = {status: described(Refusal, text) for status, text in wrong.items()}
+        more = {409: "It is being written, is kept, or a job runs", 413: "Too long", 422: "Not a command"}
+        done: Responses = {
+            202: described(Done, "Carried out"),
+            **missing,
+            **{status: described(Refusal, text) for status, text in more.items()},
         }
-        for path, (answer, shown) in routes.items():
-            app.add_api_route(path, answer, response_class=Response, tags=["recordings"], responses={200: shown})
+        listed: Responses = {200: described(Recordings, "Recordings, newest first")}
+        text = {"schema": {"type": "string"}}
+        binary = {"schema": {"type": "string", "format": "binary"}}
+        file: Responses = {200: {"description": "The file", "content": {"application/octet-stream": binary}}, **missing}
+        html: Responses = {200: {"description": "The report", "content": {"text/html": text}}, **missing}
+        schema = {"requestBody": {"content": {"application/json": {"schema": reference_to(Command)}}, "required": True}}
+        for path, answer, responses in (
+            ("/api/recordings", self.list, listed),
+            ("/api/recordings/{name}", self.download, file),
+            ("/api/recordings/{name}/report", self.report, html),
+        ):
+            app.add_api_route(path, answer, response_class=Response, tags=["recordings"], responses=responses)
         app.add_api_route(
             "/api/recordings", self.command, methods=["POST"], status_code=202, response_class=Response,
-            tags=["recordings"], responses={202: described(Taken, "Carried out, or the job has started")},
-            openapi_extra={"requestBody": {"content": {"application/json": {"schema": reference_to(Command)}}}},
+            tags=["recordings"], responses=done, openapi_extra=schema,
         )  # fmt: skip
 
     def list(self) -> Response:

@@ -1,5 +1,6 @@
 """The same drive in every accepted form gives the same messages."""
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -198,6 +199,42 @@ def test_dates_are_read_as_unix_time_and_invalid_values_are_unknown(tmp_path: Pa
     assert [f.ground_speed_m_s for f in fixes] == [12.5, None, 1.0]
     assert [f.course_rad for f in fixes] == [pytest.approx(math.pi / 2), None, 0.0]
     assert fixes[0].position_sd_ned_m == (1.5, 1.5, 1.5)
+
+
+def test_the_axes_of_a_phone_are_estimated_from_gravity_and_changes_of_speed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(4)
+    sensor_from_body = Rotation.from_euler("ZYX", [2.0, -0.4, 1.1]).as_matrix()
+    time_s = np.arange(0.0, 200.0, 0.1)
+    acceleration = 1.5 * np.sin(0.2 * time_s)
+    force = np.column_stack([acceleration, rng.normal(0.0, 0.3, len(time_s)), np.full(len(time_s), -9.8)])
+    rows = np.column_stack([time_s, force @ sensor_from_body.T, np.zeros((len(time_s), 3))])
+    write(tmp_path, "imu.csv", "t,ax,ay,az,gx,gy,gz", rows.tolist())
+    speed = 7.5 * (1.0 - np.cos(0.2 * time_s))
+    fixes = [(t, 48.0, 9.0, 300.0, v, 0.0) for t, v in zip(time_s[::10].tolist(), speed[::10].tolist(), strict=True)]
+    write(tmp_path, "fix.csv", "t,lat,lon,h,v,c", fixes)
+    form = GEODETIC + 'ground_speed = { column = "v", unit = "m/s" }\ncourse = { column = "c", unit = "deg" }\n'
+    mapping = IMU.replace('axes = ["forward", "right", "down"]', "estimate_axes = true")
+    samples = [m for m in messages(tmp_path, mapping + GNSS + form) if isinstance(m, ImuSamples)]
+    found = np.array([s.specific_force_body_m_s2[0] for s in samples])
+    assert np.abs(found - force).max() < 0.5, "within 3 degrees"
+    assert np.corrcoef(found[:, 0], acceleration)[0, 1] > 0.99
+    assert "body_from_sensor = [[" in capsys.readouterr().out
+    write(tmp_path, "fix.csv", "t,lat,lon,h,v,c", [(*row[:4], rng.random(), 0.0) for row in fixes])
+    with pytest.raises(UserError, match=r"correlate by .* was the sensor fixed"):
+        messages(tmp_path, mapping + GNSS + form)
+
+
+def test_a_single_file_is_that_of_all_tables(tmp_path: Path) -> None:
+    write(tmp_path, "monday.csv", "t,ax,ay,az,gx,gy,gz,v", [(0.01 * k, 0, 0, -9.8, 0, 0, 0, 5.0) for k in range(100)])
+    speed = '\n[speed]\nfile = "drive.csv"\ntime = { column = "t" }\ncolumn = "v"\nunit = "m/s"\n'
+    (tmp_path / "m.toml").write_text(IMU + speed)
+    import_drive(tmp_path / "m.toml", tmp_path / "monday.csv", tmp_path / "out.mcap")
+    with Recording(tmp_path / "out.mcap") as recording:
+        kinds = [type(envelope.decode()).__name__ for envelope in recording]
+        assert json.loads(recording.metadata["provenance"]["files"]).keys() == {"monday.csv"}
+    assert kinds.count("ImuSamples") == kinds.count("VehicleSpeed") == 100
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_every_mapping_of_the_repository_is_valid_and_its_vehicle_file_exists(pa
         (IMU.replace('time = { column = "t" }', ""), "imu.time is missing"),
         (IMU.replace('column = "t"', 'column = "t", period_s = 0.01'), "time is either"),
         (IMU.replace('"left"', '"right"'), "not a right-handed set"),
-        (IMU + "body_from_sensor = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "either by `axes` or by"),
+        (IMU + "body_from_sensor = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "either by `axes` (three of forward"),
         ("", "nothing to import"),
         (IMU.replace('"left"', '"leftish"'), "imu.axes.1"),
         ("[imu", "not valid TOML"),

@@ -1,0 +1,95 @@
+"""The page Recordings and the bar of a replay, in a real browser."""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from shared.recording.summary import SUFFIX, write_summary
+from tests.browser.test_pages import faults, keep_picture
+from tests.support.drives import record
+from tests.support.status_server import Running, eventually, status_server
+
+ALL = ["download", "keep", "delete", "replay", "solve"]
+NAME = "20231114T221320Z_car.mcap"
+
+
+def stored(folder: Path) -> Path:
+    """Put a finished recording with its summary into the folder of a recorder."""
+    (folder / "recordings").mkdir()
+    path = record(folder / "recordings" / NAME, 120)
+    write_summary(path, path.with_name(NAME + SUFFIX))
+    os.utime(path, (0, 0))
+    return path
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("recordings")
+    stored(folder)
+    with status_server(folder, recordings=ALL) as running:
+        eventually(lambda: listed(running))
+        yield running
+
+
+def listed(server: Running) -> list[dict[str, object]]:
+    found = httpx.get(f"{server.address}/api/recordings", timeout=5.0).json()["recordings"]
+    assert isinstance(found, list)
+    return found
+
+
+@pytest.mark.parametrize("theme", ["light", "dark", "phone"])
+def test_a_recording_is_shown_with_its_drive(server: Running, open_page: Callable[..., Page], theme: str) -> None:
+    page = open_page(server.address, theme=theme, path="recordings")
+    row = page.locator(".recording")
+    expect(row).to_contain_text("2023-11-14 22:13:20")
+    expect(row).to_contain_text("1 min 59 s · 1.2 km · 1 outage · SIMULATED")
+    assert (row.locator("svg path").get_attribute("d") or "").startswith("M")
+    expect(row.locator(".segment.unsafe")).to_have_count(3)
+    keep_picture(page, f"recordings-{theme}")
+    assert not faults(page)
+
+
+def test_a_recording_is_kept_and_deleted_only_when_that_is_confirmed(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    path = stored(tmp_path)
+    with status_server(tmp_path, recordings=ALL) as server:
+        page = open_page(server.address, path="recordings")
+        page.get_by_role("button", name="Keep").click()
+        expect(page.locator(".recording")).to_contain_text("kept")
+        assert path.with_name(NAME + ".keep").exists()
+        page.get_by_role("button", name="Release").click()
+        page.get_by_role("button", name=f"Delete {NAME}").click()
+        assert path.exists(), "the first click only asks"
+        page.get_by_role("button", name="Delete for good").click()
+        expect(page.get_by_text("There is no recording")).to_be_visible(timeout=8000)
+        assert not list(path.parent.iterdir()), "with its mark and its summary"
+
+
+def test_what_the_configuration_does_not_allow_is_neither_offered_nor_done(
+    tmp_path: Path, open_page: Callable[..., Page]
+) -> None:
+    path = stored(tmp_path)
+    with status_server(tmp_path, recordings=[]) as server:
+        page = open_page(server.address, path="recordings")
+        expect(page.locator(".recording")).to_be_visible(timeout=8000)
+        expect(page.locator(".recording button")).to_have_count(0)
+        url = f"{server.address}/api/recordings"
+        for action in ("keep", "delete", "replay", "solve"):
+            assert httpx.post(url, json={"action": action, "name": NAME}, timeout=5.0).status_code == 403
+        assert httpx.get(f"{url}/{NAME}", timeout=5.0).status_code == 403
+        assert path.exists()
+
+
+def test_no_other_site_and_no_other_file(server: Running) -> None:
+    url = f"{server.address}/api/recordings"
+    evil = {"Origin": "http://evil.example"}
+    command = {"action": "delete", "name": NAME}
+    assert httpx.post(url, json=command, headers=evil, timeout=5.0).status_code == 403
+    assert httpx.post(url, json={"action": "delete", "name": "../status.address"}, timeout=5.0).status_code == 404
+    assert httpx.get(f"{url}/..%2Fstatus.address", timeout=5.0).status_code == 404
+    assert httpx.get(f"{url}/{NAME}", timeout=5.0).content[:5] == b"\x89MCAP"
