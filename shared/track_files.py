@@ -6,6 +6,7 @@ Heights are those above the WGS84 ellipsoid, and both files say so: GPX and KML 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from html import escape
 
 Extra = float | int | str | None
 DATUM = "Heights are above the WGS84 ellipsoid."
