@@ -271,7 +271,7 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
     assert set(paths) == {
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
         "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
-        "/api/series", "/api/fields/{name}", "/api/gnss",
+        "/api/series", "/api/fields/{name}", "/api/gnss", "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
         "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
         "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
     }  # fmt: skip
