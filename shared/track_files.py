@@ -89,7 +89,7 @@ def _kml_track(segment: Segment) -> Iterator[str]:
         yield "<ExtendedData><SchemaData>\n"
         for name in names:
             values = "".join(f"<gx:value>{_text(point.extras.get(name))}</gx:value>" for point in segment)
-            yield f"<gx:SimpleArrayData name="{escape(name)}">{values}</gx:SimpleArrayData>\n"
+            yield f'<gx:SimpleArrayData name="{escape(name)}">{values}</gx:SimpleArrayData>\n'
         yield "</SchemaData></ExtendedData>\n"
     yield "</gx:Track>\n"
 
