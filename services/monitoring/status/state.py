@@ -7,7 +7,7 @@ from math import hypot
 from statistics import fmean
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
@@ -30,6 +30,7 @@ from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
+from .gnss_history import GnssHistory
 from .history import History, TrustHistory
 from .judgement import (
     BROKER_SILENT_NS,
@@ -41,6 +42,7 @@ from .judgement import (
     unavailable,
     watchdog_problem,
 )
+from .series.store import Series
 from .track import Track
 from .track_row import track_row
 from .truth_check import TruthCheck
@@ -62,6 +64,7 @@ WHEELS = ("front_left_m_s", "front_right_m_s", "rear_left_m_s", "rear_right_m_s"
 class KeptVerdict(BaseModel):
     """State of one second, and the monitors' statistics over thresholds."""
 
+    model_config = ConfigDict(defer_build=True)
     kind: Literal["verdict"]
     ns: int
     state: Trust
@@ -71,6 +74,7 @@ class KeptVerdict(BaseModel):
 class KeptOutage(BaseModel):
     """Begin or end of an outage."""
 
+    model_config = ConfigDict(defer_build=True)
     kind: Literal["outage"]
     ns: int
     message: Outage
@@ -79,14 +83,13 @@ class KeptOutage(BaseModel):
 class KeptEvent(BaseModel):
     """Change of the verdict."""
 
+    model_config = ConfigDict(defer_build=True)
     kind: Literal["event"]
     ns: int
     message: TrustEvent
 
 
-KEPT: TypeAdapter[KeptVerdict | KeptOutage | KeptEvent] = TypeAdapter(
-    Annotated[KeptVerdict | KeptOutage | KeptEvent, Field(discriminator="kind")]
-)
+Kept = Annotated[KeptVerdict | KeptOutage | KeptEvent, Field(discriminator="kind")]
 
 
 class State:
@@ -113,6 +116,8 @@ class State:
         self.verdict: Verdict = show(Evidence(broker=True))
         self.trust_history = TrustHistory(history_s)
         self.truth_check = TruthCheck()
+        self.series = Series()
+        self.gnss = GnssHistory()
         self.track = Track()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
@@ -122,12 +127,13 @@ class State:
 
     def clear(self, started_ns: int) -> None:
         """Forget everything, as after a start at another time: a replay jumped."""
-        track = self.track
+        track, fillings = self.track, self.series.fillings + 1  # pages ask for the past of the other time
         vars(self).update(
             vars(State(self.vehicle, tuple(self.expected), started_ns, self.history_s, replay=self.replay))
         )
         self.track = track  # of the parts that were played
         self.track.interrupt()
+        self.series.fillings = fillings
 
     def recall(self, changes: Iterable[tuple[int, str]], outages: Iterable[Outage]) -> None:
         """Insert what happened before everything that is known: changes of the verdict, and outages."""
@@ -157,6 +163,10 @@ class State:
             self._broker_back_ns = envelope.received_ns
         self._received_ns = max(self._received_ns, envelope.received_ns)
         message = flow.note(envelope)
+        if message is not None and not envelope.retained:
+            self.series.take(name, message, envelope.received_ns)
+        if message is not None:
+            self.gnss.note(message, flow.updated_ns or envelope.received_ns)
         match message:
             case ProcessHealth():
                 self._note_health(message, envelope, flow)
@@ -195,10 +205,11 @@ class State:
 
     def restore(self, lines: Iterable[bytes]) -> int:
         """Take over what earlier lives have kept of the last hour; returns the number of lines that cannot be read."""
-        bad = 0
+        bad, reader = 0, None
         for line in lines:
+            reader = reader or TypeAdapter[KeptVerdict | KeptOutage | KeptEvent](Kept)  # 1 MB, only while it is used
             try:
-                kept = KEPT.validate_json(line)
+                kept = reader.validate_json(line)
             except ValidationError:
                 bad += 1
                 continue

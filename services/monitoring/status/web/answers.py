@@ -1,8 +1,10 @@
 """What the API answers, as models: they are the schemas of /openapi.json, and tests hold every answer to them."""
 
+from collections.abc import Iterator
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic.json_schema import models_json_schema
 
 from shared.messages.operation import Freshness, Outage, ProcessStatus
 
@@ -13,6 +15,7 @@ SENTENCE = (
     "The position can be used: protection levels 3.0 m horizontal and 4.0 m vertical, alert limits 10.0 m and 20.0 m; "
     "no monitor accuses GNSS."
 )
+REFERENCE = "#/components/schemas/{model}"
 Stamp = int  # [ns] on the OBU time line, which is UTC as nanoseconds since 1970
 Object = dict[str, Any]  # described by asyncapi.json, or by no contract
 
@@ -20,7 +23,7 @@ Object = dict[str, Any]  # described by asyncapi.json, or by no contract
 class Answer(BaseModel):
     """An answer, of which every field is described."""
 
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, defer_build=True)
 
 
 class Position(Answer):
@@ -331,6 +334,33 @@ class Refusal(Answer):
     detail: str
 
 
+class Series(Answer):
+    """Numeric fields over time, a column each on one grid."""
+
+    period_s: float
+    time_ns: list[Stamp]
+    values: dict[str, list[float | None]]
+    """by field; null where nothing was published"""
+    fields: dict[str, Object]
+    """unit and axis of each field"""
+
+
+class Fields(Answer):
+    """Numeric fields of the newest message of a topic."""
+
+    topic: str
+    fields: list[Object]
+    """name, path, value, unit and axis of each"""
+
+
+class Receivers(Answer):
+    """The GNSS receivers."""
+
+    now_ns: Stamp
+    receivers: list[Object]
+    """fix, satellites with the reason why one is not used, signals, settings, bands over time"""
+
+
 EXAMPLES: dict[type[Answer], object] = {
     Health: {
         "state": "ok",
@@ -357,6 +387,15 @@ EXAMPLES: dict[type[Answer], object] = {
         "geometry": {"type": "Point", "coordinates": [11.582044, 48.135124, 519.2]},
         "properties": {k: v for k, v in position.items() if k[:5] not in ("latit", "longi") and "ellipsoid" not in k},
     },
+    Series: {
+        "period_s": 1.0, "time_ns": [EXAMPLE_NS], "values": {"gnss/fix:hdop": [0.8]},
+        "fields": {"gnss/fix:hdop": {"unit": "", "axis": ""}},
+    },
+    Fields: {
+        "topic": "gnss/fix",
+        "fields": [{"name": "gnss/fix:hdop", "path": "hdop", "value": 0.8, "unit": "", "axis": ""}],
+    },
+    Receivers: {"now_ns": EXAMPLE_NS, "receivers": []},
     History: {"time_ns": [EXAMPLE_NS], "fields": {"speed_fused_m_s": [13.9], "position_error_m": [None]}},
     Outages: {
         "open": [],
@@ -379,22 +418,27 @@ def file_of(media_type: str, text: str) -> Object:
     return {"description": text, "content": {media_type: {"schema": {"type": "string"}}}}
 
 
-def inlined(model: type[BaseModel]) -> Object:
-    """Give the schema of a model without references, for a place where OpenAPI keeps no definitions."""
-    schema = model.model_json_schema()
-    definitions = schema.pop("$defs", {})
+def schemas(*others: type[BaseModel]) -> Object:
+    """Give the schemas of all answers, and of other models, by name; they are built when somebody asks for them."""
+    models = [*_below(Answer), *others]
+    _, found = models_json_schema([(model, "validation") for model in models], ref_template=REFERENCE)
+    definitions = found["$defs"]
+    assert isinstance(definitions, dict)
+    return definitions
 
-    def resolve(part: object) -> object:
-        if isinstance(part, dict):
-            if "$ref" in part:
-                return resolve(definitions[part["$ref"].rsplit("/", 1)[1]])
-            return {key: resolve(value) for key, value in part.items()}
-        return [resolve(entry) for entry in part] if isinstance(part, list) else part
 
-    return {key: resolve(value) for key, value in schema.items()}
+def _below(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    for child in model.__subclasses__():
+        yield child
+        yield from _below(child)
+
+
+def reference_to(model: type[BaseModel]) -> Object:
+    """Refer to the schema of a model."""
+    return {"$ref": REFERENCE.format(model=model.__name__)}
 
 
 def described(model: type[Answer], text: str, media_type: str = "application/json") -> Object:
     """Describe an answer of a route: its schema, and an example where there is one."""
     example = {"example": EXAMPLES[model]} if model in EXAMPLES else {}
-    return {"description": text, "model": model, "content": {media_type: example}}
+    return {"description": text, "content": {media_type: {"schema": reference_to(model), **example}}}

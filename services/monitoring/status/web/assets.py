@@ -29,6 +29,12 @@ PAGES = (
     "toll.js",
     "system.js",
     "inspector.js",
+    "plot.js",
+    "series.js",
+    "charts.js",
+    "chart_words.js",
+    "gnss.js",
+    "gnss_words.js",
     "replay.js",
     "recordings.js",
 )

@@ -15,11 +15,11 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import to_json
 
-from shared.recording.library import Library
+from shared.library.library import Library
 
 from ..views import recordings as views
 from . import body, hosts
-from .answers import Done, Recordings, Refusal, described, inlined
+from .answers import Done, Recordings, Refusal, described, reference_to
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 Responses = dict[int | str, dict[str, Any]]
@@ -132,7 +132,7 @@ class RecordingsApi:
         binary = {"schema": {"type": "string", "format": "binary"}}
         file: Responses = {200: {"description": "The file", "content": {"application/octet-stream": binary}}, **missing}
         html: Responses = {200: {"description": "The report", "content": {"text/html": text}}, **missing}
-        schema = {"requestBody": {"content": {"application/json": {"schema": inlined(Command)}}, "required": True}}
+        schema = {"requestBody": {"content": {"application/json": {"schema": reference_to(Command)}}, "required": True}}
         for path, answer, responses in (
             ("/api/recordings", self.list, listed),
             ("/api/recordings/{name}", self.download, file),

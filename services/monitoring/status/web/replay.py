@@ -14,11 +14,11 @@ from shared.messages.replay import ReplayCommand, ReplayControl
 
 from ..replay import ReplayFeed
 from . import body, hosts
-from .answers import Refusal, Replay, Taken, described, inlined
+from .answers import Refusal, Replay, Taken, described, reference_to
 
 WAITING = 32  # commands that are not yet published
 LOOK_S = 0.02  # between two looks for a jump that is complete
-BODY = {"content": {"application/json": {"schema": inlined(ReplayControl)}}, "required": True}
+BODY = {"content": {"application/json": {"schema": reference_to(ReplayControl)}}, "required": True}
 
 
 class ReplayApi:

@@ -15,7 +15,9 @@ from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
-from shared.recording.library import Library
+from shared.library.library import Library
+from shared.messages.replay import ReplayControl
+from shared.messages.simulation import SimulationAttack
 
 from ..history import FIELDS
 from ..state import State
@@ -33,13 +35,15 @@ from .answers import (
     TrustReport,
     Viewers,
     described,
-    inlined,
+    reference_to,
+    schemas,
 )
 from .events import Events
 from .map import MapApi
 from .pages import Pages
-from .recordings import Job, RecordingsApi
+from .recordings import Command, Job, RecordingsApi
 from .replay import ReplayApi
+from .series import SeriesApi
 from .simulation import SimulationApi
 from .websocket import Stream
 
@@ -95,7 +99,7 @@ class Api:
         health: Responses = {200: described(Health, "State of the unit"), 503: described(Health, "The broker is lost")}
         feature = described(Feature, "The solution as a feature", GEOJSON)["content"]
         newest = described(Solution, "The newest solution")
-        newest["content"] |= {GEOJSON: {**feature[GEOJSON], "schema": inlined(Feature)}}
+        newest["content"] |= {GEOJSON: {**feature[GEOJSON], "schema": reference_to(Feature)}}
         unknown: Responses = {404: described(Refusal, "There is no such name")}
         add("/api/solution", self.solution, "position", {200: newest})
         add("/api/history", self.history, "position", {200: described(History, "Columns of values"), **unknown})
@@ -188,6 +192,19 @@ class Guard:
         await Response(text, 421)(scope, receive, _with_headers(send))
 
 
+class Described(FastAPI):
+    """An app whose schemas are built when its description is asked for, and cost no memory before."""
+
+    def openapi(self) -> dict[str, Any]:
+        """Describe the routes, with the schemas that they refer to."""
+        if self.openapi_schema is None:
+            found = super().openapi()
+            found.setdefault("components", {}).setdefault("schemas", {}).update(
+                schemas(SimulationAttack, ReplayControl, Command)
+            )
+        return super().openapi()
+
+
 class Watching:
     """The streams to clients that stay connected: `/ws` and `/api/events`."""
 
@@ -245,7 +262,7 @@ def make_app(
         for task in tasks:
             task.cancel()
 
-    app = FastAPI(
+    app = Described(
         title="On-board unit",
         description=DESCRIPTION,
         version=API_VERSION,
@@ -276,7 +293,8 @@ def openapi() -> dict[str, Any]:
     replay = ReplayApi(None, lock, now_ns)
     watching = Watching(state, lock, now_ns, 1, replay)
     recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
-    apis = (SimulationApi(state, lock, now_ns), replay, recordings, MapApi(state, lock, now_ns, None))
+    simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
+    apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, maps)
     return make_app(api, apis, Pages({}, {}), watching, ()).openapi()
 
 

@@ -16,10 +16,10 @@ from shared.messages.simulation import AttackCommand, SimulationAttack
 from ..state import State
 from ..views import simulation as views
 from . import body, hosts
-from .answers import Accepted, Refusal, Simulation, described, inlined
+from .answers import Accepted, Refusal, Simulation, described, reference_to
 
 WAITING = 8  # commands that are not yet published
-BODY = {"content": {"application/json": {"schema": inlined(SimulationAttack)}}, "required": True}
+BODY = {"content": {"application/json": {"schema": reference_to(SimulationAttack)}}, "required": True}
 
 
 class SimulationApi:
