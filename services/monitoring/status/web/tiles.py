@@ -53,8 +53,6 @@ class MapDescription:
 
 def describe(path: Path) -> MapDescription:
     """Read what a file says of itself; raises `BadMap`."""
-    import sqlite3  # 1 MB of memory, which a unit without a map saves
-
     try:
         if path.suffix == ".pmtiles":
             return _describe_pmtiles(path)
