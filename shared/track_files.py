@@ -61,11 +61,6 @@ def kml_lines(name: str, segments: Iterable[Segment]) -> Iterator[str]:
     yield "</gx:MultiTrack></Placemark>\n</Document>\n</kml>\n"
 
 
-def escape(text: str) -> str:
-    """Write a text inside an element or an attribute; the modules that do so need a megabyte of memory."""
-    return text.translate({ord("&"): "&amp;", ord("<"): "&lt;", ord(">"): "&gt;", ord('"'): "&quot;"})
-
-
 def iso_time(time_ns: int) -> str:
     """Write a time as ISO 8601 in UTC, to the millisecond."""
     return datetime.fromtimestamp(time_ns // 1_000_000 / 1000, UTC).isoformat(timespec="milliseconds")[:-6] + "Z"
