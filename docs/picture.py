@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 PATIENCE_S = 120.0
 DRIVE_S = 35.0  # the speed plot and the trail fill in this time
 PAGE_S = 6.0  # a page draws itself in this time
-COLOURS = 128  # of a picture: a third of the bytes, and no difference to the eye
+COLOURS = 256  # of a picture: a third of the bytes
 WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # the map, without a graphics card
 SIZES = {"": {"width": 1360, "height": 850}, "-phone": {"width": 390, "height": 844}}
 DEMOS = {"obu": (("--scenario", "urban"), "navigation/solution"), "rsu": (("--role", "rsu"), "toll/tracks")}

@@ -140,7 +140,7 @@ function Legend({ colourBy, theme, sc, columns }) {
   const classes = [...LEVELS_M, null].map((to, i) => [`level${i}`, w.levels(LEVELS_M[i - 1], to)]);
   const keys = colourBy === "trust" ? states.map((s) => [s, words.trust[s] ?? s]) : [...classes, ["none", w.noLevel]];
   return html`<ul class="legend map-legend">
-    ${keys.map(([key, label]) => html`<li><${Swatch} colour=${colours[key]} /><span>${label}</span></li>`)}
+    ${keys.map(([key, label]) => html`<li><${Swatch} colour=${colours[key] ?? colours.none} /><span>${label}</span></li>`)}
     ${Object.entries(w.kinds).map(([kind, label]) => html`<li><${Swatch} colour="var(--text)" kind=${kind} /><span>${label}</span></li>`)}
     ${sc && items(sc).map(([key, name, value]) => html`<li><svg width="18" height="18" aria-hidden="true">${SYMBOLS[key]}</svg><span>${name}</span><span class="dim">${key === "fused" ? "" : value}</span></li>`)}
   </ul>`;
