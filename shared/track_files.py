@@ -6,7 +6,7 @@ Heights are those above the WGS84 ellipsoid, and both files say so: GPX and KML 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from xml.sax.saxutils import escape, quoteattr
+from html import escape
 
 Extra = float | int | str | None
 DATUM = "Heights are above the WGS84 ellipsoid."
@@ -89,7 +89,7 @@ def _kml_track(segment: Segment) -> Iterator[str]:
         yield "<ExtendedData><SchemaData>\n"
         for name in names:
             values = "".join(f"<gx:value>{_text(point.extras.get(name))}</gx:value>" for point in segment)
-            yield f"<gx:SimpleArrayData name={quoteattr(name)}>{values}</gx:SimpleArrayData>\n"
+            yield f'<gx:SimpleArrayData name="{escape(name)}">{values}</gx:SimpleArrayData>\n'
         yield "</SchemaData></ExtendedData>\n"
     yield "</gx:Track>\n"
 

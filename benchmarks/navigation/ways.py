@@ -39,7 +39,7 @@ GOALS_US = {WAYS[0]: 8.0, WAYS[1]: 8.0, WAYS[2]: 2.0, WAYS[3]: 1.0}  # at 200 Hz
 GOAL_START_S, GOAL_MB = 0.6, 60.0  # the memory without Numba
 YARD = 100_000  # turns of the loop that the machine is measured with
 BEGAN = "OBU_BENCHMARK_BEGAN"
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # matrices of 31 by 31 are not worth a second one
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # matrices of 34 by 34 are not worth a second one
 
 
 @dataclass(frozen=True)

@@ -46,14 +46,20 @@ def export(  # one argument an option
     *,
     to: Annotated[Format, typer.Option("--format", help="File format.")],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="File to write; default: name of the recording, other suffix.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="File to write; default: name of the recording, other suffix."
+        ),
     ] = None,
     topic: Annotated[
         str | None,
-        typer.Option(help="csv: the topic of the rows. Others: navigation/solution or gnss/fix. Default: solutions."),
+        typer.Option(
+            metavar="TOPIC",
+            help="csv: the topic of the rows. Others: navigation/solution or gnss/fix. Default: solutions.",
+        ),
     ] = None,
     period: Annotated[
-        float, typer.Option(min=0.0, help="Least time between two positions, in seconds; 0: all of them.")
+        float, typer.Option(min=0.0, metavar="SECONDS", help="Least time between two positions; 0: all of them.")
     ] = 0.0,
 ) -> int:
     """Write a recording for other tools: tables, tracks, NMEA 0183, or raw measurements as RINEX 3.05.

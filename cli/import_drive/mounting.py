@@ -51,7 +51,7 @@ def mounting_of(imu: Sequence[ImuSamples], fixes: Sequence[GnssFix]) -> Mounting
     force = np.array([row for message in imu for row in message.specific_force_body_m_s2])
     up = force.mean(axis=0) / np.linalg.norm(force.mean(axis=0))
     horizontal = (force - force.mean(axis=0)) @ (np.eye(3) - np.outer(up, up))
-    known = [(fix.sampled_ns * 1e-9, speed) for fix in fixes if (speed := _speed(fix)) is not None]
+    known = [(fix.sampled_ns * 1e-9, found) for fix in fixes if (found := _speed(fix)) is not None]
     time_s, speed = np.array(known).reshape(-1, 2).T
     steps = np.diff(time_s)
     # Means between fixes by differences of the integral.

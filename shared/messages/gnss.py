@@ -99,6 +99,17 @@ class Constellation(StrEnum):
     UNKNOWN = "unknown"
 
 
+class SignalQuality(StrEnum):
+    """How far a receiver tracks a satellite, after UBX-NAV-SAT."""
+
+    NO_SIGNAL = "no_signal"
+    SEARCHING = "searching"
+    ACQUIRED = "acquired"
+    UNUSABLE = "unusable"
+    CODE_LOCKED = "code_locked"
+    CARRIER_LOCKED = "carrier_locked"
+
+
 class Satellite(Message):
     """One satellite as the receiver sees it."""
 
@@ -109,6 +120,10 @@ class Satellite(Message):
     azimuth_rad: float | None = None
     residual_m: float | None = None
     used: bool
+    # None of receivers that do not state it
+    quality: SignalQuality | None = None
+    healthy: bool | None = None
+    orbit_known: bool | None = None  # from an ephemeris, almanac or assistance data
 
 
 class GnssSatellites(Stamped):
@@ -182,6 +197,12 @@ class SignalFlags(Message):
     spoofing: InterferenceState | None = None
 
 
+class ReceiverStatus(SignalFlags):
+    """Flags of UBX-NAV-STATUS, and how long the first fix took."""
+
+    time_to_first_fix_s: float | None = None  # None before the first fix
+
+
 class RadioPath(Message):
     """State of one radio-frequency path of a receiver, which is that of one band."""
 
@@ -204,7 +225,7 @@ class ReceiverClock(Message):
 class GnssSignalQuality(Stamped):
     """What a receiver says of its signals and clock in one epoch; None for what it did not send."""
 
-    status: SignalFlags | None = None  # of UBX-NAV-STATUS
+    status: ReceiverStatus | None = None  # of UBX-NAV-STATUS
     security: SignalFlags | None = None  # of UBX-SEC-SIG
     radio_paths: Annotated[tuple[RadioPath, ...], Field(max_length=MAX_RADIO_PATHS)] = ()  # of UBX-MON-RF
     clock: ReceiverClock | None = None  # of UBX-NAV-CLOCK
@@ -230,3 +251,8 @@ class GnssConfiguration(Message):
     navigation_period_s: float | None = None
     messages: tuple[Name, ...] = ()
     reason: Reason | None = None
+    # None of what a receiver does not state
+    model: Name | None = None
+    firmware: Name | None = None
+    dynamic_model: Name | None = None  # such as automotive
+    elevation_mask_rad: float | None = None  # below it the receiver does not use a satellite

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..bus.envelope import Envelope
-from .summary import SUFFIX as SUMMARY_SUFFIX
+from ..library.summary import KEEP_SUFFIX
+from ..library.summary import RECORDING_SUFFIX as SUFFIX
+from ..library.summary import SUFFIX as SUMMARY_SUFFIX
 from .writer import Opener, RecordingWriter, open_new
 
 log = logging.getLogger(__name__)
-
-SUFFIX = ".mcap"
-KEEP_SUFFIX = ".keep"
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,22 @@
 """What a list of recordings shows of one: times, distance, outline of the track, verdicts and outages.
 
-`python -m shared.recording.summary RECORDING OUTPUT` computes it in a process of its own; `SummaryWorker` starts that.
+`python -m shared.recording.summary RECORDING OUTPUT` computes it in a process of its own, which
+`shared.library.summary.SummaryWorker` starts.
 """
 
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from math import cos, hypot, radians
 from pathlib import Path
 
-from pydantic import Field, ValidationError
-
 from ..bus.envelope import Envelope
 from ..errors import BadPayload, BadRecording
+from ..library.summary import LONGEST, Point, RecordingSummary
 from ..maths.ellipsoid import curvature_radii
-from ..messages.base import Count, Latitude, Longitude, Message, Name, Nanoseconds
+from ..messages.base import Name
 from ..messages.gnss import GnssFix
 from ..messages.navigation import NavigationSolution
 from ..messages.operation import Origin, Outage
@@ -26,31 +25,10 @@ from ..messages.trust import TrustState
 from .index import RecordingIndex
 from .reader import Recording
 
-SUFFIX = ".summary.json"
-VERSION = 1  # of what is computed: another one is computed anew
 POINTS = 100  # of the outline
-LONGEST = 500  # changes and outages that are kept
 SPACING_NS = 1_000_000_000  # of positions
 TOPICS = ("navigation/solution", "gnss/fix", "trust/state", "outage/event", "origin/state")
 NICE = 15
-
-Point = tuple[Latitude, Longitude]
-
-
-class RecordingSummary(Message):
-    """A recording at a glance."""
-
-    version: Count = VERSION
-    size_bytes: int
-    vehicle: str = ""
-    origin: Name | None = None  # live, simulated or replay
-    begin_ns: Nanoseconds
-    end_ns: Nanoseconds
-    distance_m: float | None = None  # None without a position
-    track: tuple[Point, ...] = ()  # evenly spaced along the way
-    trust: tuple[TrustChange, ...] = Field(default=(), max_length=LONGEST)
-    outages: tuple[Outage, ...] = Field(default=(), max_length=LONGEST)
-    solved: bool = False  # it holds solutions, and not only measurements
 
 
 def summarise(path: Path) -> RecordingSummary:
@@ -154,47 +132,6 @@ def distance_m(first: tuple[float, float], second: tuple[float, float]) -> float
     meridian, transverse = curvature_radii(latitude)
     east_deg = (second[1] - first[1] + 180.0) % 360.0 - 180.0
     return hypot(radians(second[0] - first[0]) * meridian, radians(east_deg) * transverse * cos(latitude))
-
-
-def read_summary(path: Path, size_bytes: int) -> RecordingSummary | None:
-    """Read a summary that was computed before; None if there is none, or it is of another state of the recording."""
-    try:
-        summary = RecordingSummary.model_validate_json(path.read_bytes())
-    except (OSError, ValidationError):
-        return None
-    return summary if (summary.version, summary.size_bytes) == (VERSION, size_bytes) else None
-
-
-class SummaryWorker:
-    """Computes the summary of one recording in a process of low priority, and keeps it in a folder."""
-
-    def __init__(self, recording: Path, folder: Path) -> None:
-        self._output = folder / (recording.name + SUFFIX)
-        self._size = recording.stat().st_size
-        self._child: subprocess.Popen[bytes] | None = None
-        if read_summary(self._output, self._size) is None:
-            command = [sys.executable, "-m", "shared.recording.summary", str(recording), str(self._output)]
-            self._child = subprocess.Popen(command, stdin=subprocess.DEVNULL)
-
-    @property
-    def running(self) -> bool:
-        """Whether the summary is still being computed."""
-        return self._child is not None and self._child.poll() is None
-
-    def result(self) -> RecordingSummary | None:
-        """Give the summary; None while it is being computed, or if it cannot be."""
-        return None if self.running else read_summary(self._output, self._size)
-
-    def wait(self, timeout_s: float) -> None:
-        """Wait for the end of the computation."""
-        if self._child is not None:
-            self._child.wait(timeout_s)
-
-    def stop(self) -> None:
-        """End the computation."""
-        if self._child is not None and self.running:
-            self._child.terminate()
-            self._child.wait()
 
 
 def write_summary(recording: Path, output: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
+import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Page, ViewportSize, expect
@@ -52,10 +53,8 @@ def rows(server: Running) -> list[int]:
 def share(page: Page, colour: tuple[int, int, int]) -> float:
     """Part of the map's picture that has a colour."""
     picture = Image.open(io.BytesIO(page.locator(".map-stage").screenshot())).convert("RGB")
-    near = sum(
-        n for n, c in picture.getcolors(1 << 24) or [] if max(abs(a - b) for a, b in zip(c, colour, strict=True)) < 6
-    )
-    return near / (picture.width * picture.height)
+    near = np.abs(np.asarray(picture, dtype=int) - colour).max(axis=2) < 6
+    return float(near.mean())
 
 
 def drawn(page: Page, colour: tuple[int, int, int], at_least: float) -> None:

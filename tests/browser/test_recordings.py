@@ -8,7 +8,8 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from shared.recording.summary import SUFFIX, write_summary
+from shared.library.summary import SUFFIX
+from shared.recording.summary import write_summary
 from tests.browser.test_pages import faults, keep_picture
 from tests.support.drives import record
 from tests.support.status_server import Running, eventually, status_server

@@ -113,7 +113,8 @@ def test_gpsd_finds_the_vehicle_where_it_is(protocol: str) -> None:
     antenna_m = truth[-1].height_ellipsoid_m + 1.2
     assert last["altHAE"] == pytest.approx(antenna_m, abs=0.1)
     assert last["speed"] > 10.0
-    assert last["track"] == pytest.approx(math.degrees(truth[-1].yaw_rad), abs=0.5)
+    yaw_rad = truth[-1].yaw_rad
+    assert yaw_rad is not None and last["track"] == pytest.approx(math.degrees(yaw_rad), abs=0.5)
 
 
 def test_gpsd_sees_the_satellites_and_the_accuracy_that_the_receiver_states() -> None:

@@ -23,8 +23,11 @@ from services.monitoring.status.process import ADDRESS_FILE, Config, Process
 from services.monitoring.status.views.patch import merge
 from services.monitoring.status.web import answers
 from shared.errors import UserError
+from shared.messages.gnss import FixType, GnssFix
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.simulation import AttackName
+from shared.recording.folder import RecordingFolder
+from tests.support.envelopes import sent
 from tests.support.fake_unit import FakeBus
 from tests.support.status_server import Running, eventually, status_server
 
@@ -268,6 +271,7 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
     assert set(paths) == {
         "/api/state", "/api/health", "/api/topics/{name}", "/api/history", "/api/trust", "/api/outages", "/metrics",
         "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
+        "/api/series", "/api/fields/{name}", "/api/gnss",
         "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
         "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
     }  # fmt: skip
@@ -552,3 +556,60 @@ def test_a_unit_that_is_not_simulated_refuses_attacks(tmp_path: Path) -> None:
         eventually(lambda: len(get(real, "/api/state")["topics"]["origin/state"]) > 0)
         assert command(real, {"command": "stop"}).status_code == 409, "a real receiver among simulated devices"
         assert not real.bus.published and get(real, "/api/state")["simulation"] is None
+
+
+def test_any_numeric_field_is_a_series_and_a_field_that_cannot_be_is_refused(server: Running) -> None:
+    listed = {field["path"]: field for field in get(server, "/api/fields/navigation/aiding")["fields"]}
+    assert listed["test_ratio"]["name"].startswith("navigation/aiding[gnss_")
+    assert get(server, "/api/fields/gnss/fix")["fields"][-1]["path"] == "@latency_s"
+    names = "navigation/solution:yaw_rad,computed:error_horizontal_m,gnss/fix:hdop"
+    get(server, f"/api/series?fields={names}&seconds=30")
+    eventually(lambda: known(get(server, f"/api/series?fields={names}&seconds=30"), "navigation/solution:yaw_rad") > 2)
+    found = get(server, f"/api/series?fields={names}&seconds=30")
+    assert found["period_s"] == 0.2
+    assert found["fields"]["navigation/solution:yaw_rad"] == {"unit": "rad", "axis": ""}
+    assert {len(values) for values in found["values"].values()} == {len(found["time_ns"])}
+    assert [v for v in found["values"]["gnss/fix:hdop"] if v is not None][-1] == 0.8
+    for fields in ("", "hdop", "no/topic:x", ",".join(f"gnss/fix:x{n}" for n in range(17))):
+        assert ask(server, f"/api/series?fields={fields}").status_code == 422
+    assert ask(server, "/api/fields/no/topic").status_code == 404
+
+
+def known(series: Json, name: str) -> int:
+    return sum(value is not None for value in series["values"][name])
+
+
+def test_series_are_continued_over_a_websocket_without_a_gap_or_a_repetition(server: Running) -> None:
+    address = server.address.replace("http", "ws")
+    with connect(f"{address}/ws/series?fields=computed:speed_m_s&seconds=20") as socket:
+        frames = [json.loads(socket.recv(timeout=5.0)) for _ in range(6)]
+    assert [frame["kind"] for frame in frames] == ["past", *["more"] * 5]
+    stamps = [ns for frame in frames for ns in frame["time_ns"]]
+    assert {b - a for a, b in pairwise(stamps)} == {200_000_000}
+    with connect(f"{address}/ws/series?fields=nothing") as socket:
+        refused = json.loads(socket.recv(timeout=5.0))
+    assert refused["kind"] == "refused"
+    assert "write topic:field" in refused["reason"]
+
+
+def test_the_past_of_charts_is_read_from_the_recording_after_a_restart(tmp_path: Path) -> None:
+    start_ns = 1_795_000_000 * 10**9  # of the pretended unit
+    folder = RecordingFolder(tmp_path / "recordings")
+    folder.stored()
+    folder.open("drive", vehicle="truck-07", vehicle_toml="", chunk_bytes=4096)
+    stamps = [start_ns - second * 10**9 for second in range(1200, 0, -1)]
+    fixes = [
+        GnssFix(sampled_ns=ns, received_ns=ns, source="gnss0", fix_type=FixType.THREE_D, hdop=1 + n / 1000, vdop=2.0)
+        for n, ns in enumerate(stamps)
+    ]
+    folder.write([sent(fix, fix.sampled_ns + 1_000_000, "parsers.gnss") for fix in fixes])
+    folder.flush()  # it is not closed: the recorder still writes it
+    with status_server(tmp_path, unit=False) as running:
+        address = "/api/series?fields=gnss/fix:hdop,gnss/fix:satellites_used&seconds=1100"
+        eventually(lambda: known(get(running, address), "gnss/fix:hdop") > 1000, within_s=20.0)
+        found = [value for value in get(running, address)["values"]["gnss/fix:hdop"] if value is not None]
+        assert found == sorted(found) and found[-1] == pytest.approx(2.199)
+        chosen = "/api/series?fields=gnss/fix:@latency_s&seconds=1100"  # nobody has asked for it before the restart
+        eventually(lambda: known(get(running, chosen), "gnss/fix:@latency_s") > 1000, within_s=20.0)
+        assert next(v for v in get(running, chosen)["values"]["gnss/fix:@latency_s"] if v) == pytest.approx(1e-3)
+    folder.close()

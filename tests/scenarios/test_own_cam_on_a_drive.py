@@ -62,6 +62,7 @@ def truth_at(time_ns: int, truth: list[TruthState]) -> TruthState:
 
 def front(state: TruthState, time_ns: int) -> tuple[Geodetic, tuple[float, float]]:
     """Position and horizontal velocity of the reference point, extrapolated over less than one interval."""
+    assert state.roll_rad is not None and state.pitch_rad is not None and state.yaw_rad is not None
     rotation = ned_from_body(state.roll_rad, state.pitch_rad, state.yaw_rad)
     rate = state.angular_rate_body_rad_s
     assert rate is not None

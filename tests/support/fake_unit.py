@@ -18,7 +18,25 @@ from shared.attacks import BY_NAME as ATTACK_ROWS
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.messages.base import Message, Tick, Vector3
-from shared.messages.gnss import CarrierSolution, Constellation, FixType, GnssFix, GnssRaw, GnssSatellites, Satellite
+from shared.messages.gnss import (
+    CarrierSolution,
+    Constellation,
+    FixType,
+    GnssConfiguration,
+    GnssFix,
+    GnssRaw,
+    GnssRawEpoch,
+    GnssSatellites,
+    GnssSignalQuality,
+    InterferenceState,
+    RadioPath,
+    RawMeasurement,
+    ReceiverClock,
+    ReceiverStatus,
+    Satellite,
+    SignalFlags,
+    SignalQuality,
+)
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import (
     AidingKind,
@@ -44,6 +62,11 @@ LATITUDE_DEG, LONGITUDE_DEG, HEIGHT_M = 48.1351, 11.5820, 519.2
 METRES_PER_DEG = 111_200.0
 LIFE = 1_795_000_000 * 10**9
 VEHICLE_TOML = "[vehicle]\nname = 'truck-07'\n[sensors.simulator]\n"
+SATELLITE_TESTS = (
+    MonitorTest(name="G05", outcome=MonitorOutcome.ACCUSES, reason="excluded, residual 31.2 m", statistic=9.1,
+                threshold=4.2),
+    MonitorTest(name="E02", outcome=MonitorOutcome.PASS, reason="used, residual 0.4 m", statistic=0.3, threshold=4.2),
+)  # fmt: skip
 SIMULATED = parse_vehicle(VEHICLE_TOML).processes
 
 
@@ -328,6 +351,7 @@ class FakeUnit:
             ),
         )
         yield "parsers.gnss", self._satellites(now_ns)
+        yield from self._receiver(now_ns)
         for kind, ratio in ((AidingKind.GNSS_POSITION, 0.31), (AidingKind.GNSS_VELOCITY, 0.18)):
             used = not (self.rejecting and kind is AidingKind.GNSS_VELOCITY)
             yield (
@@ -409,11 +433,59 @@ class FakeUnit:
         )
 
     def _satellites(self, now_ns: int) -> GnssSatellites:
+        """24 in view, 17 of them used: the others are low, unhealthy, weak or excluded by their own receiver."""
+        systems = (Constellation.GPS, Constellation.GALILEO, Constellation.GLONASS, Constellation.BEIDOU)
         satellites = tuple(
-            Satellite(constellation=Constellation.GPS, number=n + 1, cn0_db_hz=30.0 + n % 15, used=n < 17)
+            Satellite(
+                constellation=systems[n % 4],
+                number=n + 1,
+                cn0_db_hz=None if n == 23 else 30.0 + n % 15,
+                elevation_rad=math.radians(4.0 if n == 17 else 12.0 + (n * 31 + 5 * (n // 4)) % 73),
+                azimuth_rad=math.radians((n * 137) % 360),
+                residual_m=0.1 * (n % 7) if n < 17 else None,
+                used=n < 17,
+                quality=SignalQuality.SEARCHING if n == 23 else SignalQuality.CARRIER_LOCKED,
+                healthy=n != 18,
+                orbit_known=n != 19,
+            )
             for n in range(24)
         )
         return GnssSatellites(sampled_ns=now_ns - 80_000_000, received_ns=now_ns, source="gnss0", satellites=satellites)
+
+    def _receiver(self, now_ns: int) -> Iterator[tuple[str, Message]]:
+        """Measurements of two signals of GPS and Galileo, what the receiver says of interference, and how it is set."""
+        measurements = tuple(
+            RawMeasurement(constellation=s.constellation, number=s.number, signal=signal, cn0_db_hz=s.cn0_db_hz - less)
+            for s in self._satellites(now_ns).satellites
+            for signal, less in (("1C", 0.0), ("5Q", 3.0))
+            if s.cn0_db_hz is not None and s.constellation in (Constellation.GPS, Constellation.GALILEO)
+        )
+        yield (
+            "parsers.gnss",
+            GnssRawEpoch(
+                sampled_ns=now_ns, received_ns=now_ns, source="gnss0", gps_time_ns=now_ns, measurements=measurements
+            ),
+        )
+        quiet = InterferenceState.NONE
+        yield (
+            "parsers.gnss",
+            GnssSignalQuality(
+                status=ReceiverStatus(spoofing=quiet, time_to_first_fix_s=26.0),
+                security=SignalFlags(jamming=quiet, spoofing=quiet),
+                radio_paths=(RadioPath(number=0, jamming=quiet, gain_ratio=0.6, noise_level=90, narrowband_ratio=0.1),),
+                clock=ReceiverClock(bias_s=4e-4, drift_ratio=3e-7, bias_sd_s=1e-8, drift_sd_ratio=2e-10),
+                sampled_ns=now_ns,
+                received_ns=now_ns,
+                source="gnss0",
+            ),
+        )
+        yield (
+            "parsers.gnss",
+            GnssConfiguration(
+                request_id=1, source="gnss0", accepted=True, navigation_period_s=1.0, messages=("NAV-PVT", "NAV-SAT"),
+                model="ZED-F9P", firmware="HPG 1.32", dynamic_model="automotive", elevation_mask_rad=math.radians(10),
+            ),
+        )  # fmt: skip
 
     def _heartbeats(self, now_ns: int) -> Iterator[tuple[str, Message]]:
         elapsed_s = (now_ns - self.started_ns) * 1e-9
@@ -461,12 +533,13 @@ class FakeUnit:
             reason = (
                 "GNSS acceleration differs from the inertial unit's" if accuses else "statistic below the threshold"
             )
+            shown = SATELLITE_TESTS if name == "satellites" else None
             yield TrustMonitor(
                 sampled_ns=now_ns, monitor=name, outcome=MonitorOutcome.ACCUSES if accuses else passes,
                 reason=reason, accused=("gnss",) if accuses else (),
                 suspect_since_ns=self.started_ns - 6 * 10**9 if accuses else None,
                 since_ns=self.started_ns, statistic=statistic + 0.3 * math.sin(now_ns * 1e-9), threshold=threshold,
-                false_alarm_rate=1e-5, window_s=window_s,
+                false_alarm_rate=1e-5, window_s=window_s, tests=shown or (),
             )  # fmt: skip
 
     def _origin(self, now_ns: int) -> Iterator[tuple[str, Message]]:

@@ -65,7 +65,9 @@ class Spoiled:
         force = self.accelerometer * drive.force @ (skew @ matrix_of(self.axes)).T
         rate = drive.rate @ (skew @ matrix_of(self.gyroscope_axes or self.axes)).T + np.array(self.bias_rad_s)
         log = MotionLog()
-        events = [*((fix.time_ns + round(self.late_s * 1e9), fix) for fix in drive.fixes), *drive.speeds]
+        late_ns = round(self.late_s * 1e9)
+        events: list[tuple[int, Fix | float]] = [(fix.time_ns + late_ns, fix) for fix in drive.fixes]
+        events += drive.speeds
         events.sort(key=lambda event: event[0])
         place = 0
         for time_ns, f, w in zip(drive.stamps_ns.tolist(), force.tolist(), rate.tolist(), strict=True):

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CELLS = 56  # per axis
+HEIGHT_IN = 7.6  # of the figure: a square diagram, and five lines of legend below it
 DECADES = 4.0  # range of the axes
 SMALLEST_M = 1e-3
 # Fill, hatch and hatch colour of each region; hatched: error above the protection level.
@@ -39,7 +40,7 @@ def stanford(one: Protected) -> Figure:
     """Draw the diagram of one axis, with the counts of its regions as legend."""
     drawn: list[str] = []
     title = f"Stanford diagram, {one.axis}"
-    with stacked_axes(1, 7.6, drawn.append) as (axes,):
+    with stacked_axes(1, HEIGHT_IN, drawn.append) as (axes,):
         draw(axes, one)
     return Figure(title, CAPTION.format(limit=one.alert_limit_m), inline_svg(drawn[0], title, VARIABLES | SHADES))
 

@@ -144,7 +144,8 @@ class Process:
 
         What plain RAIM excludes in an epoch the filters do not use from then on. Where the filters exclude more than
         two satellites and all of them agree with one another, no satellite is at fault: all signals are false and the
-        neighbours contradict them, or they were false and are true again. The filters start anew.
+        neighbours contradict them, or they were false and are true again. GNSS is accused as a whole in that epoch, and
+        the filters start anew.
         """
         cooperative, plain = self._cooperative, None
         if cooperative is None:
@@ -153,13 +154,16 @@ class Process:
             plain = self._plain.evaluate(epoch, self._store)
         start = plain.solution if plain and (plain.fault_free or plain.outcome is Outcome.NOT_EVALUATED) else None
         helped = cooperative.evaluate(epoch, self._store, reports, road_e=None, start=start)
-        if len(helped.excluded) > MOST_FAULTY and self._plain.all_agree(epoch, self._store):
+        restarts = len(helped.excluded) > MOST_FAULTY and self._plain.all_agree(epoch, self._store)
+        if restarts:
             cooperative.restart()
             reason = "all satellites contradict the filters and agree with one another: the filters start anew"
             helped = SatelliteVerdict(
                 Outcome.NOT_EVALUATED, reason, neighbours=helped.neighbours, rejected=helped.rejected
             )
         plain = plain or self._plain.evaluate(epoch, self._store, frozenset(helped.excluded))
+        if restarts:
+            plain = replace(plain, outcome=Outcome.ACCUSES, fault_free=False, reason=helped.reason)
         if plain.fault_free:
             excluded = frozenset(plain.excluded)
             cooperative.exclude(excluded - self._plainly_excluded)

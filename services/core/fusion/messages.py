@@ -75,7 +75,7 @@ def samples_of(batch: ImuSamples, settings: Settings) -> Iterator[InertialSample
 
 def turned(matrix: Matrix3, vectors: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
     """Multiply each vector by a matrix."""
-    return tuple(map(tuple, (np.array(vectors) @ np.array(matrix).T).tolist()))
+    return tuple((x, y, z) for x, y, z in (np.array(vectors) @ np.array(matrix).T).tolist())
 
 
 def give(navigator: Navigator, message: Given) -> bool:

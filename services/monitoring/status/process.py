@@ -4,6 +4,7 @@ import logging
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -15,12 +16,13 @@ from pydantic import Field
 
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
+from shared.library.library import Library
 from shared.messages.operation import RecordingState
-from shared.recording.library import Library
 from shared.runtime.config import Section, parse_vehicle
 
 from .history_file import HistoryFile
 from .replay import ReplayFeed
+from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
 from .web.map import MapApi
@@ -28,12 +30,14 @@ from .web.pages import read_pages
 from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
 from .web.routes import Api, Watching, make_app, make_server
+from .web.series import SeriesApi
 from .web.simulation import SimulationApi
 
 log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
 ADDRESS_FILE = "status.address"
+PAST_PERIOD_S = 1.0
 HISTORY_FILE = "status.history.jsonl"
 TRACK_FILE = "status.track.jsonl"
 LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
@@ -87,6 +91,7 @@ class Process:
         recordings = RecordingsApi(library, job, allowed, partial(open_name, state))
         server = self._make_server(state, lock, bus, now_ns, (simulation, replay, recordings))
         thread = threading.Thread(target=server.run, args=([listener],), name="web", daemon=True)
+        threading.Thread(target=read_pasts, args=(bus, state, lock), name="past", daemon=True).start()
         self._announce(listener, bus)  # before the server can fail and close the port
         thread.start()
         look_ns = 0
@@ -123,11 +128,12 @@ class Process:
         apis: tuple[SimulationApi, ReplayApi, RecordingsApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
+        series = SeriesApi(state, lock, now_ns, self._config.clients_maximum)
         collector = StateCollector(state, now_ns, lock, software_version())
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
         watching = Watching(state, lock, now_ns, self._config.clients_maximum, apis[1])
         maps = MapApi(state, lock, now_ns, self._config.map_file)
-        app = make_app(api, (*apis, maps), read_pages(folder), watching, self._config.allowed_hosts)
+        app = make_app(api, (series, *apis, maps), read_pages(folder), watching, self._config.allowed_hosts)
         return make_server(app, 4 * self._config.clients_maximum + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:
@@ -161,6 +167,25 @@ def take_in(bus: Bus, state: State, lock: threading.Lock) -> None:
                 bus.rejects["payload"] += 1
                 bus.last_error = str(error)[:400]
         state.tick(bus.now_ns(), broker=bus.connected)
+
+
+def read_pasts(bus: Bus, state: State, lock: threading.Lock) -> None:
+    """Read the past of fields that are newly kept from the recordings, in the background; not of a replay."""
+    folder = recordings_folder(bus)
+    while not (bus.stopping or state.replay):
+        with lock:
+            names = state.series.take_wanted()
+        if names and folder.is_dir():
+            now_ns = bus.now_ns()
+            try:
+                for name, values in fill_from_recordings(names, folder, now_ns):
+                    with lock:
+                        state.series.fill(name, values, now_ns)
+            except OSError as error:
+                log.warning("the past of charts cannot be read from %s: %s", folder, error)
+            with lock:
+                state.series.fillings += 1
+        time.sleep(PAST_PERIOD_S)
 
 
 def take_in_replay(bus: Bus, state: State, lock: threading.Lock, feed: ReplayFeed) -> None:

@@ -30,6 +30,7 @@ from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
+from .gnss_history import GnssHistory
 from .history import History, TrustHistory
 from .judgement import (
     BROKER_SILENT_NS,
@@ -41,6 +42,7 @@ from .judgement import (
     unavailable,
     watchdog_problem,
 )
+from .series.store import Series
 from .track import Track
 from .track_row import track_row
 from .truth_check import TruthCheck
@@ -114,6 +116,8 @@ class State:
         self.verdict: Verdict = show(Evidence(broker=True))
         self.trust_history = TrustHistory(history_s)
         self.truth_check = TruthCheck()
+        self.series = Series()
+        self.gnss = GnssHistory()
         self.track = Track()
         self.trust_events: deque[TrustEvent] = deque(maxlen=TRUST_EVENTS)
         self.bus_delay_p95_s: float | None = None
@@ -123,12 +127,13 @@ class State:
 
     def clear(self, started_ns: int) -> None:
         """Forget everything, as after a start at another time: a replay jumped."""
-        track = self.track
+        track, fillings = self.track, self.series.fillings + 1  # pages ask for the past of the other time
         vars(self).update(
             vars(State(self.vehicle, tuple(self.expected), started_ns, self.history_s, replay=self.replay))
         )
         self.track = track  # of the parts that were played
         self.track.interrupt()
+        self.series.fillings = fillings
 
     def recall(self, changes: Iterable[tuple[int, str]], outages: Iterable[Outage]) -> None:
         """Insert what happened before everything that is known: changes of the verdict, and outages."""
@@ -158,6 +163,10 @@ class State:
             self._broker_back_ns = envelope.received_ns
         self._received_ns = max(self._received_ns, envelope.received_ns)
         message = flow.note(envelope)
+        if message is not None and not envelope.retained:
+            self.series.take(name, message, envelope.received_ns)
+        if message is not None:
+            self.gnss.note(message, flow.updated_ns or envelope.received_ns)
         match message:
             case ProcessHealth():
                 self._note_health(message, envelope, flow)

@@ -1,8 +1,9 @@
 """Configures a u-blox receiver of generation 9 or later as requested by the controller, and verifies the result.
 
-Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), UBX-CFG-VALSET, UBX-CFG-VALGET, UBX-ACK.
+Source: u-blox F9 HPG 1.32 interface description (UBX-22008968), UBX-CFG-VALSET, UBX-CFG-VALGET, UBX-ACK, UBX-MON-VER.
 """
 
+import math
 from collections.abc import Iterator
 from difflib import get_close_matches
 
@@ -11,12 +12,18 @@ from pyubx2.ubxtypes_configdb import UBX_CONFIG_DATABASE
 
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssWrite
 
-ACK, CFG = 0x05, 0x06
-VALSET, VALGET = 0x8A, 0x8B
+ACK, CFG, MON = 0x05, 0x06, 0x0A
+VALSET, VALGET, VER = 0x8A, 0x8B, 0x04
 RAM = 1  # volatile layer of VALSET; VALGET numbers the same layer 0
 MAX_KEYS = 64
 TIMEOUT_TICKS = 3  # seconds without a response
 PORTS = ("UART1", "USB")
+ELEVATION_MASK, DYNAMIC_MODEL = "CFG_NAVSPG_INFIL_MINELEV", "CFG_NAVSPG_DYNMODEL"
+DYNAMIC_MODELS = {
+    0: "portable", 2: "stationary", 3: "pedestrian", 4: "automotive", 5: "sea", 6: "airborne below 1 g",
+    7: "airborne below 2 g", 8: "airborne below 4 g", 9: "wrist", 10: "bike", 11: "mower", 12: "scooter",
+}  # fmt: skip
+VERSION_HEAD, VERSION_LINE = 40, 30  # [bytes] software and hardware, and each further line
 ONCE_A_SECOND = ("RXM-RAWX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG")  # whatever the navigation period
 
 
@@ -29,6 +36,9 @@ class Configurator:
         self._rejected = False
         self._optional: dict[int, int] = {}  # values of the optional messages that the receiver has
         self._awaited = 0  # responses on optional messages that are still to come
+        self._reading = False  # whether the values that are only read are still to come; they are polled first
+        self._read: dict[int, int] = {}
+        self._version: dict[str, str] = {}
         self._ticks = 0
 
     def request(self, wanted: GnssConfigure, now_ns: int) -> Iterator[GnssWrite | GnssConfiguration]:
@@ -44,6 +54,10 @@ class Configurator:
             yield from self._result({}, str(error))
             return
         self._optional, self._awaited = {}, len(optional)
+        self._read, self._reading, keys = {}, True, _database()
+        version = UBXMessage(bytes((MON,)), bytes((VER,)), 2)  # 2: poll
+        for message in (version, UBXMessage.config_poll(0, 0, [keys[ELEVATION_MASK], keys[DYNAMIC_MODEL]])):
+            yield GnssWrite(received_ns=now_ns, source=self._source, data=message.serialize())
         for asked in (*optional, values):
             setting = UBXMessage.config_set(RAM, 0, list(asked.items()))
             for message in (setting, UBXMessage.config_poll(0, 0, list(asked))):
@@ -54,6 +68,11 @@ class Configurator:
         if self._request is None or len(frame) < 10:
             return
         kind, payload = (frame[2], frame[3]), frame[6:-2]
+        if kind == (MON, VER):
+            self._version = read_version(payload)
+            return
+        if self._reading and self._take_read(kind, payload):
+            return
         if self._awaited and self._take_optional(kind, payload):
             return
         if kind == (CFG, VALGET):
@@ -65,6 +84,15 @@ class Configurator:
             yield from self._result(
                 {}, "the receiver rejected UBX-CFG-VALGET: older than generation 9, or a message is not supported"
             )
+
+    def _take_read(self, kind: tuple[int, int], payload: bytes) -> bool:
+        """Process the response to the first poll; whatever else comes first says that it was lost."""
+        self._reading = False
+        found = read_values(payload) if kind == (CFG, VALGET) else {}
+        if _database()[DYNAMIC_MODEL] in found:
+            self._read = found
+            return True
+        return kind == (ACK, 0) and payload[1] == VALGET
 
     def _take_optional(self, kind: tuple[int, int], payload: bytes) -> bool:
         """Process the response to the request for an optional message, which a receiver that lacks it rejects."""
@@ -93,7 +121,7 @@ class Configurator:
         self._request = None
         keys = _database()
         period_ms, cycles = values.get(keys["CFG_RATE_MEAS"]), values.get(keys["CFG_RATE_NAV"], 1)
-        values = {**self._optional, **values}
+        values = {**self._read, **self._optional, **values}
         messages = tuple(name for name in wanted.messages if any(values.get(key) for key in _message_keys(name)))
         optional = tuple(
             name for name in wanted.optional_messages if any(values.get(key) for key in _message_keys(name))
@@ -107,6 +135,10 @@ class Configurator:
             navigation_period_s=period_s,
             messages=messages + optional,
             reason=fault,
+            model=self._version.get("MOD"),
+            firmware=self._version.get("FWVER"),
+            dynamic_model=DYNAMIC_MODELS.get(values.get(keys[DYNAMIC_MODEL], -1)),
+            elevation_mask_rad=_elevation_rad(values.get(keys[ELEVATION_MASK])),
         )
 
 
@@ -153,6 +185,24 @@ def read_values(payload: bytes) -> dict[int, int]:
         values[key] = int.from_bytes(payload[position + 4 : end], "little")
         position = end
     return values
+
+
+def read_version(payload: bytes) -> dict[str, str]:
+    """Decode UBX-MON-VER to its lines of the form KEY=value; FWVER is the software version where no line has it."""
+    if len(payload) < VERSION_HEAD:
+        return {}
+    lines = [_text(payload[start : start + VERSION_LINE]) for start in range(VERSION_HEAD, len(payload), VERSION_LINE)]
+    stated = dict(line.split("=", 1) for line in lines if "=" in line)
+    return {"FWVER": _text(payload[:VERSION_LINE]), **stated}
+
+
+def _text(field: bytes) -> str:
+    return field.split(b"\0", 1)[0].decode("ascii", "replace").strip()
+
+
+def _elevation_rad(value: int | None) -> float | None:
+    """Decode the elevation mask, a signed byte of degrees."""
+    return None if value is None else math.radians(value - 256 if value > 127 else value)
 
 
 def _size(key: int) -> int:

@@ -11,7 +11,7 @@ from typing import Any
 from pyubx2.ubxmessage import UBXMessage
 
 from shared.messages.base import Symmetric3
-from shared.messages.gnss import CarrierSolution, Constellation, FixType, Satellite
+from shared.messages.gnss import CarrierSolution, Constellation, FixType, Satellite, SignalQuality
 
 NAV = 0x01
 KINDS = {0x04: "DOP", 0x07: "PVT", 0x14: "HPPOSLLH", 0x35: "SAT", 0x36: "COV", 0x3C: "RELPOSNED", 0x61: "EOE"}
@@ -31,6 +31,8 @@ _PVT_WITH_FLAGS3 = 92  # [bytes] since protocol 15; reserved in the earlier 84-b
 _SAT = struct.Struct("<BBBbhhI")
 _FIX_TYPES = tuple(FixType)
 _CARRIER = (CarrierSolution.NONE, CarrierSolution.FLOAT, CarrierSolution.FIXED, CarrierSolution.NONE)
+_QUALITIES = (*SignalQuality, SignalQuality.CARRIER_LOCKED, SignalQuality.CARRIER_LOCKED)  # 5 to 7: carrier locked
+_HEALTH = (None, True, False, None)
 _CONSTELLATIONS = (
     Constellation.GPS,
     Constellation.SBAS,
@@ -211,6 +213,9 @@ def _satellite(
         azimuth_rad=math.radians(azimuth) if located else None,
         residual_m=residual * 0.1 if flags & 8 else None,
         used=bool(flags & 8),
+        quality=_QUALITIES[flags & 7],
+        healthy=_HEALTH[flags >> 4 & 3],
+        orbit_known=bool(flags >> 8 & 7),
     )
 
 

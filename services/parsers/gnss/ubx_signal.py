@@ -9,7 +9,14 @@ version 2 of SEC-SIG as pyubx2 has it.
 import struct
 from collections.abc import Callable
 
-from shared.messages.gnss import MAX_RADIO_PATHS, InterferenceState, RadioPath, ReceiverClock, SignalFlags
+from shared.messages.gnss import (
+    MAX_RADIO_PATHS,
+    InterferenceState,
+    RadioPath,
+    ReceiverClock,
+    ReceiverStatus,
+    SignalFlags,
+)
 
 from .ubx_messages import UbxError
 
@@ -17,7 +24,7 @@ KINDS = {(0x01, 0x03): "STATUS", (0x01, 0x22): "CLOCK", (0x0A, 0x38): "RF", (0x2
 FIELDS = {"STATUS": "status", "CLOCK": "clock", "RF": "radio_paths", "SIG": "security"}  # of `GnssSignalQuality`
 AGC_FULL = 8191  # [-] largest count of the gain control
 INDICATOR_FULL = 255
-_STATUS = struct.Struct("<4x3xB8x")
+_STATUS = struct.Struct("<4x3xBI4x")
 _CLOCK = struct.Struct("<4xiiII")
 _PATH = struct.Struct("<BB10xHHB3x")
 _PATH_SIZES = (20, 24)  # [bytes] of ZED-F9R, and of the interface description; what is read is the same
@@ -32,9 +39,12 @@ def decode(kind: str, payload: bytes) -> Part:
     return _DECODERS[kind](payload)
 
 
-def _status(payload: bytes) -> SignalFlags:
-    (flags2,) = _exactly(_STATUS, payload)
-    return SignalFlags(spoofing=_SPOOFING[flags2 >> 3 & 3])
+def _status(payload: bytes) -> ReceiverStatus:
+    flags2, first_fix_ms = _exactly(_STATUS, payload)
+    return ReceiverStatus(
+        spoofing=_SPOOFING[flags2 >> 3 & 3],
+        time_to_first_fix_s=first_fix_ms * 1e-3 if first_fix_ms else None,
+    )
 
 
 def _clock(payload: bytes) -> ReceiverClock:

@@ -9,11 +9,11 @@ from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope
 from shared.errors import BadPayload, BadRecording, UserError
+from shared.library.summary import SummaryWorker
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.replay import FASTEST, SLOWEST, ReplayCommand, ReplayControl, ReplayEvents, ReplayState
 from shared.recording import Recording
 from shared.recording.index import RecordingIndex
-from shared.recording.summary import SummaryWorker
 from shared.runtime.config import Section
 
 from .position import Position

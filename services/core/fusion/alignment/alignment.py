@@ -244,7 +244,10 @@ class Alignment:
         begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
         parameters = (*known[:begin], *first.error, *known[end:])
         imu = (self._lost.imu if self._lost else ImuErrors())._replace(accelerometer_bias=bias, gyroscope_bias=drift)
-        return ErrorStateFilter(settings, inertial, P, imu, parameters, first.colour)
+        started = ErrorStateFilter(settings, inertial, P, imu, parameters, first.colour)
+        if self._lost is not None:
+            started.velocity_errors = self._lost.velocity_errors
+        return started
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weighted mean of the fixes of a standstill, or the one fix of a moving vehicle."""

@@ -106,7 +106,7 @@ def fault(saved: SavedState, time_ns: int) -> str | None:
 
 
 def covariance_of(saved: SavedState) -> FloatArray:
-    """Fill both triangles of the covariance, shape (31, 31)."""
+    """Fill both triangles of the covariance, shape (34, 34)."""
     P = np.zeros((em.SIZE, em.SIZE))
     P[UPPER] = saved.covariance
     return P + np.triu(P, 1).T
@@ -178,7 +178,7 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
 
 
 def unmeasured_motion(velocity: Vector, span_s: float) -> FloatArray:
-    """Covariance that a time without samples adds, shape (31, 31).
+    """Covariance that a time without samples adds, shape (34, 34).
 
     Notes
     -----

@@ -9,7 +9,7 @@ z = measured - predicted = H x + noise with H = -d(predicted)/d(state). The atti
 vector in NED axes, C_estimated = (I + sk(psi)) C; the position error is in metres NED.
 
 The errors grow by x' = F x + noise. Attitude, velocity and position are driven by each other and by the errors of the
-IMU; every other state is constant, a random walk, or (the time-correlated GNSS error) a Gauss-Markov process.
+IMU; every other state is constant, a random walk, or (the time-correlated GNSS errors) a Gauss-Markov process.
 """
 
 from math import exp, inf, sqrt
@@ -41,8 +41,9 @@ GNSS_DELAY = 27  # [s] by which GNSS is older than its stamp
 ODOMETER_DELAY = 28  # [s]
 BAROMETER_OFFSET = 29  # [m] of barometric height
 GNSS_VELOCITY_DELAY = 30  # [s] by which GNSS velocity is older still
+GNSS_VELOCITY_ERROR = slice(31, 34)  # [m/s, NED] time-correlated error of GNSS velocities
 DELAYS = np.array([GNSS_DELAY, ODOMETER_DELAY, GNSS_VELOCITY_DELAY])
-SIZE = 31
+SIZE = 34
 MOVING = 9  # attitude, velocity and position, which F drives
 DRIVING = 21  # by them and the errors of the IMU
 PARAMETERS = slice(DRIVING, SIZE)  # of the aiding sensors
@@ -82,7 +83,7 @@ def system_matrix(
 
     Returns
     -------
-    ndarray, shape (31, 31)
+    ndarray, shape (34, 34)
         [1/s and mixed]
 
     Notes
@@ -191,13 +192,17 @@ def system_matrix(
 
 
 @compilable
-def transition_matrix(F: FloatArray, step_s: float, gnss_correlation_s: float = inf) -> FloatArray:
-    """Transition matrix Phi, shape (31, 31), of a short step: I + F t.
+def transition_matrix(
+    F: FloatArray, step_s: float, gnss_correlation_s: float = inf, velocity_correlation_s: float = inf
+) -> FloatArray:
+    """Transition matrix Phi, shape (34, 34), of a short step: I + F t.
 
-    The time-correlated GNSS error decays by exp(-t/T), exact at any step because nothing drives it.
+    The time-correlated errors of GNSS positions and velocities decay by exp(-t/T), exact at any step because nothing
+    drives them.
     """
     Phi = UNIT_STATES + F * step_s
     Phi[GNSS_ERROR, GNSS_ERROR] = exp(-step_s / gnss_correlation_s) * UNIT
+    Phi[GNSS_VELOCITY_ERROR, GNSS_VELOCITY_ERROR] = exp(-step_s / velocity_correlation_s) * UNIT
     return Phi
 
 
@@ -212,7 +217,7 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
 
     Returns
     -------
-    ndarray, shape (31,)
+    ndarray, shape (34,)
         Diagonal of the matrix; times a short step it is the covariance that the step adds.
 
     References
@@ -233,7 +238,7 @@ def process_noise(
 
     Parameters
     ----------
-    psd : ndarray, shape (31,)
+    psd : ndarray, shape (34,)
         [unit²/s] As of `process_noise_psd`.
     attitude_psd, velocity_psd : float
         [rad²/s], [m²/s³] Least densities of attitude and velocity, from the measured vibration.
@@ -244,7 +249,7 @@ def process_noise(
 
     Returns
     -------
-    ndarray, shape (31,)
+    ndarray, shape (34,)
         [unit²]
 
     References
@@ -271,6 +276,8 @@ def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and ar
     attitude_psd: float,
     velocity_psd: float,
     gnss_correlation_s: float,
+    velocity_correlation_s: float,
+    velocity_variance: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """System matrix F, transition matrix Phi and process noise Q of a step.
 
@@ -282,21 +289,26 @@ def discretised(  # noqa: PLR0913, PLR0917  # compiled code takes numbers and ar
         [m/s, NED], [rad, body] Integrals of specific force and angular rate over the step.
     step_s, psd, attitude_psd, velocity_psd, gnss_correlation_s
         See `process_noise`.
+    velocity_correlation_s, velocity_variance : float, ndarray of shape (3,)
+        [s], [m²/s²] Correlation time T and stationary variance s² of the error of GNSS velocities, NED:
+        Q = s² (1 - exp(-2t/T)).
 
     Returns
     -------
     tuple of ndarray
-        Shapes (31, 31), (31, 31) and (31,).
+        Shapes (34, 34), (34, 34) and (34,).
     """
     (vn, ve, vd), (rx, ry, rz), per_s = velocity_gain_n, rotation_b, 1.0 / step_s
     force_n, rate_b = (vn * per_s, ve * per_s, vd * per_s), (rx * per_s, ry * per_s, rz * per_s)
     F = system_matrix(quaternion, velocity, position, earth, force_n, rate_b)
-    Phi = transition_matrix(F, step_s, gnss_correlation_s)
-    return F, Phi, process_noise(psd, attitude_psd, velocity_psd, step_s, gnss_correlation_s)
+    Phi = transition_matrix(F, step_s, gnss_correlation_s, velocity_correlation_s)
+    Q = process_noise(psd, attitude_psd, velocity_psd, step_s, gnss_correlation_s)
+    Q[GNSS_VELOCITY_ERROR] = velocity_variance * (1.0 - exp(-2.0 * step_s / velocity_correlation_s))
+    return F, Phi, Q
 
 
 def antenna_position_matrix(arm_n: Vector) -> FloatArray:
-    """Matrix H, shape (3, 31), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
+    """Matrix H, shape (3, 34), of GNSS minus predicted antenna position [m, NED], for the arm C l [m, NED]."""
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = skew(arm_n)
     H[:, POSITION] = -UNIT
@@ -317,7 +329,7 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
 
     Returns
     -------
-    ndarray, shape (3, 31)
+    ndarray, shape (3, 34)
         The small term of the Earth's rate in the prediction is neglected.
 
     Notes
@@ -357,7 +369,7 @@ def axle_velocity_matrix(
 
     Returns
     -------
-    ndarray, shape (3, 31)
+    ndarray, shape (3, 34)
         Rows forward, right, down. The roll of the mounting is taken for zero: driving does not show it.
 
     Notes

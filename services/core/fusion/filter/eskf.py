@@ -11,6 +11,7 @@ from shared.maths.earth import Geodetic
 from shared.maths.kalman import Correction, correct
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
+from ..measurements import gnss_velocity_errors
 from ..measurements.gnss_error_model import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
@@ -41,7 +42,7 @@ NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
 
 
 class ErrorStateFilter:
-    """The state, and the covariance of its 31 errors; every correction is taken out of the state at once.
+    """The state, and the covariance of its 34 errors; every correction is taken out of the state at once.
 
     What is not estimated has neither variance nor noise, and stays as it was given. Nothing is changed in place, so
     that a `fork` is cheap.
@@ -52,7 +53,7 @@ class ErrorStateFilter:
         Noise, periods.
     inertial : InertialState
         At the start.
-    P : ndarray, shape (31, 31)
+    P : ndarray, shape (34, 34)
         Covariance at the start, in the order of `error_model`.
     imu : ImuErrors
         As far as known.
@@ -76,6 +77,7 @@ class ErrorStateFilter:
         self.imu = imu
         self.parameters = parameters
         self.colour = colour
+        self.velocity_errors = gnss_velocity_errors.UNKNOWN
         self.moved: Vector = ZERO  # [m, NED] by all corrections together
         self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
         self._settings = settings
@@ -173,8 +175,21 @@ class ErrorStateFilter:
 
     @gnss_error.setter
     def gnss_error(self, error: FloatArray) -> None:
-        begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
-        self.parameters = (*self.parameters[:begin], *error.tolist(), *self.parameters[end:])
+        self._set_parameters(em.GNSS_ERROR, error)
+
+    @property
+    def gnss_velocity_error(self) -> FloatArray:
+        """Time-correlated error of GNSS velocities [m/s, NED], shape (3,)."""
+        place = em.GNSS_VELOCITY_ERROR
+        return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
+
+    @gnss_velocity_error.setter
+    def gnss_velocity_error(self, error: FloatArray) -> None:
+        self._set_parameters(em.GNSS_VELOCITY_ERROR, error)
+
+    def _set_parameters(self, place: slice, values: FloatArray) -> None:
+        begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
+        self.parameters = (*self.parameters[:begin], *values.tolist(), *self.parameters[end:])
 
     @property
     def vehicle_from_body(self) -> FloatArray:
@@ -213,15 +228,19 @@ class ErrorStateFilter:
             factor * state.rate_vibration_psd,
             factor * state.force_vibration_psd,
             self.colour.correlation_s if estimated else inf,
+            gnss_velocity_errors.CORRELATION_S,
+            self.velocity_errors.variance,
         )
         self.P = predict(self.P, Phi, Q)
         gnss_decay = Phi.item(em.GNSS_ERROR.start, em.GNSS_ERROR.start)
         if gnss_decay != 1.0:
             self.gnss_error = gnss_decay * self.gnss_error
+        velocity_decay = Phi.item(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.start)
+        self.gnss_velocity_error = velocity_decay * self.gnss_velocity_error
         self.state = state._replace(span_s=0.0, velocity_gain_n=ZERO, rotation_b=ZERO)
         self._check()
         if self.recorder is not None:
-            self.recorder.record_step(self, F, span_s, gnss_decay)
+            self.recorder.record_step(self, F, span_s, (gnss_decay, velocity_decay))
 
     def learn(self, colour: GnssErrorBank | KnownGnssErrors) -> None:
         """Take over new statistics of GNSS errors: the estimate of the error [m] stays, and its variance follows."""
@@ -271,6 +290,11 @@ class ErrorStateFilter:
         for place in range(em.GNSS_ERROR.start, em.GNSS_ERROR.stop):
             self.set_parameter(place, 0.0, 1.0)
 
+    def forget_gnss_velocity_error(self) -> None:
+        """End the estimate of the time-correlated error of GNSS velocities: it is zero."""
+        for place in range(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.stop):
+            self.set_parameter(place, 0.0, 0.0)
+
     def set_parameter(self, place: int, value: float, sd: float) -> None:
         """Begin a parameter anew, independent of what was estimated before."""
         own = place - em.DRIVING
@@ -293,7 +317,7 @@ class ErrorStateFilter:
             self.recorder.record_correction(self.time_ns, correction)
 
     def take_out(self, errors: FloatArray, P: FloatArray) -> None:
-        """Subtract errors, shape (31,), that leave the covariance P: true = estimated - x."""
+        """Subtract errors, shape (34,), that leave the covariance P: true = estimated - x."""
         x: list[float] = errors.tolist()
         self.P = P
         self.inertial = without(self.inertial, x[: em.MOVING])

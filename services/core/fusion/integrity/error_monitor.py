@@ -28,6 +28,7 @@ class Watch:
     anchored: Block = NO_BLOCK  # covariance after it
     pulled: tuple[float, float] = (0.0, 0.0)  # [m] most that it can have moved the solution unseen, on ground and up
     contested: tuple[float, float] = (0.0, 0.0)  # [m] by which a position or a height was refused, until one is used
+    followed: tuple[float, float] = (0.0, 0.0)  # [m²] variance of errors of positions that the filter follows
     yielded: tuple[float, float] = (0.0, 0.0)  # [m] the same when the filter gave way to them; it fades
 
     def begun(self, time_ns: int, started: ErrorStateFilter) -> "Watch":
@@ -40,7 +41,9 @@ class Watch:
             more += hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9  # it went on since
         given_up = (level + more, upright + higher)
         anchored = block(started)
-        return Watch(self.position, self.velocity, self.estimated, time_ns, anchored, yielded=given_up)
+        return Watch(
+            self.position, self.velocity, self.estimated, time_ns, anchored, followed=self.followed, yielded=given_up
+        )
 
     def after(
         self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float, *, estimated: bool
@@ -101,7 +104,7 @@ class Watch:
         fading = exp(-max(0, outcome.time_ns - self.used_ns) * 1e-9 / MEMORY_S)
         yielded = fading * self.yielded[0], fading * self.yielded[1] + given_way
         contested = 0.0, 0.0 if len(outcome.innovation) == 3 else upright
-        return Watch(seen, self.velocity, estimated, outcome.time_ns, now, pulled, contested, yielded)
+        return Watch(seen, self.velocity, estimated, outcome.time_ns, now, pulled, contested, self.followed, yielded)
 
     @cached_property
     def disputed(self) -> tuple[float, float]:
@@ -110,8 +113,9 @@ class Watch:
 
     @cached_property
     def overstatement(self) -> float:
-        """By how much the filter overstates what it has learnt."""
-        return max(self.position.overstatement, self.velocity.overstatement)
+        """By how much the filter overstates what it has learnt; errors of followed positions repeat by themselves."""
+        of_positions = 1.0 if self.followed[0] > 0.0 else self.position.overstatement
+        return max(of_positions, self.velocity.overstatement)
 
     @cached_property
     def scale_horizontal(self) -> float:
@@ -128,12 +132,12 @@ class Watch:
         """Variance [m²] of an error of GNSS that lasts, along the worse axis; the start's until there is evidence."""
         if not self.position.time_ns:
             return max(self.anchored[0], self.anchored[2])
-        return max(self.position.lasting(0), self.position.lasting(1))
+        return max(self.position.lasting(0), self.position.lasting(1), self.followed[0])
 
     @cached_property
     def lasting_vertical(self) -> float:
         """The same of the height."""
-        return self.position.lasting(2) if self.position.time_ns else self.anchored[3]
+        return max(self.position.lasting(2), self.followed[1]) if self.position.time_ns else self.anchored[3]
 
 
 def block(navigation: ErrorStateFilter) -> Block:

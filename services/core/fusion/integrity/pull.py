@@ -42,7 +42,7 @@ class Pull:
         ----------
         outcome : Outcome
             Of the measurement.
-        before, now : ndarray, shape (31, 31)
+        before, now : ndarray, shape (34, 34)
             Covariance of the filter before and after it.
         gate : tuple of float
             False-alarm probability of the gate, and the multiple of its limit up to which a measurement is used.

@@ -18,7 +18,9 @@ from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..filter.strapdown import rotate
 from ..settings import Settings
+from ..update.standstill_detector import stands
 from .base import Measurement, Observation
+from .gnss_error_model import KnownGnssErrors
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -84,7 +86,11 @@ class GnssPosition:
         n = self.axes
         return Observation(AidingKind.GNSS_POSITION, z[:n], H[:n], R[:n, :n])
 
-    def teach(self, navigation: ErrorStateFilter) -> None:
+    def followed_variances(self, navigation: ErrorStateFilter) -> tuple[float, float]:
+        """Variances [m²] on ground and up of its error that the filter follows, and its covariance lacks."""
+        return navigation.colour.unestimated(self.cov) if self.lasts else (0.0, 0.0)
+
+    def teach(self, navigation: ErrorStateFilter, _innovation: tuple[float, ...]) -> None:
         """Update the model of GNSS errors of the filter that has used it."""
         if self.lasts and self.axes == 3 and navigation.colour.is_due(self.time_ns):
             arm_n = rotate(navigation.quaternion, self.lever_arm)
@@ -115,6 +121,8 @@ class GnssVelocity:
     cov: FloatArray
     axes: int
     lever_arm: Vector
+    lasts: bool = False  # the error of the position beside it, in part
+    stated: bool = True  # its covariance, by the receiver
     removed_s: float = 0.0  # of its age, in `time_ns`
     left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
@@ -123,7 +131,7 @@ class GnssVelocity:
         yield self.observe
 
     def observe(self, navigation: ErrorStateFilter) -> Observation:
-        """Innovation against the predicted velocity of the antenna."""
+        """Innovation against the predicted velocity of the antenna plus the estimated time-correlated error."""
         (north, east, down), (vn, ve, vd) = self.velocity, navigation.velocity
         an, ae, ad = antenna_velocity(navigation, self.lever_arm)
         z = np.array([north - vn - an, east - ve - ae, down - vd - ad])
@@ -131,8 +139,25 @@ class GnssVelocity:
         age_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
         z += (age_s - self.removed_s) * navigation.smoothed_acceleration
         H[:, em.GNSS_DELAY] = H[:, em.GNSS_VELOCITY_DELAY] = navigation.smoothed_acceleration
+        if self.lasts:
+            z -= navigation.gnss_velocity_error
+            H[:, em.GNSS_VELOCITY_ERROR] = -em.UNIT
         n = self.axes
         return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], self.cov[:n, :n])
+
+    def teach(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
+        """Update the model of velocity errors of the filter that has used it; a standstill shows nothing of them."""
+        known = isinstance(navigation.colour, KnownGnssErrors)
+        if known or not self.lasts or stands(navigation.state.quiet):
+            return
+        n = self.axes
+        residual = np.array(innovation) + navigation.gnss_velocity_error[:n]
+        variances = self.cov.diagonal()[:n]
+        errors = navigation.velocity_errors.after(self.time_ns, residual, variances, stated=self.stated)
+        if navigation.velocity_errors.follows and not errors.follows:
+            navigation.forget_gnss_velocity_error()
+        navigation.velocity_errors = errors
+        navigation.learn(navigation.colour.following(errors.follows))
 
 
 def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> Vector:
@@ -188,6 +213,9 @@ def gnss_measurements(
         (positions only) and its diagonal kept between a floor, because some receivers state zero, and a ceiling.
     """
     true_ns = true_time_ns(settings, stamp.sampled_ns)
+    floor, factor = settings.gnss.position_sd_floor_m, settings.gnss.position_sd_factor
+    cov = _trusted(reading.cov, settings.gnss.position_sd_ned_m, floor, factor)
+    lasts = settings.gnss.time_correlated_errors and not fixed and bool(cov[:2, :2].max() > LASTING_ABOVE_M**2)
     measurements: list[Measurement] = []
     if velocity is not None and not settings.gnss.position_only:
         measurements.append(
@@ -199,11 +227,11 @@ def gnss_measurements(
                 cov=_trusted(velocity.cov, settings.gnss.velocity_sd_ned_m_s, settings.gnss.velocity_sd_floor_m_s, 1.0),
                 axes=velocity.axes,
                 lever_arm=settings.gnss.lever_arm_body_m,
+                lasts=lasts,
+                stated=velocity.cov is not None,
                 left_out=left_out,
             )
         )
-    floor, factor = settings.gnss.position_sd_floor_m, settings.gnss.position_sd_factor
-    cov = _trusted(reading.cov, settings.gnss.position_sd_ned_m, floor, factor)
     measurements.append(
         GnssPosition(
             time_ns=true_ns,
@@ -214,7 +242,7 @@ def gnss_measurements(
             axes=reading.axes,
             lever_arm=settings.gnss.lever_arm_body_m,
             time_sd_s=settings.gnss.time_sd_s,
-            lasts=settings.gnss.time_correlated_errors and not fixed and bool(cov[:2, :2].max() > LASTING_ABOVE_M**2),
+            lasts=lasts,
             left_out=left_out,
         )
     )

@@ -4,9 +4,13 @@ A receiver states the size of its errors, not always rightly, and never their co
 inertial sensors know the displacement to centimetres, so that differences of fixes minus displacement are changes of
 the fixes' errors. A bank of small filters, one per hypothesis, estimates them; the likelihood of each hypothesis
 follows from its innovations.
+
+That displacement is no better than the velocities behind it. Where their errors are not white (`gnss_velocity_errors`)
+the model does not hold, and positions are followed: what is stated is white to a quarter, and half of it, which is
+not estimated, is a part of the protection levels.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
 from math import exp, log, sqrt
@@ -33,6 +37,8 @@ START_SDS = 100.0  # of the unknown initial position over the error of a fix
 SURPRISE = 9.0  # d² of one axis at which its influence is clipped
 FLOOR = log(0.01) - log(10.0)  # of an axis' likelihood: one fix in a hundred may be ten times as wrong as stated
 PERIOD_S = 2.0  # between fixes used for learning: closer ones show the receiver's smoothing, not its errors
+FOLLOWED = 0.25, 10.0  # variance over the stated one, correlation time [s] of what is left, if positions are followed
+LASTS = 0.5  # of the stated variance, which the levels then hold for errors that last
 BREAK_S = 10.0  # without a fix, after which the displacement is unknown again
 VELOCITY_CORRELATION_S = 2.0  # of the error of the filter's velocity
 
@@ -50,6 +56,11 @@ class GnssErrorBank:
     error: FloatArray
     cov: tuple[FloatArray, FloatArray, FloatArray]
     time_ns: int | None = None
+    follows: bool = False  # positions are followed, not corrected by a time-correlated error
+
+    def following(self, follows: bool) -> "GnssErrorBank":
+        """Follow positions, or estimate their time-correlated error."""
+        return self if follows == self.follows else replace(self, follows=follows)
 
     @cached_property
     def _weights(self) -> tuple[FloatArray, FloatArray]:
@@ -71,20 +82,39 @@ class GnssErrorBank:
     @cached_property
     def lasting(self) -> float:
         """Time-correlated share of the variance, the mean over all hypotheses."""
-        return float(self.weight @ LASTING)
+        return 0.0 if self.follows else float(self.weight @ LASTING)
 
     @cached_property
     def correlation_s(self) -> float:
         """Correlation time [s], the geometric mean over all hypotheses."""
+        if self.follows:
+            return FOLLOWED[1]
         weight = self.weight * LASTING + 1e-12
         return exp(float(weight @ LOG_CORRELATION) / float(weight.sum()))
 
     @cached_property
     def scale(self) -> FloatArray:
         """Standard deviations north, east and down over what the receiver states, by the mean variance; shape (3,)."""
-        weight, of_scales = self._weights
-        level, upright = np.sqrt(weight @ of_scales @ SCALES**2).tolist()
+        learned = FOLLOWED[0] * np.minimum(self._learned, 1.0) if self.follows else self._learned
+        level, upright = np.sqrt(learned).tolist()
         return np.array([level, level, upright])
+
+    @cached_property
+    def _learned(self) -> FloatArray:
+        """Variance of horizontal and vertical errors over the stated one, the mean over all hypotheses, shape (2,)."""
+        weight, of_scales = self._weights
+        learned: FloatArray = weight @ of_scales @ SCALES**2
+        return learned
+
+    def unestimated(self, cov: FloatArray) -> tuple[float, float]:
+        """Variances [m²] on ground and up of errors that last and are followed, for a stated covariance, shape (3, 3).
+
+        They are half the stated ones, or half the learned ones if these are smaller.
+        """
+        if not self.follows:
+            return 0.0, 0.0
+        level, upright = (LASTS * np.minimum(self._learned, 1.0)).tolist()
+        return level * max(cov.item(0, 0), cov.item(1, 1)), upright * cov.item(2, 2)
 
     @cached_property
     def unit(self) -> FloatArray:
@@ -101,7 +131,7 @@ class GnssErrorBank:
 
     def at_start(self) -> "GnssErrorBank":
         """Keep the learned model for a new track."""
-        return GnssErrorBank(self.evidence, *_unknown())
+        return GnssErrorBank(self.evidence, *_unknown(), follows=self.follows)
 
     def is_due(self, time_ns: int) -> bool:
         """Whether a fix of this stamp is used for learning."""
@@ -171,7 +201,7 @@ class GnssErrorBank:
             likelihood = np.maximum(-0.5 * (z * z / S + np.log(S / stated)), FLOOR)
             evidence = evidence + likelihood[1:]
             evidence[0] += likelihood[0]
-        return GnssErrorBank(evidence, way, error, after, time_ns)
+        return GnssErrorBank(evidence, way, error, after, time_ns, self.follows)
 
 
 def _of_axes(values: FloatArray) -> FloatArray:
@@ -226,6 +256,19 @@ class KnownGnssErrors:
     def scaled(self, cov: FloatArray) -> FloatArray:
         """Covariance as stated."""
         return cov
+
+    @property
+    def follows(self) -> bool:
+        """Whether positions are followed; they are corrected by the time-correlated error."""
+        return False
+
+    def unestimated(self, _cov: FloatArray) -> tuple[float, float]:
+        """All that lasts is estimated."""
+        return 0.0, 0.0
+
+    def following(self, _follows: bool) -> "KnownGnssErrors":
+        """Keep the known model."""
+        return self
 
     def at_start(self) -> "KnownGnssErrors":
         """Keep the known model for a new track."""

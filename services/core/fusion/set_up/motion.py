@@ -150,7 +150,8 @@ class Changes:
         """
         span = (self.end.mean(axis=1) - self.begin.mean(axis=1))[:, np.newaxis]
         gained: FloatArray = _mean_integrals(motion, self.end - lag_s) - _mean_integrals(motion, self.begin - lag_s)
-        return gained[:, :6] / span
+        mean: FloatArray = gained[:, :6] / span
+        return mean
 
 
 def intervals_of(motion: Motion, velocities: Velocities, lag_s: float = 0.0) -> Intervals:
@@ -250,7 +251,8 @@ class MotionLog:
 
         def recent(rows: deque[tuple[float, ...]], width: int) -> FloatArray:
             table = np.array(rows).reshape(-1, width)
-            return table[table[:, 0] >= begin]
+            kept: FloatArray = table[table[:, 0] >= begin]
+            return kept
 
         return Motion(
             nodes[:, 0], nodes[:, 1:], recent(self._positions, 4), recent(self._velocities, 4), recent(self._speeds, 2)

@@ -27,18 +27,19 @@ class Start(NamedTuple):
 
 
 class Step(NamedTuple):
-    """Covariance step x+ = Phi x + noise, with Phi = I + F t except for the time-correlated GNSS error."""
+    """Covariance step x+ = Phi x + noise, with Phi = I + F t except for the time-correlated GNSS errors."""
 
     time_ns: int  # of its end
     Ft: FloatArray  # the part of F t that is not zero, shape (9, 21)
-    gnss_decay: float  # diagonal of Phi for the time-correlated GNSS error
+    decays: tuple[float, float]  # diagonal of Phi for the time-correlated errors of GNSS positions and velocities
 
     @property
     def transition(self) -> FloatArray:
-        """Matrix Phi, shape (31, 31)."""
+        """Matrix Phi, shape (34, 34)."""
         Phi = np.eye(em.SIZE)
         Phi[: em.MOVING, : em.DRIVING] += self.Ft
-        Phi[em.GNSS_ERROR, em.GNSS_ERROR] *= self.gnss_decay
+        Phi[em.GNSS_ERROR, em.GNSS_ERROR] *= self.decays[0]
+        Phi[em.GNSS_VELOCITY_ERROR, em.GNSS_VELOCITY_ERROR] *= self.decays[1]
         return Phi
 
 
@@ -117,10 +118,12 @@ class HistoryRecorder:
         self._store.push(Start(filter_.inertial.time_ns))
         self._add_knot(filter_)
 
-    def record_step(self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, gnss_decay: float) -> None:
+    def record_step(
+        self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, decays: tuple[float, float]
+    ) -> None:
         """Record a covariance step over a time, with the system matrix F [1/s] of that time."""
         time_ns = filter_.time_ns
-        self._store.push(Step(time_ns, F[: em.MOVING, : em.DRIVING] * step_s, gnss_decay))
+        self._store.push(Step(time_ns, F[: em.MOVING, : em.DRIVING] * step_s, decays))
         before_ns = time_ns - round(step_s * 1e9)
         if time_ns // self._period_ns != before_ns // self._period_ns:
             self._add_knot(filter_)

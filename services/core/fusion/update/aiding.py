@@ -82,13 +82,15 @@ class Aids:
             if outcome.used and isinstance(measurement, GnssPosition | GnssVelocity):
                 gate = gating.false_alarm_probability, gating.robust_limit
                 self.pull = self.pull.after(outcome, P, navigation.P, gate)
-            estimated = isinstance(measurement, GnssPosition) and measurement.lasts
+            estimated = isinstance(measurement, GnssPosition) and measurement.lasts and not navigation.colour.follows
             self.watch = self.watch.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated
             )
-            yield outcome
             if isinstance(measurement, GnssPosition) and outcome.used:
-                measurement.teach(navigation)
+                self.watch = replace(self.watch, followed=measurement.followed_variances(navigation))
+            yield outcome
+            if isinstance(measurement, GnssPosition | GnssVelocity) and outcome.used:
+                measurement.teach(navigation, outcome.innovation)
 
     def leave_out(self, navigation: ErrorStateFilter, measurement: Measurement, why: str) -> Iterator[Outcome]:
         """Compare a measurement of an excluded source with the filter; nothing is learned of it."""

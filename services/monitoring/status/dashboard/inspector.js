@@ -1,35 +1,47 @@
-// The topic inspector: one topic's newest message as it came, its figures, and a plot of any number in it.
+// The topic inspector: one topic's newest message as it came, its figures, and its fields, each of which can be plotted.
 import { useEffect, useState } from "preact/hooks";
-import { clock, contract, paused, togglePause } from "./store.js";
+import { clock, contract, paused, remember, settings, togglePause } from "./store.js";
 import { Age, Drawer, Empty, Row, StateIcon, copyText, html, rate, seconds } from "./parts.js";
 import { words } from "./words.js";
 
-function numbersIn(message) {
-  const found = {};
-  const walk = (value, path) => {
-    if (typeof value === "number" && !path.endsWith("_ns")) found[path] = value;
-    else if (value && typeof value === "object") Object.entries(value).forEach(([k, v]) => walk(v, path ? `${path}.${k}` : k));
-  };
-  walk(message, "");
-  return found;
-}
+const FIELDS_SHOWN = 120;
 
-function Sparkline({ values, field }) {
-  const known = values.filter((v) => v != null);
-  if (known.length < 2) return null;
-  const [low, high] = [Math.min(...known), Math.max(...known)];
-  const y = (v) => (high === low ? 30 : 56 - (52 * (v - low)) / (high - low));
-  const points = values.map((v, i) => (v == null ? null : `${(i * 300) / 119} ${y(v)}`)).filter(Boolean).join("L");
-  return html`<figure class="spark"><svg viewBox="0 0 300 60" preserveAspectRatio="none" role="img" aria-label=${words.inspector.plotLabel(field, low, high)}><path d=${`M${points}`} /></svg>
-    <figcaption><span>${low.toPrecision(6)}</span><span>${high.toPrecision(6)}</span></figcaption></figure>`;
+// Every numeric field with its value: chosen ones are drawn on the page Charts.
+function Fields({ name }) {
+  const t = words.inspector;
+  const [listed, setListed] = useState([]);
+  const [filter, setFilter] = useState("");
+  useEffect(() => {
+    const ask = async () => {
+      try {
+        const answer = await fetch(`/api/fields/${name}`);
+        if (answer.ok && !paused.value) setListed((await answer.json()).fields);
+      } catch {
+        // The unit does not answer: the drawer says so already.
+      }
+    };
+    ask();
+    const timer = setInterval(ask, 1000);
+    return () => clearInterval(timer);
+  }, [name]);
+  const chosen = settings.value.plots ?? [];
+  const toggle = (field) => remember({ plots: chosen.includes(field) ? chosen.filter((f) => f !== field) : [...chosen, field] });
+  const shown = listed.filter((f) => f.path.includes(filter.trim())).slice(0, FIELDS_SHOWN);
+  if (listed.length === 0) return null;
+  return html`<h3>${t.fields}<input type="search" class="push" placeholder=${t.findField} aria-label=${t.findField} value=${filter} onInput=${(e) => setFilter(e.target.value)} /></h3>
+    ${chosen.length > 0 && html`<p class="note block"><a href="#/charts">${t.charts(chosen.length)}</a></p>`}
+    <div class="scroll fields" tabindex="0" role="region" aria-label=${t.fields}><table class="plain">
+      <thead><tr>${t.fieldColumns.map((text) => html`<th scope="col">${text}</th>`)}<th><span class="sr">${t.plot}</span></th></tr></thead>
+      <tbody>${shown.map((f) => html`<tr key=${f.name}><th scope="row">${f.path}${f.axis && html` <span class="dim">${f.axis}</span>`}</th><td>${+f.value.toPrecision(10)}</td><td>${f.unit}</td>
+        <td><button aria-pressed=${chosen.includes(f.name)} aria-label=${t.plotField(f.path)} onClick=${() => toggle(f.name)}>${chosen.includes(f.name) ? t.plotted : t.plot}</button></td></tr>`)}</tbody></table></div>`;
 }
 
 // Newest message of one topic, asked for twice a second while it is looked at.
 function useTopic(name) {
-  const [found, setFound] = useState({ data: null, text: "", error: null, past: [] });
+  const [found, setFound] = useState({ data: null, text: "", error: null });
   useEffect(() => {
     let stopped = false;
-    setFound({ data: null, text: "", error: null, past: [] });
+    setFound({ data: null, text: "", error: null });
     const ask = async () => {
       if (paused.value) return;
       try {
@@ -38,7 +50,7 @@ function useTopic(name) {
         if (stopped) return;
         const data = JSON.parse(text);
         setFound((before) => (answer.ok
-          ? { data, text: text.slice(text.indexOf('"message":') + 10, -1), error: null, past: [...before.past.slice(-119), numbersIn(data.message)] }
+          ? { data, text: text.slice(text.indexOf('"message":') + 10, -1), error: null }
           : { ...before, error: data.detail }));
       } catch (problem) {
         if (!stopped) setFound((before) => ({ ...before, error: problem.message }));
@@ -74,12 +86,10 @@ function pretty(text) {
 
 export function TopicDrawer({ name, onClose }) {
   const t = words.inspector;
-  const { data, text, error, past } = useTopic(name);
-  const [field, setField] = useState("");
+  const { data, text, error } = useTopic(name);
   const [copied, setCopied] = useState(false);
   const row = contract.value.topics[name] ?? contract.value.topics[name.replace(/\/[^/]*$/, "/+")];
   clock.value;
-  const fields = data ? Object.keys(numbersIn(data.message)) : [];
   const copy = async () => {
     await copyText(pretty(text));
     setCopied(true);
@@ -102,9 +112,7 @@ export function TopicDrawer({ name, onClose }) {
     </dl>`}
     ${data && !data.message && !data.unreadable && html`<${Empty} title=${t.empty} why=${t.emptyWhy((row?.producers ?? []).join(", ") || name.split("/")[1])} />`}
     ${data?.message && html`
-      <div class="field"><label for="field">${t.plot}</label><select id="field" value=${field} onChange=${(e) => setField(e.target.value)}>
-        <option value="">${t.plotNone}</option>${fields.map((f) => html`<option value=${f}>${f}</option>`)}</select></div>
-      ${field && html`<${Sparkline} field=${field} values=${past.map((n) => n[field] ?? null)} />`}
+      <${Fields} name=${name} />
       <h3>${t.message}<button class="push" onClick=${copy}>${copied ? words.copied : words.copy}</button></h3>
       ${data.message.hexadecimal !== undefined && html`<p class="note block">${t.bytesNote}</p>`}
       <pre tabindex="0" aria-label=${t.message}>${pretty(text)}</pre>`}

@@ -8,10 +8,12 @@ import { words } from "./words.js";
 
 const THEMES = ["auto", "light", "dark", "night"];
 const LOST_BAR_AFTER_S = 3;
-const PAGES = ["now", "map", "trust", "toll", "recordings", "system"];
-const HIDDEN = { rsu: ["now", "trust"], obu: ["toll"] }; // pages of the other role
+const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system"];
+const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
 const LATER = {
   map: () => import("./map.js").then((m) => m.MapPage),
+  gnss: () => import("./gnss.js").then((m) => m.GnssPage),
+  charts: () => import("./charts.js").then((m) => m.ChartsPage),
   trust: () => import("./trust.js").then((m) => m.TrustPage),
   toll: () => import("./toll.js").then((m) => m.TollPage),
   recordings: () => import("./recordings.js").then((m) => m.RecordingsPage),
@@ -230,6 +232,8 @@ function useKeys(open) {
       if (before === "g" && key === "n") go("#/now");
       else if (before === "g" && key === "m") go("#/map");
       else if (before === "g" && key === "t") go("#/trust");
+      else if (before === "g" && key === "g") go("#/gnss");
+      else if (before === "g" && key === "c") go("#/charts");
       else if (before === "g" && key === "l" && role() === "rsu") go("#/toll");
       else if (before === "g" && key === "s") go("#/system");
       else if (before === "g" && key === "r") go("#/recordings");

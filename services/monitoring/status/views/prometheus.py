@@ -38,6 +38,7 @@ class StateCollector(Collector):
                 *_trust(self._state, now_ns),
                 *_traffic(self._state, now_ns),
                 *_recording(self._state, now_ns),
+                *_series(self._state),
             ]
         yield from families
 
@@ -127,3 +128,8 @@ def _recording(state: State, now_ns: int) -> Iterator[Metric]:
     if recording := state.newest(RecordingState, "recording/state", now_ns, live=True):
         yield CounterMetricFamily("obu_recorder_bytes", "Bytes recorded.", recording.bytes_written)
         yield GaugeMetricFamily("obu_disk_free_bytes", "Free room where recordings go.", recording.free_bytes)
+
+
+def _series(state: State) -> Iterator[Metric]:
+    yield GaugeMetricFamily("obu_series_fields", "Fields whose last hour is kept.", len(state.series))
+    yield CounterMetricFamily("obu_series_refused", "Fields that could not be kept.", state.series.refused)

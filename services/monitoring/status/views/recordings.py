@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from math import cos, radians
 
-from shared.recording.library import Entry
+from shared.library.library import Entry
 
 Json = dict[str, object]
 WIDTH, HEIGHT = 100.0, 60.0  # of the outline's view box

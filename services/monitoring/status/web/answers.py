@@ -334,6 +334,33 @@ class Refusal(Answer):
     detail: str
 
 
+class Series(Answer):
+    """Numeric fields over time, a column each on one grid."""
+
+    period_s: float
+    time_ns: list[Stamp]
+    values: dict[str, list[float | None]]
+    """by field; null where nothing was published"""
+    fields: dict[str, Object]
+    """unit and axis of each field"""
+
+
+class Fields(Answer):
+    """Numeric fields of the newest message of a topic."""
+
+    topic: str
+    fields: list[Object]
+    """name, path, value, unit and axis of each"""
+
+
+class Receivers(Answer):
+    """The GNSS receivers."""
+
+    now_ns: Stamp
+    receivers: list[Object]
+    """fix, satellites with the reason why one is not used, signals, settings, bands over time"""
+
+
 EXAMPLES: dict[type[Answer], object] = {
     Health: {
         "state": "ok",
@@ -360,6 +387,15 @@ EXAMPLES: dict[type[Answer], object] = {
         "geometry": {"type": "Point", "coordinates": [11.582044, 48.135124, 519.2]},
         "properties": {k: v for k, v in position.items() if k[:5] not in ("latit", "longi") and "ellipsoid" not in k},
     },
+    Series: {
+        "period_s": 1.0, "time_ns": [EXAMPLE_NS], "values": {"gnss/fix:hdop": [0.8]},
+        "fields": {"gnss/fix:hdop": {"unit": "", "axis": ""}},
+    },
+    Fields: {
+        "topic": "gnss/fix",
+        "fields": [{"name": "gnss/fix:hdop", "path": "hdop", "value": 0.8, "unit": "", "axis": ""}],
+    },
+    Receivers: {"now_ns": EXAMPLE_NS, "receivers": []},
     History: {"time_ns": [EXAMPLE_NS], "fields": {"speed_fused_m_s": [13.9], "position_error_m": [None]}},
     Outages: {
         "open": [],

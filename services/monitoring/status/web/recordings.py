@@ -15,7 +15,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import to_json
 
-from shared.recording.library import Library
+from shared.library.library import Library
 
 from ..views import recordings as views
 from . import body, hosts

@@ -15,9 +15,9 @@ from prometheus_client import CollectorRegistry
 from pydantic_core import to_json
 
 from shared.bus.contract import asyncapi
+from shared.library.library import Library
 from shared.messages.replay import ReplayControl
 from shared.messages.simulation import SimulationAttack
-from shared.recording.library import Library
 
 from ..history import FIELDS
 from ..state import State
@@ -43,6 +43,7 @@ from .map import MapApi
 from .pages import Pages
 from .recordings import Command, Job, RecordingsApi
 from .replay import ReplayApi
+from .series import SeriesApi
 from .simulation import SimulationApi
 from .websocket import Stream
 
@@ -292,7 +293,8 @@ def openapi() -> dict[str, Any]:
     replay = ReplayApi(None, lock, now_ns)
     watching = Watching(state, lock, now_ns, 1, replay)
     recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
-    apis = (SimulationApi(state, lock, now_ns), replay, recordings, MapApi(state, lock, now_ns, None))
+    simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
+    apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, maps)
     return make_app(api, apis, Pages({}, {}), watching, ()).openapi()
 
 

@@ -3,13 +3,15 @@
 import gzip
 import json
 import re
-import sqlite3
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
-from typing import cast
+from typing import TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    import sqlite3
 
 HOW = "see docs/how-to/install-a-map.md"
 METADATA_BYTES = 2_000_000
@@ -58,7 +60,7 @@ def describe(path: Path) -> MapDescription:
             return _describe_mbtiles(path)
     except FileNotFoundError as error:
         raise BadMap(f"the map {path.name} named by map_file is not there; {HOW}") from error
-    except (OSError, ValueError, EOFError, sqlite3.Error) as error:
+    except (OSError, ValueError, EOFError) as error:
         raise BadMap(f"the map {path.name} cannot be read ({error}); {HOW}") from error
     raise BadMap(f"the map {path.name} is neither a .pmtiles nor a .mbtiles file; {HOW}")
 
@@ -84,8 +86,13 @@ def _describe_pmtiles(path: Path) -> MapDescription:
 
 
 def _describe_mbtiles(path: Path) -> MapDescription:
-    with closing(_open(path)) as database:
-        metadata = {str(k): str(v) for k, v in database.execute("select name, value from metadata limit 200")}
+    import sqlite3
+
+    try:
+        with closing(_open(path)) as database:
+            metadata = {str(k): str(v) for k, v in database.execute("select name, value from metadata limit 200")}
+    except sqlite3.Error as error:
+        raise ValueError(str(error)) from error
     tiles = MBTILES_FORMATS.get(metadata.get("format", ""))
     if tiles is None:
         raise ValueError(f"its format {metadata.get('format')!r} is none of {', '.join(MBTILES_FORMATS)}")
@@ -113,7 +120,9 @@ def read_tile(path: Path, zoom: int, x: int, y: int) -> bytes | None:
     return bytes(row[0]) if row else None
 
 
-def _open(path: Path) -> sqlite3.Connection:
+def _open(path: Path) -> "sqlite3.Connection":
+    import sqlite3  # 2 MB of memory, which a unit without such a file saves
+
     if not path.is_file():
         raise FileNotFoundError(path)
     return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True, timeout=1.0)

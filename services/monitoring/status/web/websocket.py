@@ -85,7 +85,7 @@ class Stream:
         try:
             await socket.accept()
             client.put(self.snapshot())
-            await _first_of(_write(socket, client), _read(socket))
+            await run_first_of(write_frames(socket, client), read_until_closed(socket))
         finally:
             self.clients.leave(client)
 
@@ -94,7 +94,8 @@ class Stream:
             return {**snapshot.dashboard(self._state, self._now_ns()), "replay": self._replay.view()}
 
 
-async def _write(socket: WebSocket, client: Client) -> None:
+async def write_frames(socket: WebSocket, client: Client) -> None:
+    """Send what is queued for a browser until its end is."""
     while (frame := await client.frames.get()) is not None:
         if client.packed:
             await socket.send_bytes(frame.packed)
@@ -102,13 +103,13 @@ async def _write(socket: WebSocket, client: Client) -> None:
             await socket.send_text(frame.plain.decode())
 
 
-async def _read(socket: WebSocket) -> None:
+async def read_until_closed(socket: WebSocket) -> None:
     """Listen only for the end: a dashboard has nothing to say."""
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass
 
 
-async def _first_of(*coroutines: Coroutine[None, None, None]) -> None:
+async def run_first_of(*coroutines: Coroutine[None, None, None]) -> None:
     """Run until the first one ends, and end the others."""
     tasks = [asyncio.create_task(coroutine) for coroutine in coroutines]
     try:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from .ubx_encoder import CFG, MON, SYNC, VALGET, VALSET, acknowledge, checksum, frame, mon_ver
 
 RATE_MEAS, RATE_NAV, RATE_TIMEREF, DYNAMIC_MODEL = 0x30210001, 0x30210002, 0x20210003, 0x20110021
+ELEVATION_MASK = 0x201100A4  # [deg]
 # Key of each output message on I2C; UART1, UART2, USB and SPI follow in that order.
 OUTPUTS = {
     "UBX_NAV_PVT": 0x20910006,
@@ -30,7 +31,13 @@ OUTPUTS = {
 }
 PORTS = 5
 OUR_PORT = 1  # UART1
-LIMITS = {RATE_MEAS: (25, 65535), RATE_NAV: (1, 127), RATE_TIMEREF: (0, 4), DYNAMIC_MODEL: (0, 12)}
+LIMITS = {
+    RATE_MEAS: (25, 65535),
+    RATE_NAV: (1, 127),
+    RATE_TIMEREF: (0, 4),
+    DYNAMIC_MODEL: (0, 12),
+    ELEVATION_MASK: (0, 90),
+}
 RAM, DEFAULTS = 0, 7  # layers of VALGET
 MAX_FRAME = 1024
 
@@ -39,7 +46,7 @@ class Settings:
     """Current keys and values, and the receiver's side of the configuration exchange."""
 
     def __init__(self, protocols: tuple[str, ...]) -> None:
-        self._values = {RATE_MEAS: 1000, RATE_NAV: 1, RATE_TIMEREF: 1, DYNAMIC_MODEL: 4}
+        self._values = {RATE_MEAS: 1000, RATE_NAV: 1, RATE_TIMEREF: 1, DYNAMIC_MODEL: 4, ELEVATION_MASK: 10}
         for name, key in OUTPUTS.items():
             sent = name.split("_", maxsplit=1)[0].lower() in protocols
             self._values.update({key + port: int(sent and port == OUR_PORT) for port in range(PORTS)})

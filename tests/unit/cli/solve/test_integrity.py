@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from cli.solve.metrics.errors import errors_against
 from cli.solve.metrics.integrity import INTEGRITY, Protected, Region, integrity_metrics, protected
 from cli.solve.metrics.metrics import METRICS
-from cli.solve.report.stanford import draw, stanford
+from cli.solve.report.plots import WIDTH_IN
+from cli.solve.report.stanford import HEIGHT_IN, draw, stanford
 from shared.messages.navigation import NavigationSolution
 from tests.support.tracks import reference, solution, track
 
@@ -89,7 +90,7 @@ def test_the_figure_names_its_regions_and_their_counts() -> None:
 
 @pytest.mark.parametrize("limit", [0.01, 1.0, 10.0, 39.9, 1000.0])
 def test_the_labels_of_the_regions_overlap_neither_each_other_nor_the_diagram(limit: float) -> None:
-    canvas = Figure(figsize=(8.6, 5.6), layout="constrained")
+    canvas = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
     axes = canvas.subplots()
     draw(axes, replace(MADE, alert_limit_m=limit))
     canvas.draw_without_rendering()
@@ -98,4 +99,6 @@ def test_the_labels_of_the_regions_overlap_neither_each_other_nor_the_diagram(li
     boxes = [text.get_window_extent() for text in legend.get_texts()]
     assert len(boxes) == len(Region)
     assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes)), "one below the other"
-    assert all(box.x0 > axes.get_window_extent().x1 and box.x1 < canvas.bbox.x1 for box in boxes)
+    lowest = axes.xaxis.get_tightbbox()
+    assert lowest is not None and boxes[0].y1 < lowest.y0, "below the label of the axis"
+    assert all(box.x1 < canvas.bbox.x1 and box.y0 > canvas.bbox.y0 for box in boxes)

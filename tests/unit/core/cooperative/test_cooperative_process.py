@@ -177,8 +177,8 @@ def test_lists_out_of_order_of_a_second_radio_or_without_end_are_counted() -> No
     assert process.rejects == {"too_many_neighbours": 10 * MAX_NEIGHBOURS}
 
 
-def test_when_all_satellites_jump_together_the_filters_start_anew_and_no_satellite_is_accused() -> None:
-    """So it is at the end of a drag-off: the signals, which agree with one another, are true again."""
+def test_when_all_satellites_jump_together_gnss_is_accused_once_and_the_filters_start_anew() -> None:
+    """So it is at a jump of the position, and at the end of a drag-off, where the signals are true again."""
     process = informed()
     run(process, range(1, 12))
 
@@ -190,7 +190,8 @@ def test_when_all_satellites_jump_together_the_filters_start_anew_and_no_satelli
     assert by_name(statements[0], "cooperative").reason == (
         "all satellites contradict the filters and agree with one another: the filters start anew"
     )
-    assert not any(one.startswith(("G", "E")) for statement in statements for one in statement.accused)
+    assert statements[0].accused[0] == "gnss"
+    assert not any(one.startswith(("g", "G", "E")) for later in statements[1:] for one in later.accused)
     assert by_name(statements[-1], "cooperative").outcome is not MonitorOutcome.ACCUSES
 
 

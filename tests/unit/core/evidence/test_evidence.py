@@ -23,6 +23,7 @@ from shared.messages.gnss import (
     InterferenceState,
     RadioPath,
     ReceiverClock,
+    ReceiverStatus,
     Satellite,
     SignalFlags,
 )
@@ -41,7 +42,7 @@ Change = Callable[[Epoch], Epoch]
 def quality(second: int, **changes: object) -> GnssSignalQuality:
     bias_s = (4e-4 + 367e-9 * second + 5e-4) % 1e-3 - 5e-4
     quiet = GnssSignalQuality(
-        sampled_ns=second * NS, received_ns=second * NS, source="gnss0", status=SignalFlags(spoofing=NONE),
+        sampled_ns=second * NS, received_ns=second * NS, source="gnss0", status=ReceiverStatus(spoofing=NONE),
         security=SignalFlags(jamming=NONE, spoofing=NONE),
         radio_paths=tuple(RadioPath(number=k, jamming=NONE, gain_ratio=0.6, noise_level=90) for k in (0, 1)),
         clock=ReceiverClock(bias_s=bias_s, drift_ratio=367e-9, bias_sd_s=1e-8, drift_sd_ratio=2e-10),
@@ -124,7 +125,7 @@ def pushed(ahead_s: float) -> Change:
 
 BEGIN = 120
 CAUSES: dict[str, tuple[Change, str]] = {
-    "NAV-STATUS: spoofing indicated": (with_quality(status=SignalFlags(spoofing=INDICATED)), "spoofing_flag"),
+    "NAV-STATUS: spoofing indicated": (with_quality(status=ReceiverStatus(spoofing=INDICATED)), "spoofing_flag"),
     "SEC-SIG: spoofing affirmed": (
         with_quality(security=SignalFlags(jamming=NONE, spoofing=SEVERE)), "spoofing_flag",
     ),
@@ -162,7 +163,7 @@ def test_a_quiet_receiver_passes_by_all_tests_once_the_means_are_learned() -> No
 
 
 def test_an_accusation_ends_ten_seconds_after_its_cause() -> None:
-    flagged = with_quality(status=SignalFlags(spoofing=INDICATED))
+    flagged = with_quality(status=ReceiverStatus(spoofing=INDICATED))
     found = list(statements(BEGIN + 30, lambda e: flagged(e) if e[0].sampled_ns // NS < BEGIN + 5 else e, BEGIN))
     seconds = [s.sampled_ns / NS for s in found if s.outcome is ACCUSES]
     assert min(seconds) == BEGIN + 0.5 and max(seconds) == BEGIN + 13.5
@@ -171,7 +172,7 @@ def test_an_accusation_ends_ten_seconds_after_its_cause() -> None:
 @pytest.mark.parametrize("state", [None, UNKNOWN])
 def test_a_detector_that_cannot_tell_is_not_evaluated(state: InterferenceState | None) -> None:
     silent = with_quality(
-        status=SignalFlags(spoofing=state), security=SignalFlags(jamming=state, spoofing=state),
+        status=ReceiverStatus(spoofing=state), security=SignalFlags(jamming=state, spoofing=state),
         radio_paths=(RadioPath(number=0, gain_ratio=0.6),),
     )  # fmt: skip
     last = list(statements(100, silent, 1))[-1]

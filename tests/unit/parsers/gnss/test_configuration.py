@@ -1,3 +1,4 @@
+import math
 import re
 import struct
 
@@ -7,9 +8,10 @@ from hypothesis import strategies as st
 from pyubx2.ubxmessage import UBXMessage
 from pyubx2.ubxtypes_configdb import UBX_CONFIG_DATABASE
 
-from services.parsers.gnss.configuration import read_values
+from services.parsers.gnss.configuration import read_values, read_version
 from services.parsers.gnss.framer import UBX_SYNC, ubx_checksum
 from services.parsers.gnss.process import Config, Process
+from services.sensors.simulator.gnss.ubx_encoder import mon_ver
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite
 from tests.support.ublox import valset
@@ -43,6 +45,11 @@ def values(**changes: int) -> bytes:
     return bytes(UBXMessage("CFG", "CFG-VALGET", 0, payload=b"\x01" + payload[1:]).serialize())
 
 
+def read_back(**given: int) -> bytes:
+    payload = bytes(UBXMessage.config_set(0, 0, list(given.items())).payload)
+    return bytes(UBXMessage("CFG", "CFG-VALGET", 0, payload=b"\x01" + payload[1:]).serialize())
+
+
 def result_of(messages: list[Message]) -> GnssConfiguration:
     (message,) = messages
     assert isinstance(message, GnssConfiguration)
@@ -59,7 +66,11 @@ def command(message_id: int, payload: bytes) -> bytes:
 
 
 def test_a_request_is_encoded_as_valset_and_valget_of_the_interface_description() -> None:
-    setting, poll = send_request(Process(Config()))
+    version, reading, setting, poll = send_request(Process(Config()))
+    assert isinstance(version, GnssWrite)
+    assert isinstance(reading, GnssWrite)
+    assert version.data == UBX_SYNC + bytes((0x0A, 0x04, 0, 0)) + ubx_checksum(bytes((0x0A, 0x04, 0, 0)))
+    assert reading.data == command(0x8B, bytes(4) + struct.pack("<2I", 0x201100A4, 0x20110021))
     assert isinstance(setting, GnssWrite)
     assert isinstance(poll, GnssWrite)
     items = struct.pack(
@@ -175,10 +186,11 @@ def optional_values(*kept: str) -> bytes:
 def test_each_optional_message_is_asked_for_apart_and_measurements_once_a_second() -> None:
     writes = [one.data for one in send_request(Process(Config()), WITH_RAW) if isinstance(one, GnssWrite)]
     pairs = list(OPTIONAL.items())
-    assert writes[0] == valset(pairs[:2])
-    assert writes[2] == valset(pairs[2:])
-    assert writes[4:] == [one.data for one in send_request(Process(Config())) if isinstance(one, GnssWrite)]
-    assert len(writes) == 6
+    plain = [one.data for one in send_request(Process(Config())) if isinstance(one, GnssWrite)]
+    assert writes[2] == valset(pairs[:2])
+    assert writes[4] == valset(pairs[2:])
+    assert writes[:2] + writes[6:] == plain
+    assert len(writes) == 8
 
 
 def test_granted_optional_messages_are_reported_with_the_others() -> None:
@@ -206,6 +218,30 @@ def test_a_receiver_that_refuses_the_optional_messages_keeps_the_others(refusals
     assert not feed(process, b"".join(acknowledge(one, good=False) for one in refusals))
     result = result_of(feed(process, acknowledge(0x8A) + values() + acknowledge(0x8B)))
     assert (result.accepted, result.reason, result.messages) == (True, None, ("NAV-PVT", "NAV-COV"))
+
+
+def test_version_elevation_mask_and_dynamic_model_are_reported_as_read_back() -> None:
+    process = Process(Config())
+    send_request(process)
+    assert not feed(process, mon_ver() + read_back(CFG_NAVSPG_INFIL_MINELEV=10, CFG_NAVSPG_DYNMODEL=4))
+    result = result_of(feed(process, acknowledge(0x8B) + acknowledge(0x8A) + values()))
+    assert (result.accepted, result.model, result.firmware) == (True, "ZED-F9P", "HPG 1.32")
+    assert result.dynamic_model == "automotive"
+    assert result.elevation_mask_rad == pytest.approx(math.radians(10))
+
+
+@pytest.mark.parametrize("refused", [b"", acknowledge(0x8B, good=False)])
+def test_a_receiver_that_states_neither_is_configured_all_the_same(refused: bytes) -> None:
+    process = Process(Config())
+    send_request(process)
+    result = result_of(feed(process, refused + acknowledge(0x8A) + values()))
+    assert result.accepted
+    assert (result.model, result.firmware, result.dynamic_model, result.elevation_mask_rad) == (None, None, None, None)
+
+
+@given(st.binary(max_size=200))
+def test_any_version_is_decoded_without_error(payload: bytes) -> None:
+    assert all(len(text) <= 30 for text in read_version(payload).values())
 
 
 @given(st.binary(max_size=80))

@@ -354,7 +354,7 @@ def test_the_clock_of_an_epoch_whose_fix_was_lost_is_not_that_of_a_later_fix() -
     """A gap in the bytes after NAV-CLOCK: a bias of then with the stamp of now looks like a jump of the clock."""
 
     def clock(second: int, bias_ns: int) -> bytes:
-        fields = {"iTOW": 1000 * second, "clkB": bias_ns, "clkD": 50, "tAcc": 20, "fAcc": 1000}
+        fields: dict[str, Any] = {"iTOW": 1000 * second, "clkB": bias_ns, "clkD": 50, "tAcc": 20, "fAcc": 1000}
         return bytes(UBXMessage("NAV", "NAV-CLOCK", 0, **fields).serialize())
 
     process = Process(Config())

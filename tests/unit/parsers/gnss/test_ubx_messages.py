@@ -14,7 +14,7 @@ from pyubx2.ubxreader import UBXReader
 
 from services.parsers.gnss import ubx_messages
 from services.parsers.gnss.framer import Framer, Protocol
-from shared.messages.gnss import CarrierSolution, Constellation, FixType
+from shared.messages.gnss import CarrierSolution, Constellation, FixType, SignalQuality
 from tests.support.data import recording
 
 RECORDINGS = (
@@ -119,6 +119,9 @@ def test_every_recorded_nav_sat_is_decoded_as_by_pyubx2(folder: str, name: str) 
                 assert math.degrees(satellite.azimuth_rad) == pytest.approx(field["azim"])
             if satellite.used:
                 assert satellite.residual_m == pytest.approx(field["prRes"])
+            assert satellite.quality is tuple(SignalQuality)[min(getattr(theirs, f"qualityInd_{i:02}"), 5)]
+            assert satellite.healthy == {1: True, 2: False}.get(getattr(theirs, f"health_{i:02}"))
+            assert satellite.orbit_known == (getattr(theirs, f"orbitSource_{i:02}") > 0)
 
 
 @pytest.mark.recording

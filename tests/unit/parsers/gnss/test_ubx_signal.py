@@ -19,6 +19,7 @@ from shared.messages.gnss import (
     InterferenceState,
     RadioPath,
     ReceiverClock,
+    ReceiverStatus,
     SignalFlags,
 )
 from tests.support.data import recording
@@ -65,7 +66,10 @@ def test_the_spoofing_state_of_nav_status_is_what_pyubx2_reads(spoofing: int, re
     payload = struct.pack("<I4B2I", ITOW_MS, 3, 0x0F, 0, rest & 0xE7 | spoofing << 3, 26_000, 90_000)
     read = independently("NAV", "NAV-STATUS", payload)
     found = ubx_signal.decode("STATUS", payload)
-    assert found == SignalFlags(spoofing=list(InterferenceState)[read.spoofDetState])
+    assert found == ReceiverStatus(
+        spoofing=list(InterferenceState)[read.spoofDetState],
+        time_to_first_fix_s=read.ttff / 1000,
+    )
 
 
 @given(*[st.integers(-(2**31), 2**31 - 1)] * 2, *[st.integers(0, 2**32 - 1)] * 2)

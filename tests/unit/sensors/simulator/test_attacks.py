@@ -45,7 +45,7 @@ def moved(fix: GnssFix, clean: GnssFix) -> tuple[np.ndarray, np.ndarray]:
 def heading_at_the_start() -> float:
     """Heading at the first epoch of an attack."""
     begin_ns = attacked().between(START_S, END_S)[0].sampled_ns
-    return next(t.yaw_rad for t in attacked().truth if t.sampled_ns >= begin_ns)
+    return next(t.yaw_rad for t in attacked().truth if t.sampled_ns >= begin_ns and t.yaw_rad is not None)
 
 
 @pytest.mark.parametrize("text", CONSISTENT)

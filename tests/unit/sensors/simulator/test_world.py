@@ -181,7 +181,7 @@ def test_the_speed_of_a_fix_is_the_true_speed_at_its_time_stamp() -> None:
     stream = list(messages("highway", 2, 90.0))
     truth = {message.sampled_ns: message for message in stream if isinstance(message, TruthState)}
     stamps = np.array(sorted(truth))
-    speeds = np.array([np.hypot(*truth[s].velocity_ned_m_s[:2]) for s in stamps])
+    speeds = np.array([np.hypot(*(truth[s].velocity_ned_m_s or (np.nan, np.nan))[:2]) for s in stamps])
     pvts = [(r, p) for r, p in frames(stream) if p.identity == "NAV-PVT"]
     measured = np.array([p.gSpeed * 1e-3 for _, p in pvts])
     best = min(range(-60, 61), key=lambda ms: float(
@@ -273,7 +273,7 @@ def test_the_baseline_of_two_antennas_is_the_heading_of_the_vehicle() -> None:
     end = DEFAULT_START_NS + 100 * NS
     stream = [message for due_ns, message in takewhile(lambda arrival: arrival[0] <= end, world)]
     truth = [m for m in stream if isinstance(m, TruthState)]
-    yaw = np.unwrap([m.yaw_rad for m in truth])
+    yaw = np.unwrap([m.yaw_rad for m in truth if m.yaw_rad is not None])
     lines = [(at, m) for at, m in frames(stream) if m.identity == "NAV-RELPOSNED"]
     valid = [(at, m) for at, m in lines if m.relPosHeadingValid]
     assert len(lines) > 95 and 50 < len(valid) < len(lines), "none before the ambiguities are fixed"

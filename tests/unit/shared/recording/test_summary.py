@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from shared.errors import BadRecording
+from shared.library.summary import SUFFIX, SummaryWorker, read_summary
 from shared.recording import RecordingWriter
-from shared.recording.summary import POINTS, SUFFIX, SummaryWorker, read_summary, summarise, write_summary
+from shared.recording.summary import POINTS, summarise, write_summary
 from tests.support.drives import BEGIN_NS, NORTH_M_S, SECOND, record
 
 

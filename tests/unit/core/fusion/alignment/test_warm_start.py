@@ -171,8 +171,9 @@ def test_what_a_filter_learned_goes_with_its_state() -> None:
     assert again.imu.gyroscope_bias == saved.gyroscope_bias
     unit = np.ones(em.SIZE - em.DRIVING)
     unit[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING] = again.colour.unit
-    kept = np.delete(np.array(again.parameters) * unit, [3, 4, 5])  # the time-correlated error fades over the gap
-    assert kept == pytest.approx(np.delete(np.array(saved.parameters), [3, 4, 5]))
+    fading = [3, 4, 5, 10, 11, 12]  # the time-correlated errors of position and velocity
+    kept = np.delete(np.array(again.parameters) * unit, fading)
+    assert kept == pytest.approx(np.delete(np.array(saved.parameters), fading))
     odometer = em.ODOMETER_SCALE, em.ODOMETER_SCALE
     assert again.P[odometer] == pytest.approx(covariance_of(saved)[odometer], rel=0.02)
 

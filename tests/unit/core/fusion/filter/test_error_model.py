@@ -218,7 +218,9 @@ PERFECT = navigation(np.zeros(em.SIZE))
     [
         GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0),
         GnssPosition(0, 0, "", ANTENNA, np.diag([1.0, 4.0, 9.0]) + 0.5, 3, ARM, 0.0, lasts=True),
-        GnssVelocity(0, 0, "", vector(np.array(VELOCITY) + antenna_velocity(PERFECT, ARM)), np.eye(3), 3, ARM),
+        GnssVelocity(
+            0, 0, "", vector(np.array(VELOCITY) + antenna_velocity(PERFECT, ARM)), np.eye(3), 3, ARM, lasts=True
+        ),
     ],
     ids=["position", "position with an error that lasts", "velocity"],
 )

@@ -410,7 +410,9 @@ def matched(seed: int) -> World:
     position, velocity = Geodetic(*drive.position[first].tolist()), drive.velocity_n[first].tolist()
     inertial = InertialState(int(drive.t_ns[first]), attitude, (velocity[0], velocity[1], velocity[2]), position)
     navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2))
-    start = sd * rng.standard_normal(em.SIZE)
+    start = np.zeros(em.SIZE)  # GNSS velocities are not used, and their errors not drawn
+    start[: em.GNSS_VELOCITY_ERROR.start] = rng.standard_normal(em.GNSS_VELOCITY_ERROR.start)
+    start *= sd
     navigation.take_out(start, np.diag(sd**2))
     force_bias, rate_bias = np.zeros(3), np.zeros(3)
     records = Records()

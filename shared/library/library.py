@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from .folder import KEEP_SUFFIX, SUFFIX
+from .summary import KEEP_SUFFIX, RECORDING_SUFFIX, RecordingSummary, SummaryWorker, read_summary
 from .summary import SUFFIX as SUMMARY_SUFFIX
-from .summary import RecordingSummary, SummaryWorker, read_summary
 
 MOST = 200  # recordings that are listed, the newest
 SETTLED_S = 5.0  # without a change: a recorder writes twice a second
@@ -44,7 +43,7 @@ class Library:
             return
         self.free_bytes = shutil.disk_usage(self.folder).free
         self._reads = READ_AT_ONCE
-        paths = sorted(self.folder.glob(f"*{SUFFIX}"), reverse=True)[:MOST]
+        paths = sorted(self.folder.glob(f"*{RECORDING_SUFFIX}"), reverse=True)[:MOST]
         self.entries = {path.name: entry for path in paths if (entry := self._entry(path)) is not None}
         if self._reads <= 0 or (self._worker is not None and self._worker.running):
             return

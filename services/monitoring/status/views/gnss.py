@@ -1,0 +1,143 @@
+"""The receivers as JSON for the page GNSS: sky, signals, why a satellite is not used, corrections, configuration."""
+
+from collections.abc import Mapping
+from math import degrees
+
+from shared.messages.gnss import Constellation, Satellite, SignalQuality
+from shared.messages.trust import MonitorOutcome, MonitorTest, TrustState
+
+from ..gnss_history import ReceiverHistory
+from ..state import State
+from .plain_words import plain
+
+Json = dict[str, object]
+LETTERS = {
+    Constellation.GPS: "G", Constellation.GALILEO: "E", Constellation.GLONASS: "R", Constellation.BEIDOU: "C",
+    Constellation.QZSS: "J", Constellation.SBAS: "S", Constellation.NAVIC: "I", Constellation.UNKNOWN: "X",
+}  # fmt: skip
+SIGNAL_BANDS = {"1": "L1", "2": "L2", "5": "L5", "6": "L6", "7": "E5b", "8": "E5"}  # first digit of the RINEX code
+GALILEO_BANDS = {"1": "E1", "5": "E5a", "7": "E5b", "8": "E5", "6": "E6"}
+BEIDOU_BANDS = {"1": "B1C", "2": "B1I", "5": "B2a", "7": "B2I", "6": "B3I"}
+_QUALITY_REASONS: dict[SignalQuality | None, str] = {
+    SignalQuality.NO_SIGNAL: "no signal",
+    SignalQuality.SEARCHING: "searched for, no signal yet",
+    SignalQuality.ACQUIRED: "signal acquired, not tracked yet",
+    SignalQuality.UNUSABLE: "signal detected, but not usable",
+}
+
+
+def gnss(state: State, now_ns: int) -> Json:
+    """Show each receiver, the one heard last first."""
+    trust = state.newest(TrustState, "trust/state", now_ns, live=True)
+    monitor = next((m for m in trust.monitors if m.monitor == "satellites"), None) if trust else None
+    tests = {test.name: test for test in monitor.tests} if monitor else {}
+    receivers = sorted(state.gnss.receivers.values(), key=lambda r: -max(r.updated_ns.values(), default=0))
+    return {"now_ns": now_ns, "receivers": [_receiver(receiver, tests, now_ns) for receiver in receivers]}
+
+
+def tracks(state: State) -> Json:
+    """Give the tracks of the satellites in the sky: elevation and azimuth in degrees, twice a minute for an hour."""
+    return {
+        source: {
+            f"{LETTERS[Constellation(constellation)]}{number:02d}": [
+                [round(elevation), round(azimuth)] for _, elevation, azimuth in track
+            ]
+            for (constellation, number), track in receiver.tracks.items()
+        }
+        for source, receiver in state.gnss.receivers.items()
+    }
+
+
+def name_of(constellation: Constellation, number: int) -> str:
+    """Name a satellite as RINEX does: G12, E05."""
+    return f"{LETTERS[constellation]}{number:02d}"
+
+
+def why_not_used(satellite: Satellite, mask_rad: float | None) -> str | None:
+    """Say why a receiver does not use a satellite, as far as it states it; None of one that is used."""
+    below = mask_rad is not None and satellite.elevation_rad is not None and satellite.elevation_rad < mask_rad
+    reasons = (
+        (satellite.healthy is False, "unhealthy, by its own message"),
+        (below, f"below the elevation mask of {degrees(mask_rad or 0.0):.0f}°"),
+        (satellite.quality in _QUALITY_REASONS, _QUALITY_REASONS.get(satellite.quality)),
+        (satellite.cn0_db_hz is None, "no signal"),
+        (satellite.orbit_known is False, "orbit not known yet"),
+        (satellite.constellation is Constellation.SBAS, "for corrections only"),
+        (satellite.quality is SignalQuality.CODE_LOCKED, "code tracked, carrier not"),
+    )
+    stated = next((reason for holds, reason in reasons if holds), "tracked; the receiver states no reason")
+    return None if satellite.used else stated
+
+
+def _receiver(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], now_ns: int) -> Json:
+    fix, quality, configuration = receiver.fix, receiver.quality, receiver.configuration
+    mask_rad = configuration.elevation_mask_rad if configuration else None
+    return {
+        "source": receiver.source,
+        "updated_ns": receiver.updated_ns,
+        "fix": None if fix is None else fix.model_dump(
+            mode="json",
+            include={"fix_type", "carrier_solution", "differential", "satellites_used", "pdop", "hdop", "vdop",
+                     "correction_age_s", "utc_ns", "baseline_heading_rad", "baseline_length_m"},
+        ),
+        "satellites": _satellites(receiver, tests, mask_rad),
+        "quality": None if quality is None else quality.model_dump(mode="json", exclude={"sampled_ns", "received_ns"}),
+        "configuration": None if configuration is None else configuration.model_dump(mode="json"),
+        "first_fix_s": _first_fix_s(receiver),
+        "bands": {
+            name: [{"since_ns": ns, "state": state} for ns, state in changes.until(now_ns)]
+            for name, changes in (("fix", receiver.fixes), ("correction", receiver.corrections))
+        },
+    }  # fmt: skip
+
+
+def _first_fix_s(receiver: ReceiverHistory) -> float | None:
+    """Time to the first fix: as the receiver states it, otherwise as seen here from its first message on."""
+    status = receiver.quality.status if receiver.quality else None
+    if status is not None and status.time_to_first_fix_s is not None:
+        return round(status.time_to_first_fix_s, 1)
+    if receiver.waited_since_ns is None or receiver.first_position_ns is None:
+        return None
+    return round((receiver.first_position_ns - receiver.waited_since_ns) * 1e-9, 1)
+
+
+def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mask_rad: float | None) -> list[Json]:
+    signals = _signals(receiver)
+    rows: list[Json] = []
+    for satellite in receiver.satellites.satellites if receiver.satellites else ():
+        name = name_of(satellite.constellation, satellite.number)
+        test = tests.get(name)
+        excluded = test is not None and test.reason.startswith("excluded")
+        rows.append({
+            "name": name,
+            "constellation": satellite.constellation,
+            "elevation_deg": _degrees(satellite.elevation_rad),
+            "azimuth_deg": _degrees(satellite.azimuth_rad),
+            "cn0_db_hz": satellite.cn0_db_hz,
+            "signals": signals.get(name, {}),
+            "residual_m": None if satellite.residual_m is None else round(satellite.residual_m, 1),
+            "used": satellite.used,
+            "excluded": excluded,
+            "suspect": test is not None and test.outcome is MonitorOutcome.ACCUSES and not excluded,
+            "reason": why_not_used(satellite, mask_rad),
+            "integrity": None if test is None else plain(test.reason.removeprefix("excluded, ").removeprefix("used, ")),
+        })  # fmt: skip
+    return rows
+
+
+def _signals(receiver: ReceiverHistory) -> dict[str, dict[str, float]]:
+    """C/N0 of each signal of a satellite, of receivers that send raw measurements, by the name of its band."""
+    found: dict[str, dict[str, float]] = {}
+    for measured in receiver.epoch.measurements if receiver.epoch else ():
+        if measured.cn0_db_hz is not None:
+            bands = {Constellation.GALILEO: GALILEO_BANDS, Constellation.BEIDOU: BEIDOU_BANDS}.get(
+                measured.constellation, SIGNAL_BANDS
+            )
+            code = measured.signal or ""
+            name = name_of(measured.constellation, measured.number)
+            found.setdefault(name, {})[bands.get(code[:1], code) or "-"] = round(measured.cn0_db_hz, 1)
+    return found
+
+
+def _degrees(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else round(degrees(angle_rad), 1)

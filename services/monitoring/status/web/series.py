@@ -1,0 +1,191 @@
+"""Any numeric field over the last hour: as one answer, and live for those who look at it."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Annotated, Any
+
+from fastapi import FastAPI, HTTPException, Path, Query, Response, WebSocket
+from pydantic_core import to_json
+
+from shared.errors import BadPayload
+
+from ..flow import TopicFlow
+from ..series import fields
+from ..series.rings import FINE_CELLS, FINE_NS, SECOND_NS
+from ..series.store import HOUR_NS, SeriesFull, labelled
+from ..state import State
+from ..views import gnss as views
+from . import hosts
+from .answers import Fields, Receivers, Refusal, Series, described
+from .clients import Client, Clients, Frame
+from .websocket import read_until_closed, run_first_of, write_frames
+
+FIELDS_ASKED = 16  # in one question; more would take megabytes
+FIELDS_FOLLOWED = 96  # over one WebSocket
+FIELDS_IN_FRAME = 8  # of the past
+FRAME_S = 0.5  # between two frames at least: a page draws a dozen charts with each
+FIELDS_LISTED = 400  # of one topic
+QUESTION_LENGTH = 6000
+FINE_S = FINE_CELLS * FINE_NS / SECOND_NS
+Json = dict[str, object]
+
+
+class SeriesApi:
+    """Answers with columns on a common time grid, and continues them over a WebSocket."""
+
+    def __init__(
+        self, state: State, lock: AbstractContextManager[object], now_ns: Callable[[], int], clients_maximum: int
+    ) -> None:
+        self._state, self._lock, self._now_ns = state, lock, now_ns
+        self._clients = Clients(clients_maximum)
+
+    def add_to(self, app: FastAPI) -> None:
+        """Add the routes."""
+        refusals: dict[int | str, dict[str, Any]] = {
+            status: described(Refusal, text)
+            for status, text in ((422, "No such field, or too many"), (503, "No further field can be kept"))
+        }
+        unknown: dict[int | str, dict[str, Any]] = {404: described(Refusal, "There is no such topic")}
+        routes: tuple[tuple[str, Callable[..., Response], str, dict[int | str, dict[str, Any]]], ...] = (
+            ("/api/series", self.series, "unit", {200: described(Series, "Columns of values"), **refusals}),
+            ("/api/fields/{name:path}", self.fields, "unit", {200: described(Fields, "Numeric fields"), **unknown}),
+            ("/api/gnss", self.gnss, "position", {200: described(Receivers, "GNSS receivers")}),
+        )
+        for path, answer, tag, responses in routes:
+            app.add_api_route(path, answer, response_class=Response, tags=[tag], responses=responses)
+        app.add_api_route("/api/gnss/tracks", self.tracks, response_class=Response, include_in_schema=False)
+        app.add_api_websocket_route("/ws/series", self.serve)
+
+    def series(
+        self,
+        fields: Annotated[str, Query(max_length=QUESTION_LENGTH)],
+        seconds: Annotated[float, Query(gt=0, le=3600)] = 900.0,
+    ) -> Response:
+        """Numeric fields of messages as columns: 5 Hz up to a minute, 1 Hz beyond, for the last hour at most.
+
+        A field is written topic:path, such as gnss/fix:hdop, and navigation/aiding[odometer]:test_ratio where a topic
+        carries several things; /api/fields/{topic} lists those of its newest message. A field that nobody has asked for
+        before is kept from now on, and its past is read from the recording.
+        """
+        names = self._want(fields, FIELDS_ASKED)
+        now_ns = self._now_ns()
+        return _json(self._answer(names, now_ns - round(seconds * SECOND_NS), now_ns, fine=seconds <= FINE_S))
+
+    def fields(self, name: Annotated[str, Path(max_length=80)]) -> Response:
+        """Numeric fields of the newest message of a topic, with value and unit."""
+        with self._lock:
+            flow = self._state.topics.get(name)
+            if flow is None:
+                raise HTTPException(404, f"there is no topic {name}; /api/state lists them")
+            listed = fields_of(flow)
+        return _json({"topic": name, "fields": listed})
+
+    def gnss(self) -> Response:
+        """Each GNSS receiver: fix, satellites with the reason why one is not used, signals, configuration, bands."""
+        with self._lock:
+            shown = views.gnss(self._state, self._now_ns())
+        return _json(shown)
+
+    def tracks(self) -> Response:
+        """Tracks of the satellites in the sky over the last hour."""
+        with self._lock:
+            shown = views.tracks(self._state)
+        return _json(shown)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Send the past of the fields that are asked for in the address, then what is added, until the page leaves."""
+        if not hosts.same_origin(socket.headers.get("origin"), socket.headers.get("host")):
+            await socket.send_denial_response(Response("this page is not from here\n", 403))
+            return
+        try:
+            names = self._want(socket.query_params.get("fields", "")[:QUESTION_LENGTH])
+            seconds = min(max(float(socket.query_params.get("seconds", "900")), 1.0), 3600.0)
+        except (HTTPException, ValueError) as error:
+            text = error.detail if isinstance(error, HTTPException) else str(error)
+            await socket.accept()
+            await socket.send_text(to_json({"kind": "refused", "reason": text}).decode())
+            await socket.close()
+            return
+        client = self._clients.enter()
+        if client is None:
+            await socket.send_denial_response(Response("too many pages of charts are open; close one\n", 503))
+            return
+        try:
+            await socket.accept()
+            sending = self._send(client, names, seconds)
+            await run_first_of(sending, write_frames(socket, client), read_until_closed(socket))
+        finally:
+            self._clients.leave(client)
+
+    async def _send(self, client: Client, names: list[str], seconds: float) -> None:
+        """Queue the past, then each period the cells that are complete; ends with a client that does not keep up."""
+        fine = seconds <= FINE_S
+        period_ns = FINE_NS if fine else SECOND_NS
+        from_ns = self._now_ns() - round(seconds * SECOND_NS)
+        kind, kept_up, fillings = "past", True, self._state.series.fillings
+        while kept_up:
+            if fillings != self._state.series.fillings:  # what lies before has been read from a recording
+                fillings = self._state.series.fillings
+                kind, from_ns = "past", self._now_ns() - round(seconds * SECOND_NS)
+            to_ns = self._now_ns() - 2 * period_ns  # what comes later than that belongs to the past already
+            if to_ns // period_ns >= from_ns // period_ns:
+                for part in _parts(names) if kind == "past" else [names]:
+                    columns = await asyncio.to_thread(self._answer, part, from_ns, to_ns, fine=fine)
+                    kept_up = kept_up and client.put(Frame(to_json({"kind": kind, **columns})))
+                    kind = "part"
+                kind, from_ns = "more", (to_ns // period_ns + 1) * period_ns
+            await asyncio.sleep(max(period_ns / SECOND_NS, FRAME_S))
+
+    def _want(self, text: str, maximum: int = FIELDS_FOLLOWED) -> list[str]:
+        names = list(dict.fromkeys(name for name in text.split(",") if name))
+        if not names:
+            raise HTTPException(422, "name the fields, such as fields=gnss/fix:hdop,navigation/solution:roll_rad")
+        if len(names) > maximum:
+            raise HTTPException(422, f"at most {maximum} fields at once")
+        try:
+            with self._lock:
+                self._state.series.want(names, self._now_ns())
+        except ValueError as error:
+            raise HTTPException(422, str(error)) from error
+        except SeriesFull as error:
+            raise HTTPException(503, str(error)) from error
+        return names
+
+    def _answer(self, names: list[str], from_ns: int, to_ns: int, *, fine: bool) -> Json:
+        oldest_ns = to_ns - (round(FINE_S * SECOND_NS) if fine else HOUR_NS)
+        with self._lock:
+            series = self._state.series
+            series.want(names, to_ns)  # nothing that is looked at gives way
+            columns = series.columns(names, max(from_ns, oldest_ns), to_ns, fine=fine)
+        return labelled(names, columns)
+
+
+def _parts(names: list[str]) -> list[list[str]]:
+    return [names[start : start + FIELDS_IN_FRAME] for start in range(0, len(names), FIELDS_IN_FRAME)]
+
+
+def fields_of(flow: TopicFlow) -> list[Json]:
+    """List the numeric fields of the newest message of a topic; none of one that cannot be read."""
+    try:
+        message = flow.decoded()
+    except BadPayload:
+        return []
+    selector = fields.selector_of(message)
+    head = f"{flow.name}[{selector}]" if selector else flow.name
+    latency = [(fields.LATENCY, flow.latencies_s[-1])] if flow.latencies_s else []
+    listed: list[Json] = []
+    for path, value in (*fields.numbers(message), *latency):
+        try:
+            field = fields.parse(f"{head}:{path}")
+        except ValueError:  # a name or a selector with other characters
+            continue
+        listed.append({"name": field.name, "path": path, "value": value,
+                       "unit": fields.unit_of(field), "axis": fields.axis_of(field)})  # fmt: skip
+        if len(listed) == FIELDS_LISTED:
+            break
+    return listed
+
+
+def _json(content: object) -> Response:
+    return Response(to_json(content), 200, {"Cache-Control": "no-store"}, "application/json")

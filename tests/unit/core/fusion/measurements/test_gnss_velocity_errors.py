@@ -1,0 +1,93 @@
+"""Whether velocity errors are white: found, unlearned, and what follows for the positions."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from services.core.fusion.measurements.gnss_error_model import FOLLOWED, LASTS
+from services.core.fusion.measurements.gnss_error_model import UNKNOWN as UNKNOWN_POSITIONS
+from services.core.fusion.measurements.gnss_velocity_errors import SHARE, UNKNOWN, GnssVelocityErrors
+
+FloatArray = npt.NDArray[np.float64]
+
+STATED = np.array([0.08, 0.08, 0.15]) ** 2  # [m²/s²]
+PERIOD_NS = 200_000_000
+COV = np.diag([4.0, 4.0, 25.0])
+
+
+def residuals(correlation: float, n: int, seed: int, size: float = 1.0) -> FloatArray:
+    """Draw residuals whose neighbours have this correlation, shape (n, 3) [m/s]."""
+    drawn = np.random.default_rng(seed).standard_normal((n, 3))
+    for k in range(1, n):
+        drawn[k] = correlation * drawn[k - 1] + (1.0 - correlation**2) ** 0.5 * drawn[k]
+    scaled: FloatArray = size * np.sqrt(STATED) * drawn
+    return scaled
+
+
+def taught(errors: GnssVelocityErrors, drawn: FloatArray, *, stated: bool = True) -> GnssVelocityErrors:
+    for residual in drawn:
+        errors = errors.after(errors.time_ns + PERIOD_NS, residual, STATED, stated=stated)
+    return errors
+
+
+@pytest.mark.parametrize("size", [0.2, 1.0, 3.0])
+def test_white_velocity_errors_are_found_within_two_minutes_whatever_their_size(size: float) -> None:
+    for seed in range(5):
+        drawn = residuals(0.0, 600, seed, size)
+        assert not taught(UNKNOWN, drawn[:1]).follows and taught(UNKNOWN, drawn[:1], stated=False).follows
+        assert not taught(UNKNOWN, drawn).follows and not taught(UNKNOWN, drawn, stated=False).follows
+
+
+@pytest.mark.parametrize("correlation", [0.3, 0.5, 0.9])
+def test_velocity_errors_that_repeat_are_found_within_a_minute(correlation: float) -> None:
+    for seed in range(5):
+        errors = taught(UNKNOWN, residuals(correlation, 300, seed))
+        assert errors.follows and errors.white < 0.01
+        assert errors.variance == pytest.approx(SHARE * STATED, rel=0.01)
+
+
+def test_what_was_learned_is_unlearned_within_minutes_when_the_evidence_turns() -> None:
+    for seed in range(3):
+        white = taught(UNKNOWN, residuals(0.0, 3000, seed))
+        repeating = taught(white, residuals(0.5, 600, seed + 10))
+        assert not white.follows and not white.variance.any()
+        assert repeating.follows
+        assert not taught(repeating, residuals(0.0, 1200, seed + 20)).follows
+
+
+def test_white_errors_are_hardly_ever_taken_for_others() -> None:
+    for seed in range(20):
+        errors = UNKNOWN
+        for residual in residuals(0.0, 600, seed):
+            errors = taught(errors, residual[np.newaxis])
+            assert not errors.follows
+
+
+def test_without_velocities_nothing_changes() -> None:
+    assert not UNKNOWN.follows and UNKNOWN.white == 1.0
+    assert UNKNOWN_POSITIONS.following(False) is UNKNOWN_POSITIONS
+
+
+def test_a_pause_is_no_evidence() -> None:
+    errors = taught(UNKNOWN, residuals(0.0, 300, 1))
+    later = errors.after(errors.time_ns + 3_000_000_000, errors.last * np.sqrt(errors.power), STATED, stated=True)
+    assert later.white == errors.white
+
+
+def test_followed_positions_have_no_estimated_error_and_the_levels_hold_half_of_what_is_stated() -> None:
+    followed = UNKNOWN_POSITIONS.following(True)
+    assert followed.lasting == 0.0
+    assert followed.scaled(COV) == pytest.approx(FOLLOWED[0] * COV)
+    level, upright = followed.unestimated(COV)
+    assert 0.4 * COV[0, 0] < level <= LASTS * COV[0, 0]
+    assert 0.4 * COV[2, 2] < upright <= LASTS * COV[2, 2]
+    assert UNKNOWN_POSITIONS.unestimated(COV) == (0.0, 0.0)
+
+
+def test_an_overstated_size_does_not_count_in_full_where_positions_are_followed() -> None:
+    evidence = np.zeros_like(UNKNOWN_POSITIONS.evidence)
+    evidence[:, :, 0] = 100.0  # the smallest scale, an eighth
+    level, _ = replace(UNKNOWN_POSITIONS, evidence=evidence, follows=True).unestimated(COV)
+    assert level == pytest.approx(LASTS * COV[0, 0] / 64.0, rel=0.01)

@@ -1,0 +1,115 @@
+"""Receivers over time, and why a satellite is not used."""
+
+import math
+
+import pytest
+
+from services.monitoring.status.gnss_history import (
+    SATELLITES_MAXIMUM,
+    SOURCES_MAXIMUM,
+    Changes,
+    GnssHistory,
+    correction_of,
+    kind_of,
+)
+from services.monitoring.status.views.gnss import why_not_used
+from shared.messages.gnss import (
+    CarrierSolution,
+    Constellation,
+    FixType,
+    GnssFix,
+    GnssSatellites,
+    Satellite,
+    SignalQuality,
+)
+
+NS = 1_000_000_000
+TRACKED = Satellite(
+    constellation=Constellation.GPS, number=7, cn0_db_hz=40.0, elevation_rad=0.5, azimuth_rad=1.0, used=False,
+    quality=SignalQuality.CARRIER_LOCKED, healthy=True, orbit_known=True,
+)  # fmt: skip
+
+
+def fix(**changes: object) -> GnssFix:
+    given = {"sampled_ns": NS, "received_ns": NS, "source": "gnss0", "fix_type": FixType.THREE_D,
+             "latitude_deg": 48.0, "longitude_deg": 11.0, **changes}  # fmt: skip
+    return GnssFix.model_validate(given)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({}, "tracked; the receiver states no reason"),
+        ({"healthy": False, "elevation_rad": 0.01}, "unhealthy"),
+        ({"elevation_rad": math.radians(9)}, "below the elevation mask of 10°"),
+        ({"quality": SignalQuality.SEARCHING, "cn0_db_hz": None}, "searched for"),
+        ({"quality": SignalQuality.UNUSABLE}, "not usable"),
+        ({"quality": None, "cn0_db_hz": None}, "no signal"),
+        ({"orbit_known": False}, "orbit not known"),
+        ({"constellation": Constellation.SBAS}, "corrections only"),
+        ({"quality": SignalQuality.CODE_LOCKED}, "code tracked, carrier not"),
+    ],
+)
+def test_each_cause_has_its_own_reason(changes: dict[str, object], reason: str) -> None:
+    satellite = TRACKED.model_copy(update=changes)
+    assert reason in (why_not_used(satellite, math.radians(10)) or "")
+    assert why_not_used(satellite.model_copy(update={"used": True}), math.radians(10)) is None
+
+
+def test_an_unknown_mask_is_no_reason() -> None:
+    low = TRACKED.model_copy(update={"elevation_rad": 0.01})
+    assert why_not_used(low, None) == "tracked; the receiver states no reason"
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "correction"),
+    [
+        ({}, "three_d", "none"),
+        ({"differential": True, "correction_age_s": 1.0}, "differential", "fresh"),
+        ({"carrier_solution": CarrierSolution.FIXED, "correction_age_s": 10.0}, "rtk_fixed", "aged"),
+        ({"carrier_solution": CarrierSolution.FLOAT, "correction_age_s": 60.0}, "rtk_float", "old"),
+        ({"differential": True}, "differential", "used"),
+        ({"fix_type": FixType.NONE, "latitude_deg": None}, "none", "none"),
+        ({"fix_type": FixType.TIME_ONLY, "latitude_deg": None}, "time_only", "none"),
+        ({"fix_type": FixType.TWO_D}, "two_d", "none"),
+    ],
+)
+def test_kind_and_corrections_of_a_fix_are_classed(changes: dict[str, object], kind: str, correction: str) -> None:
+    assert (kind_of(fix(**changes)), correction_of(fix(**changes))) == (kind, correction)
+
+
+def test_a_pause_is_shown_as_such_and_ends_with_the_next_message() -> None:
+    changes = Changes()
+    for second in (1, 2, 3):
+        changes.note(second * NS, "three_d")
+    assert list(changes.until(4 * NS)) == [(NS, "three_d")]
+    assert list(changes.until(60 * NS)) == [(NS, "three_d"), (8 * NS, "no_data")]
+    changes.note(61 * NS, "three_d")
+    assert list(changes.until(62 * NS)) == [(NS, "three_d"), (8 * NS, "no_data"), (61 * NS, "three_d")]
+
+
+def test_the_time_to_first_fix_is_measured_from_the_first_message_without_position() -> None:
+    history = GnssHistory()
+    for second in range(30):
+        located = second >= 26
+        found = fix() if located else fix(fix_type=FixType.NONE, latitude_deg=None, longitude_deg=None)
+        history.note(found, second * NS)
+    receiver = history.receivers["gnss0"]
+    assert (receiver.waited_since_ns, receiver.first_position_ns) == (0, 26 * NS)
+
+
+def test_tracks_have_a_point_every_half_minute_and_all_of_it_is_bounded() -> None:
+    history = GnssHistory()
+    crowd = tuple(TRACKED.model_copy(update={"number": n}) for n in range(SATELLITES_MAXIMUM + 50))
+    for second in range(95):
+        sky = GnssSatellites(sampled_ns=0, received_ns=0, source="gnss0", satellites=crowd)
+        history.note(sky, second * NS)
+    tracks = history.receivers["gnss0"].tracks
+    assert len(tracks) == SATELLITES_MAXIMUM
+    assert [ns // NS for ns, _, _ in tracks["gps", 0]] == [0, 30, 60, 90]
+    for n in range(20):
+        history.note(fix(source=f"gnss{n}"), NS)
+    assert len(history.receivers) == SOURCES_MAXIMUM
+    alone = GnssSatellites(sampled_ns=0, received_ns=0, source="gnss0", satellites=crowd[:1])
+    history.note(alone, 7200 * NS)
+    assert set(tracks) == {("gps", 0)}, "who has not been seen for an hour is dropped"
