@@ -184,7 +184,11 @@ function connect() {
     const frame = unpack(event.data);
     before = before.then(async () => receive(opening, await frame));
   };
-  opening.onclose = () => opening === socket && lost();
+  opening.onclose = () => {
+    if (opening !== socket) return;
+    socket = null; // a frame that is still being unpacked is of a connection that is over
+    lost();
+  };
 }
 
 function receive(from, frame) {
@@ -201,7 +205,7 @@ export function start() {
   setInterval(() => {
     clock.value = performance.now();
     // A server that hangs keeps its connection open: notice the silence and start afresh.
-    if (link.value.open && frameAgeS() > 5) socket.close();
+    if (link.value.open && frameAgeS() > 5) socket?.close();
   }, 200);
 }
 
