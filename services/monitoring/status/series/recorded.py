@@ -10,7 +10,7 @@ from pydantic_core import from_json, to_json
 
 from shared.bus.envelope import Envelope
 from shared.errors import BadPayload, BadRecording
-from shared.recording.folder import SUFFIX
+from shared.library.summary import RECORDING_SUFFIX as SUFFIX
 from shared.recording.reader import Recording
 
 from . import computed, fields
