@@ -6,6 +6,7 @@ Heights are those above the WGS84 ellipsoid, and both files say so: GPX and KML 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from html import escape
 
 Extra = float | int | str | None
 DATUM = "Heights are above the WGS84 ellipsoid."
@@ -58,11 +59,6 @@ def kml_lines(name: str, segments: Iterable[Segment]) -> Iterator[str]:
     for segment in segments:
         yield from _kml_track(segment)
     yield "</gx:MultiTrack></Placemark>\n</Document>\n</kml>\n"
-
-
-def escape(text: str) -> str:
-    """Write a text inside an element or an attribute; the modules that do so need a megabyte of memory."""
-    return text.translate({ord("&"): "&amp;", ord("<"): "&lt;", ord(">"): "&gt;", ord('"'): "&quot;"})
 
 
 def iso_time(time_ns: int) -> str:

@@ -2,10 +2,12 @@
 
 import gzip
 import re
+import zlib
 from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
+from pathlib import Path
 
 PAGES = (
     "index.html",
@@ -61,6 +63,7 @@ TYPES = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
+    "mjs": "text/javascript; charset=utf-8",
 }
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -88,6 +91,16 @@ def make_asset(name: str, content: bytes) -> Asset:
     """Prepare a file for sending."""
     kind = TYPES[name.rsplit(".", 1)[1]]
     return Asset(kind, gzip.compress(content, 9, mtime=0), f'"{sha256(content).hexdigest()[:20]}"')
+
+
+def asset_of_file(path: Path) -> Asset:
+    """Prepare a large file for sending, piece by piece, so that it is never in memory as a whole."""
+    packer, digest, packed = zlib.compressobj(9, zlib.DEFLATED, 31), sha256(), []
+    with path.open("rb") as file:
+        while piece := file.read(1 << 16):
+            digest.update(piece)
+            packed.append(packer.compress(piece))
+    return Asset(TYPES[path.suffix[1:]], b"".join([*packed, packer.flush()]), f'"{digest.hexdigest()[:20]}"')
 
 
 def make_assets(files: Mapping[str, bytes]) -> dict[str, Asset]:

@@ -56,7 +56,7 @@ class Pages:
         if path := self._documentation.get(name):
             return FileResponse(path, media_type=assets.TYPES[name.rsplit(".", 1)[1]])
         if name in self._later and f"lib/{name}" not in self._assets:
-            self._assets[f"lib/{name}"] = assets.make_asset(name, self._later[name].read_bytes())
+            self._assets[f"lib/{name}"] = assets.asset_of_file(self._later[name])
         headers = {"Content-Security-Policy": assets.WORKER_POLICY} if name in assets.WORKERS else {}
         return self._asset(f"lib/{name}", request, headers)
 

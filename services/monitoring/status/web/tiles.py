@@ -53,8 +53,6 @@ class MapDescription:
 
 def describe(path: Path) -> MapDescription:
     """Read what a file says of itself; raises `BadMap`."""
-    import sqlite3  # 1 MB of memory, which a unit without a map saves
-
     try:
         if path.suffix == ".pmtiles":
             return _describe_pmtiles(path)
@@ -62,7 +60,7 @@ def describe(path: Path) -> MapDescription:
             return _describe_mbtiles(path)
     except FileNotFoundError as error:
         raise BadMap(f"the map {path.name} named by map_file is not there; {HOW}") from error
-    except (OSError, ValueError, EOFError, sqlite3.Error) as error:
+    except (OSError, ValueError, EOFError) as error:
         raise BadMap(f"the map {path.name} cannot be read ({error}); {HOW}") from error
     raise BadMap(f"the map {path.name} is neither a .pmtiles nor a .mbtiles file; {HOW}")
 
@@ -88,8 +86,13 @@ def _describe_pmtiles(path: Path) -> MapDescription:
 
 
 def _describe_mbtiles(path: Path) -> MapDescription:
-    with closing(_open(path)) as database:
-        metadata = {str(k): str(v) for k, v in database.execute("select name, value from metadata limit 200")}
+    import sqlite3
+
+    try:
+        with closing(_open(path)) as database:
+            metadata = {str(k): str(v) for k, v in database.execute("select name, value from metadata limit 200")}
+    except sqlite3.Error as error:
+        raise ValueError(str(error)) from error
     tiles = MBTILES_FORMATS.get(metadata.get("format", ""))
     if tiles is None:
         raise ValueError(f"its format {metadata.get('format')!r} is none of {', '.join(MBTILES_FORMATS)}")
@@ -118,10 +121,10 @@ def read_tile(path: Path, zoom: int, x: int, y: int) -> bytes | None:
 
 
 def _open(path: Path) -> "sqlite3.Connection":
+    import sqlite3  # 2 MB of memory, which a unit without such a file saves
+
     if not path.is_file():
         raise FileNotFoundError(path)
-    import sqlite3
-
     return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True, timeout=1.0)
 
 
