@@ -273,7 +273,6 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
         "/api/simulation", "/api/simulation/attack", "/api/solution", "/api/events", "/api/viewers", "/api/replay",
         "/api/series", "/api/fields/{name}", "/api/gnss", "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
         "/api/recordings", "/api/recordings/{name}", "/api/recordings/{name}/report",
-        "/api/track", "/api/track.gpx", "/api/track.kml", "/api/map",
     }  # fmt: skip
 
 

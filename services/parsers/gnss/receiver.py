@@ -23,7 +23,7 @@ from .ubx_epoch import Epoch, EpochAssembler, fix_from_epoch
 
 NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are published
 
-EPOCH_NS = 900_000_000  # within which the messages of an epoch arrive
+PART_AGE_NS = 1_500_000_000  # between a part of the signal quality and the next fix; at 1 Hz it is up to one second
 SAME_EPOCH_MS = 12  # times of week of one epoch are closer: RXM-RAWX has the receiver's own clock
 
 Output = GnssFix | GnssSatellites | GnssRawEpoch | GnssNavigationBits | GnssSignalQuality | GnssConfiguration
@@ -130,7 +130,7 @@ class Receiver:
         Parts of an epoch whose fix was lost are not part of the epoch of a later fix.
         """
         if clock is not None:
-            late = [kind for kind, (part_ns, _) in self._signal.items() if received_ns - part_ns > EPOCH_NS]
+            late = [kind for kind, (part_ns, _) in self._signal.items() if received_ns - part_ns > PART_AGE_NS]
             for kind in late:
                 del self._signal[kind]
                 self._rejects["ubx_signal_without_fix"] += 1
