@@ -247,7 +247,7 @@ AXLE = vector(
             WheelSpeed(
                 0, 0, "", 0.0, 0.0, True, True, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))
             ),
-            [1.03 * AXLE[0]],
+            [1.03 * AXLE[0], *AXLE[1:]],
         ),
         (NonHolonomic(0, Settings(non_holonomic=NonHolonomicSettings(rear_axle_body_m=ARM))), AXLE[1:]),
     ],
