@@ -136,7 +136,7 @@ def test_fusion_repeats_its_words_from_what_it_consumed_in_that_order(chain: Cha
     fusion = Process(Config().with_values(lever))
     again = [said for one in chain.consumed for said in fusion.handle(one)]  # type: ignore[arg-type]
     kinds = tuple({type(said) for said in again})
-    assert len(kinds) == 4 and again == [one for one in published if isinstance(one, kinds)]
+    assert len(kinds) == 5 and again == [one for one in published if isinstance(one, kinds)]
 
 
 def test_an_attack_that_holds_its_offset_is_not_readmitted_for_its_velocity(drive: Drive) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from services.core.fusion.filter import error_model as em
 from services.core.fusion.messages import measurements_from_fix
 from services.core.fusion.process import Config, Process
 from services.core.fusion.settings import GnssSettings, IntegritySettings, OdometerSettings
@@ -409,7 +410,7 @@ def test_a_saved_state_is_the_same_after_the_bus() -> None:
         ({"covariance": (1.0, 2.0)}, "saved state of another layout"),
         ({"sampled_ns": EPOCH_NS + 30 * 10**9}, "saved state too old"),
         ({"sampled_ns": EPOCH_NS + 50 * 10**9}, "saved state from the future"),
-        ({"covariance": (-1.0,) * 496}, "saved state without a positive covariance"),
+        ({"covariance": (-1.0,) * (em.SIZE * (em.SIZE + 1) // 2)}, "saved state without a positive covariance"),
     ],
 )
 def test_a_state_that_is_not_ones_own_is_refused_and_counted(changes: dict[str, object], reason: str) -> None:
