@@ -12,7 +12,8 @@ from services.monitoring.status.process import DASHBOARD
 from tests.support.status_server import Running, status_server
 
 AXE = DASHBOARD / "node_modules" / "axe-core" / "axe.min.js"
-WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # in software
+# WebGL in software; pages are drawn without it, which is far faster where there is no graphics card.
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
 THEMES: dict[str, ViewportSize] = {
     "light": {"width": 1440, "height": 900},
     "dark": {"width": 1440, "height": 900},

@@ -195,7 +195,7 @@ def test_roads_of_the_simulation_and_tiles_of_an_mbtiles_file_are_drawn(
         assert server.unit
         server.unit.silent.add("core.fusion")
         expect(page.locator(".map-marker .vehicle.old")).to_be_attached(timeout=8000)
-        expect(page.locator(".map-legend")).to_contain_text("by now within")
+        expect(page.locator(".map-legend")).to_contain_text("could be up to")
         page.wait_for_timeout(300)
         keep_picture(page, "map-stale")
 

@@ -22,11 +22,14 @@ WORDS: dict[str, str | re.Pattern[str]] = {
     "alarm": "UNSAFE",
     "empty": re.compile("STARTING|NO DATA"),
 }  # the latter after two minutes
-SENTENCES = {
+SENTENCES: dict[str, str | re.Pattern[str]] = {
     "normal": "The position can be used: protection levels 3.1 m horizontal and 4.3 m vertical",
     "stale": "(core.fusion is stale: connected, but without heartbeat",
     "alarm": "The position must not be used: Short inertial window accuses GNSS",
-    "empty": "Trust is not evaluated: core.trust has not published a verdict yet",
+    "empty": re.compile(
+        "Nothing is known yet: waiting for the first verdict of core.trust"
+        "|Trust is not evaluated: core.trust has not published a verdict yet"
+    ),
 }
 FIRST_PAINT_BYTES, FIRST_PAINT_REQUESTS = 80_000, 15
 
