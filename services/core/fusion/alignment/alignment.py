@@ -35,6 +35,9 @@ from .velocity_matching import REST_OFFSET_SD, Comparison
 
 FloatArray = npt.NDArray[np.float64]
 
+VERTICAL_BIAS_SHARE = (
+    0.4  # of the prior: gravity does not observe it, and more spoils the heading of starts on the move
+)
 TRACK_S = 5.0  # longest time of the positions that give a course
 MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
 REST_VELOCITY_SD = 0.05  # [m/s]
@@ -286,7 +289,8 @@ class Alignment:
             return self._lost.imu.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
         horizontal = self.levelling.drift.bias
         C = matrix_from_quaternion(self.levelling.quaternion)
-        cov = np.diag([horizontal, horizontal, self._settings.imu.gyroscope_bias_sd_rad_s**2])
+        vertical = VERTICAL_BIAS_SHARE * self._settings.imu.gyroscope_bias_sd_rad_s
+        cov = np.diag([horizontal, horizontal, vertical**2])
         return self.levelling.rate_bias, C.T @ cov @ C
 
 
