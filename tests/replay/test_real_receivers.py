@@ -23,7 +23,7 @@ def solved(name: str, out: Path) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("name", "most_m"),
     [
-        ("comma_segment", 0.44),
+        ("comma_segment", 0.47),
         pytest.param("navmatlab_car", 0.65, marks=pytest.mark.slow),
         pytest.param("navmatlab_car_0327", 1.17, marks=pytest.mark.slow),
     ],
