@@ -112,11 +112,12 @@ def unit(
 ) -> Supervisor:
     """Put every process of a vehicle under one supervisor, and the broker if it is ours to start.
 
-    Who listens starts before who speaks, so that a recording misses nothing and can be verified whole.
+    Who listens starts before who speaks, and the recorder ends after the others, so that a recording misses nothing
+    and can be verified whole.
     """
     supervisor = Supervisor({**os.environ, **environment}, logs)
     if broker:
         supervisor.add("broker", broker, outlives_others=True)
     for name in reversed(vehicle.processes):
-        supervisor.add_process(name)
+        supervisor.add_process(name, outlives_others=name == "monitoring.recorder")
     return supervisor

@@ -55,9 +55,9 @@ class Supervisor:
         log_file = self._log_folder / f"{name}.log" if self._log_folder else None
         self.children[name] = Child(name, command, log_file, outlives_others)
 
-    def add_process(self, name: str) -> None:
+    def add_process(self, name: str, *, outlives_others: bool = False) -> None:
         """Take a process of the unit into care."""
-        self.add(name, [sys.executable, "-m", "cli", "run", name])
+        self.add(name, [sys.executable, "-m", "cli", "run", name], outlives_others=outlives_others)
 
     def watch(self) -> None:
         """Start what is due and notice what has ended; call it a few times a second."""

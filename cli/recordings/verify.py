@@ -15,7 +15,7 @@ from rich.table import Table
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload, UserError
 from shared.messages.base import Message
-from shared.messages.operation import Consumed, ProcessHealth, ProcessState
+from shared.messages.operation import Consumed
 from shared.processes import BY_NAME
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile
@@ -118,8 +118,6 @@ class Audit:
             message = _decoded(envelope)
             if isinstance(message, Consumed):
                 life.add_journal(message, envelope.received_ns)
-            elif isinstance(message, ProcessHealth) and message.state is ProcessState.DISCONNECTED:
-                life.end()
             life.advance(self._now_ns)
 
     def _remember(self, envelope: Envelope) -> None:
@@ -158,11 +156,12 @@ def _decoded(envelope: Envelope) -> Message | None:
 def _print(lives: Sequence[Repetition], console: Console) -> None:
     table = Table(box=None, pad_edge=False)
     for title in ("process", "started (UTC)", "consumed", "compared", "unrecorded", "verdict"):
-        table.add_column(title, justify="right" if title in ("consumed", "compared", "unrecorded") else "left")
+        right = title in ("consumed", "compared", "unrecorded")
+        table.add_column(title, justify="right" if right else "left", no_wrap=True)
     for life in lives:
         started = datetime.fromtimestamp(life.life // 1_000_000_000, UTC)
         numbers = (str(number) for number in (life.consumed, life.compared, life.unrecorded))
-        table.add_row(life.name, f"{started:%Y-%m-%d %H:%M:%S}", *numbers, life.verdict.value)
+        table.add_row(life.name, f"{started:%m-%d %H:%M:%S}", *numbers, life.verdict.value)
     Console().print(table)
     for life in lives:
         if life.reason:

@@ -62,7 +62,7 @@ class Repetition:
         self._restored: set[int] = set()  # words of its own that it consumed: what it had saved in another life
         self._last_sequence = self._journal_ns = 0
         self._gap = self._spare = 0  # numbers that are not recorded: since the last word, and before
-        self._closing = self._failed = False
+        self._failed = False
 
     @property
     def verdict(self) -> Verdict:
@@ -91,10 +91,6 @@ class Repetition:
         self.lively = self.lively or (row is not None and not row.retain)
         return True
 
-    def end(self) -> None:
-        """Note that the recorded process ended as asked, and may have had last words."""
-        self._closing = True
-
     def advance(self, now_ns: int, *, last: bool = False) -> None:
         """Feed what is there and compare what is due."""
         if self.reason:
@@ -108,6 +104,10 @@ class Repetition:
     def _feed(self, now_ns: int, *, last: bool) -> None:
         while self._runs:
             run = self._runs[0]
+            if run.topic == "close":
+                self._runs.popleft()
+                self._keep(getattr(self._process, "close", tuple))
+                continue
             message = self._input(run)
             if message is None:
                 if last or now_ns - run.told_ns > PATIENCE_NS:
@@ -120,9 +120,6 @@ class Repetition:
                 self._runs.appendleft(replace(run, first=run.first + 1, count=run.count - 1))
             self.consumed += 1
             self._keep(partial(self._process.handle, message))
-        if self._closing:
-            self._closing = False
-            self._keep(getattr(self._process, "close", tuple))
 
     def _input(self, run: Run) -> Message | None:
         if run.topic == "tick":

@@ -180,7 +180,7 @@ class Consumed(Message):
     """The order in which a process consumed its messages, so that its work can be repeated exactly.
 
     Each run is (topic, producer, incarnation of the producer, first sequence number, count);
-    a tick is ("tick", "", its stamp, 0, 1).
+    a tick is ("tick", "", its stamp, 0, 1), and the end of the process ("close", "", 0, 0, 1).
     """
 
     process: Name

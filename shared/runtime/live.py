@@ -59,6 +59,10 @@ class Journal:
         """Note that a tick was consumed."""
         self._append("tick", "", tick.now_ns, 0)
 
+    def add_close(self) -> None:
+        """Note that the process was asked for its last messages."""
+        self._append("close", "", 0, 0)
+
     def take(self) -> Consumed | None:
         """Hand over what was noted since the last call."""
         if not self._runs:
@@ -129,6 +133,7 @@ class LiveReactor:
         closing = getattr(self._process, "close", None)
         if closing is not None:
             self._say(closing())
+            self._journal.add_close()
         self._publish_journal(at_once=True)
 
     def _consume(self, envelope: Envelope) -> None:

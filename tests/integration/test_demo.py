@@ -198,9 +198,6 @@ def test_sigterm_ends_everything_within_five_seconds(demo: Demo) -> None:
         assert "Traceback" not in log.read_text(), log.name
 
 
-@pytest.mark.xfail(
-    strict=False, reason="open: verify misses the last position that controller.mode publishes at its stop"
-)
 def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Path) -> None:
     demo = start_demo(tmp_path, "--scenario", "parking_lot", "--duration", "32", "--json")
     output, errors = demo.process.communicate(timeout=120.0)

@@ -77,8 +77,12 @@ class Recorded:
         assert consumed is not None
         self.say(self.name, consumed)
 
-    def health(self, state: ProcessState = ProcessState.READY) -> None:
-        health = ProcessHealth(process=self.name, state=state, incarnation=LIFE, sent_ns=self.now_ns)
+    def close(self) -> None:
+        self._journal.add_close()
+        self.journal()
+
+    def health(self) -> None:
+        health = ProcessHealth(process=self.name, state=ProcessState.READY, incarnation=LIFE, sent_ns=self.now_ns)
         self.say(self.name, health)
 
     def say(self, producer: str, message: Message) -> None:
@@ -98,8 +102,6 @@ class Recorded:
             message = envelope.decode()
             if envelope.topic.startswith("consumed/"):
                 repetition.add_journal(message, envelope.received_ns)  # type: ignore[arg-type]  # the topic says so
-            if isinstance(message, ProcessHealth) and message.state is ProcessState.DISCONNECTED:
-                repetition.end()
             repetition.advance(envelope.received_ns)
         repetition.advance(self.now_ns, last=True)
         return repetition
@@ -121,7 +123,7 @@ def echo_life(seconds: int = 20, *, ended: bool = True) -> Recorded:
     if ended:
         for message in Echo.close(life.process):  # type: ignore[arg-type]  # it is one
             life.say(life.name, message)
-        life.health(ProcessState.DISCONNECTED)
+        life.close()
     return life
 
 
