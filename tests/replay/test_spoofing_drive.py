@@ -139,4 +139,6 @@ def test_a_minute_of_another_car_raises_no_lasting_alarm(tmp_path: Path) -> None
     result = monitored(drive, config, drive.messages, **{"gnss.delay_s": delay_s, "gnss.velocity_delay_s": delay_s})
     assert result.episodes("inertial_short") <= 1 and result.episodes("inertial_long") == 0
     assert result.share("inertial_short", MonitorOutcome.PASS) > 0.8
-    assert result.share("inertial_long", MonitorOutcome.PASS) > 0.25, "the window of 30 s is first full after 42 of 60 s"
+    assert result.share("inertial_long", MonitorOutcome.PASS) > 0.25, (
+        "the window of 30 s is first full after 42 of 60 s"
+    )
