@@ -104,10 +104,9 @@ class Evidence:
     def overstatement(self) -> float:
         """By how much the filter overstates what it has learnt from measurements that repeat each other's errors.
 
-        The variance of the mean over `MEAN_S` over that of as many independent ones of their size; 1 if they are. That
-        innovations are larger than expected is in the scales, and would count twice.
+        The variance of the mean over `MEAN_S` over that of as many independent ones; 1 if they are.
         """
-        return max(1.0, sum(axis.habit / max(1.0, axis.power) for axis in self.axes) / 3.0 - CHANCE)
+        return max(1.0, (self.axes[0].habit + self.axes[1].habit + self.axes[2].habit) / 3.0 - CHANCE)
 
 
 UNKNOWN = Evidence()
