@@ -14,10 +14,12 @@ from shared.messages.gnss import (
     GnssRawEpoch,
     GnssSatellites,
     GnssSignalQuality,
+    GnssSignals,
 )
 from shared.topics import BY_NAME
 
 NS = 1_000_000_000
+OfReceiver = GnssFix | GnssSatellites | GnssSignals | GnssRawEpoch | GnssSignalQuality | GnssConfiguration
 SOURCES_MAXIMUM, SATELLITES_MAXIMUM, CHANGES_MAXIMUM = 8, 160, 500
 TRACK_STEP_NS, TRACK_POINTS = 30 * NS, 120  # one hour
 SILENT_NS = round((BY_NAME["gnss/fix"].silent_after_s or 5.0) * NS)
@@ -54,6 +56,7 @@ class ReceiverHistory:
     source: str
     fix: GnssFix | None = None
     satellites: GnssSatellites | None = None
+    signals: GnssSignals | None = None
     epoch: GnssRawEpoch | None = None
     quality: GnssSignalQuality | None = None
     configuration: GnssConfiguration | None = None
@@ -100,7 +103,7 @@ class GnssHistory:
 
     def note(self, message: Message, received_ns: int) -> None:
         """Take one message; what is not of a receiver is ignored."""
-        if not isinstance(message, GnssFix | GnssSatellites | GnssRawEpoch | GnssSignalQuality | GnssConfiguration):
+        if not isinstance(message, OfReceiver):
             return
         receiver = self.receivers.get(message.source)
         if receiver is None:
@@ -114,6 +117,9 @@ class GnssHistory:
             case GnssSatellites():
                 receiver.note_satellites(message, received_ns)
                 receiver.updated_ns["satellites"] = received_ns
+            case GnssSignals():
+                receiver.signals = message
+                receiver.updated_ns["signals"] = received_ns
             case GnssRawEpoch():
                 receiver.epoch = message
                 receiver.updated_ns["epoch"] = received_ns

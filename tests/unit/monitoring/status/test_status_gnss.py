@@ -12,13 +12,18 @@ from services.monitoring.status.gnss_history import (
     correction_of,
     kind_of,
 )
-from services.monitoring.status.views.gnss import why_not_used
+from services.monitoring.status.state import State
+from services.monitoring.status.views.gnss import gnss, why_not_used
 from shared.messages.gnss import (
     CarrierSolution,
     Constellation,
     FixType,
     GnssFix,
+    GnssRawEpoch,
     GnssSatellites,
+    GnssSignal,
+    GnssSignals,
+    RawMeasurement,
     Satellite,
     SignalQuality,
 )
@@ -54,6 +59,34 @@ def test_each_cause_has_its_own_reason(changes: dict[str, object], reason: str) 
     satellite = TRACKED.model_copy(update=changes)
     assert reason in (why_not_used(satellite, math.radians(10)) or "")
     assert why_not_used(satellite.model_copy(update={"used": True}), math.radians(10)) is None
+
+
+def rows_of(*messages: GnssSatellites | GnssSignals | GnssRawEpoch, second: int = 1) -> dict[str, list[object]]:
+    """Satellites of the view with their signals."""
+    state = State("bench", (), 0, 900.0)
+    for message in messages:
+        state.gnss.note(message, second * NS)
+    (receiver,) = gnss(state, NS)["receivers"]  # type: ignore[misc]  # JSON
+    return {row["name"]: row["signals"] for row in receiver["satellites"]}
+
+
+def test_each_signal_has_its_own_use_and_reason_and_replaces_the_raw_measurement() -> None:
+    stamps = {"sampled_ns": NS, "received_ns": NS, "source": "gnss0"}
+    sky = GnssSatellites.model_validate({**stamps, "satellites": (TRACKED.model_copy(update={"used": True}),)})
+    l1 = GnssSignal(
+        constellation=Constellation.GPS, number=7, signal="1C", cn0_db_hz=44.0, quality=SignalQuality.CARRIER_LOCKED,
+        healthy=True, pseudorange_used=True, carrier_phase_used=True, doppler_used=True, corrected=False,
+    )  # fmt: skip
+    l2 = l1.model_copy(update={"signal": "2L", "quality": SignalQuality.UNUSABLE, "pseudorange_used": False})
+    signals = GnssSignals.model_validate({**stamps, "signals": (l1, l2)})
+    measured = RawMeasurement(constellation=Constellation.GPS, number=7, signal="5Q", cn0_db_hz=39.0)
+    raw = GnssRawEpoch.model_validate({**stamps, "gps_time_ns": NS, "measurements": (measured,)})
+    used = {"band": "L1", "cn0_db_hz": 44.0, "used": True, "reason": None}
+    unused = {"band": "L2", "cn0_db_hz": 44.0, "used": False, "reason": "signal detected, but not usable"}
+    assert rows_of(sky, raw, signals) == {"G07": [used, unused]}
+    assert rows_of(signals) == {"G07": [used, unused]}, "a receiver that states signals only"
+    assert rows_of(sky, raw) == {"G07": [{"band": "L5", "cn0_db_hz": 39.0, "used": None, "reason": None}]}
+    assert rows_of(sky) == {"G07": []}
 
 
 def test_an_unknown_mask_is_no_reason() -> None:
