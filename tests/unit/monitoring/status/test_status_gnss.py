@@ -1,6 +1,7 @@
 """Receivers over time, and why a satellite is not used."""
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +13,7 @@ from services.monitoring.status.gnss_history import (
     correction_of,
     kind_of,
 )
+from services.monitoring.status.history_file import HistoryFile
 from services.monitoring.status.state import State
 from services.monitoring.status.views.gnss import gnss, why_not_used
 from shared.messages.gnss import (
@@ -27,6 +29,7 @@ from shared.messages.gnss import (
     Satellite,
     SignalQuality,
 )
+from tests.support.envelopes import sent
 
 NS = 1_000_000_000
 TRACKED = Satellite(
@@ -129,6 +132,25 @@ def test_the_time_to_first_fix_is_measured_from_the_first_message_without_positi
         history.note(found, second * NS)
     receiver = history.receivers["gnss0"]
     assert (receiver.waited_since_ns, receiver.first_position_ns) == (0, 26 * NS)
+
+
+def test_tracks_and_bands_are_those_of_before_a_restart_with_the_pause_between(tmp_path: Path) -> None:
+    first, file = State("bench", (), 0, 900.0), HistoryFile(tmp_path / "kept.jsonl")
+    for second in range(1, 121):
+        turned = TRACKED.model_copy(update={"azimuth_rad": math.radians(second)})
+        sky = GnssSatellites(sampled_ns=0, received_ns=0, source="gnss0", satellites=(turned,))
+        located = fix(differential=second > 60, correction_age_s=1.0 if second > 60 else None)
+        for message in (located, sky):
+            first.receive(sent(message, second * NS))
+    file.append(first.unsaved())
+    second = State("bench", (), 150 * NS, 900.0)
+    assert second.restore(file.read()) == 0
+    before, after = first.gnss.receivers["gnss0"], second.gnss.receivers["gnss0"]
+    assert [(ns // NS, azimuth) for ns, _, azimuth in after.tracks["gps", 7]] == [(1, 1), (31, 31), (61, 61), (91, 91)]
+    assert after.tracks == before.tracks
+    for changes in (before.fixes, after.fixes):
+        assert list(changes.until(150 * NS)) == [(NS, "three_d"), (61 * NS, "differential"), (125 * NS, "no_data")]
+    assert list(after.corrections.until(121 * NS)) == [(NS, "none"), (61 * NS, "fresh")]
 
 
 def test_tracks_have_a_point_every_half_minute_and_all_of_it_is_bounded() -> None:
