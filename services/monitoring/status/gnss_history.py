@@ -105,7 +105,11 @@ class ReceiverHistory:
         elif self.waited_since_ns is None and "fix" not in self.updated_ns and not located:
             self.waited_since_ns = received_ns
         last = self.kept
-        if last is None or found.ns - last.ns >= KEPT_NS or (last.fix, last.correction) != (found.fix, found.correction):
+        if (
+            last is None
+            or found.ns - last.ns >= KEPT_NS
+            or (last.fix, last.correction) != (found.fix, found.correction)
+        ):
             self.kept = found
             yield found
 

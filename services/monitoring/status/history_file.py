@@ -1,4 +1,4 @@
-"""Verdicts, their changes, outages, fixes and tracks of satellites as JSON lines in bounded files, which survive a restart of this process."""
+"""Verdicts, outages, fixes and tracks in the sky, as JSON lines in bounded files that outlive this process."""
 
 import logging
 from collections.abc import Iterator, Mapping

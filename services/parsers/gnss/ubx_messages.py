@@ -14,7 +14,16 @@ from shared.messages.base import Symmetric3
 from shared.messages.gnss import CarrierSolution, Constellation, FixType, GnssSignal, Satellite, SignalQuality
 
 NAV = 0x01
-KINDS = {0x04: "DOP", 0x07: "PVT", 0x14: "HPPOSLLH", 0x35: "SAT", 0x36: "COV", 0x3C: "RELPOSNED", 0x43: "SIG", 0x61: "EOE"}
+KINDS = {
+    0x04: "DOP",
+    0x07: "PVT",
+    0x14: "HPPOSLLH",
+    0x35: "SAT",
+    0x36: "COV",
+    0x3C: "RELPOSNED",
+    0x43: "SIG",
+    0x61: "EOE",
+}
 WEEK_MS = 604_800_000
 
 _IDS = {kind: bytes((number,)) for number, kind in KINDS.items()}

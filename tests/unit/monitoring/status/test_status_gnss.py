@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 import pytest
+from pydantic_core import from_json, to_json
 
 from services.monitoring.status.gnss_history import (
     SATELLITES_MAXIMUM,
@@ -69,8 +70,8 @@ def rows_of(*messages: GnssSatellites | GnssSignals | GnssRawEpoch, second: int 
     state = State("bench", (), 0, 900.0)
     for message in messages:
         state.gnss.note(message, second * NS)
-    (receiver,) = gnss(state, NS)["receivers"]  # type: ignore[misc]  # JSON
-    return {row["name"]: row["signals"] for row in receiver["satellites"]}
+    shown = from_json(to_json(gnss(state, NS)))
+    return {row["name"]: row["signals"] for row in shown["receivers"][0]["satellites"]}
 
 
 def test_each_signal_has_its_own_use_and_reason_and_replaces_the_raw_measurement() -> None:
@@ -143,9 +144,9 @@ def test_tracks_and_bands_are_those_of_before_a_restart_with_the_pause_between(t
         for message in (located, sky):
             first.receive(sent(message, second * NS))
     file.append(first.unsaved())
-    second = State("bench", (), 150 * NS, 900.0)
-    assert second.restore(file.read()) == 0
-    before, after = first.gnss.receivers["gnss0"], second.gnss.receivers["gnss0"]
+    restarted = State("bench", (), 150 * NS, 900.0)
+    assert restarted.restore(file.read()) == 0
+    before, after = first.gnss.receivers["gnss0"], restarted.gnss.receivers["gnss0"]
     assert [(ns // NS, azimuth) for ns, _, azimuth in after.tracks["gps", 7]] == [(1, 1), (31, 31), (61, 61), (91, 91)]
     assert after.tracks == before.tracks
     for changes in (before.fixes, after.fixes):

@@ -14,7 +14,15 @@ from pyubx2.ubxmessage import UBXMessage
 
 from services.parsers.gnss.process import Config, Process
 from shared.messages.base import Message
-from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw, GnssSatellites, GnssSignalQuality, GnssSignals
+from shared.messages.gnss import (
+    CarrierSolution,
+    FixType,
+    GnssFix,
+    GnssRaw,
+    GnssSatellites,
+    GnssSignalQuality,
+    GnssSignals,
+)
 from tests.support.data import recording
 
 NS = 1_000_000_000

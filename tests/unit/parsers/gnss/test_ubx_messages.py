@@ -132,12 +132,13 @@ def matches_pyubx2(ours: tuple[GnssSignal, ...], theirs: Any) -> bool:
         return [getattr(theirs, f"{name}_{i:02}") for name in names]
 
     health = {None: 0, True: 1, False: 2}
+    codes = ubx_messages.SIGNALS
     return len(ours) == theirs.numSigs and all(
         [one.number, one.cn0_db_hz or 0, one.pseudorange_used, one.carrier_phase_used, one.doppler_used, one.corrected,
          health[one.healthy]] == fields(i)
         and one.quality is tuple(SignalQuality)[min(getattr(theirs, f"qualityInd_{i:02}"), 5)]
         and (one.residual_m is None or math.isclose(one.residual_m, getattr(theirs, f"prRes_{i:02}"), abs_tol=1e-9))
-        and ubx_messages.SIGNALS.get((getattr(theirs, f"gnssId_{i:02}"), getattr(theirs, f"sigId_{i:02}"))) == one.signal
+        and codes.get((getattr(theirs, f"gnssId_{i:02}"), getattr(theirs, f"sigId_{i:02}"))) == one.signal
         for i, one in enumerate(ours, 1)
     )  # fmt: skip
 
@@ -264,9 +265,7 @@ def test_every_field_of_nav_hpposllh_is_decoded_with_its_unit() -> None:
 def test_a_time_of_week_beyond_the_week_is_rejected(kind: str) -> None:
     def itow_ms(value: int) -> int:
         payload = struct.pack("<I14x", value)
-        return (
-            ubx_messages.itow_ms(payload) if kind in ("SAT", "SIG") else int(ubx_messages.parse(kind, payload).iTOW)
-        )
+        return ubx_messages.itow_ms(payload) if kind in ("SAT", "SIG") else int(ubx_messages.parse(kind, payload).iTOW)
 
     assert itow_ms(604_799_999) == 604_799_999
     with pytest.raises(ubx_messages.UbxError, match="time_of_week"):
