@@ -29,7 +29,7 @@ from .verifying import Key, Repetition, Verdict
 KEPT_NS = 60_000_000_000  # how long after its arrival a message can still be named in a journal
 STEP = 2000  # messages between two looks at the progress
 INCOMPLETE = (
-    "incomplete: the recording lacks messages that a process consumed, as one does that was started while the unit ran; "
+    "incomplete: the recording lacks messages that a process consumed, because it was started while the unit ran; "
     "the unit's own recorder starts first and has all of them"
 )
 
