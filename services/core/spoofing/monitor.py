@@ -266,18 +266,16 @@ class InertialMonitor:
 
     def _position(self, missing: str | None) -> Verdict:
         base = Verdict(
-            MonitorOutcome.NOT_EVALUATED, missing or "no positions at both ends of the window", UNIT,
+            MonitorOutcome.NOT_EVALUATED, missing or "fixes without a position in the window", UNIT,
             false_alarm_rate=FALSE_ALARM_RATE, window_s=WINDOW_S,
         )  # fmt: skip
         step = self._step
         if missing is not None or step is None:
             return base
         reason = f"GNSS position {step.size:.1f} m from the integral of its velocity over 5 s, limit {step.limit:.1f} m"
-        suspect_ns = step.start_ns - (CONSECUTIVE - 1) * SECOND_NS
         accuses = self._exceeded[NAME] >= CONSECUTIVE
-        return judged(
-            replace(base, reason=reason), step.size, step.limit, accuses=accuses, suspect_since_ns=suspect_ns
-        )
+        base = replace(base, reason=reason)
+        return judged(base, step.size, step.limit, accuses=accuses, suspect_since_ns=step.suspect_ns)
 
     def _metric(self, metric: Metric, missing: str | None) -> Verdict:
         profile, window, unit = self.settings.profile, self.window, UNITS[metric]

@@ -28,9 +28,9 @@ DELAY_SD_S = 0.2  # between the ages of position and velocity
 class PositionStep:
     """Horizontal difference over one window, and its limit [m]."""
 
-    start_ns: int
     size: float
     limit: float
+    suspect_ns: int  # newest fix before it
 
 
 def position_step(fixes: Sequence[VelocityFix]) -> PositionStep | None:
@@ -44,7 +44,8 @@ def position_step(fixes: Sequence[VelocityFix]) -> PositionStep | None:
     Returns
     -------
     PositionStep or None
-        None where the first or the last fix has no position.
+        None where a fix has no position. It is suspect since the fix before the largest step if that is half of the
+        difference, since the start of the window otherwise.
 
     Notes
     -----
@@ -54,12 +55,18 @@ def position_step(fixes: Sequence[VelocityFix]) -> PositionStep | None:
         d = p_k - p_0 - integral of v,    s² = s_0² + s_p0² + s_pk² + (W s_v)² + (s_t |v_k - v_0|)²
     """
     first, last = fixes[0], fixes[-1]
-    if first.position is None or last.position is None:
+    origin = first.position
+    places = [fix.position for fix in fixes if fix.position is not None]
+    if origin is None or len(places) < len(fixes):
         return None
-    north, east, _ = ned_from_geodetic_difference(last.position, first.position)
-    times = np.array([fix.time_ns - first.time_ns for fix in fixes]) / SECOND_NS
-    moved = np.trapezoid([fix.velocity_n[:2] for fix in fixes], times, axis=0)
-    change = last.velocity_n[:2] - first.velocity_n[:2]
+    moved = np.diff([ned_from_geodetic_difference(place, origin)[:2] for place in places], axis=0)
+    velocity = np.array([fix.velocity_n[:2] for fix in fixes])
+    step_s = np.diff([fix.time_ns - first.time_ns for fix in fixes]) / SECOND_NS
+    steps = moved - 0.5 * (velocity[1:] + velocity[:-1]) * step_s[:, None]
+    sizes, size = np.hypot(*steps.T), float(np.hypot(*steps.sum(axis=0)))
+    largest = int(sizes.argmax())
+    suspect = fixes[largest] if sizes[largest] > 0.5 * size else first
     speed_sd = max(float(fix.sd[:2].max()) for fix in fixes)
-    parts = LEAST_SD_M, first.position_sd, last.position_sd, WINDOW_S * speed_sd, DELAY_SD_S * hypot(*change)
-    return PositionStep(first.time_ns, hypot(north - moved[0], east - moved[1]), THRESHOLD * hypot(*parts))
+    age_sd = DELAY_SD_S * float(np.hypot(*(velocity[-1] - velocity[0])))
+    sd = hypot(LEAST_SD_M, first.position_sd, last.position_sd, WINDOW_S * speed_sd, age_sd)
+    return PositionStep(size, THRESHOLD * sd, suspect.time_ns)

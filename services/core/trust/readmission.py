@@ -106,8 +106,8 @@ def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
 
     Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite. Agreement takes
     both inertial windows and a position that does not contradict the solution without GNSS; the satellite monitor must
-    not accuse. Velocities alone cannot tell an attack that holds its offset from one that has ended. Of a solution whose
-    protection level is above the alert limit, a position may be three times as far.
+    not accuse. Velocities alone cannot tell an attack that holds its offset from one that has ended. A position may be
+    three times as far from a solution whose protection level is above the alert limit.
     """
     accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
     passing = all(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)

@@ -1,5 +1,6 @@
 """Positions against the integral of their own velocity."""
 
+from dataclasses import replace
 from math import radians
 
 import numpy as np
@@ -27,7 +28,7 @@ def fixes(step_m: float = 0.0, *, turn_rate: float = 0.2, sd_m: float = 0.0) -> 
 
 def test_a_curve_without_noise_moves_by_the_integral_of_its_velocity() -> None:
     found = position_step(fixes())
-    assert found is not None and found.start_ns == 0
+    assert found is not None
     assert found.size < 0.2, "error of the trapezoidal rule at 1 Hz: W v omega² h² / 12 = 0.17 m"
     assert found.limit > THRESHOLD * LEAST_SD_M
 
@@ -37,6 +38,14 @@ def test_a_step_aside_is_measured_and_exceeds_the_limit(step_m: float) -> None:
     found = position_step(fixes(step_m))
     assert found is not None
     assert found.size == pytest.approx(step_m, abs=0.2) and (found.size > found.limit) is (step_m > 50.0)
+    assert found.suspect_ns == 2 * SECOND_NS, "the fix before the step"
+
+
+def test_a_position_that_drifts_is_suspect_since_the_start_of_the_window() -> None:
+    steady = fixes(turn_rate=1e-9)
+    given = [replace(fix, velocity_n=fix.velocity_n * 0.5) for fix in steady]
+    found = position_step(given)
+    assert found is not None and found.size == pytest.approx(25.0) and found.suspect_ns == 0
 
 
 def test_stated_standard_deviations_of_both_ends_widen_the_limit() -> None:
@@ -45,8 +54,8 @@ def test_stated_standard_deviations_of_both_ends_widen_the_limit() -> None:
     assert found.limit == pytest.approx(THRESHOLD * np.sqrt(LEAST_SD_M**2 + 2 * 20.0**2)) and found.size < found.limit
 
 
-def test_without_a_position_at_both_ends_there_is_no_comparison() -> None:
+def test_with_a_position_missing_there_is_no_comparison() -> None:
     given = fixes()
-    for k in (0, 5):
+    for k in (0, 2, 5):
         bare = VelocityFix(given[k].time_ns, given[k].velocity_n, given[k].sd)
         assert position_step([*given[:k], bare, *given[k + 1 :]]) is None

@@ -157,7 +157,10 @@ def test_a_dead_inertial_monitor_keeps_gnss_excluded() -> None:
         ({"excluded_test_ratio": None}, False),
         ({"excluded_test_ratio": 1.2, "solution": replace(DEAD_RECKONING, protection_level_horizontal_m=10.1)}, True),
         ({"excluded_test_ratio": 1.2, "solution": replace(DEAD_RECKONING, protection_level_vertical_m=20.1)}, True),
-        ({"excluded_test_ratio": 200.0, "solution": replace(DEAD_RECKONING, protection_level_horizontal_m=10.1)}, False),
+        (
+            {"excluded_test_ratio": 200.0, "solution": replace(DEAD_RECKONING, protection_level_horizontal_m=10.1)},
+            False,
+        ),
     ],
 )
 def test_positions_that_contradict_the_solution_without_gnss_do_not_agree(
