@@ -177,9 +177,9 @@ def test_a_run_has_recovered_when_its_verdict_stays_safe_after_the_attack() -> N
     back = timeline([(0.0, SAFE), (110.0, UNSAFE), (165.0, SAFE), (170.0, UNSAFE), (190.0, SAFE), (220.0, SAFE)], {})
     unmoved = timeline([(0.0, UNSAFE), (50.0, SAFE)], {})
     (row,) = harms([(case, lasting), (case, back), (case, unmoved)])
-    assert (row.recovered, row.safe_again_s) == (2, pytest.approx(30.0))
+    assert row.recovered == 2 and row.safe_again_s == pytest.approx(30.0)
     (never,) = harms([(case, lasting)])
-    assert (never.recovered, never.safe_again_s) == (0, None)
+    assert never.recovered == 0 and never.safe_again_s is None
 
 
 def test_the_share_of_safe_is_that_of_clean_drives_after_a_minute() -> None:
