@@ -6,9 +6,11 @@ way to the dead process is lost, as on a bus without sessions. The next life beg
 delta position.
 
 A passage is decided where `core.toll` has found the lane of its crossing, whether or not that statement arrived. The
-vehicles of the first 30 s, before the first delta position, drive on an unprepared plaza and are not counted.
+vehicles of the first 30 s, before the first delta position, drive on an unprepared plaza and are not counted. The
+simulated road begins 150 m before the approach line and ends 90 m behind the exit line.
 
-The campaign is made of parts with a ledger and a seed each; the sum of the parts so far is written after each of them.
+The campaign is made of parts with a ledger and a seed each. The sum of the parts so far is written after each of them;
+`--keep` stores the parts themselves, and those that are there are not computed again.
 """
 
 import argparse
@@ -18,7 +20,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -47,18 +49,18 @@ from shared.messages.toll import (
     TransactionKind,
 )
 from shared.messages.v2x import CamFrames, CamList, Encapsulation
-from shared.toll.plaza import load_plaza, plaza_path
+from shared.toll.plaza import Lane, Plaza, along, load_plaza, plaza_path
 from shared.v2x import frames
 
 NS = 1_000_000_000
-BATCH_NS = 20_000_000
-LEDGER_NS = 100_000_000
+BATCH_NS = 100_000_000  # of what is delivered together; each frame keeps its own time of arrival
 SECOND_STEPS = NS // BATCH_NS
 START_NS = 1_790_000_000 * NS
 PLAZA_FILE = Path("deploy/plazas/example.geojson")
 DRAIN_S = 330.0
 ANSWERS_LOST = 0.05
 WARM_UP_NS = 30 * NS
+BEFORE_M, BEHIND_M = 150.0, 90.0  # of the approach and the exit line: the simulated road
 RESULTS = Path(__file__).parent / "results"
 TITLE = """# Charging under kills
 
@@ -158,7 +160,7 @@ class Campaign:
         self.rng = np.random.default_rng((seed, 7))
         self.plaza = load_plaza(PLAZA_FILE)
         channel = Channel(loss=0.05, duplicates=0.02, reordered=0.05, reorder_s=1.0)
-        self.world = World(self.plaza, Traffic(vehicles=vehicles, channel=channel), seed, START_NS)
+        self.world = World(_near_gate(self.plaza), Traffic(vehicles=vehicles, channel=channel), seed, START_NS)
         self.path = folder / "ledger.sqlite"
         self.gnss, self.v2x = GnssParser(GnssConfig()), V2xParser(V2xConfig())
         self.core: Toll | None = Toll(TollConfig())
@@ -185,8 +187,7 @@ class Campaign:
         counted: set[int] = set()
         for step, (now_ns, items) in enumerate(self._batches()):
             self._receive(now_ns, items)
-            if step % (LEDGER_NS // BATCH_NS) == 0:
-                self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0)
+            self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0)
             if step % SECOND_STEPS == 0 and self.core is not None:
                 self._publish(self._answers(Tick(now_ns=now_ns)), now_ns)
             if stop_ns is None and len(self.truth) >= passages:
@@ -200,18 +201,18 @@ class Campaign:
                       file=sys.stderr, flush=True)  # fmt: skip
         return self._result(counted, (now_ns - START_NS) * 1e-9, time.process_time() - started)
 
-    def _batches(self) -> Iterator[tuple[int, list[Frame | Message]]]:
+    def _batches(self) -> Iterator[tuple[int, list[tuple[int, Frame | Message]]]]:
         now_ns = START_NS
-        batch: list[Frame | Message] = []
+        batch: list[tuple[int, Frame | Message]] = []
         for due_ns, item in self.world:
             while due_ns >= now_ns + BATCH_NS:
                 now_ns += BATCH_NS
                 yield now_ns, batch
                 batch = []
-            batch.append(item)
+            batch.append((due_ns, item))
 
-    def _receive(self, now_ns: int, items: list[Frame | Message]) -> None:
-        """Deliver what arrives within 20 ms; a kill is due every so many passages."""
+    def _receive(self, now_ns: int, items: list[tuple[int, Frame | Message]]) -> None:
+        """Deliver what arrives within 100 ms; a kill is due every so many passages."""
         if len(self.truth) >= self.next_kill and self.armed is None:
             self.next_kill += self.passages_per_kill * float(self.rng.uniform(0.5, 1.5))
             self.armed = "core" if self.rng.random() < 0.5 else "ledger"
@@ -219,10 +220,10 @@ class Campaign:
             self.core = Toll(TollConfig())
             if self.delta is not None:
                 self._publish(self._answers(self.delta), now_ns)
-        for item in items:
+        for _, item in items:
             if not isinstance(item, Frame):
                 self._deliver(item, now_ns)
-        received = [(now_ns, item.data) for item in items if isinstance(item, Frame)]
+        received = [(due_ns, item.data) for due_ns, item in items if isinstance(item, Frame)]
         batch = CamFrames(received_ns=now_ns, source="v2x0", encapsulation=Encapsulation.GEONETWORKING,
                           data=frames.pack(received))  # fmt: skip
         for cams in self.v2x.handle(batch):
@@ -377,6 +378,22 @@ class Campaign:
         return dict(Counter(" + ".join(sorted(self.ends[c])) or "no passage" for c in contracts))
 
 
+def _near_gate(plaza: Plaza) -> Plaza:
+    """Shorten the lanes to what the passages need."""
+    return plaza.model_copy(update={"lanes": tuple(_shortened(lane) for lane in plaza.lanes)})
+
+
+def _shortened(lane: Lane) -> Lane:
+    approach, leave = along(lane.centre, lane.approach), along(lane.centre, lane.exit)
+    assert approach is not None and leave is not None, "the plaza's file was checked for it"
+    steps = np.hypot(*np.diff(lane.centre, axis=0).T)
+    distance = np.concatenate([[0.0], np.cumsum(steps)])
+    begin, end = approach - BEFORE_M, leave + BEHIND_M
+    kept = [begin, *distance[(distance > begin) & (distance < end)], end]
+    points = np.stack([np.interp(kept, distance, lane.centre[:, axis]) for axis in range(2)], axis=1)
+    return lane.model_copy(update={"centre": points})
+
+
 def campaign(passages: int, kills: int, seed: int, vehicles: int, folder: Path) -> Result:
     """Run one campaign in a folder of its own."""
     made = Campaign(folder, seed, vehicles, max(passages / kills * 0.9, 1.0) if kills else float("inf"))
@@ -403,6 +420,20 @@ def markdown(result: Result) -> str:
     return TITLE + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
 
 
+def part(seed: int, keep: Path | None, passages: int, kills: int, vehicles: int) -> Result:
+    """Compute a part of the campaign, or read it where it is kept."""
+    kept = keep / f"part-{seed}.json" if keep else None
+    if kept and kept.exists():
+        stored = json.loads(kept.read_text(encoding="utf-8"))
+        return Result(**{one.name: stored[one.name] for one in fields(Result)})
+    with tempfile.TemporaryDirectory() as folder:
+        result = campaign(passages, kills, seed, vehicles, Path(folder))
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(result.as_json() + "\n", encoding="utf-8")
+    return result
+
+
 def store(result: Result) -> None:
     """Write the result as a page and as JSON."""
     (RESULTS / "toll_campaign.md").write_text(markdown(result), encoding="utf-8")
@@ -417,13 +448,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--vehicles", type=int, default=100)
     parser.add_argument("--parts", type=int, default=1)
+    parser.add_argument("--keep", type=Path, help="folder of the parts, so that a campaign can be continued")
     parser.add_argument("--no-store", action="store_true", help="print only")
     given = parser.parse_args()
     result = Result()
-    for part in range(given.parts):
-        with tempfile.TemporaryDirectory() as folder:
-            passages, kills = given.passages // given.parts, given.kills // given.parts
-            result = result.plus(campaign(passages, kills, given.seed + part, given.vehicles, Path(folder)))
+    passages, kills = given.passages // given.parts, given.kills // given.parts
+    for seed in range(given.seed, given.seed + given.parts):
+        result = result.plus(part(seed, given.keep, passages, kills, given.vehicles))
         if not given.no_store:
             store(result)
     print(result.as_json())
