@@ -1,9 +1,9 @@
 """Charges under loss, repetition, reordering and kills: `python -m benchmarks.toll_campaign --parts 10`.
 
 The simulated plaza, `parsers.v2x`, `parsers.gnss`, `core.toll` and the ledger run in one thread on simulated time. A
-kill ends `core.toll` between any two of its answers, or the ledger at any statement of a transaction; what was on the
-way to the dead process is lost, as on a bus without sessions. The next life begins 0.5 to 2 s later, with the retained
-delta position.
+kill ends `core.toll` before or after one of its statements, or the ledger before one of its database statements, before
+a commit, or before it publishes; the steps are drawn in turns. What was on the way to the dead process is lost, as on a
+bus without sessions. The next life begins 0.5 to 2 s later, with the retained delta position.
 
 A passage is decided where `core.toll` has found the lane of its crossing, whether or not that statement arrived. The
 vehicles of the first 30 s, before the first delta position, drive on an unprepared plaza and are not counted. The
@@ -59,6 +59,21 @@ START_NS = 1_790_000_000 * NS
 PLAZA_FILE = Path("deploy/plazas/example.geojson")
 DRAIN_S = 330.0
 ANSWERS_LOST = 0.05
+CORE_STEPS = tuple(
+    f"core.toll {side} {event}"
+    for event in ("open", "checkpoint", "crossed", "charged", "undecided")
+    for side in ("before", "after")
+)
+LEDGER_STEPS = tuple(
+    f"ledger before {step}"
+    for step in (
+        "INSERT INTO registration", "INSERT OR IGNORE INTO pulse", "INSERT OR REPLACE INTO passage", "UPDATE settled",
+        "INSERT INTO booking", "INSERT INTO outbox", "INSERT INTO evidence", "DELETE FROM passage",
+        "INSERT INTO settled", "INSERT INTO crossing", "INSERT OR IGNORE INTO receipt", "DELETE FROM outbox",
+        "INSERT INTO balance", "UPDATE pulse", "DELETE FROM crossing", "COMMIT", "publishing a transaction",
+        "publishing open passages",
+    )
+)  # fmt: skip
 WARM_UP_NS = 30 * NS
 BEFORE_M, BEHIND_M = 150.0, 90.0  # of the approach and the exit line: the simulated road
 RESULTS = Path(__file__).parent / "results"
@@ -136,20 +151,16 @@ def _sum(one: Any, other: Any) -> Any:
 
 
 class KillableStore(Store):
-    """A store that is killed at a given statement."""
+    """A store that is killed before a given statement."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self.statements_left: int | None = None
-        self.last = ""
+        self.deadly: str | None = None
 
     def execute(self, sql: str, *values: Value) -> int:
         """Run a statement, or die before it."""
-        if self.statements_left is not None:
-            self.statements_left -= 1
-            if self.statements_left < 0:
-                self.last = " ".join(sql.split()[:3])
-                raise Killed
+        if self.deadly and f"ledger before {sql}".startswith(self.deadly):
+            raise Killed
         return super().execute(sql, *values)
 
 
@@ -171,7 +182,8 @@ class Campaign:
         self.operator, self.receipts = Operator(), list[TollReceipt]()
         self.kills: Counter[str] = Counter()
         self.passages_per_kill, self.next_kill = passages_per_kill, passages_per_kill
-        self.armed: str | None = None
+        self.armed: str | None = None  # step of the next kill, once that is due
+        self.steps: dict[str, list[str]] = {"core": [], "ledger": []}  # still to be drawn in this turn
         self.world_now_ns = START_NS
         self.truth: dict[int, TrafficPassage] = {}
         self.contract_of: dict[int, str] = {}
@@ -215,7 +227,7 @@ class Campaign:
         """Deliver what arrives within 100 ms; a kill is due every so many passages."""
         if len(self.truth) >= self.next_kill and self.armed is None:
             self.next_kill += self.passages_per_kill * float(self.rng.uniform(0.5, 1.5))
-            self.armed = "core" if self.rng.random() < 0.5 else "ledger"
+            self.armed = self._next_step("core" if self.rng.random() < 0.5 else "ledger")
         if self.core is None and now_ns >= self.core_back_ns:
             self.core = Toll(TollConfig())
             if self.delta is not None:
@@ -229,6 +241,12 @@ class Campaign:
         for cams in self.v2x.handle(batch):
             if isinstance(cams, CamList):
                 self._publish(self._answers(cams), now_ns)
+
+    def _next_step(self, process: str) -> str:
+        """Draw a step of a process; each is drawn once before any is drawn again."""
+        steps = CORE_STEPS if process == "core" else LEDGER_STEPS
+        self.steps[process] = self.steps[process] or self.rng.permutation(steps).tolist()
+        return self.steps[process].pop()
 
     def _deliver(self, item: Message, now_ns: int) -> None:
         match item:
@@ -261,13 +279,20 @@ class Campaign:
             if event.state.is_final:
                 for contract in contracts:
                     self.ends[contract].add(f"{event.state}: {event.reason}")
-        if self.armed == "core" and events:
-            said = int(self.rng.integers(0, len(events) + 1))
-            self.kills["core after " + (events[said - 1].state.value if said else "nothing")] += 1
-            self.armed, self.core = None, None
-            self.core_back_ns = self.world_now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
-            return list(events[:said])
+        for number, event in enumerate(events):
+            name = "checkpoint" if event.checkpoint else event.state.value
+            if self.armed in (f"core.toll before {name}", f"core.toll after {name}"):
+                said = number + self.armed.startswith("core.toll after")
+                self._count_kill()
+                self.core = None
+                self.core_back_ns = self.world_now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
+                return list(events[:said])
         return answers
+
+    def _count_kill(self) -> None:
+        assert self.armed is not None
+        self.kills[self.armed] += 1
+        self.armed = None
 
     def _publish(self, answers: list[Message], now_ns: int) -> None:
         self.world_now_ns = now_ns
@@ -292,13 +317,13 @@ class Campaign:
                 return  # lost
             self._begin_ledger(now_ns)
         assert self.ledger is not None and self.store is not None
-        has_statement = any(isinstance(m, TollPassage) for m in messages)
-        if self.armed == "ledger" and has_statement:
-            self.store.statements_left = int(self.rng.integers(0, 12))
+        self.store.deadly = self.armed
         try:
             with self.store.transaction():
                 for message in messages:
                     self._store(message, now_ns)
+                if messages:
+                    self._die_at("COMMIT")
             if second:
                 with self.store.transaction():
                     self.ledger.expire(now_ns)
@@ -312,15 +337,13 @@ class Campaign:
                 self._die_at("publishing open passages")
                 self._publish(self._answers(self.ledger.open_passages(now_ns)), now_ns)
         except Killed:
-            self.kills[f"ledger before {self.store.last}"] += 1
+            self._count_kill()
             self.store.close()
-            self.armed = self.ledger = self.store = None
+            self.ledger = self.store = None
             self.ledger_back_ns = now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
 
     def _die_at(self, step: str) -> None:
-        assert self.store is not None
-        if self.armed == "ledger" and self.store.statements_left is not None and self.rng.random() < 0.5:
-            self.store.last = step
+        if self.armed == f"ledger before {step}":
             raise Killed
 
     def _store(self, message: Message, now_ns: int) -> None:
@@ -406,7 +429,8 @@ def markdown(result: Result) -> str:
     rows = {
         "passages, after the first 30 s of each part": f"{result.passages}, {result.registered} of them registered",
         "kills of core.toll, of the ledger": f"{result.kills_core}, {result.kills_ledger}",
-        "steps at which they were killed": ", ".join(f"{step} {n}" for step, n in result.kills_by_step.items()),
+        "steps at which they were killed": f"{len(result.kills_by_step)} of {len(CORE_STEPS + LEDGER_STEPS)}: "
+        + ", ".join(f"{step} {n}" for step, n in sorted(result.kills_by_step.items())),
         "double charges, charges of who has not passed": f"{result.double_charges}, {result.wrong_charges}",
         "lane decided": f"{result.decided}, of them charged {100.0 * result.charged_share_of_decided:.2f} %",
         "charged in the right lane": f"{result.lanes_right} of {result.charged}",

@@ -4,6 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import log
 
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
 MINIMUM_PROBABILITY = 1e-3  # of a lane that the posterior excludes: detectors contradict it rarely, not never
 
 
@@ -39,7 +42,7 @@ def match(
     detector_sd_s : float
         [s] Standard deviation of a pulse's time.
     gate_s : float
-        [s] Pulses further than this from a crossing are not its own.
+        [s] Pulses further than this from a crossing, and than three of its standard deviations, are not its own.
 
     Returns
     -------
@@ -48,25 +51,27 @@ def match(
 
     Notes
     -----
-    Pairs are taken in the order of their cost, minus twice the log-likelihood of lane and time::
+    Of the assignments with the largest number of pairs, the one with the least sum of costs. The cost of a pair is
+    minus twice the log-likelihood of lane and time::
 
         c = -2 ln p(lane) + (Δt)² / (σ_crossing² + σ_detector²)
 
-    A decided lane takes pulses of that lane only: a charge must not explain another lane's detection.
+    A decided lane takes pulses of that lane only: a charge must not explain another lane's detection. Pairs that are
+    taken one by one in the order of their costs leave crossings without the pulse that another one has taken.
     """
-    pairs = sorted(
-        (_cost(pulse, crossing, detector_sd_s), pulse.key, crossing.key)
-        for pulse in pulses
-        for crossing in crossings
-        if abs(pulse.time_ns - crossing.time_ns) <= gate_s * 1e9 and crossing.lane in (None, pulse.lane)
-    )
-    found: dict[int, int] = {}
-    taken: set[int] = set()
-    for _, pulse_key, crossing_key in pairs:
-        if pulse_key not in found and crossing_key not in taken:
-            found[pulse_key] = crossing_key
-            taken.add(crossing_key)
-    return found
+    if not pulses or not crossings:
+        return {}
+    pulses, crossings = sorted(pulses, key=lambda p: p.key), sorted(crossings, key=lambda c: c.key)
+    cost = np.array([[_cost(pulse, crossing, detector_sd_s) for crossing in crossings] for pulse in pulses])
+    possible = np.array([[_is_possible(pulse, crossing, gate_s) for crossing in crossings] for pulse in pulses])
+    pair_is_worth = 1.0 + len(pulses) * cost.max(where=possible, initial=0.0)  # more than any sum of costs
+    chosen = linear_sum_assignment(np.where(possible, cost - pair_is_worth, 0.0))
+    return {pulses[i].key: crossings[k].key for i, k in zip(*chosen, strict=True) if possible[i, k]}
+
+
+def _is_possible(pulse: Pulse, crossing: Crossing, gate_s: float) -> bool:
+    away_s = abs(pulse.time_ns - crossing.time_ns) * 1e-9
+    return away_s <= max(gate_s, 3.0 * crossing.sd_s) and crossing.lane in (None, pulse.lane)
 
 
 def _cost(pulse: Pulse, crossing: Crossing, detector_sd_s: float) -> float:

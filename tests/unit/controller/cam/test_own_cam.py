@@ -267,8 +267,8 @@ def test_the_path_ends_where_it_is_old_or_not_continuous() -> None:
 def test_tshark_dissects_the_frame_that_this_unit_sends_as_its_solution_means_it(tmp_path: Path) -> None:
     """To the north-east with 10 m/s in a right turn of 0.1 rad/s, worked out by hand in the units of TS 102 894-2.
 
-    The front is 2 m ahead of the IMU, 0.1 m to the right and 0.7 m below: v = (9.99, 0.2) m/s forward and right, that is
-    9.992 m/s with a course 1.147 degrees to the right of the yaw of 53.130 degrees. Of the velocity's covariance
+    The front is 2 m ahead of the IMU, 0.1 m to the right and 0.7 m below: v = (9.99, 0.2) m/s forward and right,
+    that is 9.992 m/s with a course 1.147 degrees to the right of the yaw of 53.130 degrees. Of its covariance
     diag(0.01, 0.04) m²/s² remain 0.1726 m/s along that course and 0.1422 m/s across it.
     """
     turning = solution(
