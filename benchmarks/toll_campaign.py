@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -77,13 +77,13 @@ LEDGER_STEPS = tuple(
 WARM_UP_NS = 30 * NS
 BEFORE_M, BEHIND_M = 150.0, 90.0  # of the approach and the exit line: the simulated road
 RESULTS = Path(__file__).parent / "results"
+EXPLANATION = Path(__file__).parents[1] / "docs/explanation/charging.md"
+BEGIN, END = "<!-- printed by `python -m benchmarks.toll_campaign` -->\n", "<!-- end -->\n"
 TITLE = """# Charging under kills
 
 By `python -m benchmarks.toll_campaign`: simulated vehicles on the example plaza, 5 % of the frames lost, 2 % repeated,
-5 % delayed by up to 1 s; `core.toll` or the ledger is killed between any two of its steps.
+5 % delayed by up to 1 s; `core.toll` or the ledger is killed at each of its steps.
 
-| quantity | value |
-| --- | --- |
 """
 
 
@@ -423,14 +423,13 @@ def campaign(passages: int, kills: int, seed: int, vehicles: int, folder: Path) 
     return made.run(passages)
 
 
-def markdown(result: Result) -> str:
-    """Write the result as a page."""
+def table(result: Result) -> str:
+    """Write the result as a table."""
     undecided = sum(result.undecided.values())
     rows = {
         "passages, after the first 30 s of each part": f"{result.passages}, {result.registered} of them registered",
-        "kills of core.toll, of the ledger": f"{result.kills_core}, {result.kills_ledger}",
-        "steps at which they were killed": f"{len(result.kills_by_step)} of {len(CORE_STEPS + LEDGER_STEPS)}: "
-        + ", ".join(f"{step} {n}" for step, n in sorted(result.kills_by_step.items())),
+        "kills": f"{result.kills_core} of `core.toll`, {result.kills_ledger} of the ledger, "
+        f"at {len(result.kills_by_step)} of {len(CORE_STEPS + LEDGER_STEPS)} steps",
         "double charges, charges of who has not passed": f"{result.double_charges}, {result.wrong_charges}",
         "lane decided": f"{result.decided}, of them charged {100.0 * result.charged_share_of_decided:.2f} %",
         "charged in the right lane": f"{result.lanes_right} of {result.charged}",
@@ -441,15 +440,18 @@ def markdown(result: Result) -> str:
         "charges without a detection": f"{result.charged_without_detection}",
         "simulated time, processor time": f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s",
     }
-    return TITLE + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
+    return _table(("quantity", "value"), rows)
+
+
+def _table(head: tuple[str, str], rows: Mapping[str, object]) -> str:
+    return "".join(f"| {name} | {value} |\n" for name, value in [head, ("---", "---"), *rows.items()])
 
 
 def part(seed: int, keep: Path | None, passages: int, kills: int, vehicles: int) -> Result:
     """Compute a part of the campaign, or read it where it is kept."""
     kept = keep / f"part-{seed}.json" if keep else None
     if kept and kept.exists():
-        stored = json.loads(kept.read_text(encoding="utf-8"))
-        return Result(**{one.name: stored[one.name] for one in fields(Result)})
+        return _result(kept)
     with tempfile.TemporaryDirectory() as folder:
         result = campaign(passages, kills, seed, vehicles, Path(folder))
     if kept:
@@ -459,9 +461,24 @@ def part(seed: int, keep: Path | None, passages: int, kills: int, vehicles: int)
 
 
 def store(result: Result) -> None:
-    """Write the result as a page and as JSON."""
-    (RESULTS / "toll_campaign.md").write_text(markdown(result), encoding="utf-8")
+    """Write the result as JSON, as a page, and into the explanation of charging."""
     (RESULTS / "toll_campaign.json").write_text(result.as_json() + "\n", encoding="utf-8")
+    steps = {step: result.kills_by_step.get(step, 0) for step in CORE_STEPS + LEDGER_STEPS}
+    page = TITLE + table(result) + "\n" + _table(("killed", "times"), steps)
+    (RESULTS / "toll_campaign.md").write_text(page, encoding="utf-8")
+    before, rest = EXPLANATION.read_text(encoding="utf-8").split(BEGIN)
+    after = rest.split(END, 1)[1]
+    EXPLANATION.write_text(before + BEGIN + table(result) + END + after, encoding="utf-8")
+
+
+def stored() -> Result:
+    """Read the result of the stored campaign."""
+    return _result(RESULTS / "toll_campaign.json")
+
+
+def _result(path: Path) -> Result:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    return Result(**{one.name: content[one.name] for one in fields(Result)})
 
 
 def main() -> None:
