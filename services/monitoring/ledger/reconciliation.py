@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import log
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -62,19 +61,17 @@ def match(
     if not pulses or not crossings:
         return {}
     pulses, crossings = sorted(pulses, key=lambda p: p.key), sorted(crossings, key=lambda c: c.key)
-    cost = np.array([[_cost(pulse, crossing, detector_sd_s) for crossing in crossings] for pulse in pulses])
-    possible = np.array([[_is_possible(pulse, crossing, gate_s) for crossing in crossings] for pulse in pulses])
+    lanes = sorted({pulse.lane for pulse in pulses})
+    decided = np.array([[crossing.lane in (None, lane) for lane in lanes] for crossing in crossings])
+    probability = np.array([[crossing.lanes.get(lane, 0.0) for lane in lanes] for crossing in crossings])
+    lane = [lanes.index(pulse.lane) for pulse in pulses]
+    time_ns, crossing_ns = np.array([p.time_ns for p in pulses]), np.array([c.time_ns for c in crossings])
+    sd_s = np.array([crossing.sd_s for crossing in crossings])
+
+    away_s = 1e-9 * np.abs(time_ns[:, None] - crossing_ns)
+    likelihood = np.maximum(probability, MINIMUM_PROBABILITY)[:, lane].T
+    cost = away_s**2 / (sd_s**2 + detector_sd_s**2) - 2.0 * np.log(likelihood)
+    possible = (away_s <= np.maximum(gate_s, 3.0 * sd_s)) & decided[:, lane].T
     pair_is_worth = 1.0 + len(pulses) * cost.max(where=possible, initial=0.0)  # more than any sum of costs
     chosen = linear_sum_assignment(np.where(possible, cost - pair_is_worth, 0.0))
     return {pulses[i].key: crossings[k].key for i, k in zip(*chosen, strict=True) if possible[i, k]}
-
-
-def _is_possible(pulse: Pulse, crossing: Crossing, gate_s: float) -> bool:
-    away_s = abs(pulse.time_ns - crossing.time_ns) * 1e-9
-    return away_s <= max(gate_s, 3.0 * crossing.sd_s) and crossing.lane in (None, pulse.lane)
-
-
-def _cost(pulse: Pulse, crossing: Crossing, detector_sd_s: float) -> float:
-    away_s = (pulse.time_ns - crossing.time_ns) * 1e-9
-    probability = max(crossing.lanes.get(pulse.lane, 0.0), MINIMUM_PROBABILITY)
-    return away_s**2 / (crossing.sd_s**2 + detector_sd_s**2) - 2.0 * log(probability)
