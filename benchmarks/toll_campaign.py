@@ -322,7 +322,7 @@ class Campaign:
         try:
             with self.store.transaction():
                 for message in messages:
-                    self._store(message, now_ns)
+                    self.ledger.use(message, now_ns)
                 if messages:
                     self._die_at("COMMIT")
             if reconcile:
@@ -346,20 +346,6 @@ class Campaign:
     def _die_at(self, step: str) -> None:
         if self.armed == f"ledger before {step}":
             raise Killed
-
-    def _store(self, message: Message, now_ns: int) -> None:
-        assert self.ledger is not None
-        match message:
-            case TollRegistration():
-                self.ledger.register(message, now_ns)
-            case PlazaDetector():
-                self.ledger.detect(message, now_ns)
-            case TollPassage():
-                self.ledger.passage(message, now_ns)
-            case TollReceipt():
-                self.ledger.receipt(message, now_ns)
-            case _:
-                raise TypeError(f"the ledger does not consume {type(message).__name__}")
 
     def _result(self, counted: set[int], simulated_s: float, cpu_s: float) -> Result:
         assert self.ledger is not None

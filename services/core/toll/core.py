@@ -70,7 +70,7 @@ class Journey:
 class Core:
     """Tracks, delta position, passages and gates of one plaza.
 
-    What it says of a vehicle follows from that vehicle's CAM, the deltas and the settings alone: a CAM is corrected by
+    The statements on a vehicle follow from its CAM, the deltas and the settings alone: a CAM is corrected by
     the newest delta that is older than `delta.latency_s` when the CAM arrives, and a passage begins with a new track.
     """
 
@@ -686,7 +686,7 @@ def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequen
         )
     for delta in deltas:
         core.use_delta(delta)
-    return [said for cam in cams for said in core.use([cam]) if isinstance(said, TollPassage)]
+    return [one for cam in cams for one in core.use([cam]) if isinstance(one, TollPassage)]
 
 
 def _row(location: Location, k: int) -> Location:
