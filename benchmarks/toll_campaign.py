@@ -125,7 +125,7 @@ class Result:
     def is_good(self) -> bool:
         """Whether the goals of the protocol are met."""
         return (
-            self.double_charges == self.wrong_charges == 0
+            self.double_charges == self.wrong_charges == self.charged_without_detection == 0
             and self.reconciliation_exact
             and self.charged_share_of_decided >= 0.99
         )

@@ -54,7 +54,7 @@ class Settings(Section):
     )  # how long a settled passage is known that costs nothing
     evidence_kept_days: float = Field(default=60.0, gt=0)  # objection period
     match_after_s: float = Field(default=150.0, gt=0)  # a detector pulse is accounted for after so long
-    match_gate_s: float = Field(default=5.0, gt=0)  # largest distance of a pulse from the crossing that explains it
+    match_gate_s: float = Field(default=5.0, gt=0)  # largest distance of a pulse from its crossing, or 3 sigma of that
     detector_sd_s: float = Field(default=0.1, gt=0)  # standard deviation of a pulse's time
     resend_first_s: float = Field(default=1.0, gt=0)  # until a transaction without receipt is sent again; doubles ...
     resend_longest_s: float = Field(default=60.0, gt=0)  # ... up to this
