@@ -22,7 +22,7 @@ ROADSIDE = Path(__file__).parents[2] / "deploy" / "vehicles" / "rsu.toml"
 
 
 def free_port() -> int:
-    """Ask the kernel for a loopback port that nobody listens on."""
+    """Ask the kernel for a free loopback port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -35,7 +35,10 @@ def port_or_free(wanted: int) -> tuple[int, str | None]:
         try:
             probe.bind(("127.0.0.1", wanted))
         except OSError as error:
-            return free_port(), "is taken" if error.errno == errno.EADDRINUSE else f"is refused ({error.strerror})"
+            return (
+                free_port(),
+                "is in use" if error.errno == errno.EADDRINUSE else f"cannot be opened ({error.strerror})",
+            )
         return int(probe.getsockname()[1]), None
 
 

@@ -40,7 +40,7 @@ class Child:
 
 
 class Supervisor:
-    """Starts each child, and again with growing pauses when it ends before it is told to.
+    """Starts each child, and restarts it after growing pauses when it ends without a request.
 
     A child that ends because its configuration is wrong is not started again: it would end again.
     """
@@ -51,12 +51,12 @@ class Supervisor:
         self.children: dict[str, Child] = {}
 
     def add(self, name: str, command: Sequence[str], *, outlives_others: bool = False) -> None:
-        """Take a child into care; `watch` starts it. One that outlives the others is ended after them."""
+        """Add a child; `watch` starts it. One that outlives the others is ended after them."""
         log_file = self._log_folder / f"{name}.log" if self._log_folder else None
         self.children[name] = Child(name, command, log_file, outlives_others)
 
     def add_process(self, name: str, *, outlives_others: bool = False) -> None:
-        """Take a process of the unit into care."""
+        """Add a process of the unit."""
         self.add(name, [sys.executable, "-m", "cli", "run", name], outlives_others=outlives_others)
 
     def watch(self) -> None:
@@ -70,24 +70,24 @@ class Supervisor:
                 self._ended(child, code, now)
 
     def stop(self) -> None:
-        """End every child: SIGTERM, and SIGKILL for who has not gone within four seconds."""
+        """End every child: SIGTERM, and SIGKILL for those that have not ended within four seconds."""
         deadline = time.monotonic() + STOP_S
         for last in (False, True):
             children = [child for child in self.children.values() if child.outlives_others == last]
             for child in children:
                 if child.process is not None and child.process.poll() is None:
                     child.process.send_signal(signal.SIGTERM)
-                    child.process.send_signal(signal.SIGCONT)  # a stopped child cannot hear the other
+                    child.process.send_signal(signal.SIGCONT)  # a suspended child does not handle the other
             for child in children:
                 _wait_for_end(child, deadline if not last else deadline + LAST_STOP_S)
 
     def insist(self) -> None:
-        """Raise `UserError` where a child cannot work as it was asked to; its own last line says why."""
+        """Raise `UserError` where a child rejects its configuration; the last line of its log is the reason."""
         for child in self.children.values():
             if child.refuses and child.log_file:
                 lines = child.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
                 raise UserError(
-                    f"{child.name} refuses to start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
+                    f"{child.name} cannot start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
                 )
 
     def alive(self) -> int:

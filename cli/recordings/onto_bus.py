@@ -24,9 +24,9 @@ STEP = 200
 
 
 def play_onto(file: Path, speed: float, address: BrokerAddress, vehicle: Path | None) -> int:
-    """Play what the devices said onto the bus of a unit that runs without sensors; stamps are moved to now.
+    """Play the bytes of the devices onto the bus of a unit that runs without sensors; stamps are moved to now.
 
-    At a speed other than 1 the stamps keep the recorded intervals and part from the unit's clock: good for watching,
+    At a speed other than 1 the stamps keep the recorded intervals and differ from the unit's clock: good for watching,
     not for measuring latency.
     """
     console = Console(stderr=True)
@@ -34,7 +34,7 @@ def play_onto(file: Path, speed: float, address: BrokerAddress, vehicle: Path | 
         wanted = inputs_among({envelope.topic for envelope in recording})
         tell_problems(recording, console)
         if not wanted:
-            raise UserError(f"{file} holds nothing that a device said; record a unit with sensors or a simulator")
+            raise UserError(f"{file} holds no bytes of a device; record a unit with sensors or a simulator")
         bus = Bus("replay", load_vehicle(vehicle).name, address, (BY_NAME["origin/state"],), state_dir(), observer=True)
         try:
             meet(bus)

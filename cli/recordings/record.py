@@ -22,7 +22,7 @@ STEP = 2000  # messages between two looks at the progress
 
 
 def record(output: Path | None, duration: float | None, vehicle: Path | None) -> int:
-    """Record everything that a running unit says until Ctrl-C or for `duration` seconds."""
+    """Record every message of a running unit until Ctrl-C or for `duration` seconds."""
     file = load_vehicle(vehicle)
     bus = Bus("observer", file.name, broker_address(), TOPICS, state_dir(), observer=True)
     meet(bus)
@@ -43,9 +43,11 @@ def record(output: Path | None, duration: float | None, vehicle: Path | None) ->
     _finish(writer)
     print(f"recorded {writer.messages} messages, {writer.bytes_written / 1e6:.1f} MB, to {path}")
     if bus.dropped:
-        print(f"{bus.dropped} messages came faster than they could be written and are missing")
+        print(f"{bus.dropped} messages arrived faster than they could be written, and are missing")
     if not writer.messages:
-        raise UserError(f"vehicle {file.name!r} said nothing; is that its name? OBU_VEHICLE or --vehicle says which")
+        raise UserError(
+            f"vehicle {file.name!r} published nothing; if its name is another one, set OBU_VEHICLE or --vehicle"
+        )
     return 0
 
 

@@ -29,8 +29,8 @@ from .verifying import Key, Repetition, Verdict
 KEPT_NS = 60_000_000_000  # how long after its arrival a message can still be named in a journal
 STEP = 2000  # messages between two looks at the progress
 INCOMPLETE = (
-    "incomplete: the recording lacks what a process heard, as one does that began while the unit ran; "
-    "the unit's own recorder starts first and keeps all of it"
+    "incomplete: the recording lacks messages that a process consumed, because it was started while the unit ran; "
+    "the unit's own recorder starts first and has all of them"
 )
 
 
@@ -45,7 +45,7 @@ def verify(
         typer.Option("--vehicle", metavar="FILE", help="The vehicle's TOML file instead of the recorded one."),
     ] = None,
 ) -> int:
-    """Repeat what each process consumed, in the order in which it did, and compare what it says byte for byte.
+    """Repeat what each process consumed, in the order in which it did, and compare what it publishes byte for byte.
 
     Examples:
     [bold]obu verify .obu/recordings/20260921T141320Z_car.mcap[/]
@@ -65,7 +65,9 @@ def verify(
                 tell_problems(recording, console)
     lives = audit.finish()
     if not lives:
-        raise UserError("the recording holds no word of a process of layers 2 to 4; record a running unit to verify it")
+        raise UserError(
+            "the recording holds no message of a process of layers 2 to 4; record a running unit to verify it"
+        )
     _print(lives, console)
     sound = all(life.verdict is Verdict.IDENTICAL for life in lives)
     return 0 if sound and any(life.compared for life in lives) else 1
@@ -112,9 +114,9 @@ class Audit:
     def _take(self, envelope: Envelope, life: Repetition) -> None:
         branch = envelope.topic.split("/")[0]
         if branch not in ("health", "consumed"):
-            life.add_word(envelope, compare=True)
+            life.add_published(envelope, compare=True)
             return
-        if life.add_word(envelope, compare=False):
+        if life.add_published(envelope, compare=False):
             message = _decoded(envelope)
             if isinstance(message, Consumed):
                 life.add_journal(message, envelope.received_ns)

@@ -1,4 +1,4 @@
-"""One life of a process done again: fed in the order in which it was, and compared with what it said then."""
+"""Repeats one run of a process: feeds it the messages in the order consumed, and compares what it publishes."""
 
 import heapq
 from collections import deque
@@ -32,21 +32,21 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Run:
-    """Neighbouring messages of one producer, in the order consumed."""
+    """Successive messages of one producer, in the order consumed."""
 
     topic: str
     producer: str
     life: int
     first: int
     count: int
-    told_ns: int  # when the journal said so
+    stated_ns: int  # arrival of the part of the journal that states it
 
 
 class Repetition:
-    """Feeds a fresh process what the journal says, and holds its words against the recorded ones.
+    """Feeds a fresh process the messages that the journal lists, and compares what it publishes with the recording.
 
-    A word that is missing in the recording is seen by the gap in the running numbers, and is skipped
-    in the repetition as well: at most as many as the gap is wide.
+    A published message that is missing in the recording leaves a gap in the sequence numbers, and is skipped in the
+    repetition as well: at most as many as the gap has numbers.
     """
 
     def __init__(self, name: str, life: int, process: Reactor, find: Callable[[Key], Envelope | None]) -> None:
@@ -57,11 +57,11 @@ class Repetition:
         self._runs: deque[Run] = deque()
         self._rebuilt: deque[Output] = deque()
         self._recorded: list[tuple[int, int, Envelope | None]] = []
-        self.lively = False  # said something that a broker does not keep
+        self.lively = False  # published something that a broker does not retain
         self._known: set[int] = set()
-        self._restored: set[int] = set()  # words of its own that it consumed: what it had saved in another life
+        self._restored: set[int] = set()  # its own messages that it consumed: what it had saved before a restart
         self._last_sequence = self._journal_ns = 0
-        self._gap = self._spare = 0  # numbers that are not recorded: since the last word, and before
+        self._gap = self._spare = 0  # numbers that are not recorded: since the last message, and before
         self._failed = False
 
     @property
@@ -75,13 +75,13 @@ class Repetition:
 
     def add_journal(self, consumed: Consumed, received_ns: int) -> None:
         """Take the next part of the order of consumption."""
-        self._runs.extend(Run(*run, told_ns=received_ns) for run in consumed.runs)
+        self._runs.extend(Run(*run, stated_ns=received_ns) for run in consumed.runs)
         self._journal_ns = received_ns
 
-    def add_word(self, envelope: Envelope, *, compare: bool) -> bool:
-        """Take a message of the recorded life; what its runtime says only fills the running numbers.
+    def add_published(self, envelope: Envelope, *, compare: bool) -> bool:
+        """Take a message that the recorded process published; those of its runtime only fill the sequence numbers.
 
-        Tells whether it is new: after a reconnection the recorder gets retained messages twice.
+        Returns whether it is new: after a reconnection the recorder gets retained messages twice.
         """
         if envelope.sequence <= self._last_sequence or envelope.sequence in self._known:
             return False
@@ -99,7 +99,7 @@ class Repetition:
         while self._recorded and not self.reason and (last or self._recorded[0][1] <= now_ns - 2 * PATIENCE_NS):
             self._compare()
         if last and not self.reason and len(self._rebuilt) > self._gap:
-            self._differs(f"now says {len(self._rebuilt)} words more, first {self._rebuilt[0][0]}")
+            self._differs(f"publishes {len(self._rebuilt)} messages more now, the first on {self._rebuilt[0][0]}")
 
     def _feed(self, now_ns: int, *, last: bool) -> None:
         while self._runs:
@@ -110,7 +110,7 @@ class Repetition:
                 continue
             message = self._input(run)
             if message is None:
-                if last or now_ns - run.told_ns > PATIENCE_NS:
+                if last or now_ns - run.stated_ns > PATIENCE_NS:
                     self.reason = f"it consumed {run.topic} {run.first} of {run.producer}, which is not recorded"
                 return
             self._runs.popleft()
@@ -131,53 +131,53 @@ class Repetition:
             return None
 
     def _keep(self, work: Callable[[], Iterable[Message]]) -> None:
-        """Let the process work, and keep what it says."""
+        """Let the process work, and keep what it publishes."""
         try:
             for message in work():
                 self._rebuilt.append((codec.topic_name(message), codec.encode(message)))
-        except Exception as error:  # noqa: BLE001  # what a process dies of is what we are here to tell
+        except Exception as error:  # noqa: BLE001  # how a process ends is part of the result
             self._failed, self.reason = True, f"now it ends by {type(error).__name__}: {error}"
             self._runs.clear()
 
     def _compare(self) -> None:
-        """Compare the next recorded word with the next repeated one that was not lost on the way."""
+        """Compare the next recorded message with the next repeated one that was not lost on the way."""
         sequence, received_ns, envelope = heapq.heappop(self._recorded)
         self._known.discard(sequence)
         self._gap += sequence - self._last_sequence - 1
         self._last_sequence = sequence
         if envelope is None or sequence in self._restored:
             return
-        word = (envelope.topic, envelope.payload)
+        recorded = (envelope.topic, envelope.payload)
         sender = Sender(process=self.name, incarnation=self.life, sequence=sequence)
-        while self._rebuilt and _sent(self._rebuilt[0], sender) != word and self._gap:
+        while self._rebuilt and _sent(self._rebuilt[0], sender) != recorded and self._gap:
             self._gap -= 1
             self.unrecorded += 1
             self._rebuilt.popleft()
         now = _sent(self._rebuilt.popleft(), sender) if self._rebuilt else None
-        if now == word:
+        if now == recorded:
             self.compared += 1
         elif now is not None or received_ns <= self._journal_ns:
-            self._differs(f"word {sequence}: {_difference(word, now)}")
+            self._differs(f"message {sequence}: {_difference(recorded, now)}")
         self._spare, self._gap = self._spare + self._gap, 0
 
     def _differs(self, reason: str) -> None:
-        ahead = max((word[0] for word in self._recorded), default=self._last_sequence) - self._last_sequence
+        ahead = max((row[0] for row in self._recorded), default=self._last_sequence) - self._last_sequence
         lost = self._gap + self._spare + self.unrecorded + ahead - len(self._recorded)
         self._failed = not lost  # a part of its journal may be among what is lost
-        self.reason = f"{lost} of its words are not recorded, then {reason}" if lost else reason
+        self.reason = f"{lost} of its messages are not recorded, then {reason}" if lost else reason
 
 
-def _sent(word: Output, sender: Sender) -> Output:
-    return word[0], codec.signed(word[1], sender)
+def _sent(output: Output, sender: Sender) -> Output:
+    return output[0], codec.signed(output[1], sender)
 
 
 def _difference(recorded: Output, repeated: Output | None) -> str:
-    """Say where two words part."""
+    """State the first difference between two messages."""
     if repeated is None:
-        return f"said {recorded[0]}, now nothing"
+        return f"published {recorded[0]}, now nothing"
     if recorded[0] != repeated[0]:
-        return f"said {recorded[0]}, now {repeated[0]}"
+        return f"published {recorded[0]}, now {repeated[0]}"
     old, new = recorded[1], repeated[1]
     at = next((k for k, pair in enumerate(zip(old, new, strict=False)) if pair[0] != pair[1]), min(len(old), len(new)))
     start = max(at - 30, 0)
-    return f"{recorded[0]} byte {at}: said {old[start : at + 30]!r}, now {new[start : at + 30]!r}"
+    return f"{recorded[0]} byte {at}: recorded {old[start : at + 30]!r}, now {new[start : at + 30]!r}"

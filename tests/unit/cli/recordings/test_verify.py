@@ -23,7 +23,7 @@ LIFE = START_NS + 5
 
 
 class Echo:
-    """Says the speed that it was given, and its sum at the end: what it says depends on all that it heard."""
+    """Publishes the speed that it was given, and the sum at the end: its output depends on all that it consumed."""
 
     def __init__(self) -> None:
         self.total = 0.0
@@ -97,7 +97,7 @@ class Recorded:
             if envelope.producer != self.name:
                 continue
             of_runtime = envelope.topic.startswith(("health/", "consumed/"))
-            if not repetition.add_word(envelope, compare=not of_runtime):
+            if not repetition.add_published(envelope, compare=not of_runtime):
                 continue
             message = envelope.decode()
             if envelope.topic.startswith("consumed/"):
@@ -155,7 +155,7 @@ def test_one_changed_byte_is_found_and_shown(topic: str) -> None:
 
     assert repetition.verdict is Verdict.DIFFERENT
     assert repetition.reason is not None
-    assert repetition.reason.startswith(f"word {old.sequence}: {topic} byte {len(old.payload) - 3}: said ")
+    assert repetition.reason.startswith(f"message {old.sequence}: {topic} byte {len(old.payload) - 3}: recorded ")
 
 
 def test_another_order_of_consumption_is_not_the_same_life() -> None:
@@ -181,7 +181,7 @@ def test_a_process_that_now_says_more_or_less_differs() -> None:
     assert echo_life().repeat(Chatty()).verdict is Verdict.DIFFERENT
     shy = echo_life().repeat(Shy())
     assert shy.verdict is Verdict.DIFFERENT
-    assert shy.reason == "word 282: said vehicle/speed, now nothing"
+    assert shy.reason == "message 282: published vehicle/speed, now nothing"
 
 
 def test_a_process_that_now_dies_is_told_and_not_a_crash_of_the_check() -> None:
@@ -227,7 +227,7 @@ def test_a_missing_part_of_the_journal_is_incomplete_rather_than_different() -> 
 
     assert repetition.verdict is Verdict.INCOMPLETE
     assert repetition.reason is not None
-    assert repetition.reason.startswith("1 of its words are not recorded, then ")
+    assert repetition.reason.startswith("1 of its messages are not recorded, then ")
 
 
 def test_messages_delivered_twice_are_compared_once() -> None:
@@ -323,7 +323,7 @@ def test_nothing_compared_is_not_success(tmp_path: Path) -> None:
     def only_inputs(envelopes: list[Envelope]) -> None:
         envelopes[:] = [e for e in envelopes if e.topic != "vehicle/speed" and not e.topic.startswith("consumed/")]
 
-    with pytest.raises(UserError, match="holds no word of a process"):
+    with pytest.raises(UserError, match="holds no message of a process"):
         verify([can_recording(tmp_path / "a.mcap", only_inputs)], None, None)
 
 
