@@ -4,10 +4,7 @@ import struct
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from io import BytesIO
-from typing import cast
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
@@ -15,7 +12,7 @@ from ..bus.envelope import Envelope
 from ..errors import BadPayload, BadRecording
 from ..topics import topic_of
 from .channels import envelope_of
-from .reader import MALFORMED, MESSAGE_FIELDS, RECORD_HEAD, Recording
+from .reader import MALFORMED, MESSAGE_FIELDS, Recording, channel_of, records
 
 CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last log time, begin and length of the chunk, bytes of the next map
 CHANNEL_OFFSET = struct.Struct("<HQ")
@@ -42,9 +39,9 @@ class RecordingIndex:
         self._recording = recording
         self._channels: dict[int, Channel] = {}
         chunks: list[tuple[Chunk, list[int]]] = []
-        for opcode, data in _records(recording.summary()):
+        for opcode, data in records(recording.summary()):
             if opcode == Opcode.CHANNEL:
-                channel = cast(Channel, Channel.read(ReadDataStream(BytesIO(data))))
+                channel = channel_of(data)
                 if topic_of(channel.topic) is not None:
                     self._channels[channel.id] = channel
             elif opcode == Opcode.CHUNK_INDEX:
@@ -102,7 +99,7 @@ class RecordingIndex:
         found = self._cache.pop(place, None)
         if found is None:
             found = []
-            for opcode, data in _records(self._recording.chunk_at(self.chunks[place].begin) or b""):
+            for opcode, data in records(self._recording.chunk_at(self.chunks[place].begin) or b""):
                 if opcode == Opcode.MESSAGE and len(data) >= MESSAGE_FIELDS.size:
                     number, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(data)
                     found.append((log_time, number, sequence, publish_time, data[MESSAGE_FIELDS.size :]))
@@ -118,18 +115,6 @@ class RecordingIndex:
             return envelope_of(self._channels[number], data, log_time, sequence, publish_time)
         except (*MALFORMED, BadPayload, KeyError):
             return None
-
-
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Cut a section into its records: opcode and content; what is incomplete at the end is left out."""
-    position = 0
-    while position + RECORD_HEAD.size <= len(data):
-        opcode, length = RECORD_HEAD.unpack_from(data, position)
-        start = position + RECORD_HEAD.size
-        position = start + length
-        if position > len(data):
-            break
-        yield opcode, data[start:position]
 
 
 def chosen(recording: Recording, topics: Collection[str]) -> Iterator[Envelope]:

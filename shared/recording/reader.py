@@ -231,8 +231,8 @@ class Recording:
         return None
 
 
-def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | None]:
-    """Yield the messages of a chunk as far as it is whole; None for one that cannot be rebuilt."""
+def records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record of a section; an incomplete record at the end is left out."""
     position = 0
     while position + RECORD_HEAD.size <= len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, position)
@@ -240,16 +240,26 @@ def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | 
         position = start + length
         if position > len(data):
             break
+        yield opcode, data[start:position]
+
+
+def channel_of(content: bytes) -> Channel:
+    """Decode the content of a channel record."""
+    return cast(Channel, Channel.read(ReadDataStream(BytesIO(content))))
+
+
+def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | None]:
+    """Yield the messages of a chunk as far as it is whole; None for one that cannot be rebuilt."""
+    for opcode, content in records(data):
         try:
             if opcode == Opcode.CHANNEL:
-                channel = cast(Channel, Channel.read(ReadDataStream(BytesIO(data[start:position]))))
+                channel = channel_of(content)
                 channels[channel.id] = channel
             elif opcode == Opcode.MESSAGE:
-                id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(data, start)
+                id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(content)
                 if channels[id_].topic.startswith(PREFIX):
                     continue  # made of another message, for other tools
-                content = data[start + MESSAGE_FIELDS.size : position]
-                yield envelope_of(channels[id_], content, log_time, sequence, publish_time)
+                yield envelope_of(channels[id_], content[MESSAGE_FIELDS.size :], log_time, sequence, publish_time)
         except (*MALFORMED, BadPayload, KeyError):
             yield None
 
