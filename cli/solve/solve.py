@@ -24,7 +24,7 @@ from shared.messages.navigation import AidingUpdate, NavigationSolution, Navigat
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
-from ..import_drive.table import read_table
+from ..import_drive.readers.table import read_table
 from ..progress import progress_on
 from ..recordings.common import open_recording, tell_problems, vehicle_of
 from .files import write
