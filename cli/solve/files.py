@@ -4,11 +4,12 @@ import json
 from pathlib import Path
 
 from shared.errors import UserError
+from shared.track_files import kml_lines
 
 from .metrics.drift import drift_lines
 from .metrics.metrics import Run, Value
 from .reference_track import Reference
-from .report.export import csv_lines, kml_text
+from .report.export import csv_lines, kml_points
 from .report.report import Heading, page
 
 
@@ -30,7 +31,8 @@ def write(
         for name, track in tracks.items():
             with (folder / f"{name}.csv").open("w", encoding="utf-8") as file:
                 file.writelines(csv_lines(track))
-            (folder / f"{name}.kml").write_text(kml_text(track, heading.name), encoding="utf-8")
+            with (folder / f"{name}.kml").open("w", encoding="utf-8") as file:
+                file.writelines(kml_lines(heading.name, [kml_points(track)]))
         if heading.outage is not None:
             with (folder / "outages.csv").open("w", encoding="utf-8") as file:
                 file.writelines(drift_lines(run.drifts(), run.first_ns))

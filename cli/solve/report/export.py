@@ -1,9 +1,10 @@
-"""Formats a track as CSV and KML."""
+"""Formats a track as CSV, and thins it for KML."""
 
 from collections.abc import Iterator
-from html import escape
 
 import numpy as np
+
+from shared.track_files import TrackPoint
 
 from ..track import NAMES, Track
 
@@ -32,23 +33,9 @@ def csv_lines(track: Track) -> Iterator[str]:
         yield text.replace("nan", "") + "\n"
 
 
-def kml_text(track: Track, name: str) -> str:
-    """Format a track as a KML line of at most `KML_POINTS` points."""
+def kml_points(track: Track) -> list[TrackPoint]:
+    """At most `KML_POINTS` points of a track and its last one."""
     position = track.columns("latitude_deg")
     step = -(-len(position) // KML_POINTS) or 1
-    chosen = position[np.r_[0 : len(position) : step, len(position) - 1]] if len(position) else position
-    points = " ".join(f"{longitude:.8f},{latitude:.8f},{height:.2f}" for latitude, longitude, height in chosen.tolist())
-    return f"""<?xml version="1.0" encoding="UTF-8"?>
-<kml xmlns="http://www.opengis.net/kml/2.2">
-<Document>
-<name>{escape(name)}</name>
-<Style id="track"><LineStyle><color>ffb05a00</color><width>3</width></LineStyle></Style>
-<Placemark>
-<name>Solution</name>
-<styleUrl>#track</styleUrl>
-<LineString><tessellate>1</tessellate><altitudeMode>clampToGround</altitudeMode>
-<coordinates>{points}</coordinates></LineString>
-</Placemark>
-</Document>
-</kml>
-"""
+    chosen: list[int] = np.unique(np.r_[0 : len(position) : step, len(position) - 1]).tolist() if len(position) else []
+    return [TrackPoint(int(track.stamps_ns[k]), *position[k].tolist()) for k in chosen]

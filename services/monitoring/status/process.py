@@ -25,6 +25,7 @@ from .replay import ReplayFeed
 from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
+from .web.events import Events
 from .web.map import MapApi
 from .web.pages import read_pages
 from .web.recordings import Action, Job, RecordingsApi
@@ -32,6 +33,7 @@ from .web.replay import ReplayApi
 from .web.routes import Api, Watching, make_app, make_server
 from .web.series import SeriesApi
 from .web.simulation import SimulationApi
+from .web.websocket import Stream
 
 log = logging.getLogger(__name__)
 
@@ -128,13 +130,14 @@ class Process:
         apis: tuple[SimulationApi, ReplayApi, RecordingsApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
-        series = SeriesApi(state, lock, now_ns, self._config.clients_maximum)
+        clients = self._config.clients_maximum
+        series = SeriesApi(state, lock, now_ns, clients)
         collector = StateCollector(state, now_ns, lock, software_version())
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
-        watching = Watching(state, lock, now_ns, self._config.clients_maximum, apis[1])
+        watching = Watching(Stream(state, lock, now_ns, clients, apis[1]), Events(state, lock, now_ns, clients))
         maps = MapApi(state, lock, now_ns, self._config.map_file)
         app = make_app(api, (series, *apis, maps), read_pages(folder), watching, self._config.allowed_hosts)
-        return make_server(app, 4 * self._config.clients_maximum + 16)
+        return make_server(app, 4 * clients + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:
         host, port = listener.getsockname()[:2]

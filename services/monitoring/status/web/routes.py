@@ -208,16 +208,8 @@ class Described(FastAPI):
 class Watching:
     """The streams to clients that stay connected: `/ws` and `/api/events`."""
 
-    def __init__(
-        self,
-        state: State,
-        lock: AbstractContextManager[object],
-        now_ns: Callable[[], int],
-        clients_maximum: int,
-        replay: ReplayApi,
-    ) -> None:
-        self.stream = Stream(state, lock, now_ns, clients_maximum, replay)
-        self.events = Events(state, lock, now_ns, clients_maximum)
+    def __init__(self, stream: Stream, events: Events) -> None:
+        self.stream, self.events = stream, events
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
@@ -291,7 +283,7 @@ def openapi() -> dict[str, Any]:
 
     api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
     replay = ReplayApi(None, lock, now_ns)
-    watching = Watching(state, lock, now_ns, 1, replay)
+    watching = Watching(Stream(state, lock, now_ns, 1, replay), Events(state, lock, now_ns, 1))
     recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
     simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
     apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, maps)

@@ -196,7 +196,7 @@ def test_the_smoothed_drive_is_written_and_more_accurate_than_the_filtered_one(
     assert list(found) == [*METRICS, *SMOOTHED_METRICS]
     for name in ("horizontal_rmse_m", "vertical_rmse_m", "velocity_rmse_m_s", "yaw_rmse_rad"):
         assert found[f"smoothed_{name}"] < found[name], name
-    assert (tmp_path / "solution_smoothed.kml").read_text().count("<coordinates>") == 1
+    assert (tmp_path / "solution_smoothed.kml").read_text().count("<gx:Track>") == 1
     report = (tmp_path / "report.html").read_text()
     assert "Position errors, filtered and smoothed" in report and "Smoothed: " in report
     assert "smoothed_horizontal_rmse_m" in report
