@@ -1,4 +1,4 @@
-"""Random access to a recording by its summary: which chunk holds which topics, and of what time."""
+"""Random access to a recording by its summary: the topics and times of each chunk."""
 
 import struct
 from bisect import bisect_right
@@ -16,7 +16,7 @@ from .reader import MALFORMED, MESSAGE_FIELDS, Recording, channel_of, records
 
 CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last log time, begin and length of the chunk, bytes of the next map
 CHANNEL_OFFSET = struct.Struct("<HQ")
-CACHED = 64  # decoded chunks: the jumps of a scrubber stay close together
+CACHED = 64  # decoded chunks: successive positions of a scrubber are close together
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ Row = tuple[int, int, int, int, bytes]
 
 
 class RecordingIndex:
-    """The messages of a closed recording by topic and time; chunks are read when they are asked for."""
+    """The messages of a closed recording by topic and time; chunks are read on demand."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -95,7 +95,7 @@ class RecordingIndex:
         return None
 
     def _messages(self, place: int) -> list[Row]:
-        """Decompress a chunk, or find it among those read last."""
+        """The messages of a chunk, decompressed or cached."""
         found = self._cache.pop(place, None)
         if found is None:
             found = []
@@ -109,7 +109,7 @@ class RecordingIndex:
         return found
 
     def _envelope(self, row: Row) -> Envelope | None:
-        """Rebuild the envelope; None of a message that cannot be."""
+        """Decode the envelope; None if it is invalid."""
         log_time, number, sequence, publish_time, data = row
         try:
             return envelope_of(self._channels[number], data, log_time, sequence, publish_time)
@@ -118,7 +118,7 @@ class RecordingIndex:
 
 
 def chosen(recording: Recording, topics: Collection[str]) -> Iterator[Envelope]:
-    """Yield the messages of some topics: by the index, or by a reading of everything where there is none."""
+    """Yield the messages of some topics: by the index, or of the whole file without an index."""
     try:
         index = RecordingIndex(recording)
     except BadRecording:
