@@ -47,7 +47,7 @@ class Session:
         self.queue_bytes = 0
         self.in_flight: set[int] = set()
         self._limits, self._counters = limits, counters
-        self._packet_id = 0
+        self.packet_id = 0
 
     def send(self, message: Publish, frame: bytes = b"") -> None:
         """Send a message, or queue it behind the waiting ones; `frame` is its encoding, if known."""
@@ -93,6 +93,6 @@ class Session:
 
     def _next_packet_id(self) -> int:
         while True:
-            self._packet_id = self._packet_id % 65_535 + 1
-            if self._packet_id not in self.in_flight:
-                return self._packet_id
+            self.packet_id = self.packet_id % 65_535 + 1
+            if self.packet_id not in self.in_flight:
+                return self.packet_id

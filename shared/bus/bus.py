@@ -31,7 +31,7 @@ from ..topics import BY_MESSAGE, TOPICS, Topic, topic_of
 from . import codec
 from .envelope import Envelope
 
-__all__ = ["Bus", "Envelope"]
+__all__ = ["Bus", "Envelope", "decoded"]
 
 log = logging.getLogger(__name__)
 
@@ -317,6 +317,16 @@ class Bus:
                 self.rejects["envelope"] += 1
                 self.last_error = str(error)[:400]
         return envelopes
+
+
+def decoded(bus: Bus, envelope: Envelope) -> Message | None:
+    """Decode the payload; an invalid one is counted as rejected and gives None."""
+    try:
+        return envelope.decode()
+    except BadPayload as error:
+        bus.rejects["payload"] += 1
+        bus.last_error = str(error)[:400]
+        return None
 
 
 def _send_at_once(_client: mqtt.Client, _userdata: object, sock: object) -> None:

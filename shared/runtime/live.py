@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Protocol, cast
 
 from ..bus import codec
-from ..bus.bus import Bus, Envelope
+from ..bus.bus import Bus, Envelope, decoded
 from ..errors import BadPayload
 from ..messages.base import Message, Tick
 from ..messages.operation import Consumed
@@ -139,11 +139,8 @@ class LiveReactor:
     def _consume(self, envelope: Envelope) -> None:
         if (envelope.producer, envelope.incarnation) == (self._bus.process, self._bus.incarnation):
             return  # its own message, of a topic that it consumes as well
-        try:
-            message = envelope.decode()
-        except BadPayload as error:
-            self._bus.rejects["payload"] += 1
-            self._bus.last_error = str(error)[:400]
+        message = decoded(self._bus, envelope)
+        if message is None:
             return
         self._publish(self._process.handle(message))  # first, for the latency
         self._journal.add(envelope)

@@ -5,11 +5,10 @@ import time
 
 from pydantic import Field
 
-from shared.bus.bus import Bus
+from shared.bus.bus import Bus, decoded
 from shared.devices.device import DeviceBusy, DeviceLost
 from shared.devices.driver import BACK_OFF_S
 from shared.devices.v2x_device import Radio, check_radio_url, host_and_port, open_radio
-from shared.errors import BadPayload
 from shared.messages.base import DeviceName
 from shared.messages.v2x import CamFrames, V2xSend
 from shared.runtime.config import Section
@@ -58,12 +57,7 @@ class Process:
             bus.receive(0.1)
         while not bus.stopping:
             for envelope in bus.receive(max(0.0, self._next_batch - time.monotonic())):
-                try:
-                    message = envelope.decode()
-                except BadPayload as error:
-                    bus.rejects["payload"] += 1
-                    bus.last_error = str(error)[:400]
-                    continue
+                message = decoded(bus, envelope)
                 if isinstance(message, V2xSend):
                     self._send(bus, message.data)
             if time.monotonic() >= self._next_batch:

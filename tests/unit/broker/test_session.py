@@ -102,7 +102,7 @@ def test_messages_keep_their_order_whatever_waits(steps: list[tuple[bool, int, b
 def test_packet_identifiers_go_round_and_skip_those_in_flight() -> None:
     world = World()
     world.say(b"never acknowledged", qos=1)
-    world.sink._packet_id = 65_534
+    world.sink.packet_id = 65_534
     for _ in range(3):
         world.say(b"x", qos=1)
     assert [message.packet_id for message in world.wire.written] == [1, 65_535, 2, 3]

@@ -64,11 +64,11 @@ def read_rtcm(messages: Iterable[Any], near_ns: int) -> tuple[list[Ephemeris], l
             constellation, time = MEASUREMENTS[kind]
             seconds, milliseconds = divmod(getattr(message, time), 1000)
             time_ns = nearest_ns(seconds, near_ns) + milliseconds * MS_NS
-            epochs.setdefault(time_ns, []).extend(_measurements(message, constellation))
+            epochs.setdefault(time_ns, []).extend(measurements_of(message, constellation))
     return ephemerides, [RawEpoch(time_ns, tuple(measured)) for time_ns, measured in epochs.items()]
 
 
-def _measurements(message: Any, constellation: Constellation) -> Iterator[Measurement]:
+def measurements_of(message: Any, constellation: Constellation) -> Iterator[Measurement]:
     """Pseudorange c (N + rough + fine) and range-rate rough + fine of each satellite's signal on L1 or E1."""
     rough = {
         getattr(message, f"PRN_{k:02d}"): tuple(getattr(message, f"DF{field}_{k:02d}") for field in (397, 398, 399))

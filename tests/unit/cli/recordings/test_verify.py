@@ -51,7 +51,7 @@ class Recorded:
         self.name, self.process = name, process
         self.now_ns = START_NS
         self.envelopes: list[Envelope] = []
-        self._journal = Journal(name, INCARNATION)
+        self.order = Journal(name, INCARNATION)
         self._sequences = {name: 0}
 
     def input(self, message: Message, producer: str = "sensors.can") -> None:
@@ -60,12 +60,12 @@ class Recorded:
         self.consume(self.envelopes[-1])
 
     def consume(self, envelope: Envelope) -> None:
-        self._journal.add(envelope)
+        self.order.add(envelope)
         self.feed(envelope.decode())
 
     def tick(self) -> None:
         tick = Tick(now_ns=self.now_ns)
-        self._journal.add_tick(tick)
+        self.order.add_tick(tick)
         self.feed(tick)
 
     def feed(self, message: Message) -> None:
@@ -73,12 +73,12 @@ class Recorded:
             self.publish(self.name, answer)
 
     def journal(self) -> None:
-        consumed = self._journal.take()
+        consumed = self.order.take()
         assert consumed is not None
         self.publish(self.name, consumed)
 
     def close(self) -> None:
-        self._journal.add_close()
+        self.order.add_close()
         self.journal()
 
     def health(self) -> None:
@@ -247,7 +247,7 @@ def test_messages_delivered_twice_are_compared_once() -> None:
 def test_a_saved_message_that_the_process_publishes_and_consumes_is_an_input() -> None:
     recorded = Recorded("core.fusion", Echo())
     recorded.publish("core.fusion", speed(5.0, 1))
-    recorded._journal.add(recorded.envelopes[-1])
+    recorded.order.add(recorded.envelopes[-1])
     recorded.feed(speed(5.0, 1))
     for _ in range(10):
         recorded.input(speed(1.0, recorded.now_ns))
