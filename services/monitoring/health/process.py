@@ -23,7 +23,7 @@ class Process:
         self._config = config
 
     def run(self, bus: Bus) -> None:
-        """Watch until told to stop."""
+        """Watch until `bus.stopping`."""
         watch = Watch(parse_vehicle(bus.vehicle_toml).processes, bus.now_ns())
         report_ns = step_ns = 0
         while not bus.stopping:

@@ -1,4 +1,4 @@
-"""What may be wrong with an inertial sample: a clipped gyroscope, a dead accelerometer."""
+"""Faults of inertial samples: a clipped gyroscope, an accelerometer without output."""
 
 from operator import eq
 from typing import NamedTuple
