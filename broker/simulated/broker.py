@@ -1,10 +1,10 @@
 """The broker itself: sessions, subscriptions, retained messages and wills, without any input or output."""
 
-from .acl import Acl
+from .access_list import Acl
 from .counters import Counters
 from .packets import REFUSED, Answer, Connect, ProtocolError, Publish, Subscribe, Unsubscribe, encode_publish
 from .session import Limits, Session, Writer
-from .topics import is_filter, is_name, matches
+from .topic_filters import is_filter, is_name, matches
 
 LONGEST_CLIENT_ID = 256
 REMEMBERED = 1_000  # topics

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from cli.import_drive.import_drive import import_drive
+from cli.solve.files import HEADER
 from cli.solve.metrics.metrics import METRICS, TIMINGS
 from cli.solve.overrides import Aiding
-from cli.solve.report.export import HEADER
 from cli.solve.smoothing import SMOOTHED_METRICS
 from cli.solve.solve import solve
 from services.sensors.simulator.drive import simulate

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from cli.solve.report.export import HEADER, KML_POINTS, csv_lines, kml_points
+from cli.solve.files import HEADER, KML_POINTS, csv_lines, kml_points
 from tests.support.tracks import START_NS, solution, track
 
 
