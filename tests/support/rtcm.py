@@ -10,13 +10,12 @@ RTCM 10403.3, tables 3.5-21, 3.5-102, 3.5-78, 3.5-82 and 3.5-87.
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from services.core.cooperative.broadcast.ephemeris import Ephemeris
+from services.core.cooperative.broadcast.galileo_inav import NO_ACCURACY, accuracy_m
+from services.core.cooperative.broadcast.gps_lnav import URA_M, nearest_ns
+from services.core.cooperative.measurements import Constellation, Measurement, RawEpoch, SatelliteId
 from shared.maths.gnss_signals import L1_FREQUENCY, SPEED_OF_LIGHT
 from shared.maths.navigation_words import GPS_PI
-
-from ..measurements import Constellation, Measurement, RawEpoch, SatelliteId
-from .ephemeris import Ephemeris
-from .galileo_inav import NO_ACCURACY, accuracy_m
-from .gps_lnav import URA_M, nearest_ns
 
 MS_NS = 1_000_000
 LIGHT_MS_M = SPEED_OF_LIGHT * 1e-3  # [m] in a millisecond
