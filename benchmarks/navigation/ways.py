@@ -81,7 +81,7 @@ def _row(way: str, rate_hz: int, aiding: str, cost: Cost) -> str:
 
 
 def _turns(path: Path, rate_hz: int, aiding: str) -> dict[str, Cost]:
-    """Let the ways take turns; of each the least of every figure."""
+    """Run the ways in turns; the least of every figure of each."""
     found: dict[str, list[Cost]] = {}
     for _ in range(REPETITIONS):
         for way in WAYS:

@@ -318,7 +318,7 @@ class Watch:
         return not published.intersection(producers_of(topic, self._present()))
 
     def _why_silent(self, root: str) -> str:
-        """Say what is wrong with a root cause that is no process that is down."""
+        """Describe a root cause other than a process that is down."""
         if root not in self._topics:
             return f"{root} {RESTARTED}"
         producers = self._producers(BY_NAME[root])
@@ -378,7 +378,7 @@ class Watch:
         return not entry.silent_ns
 
     def _cause_end_ns(self, what: str) -> int:
-        """Say when a root cause that had silenced no topic was over."""
+        """Time at which a root cause that affected no topic ended."""
         if what == BROKER:
             return self._back_ns
         return (self._processes[what].heartbeat_ns or 0) if what in self._processes else 0
@@ -391,7 +391,7 @@ class Watch:
         )
 
     def _text(self, entry: _Open) -> str:
-        """Say what an outage means at the moment."""
+        """Describe the present effect of an outage."""
         what, waiting = entry.outage.what, ", ".join(entry.silent_ns)
         if what == BROKER and self.answering:
             return "the broker is back" + (f"; not yet published again: {waiting}" if waiting else "")

@@ -46,7 +46,7 @@ LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
 
 
 class Config(Section):
-    """Where to listen, and how much to remember."""
+    """Address of the server, and lengths of the histories."""
 
     host: str | None = None  # "0.0.0.0" shows it to the whole network; without it OBU_HTTP_HOST, else 127.0.0.1
     port: int = Field(default=8080, ge=0, le=65535)  # 0: any free one
@@ -71,9 +71,9 @@ class Process:
         self._config = config
 
     def run(self, bus: Bus) -> None:
-        """Take in the bus and serve the web until told to stop."""
+        """Receive from the bus and serve the web until `bus.stopping`."""
         host = self._config.host or os.environ.get("OBU_HTTP_HOST", "127.0.0.1")
-        (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)  # of an earlier life
+        (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)  # of an earlier incarnation
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s, replay=self._config.replay)

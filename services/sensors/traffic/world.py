@@ -167,7 +167,7 @@ class World:
         self._replace()
 
     def _replace(self) -> None:
-        """Let a new vehicle in for each one that has left, where there is room."""
+        """Add a vehicle for each one that has left, where there is room."""
         if not self.entry_open:
             return
         free = [

@@ -1,4 +1,4 @@
-"""The HTTP door: routes that read the state, and what every answer carries."""
+"""HTTP routes that read the state, and the headers of every response."""
 
 import asyncio
 import logging
@@ -311,7 +311,7 @@ def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
 
 
 def _end_with(task: asyncio.Task[None], server: uvicorn.Server) -> None:
-    """End the server with a task that failed: better no pages, and a new life, than pages that stand still."""
+    """End the server if a task fails, so that the process is restarted instead of showing old data."""
     if not task.cancelled():
         log.error("the stream to the pages has failed", exc_info=task.exception())
         server.should_exit = True
