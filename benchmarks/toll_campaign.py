@@ -1,9 +1,9 @@
 """Charges under loss, repetition, reordering and kills: `python -m benchmarks.toll_campaign --parts 10`.
 
 The simulated plaza, `parsers.v2x`, `parsers.gnss`, `core.toll` and the ledger run in one thread on simulated time. A
-kill ends `core.toll` between any two of its answers, or the ledger at any statement of a transaction; messages on
-their way to the ended process are lost, as on a bus without sessions. The next incarnation begins 0.5 to 2 s later,
-with the retained delta position.
+kill ends `core.toll` between any two of its answers, or the ledger at any statement of a transaction; what was on the
+way to the dead process is lost, as on a bus without sessions. The next life begins 0.5 to 2 s later, with the retained
+delta position.
 
 A passage is decided where `core.toll` has found the lane of its crossing, whether or not that statement arrived. The
 vehicles of the first 30 s, before the first delta position, drive on an unprepared plaza and are not counted.
@@ -142,7 +142,7 @@ class KillableStore(Store):
         self.last = ""
 
     def execute(self, sql: str, *values: Value) -> int:
-        """Run a statement, or end before it."""
+        """Run a statement, or die before it."""
         if self.statements_left is not None:
             self.statements_left -= 1
             if self.statements_left < 0:
@@ -248,7 +248,7 @@ class Campaign:
                 pass
 
     def _answers(self, message: Message) -> list[Message]:
-        """Have core.toll handle a message; a kill loses its messages from one of them on."""
+        """Let core.toll handle a message; a kill loses what it would have said from some answer on."""
         if self.core is None:
             return []
         answers: list[Message] = list(self.core.handle(message))  # type: ignore[arg-type]  # one of those that it consumes

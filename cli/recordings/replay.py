@@ -154,7 +154,7 @@ def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Con
     """Write the inputs of a recording, and the outputs of layers 2 to 4, into a new one."""
     inputs = inputs_of(recording)
     if not inputs.envelopes:
-        raise UserError(f"{recording.path} holds no data of a device; record a unit with sensors or a simulator")
+        raise UserError(f"{recording.path} holds nothing that a device said; record a unit with sensors or a simulator")
     writer = RecordingWriter(path, vehicle=vehicle.name, vehicle_toml=vehicle.text)
     unit = OfflineUnit(vehicle)
     with progress_on(console) as progress:

@@ -50,7 +50,7 @@ class SummaryWorker:
         self._size = recording.stat().st_size
         self._child: subprocess.Popen[bytes] | None = None
         if read_summary(self._output, self._size) is None:
-            command = [sys.executable, "-m", "shared.recording.summarise", str(recording), str(self._output)]
+            command = [sys.executable, "-m", "shared.recording.summary", str(recording), str(self._output)]
             self._child = subprocess.Popen(command, stdin=subprocess.DEVNULL)
 
     @property

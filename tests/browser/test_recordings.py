@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from shared.library.summary import SUFFIX
-from shared.recording.summarise import write_summary
+from shared.recording.summary import write_summary
 from tests.browser.test_pages import faults, keep_picture
 from tests.support.drives import record
 from tests.support.status_server import Running, eventually, status_server

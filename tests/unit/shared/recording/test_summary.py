@@ -8,7 +8,7 @@ import pytest
 from shared.errors import BadRecording
 from shared.library.summary import SUFFIX, SummaryWorker, read_summary
 from shared.recording import RecordingWriter
-from shared.recording.summarise import POINTS, summarise, write_summary
+from shared.recording.summary import POINTS, summarise, write_summary
 from tests.support.drives import BEGIN_NS, NORTH_M_S, SECOND, record
 
 

@@ -1,6 +1,6 @@
 """What a list of recordings shows of one: times, distance, outline of the track, verdicts and outages.
 
-`python -m shared.recording.summarise RECORDING OUTPUT` computes it in a process of its own, which
+`python -m shared.recording.summary RECORDING OUTPUT` computes it in a process of its own, which
 `shared.library.summary.SummaryWorker` starts.
 """
 
