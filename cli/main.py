@@ -395,7 +395,7 @@ def _record(
     ] = None,
     vehicle: VehicleOption = None,
 ) -> None:
-    """Record everything that a running unit says, beside its own recorder.
+    """Record every message of a running unit, beside its own recorder.
 
     Examples:
     [bold]obu record -o drive.mcap[/]

@@ -102,7 +102,7 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     console.print(f"[bold]OBU demo[/]: {what}, seed {options.seed}; logs in {folder / 'logs'}")
     if taken:
         console.print(
-            f"port {options.http_port} {taken}: the dashboard takes {http_port}; "
+            f"port {options.http_port} {taken}: the dashboard uses {http_port}; "
             "to choose one: `obu demo --port NUMBER`, or `make demo PORT=NUMBER`",
             soft_wrap=True,
         )
@@ -198,7 +198,7 @@ def _why_unhealthy(summary: Summary | PlazaSummary) -> str:
             f"{summary.processes_alive} of {summary.processes_expected} processes were alive at the end: see the logs"
         )
     if isinstance(summary, PlazaSummary):
-        return "no passage was charged: the first needs about 30 s, --duration 60 shows more"
+        return "no passage was charged: the first one takes about 30 s; try --duration 60"
     if not summary.solutions:
         return "there was no position yet: a drive needs about 20 s before its first, --duration 60 shows more"
     return "not every process has reported to be ready: see the logs"

@@ -26,7 +26,7 @@ STEP = 200
 def play_onto(file: Path, speed: float, address: BrokerAddress, vehicle: Path | None) -> int:
     """Publish the device data on the bus of a unit that runs without sensors; stamps are shifted to now.
 
-    At a speed other than 1 the stamps keep the recorded intervals and part from the unit's clock: good for watching,
+    At a speed other than 1 the stamps keep the recorded intervals and differ from the unit's clock: good for watching,
     not for measuring latency.
     """
     console = Console(stderr=True)

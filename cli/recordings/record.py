@@ -43,7 +43,7 @@ def record(output: Path | None, duration: float | None, vehicle: Path | None) ->
     _finish(writer)
     print(f"recorded {writer.messages} messages, {writer.bytes_written / 1e6:.1f} MB, to {path}")
     if bus.dropped:
-        print(f"{bus.dropped} messages came faster than they could be written and are missing")
+        print(f"{bus.dropped} messages arrived faster than they could be written, and are missing")
     if not writer.messages:
         raise UserError(f"vehicle {file.name!r} published nothing; check its name (OBU_VEHICLE or --vehicle)")
     return 0

@@ -52,7 +52,7 @@ def replay(  # one argument an option
         str | None,
         typer.Option(
             metavar="URL",
-            help="Play what the devices said onto this broker instead, for a unit that runs without sensors.",
+            help="Play the bytes of the devices onto this broker instead, for a unit that runs without sensors.",
         ),
     ] = None,
     vehicle: Annotated[
@@ -101,7 +101,7 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     for name in RUN_HERE:
         supervisor.add_process(name)
     if taken:
-        console.print(f"port {wanted_port} {taken}: the dashboard takes {http_port}; to choose one: --port NUMBER")
+        console.print(f"port {wanted_port} {taken}: the dashboard uses {http_port}; to choose one: --port NUMBER")
     logging.getLogger("cli.demo.supervisor").setLevel(logging.ERROR)
     try:
         _wait_for_page(supervisor, folder)
@@ -154,7 +154,7 @@ def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Con
     """Write the inputs of a recording, and the outputs of layers 2 to 4, into a new one."""
     inputs = inputs_of(recording)
     if not inputs.envelopes:
-        raise UserError(f"{recording.path} holds nothing that a device said; record a unit with sensors or a simulator")
+        raise UserError(f"{recording.path} holds no bytes of a device; record a unit with sensors or a simulator")
     writer = RecordingWriter(path, vehicle=vehicle.name, vehicle_toml=vehicle.text)
     unit = OfflineUnit(vehicle)
     with progress_on(console) as progress:

@@ -52,9 +52,12 @@ Base64 = Annotated[
 
 
 class Message(BaseModel):
-    """A frozen, strictly typed record; unknown fields of a newer producer are ignored."""
+    """A frozen, strictly typed record; unknown fields of a newer producer are ignored.
 
-    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False, extra="ignore")
+    The validator of a type is built when it is first used: a process uses a few of them.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False, extra="ignore", defer_build=True)
 
 
 class Sender(Message):

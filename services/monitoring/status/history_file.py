@@ -1,4 +1,4 @@
-"""Verdicts, their changes and outages as JSON lines in bounded files, which survive a restart of this process."""
+"""Verdicts, outages, fixes and tracks in the sky, as JSON lines in bounded files that outlive this process."""
 
 import logging
 from collections.abc import Iterator, Mapping
@@ -8,7 +8,7 @@ from pydantic_core import to_json
 
 log = logging.getLogger(__name__)
 
-FILE_BYTES = 2_000_000  # about four hours at one verdict a second; the file before it is kept as well
+FILE_BYTES = 2_000_000  # about two hours at one verdict and one fix a second; the file before it is kept as well
 Record = Mapping[str, object]
 
 

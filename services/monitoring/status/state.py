@@ -30,7 +30,7 @@ from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
-from .gnss_history import GnssHistory
+from .gnss_history import GnssHistory, KeptFix, KeptSky
 from .history import History, TrustHistory
 from .judgement import (
     BROKER_SILENT_NS,
@@ -89,7 +89,8 @@ class KeptEvent(BaseModel):
     message: TrustEvent
 
 
-Kept = Annotated[KeptVerdict | KeptOutage | KeptEvent, Field(discriminator="kind")]
+KeptRecord = KeptVerdict | KeptOutage | KeptEvent | KeptFix | KeptSky
+Kept = Annotated[KeptRecord, Field(discriminator="kind")]
 
 
 class State:
@@ -166,7 +167,7 @@ class State:
         if message is not None and not envelope.retained:
             self.series.take(name, message, envelope.received_ns)
         if message is not None:
-            self.gnss.note(message, flow.updated_ns or envelope.received_ns)
+            self._unsaved.extend(map(dict, self.gnss.note(message, flow.updated_ns or envelope.received_ns)))
         match message:
             case ProcessHealth():
                 self._note_health(message, envelope, flow)
@@ -207,7 +208,7 @@ class State:
         """Add the records of the last hour of earlier incarnations; returns the number of invalid lines."""
         bad, reader = 0, None
         for line in lines:
-            reader = reader or TypeAdapter[KeptVerdict | KeptOutage | KeptEvent](Kept)  # 1 MB, only while it is used
+            reader = reader or TypeAdapter[KeptRecord](Kept)  # 1 MB, only while it is used
             try:
                 kept = reader.validate_json(line)
             except ValidationError:
@@ -222,6 +223,8 @@ class State:
                     self.outages.note(kept.message)
                 case KeptEvent():
                     self.trust_events.append(kept.message)
+                case KeptFix() | KeptSky():
+                    self.gnss.restore(kept)
         return bad
 
     def tick(self, now_ns: int, *, broker: bool) -> None:

@@ -193,7 +193,7 @@ def show(evidence: Evidence) -> Verdict:
         return Verdict(
             Trust.STALE,
             sentence(f"Trust is not evaluated: {why}", e.trust_cause),
-            "Do not rely on the position shown: no monitor is evaluated. The log of core.trust says why it is silent.",
+            "Do not rely on the position shown: no monitor is evaluated. The log of core.trust has the reason.",
             checks,
         )
     return _verdict(e, e.trust, checks)
