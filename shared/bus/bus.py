@@ -120,10 +120,8 @@ class Bus:
         name, payload = self._prefix + codec.topic_name(message, topic), self._sign(message)
         if len(payload) > codec.MAXIMUM_PAYLOAD or not (self.connected or topic.qos):
             self.dropped += 1
-        elif self._waiting or not self._ready():
-            self._wait(name, payload, topic)
         else:
-            self._send(name, payload, topic)
+            self._send_in_order(name, payload, topic)
 
     def forward(self, envelope: Envelope) -> None:
         """Publish a recorded message unchanged, with the time of its arrival at the recorder.
@@ -137,10 +135,7 @@ class Bus:
         topic = replace(row, qos=0, retain=False)
         name, payload = self._prefix + envelope.topic, codec.replayed(envelope.payload, envelope.received_ns)
         self.messages_out += 1
-        if self._waiting or not self._ready():
-            self._wait(name, payload, topic)
-        else:
-            self._send(name, payload, topic)
+        self._send_in_order(name, payload, topic)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
         """Run the network for up to `timeout_s` and return the received messages, oldest first.
@@ -206,7 +201,10 @@ class Bus:
         elif topic.qos:
             self._last = info
 
-    def _wait(self, name: str, payload: bytes, topic: Topic) -> None:
+    def _send_in_order(self, name: str, payload: bytes, topic: Topic) -> None:
+        if not self._waiting and self._ready():
+            self._send(name, payload, topic)
+            return
         self._waiting.append((name, payload, topic))
         if len(self._waiting) > QUEUE_LENGTH:
             self._waiting.popleft()
