@@ -214,7 +214,7 @@ class World:
         self._pulse_numbers[lane] += 1
         self._push(crossing_ns + STEP_NS, self._pulse(lane))
 
-    # What arrives
+    # Arrivals at the unit
 
     def _send(self, vehicle: Vehicle, begin_ns: int) -> None:
         if not vehicle.equipped:
