@@ -420,15 +420,16 @@ def table(result: Result) -> str:
     """Write the result as a table."""
     undecided = sum(result.undecided.values())
     rows = {
-        "passages, after the first 30 s of each part": f"{result.passages}, {result.registered} of them registered",
+        "simulated passages, each with a detection": f"{result.detections}",
+        "of these after 30 s of a part, before its end": f"{result.passages} ({result.registered} registered)",
         "kills": f"{result.kills_core} of `core.toll`, {result.kills_ledger} of the ledger, "
         f"at {len(result.kills_by_step)} of {len(CORE_STEPS + LEDGER_STEPS)} steps",
         "double charges, charges of who has not passed": f"{result.double_charges}, {result.wrong_charges}",
-        "lane decided": f"{result.decided}, of them charged {100.0 * result.charged_share_of_decided:.2f} %",
+        "lane decided": f"{result.decided}, charged {100.0 * result.charged_share_of_decided:.2f} %",
         "charged in the right lane": f"{result.lanes_right} of {result.charged}",
         "decided and not charged": "; ".join(f"{n} {end}" for end, n in result.decided_uncharged.items()) or "none",
         "undecided": f"{undecided} ({100.0 * undecided / max(result.registered, 1):.1f} % of the registered)",
-        "detections": f"{result.detections}: " + ", ".join(f"{name} {n}" for name, n in result.outcomes.items()),
+        "outcomes of all detections": ", ".join(f"{name} {n}" for name, n in result.outcomes.items()),
         "every detection has one outcome": "yes" if result.reconciliation_exact else "no",
         "charges without a detection": f"{result.charged_without_detection}",
         "simulated time, processor time": f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s",
