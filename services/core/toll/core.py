@@ -126,7 +126,7 @@ class Core:
     def estimate_delta(self, now_ns: int) -> TollDelta:
         """Compute the delta position; it is used once it is passed to `use_delta`.
 
-        A delta of a later time was retained in another life of the host, and would keep out those of this one.
+        A delta of a later time was retained before a reboot of the host, and would keep out those of this one.
         """
         while self._deltas and self._deltas[-1].sampled_ns > now_ns:
             self._rejected["delta_from_the_future"] += 1
@@ -513,7 +513,7 @@ class Core:
         )
 
     def _take_over(self, passage: Passage) -> Iterator[TollPassage]:
-        """Let a track that has opened a younger passage for the same station ID continue the older one."""
+        """Continue the older passage of a station ID with the track that opened a younger one."""
         track = self._table.by_station.get(passage.station_ids[-1])
         journey = self._journeys.get(track.number) if track else None
         if track is None or journey is None or journey.here is None:
