@@ -9,7 +9,7 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import asn1tools
 from asn1tools.compiler import Specification
@@ -27,7 +27,6 @@ from ..messages.v2x import (
 )
 
 Record = dict[str, Any]  # a SEQUENCE as asn1tools represents it
-Word = TypeVar("Word", bound=str)
 
 PROTOCOL_VERSION = 2  # of V1.4.1; the coding of version 1 differs
 MESSAGE_ID = 2

@@ -1,4 +1,4 @@
-"""Tracks of up to some hundred vehicles: birth, gating, association by station ID, pseudonym changes, deletion."""
+"""Tracks of up to some hundred vehicles: initiation, gating, association by station ID, pseudonym changes, deletion."""
 
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence

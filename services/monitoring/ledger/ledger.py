@@ -451,7 +451,7 @@ class Ledger:
 
 
 def transaction_id(passage_id: str, kind: TransactionKind) -> str:
-    """Derive the ID of a transaction: the same for every attempt and every life of the ledger."""
+    """Derive the ID of a transaction: the same for every attempt and after a restart of the ledger."""
     return hashlib.sha256(f"{kind}:{passage_id}".encode()).hexdigest()
 
 
