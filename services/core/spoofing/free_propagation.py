@@ -23,7 +23,7 @@ SIZE = 15
 STANDSTILL_SD = 0.02  # [m/s]
 # [m/s] of the forward speed, above which the non-holonomic constraint is not used: the products of the errors of speed
 # and direction, which its linear form leaves out, are then as large as its own noise.
-LARGEST_SPEED_SD = 1.0
+LARGEST_SPEED_SD = 2.0
 ODOMETER_REJECTIONS = 3  # in a row, after which this propagation no longer uses it
 
 

@@ -165,7 +165,7 @@ def test_an_odometer_that_freezes_is_rejected_and_then_left_out(drive: Drive) ->
     assert free.odometer_rejections == 3, "no longer used"
 
 
-@pytest.mark.parametrize(("speed_sd", "left"), [(0.9, 0.5 * 0.03 / (0.81 + 0.03)), (1.1, 0.5)])
+@pytest.mark.parametrize(("speed_sd", "left"), [(1.9, 0.5 * 0.03 / (1.9**2 + 0.03)), (2.1, 0.5)])
 def test_the_non_holonomic_constraint_is_used_while_the_forward_speed_is_known(
     drive: Drive, speed_sd: float, left: float
 ) -> None:
