@@ -85,7 +85,7 @@ class Audit:
         self._now_ns = 0
 
     def read(self, recording: Recording, tell: Callable[[int], None]) -> None:
-        """Take in a recording, and tell now and then how many bytes are done."""
+        """Read a recording, and report now and then how many bytes are done."""
         for count, envelope in enumerate(recording):
             if count % STEP == 0:
                 tell(recording.position)

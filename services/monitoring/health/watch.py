@@ -235,7 +235,7 @@ class Watch:
         return {name for entry in self._open.values() for name in entry.silent_ns}
 
     def _root(self, topic: Topic, seen: tuple[str, ...] = ()) -> str | None:
-        """Find the root cause of the silence of a topic; None while it cannot be told yet.
+        """Find the root cause of the silence of a topic; None while it is not determined yet.
 
         It is, in this order: a producer that is down, or was restarted since the last message; what silenced the input
         that ended last, as soon as no other is late; an outage upstream that is not over for good; the topic itself.

@@ -28,7 +28,7 @@ _QUALITY_REASONS: dict[SignalQuality | None, str] = {
 
 
 def gnss(state: State, now_ns: int) -> Json:
-    """Show each receiver, the one heard last first."""
+    """Show each receiver, the one with the newest message first."""
     trust = state.newest(TrustState, "trust/state", now_ns, live=True)
     monitor = next((m for m in trust.monitors if m.monitor == "satellites"), None) if trust else None
     tests = {test.name: test for test in monitor.tests} if monitor else {}
