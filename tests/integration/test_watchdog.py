@@ -140,7 +140,7 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Unit]]:
     made = [Unit(kind, start_demo(tmp_path_factory.mktemp(kind), "--broker", kind)) for kind in KINDS]
     try:
         for unit in made:
-            unit.until(is_well, "the unit navigates", 60.0)
+            unit.until(is_well, "the unit navigates", 150.0)
         yield made
     finally:
         for unit in made:
