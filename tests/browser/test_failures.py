@@ -36,6 +36,7 @@ WATCHDOG_CAUSES = {
     "hung": "monitoring.health does not report",
 }
 NEEDED = {"sensors.simulator", "parsers.imu", "core.fusion", "core.trust", BROKER, PAGE}  # for a verdict that is shown
+VOUCHED = ("SAFE", "CAUTION")  # words of the banner of a unit that works
 HUNG_S = 9.0  # the longest deadline is 5 s, that of trust/state
 SHOWN_S, RECOVERY_S = 25.0, 90.0  # of a busy machine
 NOT_READY = ("lost", "ended", "stale", "late", "restarting", "waiting", "missing", "not known")
@@ -53,7 +54,7 @@ TIMELINE = "() => [...document.querySelectorAll('.band .segment')].map((s) => s.
 class Seen:
     """What the page showed after one failure, with the time until it did [s]."""
 
-    banner: dict[str, float] = field(default_factory=dict)  # words other than before
+    banner: dict[str, float] = field(default_factory=dict)  # words other than those of `VOUCHED`
     row: dict[str, float] = field(default_factory=dict)
     outage: dict[str, float] = field(default_factory=dict)  # causes of its new outages
     timeline: list[str] = field(default_factory=list)  # states from the one before the failure on
@@ -65,8 +66,7 @@ class Watched:
 
     def __init__(self, page: Page, process: str) -> None:
         self._page, self._process = page, process
-        found = self._look()
-        self._word, self._begins = found["word"], {begin_of(outage) for outage in found["outages"]}
+        self._begins = {begin_of(outage) for outage in self._look()["outages"]}
         self._started_s = time.monotonic()
         self.seen = Seen()
 
@@ -75,9 +75,9 @@ class Watched:
         return found
 
     def look(self) -> bool:
-        """Note what is new; return whether all is as before."""
+        """Note what is new; return whether everything works."""
         found, seen, elapsed_s = self._look(), self.seen, time.monotonic() - self._started_s
-        if found["word"] != self._word:
+        if found["word"] not in VOUCHED:
             seen.banner.setdefault(found["word"], elapsed_s)
         status = [word for word in NOT_READY if re.search(rf"\b{word}\b", found["row"])]
         for word in status:
@@ -88,7 +88,12 @@ class Watched:
         if self._process == WATCHDOG and (silent := WATCHDOG_CAUSES["hung"]) in found["foot"]:
             seen.outage.setdefault(silent, elapsed_s)  # a problem in the footer: nothing else could publish an outage
         ready = (bool(found["row"]) and not status) or self._process == BROKER
-        return ready and found["word"] == self._word and not any(outage["open"] for outage in found["outages"])
+        return ready and found["word"] in VOUCHED and not any(outage["open"] for outage in found["outages"])
+
+    def is_shown(self) -> bool:
+        """Whether there is an outage, or the page says that it is cut off."""
+        self.look()
+        return bool(self.seen.outage) or "NO CONNECTION" in self.seen.banner
 
     def until(self, condition: Callable[[], object], limit_s: float, what: str) -> None:
         """Look ten times a second until something is shown."""
@@ -105,7 +110,7 @@ class Watched:
         self.look()
 
     def recover(self) -> None:
-        """Look until all is as before, for two seconds."""
+        """Look until everything has worked for two seconds."""
         since_s = [time.monotonic()]
 
         def settled() -> bool:
@@ -113,7 +118,7 @@ class Watched:
                 since_s[0] = time.monotonic()
             return time.monotonic() - since_s[0] > 2.0
 
-        self.until(settled, RECOVERY_S, "all is as before")
+        self.until(settled, RECOVERY_S, "everything works")
         self.seen.recovered_s = since_s[0] - self._started_s
 
 
@@ -161,6 +166,7 @@ def test_a_failure_is_shown_by_banner_row_outage_and_timeline(
     system, trust = pages
     before = len(trust.evaluate(TIMELINE))
     child = demo.child("mosquitto.conf" if name == BROKER else f"run {name}")
+    Watched(system, name).recover()  # from the failure before
     watched = Watched(system, name)
     seen = results[name, failure] = watched.seen
     child.send_signal(SIGNALS[failure])
@@ -171,7 +177,7 @@ def test_a_failure_is_shown_by_banner_row_outage_and_timeline(
     finally:
         if failure == "hung":
             child.send_signal(signal.SIGCONT)
-    watched.until(lambda: watched.look() or seen.outage or "NO CONNECTION" in seen.banner, SHOWN_S, "the failure")
+    watched.until(watched.is_shown, SHOWN_S, "the failure")
     watched.for_s(3.0)
     watched.recover()
     trust.wait_for_timeout(400)
@@ -191,15 +197,21 @@ def test_a_failure_is_shown_by_banner_row_outage_and_timeline(
 
 def test_after_a_kill_of_the_page_s_process_everything_of_before_is_still_there(demo: Demo) -> None:
     chart = "/api/series?fields=gnss/fix:hdop&seconds=300"
+    demo.child("run parsers.can").kill()
+    demo.wait(lambda: bool(demo.get("/api/outages").get("closed")), 60.0, "an outage is over")
     demo.wait(lambda: known(demo.get(chart)) > 20, 60.0, "a chart has values")
-    before = {path: demo.get(path) for path in ("/api/gnss", "/api/gnss/tracks", "/api/outages", "/api/trust", chart)}
+    before: dict[str, Any] = {
+        path: demo.get(path) for path in ("/api/gnss", "/api/gnss/tracks", "/api/outages", "/api/trust", chart)
+    }
     killed = demo.child(f"run {PAGE}")
     killed.kill()
     killed.wait(5.0)
     demo.wait(lambda: bool(demo.get("/api/gnss/tracks").get("gnss0")), 30.0, "the page is served again")
-    after = {path: demo.get(path) for path in before}
+    after: dict[str, Any] = {path: demo.get(path) for path in before}
     for old, new in pairs_of(before, after):
         assert old and new[: len(old)] == old
+    events, events_after = (found["/api/trust"]["events"] for found in (before, after))  # listed newest first
+    assert events_after[len(events_after) - len(events) :] == events
     demo.wait(lambda: known(demo.get(chart)) >= known(before[chart]), 60.0, "the chart is read from the recording")
 
 
@@ -210,7 +222,6 @@ def pairs_of(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[li
     bands = [found["/api/gnss"]["receivers"][0]["bands"] for found in (before, after)]
     yield from ((bands[0][name], bands[1][name]) for name in ("fix", "correction"))
     yield before["/api/trust"]["history"]["changes"], after["/api/trust"]["history"]["changes"]
-    yield before["/api/trust"]["events"][::-1], after["/api/trust"]["events"][::-1]  # listed newest first
     yield before["/api/outages"]["closed"][::-1], after["/api/outages"]["closed"][::-1]
 
 
