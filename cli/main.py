@@ -265,7 +265,7 @@ def _ended(function: Callable[..., int]) -> Callable[..., None]:
 
 
 def _end_on_sigterm() -> None:
-    """Let SIGTERM unwind the stack as Ctrl-C does, so that everything started here is ended."""
+    """Raise `SystemExit` on SIGTERM, so that everything started here is ended."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
         sys.exit(0)

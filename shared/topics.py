@@ -171,7 +171,7 @@ TOPICS = (
           qos=1, retain=True),
     Topic("simulation/roads", RoadNetwork, "the roads of the simulated world, for a map", qos=1, retain=True),
     Topic("truth/state", TruthState, "true position of the simulated vehicle", rate_hz=10.0, silent_after_s=5.0),
-    Topic("health/+", ProcessHealth, "birth, heartbeat, disconnect and last will of a process",
+    Topic("health/+", ProcessHealth, "start, heartbeat, disconnect and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("consumed/+", Consumed, "the order in which a process consumed its messages",
           rate_hz=1.0, silent_after_s=10.0),

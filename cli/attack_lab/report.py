@@ -12,7 +12,7 @@ import numpy as np
 from shared.messages.trust import TrustLevel
 
 from ..solve.metrics.integrity import Protected
-from ..solve.report.plots import BLUE, GREEN, GREY, ORANGE, RED, Figure, inline_svg, stacked_axes
+from ..solve.report.drawing import BLUE, GREEN, GREY, ORANGE, RED, Figure, inline_svg, stacked_axes
 from ..solve.report.report import STYLE
 from ..solve.report.stanford import stanford
 from .score import (

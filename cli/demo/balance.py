@@ -64,7 +64,7 @@ class Summary:
 
 
 class Balance:
-    """Collects the messages of a run for its summary; without a summary it keeps nothing."""
+    """Collects the messages of a run for its figures; with `keep=False` only whether they arrive."""
 
     def __init__(self, vehicle: VehicleFile, *, keep: bool = True) -> None:
         self._keep = keep

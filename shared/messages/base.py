@@ -61,10 +61,10 @@ class Message(BaseModel):
 
 
 class Sender(Message):
-    """Who sent a message, in which life, as which of theirs: the field `sender` of every payload on the bus."""
+    """Process, incarnation and sequence number of a message: the field `sender` of every payload on the bus."""
 
     process: Name
-    incarnation: Annotated[Nanoseconds, unit("ns")]  # start of that life on the OBU time line
+    incarnation: Annotated[Nanoseconds, unit("ns")]  # start of the process on the OBU time line
     sequence: Annotated[Count, Field(ge=0, lt=LARGEST_NS)]
     recorded_ns: Nanoseconds | None = None  # arrival at the recorder, of a message that is replayed
 

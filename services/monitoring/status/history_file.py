@@ -13,14 +13,14 @@ Record = Mapping[str, object]
 
 
 class HistoryFile:
-    """Appends records, and reads those of earlier lives; what cannot be read or written is left out with a warning."""
+    """Appends records, and reads those of earlier incarnations; what cannot be read or written is logged."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._before = path, path.with_suffix(".before.jsonl")
         self._failed = False
 
     def read(self) -> Iterator[bytes]:
-        """Give the lines of earlier lives, oldest first."""
+        """Lines of earlier incarnations, oldest first."""
         for path in (self._before, self._path):
             try:
                 yield from path.read_bytes().splitlines() if path.exists() else []

@@ -200,7 +200,7 @@ def show(evidence: Evidence) -> Verdict:
 
 
 def no_verdict(age_s: float | None) -> str | None:
-    """Say for how long there has been no verdict; None while the newest is within its deadline."""
+    """Time without a verdict, as text; None while the newest is within its deadline."""
     if age_s is not None and age_s < _stale_after_s("trust/state"):
         return None
     return "no verdict" if age_s is None else f"no verdict for {age_s:.0f} s"

@@ -28,7 +28,7 @@ _QUALITY_REASONS: dict[SignalQuality | None, str] = {
 
 
 def gnss(state: State, now_ns: int) -> Json:
-    """Show each receiver, the one with the newest message first."""
+    """Show each receiver, the one received last first."""
     trust = state.newest(TrustState, "trust/state", now_ns, live=True)
     monitor = next((m for m in trust.monitors if m.monitor == "satellites"), None) if trust else None
     tests = {test.name: test for test in monitor.tests} if monitor else {}
@@ -55,7 +55,7 @@ def name_of(constellation: Constellation, number: int) -> str:
 
 
 def why_not_used(satellite: Satellite, mask_rad: float | None) -> str | None:
-    """Say why a receiver does not use a satellite, as far as it states it; None of one that is used."""
+    """Reason stated by a receiver for not using a satellite; None for one that is used."""
     below = mask_rad is not None and satellite.elevation_rad is not None and satellite.elevation_rad < mask_rad
     reasons = (
         (satellite.healthy is False, "unhealthy, by its own message"),

@@ -29,7 +29,6 @@ NS = 1_000_000_000
 MS = 1_000_000
 START_NS = 1_767_225_600 * NS  # 2026-01-01 00:00:00
 ITOW_MS = 4 * 86_400_000 + 18_000  # the same instant: a Thursday
-CHAIN = ("PVT", "DOP", "COV")
 
 
 def ubx(kind: str, itow_ms: int, **fields: Any) -> bytes:
