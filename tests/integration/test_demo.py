@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import httpx
 import numpy as np
 import psutil
 import pytest
+from playwright.sync_api import Page, expect
 
 from shared.bus.bus import Bus
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
@@ -26,6 +28,7 @@ from shared.runtime.config import BrokerAddress, load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
 from shared.topics import TOPICS
 from tests.support import mqtt
+from tests.support.chromium import chromium
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -160,6 +163,58 @@ def error_ned_m(solution: NavigationSolution, truth: dict[int, TruthState]) -> t
         math.radians(solution.latitude_deg), math.radians(solution.longitude_deg), solution.height_ellipsoid_m
     )
     return ned_from_geodetic_difference(here, there)
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("demo", ["mosquitto"], indirect=True)
+def test_the_drive_so_far_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
+    broken = demo.folder / "recordings" / "20200101T000000Z_broken.mcap"
+    broken.write_bytes(b"this is no recording")
+    address = f"http://127.0.0.1:{demo.port}"
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(f"{address}/#/recordings")
+        ours = page.locator(".recording", has_text="being recorded")
+        ours.get_by_role("button", name="Replay").click()
+        opens = page.get_by_role("link", name="Open the replay")
+        expect(opens).to_be_visible(timeout=40_000)
+        expect(ours.get_by_role("button", name="Solve")).to_be_disabled()
+        second = httpx.post(f"{address}/api/recordings", json={"action": "solve", "name": broken.name}, timeout=5.0)
+        assert (second.status_code, second.json()["detail"]) == (409, "another job runs; stop it first")
+        with page.expect_popup() as popup:
+            opens.click()
+        replay_and_scrub(popup.value)
+        page.get_by_role("button", name="Stop").click()
+        job = page.locator(".job")
+        expect(job).to_contain_text("has ended", timeout=15_000)
+        ours.get_by_role("button", name="Solve").click()
+        expect(job).to_contain_text("runs")
+        report = ours.get_by_role("link", name="Report")
+        expect(report).to_be_visible(timeout=60_000)
+        expect(job).to_contain_text(re.compile("has ended.*Wrote .*report.html"), timeout=10_000)
+        with page.expect_popup() as popup:
+            report.click()
+        expect(popup.value.get_by_role("heading", level=1)).to_be_visible()
+        page.locator(".recording", has_text="broken").get_by_role("button", name="Solve").click()
+        expect(job).to_contain_text("is no recording, not even a damaged one", timeout=20_000)
+        expect(job).to_contain_text("failed")
+    broken.unlink()
+
+
+def replay_and_scrub(page: Page) -> None:
+    """Pause, choose a speed and drag to a position: the page shows recorded time as a replay."""
+    expect(page.locator(".origin")).to_contain_text("REPLAY", timeout=15_000)
+    page.get_by_role("button", name="Pause the replay").click()
+    expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
+    page.get_by_label("Speed of the replay").select_option("10")
+    scrubber = page.get_by_role("slider")
+    scrubber.fill("12")
+    expect(page.locator(".replay-time")).to_contain_text("0:12 of")
+    held = page.locator(".replay-time").inner_text()
+    page.wait_for_timeout(500)
+    assert page.locator(".replay-time").inner_text() == held
+    page.get_by_role("button", name="Play", exact=True).click()
+    expect(page.locator(".replay-time")).to_contain_text(re.compile("0:(1[5-9]|[2-5])"))
 
 
 GARBAGE = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)

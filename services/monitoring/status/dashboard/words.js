@@ -47,6 +47,8 @@ export const words = {
     cancel: "Cancel",
     replay: "Replay",
     solve: "Solve",
+    busy: "Another job runs. Stop it first.",
+    soFar: "What has been recorded so far",
     report: "Report",
     open: "Open the replay",
     stop: "Stop",
