@@ -113,7 +113,7 @@ golden: setup ## write the stored result of the golden drive anew (the differenc
 	@$(PYTHON) -m tests.support.golden
 
 picture: $(VENV)/.debian ## take the README's picture anew from a running demo
-	@$(PYTHON) docs/picture.py
+	@$(PYTHON) -m docs.picture
 
 clean: ## remove what set-up and runs have made
 	rm -rf $(VENV) .obu services/monitoring/status/dashboard/node_modules .pytest_cache .mypy_cache .ruff_cache

@@ -31,6 +31,7 @@ export const words = {
     free: (size) => `newest first, ${size} free`,
     recording: "being recorded",
     computing: "summary is being computed",
+    unreadable: "cannot be read",
     noPosition: "no position",
     outages: (n) => (n === 0 ? "no outage" : n === 1 ? "1 outage" : `${n} outages`),
     kept: "kept",
