@@ -7,7 +7,7 @@ Two hours take a quarter of an hour of one core.
 import sys
 from pathlib import Path
 
-from services.sensors.simulator.world import messages
+from services.sensors.simulator.world import DEFAULT_START_NS, messages
 from shared.recording import RecordingWriter
 from shared.runtime.config import load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
@@ -28,7 +28,7 @@ def write(path: Path, seconds: float = TWO_HOURS_S) -> Path:
     part = path.with_suffix(".part")
     part.unlink(missing_ok=True)
     writer = RecordingWriter(part, vehicle=vehicle.name, vehicle_toml=vehicle.text)
-    now_ns = 0
+    now_ns = DEFAULT_START_NS  # of what comes before the first stamp
     for sequence, message in enumerate(OfflineUnit(vehicle).run(messages(SCENARIO, SEED, seconds))):
         now_ns = max(now_ns, arrival_ns(message) or 0)
         writer.write(sent(message, now_ns, BY_MESSAGE[type(message)].producers[0], 1, sequence))

@@ -23,14 +23,13 @@ from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message, RawBytes
 from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
 from shared.processes import Role, running
-from shared.recording import Recording, RecordingWriter
+from shared.recording import Recording
 from shared.runtime.config import BrokerAddress, load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
 from shared.topics import TOPICS
 from tests.support import mqtt
 from tests.support.chromium import chromium
-from tests.support.envelopes import sent
-from tests.support.golden import VEHICLE, device_bytes
+from tests.support.golden import record_golden_drive
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -172,7 +171,7 @@ def error_ned_m(solution: NavigationSolution, truth: dict[int, TruthState]) -> t
 def test_the_drive_so_far_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
     broken = demo.folder / "recordings" / "20200101T000000Z_broken.mcap"
     broken.write_bytes(b"this is no recording")
-    half_a_minute = golden_recording(demo.folder / "recordings" / "20200102T000000Z_demo.mcap")
+    half_a_minute = record_golden_drive(demo.folder / "recordings" / "20200102T000000Z_demo.mcap")
     address = f"http://127.0.0.1:{demo.port}"
     with chromium() as browser:
         page = browser.new_page()
@@ -205,16 +204,6 @@ def test_the_drive_so_far_is_replayed_and_solved_from_the_page(demo: Demo) -> No
         expect(page.locator(".recording", has_text="broken")).to_contain_text("cannot be read", timeout=20_000)
     for file in broken, half_a_minute:
         file.unlink()
-
-
-def golden_recording(path: Path) -> Path:
-    """Record the bytes of the golden drive."""
-    vehicle = load_vehicle(VEHICLE)
-    writer = RecordingWriter(path, vehicle=vehicle.name, vehicle_toml=vehicle.text)
-    for sequence, message in enumerate(device_bytes()):
-        writer.write(sent(message, message.received_ns, "sensors.simulator", 1, sequence))
-    writer.close()
-    return path
 
 
 def replay_and_scrub(page: Page) -> None:
