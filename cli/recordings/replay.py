@@ -105,7 +105,9 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     logging.getLogger("cli.demo.supervisor").setLevel(logging.ERROR)
     try:
         _wait_for_page(supervisor, folder)
-        console.print(f"{file.name} is replayed at [bold]http://127.0.0.1:{http_port}[/]   (end with Ctrl-C)")
+        console.print(
+            f"{file.name} is replayed at [bold]http://127.0.0.1:{http_port}[/]   (end with Ctrl-C)", soft_wrap=True
+        )
         console.print(
             f"to listen: export OBU_BROKER={environment['OBU_BROKER']} OBU_VEHICLE={environment['OBU_VEHICLE']}",
             style="dim", soft_wrap=True, highlight=False,
