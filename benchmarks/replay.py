@@ -45,7 +45,7 @@ PLAIN_FRAMES = "delete window.DecompressionStream"  # so that they can be repeat
 SAMPLER = """() => {
   const shown = (window.shown = []);
   const look = () => {
-    const texts = [...document.querySelectorAll("#position .coordinates dd")].map((e) => e.textContent);
+    const texts = [...document.querySelectorAll(".coordinates dd")].map((e) => e.textContent);
     const [latitude, longitude] = texts.map(parseFloat);
     const last = shown.at(-1);
     if (!last || last[1] !== latitude || last[2] !== longitude) shown.push([performance.now(), latitude, longitude]);
@@ -79,7 +79,7 @@ def replay_of(drive: Path) -> Iterator[tuple[str, float]]:
 
 
 def opened(browser: Browser, drive: Path) -> list[Row]:
-    """Time the opening: address, bar with scrubber and position, events on the scrubber."""
+    """Time the opening: the address, the bar with its scrubber and recorded time, the events on the scrubber."""
     rows: list[Row] = []
     summary = drive.with_name(drive.name + ".summary.json")
     for known in (False, True):
@@ -91,7 +91,7 @@ def opened(browser: Browser, drive: Path) -> list[Row]:
             began = time.monotonic()
             page.goto(address)
             page.locator(".replay-scrubber input").wait_for(timeout=LIMIT_MS)
-            page.locator("#position .coordinates").wait_for(timeout=LIMIT_MS)
+            page.locator(".replay-time time").wait_for(timeout=LIMIT_MS)
             page_s = time.monotonic() - began
             page.locator(".replay-track .segment").nth(1).wait_for(state="attached", timeout=LIMIT_MS)
             events_s = time.monotonic() - began
@@ -110,12 +110,13 @@ def scrubbed(browser: Browser, drive: Path) -> Row:
     page = browser.new_page(viewport={"width": 1360, "height": 850})
     with replay_of(drive) as (address, _), Recording(drive) as recording:
         page.goto(address)
-        page.locator("#position .coordinates").wait_for(timeout=LIMIT_MS)
-        page.get_by_role("button", name="Pause the replay").click()
+        page.get_by_role("button", name="Pause the replay").click(timeout=LIMIT_MS)
         page.get_by_role("button", name="Play", exact=True).wait_for()
         box = page.locator(".replay-scrubber input").bounding_box()
         assert box is not None
         at = [box["x"] + box["width"] * (0.1 + 0.8 * k / POSITIONS) for k in range(POSITIONS)]
+        httpx.post(f"{address}/api/replay", json={"command": "seek", "position_s": 600.0}, timeout=5.0)
+        page.locator(".coordinates").wait_for(timeout=LIMIT_MS)  # none before the first solution
         page.evaluate(SAMPLER)
         page.mouse.move(at[0], box["y"] + box["height"] / 2)
         page.mouse.down()
@@ -243,7 +244,7 @@ def lines(found: Row) -> Iterator[str]:
     for row in found.get("opens", ()):
         known = "with" if row["summary_known"] else "without"
         yield (
-            f"- Opens {known} a summary beside it: address after {row['address_s']:.1f} s, bar and position "
+            f"- Opens {known} a summary beside it: address after {row['address_s']:.1f} s, bar with recorded time "
             f"{row['page_s']:.1f} s later; events after {row['events_s']:.1f} s."
         )
     if "paints" in found:

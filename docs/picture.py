@@ -30,7 +30,7 @@ WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshad
 WIDE: ViewportSize = {"width": 1360, "height": 850}
 PHONE: ViewportSize = {"width": 390, "height": 844}
 MORE = ("now", "map")  # pages that are shown dark and on a phone as well
-EARLIER = ("20260921T141320Z_demo.mcap", 300.0)  # a drive of this length [s] for the page Recordings
+EARLIER = ("20260921T141320Z_demo.mcap", 120.0)  # a drive of this length [s] for the page Recordings
 DEMOS = (  # arguments, the topic that is waited for, the pages
     (
         ("--scenario", "urban"),
