@@ -1,14 +1,16 @@
 """Charges under loss, repetition, reordering and kills: `python -m benchmarks.toll_campaign --parts 10`.
 
 The simulated plaza, `parsers.v2x`, `parsers.gnss`, `core.toll` and the ledger run in one thread on simulated time. A
-kill ends `core.toll` between any two of its answers, or the ledger at any statement of a transaction; what was on the
-way to the dead process is lost, as on a bus without sessions. The next life begins 0.5 to 2 s later, with the retained
-delta position.
+kill ends `core.toll` before or after one of its statements, or the ledger before one of its database statements, before
+a commit, or before it publishes; the steps are drawn in turns. What was on the way to the dead process is lost, as on a
+bus without sessions. The next life begins 0.5 to 2 s later, with the retained delta position.
 
 A passage is decided where `core.toll` has found the lane of its crossing, whether or not that statement arrived. The
-vehicles of the first 30 s, before the first delta position, drive on an unprepared plaza and are not counted.
+vehicles of the first 30 s, before the first delta position, drive on an unprepared plaza and are not counted. The
+simulated road begins 150 m before the approach line and ends 90 m behind the exit line.
 
-The campaign is made of parts with a ledger and a seed each; the sum of the parts so far is written after each of them.
+The campaign is made of parts with a ledger and a seed each. The sum of the parts so far is written after each of them;
+`--keep` stores the parts themselves, and those that are there are not computed again.
 """
 
 import argparse
@@ -17,8 +19,8 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -47,26 +49,42 @@ from shared.messages.toll import (
     TransactionKind,
 )
 from shared.messages.v2x import CamFrames, CamList, Encapsulation
-from shared.toll.plaza import load_plaza, plaza_path
+from shared.toll.plaza import Lane, Plaza, along, load_plaza, plaza_path
 from shared.v2x import frames
 
 NS = 1_000_000_000
-BATCH_NS = 20_000_000
-LEDGER_NS = 100_000_000
+BATCH_NS = 100_000_000  # of what is delivered together; each frame keeps its own time of arrival
 SECOND_STEPS = NS // BATCH_NS
+RECONCILE_STEPS = 10 * SECOND_STEPS
 START_NS = 1_790_000_000 * NS
 PLAZA_FILE = Path("deploy/plazas/example.geojson")
 DRAIN_S = 330.0
 ANSWERS_LOST = 0.05
+CORE_STEPS = tuple(
+    f"core.toll {side} {event}"
+    for event in ("open", "checkpoint", "crossed", "charged", "undecided")
+    for side in ("before", "after")
+)
+LEDGER_STEPS = tuple(
+    f"ledger before {step}"
+    for step in (
+        "INSERT INTO registration", "INSERT OR IGNORE INTO pulse", "INSERT OR REPLACE INTO passage", "UPDATE settled",
+        "INSERT INTO booking", "INSERT INTO outbox", "INSERT INTO evidence", "DELETE FROM passage",
+        "INSERT INTO settled", "INSERT INTO crossing", "INSERT OR IGNORE INTO receipt", "DELETE FROM outbox",
+        "INSERT INTO balance", "UPDATE pulse", "DELETE FROM crossing", "COMMIT", "publishing a transaction",
+        "publishing open passages",
+    )
+)  # fmt: skip
 WARM_UP_NS = 30 * NS
+BEFORE_M, BEHIND_M = 150.0, 90.0  # of the approach and the exit line: the simulated road
 RESULTS = Path(__file__).parent / "results"
+EXPLANATION = Path(__file__).parents[1] / "docs/explanation/charging.md"
+BEGIN, END = "<!-- printed by `python -m benchmarks.toll_campaign` -->\n", "<!-- end -->\n"
 TITLE = """# Charging under kills
 
 By `python -m benchmarks.toll_campaign`: simulated vehicles on the example plaza, 5 % of the frames lost, 2 % repeated,
-5 % delayed by up to 1 s; `core.toll` or the ledger is killed between any two of its steps.
+5 % delayed by up to 1 s; `core.toll` or the ledger is killed at each of its steps.
 
-| quantity | value |
-| --- | --- |
 """
 
 
@@ -107,7 +125,7 @@ class Result:
     def is_good(self) -> bool:
         """Whether the goals of the protocol are met."""
         return (
-            self.double_charges == self.wrong_charges == 0
+            self.double_charges == self.wrong_charges == self.charged_without_detection == 0
             and self.reconciliation_exact
             and self.charged_share_of_decided >= 0.99
         )
@@ -134,20 +152,16 @@ def _sum(one: Any, other: Any) -> Any:
 
 
 class KillableStore(Store):
-    """A store that is killed at a given statement."""
+    """A store that is killed before a given statement."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self.statements_left: int | None = None
-        self.last = ""
+        self.deadly: str | None = None
 
     def execute(self, sql: str, *values: Value) -> int:
         """Run a statement, or die before it."""
-        if self.statements_left is not None:
-            self.statements_left -= 1
-            if self.statements_left < 0:
-                self.last = " ".join(sql.split()[:3])
-                raise Killed
+        if self.deadly and f"ledger before {sql}".startswith(self.deadly):
+            raise Killed
         return super().execute(sql, *values)
 
 
@@ -158,7 +172,7 @@ class Campaign:
         self.rng = np.random.default_rng((seed, 7))
         self.plaza = load_plaza(PLAZA_FILE)
         channel = Channel(loss=0.05, duplicates=0.02, reordered=0.05, reorder_s=1.0)
-        self.world = World(self.plaza, Traffic(vehicles=vehicles, channel=channel), seed, START_NS)
+        self.world = World(_near_gate(self.plaza), Traffic(vehicles=vehicles, channel=channel), seed, START_NS)
         self.path = folder / "ledger.sqlite"
         self.gnss, self.v2x = GnssParser(GnssConfig()), V2xParser(V2xConfig())
         self.core: Toll | None = Toll(TollConfig())
@@ -169,7 +183,8 @@ class Campaign:
         self.operator, self.receipts = Operator(), list[TollReceipt]()
         self.kills: Counter[str] = Counter()
         self.passages_per_kill, self.next_kill = passages_per_kill, passages_per_kill
-        self.armed: str | None = None
+        self.armed: str | None = None  # step of the next kill, once that is due
+        self.steps: dict[str, list[str]] = {"core": [], "ledger": []}  # still to be drawn in this turn
         self.world_now_ns = START_NS
         self.truth: dict[int, TrafficPassage] = {}
         self.contract_of: dict[int, str] = {}
@@ -185,8 +200,7 @@ class Campaign:
         counted: set[int] = set()
         for step, (now_ns, items) in enumerate(self._batches()):
             self._receive(now_ns, items)
-            if step % (LEDGER_NS // BATCH_NS) == 0:
-                self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0)
+            self._serve_ledger(now_ns, second=step % SECOND_STEPS == 0, reconcile=step % RECONCILE_STEPS == 0)
             if step % SECOND_STEPS == 0 and self.core is not None:
                 self._publish(self._answers(Tick(now_ns=now_ns)), now_ns)
             if stop_ns is None and len(self.truth) >= passages:
@@ -200,34 +214,40 @@ class Campaign:
                       file=sys.stderr, flush=True)  # fmt: skip
         return self._result(counted, (now_ns - START_NS) * 1e-9, time.process_time() - started)
 
-    def _batches(self) -> Iterator[tuple[int, list[Frame | Message]]]:
+    def _batches(self) -> Iterator[tuple[int, list[tuple[int, Frame | Message]]]]:
         now_ns = START_NS
-        batch: list[Frame | Message] = []
+        batch: list[tuple[int, Frame | Message]] = []
         for due_ns, item in self.world:
             while due_ns >= now_ns + BATCH_NS:
                 now_ns += BATCH_NS
                 yield now_ns, batch
                 batch = []
-            batch.append(item)
+            batch.append((due_ns, item))
 
-    def _receive(self, now_ns: int, items: list[Frame | Message]) -> None:
-        """Deliver what arrives within 20 ms; a kill is due every so many passages."""
+    def _receive(self, now_ns: int, items: list[tuple[int, Frame | Message]]) -> None:
+        """Deliver what arrives within 100 ms; a kill is due every so many passages."""
         if len(self.truth) >= self.next_kill and self.armed is None:
             self.next_kill += self.passages_per_kill * float(self.rng.uniform(0.5, 1.5))
-            self.armed = "core" if self.rng.random() < 0.5 else "ledger"
+            self.armed = self._next_step("core" if self.rng.random() < 0.5 else "ledger")
         if self.core is None and now_ns >= self.core_back_ns:
             self.core = Toll(TollConfig())
             if self.delta is not None:
                 self._publish(self._answers(self.delta), now_ns)
-        for item in items:
+        for _, item in items:
             if not isinstance(item, Frame):
                 self._deliver(item, now_ns)
-        received = [(now_ns, item.data) for item in items if isinstance(item, Frame)]
+        received = [(due_ns, item.data) for due_ns, item in items if isinstance(item, Frame)]
         batch = CamFrames(received_ns=now_ns, source="v2x0", encapsulation=Encapsulation.GEONETWORKING,
                           data=frames.pack(received))  # fmt: skip
         for cams in self.v2x.handle(batch):
             if isinstance(cams, CamList):
                 self._publish(self._answers(cams), now_ns)
+
+    def _next_step(self, process: str) -> str:
+        """Draw a step of a process; each is drawn once before any is drawn again."""
+        steps = CORE_STEPS if process == "core" else LEDGER_STEPS
+        self.steps[process] = self.steps[process] or self.rng.permutation(steps).tolist()
+        return self.steps[process].pop()
 
     def _deliver(self, item: Message, now_ns: int) -> None:
         match item:
@@ -260,13 +280,20 @@ class Campaign:
             if event.state.is_final:
                 for contract in contracts:
                     self.ends[contract].add(f"{event.state}: {event.reason}")
-        if self.armed == "core" and events:
-            said = int(self.rng.integers(0, len(events) + 1))
-            self.kills["core after " + (events[said - 1].state.value if said else "nothing")] += 1
-            self.armed, self.core = None, None
-            self.core_back_ns = self.world_now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
-            return list(events[:said])
+        for number, event in enumerate(events):
+            name = "checkpoint" if event.checkpoint else event.state.value
+            if self.armed in (f"core.toll before {name}", f"core.toll after {name}"):
+                said = number + self.armed.startswith("core.toll after")
+                self._count_kill()
+                self.core = None
+                self.core_back_ns = self.world_now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
+                return list(events[:said])
         return answers
+
+    def _count_kill(self) -> None:
+        assert self.armed is not None
+        self.kills[self.armed] += 1
+        self.armed = None
 
     def _publish(self, answers: list[Message], now_ns: int) -> None:
         self.world_now_ns = now_ns
@@ -282,7 +309,7 @@ class Campaign:
         self.store = KillableStore(self.path)
         self.ledger = Ledger(self.store, self.plaza, plaza_path(PLAZA_FILE).read_text(), Settings(), now_ns)
 
-    def _serve_ledger(self, now_ns: int, *, second: bool) -> None:
+    def _serve_ledger(self, now_ns: int, *, second: bool, reconcile: bool) -> None:
         self.world_now_ns = now_ns
         messages, self.inbox = [*self.inbox, *self.receipts], []
         self.receipts = []
@@ -291,17 +318,17 @@ class Campaign:
                 return  # lost
             self._begin_ledger(now_ns)
         assert self.ledger is not None and self.store is not None
-        has_statement = any(isinstance(m, TollPassage) for m in messages)
-        if self.armed == "ledger" and has_statement:
-            self.store.statements_left = int(self.rng.integers(0, 12))
+        self.store.deadly = self.armed
         try:
             with self.store.transaction():
                 for message in messages:
-                    self._store(message, now_ns)
-            if second:
+                    self.ledger.use(message, now_ns)
+                if messages:
+                    self._die_at("COMMIT")
+            if reconcile:
                 with self.store.transaction():
-                    self.ledger.expire(now_ns)
                     self.ledger.reconcile(now_ns)
+                    self.ledger.expire(now_ns)
             for transaction in self.ledger.due(now_ns):
                 self._die_at("publishing a transaction")
                 receipt = self.operator.receive(transaction, now_ns)
@@ -311,30 +338,14 @@ class Campaign:
                 self._die_at("publishing open passages")
                 self._publish(self._answers(self.ledger.open_passages(now_ns)), now_ns)
         except Killed:
-            self.kills[f"ledger before {self.store.last}"] += 1
+            self._count_kill()
             self.store.close()
-            self.armed = self.ledger = self.store = None
+            self.ledger = self.store = None
             self.ledger_back_ns = now_ns + round(float(self.rng.uniform(0.5, 2.0)) * NS)
 
     def _die_at(self, step: str) -> None:
-        assert self.store is not None
-        if self.armed == "ledger" and self.store.statements_left is not None and self.rng.random() < 0.5:
-            self.store.last = step
+        if self.armed == f"ledger before {step}":
             raise Killed
-
-    def _store(self, message: Message, now_ns: int) -> None:
-        assert self.ledger is not None
-        match message:
-            case TollRegistration():
-                self.ledger.register(message, now_ns)
-            case PlazaDetector():
-                self.ledger.detect(message, now_ns)
-            case TollPassage():
-                self.ledger.passage(message, now_ns)
-            case TollReceipt():
-                self.ledger.receipt(message, now_ns)
-            case _:
-                raise TypeError(f"the ledger does not consume {type(message).__name__}")
 
     def _result(self, counted: set[int], simulated_s: float, cpu_s: float) -> Result:
         assert self.ledger is not None
@@ -377,19 +388,35 @@ class Campaign:
         return dict(Counter(" + ".join(sorted(self.ends[c])) or "no passage" for c in contracts))
 
 
+def _near_gate(plaza: Plaza) -> Plaza:
+    """Shorten the lanes to what the passages need."""
+    return plaza.model_copy(update={"lanes": tuple(_shortened(lane) for lane in plaza.lanes)})
+
+
+def _shortened(lane: Lane) -> Lane:
+    approach, leave = along(lane.centre, lane.approach), along(lane.centre, lane.exit)
+    assert approach is not None and leave is not None, "the plaza's file was checked for it"
+    steps = np.hypot(*np.diff(lane.centre, axis=0).T)
+    distance = np.concatenate([[0.0], np.cumsum(steps)])
+    begin, end = approach - BEFORE_M, leave + BEHIND_M
+    kept = [begin, *distance[(distance > begin) & (distance < end)], end]
+    points = np.stack([np.interp(kept, distance, lane.centre[:, axis]) for axis in range(2)], axis=1)
+    return lane.model_copy(update={"centre": points})
+
+
 def campaign(passages: int, kills: int, seed: int, vehicles: int, folder: Path) -> Result:
     """Run one campaign in a folder of its own."""
     made = Campaign(folder, seed, vehicles, max(passages / kills * 0.9, 1.0) if kills else float("inf"))
     return made.run(passages)
 
 
-def markdown(result: Result) -> str:
-    """Write the result as a page."""
+def table(result: Result) -> str:
+    """Write the result as a table."""
     undecided = sum(result.undecided.values())
     rows = {
         "passages, after the first 30 s of each part": f"{result.passages}, {result.registered} of them registered",
-        "kills of core.toll, of the ledger": f"{result.kills_core}, {result.kills_ledger}",
-        "steps at which they were killed": ", ".join(f"{step} {n}" for step, n in result.kills_by_step.items()),
+        "kills": f"{result.kills_core} of `core.toll`, {result.kills_ledger} of the ledger, "
+        f"at {len(result.kills_by_step)} of {len(CORE_STEPS + LEDGER_STEPS)} steps",
         "double charges, charges of who has not passed": f"{result.double_charges}, {result.wrong_charges}",
         "lane decided": f"{result.decided}, of them charged {100.0 * result.charged_share_of_decided:.2f} %",
         "charged in the right lane": f"{result.lanes_right} of {result.charged}",
@@ -400,13 +427,45 @@ def markdown(result: Result) -> str:
         "charges without a detection": f"{result.charged_without_detection}",
         "simulated time, processor time": f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s",
     }
-    return TITLE + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
+    return _table(("quantity", "value"), rows)
+
+
+def _table(head: tuple[str, str], rows: Mapping[str, object]) -> str:
+    return "".join(f"| {name} | {value} |\n" for name, value in [head, ("---", "---"), *rows.items()])
+
+
+def part(seed: int, keep: Path | None, passages: int, kills: int, vehicles: int) -> Result:
+    """Compute a part of the campaign, or read it where it is kept."""
+    kept = keep / f"part-{seed}.json" if keep else None
+    if kept and kept.exists():
+        return _result(kept)
+    with tempfile.TemporaryDirectory() as folder:
+        result = campaign(passages, kills, seed, vehicles, Path(folder))
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(result.as_json() + "\n", encoding="utf-8")
+    return result
 
 
 def store(result: Result) -> None:
-    """Write the result as a page and as JSON."""
-    (RESULTS / "toll_campaign.md").write_text(markdown(result), encoding="utf-8")
+    """Write the result as JSON, as a page, and into the explanation of charging."""
     (RESULTS / "toll_campaign.json").write_text(result.as_json() + "\n", encoding="utf-8")
+    steps = {step: result.kills_by_step.get(step, 0) for step in CORE_STEPS + LEDGER_STEPS}
+    page = TITLE + table(result) + "\n" + _table(("killed", "times"), steps)
+    (RESULTS / "toll_campaign.md").write_text(page, encoding="utf-8")
+    before, rest = EXPLANATION.read_text(encoding="utf-8").split(BEGIN)
+    after = rest.split(END, 1)[1]
+    EXPLANATION.write_text(before + BEGIN + table(result) + END + after, encoding="utf-8")
+
+
+def stored() -> Result:
+    """Read the result of the stored campaign."""
+    return _result(RESULTS / "toll_campaign.json")
+
+
+def _result(path: Path) -> Result:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    return Result(**{one.name: content[one.name] for one in fields(Result)})
 
 
 def main() -> None:
@@ -417,13 +476,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--vehicles", type=int, default=100)
     parser.add_argument("--parts", type=int, default=1)
+    parser.add_argument("--keep", type=Path, help="folder of the parts, so that a campaign can be continued")
     parser.add_argument("--no-store", action="store_true", help="print only")
     given = parser.parse_args()
     result = Result()
-    for part in range(given.parts):
-        with tempfile.TemporaryDirectory() as folder:
-            passages, kills = given.passages // given.parts, given.kills // given.parts
-            result = result.plus(campaign(passages, kills, given.seed + part, given.vehicles, Path(folder)))
+    passages, kills = given.passages // given.parts, given.kills // given.parts
+    for seed in range(given.seed, given.seed + given.parts):
+        result = result.plus(part(seed, given.keep, passages, kills, given.vehicles))
         if not given.no_store:
             store(result)
     print(result.as_json())

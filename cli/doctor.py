@@ -122,7 +122,7 @@ def _unit(vehicle: VehicleFile) -> Iterator[Finding]:
         if health is None:
             yield Finding(False, f"{name} runs", "no health message received; see its log")
         elif health.state is not ProcessState.READY or now_ns - health.sent_ns > SILENT_NS:
-            state = "silent" if health.state is ProcessState.READY else health.state
+            state = "no heartbeat" if health.state is ProcessState.READY else health.state
             yield Finding(False, f"{name} runs", f"state: {state}; see its log")
         else:
             yield Finding(not health.last_error, f"{name} runs", f"last error: {health.last_error}")

@@ -265,7 +265,7 @@ def _ended(function: Callable[..., int]) -> Callable[..., None]:
 
 
 def _end_on_sigterm() -> None:
-    """Let SIGTERM unwind the stack as Ctrl-C does, so that everything started here is ended."""
+    """Raise `SystemExit` on SIGTERM, so that everything started here is ended."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
         sys.exit(0)
@@ -395,7 +395,7 @@ def _record(
     ] = None,
     vehicle: VehicleOption = None,
 ) -> None:
-    """Record everything that a running unit says, beside its own recorder.
+    """Record every message of a running unit, beside its own recorder.
 
     Examples:
     [bold]obu record -o drive.mcap[/]

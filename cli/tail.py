@@ -48,7 +48,7 @@ def follow(name: str, vehicle: VehicleFile, count: int | None, *, raw: bool = Fa
                 raise UserError(
                     f"{bus.last_error or 'no broker responds'}; is the unit running? Set OBU_BROKER to its broker"
                 )
-    except BrokenPipeError:  # who read has seen enough; what is left unwritten shall not be tried again at exit
+    except BrokenPipeError:  # the reader has closed the pipe; the rest is not written again at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     finally:
         bus.close()
@@ -71,7 +71,7 @@ def _hint(topic: Topic | None) -> str:
 
 
 def _write(envelope: Envelope, *, raw: bool) -> None:
-    """Write one message as a line, or as the bytes that are in it; each reaches a pipe at once."""
+    """Write one message as a line, or its bytes; each is flushed at once."""
     if not raw:
         print(_line(envelope), flush=True)
         return

@@ -17,6 +17,7 @@ from .messages.gnss import (
     GnssRawEpoch,
     GnssSatellites,
     GnssSignalQuality,
+    GnssSignals,
     GnssWrite,
 )
 from .messages.imu import ImuRaw, ImuSamples
@@ -105,6 +106,7 @@ TOPICS = (
     Topic("gnss/fix", GnssFix, "position and velocity of the antenna, one message an epoch",
           rate_hz=1.0, silent_after_s=5.0),
     Topic("gnss/satellites", GnssSatellites, "satellites in view", rate_hz=1.0, silent_after_s=10.0),
+    Topic("gnss/signals", GnssSignals, "C/N0 and use of each signal, from receivers that send them"),
     Topic("gnss/raw_epoch", GnssRawEpoch, "pseudoranges, carrier phases and Doppler, from receivers that send them"),
     Topic("gnss/fault_free_fix", FaultFreeFix, "least-squares fix of an epoch without the excluded satellites"),
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
@@ -169,7 +171,7 @@ TOPICS = (
           qos=1, retain=True),
     Topic("simulation/roads", RoadNetwork, "the roads of the simulated world, for a map", qos=1, retain=True),
     Topic("truth/state", TruthState, "true position of the simulated vehicle", rate_hz=10.0, silent_after_s=5.0),
-    Topic("health/+", ProcessHealth, "birth, heartbeat, disconnect and last will of a process",
+    Topic("health/+", ProcessHealth, "start, heartbeat, disconnect and last will of a process",
           rate_hz=2.0, silent_after_s=2.0, qos=1, retain=True),
     Topic("consumed/+", Consumed, "the order in which a process consumed its messages",
           rate_hz=1.0, silent_after_s=10.0),

@@ -47,13 +47,13 @@ class Model:
     """How errors of GNSS positions run, and what the filter knows of that."""
 
     lasts: bool = False  # for `LASTING_S`; if not, they are white
-    told: bool = True  # if not, the filter has to find it out
+    known: bool = True  # whether the filter is given the error model
 
 
 def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
     """Drive once, from `START` on."""
     drive = simulate(scenario, seed, duration_s)
-    lasts = model.lasts or not model.told
+    lasts = model.lasts or not model.known
     settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=lasts))
     rng = np.random.default_rng((seed, STREAM))
     first = START * EPOCH_NS // STEP_NS - 1
@@ -98,7 +98,7 @@ def _started(
         (north + x[3], east + x[4], down + x[5]),
         geodetic_from_ned_difference((x[6], x[7], x[8]), Geodetic(*drive.position[first].tolist())),
     )
-    colour = KnownGnssErrors(LASTING_S, 1.0 - WHITE_SHARE) if model.told else UNKNOWN
+    colour = KnownGnssErrors(LASTING_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN
     navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), colour=colour)
     return navigation, -np.array(x[9:])  # of a filter that starts with biases of zero
 

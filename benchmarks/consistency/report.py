@@ -35,11 +35,11 @@ NO_MARGINS = {**FREE, "imu.accelerometer_bias_sd_m_s2": 0.0196, "imu.gyroscope_b
 CASES: dict[str, Model | Unit] = {
     "matched, white errors": Model(),
     "matched, errors of 60 s": Model(lasts=True),
-    "matched but for what has to be learnt: white errors": Model(told=False),
-    "matched but for what has to be learnt: errors of 60 s": Model(lasts=True, told=False),
+    "matched but for what has to be learnt: white errors": Model(known=False),
+    "matched but for what has to be learnt: errors of 60 s": Model(lasts=True, known=False),
     "as delivered, white errors": Unit(WHITE),
     "as delivered, errors of 60 s": Unit(LASTING),
-    "white errors, and told that none last": Unit(WHITE, NO_LASTING),
+    "white errors, and given as white": Unit(WHITE, NO_LASTING),
     "and neither standstill nor wheels": Unit(WHITE, FREE),
     "and biases no larger than the simulator's": Unit(WHITE, NO_MARGINS),
 }

@@ -95,9 +95,9 @@ def _hidden(stamps_ns: "np.typing.NDArray[np.int64]") -> "np.typing.NDArray[np.b
 def _judged(case: Case, drive: Drive, settings: Settings) -> Judged:
     navigator = Navigator(settings)
     navigator.use_prior(saved_heading(drive, YAW_SD))
-    told = fixes_of(drive, settings) + (speeds_of(drive, settings) if drive.seed % 2 else [])
+    measured = fixes_of(drive, settings) + (speeds_of(drive, settings) if drive.seed % 2 else [])
     readings = np.hstack([drive.force_b, drive.rate_b])
-    found = list(solve(navigator, drive.t_ns, readings, told, every_ns=EVERY_NS))
+    found = list(solve(navigator, drive.t_ns, readings, measured, every_ns=EVERY_NS))
     rows = np.searchsorted(drive.t_ns, [solution.time_ns for solution in found])
     origin = Geodetic(*drive.position[0].tolist())
     places = np.array([solution.position for solution in found])

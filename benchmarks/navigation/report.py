@@ -210,7 +210,8 @@ def page(document: Document) -> str:
         + ("**Of the shifted runs the first alone was made.** " if document["quick"] else "")
         + "Peers: published or measured by others on the same data, none of them in this run.\n\n"
         + _markdown(
-            ("drive", "quantity", "ours", "GNSS alone", "goal", "holds", "peers"), list(_accuracy(document["cases"]))
+            ("drive", "quantity", "ours", "GNSS alone", "goal", "holds", "peers"),
+            list(rows_of(document["cases"])),
         )
         + NOTES
         + "## Cost of an inertial sample\n\n"
@@ -222,7 +223,8 @@ def page(document: Document) -> str:
     )
 
 
-def _accuracy(cases: dict[str, Metrics]) -> Iterator[tuple[str, ...]]:
+def rows_of(cases: dict[str, Metrics]) -> Iterator[tuple[str, ...]]:
+    """One row for each goal: drive, quantity, our value, GNSS alone, goal, whether it holds, and peers."""
     for row in ROWS:
         metrics = cases.get(row.case, {})
         value, (alone, at_fixes) = shown(row, metrics), gnss_alone(row, metrics)

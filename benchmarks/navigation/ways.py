@@ -81,7 +81,7 @@ def _row(way: str, rate_hz: int, aiding: str, cost: Cost) -> str:
 
 
 def _turns(path: Path, rate_hz: int, aiding: str) -> dict[str, Cost]:
-    """Let the ways take turns; of each the least of every figure."""
+    """Run the ways in turns; the least of every figure of each."""
     found: dict[str, list[Cost]] = {}
     for _ in range(REPETITIONS):
         for way in WAYS:
@@ -197,7 +197,7 @@ def _load(path: Path, rate_hz: int, aiding: str) -> Log:
 
 def _sample_by_sample(log: Log, first: "Callable[[], None]") -> float:
     """CPU seconds."""
-    given, seconds, navigator, pending, told = 0, 0.0, log.fresh(), log.measurements, False
+    given, seconds, navigator, pending, aligned = 0, 0.0, log.fresh(), log.measurements, False
     for begin in range(0, len(log.stamps), CHUNK):  # the whole log as Python's numbers would be most of the memory
         stamps, rows = log.stamps[begin : begin + CHUNK].tolist(), log.samples[begin : begin + CHUNK].tolist()
         chunk = [(stamp, tuple(row[:3]), tuple(row[3:])) for stamp, row in zip(stamps, rows, strict=True)]
@@ -207,8 +207,8 @@ def _sample_by_sample(log: Log, first: "Callable[[], None]") -> float:
                 navigator.measure(pending[given])
                 given += 1
             navigator.imu(stamp, force, rate)
-            if stamp % SECOND_NS == 0 and navigator.solution() is not None and not told:
-                told = True
+            if stamp % SECOND_NS == 0 and navigator.solution() is not None and not aligned:
+                aligned = True
                 first()
         seconds += time.process_time() - started
     return seconds

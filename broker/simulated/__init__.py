@@ -5,7 +5,7 @@ Simpler than the specification allows: no QoS 2, and no session that outlives it
 Where several filters of a client take a message, it comes once, with the highest QoS of them.
 """
 
-from .acl import Acl, AclError, parse
+from .access_list import Acl, AclError, parse
 from .embedded import Handle, start
 from .session import Limits
 

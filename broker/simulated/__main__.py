@@ -7,7 +7,7 @@ import signal
 import sys
 from pathlib import Path
 
-from .acl import Acl, AclError, parse
+from .access_list import Acl, AclError, parse
 from .broker import Broker
 from .server import Server
 

@@ -1,14 +1,14 @@
 """The broker itself: sessions, subscriptions, retained messages and wills, without any input or output."""
 
-from .acl import Acl
+from .access_list import Acl
+from .counters import Counters
 from .packets import REFUSED, Answer, Connect, ProtocolError, Publish, Subscribe, Unsubscribe, encode_publish
 from .session import Limits, Session, Writer
-from .tally import Tally
-from .topics import is_filter, is_name, matches
+from .topic_filters import is_filter, is_name, matches
 
 LONGEST_CLIENT_ID = 256
 REMEMBERED = 1_000  # topics
-Route = tuple[Session, int]  # who receives a topic, with which QoS
+Route = tuple[Session, int]  # receiver of a topic, and QoS
 
 
 class Broker:
@@ -17,21 +17,21 @@ class Broker:
     def __init__(self, acl: Acl | None = None, limits: Limits | None = None) -> None:
         self.acl = acl
         self.limits = limits or Limits()
-        self.tally = Tally()
+        self.counters = Counters()
         self.sessions: dict[str, Session] = {}
         self.retained: dict[str, Publish] = {}
-        self._routes: dict[str, list[Route]] = {}  # remembered until a subscription changes
+        self._routes: dict[str, list[Route]] = {}  # cached until a subscription changes
         self._assigned = 0
 
     def connect(self, request: Connect, writer: Writer) -> Session:
-        """Begin a session; one of the same name ends."""
+        """Begin a session; an existing one of the same name ends."""
         self._check(request)
         self._assigned += not request.client_id
         client_id = request.client_id or f"assigned-{self._assigned}"
         if client_id in self.sessions:
             self.sessions[client_id].writer.end()
         session = self.sessions[client_id] = Session(
-            client_id, request.user, request.will, writer, self.limits, self.tally
+            client_id, request.user, request.will, writer, self.limits, self.counters
         )
         return session
 
@@ -39,7 +39,7 @@ class Broker:
         if len(request.client_id) > LONGEST_CLIENT_ID:
             raise ProtocolError("a client identifier that is too long", Answer.IDENTIFIER_REJECTED)
         if request.client_id not in self.sessions and len(self.sessions) >= self.limits.sessions:
-            raise ProtocolError(f"{len(self.sessions)} sessions are enough", Answer.SERVER_UNAVAILABLE)
+            raise ProtocolError(f"{len(self.sessions)} sessions are the maximum", Answer.SERVER_UNAVAILABLE)
         if request.will is not None and not is_name(request.will.topic):
             raise ProtocolError(f"a will on {request.will.topic!r}")
         if request.will is not None and not self._may_write(request.user, request.will.topic):
@@ -50,7 +50,7 @@ class Broker:
         return self.acl is None or self.acl.may_write(user, topic)
 
     def leave(self, session: Session, *, will: bool) -> None:
-        """End a session; its will goes out unless the client disconnected in an orderly way."""
+        """End a session; its will is published unless the client sent DISCONNECT."""
         if self.sessions.get(session.client_id) is session:
             del self.sessions[session.client_id]
         self._routes.clear()
@@ -58,16 +58,16 @@ class Broker:
             self.publish(session.will)
 
     def receive(self, message: Publish, session: Session) -> None:
-        """Take a message from a client; one that it may not send is dropped, as MQTT 3.1.1 has no word for it."""
+        """Process a message of a client; an unauthorised one is dropped, as MQTT 3.1.1 has no code for it."""
         if not is_name(message.topic):
             raise ProtocolError(f"a message to {message.topic!r}")
         if self._may_write(session.user, message.topic):
             self.publish(message)
         else:
-            self.tally.note("not authorized", f"{session.user} may not write {message.topic}")
+            self.counters.note("not authorized", f"{session.user} may not write {message.topic}")
 
     def publish(self, message: Publish) -> None:
-        """Keep a message where it is retained, and send it to everyone who wants it, encoded once."""
+        """Store a retained message, and send the message to its subscribers, encoded once."""
         if message.retain:
             self._retain(message)
         sample = Publish(message.topic, message.payload)
@@ -79,16 +79,16 @@ class Broker:
                 session.send(sample, frame)
 
     def _retain(self, message: Publish) -> None:
-        """Keep a message in the place of its predecessor; an empty one only clears the place."""
+        """Replace the retained message of a topic; an empty one deletes it."""
         if not message.payload:
             self.retained.pop(message.topic, None)
         elif message.topic in self.retained or len(self.retained) < self.limits.retained:
             self.retained[message.topic] = message
         else:
-            self.tally.note("retained full", message.topic)
+            self.counters.note("retained full", message.topic)
 
     def _routes_of(self, topic: str) -> list[Route]:
-        """List who receives a topic: each client once, with the highest QoS of its filters that take it."""
+        """Receivers of a topic: each client once, with the highest QoS of its matching filters."""
         routes = self._routes.get(topic)
         if routes is None:
             if len(self._routes) >= REMEMBERED:
@@ -110,7 +110,7 @@ class Broker:
         for pattern, qos in request.filters:
             refusal = self._refusal(pattern, session)
             if refusal:
-                self.tally.note("subscription refused", f"{session.user} to {pattern!r}: {refusal}")
+                self.counters.note("subscription refused", f"{session.user} to {pattern!r}: {refusal}")
                 granted.append(REFUSED)
                 continue
             session.subscriptions[pattern] = qos

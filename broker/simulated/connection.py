@@ -31,7 +31,7 @@ UNSENT_BYTES = 262_144  # beyond it, messages wait in the session's bounded queu
 
 
 class Connection(asyncio.Protocol):
-    """A client, from its first byte to its last."""
+    """The connection of one client."""
 
     def __init__(self, broker: Broker, connections: set["Connection"]) -> None:
         self.writable = True
@@ -70,30 +70,30 @@ class Connection(asyncio.Protocol):
                 else:
                     self._handle(packet, self._session)
         except ProtocolError as refused:
-            who = self._session.client_id if self._session else "a newcomer"
-            self._broker.tally.note("protocol error", f"{who}: {refused}")
+            who = self._session.client_id if self._session else "a client without session"
+            self._broker.counters.note("protocol error", f"{who}: {refused}")
             if refused.answer is not None and self._session is None:
                 self.write(encode_connack(refused.answer))
             self.end()
 
     def pause_writing(self) -> None:
-        """Note that the client reads slower than it is written to."""
+        """The transport's buffer is full."""
         self.writable = False
 
     def resume_writing(self) -> None:
-        """Send what waited while the client was slow."""
+        """The transport's buffer has room: send what waited."""
         self.writable = True
         self._unread_bytes = 0
         if self._session is not None:
             self._session.pump()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End with the will: the client took no leave."""
+        """The connection was lost: publish the will."""
         self.end()
         self._connections.discard(self)
 
     def write(self, frame: bytes) -> None:
-        """Send the bytes of one packet, together with those that follow it before the loop comes round."""
+        """Send the bytes of one packet, together with those of the same iteration of the loop."""
         if not self._unsent:
             self._loop.call_soon(self._flush)
         self._unsent.append(frame)
@@ -102,14 +102,14 @@ class Connection(asyncio.Protocol):
             self._flush()
 
     def _answer(self, frame: bytes) -> None:
-        """Write what cannot wait in a queue; a client that goes on asking and does not read is let go."""
+        """Send a reply, which is not queued; a client that sends requests without reading is disconnected."""
         if not self.writable:
             self._unread_bytes += len(frame)
         if self._unread_bytes <= self._broker.limits.unread_bytes:
             self.write(frame)
         elif not self._ended:
-            self._broker.tally.note(
-                "unread", f"{self._session.client_id if self._session else 'a newcomer'} does not read"
+            self._broker.counters.note(
+                "unread", f"{self._session.client_id if self._session else 'a client without session'} does not read"
             )
             self.end()
             self.abort()
@@ -120,7 +120,7 @@ class Connection(asyncio.Protocol):
             self._transport.write(b"".join(frames))
 
     def end(self, *, will: bool = True) -> None:
-        """Close the connection when what is unsent was sent; the client gets a second to read it."""
+        """Close the connection after the unsent bytes, or after a second."""
         if self._ended:
             return
         self._ended = True
@@ -133,14 +133,15 @@ class Connection(asyncio.Protocol):
             self._broker.leave(self._session, will=will)
 
     def abort(self) -> None:
-        """Close without waiting for what is unsent."""
+        """Close at once."""
         self._transport.abort()
 
     def _watch(self) -> None:
-        """End a connection that has been silent for too long; looks once per period, not once per packet."""
+        """Close a connection after its keep-alive; checked once per period."""
         silent_s = self._loop.time() - self._heard_s
         if silent_s >= self._silent_after_s:
-            self._broker.tally.note("silent", self._session.client_id if self._session else "a newcomer")
+            client_id = self._session.client_id if self._session else "a client without session"
+            self._broker.counters.note("keep-alive", client_id)
             self.end()
         else:
             self._timer = self._loop.call_later(self._silent_after_s - silent_s, self._watch)

@@ -5,7 +5,7 @@ import threading
 from types import TracebackType
 from typing import Self
 
-from .acl import Acl
+from .access_list import Acl
 from .broker import Broker
 from .server import Server
 from .session import Limits

@@ -36,7 +36,7 @@ REFUSED = 0x80  # in a SUBACK: the filter is not subscribed to
 
 
 class ProtocolError(Exception):
-    """A packet that ends its connection; one that is answered first says with what."""
+    """An invalid packet, which ends its connection; `answer` is sent first if given."""
 
     def __init__(self, detail: str, answer: Answer | None = None) -> None:
         super().__init__(detail)
@@ -55,7 +55,7 @@ class Publish(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """A client's wish to connect; its password is not kept."""
+    """CONNECT; the password is not stored."""
 
     client_id: str
     clean_session: bool
@@ -73,7 +73,7 @@ class Acknowledge:
 
 @dataclass(frozen=True, slots=True)
 class Subscribe:
-    """Filters to subscribe to, each with the highest QoS that is wanted."""
+    """SUBSCRIBE: filters with the maximum QoS of each."""
 
     packet_id: int
     filters: tuple[tuple[str, int], ...]
@@ -81,7 +81,7 @@ class Subscribe:
 
 @dataclass(frozen=True, slots=True)
 class Unsubscribe:
-    """Filters to give up."""
+    """UNSUBSCRIBE: filters."""
 
     packet_id: int
     filters: tuple[str, ...]
@@ -89,19 +89,19 @@ class Unsubscribe:
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """A request for a sign of life."""
+    """PINGREQ."""
 
 
 @dataclass(frozen=True, slots=True)
 class Disconnect:
-    """An orderly end: the will is not sent."""
+    """DISCONNECT: the will is not published."""
 
 
 Packet = Connect | Publish | Acknowledge | Subscribe | Unsubscribe | Ping | Disconnect
 
 
 class Framer:
-    """Cuts a stream of bytes into packets; keeps never more than `limit` bytes, plus one read."""
+    """Splits a byte stream into packets; buffers at most `limit` bytes plus one read."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -141,7 +141,7 @@ class Reader:
 
     @property
     def left(self) -> int:
-        """Number of bytes that were not read yet."""
+        """Number of unread bytes."""
         return len(self._data) - self._position
 
     def take(self, size: int) -> bytes:
@@ -271,7 +271,7 @@ def encode_publish(message: Publish) -> bytes:
 
 
 def encode_connack(answer: Answer) -> bytes:
-    """Write the answer to a CONNECT; there never is a session of before."""
+    """Encode a CONNACK; no session is present."""
     return frame(Kind.CONNACK, bytes((0, answer)))
 
 

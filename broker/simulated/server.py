@@ -1,11 +1,11 @@
-"""Listens for clients and ends on request."""
+"""TCP server of the broker."""
 
 import asyncio
 
 from .broker import Broker
 from .connection import Connection
 
-FLUSH_S = 0.05  # for what was written to reach the clients
+FLUSH_S = 0.05  # for the last bytes to reach the clients
 
 
 class Server:
@@ -26,11 +26,11 @@ class Server:
         self.port = self._server.sockets[0].getsockname()[1]
 
     def stop(self) -> None:
-        """Let `serve` come to its end."""
+        """End `serve`."""
         self._stopping.set()
 
     async def serve(self) -> None:
-        """Serve until told to stop, then end every connection; no wills, as Mosquitto."""
+        """Serve until `stop`, then close every connection; as in Mosquitto, wills are not published."""
         try:
             await self._stopping.wait()
         finally:

@@ -1,16 +1,16 @@
-"""What the broker keeps for one client: subscriptions, messages in flight, and a bounded queue."""
+"""The session of a client: subscriptions, messages in flight, and a bounded queue."""
 
 from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
+from .counters import Counters
 from .packets import Publish, encode_publish
-from .tally import Tally
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Bounds on what a client can make the broker hold."""
+    """Limits on the memory that a client can occupy."""
 
     packet_bytes: int = 1_114_112  # 1 MiB of payload, 64 KiB of the rest
     queue_messages: int = 1_000
@@ -19,7 +19,7 @@ class Limits:
     sessions: int = 500
     subscriptions: int = 500  # a session
     retained: int = 1_000
-    unread_bytes: int = 1_048_576  # of answers to a client that asks and does not read
+    unread_bytes: int = 1_048_576  # of replies to a client that does not read
     connect_within_s: float = 5.0
 
 
@@ -39,30 +39,30 @@ class Session:
     """One connected client; it ends with its connection."""
 
     def __init__(
-        self, client_id: str, user: str | None, will: Publish | None, writer: Writer, limits: Limits, tally: Tally
+        self, client_id: str, user: str | None, will: Publish | None, writer: Writer, limits: Limits, counters: Counters
     ) -> None:
         self.client_id, self.user, self.will, self.writer = client_id, user, will, writer
         self.subscriptions: dict[str, int] = {}  # QoS by filter
         self.queue: deque[Publish] = deque()
         self.queue_bytes = 0
         self.in_flight: set[int] = set()
-        self._limits, self._tally = limits, tally
-        self._packet_id = 0
+        self._limits, self._counters = limits, counters
+        self.packet_id = 0
 
     def send(self, message: Publish, frame: bytes = b"") -> None:
-        """Write a message now, or queue it behind those that wait; `frame` are its bytes where they are known."""
+        """Send a message, or queue it behind the waiting ones; `frame` is its encoding, if known."""
         if not self.queue and self._ready(message):
             self._write(message, frame)
         else:
             self._enqueue(message)
 
     def acknowledge(self, packet_id: int) -> None:
-        """Forget a message that the client has, and send what waited for its place."""
+        """Remove an acknowledged message from those in flight, and send the next."""
         self.in_flight.discard(packet_id)
         self.pump()
 
     def pump(self) -> None:
-        """Write what waits, as far as the client takes it."""
+        """Send the queued messages, as far as the client reads."""
         while self.queue and self._ready(self.queue[0]):
             message = self.queue.popleft()
             self.queue_bytes -= len(message.payload)
@@ -78,11 +78,11 @@ class Session:
             self._forget_oldest()
 
     def _forget_oldest(self) -> None:
-        """Forget the oldest message of QoS 0, or the oldest of all where every message is of QoS 1."""
+        """Drop the oldest message of QoS 0, or the oldest of all if every message is of QoS 1."""
         index = next((i for i, waiting in enumerate(self.queue) if waiting.qos == 0), 0)
         self.queue_bytes -= len(self.queue[index].payload)
         del self.queue[index]
-        self._tally.note("forgotten", f"the queue of {self.client_id} is full")
+        self._counters.note("dropped", f"the queue of {self.client_id} is full")
 
     def _write(self, message: Publish, frame: bytes = b"") -> None:
         if message.qos:
@@ -93,6 +93,6 @@ class Session:
 
     def _next_packet_id(self) -> int:
         while True:
-            self._packet_id = self._packet_id % 65_535 + 1
-            if self._packet_id not in self.in_flight:
-                return self._packet_id
+            self.packet_id = self.packet_id % 65_535 + 1
+            if self.packet_id not in self.in_flight:
+                return self.packet_id

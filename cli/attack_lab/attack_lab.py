@@ -101,11 +101,11 @@ def run_all(cases: list[Case], jobs: int, console: Console) -> list[Run]:
 def _print(runs: list[Run], card: dict[str, object], console: Console, out: Path) -> None:
     head, rows = detection_rows(runs)
     table = Table(title="Runs in which the monitors accuse (median delay)")
-    for name in ("attack", "runs", "verdict", "monitors", *head[-2:]):
+    for name in ("attack", "runs", "verdict", "monitors", *head[-3:]):
         table.add_column(name)
-    for label, count, *found, verdict, error, hazard in rows:
+    for label, count, *found, verdict, error, hazard, again in rows:
         seen = [f"{name} {cell}" for name, cell in zip(head[2:], found, strict=False) if not cell.startswith("0")]
-        table.add_row(label, count, verdict, "\n".join(seen) or "none", error, hazard)
+        table.add_row(label, count, verdict, "\n".join(seen) or "none", error, hazard, again)
     console.print(table)
     share = card["safe_share_clean"]
     if isinstance(share, float):

@@ -12,7 +12,7 @@ import numpy as np
 from shared.messages.trust import TrustLevel
 
 from ..solve.metrics.integrity import Protected
-from ..solve.report.plots import BLUE, GREEN, GREY, ORANGE, RED, Figure, inline_svg, stacked_axes
+from ..solve.report.drawing import BLUE, GREEN, GREY, ORANGE, RED, Figure, inline_svg, stacked_axes
 from ..solve.report.report import STYLE
 from ..solve.report.stanford import stanford
 from .score import (
@@ -104,9 +104,10 @@ table {{ font-variant-numeric: tabular-nums; font-size: .92em; }} .wide {{ overf
 <p>{escape(COLLUSION)}</p>
 <h2>Detection</h2>
 <p class="muted">Runs in which the monitor accuses, or the verdict withdraws the position (UNSAFE, DEAD RECKONING or NO
-FIX), between the start and the end of the attack, of all runs; in brackets the median delay. The last two columns:
-largest horizontal error of the fused position before the verdict withdraws it, and time with the verdict SAFE although
-an error is above the alert limit.</p>
+FIX), between the start and the end of the attack, of all runs; in brackets the median delay. The last three columns:
+largest horizontal error of the fused position before the verdict withdraws it, time with the verdict SAFE although
+an error is above the alert limit, and runs that end with SAFE, in brackets the longest time from the end of the
+attack.</p>
 <div class="wide">{_detection_table(runs)}</div>
 <h2>False alarms</h2>
 <p class="muted">Accusations that begin outside an attack and the {RECOVERY_S:.0f} s after it, overlapping windows as
@@ -132,13 +133,15 @@ def detection_rows(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
         by_attack.setdefault(row.attack, []).append(row)
     monitors = [row.monitor for row in next(iter(by_attack.values()), [])]
     harm = {row.attack: row for row in harms(runs)}
-    head = ["attack", "runs", *(name.replace("_", " ") for name in monitors), "undetected error", "SAFE above limit"]
+    last = ("undetected error", "SAFE above limit", "SAFE again")
+    head = ["attack", "runs", *(name.replace("_", " ") for name in monitors), *last]
     rows = []
     for attack, found in by_attack.items():
-        worst = harm[attack].largest_undetected_error_m
+        worst, after_s = harm[attack].largest_undetected_error_m, harm[attack].safe_again_s
+        again = f"{harm[attack].recovered}" + ("" if after_s is None else f" ({after_s:.0f} s)")
         rows.append([
             attack, str(found[0].runs), *(_shown(row) for row in found),
-            "unknown" if worst is None else f"{worst:.1f} m", f"{harm[attack].hazardous_s:.0f} s",
+            "unknown" if worst is None else f"{worst:.1f} m", f"{harm[attack].hazardous_s:.0f} s", again,
         ])  # fmt: skip
     return head, rows
 

@@ -57,6 +57,8 @@ class Harm:
     hazardous_s: float  # SAFE although an error is above its alert limit
     safe_s: float
     above_level_fraction: float | None  # errors above their protection level
+    recovered: int  # runs that end with SAFE
+    safe_again_s: float | None  # longest time from the end of an attack until the verdict stays SAFE, of these
 
 
 def binomial_interval(successes: int, trials: int) -> tuple[float, float]:
@@ -147,6 +149,7 @@ def harms(runs: Sequence[Run]) -> list[Harm]:
 
 def _harm(attack: str, group: Sequence[Run]) -> Harm:
     largest, undetected, while_safe, above, hazardous_s, safe_s = [], [], [], [], 0.0, 0.0
+    again = [after_s for run in group if (after_s := safe_again_s(*run)) is not None]
     for case, timeline in group:
         begin_s = case.interval_s[0] if case.attack else WARM_UP_S
         rows = timeline.error_s >= begin_s
@@ -165,8 +168,16 @@ def _harm(attack: str, group: Sequence[Run]) -> Harm:
         above.append(float(np.mean(np.any(error > level, axis=1)[known])) if known.any() else 0.0)
     return Harm(
         attack, len(group), max(largest, default=None), max(undetected, default=None), max(while_safe, default=None),
-        hazardous_s, safe_s, float(np.mean(above)) if above else None,
+        hazardous_s, safe_s, float(np.mean(above)) if above else None, len(again), max(again, default=None),
     )  # fmt: skip
+
+
+def safe_again_s(case: Case, timeline: Timeline) -> float | None:
+    """Time from the end of the attack until the verdict stays SAFE; None if it does not."""
+    if not timeline.verdicts or timeline.verdicts[-1] is not TrustLevel.SAFE:
+        return None
+    other = [k for k, verdict in enumerate(timeline.verdicts) if verdict is not TrustLevel.SAFE]
+    return max(0.0, float(timeline.verdict_s[other[-1] + 1]) - case.interval_s[1]) if other else 0.0
 
 
 def _largest(values: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""What the unit said during one run, on a common time axis."""
+"""What the unit published during one run, on a common time axis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

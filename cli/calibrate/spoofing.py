@@ -31,7 +31,7 @@ from shared.messages.trust import TrustMonitor
 from shared.runtime.offline import OfflineUnit
 
 from ..progress import progress_on
-from ..recordings.common import open_recording, tell_problems, vehicle_of
+from ..recordings.common import open_recording, print_problems, vehicle_of
 from ..solve.inputs import Inputs, arrival_of, inputs_of
 
 PROCESSES = ("parsers.gnss", "parsers.imu", "parsers.can", "core.fusion", "core.spoofing")
@@ -96,7 +96,7 @@ def _learned(
     """Run fusion and the monitors over a recording; give its windows."""
     with open_recording(path) as recording:
         inputs, file = inputs_of(recording), vehicle_of(recording, vehicle)
-    tell_problems(recording, console)
+    print_problems(recording, console)
     unit = OfflineUnit(file, PROCESSES)
     process = cast(Process, unit.process("core.spoofing"))
     windows: list[Window] = []

@@ -64,7 +64,7 @@ class Summary:
 
 
 class Balance:
-    """Collects what the bus says during a run, or only looks on where nobody will ask for the sum."""
+    """Collects the messages of a run for its figures; with `keep=False` only whether they arrive."""
 
     def __init__(self, vehicle: VehicleFile, *, keep: bool = True) -> None:
         self._keep = keep

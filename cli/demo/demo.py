@@ -1,4 +1,4 @@
-"""`obu demo`: the whole unit on this machine with simulated sensors, and its balance at the end."""
+"""`obu demo`: the whole unit on this machine with simulated sensors, and its figures at the end."""
 
 import json
 import logging
@@ -36,7 +36,7 @@ START_LIMIT_S = 60.0
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """What the demo is asked to do."""
+    """Options of the demo."""
 
     scenario: str
     seed: int
@@ -51,7 +51,7 @@ class DemoOptions:
 
 
 def run(options: DemoOptions) -> int:
-    """Start everything, watch it, and print the balance at the end."""
+    """Start all processes, supervise them, and print the figures at the end."""
     if options.role is Role.OBU:
         _insist_on_scenario(options)
     elif options.attacks:
@@ -63,7 +63,7 @@ def run(options: DemoOptions) -> int:
 
 @contextmanager
 def _errors_only(name: str) -> Iterator[None]:
-    """Keep a logger's warnings back until the end of the block."""
+    """Suppress a logger's warnings within the block."""
     logger = logging.getLogger(name)
     before = logger.level
     logger.setLevel(logging.ERROR)
@@ -74,7 +74,7 @@ def _errors_only(name: str) -> Iterator[None]:
 
 
 def _insist_on_scenario(options: DemoOptions) -> None:
-    """Refuse what the simulator would refuse, before anything is started."""
+    """Reject attacks that the simulator would reject, before any process is started."""
     try:
         scenario_of(options.scenario, options.seed)
         for text in options.attacks:
@@ -102,7 +102,7 @@ def _drive(options: DemoOptions, folder: Path) -> int:
     console.print(f"[bold]OBU demo[/]: {what}, seed {options.seed}; logs in {folder / 'logs'}")
     if taken:
         console.print(
-            f"port {options.http_port} {taken}: the dashboard takes {http_port}; "
+            f"port {options.http_port} {taken}: the dashboard uses {http_port}; "
             "to choose one: `obu demo --port NUMBER`, or `make demo PORT=NUMBER`",
             soft_wrap=True,
         )
@@ -125,7 +125,7 @@ def _drive(options: DemoOptions, folder: Path) -> int:
 
 
 def _tell_recordings(folder: Path, console: Console) -> None:
-    """Say where the drive is kept, because the next demo begins with an empty folder."""
+    """Print the path of the recording: the next demo begins with an empty folder."""
     for path in sorted((folder / "recordings").glob("*.mcap")):
         console.print(f"recorded: {path}   (copy it: the next demo removes it)", soft_wrap=True, highlight=False)
 
@@ -135,7 +135,7 @@ def _restarts(supervisor: Supervisor) -> int:
 
 
 def _vehicle(options: DemoOptions, http_port: int) -> VehicleFile:
-    """Take the file of the simulated vehicle and put the demo's choices into it."""
+    """The file of the simulated vehicle with the options of the demo."""
     base = load_vehicle(options.vehicle if options.role is Role.OBU else ROADSIDE)
     tables: dict[str, Table] = {name: dict(table) for name, table in base.tables.items()}
     if options.role is Role.OBU:
@@ -159,7 +159,7 @@ def _watch(
     console: Console,
     address: str,
 ) -> None:
-    """Run until the duration is over, or for ever; the clock starts with the first solution."""
+    """Run for the duration, from the first solution on, or until Ctrl-C."""
     started = time.monotonic()
     measuring_since: float | None = None
     with Progress(*Progress.get_default_columns(), TimeElapsedColumn(), console=console,
@@ -168,7 +168,7 @@ def _watch(
         while measuring_since is None or options.duration_s is None or \
                 time.monotonic() - measuring_since < options.duration_s:  # fmt: skip
             supervisor.watch()
-            supervisor.insist()
+            supervisor.raise_rejected()
             for envelope in bus.receive(0.1):
                 try:
                     balance.add(envelope.topic, envelope.decode(), envelope.received_ns)
@@ -187,7 +187,7 @@ def _watch(
 
 
 def _how_to_listen(bus: Bus) -> str:
-    """Say what another terminal must be told to hear this unit."""
+    """The environment with which another terminal receives the messages of this unit."""
     broker = f"mqtt://{bus.address.host}:{bus.address.port}"
     return f"to listen: export OBU_BROKER={broker} OBU_VEHICLE={bus.state_dir / 'vehicle.toml'}"
 
@@ -198,10 +198,10 @@ def _why_unhealthy(summary: Summary | PlazaSummary) -> str:
             f"{summary.processes_alive} of {summary.processes_expected} processes were alive at the end: see the logs"
         )
     if isinstance(summary, PlazaSummary):
-        return "no passage was charged: the first needs about 30 s, --duration 60 shows more"
+        return "no passage was charged: the first one takes about 30 s; try --duration 60"
     if not summary.solutions:
         return "there was no position yet: a drive needs about 20 s before its first, --duration 60 shows more"
-    return "not every process was heard to be ready: see the logs"
+    return "not every process has reported to be ready: see the logs"
 
 
 def _detection(attack: AttackSummary) -> str:

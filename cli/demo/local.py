@@ -22,26 +22,29 @@ ROADSIDE = Path(__file__).parents[2] / "deploy" / "vehicles" / "rsu.toml"
 
 
 def free_port() -> int:
-    """Ask the kernel for a loopback port that nobody listens on."""
+    """A loopback port that is not in use."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def port_or_free(wanted: int) -> tuple[int, str | None]:
-    """Take the wanted loopback port, or any free one and the reason why not the wanted one."""
+    """The wanted loopback port, or a free one and the reason why the wanted one cannot be used."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", wanted))
         except OSError as error:
-            return free_port(), "is taken" if error.errno == errno.EADDRINUSE else f"is refused ({error.strerror})"
+            return (
+                free_port(),
+                "is in use" if error.errno == errno.EADDRINUSE else f"cannot be opened ({error.strerror})",
+            )
         return int(probe.getsockname()[1]), None
 
 
 @contextlib.contextmanager
 def only_one(lock: Path) -> Iterator[None]:
-    """Hold a folder for this demo alone: a second one would throw away what the first is writing."""
+    """Lock a folder for this demo: a second one would delete the files of the first."""
     try:
         file = lock.open("w")
     except OSError as error:
@@ -57,7 +60,7 @@ def only_one(lock: Path) -> Iterator[None]:
 
 
 def fresh_folder(path: Path) -> Path:
-    """Make an empty folder, throwing away what an earlier run left there."""
+    """Make an empty folder; files of an earlier run are deleted."""
     try:
         if path.exists():
             shutil.rmtree(path)
@@ -68,7 +71,7 @@ def fresh_folder(path: Path) -> Path:
 
 
 def broker_command(folder: Path, port: int, kind: str, acl: Path = local_config.HERE / "acl.conf") -> list[str]:
-    """Say how to start a broker on a loopback port: Mosquitto where there is one, else our own.
+    """The command of a broker on a loopback port: Mosquitto if installed, otherwise the simulated one.
 
     `kind` is "auto", "mosquitto" or "simulated".
     """
@@ -81,7 +84,7 @@ def broker_command(folder: Path, port: int, kind: str, acl: Path = local_config.
 
 
 def as_toml(tables: Mapping[str, Table]) -> str:
-    """Write sections as the text of a vehicle's file."""
+    """Format sections as TOML."""
     return "\n".join(
         line
         for name, table in tables.items()
@@ -98,7 +101,7 @@ def _toml(value: object) -> str:
 
 
 def unit_file(path: Path | None, role: Role | None) -> VehicleFile:
-    """Read the file of a unit, and insist on the role that was asked for."""
+    """Read the file of a unit; raises `UserError` if it is of another role."""
     if path is None and role is Role.RSU and "OBU_VEHICLE" not in os.environ:
         path = ROADSIDE
     file = load_vehicle(path)
@@ -110,14 +113,14 @@ def unit_file(path: Path | None, role: Role | None) -> VehicleFile:
 def unit(
     vehicle: VehicleFile, environment: dict[str, str], logs: Path | None = None, broker: list[str] | None = None
 ) -> Supervisor:
-    """Put every process of a vehicle under one supervisor, and the broker if it is ours to start.
+    """Put every process of a vehicle, and its broker if given, under one supervisor.
 
-    Who listens starts before who speaks, and the recorder ends after the others, so that a recording misses nothing
-    and can be verified whole.
+    Consumers start before producers, and the recorder ends after the others, so that a recording is complete and can
+    be verified.
     """
     supervisor = Supervisor({**os.environ, **environment}, logs)
     if broker:
-        supervisor.add("broker", broker, outlives_others=True)
+        supervisor.add("broker", broker, last=True)
     for name in reversed(vehicle.processes):
-        supervisor.add_process(name, outlives_others=name == "monitoring.recorder")
+        supervisor.add_process(name, last=name == "monitoring.recorder")
     return supervisor

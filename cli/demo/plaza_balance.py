@@ -94,10 +94,10 @@ class PlazaBalance:
             case DeadlineReport():
                 self._report = message
             case ProcessHealth():
-                life = (message.process, message.incarnation)
-                self._first_health.setdefault(life, message)
+                incarnation = (message.process, message.incarnation)
+                self._first_health.setdefault(incarnation, message)
                 if message.state is ProcessState.READY:
-                    self._health[life] = message
+                    self._health[incarnation] = message
             case _:
                 pass
 
@@ -146,6 +146,6 @@ class PlazaBalance:
 
     def _cpu(self, duration_s: float) -> dict[str, float]:
         shares: dict[str, float] = defaultdict(float)
-        for life, last in self._health.items():
-            shares[life[0]] += (last.cpu_s - self._first_health[life].cpu_s) / duration_s
+        for incarnation, last in self._health.items():
+            shares[incarnation[0]] += (last.cpu_s - self._first_health[incarnation].cpu_s) / duration_s
         return {name: round(share, 3) for name, share in sorted(shares.items())}

@@ -1,4 +1,4 @@
-"""Keeps a set of processes alive: starts them, starts them again when they end, stops them in time."""
+"""Supervises a set of processes: starts them, restarts them when they end, and stops them within a deadline."""
 
 import logging
 import math
@@ -17,32 +17,32 @@ from shared.errors import UserError
 log = logging.getLogger(__name__)
 
 BACK_OFF_S = (0.1, 0.5, 1.0, 2.0, 5.0)
-SETTLED_S = 10.0  # a life this long forgives the deaths before it
+SETTLED_S = 10.0  # run time after which earlier failures no longer lengthen the pause
 STOP_S = 4.0
-LAST_STOP_S = 0.5  # for who outlives the others
+LAST_STOP_S = 0.5  # for those that end last
 
 
 @dataclass
 class Child:
-    """One supervised process: how to start it, and how it has fared."""
+    """One supervised process: its command and its history."""
 
     name: str
     command: Sequence[str]
     log_file: Path | None
-    outlives_others: bool = False
+    last: bool = False
     process: subprocess.Popen[bytes] | None = None
     started: float = 0.0
     next_start: float = 0.0
     failures: int = 0
     restarts: int = 0
-    refuses: bool = False
+    misconfigured: bool = False
     exit_codes: list[int] = field(default_factory=list)
 
 
 class Supervisor:
-    """Starts each child, and again with growing pauses when it ends before it is told to.
+    """Starts each child, and restarts it with growing pauses when it ends by itself.
 
-    A child that ends because its configuration is wrong is not started again: it would end again.
+    A child that exits with `EX_CONFIG` is not restarted: it would end again.
     """
 
     def __init__(self, environment: Mapping[str, str], log_folder: Path | None = None) -> None:
@@ -50,17 +50,17 @@ class Supervisor:
         self._log_folder = log_folder
         self.children: dict[str, Child] = {}
 
-    def add(self, name: str, command: Sequence[str], *, outlives_others: bool = False) -> None:
-        """Take a child into care; `watch` starts it. One that outlives the others is ended after them."""
+    def add(self, name: str, command: Sequence[str], *, last: bool = False) -> None:
+        """Add a child, which `watch` starts; with `last` it is stopped after the others."""
         log_file = self._log_folder / f"{name}.log" if self._log_folder else None
-        self.children[name] = Child(name, command, log_file, outlives_others)
+        self.children[name] = Child(name, command, log_file, last)
 
-    def add_process(self, name: str, *, outlives_others: bool = False) -> None:
-        """Take a process of the unit into care."""
-        self.add(name, [sys.executable, "-m", "cli", "run", name], outlives_others=outlives_others)
+    def add_process(self, name: str, *, last: bool = False) -> None:
+        """Add a process of the unit."""
+        self.add(name, [sys.executable, "-m", "cli", "run", name], last=last)
 
     def watch(self) -> None:
-        """Start what is due and notice what has ended; call it a few times a second."""
+        """Start the children that are due and detect those that ended; called a few times a second."""
         now = time.monotonic()
         for child in self.children.values():
             if child.process is None:
@@ -70,28 +70,28 @@ class Supervisor:
                 self._ended(child, code, now)
 
     def stop(self) -> None:
-        """End every child: SIGTERM, and SIGKILL for who has not gone within four seconds."""
+        """Stop every child: SIGTERM, and SIGKILL after four seconds."""
         deadline = time.monotonic() + STOP_S
         for last in (False, True):
-            children = [child for child in self.children.values() if child.outlives_others == last]
+            children = [child for child in self.children.values() if child.last is last]
             for child in children:
                 if child.process is not None and child.process.poll() is None:
                     child.process.send_signal(signal.SIGTERM)
-                    child.process.send_signal(signal.SIGCONT)  # a stopped child cannot hear the other
+                    child.process.send_signal(signal.SIGCONT)  # a stopped child does not receive SIGTERM
             for child in children:
                 _wait_for_end(child, deadline if not last else deadline + LAST_STOP_S)
 
-    def insist(self) -> None:
-        """Raise `UserError` where a child cannot work as it was asked to; its own last line says why."""
+    def raise_rejected(self) -> None:
+        """Raise `UserError` with the last line of the log of a child that exited with `EX_CONFIG`."""
         for child in self.children.values():
-            if child.refuses and child.log_file:
+            if child.misconfigured and child.log_file:
                 lines = child.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
                 raise UserError(
-                    f"{child.name} refuses to start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
+                    f"{child.name} does not start: {lines[-1].removeprefix('obu: ') if lines else 'no reason'}"
                 )
 
     def alive(self) -> int:
-        """Count the children that run."""
+        """Number of running children."""
         return sum(c.process is not None and c.process.poll() is None for c in self.children.values())
 
     def _start(self, child: Child) -> None:
@@ -113,14 +113,14 @@ class Supervisor:
         child.process = None
         child.exit_codes = [*child.exit_codes[-9:], code]
         if code == os.EX_CONFIG:
-            child.refuses, child.next_start = True, math.inf
-            log.error("%s cannot work as it is configured; it starts again when everything does", child.name)
+            child.misconfigured, child.next_start = True, math.inf
+            log.error("%s rejects its configuration; correct it and restart the unit", child.name)
             return
         child.failures = 0 if now - child.started > SETTLED_S else child.failures + 1
         pause = BACK_OFF_S[min(max(child.failures - 1, 0), len(BACK_OFF_S) - 1)]
         child.next_start = now + pause
         child.restarts += 1
-        log.warning("%s ended with %d, starting it again in %.1f s", child.name, code, pause)
+        log.warning("%s ended with %d, restart in %.1f s", child.name, code, pause)
 
 
 def _wait_for_end(child: Child, deadline: float) -> None:
@@ -135,5 +135,5 @@ def _wait_for_end(child: Child, deadline: float) -> None:
 
 
 def _end_with_parent() -> list[str]:
-    """Have the kernel send SIGTERM to a child when the supervisor itself is killed, where util-linux is there."""
+    """Prefix with which the kernel sends SIGTERM to a child when the supervisor is killed (requires util-linux)."""
     return ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []

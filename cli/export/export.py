@@ -17,7 +17,7 @@ from shared.maths.earth import Geodetic, ecef_from_geodetic
 from shared.messages.gnss import GnssRawEpoch
 from shared.track_files import gpx_lines, iso_time, kml_lines
 
-from ..recordings.common import open_recording, tell_problems, vehicle_of
+from ..recordings.common import open_recording, print_problems, vehicle_of
 from .nmea import nmea_lines
 from .positions import Position, of_fixes, of_solutions, segments, spaced
 from .rinex import Content, epoch_lines, header_lines
@@ -79,7 +79,7 @@ def export(  # one argument an option
         source = Source(recording, vehicle_of(recording, None), topics, console)
         lines = _lines(source, to, topic, period)
         count = _write(path, lines)
-        tell_problems(recording, console)
+        print_problems(recording, console)
     print(f"wrote {path}: {count} lines")
     return 0
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,16 +31,18 @@ from shared.runtime.config import VehicleFile, load_vehicle, parse_vehicle
 from shared.topics import BY_MESSAGE
 
 from ..progress import progress_on
-from . import units
-from .arrays import FORMATS, arrays_of
-from .clocks import offset_of, shifted
-from .convert import Accelerometer, Converted, Imported, convert, wanted_columns
-from .delay import Delay, delay_of_fixes, delay_of_reference
-from .gnss_logger import is_log, messages_of, read_log
-from .mapping import Mapping, parse_mapping
-from .mounting import mounting_of, rotated
-from .schema import Gnss, Imu, Positioned, Sensor, Speed, TableFile, Time
-from .table import Table, arrays_table, read_table
+from .conversion.convert import Accelerometer, Converted, Imported, convert, wanted_columns
+from .estimates.clocks import offset_of, shifted
+from .estimates.delay import Delay, delay_of_fixes, delay_of_reference
+from .estimates.mounting import mounting_of, rotated
+from .mapping import units
+from .mapping.mapping import Mapping, parse_mapping
+from .mapping.schema import Gnss, Imu, Positioned, Sensor, Speed, TableFile, Time
+from .readers.arrays import FORMATS, arrays_of
+from .readers.gnss_logger import is_log, messages_of, read_log
+from .readers.table import Table, arrays_table, read_table
+
+T = TypeVar("T")
 
 
 def import_drive(
@@ -99,10 +101,10 @@ def import_drive(
     console = Console(stderr=True)
     with progress_on(console) as progress:
         parts = _converted(tables, [_read(table, folder, progress) for table in tables], spec.start_utc_s)
-        parts = _on_one_clock(tables, _without_delay(tables, _in_body_axes(tables, parts), file, progress))
+        parts = _corrected(tables, parts, file, progress)
         _write(output, parts, file, _provenance(spec, text, parts), progress)
     _print_summary(output, parts)
-    for sentence in (*(part.clock for part in parts if part.clock), *spec.made()):
+    for sentence in (*(part.correction for part in parts if part.correction), *spec.made()):
         print(sentence)
     return 0
 
@@ -114,7 +116,11 @@ class Part:
     name: str
     sha256: str
     converted: Converted
-    clock: str = ""  # what was estimated of its clock or axes
+    correction: str = ""  # what was estimated of its clock or axes
+
+    def corrected(self, messages: Sequence[Imported], correction: str) -> "Part":
+        """Replace the messages, and state how they were corrected."""
+        return replace(self, converted=replace(self.converted, messages=messages), correction=correction)
 
 
 def _beginning(path: Path) -> list[str]:
@@ -168,71 +174,58 @@ def _import_log(path: Path, output: Path, vehicle: Path | None, axes: npt.NDArra
     return 0
 
 
-def _on_one_clock(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
-    """Align the speeds of independent clocks with the fixes."""
-    fixes = [message for part in parts for message in part.converted.messages if isinstance(message, GnssFix)]
-    return [
-        _shifted(part, fixes) if isinstance(table, Speed) and table.clock_by_speed else part
-        for table, part in zip(tables, parts, strict=True)
-    ]
-
-
-def _in_body_axes(tables: Sequence[TableFile], parts: list[Part]) -> list[Part]:
-    """Estimate the axes of the IMU where the mapping asks for it."""
-    fixes = [message for part in parts for message in part.converted.messages if isinstance(message, GnssFix)]
-    return [
-        _turned(part, fixes) if isinstance(table, Sensor) and table.estimate_axes and part.converted.messages else part
-        for table, part in zip(tables, parts, strict=True)
-    ]
-
-
-def _turned(part: Part, fixes: Sequence[GnssFix]) -> Part:
-    imu = [message for message in part.converted.messages if isinstance(message, ImuSamples)]
-    found = mounting_of(imu, fixes)
-    clock = (
-        f"The axes of {part.name} were estimated (correlation with the changes of speed {found.correlation:.2f}). "
-        f"To fix them: body_from_sensor = {found.body_from_sensor.round(3).tolist()}."
-    )
-    return replace(part, converted=replace(part.converted, messages=rotated(imu, found.body_from_sensor)), clock=clock)
-
-
-def _without_delay(
-    tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleFile, progress: Progress
-) -> list[Part]:
-    """Estimate and remove the delays of the stamps where the mapping asks for it: of the fixes, then of the truth."""
+def _corrected(tables: Sequence[TableFile], parts: list[Part], vehicle: VehicleFile, progress: Progress) -> list[Part]:
+    """Correct axes, delays (of the fixes, then of the truth) and clocks that the mapping asks to estimate."""
+    for place, table in enumerate(tables):
+        if isinstance(table, Sensor) and table.estimate_axes and parts[place].converted.messages:
+            parts[place] = _in_body_axes(parts[place], _all(GnssFix, parts))
     for place, table in enumerate(tables):
         if isinstance(table, Positioned) and table.estimate_delay:
-            messages = list(heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns))
             if isinstance(table, Gnss):
-                inputs = [message for message in messages if not isinstance(message, TruthState)]
+                merged = heapq.merge(*(part.converted.messages for part in parts), key=_arrival_ns)
+                inputs = [message for message in merged if not isinstance(message, TruthState)]
                 shown = progress.track(inputs, description=f"estimating the delay of {table.file}")
                 delay, against = delay_of_fixes(shown, vehicle), "IMU"
             else:
-                states = [message for message in messages if isinstance(message, TruthState)]
-                fixes = [message for message in messages if isinstance(message, GnssFix)]
-                delay, against = delay_of_reference(states, fixes), "fixes"
-            parts[place] = _earlier(parts[place], delay, against)
+                delay, against = delay_of_reference(_all(TruthState, parts), _all(GnssFix, parts)), "fixes"
+            parts[place] = _without_delay(parts[place], delay, against)
+    for place, table in enumerate(tables):
+        if isinstance(table, Speed) and table.clock_by_speed:
+            parts[place] = _on_clock_of_fixes(parts[place], _all(GnssFix, parts))
     return parts
 
 
-def _earlier(part: Part, delay: Delay, against: str) -> Part:
+def _all(kind: type[T], parts: Sequence[Part]) -> list[T]:
+    return [message for part in parts for message in part.converted.messages if isinstance(message, kind)]
+
+
+def _in_body_axes(part: Part, fixes: Sequence[GnssFix]) -> Part:
+    imu = _all(ImuSamples, [part])
+    found = mounting_of(imu, fixes)
+    return part.corrected(
+        rotated(imu, found.body_from_sensor),
+        f"The axes of {part.name} were estimated (correlation with the changes of speed {found.correlation:.2f}). "
+        f"To fix them: body_from_sensor = {found.body_from_sensor.round(3).tolist()}.",
+    )
+
+
+def _without_delay(part: Part, delay: Delay, against: str) -> Part:
     step_ns = round(delay.seconds * 1e9)
-    messages = [m.model_copy(update={"sampled_ns": _stamps(m)[0] - step_ns}) for m in part.converted.messages]
-    clock = (
+    return part.corrected(
+        [m.model_copy(update={"sampled_ns": _stamps(m)[0] - step_ns}) for m in part.converted.messages],
         f"The stamps of {part.name} are late by {delay.seconds:.3f} s relative to the {against} (estimated, standard "
-        f"deviation {delay.sd_s:.3f} s) and were corrected. To fix the value: stamps_late_s = {delay.seconds:.3f}."
+        f"deviation {delay.sd_s:.3f} s) and were corrected. To fix the value: stamps_late_s = {delay.seconds:.3f}.",
     )
-    return replace(part, converted=replace(part.converted, messages=messages), clock=clock)
 
 
-def _shifted(part: Part, fixes: Sequence[GnssFix]) -> Part:
-    speeds = [message for message in part.converted.messages if isinstance(message, VehicleSpeed)]
+def _on_clock_of_fixes(part: Part, fixes: Sequence[GnssFix]) -> Part:
+    speeds = _all(VehicleSpeed, [part])
     offset = offset_of(speeds, fixes)
-    clock = (
+    return part.corrected(
+        shifted(speeds, offset.seconds),
         f"The clock of {part.name} was shifted by {offset.seconds:+.3f} s, estimated from the speeds of both files: "
-        f"they agree to {offset.rms_m_s:.3f} m/s (RMS)."
+        f"they agree to {offset.rms_m_s:.3f} m/s (RMS).",
     )
-    return replace(part, converted=replace(part.converted, messages=shifted(speeds, offset.seconds)), clock=clock)
 
 
 def _text(path: Path) -> str:

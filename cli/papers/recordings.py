@@ -13,5 +13,5 @@ def find(name: str) -> Path | None:
 
 
 def missing(name: str, purpose: str) -> str:
-    """Say what is skipped because a recording is not there, and what to do."""
+    """Print what is skipped because a recording is missing, and what to do."""
     return f"{purpose}: recording {name!r} was not found; set OBU_DATA to the folder that holds it"

@@ -64,7 +64,7 @@ def figure(
     from matplotlib import style  # takes 0.5 s to import
     from matplotlib.figure import Figure as Canvas
 
-    from cli.solve.report.plots import STYLE
+    from cli.solve.report.drawing import STYLE
 
     with style.context(STYLE):
         canvas = Canvas(figsize=(8.6, height), layout="constrained")

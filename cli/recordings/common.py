@@ -1,4 +1,4 @@
-"""What the commands on recordings share: opening one, its vehicle, its problems, meeting a broker."""
+"""Functions shared by the commands on recordings: open one, read its vehicle, print its problems, await a broker."""
 
 import time
 from pathlib import Path
@@ -15,7 +15,7 @@ PATIENCE_S = 5.0
 
 
 def open_recording(path: Path) -> Recording:
-    """Open a recording, or say in one sentence why it cannot be."""
+    """Open a recording; raises `UserError` with one sentence."""
     if path.is_file() and path.stat().st_size == 0:
         raise UserError(f"{path} is empty; give a file written by `obu record`, `obu import` or the unit's recorder")
     try:
@@ -32,21 +32,21 @@ def open_recording(path: Path) -> Recording:
 
 
 def vehicle_of(recording: Recording, path: Path | None) -> VehicleFile:
-    """Read the vehicle's file that was given, else the one that lies in the recording."""
+    """Read the vehicle's file that was given, otherwise the recorded one."""
     if path is not None:
         return load_vehicle(path)
     text = recording.attachments.get(VEHICLE_FILE, b"").decode(errors="replace")
     return parse_vehicle(text, f"{recording.path}: {VEHICLE_FILE}")
 
 
-def tell_problems(recording: Recording, console: Console) -> None:
+def print_problems(recording: Recording, console: Console) -> None:
     """Print what could not be read."""
     for problem in recording.problems:
         console.print(f"{recording.path.name}: {problem}", markup=False, highlight=False)
 
 
-def meet(bus: Bus) -> None:
-    """Wait for the broker, or say that there is none."""
+def await_broker(bus: Bus) -> None:
+    """Wait for the connection; raises `UserError` after five seconds."""
     started = time.monotonic()
     while not bus.connected:
         bus.receive(0.1)

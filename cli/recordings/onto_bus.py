@@ -1,4 +1,4 @@
-"""`obu replay --broker`: the sensors of a recording back onto a bus, as if their devices were here."""
+"""`obu replay --broker`: publishes the device data of a recording on a bus, in place of devices."""
 
 import time
 from collections.abc import Iterator
@@ -14,30 +14,30 @@ from shared.runtime.config import BrokerAddress, load_vehicle, state_dir
 from shared.topics import BY_NAME
 
 from ..progress import progress_on
-from .common import meet, open_recording, tell_problems
-from .replaying import inputs_among, shifted
+from .common import await_broker, open_recording, print_problems
+from .device_data import inputs_among, shifted
 
 ORIGIN_S = 2.0
-ORIGIN_AGE_NS = 10_000_000_000  # an older one is what the broker kept of a source that has ended
-LISTEN_S = 1.0  # how long another source of data gets to show itself
+ORIGIN_AGE_NS = 10_000_000_000  # an older one is the retained message of a source that has ended
+LISTEN_S = 1.0  # in which messages of another source of data are awaited
 STEP = 200
 
 
 def play_onto(file: Path, speed: float, address: BrokerAddress, vehicle: Path | None) -> int:
-    """Play what the devices said onto the bus of a unit that runs without sensors; stamps are moved to now.
+    """Publish the device data on the bus of a unit that runs without sensors; stamps are shifted to now.
 
-    At a speed other than 1 the stamps keep the recorded intervals and part from the unit's clock: good for watching,
+    At a speed other than 1 the stamps keep the recorded intervals and differ from the unit's clock: good for watching,
     not for measuring latency.
     """
     console = Console(stderr=True)
     with open_recording(file) as recording:
         wanted = inputs_among({envelope.topic for envelope in recording})
-        tell_problems(recording, console)
+        print_problems(recording, console)
         if not wanted:
-            raise UserError(f"{file} holds nothing that a device said; record a unit with sensors or a simulator")
+            raise UserError(f"{file} holds no data of a device; record a unit with sensors or a simulator")
         bus = Bus("replay", load_vehicle(vehicle).name, address, (BY_NAME["origin/state"],), state_dir(), observer=True)
         try:
-            meet(bus)
+            await_broker(bus)
             _insist_on_silence(bus)
             count = Player(bus, Origin(now_ns=0, kind=OriginKind.REPLAY, name=file.stem[:64], speed=speed)).play(
                 recording, wanted, console
@@ -49,14 +49,14 @@ def play_onto(file: Path, speed: float, address: BrokerAddress, vehicle: Path | 
 
 
 class Player:
-    """Sends each message when it is due."""
+    """Publishes each message when it is due."""
 
     def __init__(self, bus: Bus, origin: Origin) -> None:
         self._bus, self._origin = bus, origin
         self._origin_due = 0.0
 
     def play(self, recording: Recording, wanted: frozenset[str], console: Console) -> int:
-        """Play a recording to its end; return how many messages were sent."""
+        """Publish a recording to its end; returns the number of messages."""
         count = 0
         with progress_on(console) as progress:
             task = progress.add_task(recording.path.name, total=recording.size)
@@ -64,7 +64,7 @@ class Player:
                 try:
                     message = shifted(envelope, shift_ns)
                 except BadPayload:
-                    continue  # its consumers would refuse it as well
+                    continue  # its consumers would reject it as well
                 self._bus.publish(message)
                 if count % STEP == 0:
                     progress.update(task, completed=recording.position)
@@ -72,7 +72,7 @@ class Player:
         return count
 
     def _paced(self, envelopes: Iterator[Envelope]) -> Iterator[tuple[Envelope, int]]:
-        """Yield each message when its time has come, with the way from its stamps to now."""
+        """Yield each message when it is due, with the shift from its stamps to now."""
         started, first_ns, shift_ns = time.monotonic(), 0, 0
         for envelope in envelopes:
             if not first_ns:
@@ -93,7 +93,7 @@ class Player:
 
 
 def _insist_on_silence(bus: Bus) -> None:
-    """Refuse to mix a recording with the data of a vehicle, of a simulator or of another recording."""
+    """Raise `UserError` if a vehicle, a simulator or another recording publishes data on the bus."""
     deadline = time.monotonic() + LISTEN_S
     while time.monotonic() < deadline:
         for envelope in bus.receive(0.1):

@@ -1,4 +1,4 @@
-"""`obu record`: a recording by hand, and the repair of one that was cut."""
+"""`obu record`: records a running unit, and repairs a damaged recording."""
 
 import time
 from pathlib import Path
@@ -15,24 +15,24 @@ from shared.runtime.config import broker_address, load_vehicle, state_dir
 from shared.topics import TOPICS
 
 from ..progress import progress_on
-from .common import meet, open_recording, tell_problems
+from .common import await_broker, open_recording, print_problems
 
 FLUSH_S = 0.5
-STEP = 2000  # messages between two looks at the progress
+STEP = 2000  # messages between two updates of the progress
 
 
 def record(output: Path | None, duration: float | None, vehicle: Path | None) -> int:
-    """Record everything that a running unit says until Ctrl-C or for `duration` seconds."""
+    """Record all messages of a running unit until Ctrl-C or for `duration` seconds."""
     file = load_vehicle(vehicle)
     bus = Bus("observer", file.name, broker_address(), TOPICS, state_dir(), observer=True)
-    meet(bus)
+    await_broker(bus)
     path = output or Path(time.strftime(f"%Y%m%dT%H%M%SZ_{file.name}.mcap", time.gmtime()))
     writer = _create(path, file.name, file.text)
     until = time.monotonic() + duration if duration is not None else float("inf")
     try:
         _listen(bus, writer, until)
     except KeyboardInterrupt:
-        pass  # Ctrl-C is how a recording by hand ends
+        pass  # Ctrl-C ends a recording
     except OSError as error:
         writer.abandon()
         raise UserError(
@@ -43,9 +43,9 @@ def record(output: Path | None, duration: float | None, vehicle: Path | None) ->
     _finish(writer)
     print(f"recorded {writer.messages} messages, {writer.bytes_written / 1e6:.1f} MB, to {path}")
     if bus.dropped:
-        print(f"{bus.dropped} messages came faster than they could be written and are missing")
+        print(f"{bus.dropped} messages arrived faster than they could be written, and are missing")
     if not writer.messages:
-        raise UserError(f"vehicle {file.name!r} said nothing; is that its name? OBU_VEHICLE or --vehicle says which")
+        raise UserError(f"vehicle {file.name!r} published nothing; check its name (OBU_VEHICLE or --vehicle)")
     return 0
 
 
@@ -65,7 +65,7 @@ def repair(
 
 
 def repair_into(recording: Recording, output: Path, console: Console) -> RecordingWriter:
-    """Copy what can be read of a recording, say what cannot, and return the closed writer."""
+    """Copy the readable messages of a recording, print what is damaged, and return the closed writer."""
     metadata = recording.metadata
     writer = _create(
         output,
@@ -77,7 +77,7 @@ def repair_into(recording: Recording, output: Path, console: Console) -> Recordi
     if not writer.messages:
         output.unlink()
         raise UserError(f"{recording.path} holds no message that can be read; there is nothing to repair")
-    tell_problems(recording, console)
+    print_problems(recording, console)
     return writer
 
 

@@ -52,7 +52,7 @@ def replay(  # one argument an option
         str | None,
         typer.Option(
             metavar="URL",
-            help="Play what the devices said onto this broker instead, for a unit that runs without sensors.",
+            help="Play the bytes of the devices onto this broker instead, for a unit that runs without sensors.",
         ),
     ] = None,
     vehicle: Annotated[
@@ -97,11 +97,11 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
         "OBU_STATE": str(folder),
     }
     supervisor = Supervisor({**os.environ, **environment}, folder / "logs")
-    supervisor.add("broker", broker_command(folder, broker_port, "auto", folder / "acl.conf"), outlives_others=True)
+    supervisor.add("broker", broker_command(folder, broker_port, "auto", folder / "acl.conf"), last=True)
     for name in RUN_HERE:
         supervisor.add_process(name)
     if taken:
-        console.print(f"port {wanted_port} {taken}: the dashboard takes {http_port}; to choose one: --port NUMBER")
+        console.print(f"port {wanted_port} {taken}: the dashboard uses {http_port}; to choose one: --port NUMBER")
     logging.getLogger("cli.demo.supervisor").setLevel(logging.ERROR)
     try:
         _wait_for_page(supervisor, folder)
@@ -114,7 +114,7 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
         )  # fmt: skip
         while True:
             supervisor.watch()
-            supervisor.insist()
+            supervisor.raise_rejected()
             time.sleep(0.2)
     except (KeyboardInterrupt, SystemExit):
         return 0
@@ -126,7 +126,7 @@ def _wait_for_page(supervisor: Supervisor, folder: Path) -> None:
     deadline = time.monotonic() + START_LIMIT_S
     while not (folder / ADDRESS_FILE).exists():
         supervisor.watch()
-        supervisor.insist()
+        supervisor.raise_rejected()
         time.sleep(0.05)
         if time.monotonic() > deadline:
             raise UserError(f"the dashboard did not start in {START_LIMIT_S:.0f} s; `obu doctor` checks this machine")
@@ -138,7 +138,7 @@ def _vehicle_of(file: Path, vehicle: Path | None) -> VehicleFile:
 
 
 def _playable(file: Path, vehicle: VehicleFile, folder: Path, console: Console) -> Path:
-    """Give the recording itself, or a copy with what it lacks: its index, or solutions."""
+    """The recording itself, or a copy with the index or the solutions that it lacks."""
     with open_recording(file) as recording:
         topics = recording.topics
         if not topics:
@@ -153,10 +153,10 @@ def _playable(file: Path, vehicle: VehicleFile, folder: Path, console: Console) 
 
 
 def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Console) -> Path:
-    """Write the inputs of a recording, and all that layers 2 to 4 compute of them, into a new one."""
+    """Write the inputs of a recording, and the outputs of layers 2 to 4, into a new one."""
     inputs = inputs_of(recording)
     if not inputs.envelopes:
-        raise UserError(f"{recording.path} holds nothing that a device said; record a unit with sensors or a simulator")
+        raise UserError(f"{recording.path} holds no bytes of a device; record a unit with sensors or a simulator")
     unit = OfflineUnit(vehicle)
     try:
         writer = RecordingWriter(path, vehicle=vehicle.name, vehicle_toml=vehicle.text)
@@ -191,5 +191,5 @@ def _envelope(message: Message, now_ns: int, sequence: int) -> Envelope:
 
 
 def _with_sections(vehicle: VehicleFile, sections: dict[str, Table]) -> str:
-    """Write the vehicle's file with other sections in place of some."""
+    """The vehicle's file with some sections replaced."""
     return as_toml({**vehicle.tables, **sections})

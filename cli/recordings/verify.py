@@ -1,4 +1,4 @@
-"""`obu verify`: every process of layers 2 to 4 done again from a recording, and compared byte for byte."""
+"""`obu verify`: repeats every process of layers 2 to 4 from a recording, and compares its messages byte for byte."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -23,14 +23,14 @@ from shared.runtime.live import Reactor, load_process
 from shared.topics import topic_of
 
 from ..progress import progress_on
-from .common import open_recording, tell_problems, vehicle_of
-from .verifying import Key, Repetition, Verdict
+from .common import open_recording, print_problems, vehicle_of
+from .repetition import Key, Repetition, Verdict
 
-KEPT_NS = 60_000_000_000  # how long after its arrival a message can still be named in a journal
-STEP = 2000  # messages between two looks at the progress
+KEPT_NS = 60_000_000_000  # from the arrival of a message to the last journal that may name it
+STEP = 2000  # messages between two updates of the progress
 INCOMPLETE = (
-    "incomplete: the recording lacks what a process heard, as one does that began while the unit ran; "
-    "the unit's own recorder starts first and keeps all of it"
+    "incomplete: the recording lacks messages that a process consumed, as one that began while the unit ran; "
+    "the unit's own recorder starts first and records all of them"
 )
 
 
@@ -45,7 +45,7 @@ def verify(
         typer.Option("--vehicle", metavar="FILE", help="The vehicle's TOML file instead of the recorded one."),
     ] = None,
 ) -> int:
-    """Repeat what each process consumed, in the order in which it did, and compare what it says byte for byte.
+    """Feed each process again what it consumed, in the same order, and compare its messages byte for byte.
 
     Examples:
     [bold]obu verify .obu/recordings/20260921T141320Z_car.mcap[/]
@@ -62,66 +62,66 @@ def verify(
             with open_recording(path) as recording:
                 task = progress.add_task(path.name, total=recording.size)
                 audit.read(recording, partial(_show, progress, task))
-                tell_problems(recording, console)
-    lives = audit.finish()
-    if not lives:
-        raise UserError("the recording holds no word of a process of layers 2 to 4; record a running unit to verify it")
-    _print(lives, console)
-    sound = all(life.verdict is Verdict.IDENTICAL for life in lives)
-    return 0 if sound and any(life.compared for life in lives) else 1
+                print_problems(recording, console)
+    repetitions = audit.finish()
+    if not repetitions:
+        raise UserError("the recording holds no message of a process of layers 2 to 4; record a running unit")
+    _print(repetitions, console)
+    identical = all(one.verdict is Verdict.IDENTICAL for one in repetitions)
+    return 0 if identical and any(one.compared for one in repetitions) else 1
 
 
 class Audit:
-    """Reads recordings once, from front to back, and repeats every life in them on the way."""
+    """Reads recordings once, in their order, and repeats every incarnation in them."""
 
     def __init__(self, vehicle: VehicleFile, wanted: set[str]) -> None:
         self._vehicle, self._wanted = vehicle, wanted
-        self._lives: dict[tuple[str, int], Repetition] = {}
+        self._repetitions: dict[tuple[str, int], Repetition] = {}
         self._recent: dict[Key, Envelope] = {}
         self._arrivals: deque[tuple[int, Key]] = deque()
         self._retained: dict[tuple[str, str], Envelope] = {}  # the newest of each topic and producer
         self._now_ns = 0
 
-    def read(self, recording: Recording, tell: Callable[[int], None]) -> None:
-        """Take in a recording, and tell now and then how many bytes are done."""
+    def read(self, recording: Recording, show: Callable[[int], None]) -> None:
+        """Process a recording; `show` is called with the number of bytes processed."""
         for count, envelope in enumerate(recording):
             if count % STEP == 0:
-                tell(recording.position)
+                show(recording.position)
             self._now_ns = max(self._now_ns, envelope.received_ns)
-            self._remember(envelope)
+            self._keep(envelope)
             row = BY_NAME.get(envelope.producer)
             if row is not None and row.name in self._wanted:
-                self._take(envelope, self._life(row.name, envelope.incarnation))
+                self._add(envelope, self._repetition(row.name, envelope.incarnation))
 
     def finish(self) -> list[Repetition]:
-        """Compare what is left, and return the lives in the order of the data flow."""
-        for life in self._lives.values():
-            life.advance(self._now_ns, last=True)
+        """Compare the rest, and return the repetitions in the order of the data flow."""
+        for repetition in self._repetitions.values():
+            repetition.advance(self._now_ns, last=True)
         order = list(BY_NAME)
-        # What the broker had kept of a life before the recording is no life to be repeated.
-        lives = [life for life in self._lives.values() if life.lively]
-        return sorted(lives, key=lambda life: (order.index(life.name), life.life))
+        # An incarnation with retained messages only ended before the recording.
+        running = [repetition for repetition in self._repetitions.values() if repetition.running]
+        return sorted(running, key=lambda repetition: (order.index(repetition.name), repetition.incarnation))
 
-    def _life(self, name: str, incarnation: int) -> Repetition:
+    def _repetition(self, name: str, incarnation: int) -> Repetition:
         key = (name, incarnation)
-        if key not in self._lives:
+        if key not in self._repetitions:
             process = cast(Reactor, load_process(name, self._vehicle))
-            self._lives[key] = Repetition(name, incarnation, process, self._find)
-        return self._lives[key]
+            self._repetitions[key] = Repetition(name, incarnation, process, self._find)
+        return self._repetitions[key]
 
-    def _take(self, envelope: Envelope, life: Repetition) -> None:
+    def _add(self, envelope: Envelope, repetition: Repetition) -> None:
         branch = envelope.topic.split("/")[0]
         if branch not in ("health", "consumed"):
-            life.add_word(envelope, compare=True)
+            repetition.add_message(envelope, compare=True)
             return
-        if life.add_word(envelope, compare=False):
+        if repetition.add_message(envelope, compare=False):
             message = _decoded(envelope)
             if isinstance(message, Consumed):
-                life.add_journal(message, envelope.received_ns)
-            life.advance(self._now_ns)
+                repetition.add_journal(message, envelope.received_ns)
+            repetition.advance(self._now_ns)
 
-    def _remember(self, envelope: Envelope) -> None:
-        """Keep what may still be named in a journal: the last minute, and what the broker keeps, a minute longer."""
+    def _keep(self, envelope: Envelope) -> None:
+        """Keep messages that a journal may still name: for a minute, retained ones for a minute after the next."""
         row = topic_of(envelope.topic)
         old: Envelope | None = envelope
         if row is not None and row.retain:
@@ -153,18 +153,18 @@ def _decoded(envelope: Envelope) -> Message | None:
         return None
 
 
-def _print(lives: Sequence[Repetition], console: Console) -> None:
+def _print(repetitions: Sequence[Repetition], console: Console) -> None:
     table = Table(box=None, pad_edge=False)
     for title in ("process", "started (UTC)", "consumed", "compared", "unrecorded", "verdict"):
         right = title in ("consumed", "compared", "unrecorded")
         table.add_column(title, justify="right" if right else "left", no_wrap=True)
-    for life in lives:
-        started = datetime.fromtimestamp(life.life // 1_000_000_000, UTC)
-        numbers = (str(number) for number in (life.consumed, life.compared, life.unrecorded))
-        table.add_row(life.name, f"{started:%m-%d %H:%M:%S}", *numbers, life.verdict.value)
+    for one in repetitions:
+        started = datetime.fromtimestamp(one.incarnation // 1_000_000_000, UTC)
+        numbers = (str(number) for number in (one.consumed, one.compared, one.unrecorded))
+        table.add_row(one.name, f"{started:%m-%d %H:%M:%S}", *numbers, one.verdict.value)
     Console().print(table)
-    for life in lives:
-        if life.reason:
-            console.print(f"{life.name}: {life.reason}", markup=False, highlight=False)
-    if any(life.verdict is Verdict.INCOMPLETE for life in lives):
+    for one in repetitions:
+        if one.reason:
+            console.print(f"{one.name}: {one.reason}", markup=False, highlight=False)
+    if any(one.verdict is Verdict.INCOMPLETE for one in repetitions):
         console.print(INCOMPLETE)

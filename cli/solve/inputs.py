@@ -14,7 +14,7 @@ from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit, arrival_ns
 from shared.topics import BY_NAME, measurements
 
-from ..recordings.replaying import inputs_among
+from ..recordings.device_data import inputs_among
 
 RECEIVER = ("gnss/raw", "gnss/fix")
 TRUTH = "truth/state"

@@ -24,9 +24,9 @@ from shared.messages.navigation import AidingUpdate, NavigationSolution, Navigat
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
-from ..import_drive.table import read_table
+from ..import_drive.readers.table import read_table
 from ..progress import progress_on
-from ..recordings.common import open_recording, tell_problems, vehicle_of
+from ..recordings.common import open_recording, print_problems, vehicle_of
 from .files import write
 from .history_file import HistoryFile
 from .inputs import Inputs, all_fixes, arrival_of, inputs_of
@@ -190,7 +190,7 @@ class Solved:
 def _read(path: Path, vehicle: Path | None, console: Console) -> Drive:
     with open_recording(path) as recording:
         inputs = inputs_of(recording)
-    tell_problems(recording, console)
+    print_problems(recording, console)
     _check(path, inputs)
     provenance = recording.metadata.get("provenance", {})
     return Drive(provenance.get("name", path.stem), path.name, inputs, vehicle_of(recording, vehicle), provenance)

@@ -1,7 +1,7 @@
-"""The connection of a process to the bus: a paho-mqtt client (MQTT 3.1.1), its loop in our own hands.
+"""The connection of a process to the bus: a paho-mqtt client (MQTT 3.1.1) in the loop of the process.
 
-Nothing runs in a thread, and callbacks only queue: the process's own loop decodes, and the heartbeat is sent from that
-loop, so that a process that hangs goes silent.
+There is no thread, and callbacks only queue: messages are decoded and heartbeats are sent in the loop of the process,
+so that a process that hangs sends no heartbeats.
 """
 
 import faulthandler
@@ -31,29 +31,29 @@ from ..topics import BY_MESSAGE, TOPICS, Topic, topic_of
 from . import codec
 from .envelope import Envelope
 
-__all__ = ["Bus", "Envelope"]
+__all__ = ["Bus", "Envelope", "decoded"]
 
 log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.5
-HUNG_S = 20.0  # without a heartbeat: longer than a slow disk takes, and whoever restarts it should get to know
+HUNG_S = 20.0  # without a heartbeat, after which the process ends itself; longer than a slow disk takes
 KEEP_ALIVE_S = 5
-CONNECT_S = 1.0  # a host that does not answer shall not use up the time that SIGTERM leaves
+CONNECT_S = 1.0  # timeout; shorter than the time between SIGTERM and SIGKILL
 RECONNECT_S = (0.05, 0.1, 0.2, 0.5, 1.0)
-STEADY_S = 3.0  # a connection that lasts less is no success: two of one name would take it from each other for ever
+STEADY_S = 3.0  # a shorter connection counts as failed: two clients of one name disconnect each other
 QUEUE_LENGTH = 2000
 IN_FLIGHT = 100  # messages of QoS 1 that the broker has not acknowledged yet
-MOST_READS = 64  # in one go: a broker that sends without end shall not keep us from everything else
+MOST_READS = 64  # per call, so that a flood of messages does not stop the loop
 
 
 class Bus:
-    """One process's own connection to the broker.
+    """The connection of one process to the broker.
 
     `receive` must be called at least every 0.2 s: it runs the network, the heartbeat and the
     reconnection. QoS 0 messages published while the broker is away are lost and counted, QoS 1
-    messages wait for it in a bounded queue; what the broker is too slow to read waits there as
-    well. A full queue forgets the oldest, and `dropped` counts it. An observer only listens: it has
-    no last will and no heartbeat, and there may be several of one name.
+    messages wait in a bounded queue, as do messages that a slow broker does not read yet. A full queue
+    drops the oldest, counted in `dropped`. An observer publishes nothing: it has no last will and no
+    heartbeat, and there may be several of one name.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Bus:
         self.reconnections = self.messages_in = self.messages_out = self.dropped = 0
         self._clock = Clock(state_dir)
         self.incarnation = self.now_ns()
-        self.sequence = 0  # running number of the last message sent
+        self.sequence = 0  # of the last message sent
         self._prefix = f"obu/{vehicle}/"
         self._inbox: deque[tuple[mqtt.MQTTMessage, int]] = deque(maxlen=QUEUE_LENGTH)
         self._waiting: deque[tuple[str, bytes, Topic]] = deque()
@@ -87,7 +87,7 @@ class Bus:
         self._observer, self._guarded = observer, False
         self._filters = [(self._prefix + topic.name, topic.qos) for topic in subscriptions]
         if len(subscriptions) == len(TOPICS):
-            # Mosquitto serves those who name a topic before those who take everything: the hot path before observers.
+            # Mosquitto serves subscribers of single topics before those of all: processes before observers.
             self._filters = [(self._prefix + "#", 1)]
         self._client = self._make_client()
 
@@ -113,22 +113,20 @@ class Bus:
         return self._clock.now_ns()
 
     def publish(self, message: Message) -> None:
-        """Send a message on the topic of its type, signed with who we are and a running number."""
+        """Publish a message on the topic of its type, with its sender and sequence number."""
         topic = BY_MESSAGE[type(message)]
         self.sequence += 1
         self.messages_out += 1
         name, payload = self._prefix + codec.topic_name(message, topic), self._sign(message)
         if len(payload) > codec.MAXIMUM_PAYLOAD or not (self.connected or topic.qos):
             self.dropped += 1
-        elif self._waiting or not self._ready():
-            self._wait(name, payload, topic)
         else:
-            self._send(name, payload, topic)
+            self._send_in_order(name, payload, topic)
 
     def forward(self, envelope: Envelope) -> None:
-        """Send a recorded message as it was, with the time of its arrival at the recorder.
+        """Publish a recorded message unchanged, with the time of its arrival at the recorder.
 
-        At QoS 0 and not retained, so that messages of all topics keep their order and none outlives a jump.
+        At QoS 0 and not retained, so that messages of all topics keep their order, and none is left after a jump.
         """
         row = topic_of(envelope.topic)
         if row is None or not self.connected:
@@ -137,36 +135,33 @@ class Bus:
         topic = replace(row, qos=0, retain=False)
         name, payload = self._prefix + envelope.topic, codec.replayed(envelope.payload, envelope.received_ns)
         self.messages_out += 1
-        if self._waiting or not self._ready():
-            self._wait(name, payload, topic)
-        else:
-            self._send(name, payload, topic)
+        self._send_in_order(name, payload, topic)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
-        """Run the network for up to `timeout_s` and return what came, oldest first.
+        """Run the network for up to `timeout_s` and return the received messages, oldest first.
 
-        Returns at once when something is there. After SIGTERM `stopping` is set and the call returns.
+        Returns as soon as there are messages. After SIGTERM `stopping` is set and the call returns.
         """
-        self._heartbeat()  # before the wait: what comes shall not wait for it
+        self._heartbeat()  # before the wait, so that received messages are not delayed by it
         if self._client.socket() is not None or self._connect(timeout_s):
             self._exchange(timeout_s)
         return self._take()
 
     def close(self) -> None:
-        """Publish the farewell and disconnect; the last will is not sent."""
+        """Publish the state `disconnected` and disconnect; the last will is not sent."""
         self.stopping = True
         if self._guarded:
             faulthandler.cancel_dump_traceback_later()
         if self.connected and not self._observer:
             self.publish(self.health(ProcessState.DISCONNECTED))
         deadline = time.monotonic() + 0.5
-        while self.connected and self._is_owed() and time.monotonic() < deadline:
+        while self.connected and self._has_unsent() and time.monotonic() < deadline:
             self._exchange(0.05)
         self._client.disconnect()
         self.connected = False
 
     def health(self, state: ProcessState) -> ProcessHealth:
-        """Describe this process as it is now."""
+        """The present state and counters of this process."""
         return ProcessHealth(
             process=self.process,
             state=state,
@@ -183,7 +178,7 @@ class Bus:
         )
 
     def guard(self) -> None:
-        """From now on end the program, with a traceback on standard error, when `receive` is not called any more."""
+        """End the program, with a traceback on standard error, if `receive` is not called for `HUNG_S`."""
         self._guarded = True
 
     def _sign(self, message: Message) -> bytes:
@@ -191,22 +186,25 @@ class Bus:
         return codec.signed(codec.encode(message), sender)
 
     def _ready(self) -> bool:
-        """Whether the broker reads as fast as it is written to."""
+        """Whether the broker has read everything written to it."""
         return self.connected and not self._client.want_write()
 
-    def _is_owed(self) -> bool:
-        """Whether a message waits, or for its acknowledgement."""
+    def _has_unsent(self) -> bool:
+        """Whether a message is unsent or not acknowledged."""
         last = self._last
         return bool(self._waiting) or (last is not None and not last.rc and not last.is_published())
 
     def _send(self, name: str, payload: bytes, topic: Topic) -> None:
         info = self._client.publish(name, payload, topic.qos, topic.retain)
-        if info.rc == mqtt.MQTT_ERR_QUEUE_SIZE:  # so many of QoS 1 were not acknowledged
+        if info.rc == mqtt.MQTT_ERR_QUEUE_SIZE:  # too many messages of QoS 1 are not acknowledged
             self.dropped += 1
         elif topic.qos:
             self._last = info
 
-    def _wait(self, name: str, payload: bytes, topic: Topic) -> None:
+    def _send_in_order(self, name: str, payload: bytes, topic: Topic) -> None:
+        if not self._waiting and self._ready():
+            self._send(name, payload, topic)
+            return
         self._waiting.append((name, payload, topic))
         if len(self._waiting) > QUEUE_LENGTH:
             self._waiting.popleft()
@@ -224,11 +222,11 @@ class Bus:
         except OSError as error:
             self.last_error = f"no broker at {self.address.host}:{self.address.port}: {error.strerror or error}"
             if self._attempts == 1:
-                log.warning("%s, trying again until it is there", self.last_error)
+                log.warning("%s; connecting again until it responds", self.last_error)
         return self._client.socket() is not None
 
     def _exchange(self, timeout_s: float) -> None:
-        """Wait until the broker sends, or reads again; take in what came, and send what waited."""
+        """Wait until the broker sends or reads; receive, and send what waited."""
         client, sock = self._client, [cast(socket.socket, self._client.socket())]
         readable, writable, _ = select.select(sock, sock if client.want_write() else [], [], timeout_s)
         if writable:
@@ -256,7 +254,7 @@ class Bus:
         self._connected_s, self._next_heartbeat = time.monotonic(), 0.0
         log.info("connected to %s:%d", self.address.host, self.address.port)
         if self._filters:
-            client.subscribe(self._filters)  # anew: the broker keeps no session of ours
+            client.subscribe(self._filters)  # after each connection: sessions are clean
 
     def _on_subscribe(
         self, _c: mqtt.Client, _u: object, _mid: int, granted: list[ReasonCode], _p: Properties | None
@@ -317,6 +315,16 @@ class Bus:
                 self.rejects["envelope"] += 1
                 self.last_error = str(error)[:400]
         return envelopes
+
+
+def decoded(bus: Bus, envelope: Envelope) -> Message | None:
+    """Decode the payload; an invalid one is counted as rejected and gives None."""
+    try:
+        return envelope.decode()
+    except BadPayload as error:
+        bus.rejects["payload"] += 1
+        bus.last_error = str(error)[:400]
+        return None
 
 
 def _send_at_once(_client: mqtt.Client, _userdata: object, sock: object) -> None:

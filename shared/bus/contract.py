@@ -1,4 +1,4 @@
-"""The contract of the bus in print: tables for people, AsyncAPI 3.0 for machines."""
+"""Prints the topics and processes: Markdown tables, and an AsyncAPI 3.0 document."""
 
 import json
 import textwrap
@@ -142,7 +142,7 @@ def _message(topic: Topic) -> Json:
 
 
 def payload_schema(message: type[Message]) -> Json:
-    """Describe the payload of a message as JSON schema: its fields, and who sent it."""
+    """The JSON schema of a payload: the fields of the message, and its sender."""
     return _with_sender(message.model_json_schema(mode="serialization"), Sender.model_json_schema())
 
 
@@ -152,7 +152,7 @@ def _with_sender(schema: Json, sender: Json) -> Json:
 
 
 def _schemas() -> Json:
-    """Describe the payloads, and what they hold, side by side: a reference is resolved from the document's root."""
+    """The schemas of the payloads and of their parts, as `$ref` is resolved from the root of the document."""
     mode: JsonSchemaMode = "serialization"
     kinds: list[type[Message]] = [Sender, *(t.message for t in TOPICS)]
     _, schemas = models_json_schema([(kind, mode) for kind in kinds], ref_template="#/components/schemas/{model}")

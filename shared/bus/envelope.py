@@ -1,4 +1,4 @@
-"""A message as it travels: topic, payload, and who sent it."""
+"""An encoded message: topic, payload and sender."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from . import codec
 
 
 class Envelope(NamedTuple):
-    """A message as it travelled: short topic name, payload, arrival, and who sent it as which of theirs."""
+    """An encoded message: short topic name, payload, arrival time, sender and sequence number."""
 
     topic: str
     payload: bytes
@@ -22,7 +22,7 @@ class Envelope(NamedTuple):
 
     @classmethod
     def of(cls, topic: str, payload: bytes, received_ns: int, *, retained: bool = False) -> "Envelope":
-        """Read the sender of a payload, or raise `BadPayload`; the rest of it is read by `decode`."""
+        """Decode the sender of a payload; raises `BadPayload`. `decode` reads the other fields."""
         if topic_of(topic) is None:
             raise BadPayload(f"{topic} is no topic of the contract")
         sender = codec.sender_of(payload)
@@ -32,5 +32,5 @@ class Envelope(NamedTuple):
         )  # fmt: skip
 
     def decode(self) -> Message:
-        """Decode the payload, or raise `BadPayload`."""
+        """Decode the payload; raises `BadPayload`."""
         return codec.decode(self.topic, self.payload)

@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Generic, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 from ..bus.bus import Bus, Envelope
@@ -19,37 +20,41 @@ CHUNK_BYTES = 16384
 ORIGIN_S = 2.0
 
 
-class Link:
+class Writable(Protocol):
+    """What a device and a radio have in common."""
+
+    def write(self, data: bytes, /) -> None:
+        """Send bytes; raises `DeviceBusy` or `DeviceLost`."""
+        ...
+
+    def close(self) -> None:
+        """Close the device; may be called twice."""
+        ...
+
+
+D = TypeVar("D", bound=Writable)
+
+
+class Connection(Generic[D]):
     """A device that may be disconnected and reconnected.
 
     A loss is logged once and counted in `bus.rejects["device_lost"]`; `bus.last_error` states what to check until
-    data are received again. The device is closed before it is reopened, since a serial port that is still open
-    reappears under another name. A chunk ends after `gap_s` without a byte, or `chunk_s` after its first byte.
+    the device works again. The device is closed before it is reopened, since a serial port that is still open
+    reappears under another name.
     """
 
-    def __init__(self, open_it: Callable[[], Device], *, gap_s: float = 0.002, chunk_s: float = 0.01) -> None:
-        self._open, self._gap_s, self._chunk_s = open_it, gap_s, chunk_s
-        self._device: Device | None = None
+    def __init__(self, open_it: Callable[[], D]) -> None:
+        self._open = open_it
+        self._device: D | None = None
         self._attempts = 0
         self._next_attempt = 0.0
         self._fault: str | None = None
 
-    def read(self, bus: Bus, wait_s: float) -> tuple[bytes, int]:
-        """Return one chunk and the arrival time of its last byte; empty without data or without a device."""
-        chunk, received_ns = b"", 0
-        try:
-            device = self._device or self._reopen()
-            if device is None:
-                return b"", 0
-            chunk = device.read(wait_s)
-            received_ns, end = bus.now_ns(), time.monotonic() + self._chunk_s
-            if chunk:
-                self._note_received(bus)
-            while chunk and len(chunk) < CHUNK_BYTES and time.monotonic() < end and (more := device.read(self._gap_s)):
-                received_ns, chunk = bus.now_ns(), chunk + more
-        except DeviceLost as error:
-            self._lose(bus, error)
-        return chunk, received_ns
+    def opened(self) -> D | None:
+        """The device, opened when an attempt is due, otherwise None; raises `DeviceLost`."""
+        if self._device is None and time.monotonic() >= self._next_attempt:
+            self._device = self._open()
+        return self._device
 
     def write(self, bus: Bus, data: bytes) -> None:
         """Send bytes; they are dropped and counted as `write_lost` if the device is absent or does not accept them."""
@@ -60,7 +65,7 @@ class Link:
         except DeviceBusy:
             bus.rejects["write_lost"] += 1
         except DeviceLost as error:
-            self._lose(bus, error)
+            self.lose(bus, error)
 
     @property
     def present(self) -> bool:
@@ -73,13 +78,8 @@ class Link:
             self._device.close()
             self._device = None
 
-    def _reopen(self) -> Device | None:
-        if time.monotonic() < self._next_attempt:
-            return None
-        self._device = self._open()
-        return self._device
-
-    def _note_received(self, bus: Bus) -> None:
+    def note_working(self, bus: Bus) -> None:
+        """End the fault of a lost device."""
         self._attempts = 0
         if self._fault is not None:
             log.info("device reconnected")
@@ -87,7 +87,8 @@ class Link:
                 bus.last_error = None
             self._fault = None
 
-    def _lose(self, bus: Bus, error: DeviceLost) -> None:
+    def lose(self, bus: Bus, error: DeviceLost) -> None:
+        """Close the device until the next attempt."""
         if self._device is not None:
             bus.rejects["device_lost"] += 1
         self.close()
@@ -96,6 +97,31 @@ class Link:
         self._fault = bus.last_error = str(error)
         self._next_attempt = time.monotonic() + BACK_OFF_S[min(self._attempts, len(BACK_OFF_S) - 1)]
         self._attempts += 1
+
+
+class Link(Connection[Device]):
+    """A byte stream, read in chunks: each ends after `gap_s` without a byte, or `chunk_s` after its first byte."""
+
+    def __init__(self, open_it: Callable[[], Device], *, gap_s: float = 0.002, chunk_s: float = 0.01) -> None:
+        super().__init__(open_it)
+        self._gap_s, self._chunk_s = gap_s, chunk_s
+
+    def read(self, bus: Bus, wait_s: float) -> tuple[bytes, int]:
+        """Return one chunk and the arrival time of its last byte; empty without data or without a device."""
+        chunk, received_ns = b"", 0
+        try:
+            device = self.opened()
+            if device is None:
+                return b"", 0
+            chunk = device.read(wait_s)
+            received_ns, end = bus.now_ns(), time.monotonic() + self._chunk_s
+            if chunk:
+                self.note_working(bus)
+            while chunk and len(chunk) < CHUNK_BYTES and time.monotonic() < end and (more := device.read(self._gap_s)):
+                received_ns, chunk = bus.now_ns(), chunk + more
+        except DeviceLost as error:
+            self.lose(bus, error)
+        return chunk, received_ns
 
 
 class OriginPublisher:

@@ -206,6 +206,6 @@ class MqttRadio:
         if not 0 < len(message.payload) <= MAX_FRAME_BYTES:
             self._rejects["frame_length"] += 1
             return
-        if len(self._inbox) == QUEUE_LENGTH:  # the oldest is forgotten
+        if len(self._inbox) == QUEUE_LENGTH:  # the oldest is dropped
             self._rejects["queue_full"] += 1
         self._inbox.append((time.monotonic_ns(), bytes(message.payload)))

@@ -19,7 +19,6 @@ MAX_PAYLOAD_BYTES = 2048
 # Data identifiers without their format bits: the low two bits are the number format
 # (0 float32, 1 fixed 12.20, 2 fixed 16.32, 3 float64), the next two the reference frame.
 TEMPERATURE = 0x0810  # [°C]
-UTC_TIME = 0x1010
 PACKET_COUNTER = 0x1020
 SAMPLE_TIME_FINE = 0x1060  # [100 µs]
 SAMPLE_TIME_COARSE = 0x1070  # [s]

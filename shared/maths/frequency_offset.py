@@ -14,13 +14,11 @@ CARRIER_FREQUENCY = 5.9e9  # [Hz] ITS-G5 control channel, ETSI EN 302 663
 MAX_OFFSET = 100e-6  # [-] far more than any oscillator of a radio (IEEE 802.11: ±20 ppm)
 
 
-def cfo_from_range_rate(
-    range_rate: float, transmitter: float, receiver: float, carrier: float = CARRIER_FREQUENCY
-) -> float:
+def cfo_from_range_rate(range_rate: float, transmitter: float, receiver: float) -> float:
     """Carrier frequency offset [Hz] at a range-rate [m/s] and fractional frequency offsets [-], exact."""
-    return carrier * ((1.0 + transmitter) * (1.0 - range_rate / SPEED_OF_LIGHT) - (1.0 + receiver))
+    return CARRIER_FREQUENCY * ((1.0 + transmitter) * (1.0 - range_rate / SPEED_OF_LIGHT) - (1.0 + receiver))
 
 
-def range_rate_from_cfo(cfo: float, transmitter: float, receiver: float, carrier: float = CARRIER_FREQUENCY) -> float:
+def range_rate_from_cfo(cfo: float, transmitter: float, receiver: float) -> float:
     """Range-rate [m/s] from a carrier frequency offset [Hz] and fractional frequency offsets [-], to first order."""
-    return -SPEED_OF_LIGHT / carrier * cfo + SPEED_OF_LIGHT * (transmitter - receiver)
+    return -SPEED_OF_LIGHT / CARRIER_FREQUENCY * cfo + SPEED_OF_LIGHT * (transmitter - receiver)

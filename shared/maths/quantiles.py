@@ -68,58 +68,30 @@ def circle_factor(ratio: float, risk: float) -> float:
     return float(np.interp(ratio, RATIOS, _circle_factors(risk)))
 
 
-def probability_outside(radius: FloatArray, sd_minor: FloatArray) -> FloatArray:
-    """Find the probability that a normal pair lies outside a circle about its mean.
-
-    Parameters
-    ----------
-    radius : ndarray, shape (n,)
-        [-] Of circles, over the larger standard deviation along the axes of the pair's ellipse.
-    sd_minor : ndarray, shape (n,)
-        [-] The smaller one over it; not zero.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [-] To a millionth of itself for an ellipse that is not narrower than 1 to `STEPS`.
+@lru_cache(maxsize=64)
+def _circle_factors(risk: float) -> FloatArray:
+    """Radii, over the larger standard deviation, outside which a normal pair is with the risk, for each of `RATIOS` b.
 
     Notes
     -----
     With x = ρ cos φ and y = b ρ sin φ, ρ is Rayleigh's and φ even, so that the tail in each direction is closed::
 
-        P = 2/π ∫₀^{π/2} exp( -R² / (2 (cos² φ + b² sin² φ)) ) dφ
+        P(R) = 2/π ∫₀^{π/2} exp( -R² r(φ) ) dφ,    r = 1 / (2 (cos² φ + b² sin² φ))
 
-    Midpoints give the integral of a smooth periodic function fast.
+    Midpoints give the integral of a smooth periodic function fast. ln P is a convex and falling function of R², as the
+    logarithm of a sum of exponentials, so that Newton's method rises to its root from the radius of a line, which is
+    too small for every ellipse, without passing it::
+
+        R² <- R² + ln(P / risk) / (-d ln P / d R²)
 
     References
     ----------
     R. S. Hoyt, "Probability functions for the modulus of the angular vector", Bell System Technical Journal 26, 1947.
     """
-    mean: FloatArray = np.exp(-((radius**2)[:, np.newaxis]) * _rates(sd_minor)).mean(axis=1)
-    return mean
-
-
-def _rates(sd_minor: FloatArray) -> FloatArray:
-    """1 / (2 (cos² φ + b² sin² φ)) at every node, shape (n, `NODES`)."""
-    b2 = (sd_minor**2)[:, np.newaxis]
-    rates: FloatArray = 0.5 / (b2 + (1.0 - b2) * COSINES2)
-    return rates
-
-
-@lru_cache(maxsize=64)
-def _circle_factors(risk: float) -> FloatArray:
-    """Radii R with `probability_outside` = risk, one for each of `RATIOS`.
-
-    Notes
-    -----
-    ln P is a convex and falling function of R², because it is the logarithm of a sum of exponentials. Newton's method
-    therefore rises to its root from the radius of a line, which is too small for every ellipse, without passing it::
-
-        R² <- R² + ln(P / risk) / (-d ln P / d R²)
-    """
     if risk >= 1.0:
         return np.zeros(STEPS + 1)
-    line, circle, rates = line_factor(risk), np.sqrt(-2.0 * np.log(risk)), _rates(RATIOS[1:-1])
+    line, circle, b2 = line_factor(risk), np.sqrt(-2.0 * np.log(risk)), RATIOS[1:-1, np.newaxis] ** 2
+    rates = 0.5 / (b2 + (1.0 - b2) * COSINES2)
     squared = np.full(STEPS - 1, line**2)
     for _ in range(ROUNDS):
         tails = np.exp(-squared[:, np.newaxis] * rates)

@@ -52,16 +52,19 @@ Base64 = Annotated[
 
 
 class Message(BaseModel):
-    """A frozen, strictly typed record; unknown fields of a newer producer are ignored."""
+    """A frozen, strictly typed record; unknown fields of a newer producer are ignored.
 
-    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False, extra="ignore")
+    The validator of a type is built when it is first used: a process uses a few of them.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False, extra="ignore", defer_build=True)
 
 
 class Sender(Message):
-    """Who sent a message, in which life, as which of theirs: the field `sender` of every payload on the bus."""
+    """Process, incarnation and sequence number of a message: the field `sender` of every payload on the bus."""
 
     process: Name
-    incarnation: Annotated[Nanoseconds, unit("ns")]  # start of that life on the OBU time line
+    incarnation: Annotated[Nanoseconds, unit("ns")]  # start of the process on the OBU time line
     sequence: Annotated[Count, Field(ge=0, lt=LARGEST_NS)]
     recorded_ns: Nanoseconds | None = None  # arrival at the recorder, of a message that is replayed
 

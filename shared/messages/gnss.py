@@ -25,6 +25,7 @@ from .base import (
     unit,
 )
 
+MAX_SIGNALS = 255  # of one epoch; UBX-NAV-SIG counts them in a byte
 MAX_RAW_MEASUREMENTS = 128  # of one epoch; the longest RXM-RAWX that the parser reads has 127
 MAX_NAVIGATION_WORDS = 16  # of one subframe or page
 MAX_RADIO_PATHS = 8  # of one receiver: one a band
@@ -130,6 +131,28 @@ class GnssSatellites(Stamped):
     """The satellites of one epoch."""
 
     satellites: tuple[Satellite, ...]
+
+
+class GnssSignal(Message):
+    """One signal of a satellite as the receiver tracks and uses it, after UBX-NAV-SIG."""
+
+    constellation: Constellation
+    number: Count
+    signal: Name | None = None  # as in `RawMeasurement`
+    cn0_db_hz: float | None = None
+    quality: SignalQuality
+    healthy: bool | None = None  # None: not known
+    residual_m: float | None = None  # of the pseudorange; None unless it is used
+    pseudorange_used: bool
+    carrier_phase_used: bool
+    doppler_used: bool
+    corrected: bool  # whether corrections of the pseudorange are used
+
+
+class GnssSignals(Stamped):
+    """The signals of one epoch, from receivers that state them one by one."""
+
+    signals: Annotated[tuple[GnssSignal, ...], Field(max_length=MAX_SIGNALS)]
 
 
 class RawMeasurement(Message):

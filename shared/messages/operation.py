@@ -7,7 +7,7 @@ from pydantic import Field
 
 from .base import Count, Message, Name, Nanoseconds, Ratio, Reason, unit
 
-Incarnation = Annotated[Nanoseconds, unit("ns")]  # start of a life of a process on the OBU time line
+Incarnation = Annotated[Nanoseconds, unit("ns")]  # start of a process on the OBU time line
 
 
 class Mode(StrEnum):
@@ -45,7 +45,7 @@ class ProcessState(StrEnum):
 
 
 class ProcessHealth(Message):
-    """Birth, heartbeat, farewell or last will of one process."""
+    """Start, heartbeat, disconnect or last will of one process."""
 
     process: Name
     state: ProcessState
@@ -53,7 +53,7 @@ class ProcessHealth(Message):
     sent_ns: Nanoseconds
     messages_in: Count = 0
     messages_out: Count = 0
-    dropped: Count = 0  # forgotten by a full queue
+    dropped: Count = 0  # by a full queue
     rejects: dict[str, int] = Field(default_factory=dict)  # bad input by kind
     reconnections: Count = 0
     cpu_s: float = 0.0

@@ -127,7 +127,7 @@ LaneProbabilities = Annotated[tuple[LaneProbability, ...], Field(max_length=LANE
 class TollTrack(Message):
     """One vehicle as `core.toll` tracks it: front point, motion, uncertainty, lane."""
 
-    track: Count  # number of the track in this life of the process
+    track: Count  # number of the track since the start of the process
     station_id: StationId
     updated_ns: Nanoseconds  # of the last CAM
     latitude_deg: Latitude

@@ -1,4 +1,4 @@
-"""Recordings of the bus: MCAP files that any MCAP tool opens, and a reader that survives a cut."""
+"""Recordings of the bus: MCAP files that any MCAP tool opens, and a reader that also reads truncated ones."""
 
 from .reader import Recording as Recording
 from .writer import RecordingWriter as RecordingWriter

@@ -50,5 +50,7 @@ def _from_0_1(channel: Channel, data: bytes, sequence: int, publish_time: int) -
     if row is not None and issubclass(row.message, RawBytes):
         source = channel.metadata.get("source", "")
         data = codec.encode(row.message(received_ns=publish_time, source=source, data=data))
-    life = int(channel.metadata["life"])
-    return codec.signed(data, Sender(process=channel.metadata.get("from", ""), incarnation=life, sequence=sequence))
+    incarnation = int(channel.metadata["life"])
+    return codec.signed(
+        data, Sender(process=channel.metadata.get("from", ""), incarnation=incarnation, sequence=sequence)
+    )

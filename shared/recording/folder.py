@@ -27,11 +27,11 @@ class Stored:
 
 
 class RecordingFolder:
-    """Recordings as files; what fails on the disk comes out as `OSError`."""
+    """Recordings as files; failures of the disk raise `OSError`."""
 
     def __init__(self, path: Path, opener: Opener = open_new) -> None:
         self.path = path
-        self.free_bytes = 0  # room that the disk had left for us when `stored` looked; none where there is no disk
+        self.free_bytes = 0  # free space at the last call of `stored`; 0 without a disk
         self._opener = opener
         self._writer: RecordingWriter | None = None
         self._received = self._closed_messages = self._closed_bytes = 0
@@ -50,7 +50,7 @@ class RecordingFolder:
 
     @property
     def messages(self) -> int:
-        """Messages that reached a file."""
+        """Number of messages written."""
         return self._closed_messages + (self._writer.messages if self._writer else 0)
 
     @property
@@ -60,11 +60,11 @@ class RecordingFolder:
 
     @property
     def lost(self) -> int:
-        """Messages that were given and can reach no file any more."""
+        """Number of messages that could not be written."""
         return self._received - self.messages - (self._writer.pending if self._writer else 0)
 
     def stored(self) -> list[Stored]:
-        """List the recordings in the folder, which is made if it is missing, and look how much room is left.
+        """List the recordings in the folder, which is made if it is missing, and determine the free space.
 
         What the folder lies in is not made: where it is missing, a disk is not mounted.
         """
@@ -103,12 +103,12 @@ class RecordingFolder:
                 self._writer.write(envelope)
 
     def flush(self) -> None:
-        """Hand over to the system what is waiting."""
+        """Pass the buffered data to the operating system."""
         if self._writer:
             self._writer.flush()
 
     def sync(self) -> None:
-        """Ask the disk to store what it was given; in a thread, because a memory card may take a second."""
+        """Synchronise the file with the disk in a thread: a memory card may take a second."""
         if self._syncing and self._syncing.done() and (error := self._syncing.exception()):
             self._syncing = None
             raise error
@@ -121,7 +121,7 @@ class RecordingFolder:
             return
         self._writer = None
         if self._syncing:
-            self._syncing.exception()  # wait for it: the number of a closed file may be another's
+            self._syncing.exception()  # waits: the descriptor of a closed file may be reused
         try:
             writer.close()
         finally:

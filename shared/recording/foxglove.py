@@ -59,7 +59,7 @@ class Foxglove:
         self._origin: NavigationSolution | None = None
 
     def messages(self, envelope: Envelope) -> Iterator[tuple[str, bytes]]:
-        """Yield topic and payload of what a recorded message is drawn as; nothing of one that cannot be decoded."""
+        """Yield topic and payload of the derived messages; none for a message that cannot be decoded."""
         if envelope.topic not in SOURCES:
             return
         try:

@@ -1,14 +1,11 @@
-"""Random access to a recording by its summary: which chunk holds which topics, and of what time."""
+"""Random access to a recording by its summary: the topics and times of each chunk."""
 
 import struct
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import accumulate
-from typing import cast
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
@@ -16,11 +13,11 @@ from ..bus.envelope import Envelope
 from ..errors import BadPayload, BadRecording
 from ..topics import topic_of
 from .channels import envelope_of
-from .reader import MALFORMED, MESSAGE_FIELDS, RECORD_HEAD, Recording
+from .reader import MALFORMED, MESSAGE_FIELDS, Recording, channel_of, records
 
 CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last log time, begin and length of the chunk, bytes of the next map
 CHANNEL_OFFSET = struct.Struct("<HQ")
-CACHED = 64  # decoded chunks: the jumps of a scrubber stay close together
+CACHED = 64  # decoded chunks: successive positions of a scrubber are close together
 
 
 @dataclass(frozen=True)
@@ -37,15 +34,15 @@ Row = tuple[int, int, int, int, bytes]
 
 
 class RecordingIndex:
-    """The messages of a closed recording by topic and time; chunks are read when they are asked for."""
+    """The messages of a closed recording by topic and time; chunks are read on demand."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._channels: dict[int, Channel] = {}
         chunks: list[tuple[Chunk, frozenset[int]]] = []
-        for opcode, data in _records(recording.summary()):
+        for opcode, data in records(recording.summary()):
             if opcode == Opcode.CHANNEL:
-                channel = cast(Channel, Channel.read(ReadDataStream(BytesIO(data))))
+                channel = channel_of(data)
                 if topic_of(channel.topic) is not None:
                     self._channels[channel.id] = channel
             elif opcode == Opcode.CHUNK_INDEX:
@@ -100,11 +97,11 @@ class RecordingIndex:
         return None
 
     def _messages(self, place: int) -> list[Row]:
-        """Decompress a chunk, or find it among those read last."""
+        """The messages of a chunk, decompressed or cached."""
         found = self._cache.pop(place, None)
         if found is None:
             found = []
-            for opcode, data in _records(self._recording.chunk_at(self.chunks[place].begin) or b""):
+            for opcode, data in records(self._recording.chunk_at(self.chunks[place].begin) or b""):
                 if opcode == Opcode.MESSAGE and len(data) >= MESSAGE_FIELDS.size:
                     number, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(data)
                     found.append((log_time, number, sequence, publish_time, data[MESSAGE_FIELDS.size :]))
@@ -114,7 +111,7 @@ class RecordingIndex:
         return found
 
     def _envelope(self, row: Row) -> Envelope | None:
-        """Rebuild the envelope; None of a message that cannot be."""
+        """Decode the envelope; None if it is invalid."""
         log_time, number, sequence, publish_time, data = row
         try:
             return envelope_of(self._channels[number], data, log_time, sequence, publish_time)
@@ -122,20 +119,8 @@ class RecordingIndex:
             return None
 
 
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Cut a section into its records: opcode and content; what is incomplete at the end is left out."""
-    position = 0
-    while position + RECORD_HEAD.size <= len(data):
-        opcode, length = RECORD_HEAD.unpack_from(data, position)
-        start = position + RECORD_HEAD.size
-        position = start + length
-        if position > len(data):
-            break
-        yield opcode, data[start:position]
-
-
 def chosen(recording: Recording, topics: Collection[str]) -> Iterator[Envelope]:
-    """Yield the messages of some topics: by the index, or by a reading of everything where there is none."""
+    """Yield the messages of some topics: by the index, or of the whole file without an index."""
     try:
         index = RecordingIndex(recording)
     except BadRecording:

@@ -1,4 +1,4 @@
-"""Reads a recording as far as it goes: cut at any byte, or with garbage in the middle."""
+"""Reads recordings, also truncated at any byte or damaged in the middle."""
 
 import mmap
 import re
@@ -48,7 +48,7 @@ class Record:
 
 @dataclass(frozen=True)
 class ChunkHead:
-    """What precedes the data of a chunk."""
+    """The fields before the data of a chunk."""
 
     compression: bytes
     raw_size: int
@@ -66,7 +66,7 @@ class Recording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.problems: list[str] = []
-        self.position = 0  # how far the iteration has come, in bytes
+        self.position = 0  # of the iteration [bytes]
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: dict[str, bytes] = {}
         try:
@@ -90,7 +90,7 @@ class Recording:
         return begins or any(self._find_chunk(0, cut=cut) is not None for cut in (False, True))
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if isinstance(self._buffer, mmap.mmap):
             self._buffer.close()
 
@@ -105,10 +105,10 @@ class Recording:
                 else:
                     yield envelope
         if lost:
-            self.problems.append(f"{lost} messages could not be rebuilt")
+            self.problems.append(f"{lost} messages could not be decoded")
 
     def _read_front(self) -> None:
-        """Read what stands before the first chunk: metadata and attachments."""
+        """Read the records before the first chunk: metadata and attachments."""
         position = len(MAGIC)
         while (record := self._record(position)) is not None and record.opcode != Opcode.CHUNK:
             stream, position = ReadDataStream(BytesIO(self._buffer[record.start : record.end])), record.end
@@ -180,7 +180,7 @@ class Recording:
         self.position = self.size
 
     def _cut_end(self, trusted: int) -> Iterator[bytes]:
-        """Yield what can be had of a chunk that the end of the file cuts."""
+        """Yield the readable part of a chunk that is truncated by the end of the file."""
         self.problems.append(f"the recording was not closed: it ends at byte {self.size}")
         last = self._find_chunk(trusted, cut=True)
         head = None if last is None else self._chunk_head(last)
@@ -188,7 +188,7 @@ class Recording:
             yield _decompress_some(self._buffer[head.start : self.size], head.compression)
 
     def _record(self, position: int, *, cut: bool = False) -> Record | None:
-        """Read the head of a record; None for what cannot be one, or ends beyond the file."""
+        """Read the head of a record; None if it is invalid, or ends beyond the file."""
         head = self._buffer[position : position + RECORD_HEAD.size]
         if len(head) < RECORD_HEAD.size:
             return None
@@ -212,7 +212,7 @@ class Recording:
         return ChunkHead(compression, raw_size, checksum, start, record.end) if start + length == record.end else None
 
     def _content(self, record: Record) -> bytes | None:
-        """Give what a record adds to the messages; None if it is damaged."""
+        """The records in a record (itself, or the data of a chunk); None if it is damaged."""
         if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
             return self._buffer[record.begin : record.end]
         if record.opcode != Opcode.CHUNK:
@@ -231,8 +231,8 @@ class Recording:
         return None
 
 
-def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | None]:
-    """Yield the messages of a chunk as far as it is whole; None for one that cannot be rebuilt."""
+def records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record of a section; an incomplete record at the end is left out."""
     position = 0
     while position + RECORD_HEAD.size <= len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, position)
@@ -240,16 +240,26 @@ def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | 
         position = start + length
         if position > len(data):
             break
+        yield opcode, data[start:position]
+
+
+def channel_of(content: bytes) -> Channel:
+    """Decode the content of a channel record."""
+    return cast(Channel, Channel.read(ReadDataStream(BytesIO(content))))
+
+
+def _messages(data: bytes, channels: dict[int, Channel]) -> Iterator[Envelope | None]:
+    """Yield the messages of a chunk; None for one that cannot be decoded."""
+    for opcode, content in records(data):
         try:
             if opcode == Opcode.CHANNEL:
-                channel = cast(Channel, Channel.read(ReadDataStream(BytesIO(data[start:position]))))
+                channel = channel_of(content)
                 channels[channel.id] = channel
             elif opcode == Opcode.MESSAGE:
-                id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(data, start)
+                id_, sequence, log_time, publish_time = MESSAGE_FIELDS.unpack_from(content)
                 if channels[id_].topic.startswith(PREFIX):
-                    continue  # made of another message, for other tools
-                content = data[start + MESSAGE_FIELDS.size : position]
-                yield envelope_of(channels[id_], content, log_time, sequence, publish_time)
+                    continue  # derived from another message, for other tools
+                yield envelope_of(channels[id_], content[MESSAGE_FIELDS.size :], log_time, sequence, publish_time)
         except (*MALFORMED, BadPayload, KeyError):
             yield None
 
@@ -277,5 +287,5 @@ def _decompress_some(data: bytes, compression: bytes) -> bytes:
             if len(raw) > MAXIMUM_CHUNK:
                 break
     except zstandard.ZstdError:
-        pass  # what came before the damage is sound
+        pass  # the blocks before the damage are valid
     return bytes(raw)

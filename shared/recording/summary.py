@@ -32,7 +32,7 @@ NICE = 15
 
 
 def summarise(path: Path) -> RecordingSummary:
-    """Read a recording and draw up its summary; raises `BadRecording` for a file without a message."""
+    """Summarise a recording; raises `BadRecording` for a file without a message."""
     with Recording(path) as recording:
         stamps: list[int] = []
         solutions, fixes = _Way(), _Way()
@@ -99,7 +99,7 @@ class _Way:
 
     @property
     def length_m(self) -> float:
-        """Length of the way."""
+        """Length of the track [m]."""
         return self.lengths_m[-1] if self.lengths_m else 0.0
 
     def due(self, arrival_ns: int) -> bool:
@@ -116,7 +116,7 @@ class _Way:
         self.lengths_m.append(self.length_m + step_m)
 
     def outline(self) -> tuple[Point, ...]:
-        """Choose at most `POINTS` positions, evenly spaced along the way, the first and the last among them."""
+        """Choose at most `POINTS` positions, evenly spaced along the track, the first and the last among them."""
         if len(self.points) <= POINTS:
             return tuple(self.points)
         chosen, step_m = [0], self.length_m / (POINTS - 1)
@@ -135,7 +135,7 @@ def distance_m(first: tuple[float, float], second: tuple[float, float]) -> float
 
 
 def write_summary(recording: Path, output: Path) -> None:
-    """Write a summary so that no reader finds half of it."""
+    """Write a summary atomically."""
     draft = output.with_name(f"{output.name}.{os.getpid()}.new")
     try:
         draft.write_text(json.dumps(summarise(recording).model_dump(mode="json", exclude_none=True)))

@@ -18,19 +18,19 @@ class Output(Protocol):
     """The part of an unbuffered file that the writer needs."""
 
     def write(self, data: memoryview, /) -> int | None:
-        """Write what fits, and say how much that was."""
+        """Write as much as possible; returns the number of bytes."""
         ...
 
     def truncate(self, size: int, /) -> int:
-        """Cut the file."""
+        """Truncate the file."""
         ...
 
     def seek(self, offset: int, /) -> int:
-        """Go there."""
+        """Set the position."""
         ...
 
     def fileno(self) -> int:
-        """Give the number of the open file."""
+        """File descriptor."""
         ...
 
     def close(self) -> None:
@@ -47,27 +47,27 @@ def open_new(path: Path) -> Output:
 
 
 class _WholeChunks:
-    """What `mcap` writes, kept until it is whole, and then written to the file in one go or not at all."""
+    """Buffers what `mcap` writes, and writes it to the file in one piece or not at all."""
 
     def __init__(self, file: Output) -> None:
         self.file = file
-        self.bytes_written = 0  # that are in the file
+        self.bytes_written = 0  # written
         self._waiting = bytearray()
 
     def write(self, data: bytes) -> int:
-        """Add to what waits."""
+        """Append to the buffer."""
         self._waiting += data
         return len(data)
 
     def tell(self) -> int:
-        """Give the length that the file will have."""
+        """Position after the buffered bytes."""
         return self.bytes_written + len(self._waiting)
 
     def flush(self) -> None:
         """Do nothing: `commit` writes."""
 
     def commit(self) -> bool:
-        """Write all that waits and say whether there was any; after `OSError` the file is as before, and it waits."""
+        """Write the buffer, and return whether it held bytes; after `OSError` file and buffer are as before."""
         data = bytes(self._waiting)
         rest = memoryview(data)
         try:
@@ -83,7 +83,7 @@ class _WholeChunks:
 
 
 class RecordingWriter:
-    """One recording in the making.
+    """A recording being written.
 
     Channels and schemas stand in the chunk in which they first occur, and in the summary. A write that fails (a full
     disk) raises `OSError`, leaves the file as it was after the chunk before, and is tried once more by whatever writes
@@ -101,8 +101,8 @@ class RecordingWriter:
         opener: Opener = open_new,
     ) -> None:
         self.path = path
-        self.messages = 0  # that are in the file
-        self.pending = 0  # that are not in it yet
+        self.messages = 0  # written
+        self.pending = 0  # not yet written
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._foxglove = Foxglove()
@@ -126,7 +126,7 @@ class RecordingWriter:
         return self._chunks.bytes_written
 
     def write(self, envelope: Envelope) -> None:
-        """Add a message; once the chunk is full it goes to the file."""
+        """Add a message; a full chunk is written to the file."""
         topic, arrival_ns = envelope.topic, max(envelope.received_ns, 0)
         if topic not in self._channels:
             metadata = {"data": RAW_FORMATS[topic]} if topic in RAW_FORMATS else {}
@@ -141,16 +141,16 @@ class RecordingWriter:
         self._commit()
 
     def flush(self) -> None:
-        """Write the chunk in progress to the file; what was flushed outlives this process."""
+        """Write the chunk in progress to the file; written chunks survive an end of the process."""
         self._mcap.flush()  # type: ignore[no-untyped-call]  # mcap annotates it by half
         self._commit()
 
     def fileno(self) -> int:
-        """Give the number of the open file, for `os.fdatasync`."""
+        """File descriptor, for `os.fdatasync`."""
         return self._chunks.file.fileno()
 
     def abandon(self) -> None:
-        """Close the file as it is, as a crash would leave it."""
+        """Close the file without summary, as after a crash."""
         self._chunks.file.close()
 
     def close(self) -> None:

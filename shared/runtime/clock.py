@@ -9,7 +9,7 @@ from ..errors import UserError
 
 
 def boot_id() -> str:
-    """Name this boot of the host."""
+    """Identifier of this boot of the host."""
     path = Path("/proc/sys/kernel/random/boot_id")
     return path.read_text().strip() if path.exists() else "unknown"
 

@@ -19,13 +19,13 @@ Table = dict[str, object]
 
 
 class Section(BaseModel):
-    """Settings of one process, or a group of them; a key that it does not know is an error."""
+    """Settings of one process, or a group of them; an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     renamed: ClassVar[Mapping[str, str]] = {}  # keys of earlier versions: their present dotted keys
 
     def with_values(self, values: Mapping[str, object]) -> Self:
-        """Return these settings with others in place of some; keys may be dotted, as in `gnss.delay_s`."""
+        """Copy the settings with some replaced; keys may be dotted, as in `gnss.delay_s`."""
         return type(self).model_validate(with_values(self.model_dump(), values))
 
 
@@ -38,7 +38,7 @@ class VehicleSection(Section):
 
 @dataclass(frozen=True)
 class BrokerAddress:
-    """Where the broker listens, and as whom to speak to it."""
+    """Address of the broker, and credentials."""
 
     host: str = "127.0.0.1"
     port: int = 1883
@@ -73,16 +73,16 @@ class VehicleFile:
 
     @property
     def role(self) -> Role:
-        """What this unit is; it decides which processes run."""
+        """Role of this unit, which determines the processes that run."""
         return self.section("vehicle", VehicleSection).role
 
     @property
     def processes(self) -> tuple[str, ...]:
-        """Processes that run in this unit: the standing ones of its role, and each other one that has a section."""
+        """Processes of this unit: the standing ones of its role, and each other one that has a section."""
         return tuple(row.name for row in running(self.role, self.tables))
 
     def section(self, name: str, kind: type[S]) -> S:
-        """Read the settings of one process, or its defaults where the file is silent.
+        """Read the settings of one process, with defaults for missing keys.
 
         Validators find this file in the context, for a value that another section or a file beside this one holds.
         """
@@ -112,7 +112,7 @@ def dotted_keys(kind: type[Section]) -> Iterator[str]:
 
 
 def _explain(section: str, kind: type[Section], error: ValidationError) -> str:
-    """Say in one sentence what is wrong with the first bad key, and what may have been meant."""
+    """Describe the first invalid key in one sentence, with the most similar valid key."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     keys = list(dotted_keys(kind))
@@ -133,7 +133,7 @@ def parse_vehicle(text: str, path: str = "<text>") -> VehicleFile:
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}; mend that line") from error
+        raise ConfigError(f"{path} is not valid TOML: {error}; correct that line") from error
     tables: dict[str, Table] = {}
     for layer, content in document.items():
         if not isinstance(content, dict):
@@ -172,12 +172,12 @@ def load_vehicle(path: str | Path | None = None) -> VehicleFile:
 
 
 def broker_address() -> BrokerAddress:
-    """Read OBU_BROKER, or fall back to the broker's usual place."""
+    """The address in OBU_BROKER, otherwise the default."""
     return BrokerAddress.parse(os.environ.get("OBU_BROKER", "mqtt://127.0.0.1:1883"))
 
 
 def state_dir() -> Path:
-    """Find the folder that outlives a process: OBU_STATE, or .obu in the working folder."""
+    """The folder of persistent files: OBU_STATE, or .obu in the working folder."""
     path = Path(os.environ.get("OBU_STATE", ".obu"))
     try:
         path.mkdir(parents=True, exist_ok=True)

@@ -32,7 +32,7 @@ def limits_of(topic: Topic) -> Limits | None:
 
 
 def freshness_of(age_s: float | None, limits: Limits | None) -> Freshness:
-    """Judge an age; None is the age of what never came."""
+    """Classify an age; None if nothing was received."""
     if age_s is None:
         return Freshness.NEVER
     if limits is None:
@@ -43,7 +43,7 @@ def freshness_of(age_s: float | None, limits: Limits | None) -> Freshness:
 
 
 def percentile(values: Collection[float], share: float) -> float | None:
-    """Give the smallest value that a share of all values does not exceed; None of nothing."""
+    """The quantile of values; None without values."""
     if not values:
         return None
     return sorted(values)[max(ceil(share * len(values)) - 1, 0)]

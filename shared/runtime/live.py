@@ -1,4 +1,4 @@
-"""The live runtime: one process, fed from the bus until it is told to stop."""
+"""The live runtime: one process, fed from the bus until SIGTERM."""
 
 import gc
 import importlib
@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Protocol, cast
 
 from ..bus import codec
-from ..bus.bus import Bus, Envelope
+from ..bus.bus import Bus, Envelope, decoded
 from ..errors import BadPayload
 from ..messages.base import Message, Tick
 from ..messages.operation import Consumed
@@ -32,7 +32,7 @@ class Reactor(Protocol):
     """A process of layers 2 to 4: a function of its messages."""
 
     def handle(self, message: Message) -> Iterable[Message]:
-        """Take one message and say what follows from it."""
+        """Process one message and return the messages to publish."""
         ...
 
 
@@ -60,11 +60,11 @@ class Journal:
         self._append("tick", "", tick.now_ns, 0)
 
     def add_close(self) -> None:
-        """Note that the process was asked for its last messages."""
+        """Note that `close` of the process was called."""
         self._append("close", "", 0, 0)
 
     def take(self) -> Consumed | None:
-        """Hand over what was noted since the last call."""
+        """The runs since the last call; None without any."""
         if not self._runs:
             return None
         runs, self._runs = tuple(self._runs), []
@@ -72,8 +72,8 @@ class Journal:
 
     def _append(self, topic: str, producer: str, incarnation: int, sequence: int) -> None:
         if self._runs:
-            last_topic, last_producer, last_life, first, count = self._runs[-1]
-            same = (last_topic, last_producer, last_life) == (topic, producer, incarnation)
+            last_topic, last_producer, last_incarnation, first, count = self._runs[-1]
+            same = (last_topic, last_producer, last_incarnation) == (topic, producer, incarnation)
             if same and sequence == first + count and topic != "tick":
                 self._runs[-1] = (topic, producer, incarnation, first, count + 1)
                 return
@@ -81,7 +81,7 @@ class Journal:
 
 
 def load_process(name: str, vehicle: VehicleFile) -> object:
-    """Make the process of that name with its section of the vehicle's file."""
+    """Construct a process with its section of the vehicle's file."""
     module = importlib.import_module(f"services.{name}.process")
     kind = cast("type[Section]", module.Config)
     return cast("Callable[[Section], object]", module.Process)(vehicle.section(name, kind))
@@ -101,7 +101,7 @@ def run_process(name: str, vehicle: VehicleFile) -> None:
     signal.signal(signal.SIGINT, stop)
     bus.guard()
     gc.collect()
-    gc.freeze()  # what was made so far stays: a search through it for garbage would stop the process for 4 to 9 ms
+    gc.freeze()  # excludes what exists now from garbage collection, which would take 4 to 9 ms
     if BY_NAME[name].layer in (1, 5):
         cast(Runner, process).run(bus)
     else:
@@ -110,7 +110,7 @@ def run_process(name: str, vehicle: VehicleFile) -> None:
 
 
 class LiveReactor:
-    """Feeds a process of layers 2 to 4 from the bus, and sends what it says."""
+    """Feeds a process of layers 2 to 4 from the bus, and publishes its messages."""
 
     def __init__(self, process: Reactor, bus: Bus) -> None:
         self._process, self._bus = process, bus
@@ -120,7 +120,7 @@ class LiveReactor:
         self._rejects: dict[str, int] = getattr(process, "rejects", {})
 
     def run(self) -> None:
-        """Receive, feed, publish, until told to stop."""
+        """Receive, feed, publish, until `bus.stopping`."""
         while not self._bus.stopping and not self._bus.connected:
             self._bus.receive(0.1)
         self._restore()
@@ -132,20 +132,17 @@ class LiveReactor:
             self._publish_journal()
         closing = getattr(self._process, "close", None)
         if closing is not None:
-            self._say(closing())
+            self._publish(closing())
             self._journal.add_close()
         self._publish_journal(at_once=True)
 
     def _consume(self, envelope: Envelope) -> None:
         if (envelope.producer, envelope.incarnation) == (self._bus.process, self._bus.incarnation):
-            return  # what it said itself, which the broker sends back where it is a consumer of its own topic
-        try:
-            message = envelope.decode()
-        except BadPayload as error:
-            self._bus.rejects["payload"] += 1
-            self._bus.last_error = str(error)[:400]
+            return  # its own message, of a topic that it consumes as well
+        message = decoded(self._bus, envelope)
+        if message is None:
             return
-        self._say(self._process.handle(message))  # the books are kept when the answer is on its way
+        self._publish(self._process.handle(message))  # first, for the latency
         self._journal.add(envelope)
         if self._rejects:
             self._bus.rejects.update({kind: n - self._bus.rejects[kind] for kind, n in self._rejects.items()})
@@ -157,17 +154,17 @@ class LiveReactor:
         tick = Tick(now_ns=now_ns // TICK_NS * TICK_NS)
         self._next_tick_ns = tick.now_ns + TICK_NS
         self._journal.add_tick(tick)
-        self._say(self._process.handle(tick))
+        self._publish(self._process.handle(tick))
 
-    def _say(self, messages: Iterable[Message]) -> None:
-        """Publish what the process says; what shall outlive a power-off is saved as well."""
+    def _publish(self, messages: Iterable[Message]) -> None:
+        """Publish messages; those of persistent topics are saved as well."""
         for message in messages:
             self._bus.publish(message)
             if BY_MESSAGE[type(message)].persist:
                 _save(self._bus.state_dir, message)
 
     def _restore(self) -> None:
-        """Give the process what it said before the last power-off, and the bus as well."""
+        """Publish the saved messages, and feed the process with them."""
         for topic in publications(self._bus.process):
             path = _saved_path(self._bus.state_dir, topic.name)
             if not topic.persist or not path.exists():
@@ -182,7 +179,7 @@ class LiveReactor:
             self._journal.add(
                 Envelope(topic.name, b"", 0, self._bus.process, self._bus.incarnation, self._bus.sequence)
             )
-            self._say(self._process.handle(message))
+            self._publish(self._process.handle(message))
 
     def _publish_journal(self, *, at_once: bool = False) -> None:
         if at_once or time.monotonic() >= self._next_journal:
@@ -196,7 +193,7 @@ def _saved_path(folder: Path, name: str) -> Path:
 
 
 def _save(folder: Path, message: Message) -> None:
-    """Write the message so that a power cut leaves either the old file or the new one."""
+    """Write the message atomically: a power cut leaves either the old file or the new one."""
     path = _saved_path(folder, codec.topic_name(message))
     draft = path.with_suffix(".new")
     try:

@@ -1,4 +1,4 @@
-"""The offline runtime: the whole on-board unit in one thread, in time order, as fast as it goes."""
+"""The offline runtime: all processes of layers 2 to 4 in one thread, in time order."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,14 +13,14 @@ from .live import TICK_NS, Reactor, load_process
 
 
 def arrival_ns(message: Message) -> int | None:
-    """Give the stamp by which inputs are put in order; None for what carries no time of its own."""
+    """The stamp that orders the inputs; None for a message without one."""
     if isinstance(message, (RawBytes, Stamped, ImuSamples)):
         return message.received_ns
     return None
 
 
 class OfflineUnit:
-    """Layers 2 to 4 of one vehicle, each message delivered to its consumers in the order said."""
+    """Layers 2 to 4 of one vehicle, each message delivered to its consumers in the order published."""
 
     def __init__(self, vehicle: VehicleFile, processes: Sequence[str] | None = None) -> None:
         names = [name for name in processes or vehicle.processes if 2 <= BY_NAME[name].layer <= 4]
@@ -28,11 +28,11 @@ class OfflineUnit:
         self._next_tick_ns: int | None = None
 
     def process(self, name: str) -> Reactor:
-        """Give one of the processes, for what goes beyond messages."""
+        """One of the processes."""
         return self._processes[name]
 
     def run(self, inputs: Iterable[Message]) -> Iterator[Message]:
-        """Feed inputs in order of arrival; yield each input and everything that follows from it."""
+        """Feed inputs in order of arrival; yield each input and the messages that follow from it."""
         for message in inputs:
             stamp_ns = arrival_ns(message)
             if stamp_ns is not None:
@@ -40,7 +40,7 @@ class OfflineUnit:
             yield from self._deliver(message)
 
     def close(self) -> Iterator[Message]:
-        """End every process as SIGTERM would; yield their last words."""
+        """End every process as SIGTERM would; yield their last messages."""
         for process in self._processes.values():
             closing = getattr(process, "close", None)
             if closing is not None:
@@ -51,7 +51,7 @@ class OfflineUnit:
         if self._next_tick_ns is None:
             self._next_tick_ns = (stamp_ns // TICK_NS + 1) * TICK_NS
         if stamp_ns >= self._next_tick_ns:
-            # A gap in a recording is one step of time, as it is for a live process that was asleep.
+            # A gap in a recording is one step of time, as for a live process after suspension.
             tick = Tick(now_ns=stamp_ns // TICK_NS * TICK_NS)
             self._next_tick_ns = tick.now_ns + TICK_NS
             for process in self._processes.values():
@@ -65,5 +65,5 @@ class OfflineUnit:
             yield message
             row = BY_MESSAGE[type(message)]
             for name in row.consumers:
-                if name in self._processes and name not in row.producers:  # that would be what it said itself
+                if name in self._processes and name not in row.producers:  # not its own message
                     waiting.extend(self._processes[name].handle(message))

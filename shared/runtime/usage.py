@@ -1,4 +1,4 @@
-"""What this process uses of the machine."""
+"""Memory use of this process."""
 
 import os
 from pathlib import Path
@@ -8,7 +8,7 @@ PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
 def resident_bytes() -> int:
-    """Measure the memory of this process that is in RAM; elsewhere than on Linux, the most that it ever was."""
+    """Resident set size [bytes]; its maximum on systems other than Linux."""
     try:
         return int(PAGES.read_bytes().split()[1]) * PAGE_BYTES
     except OSError:

@@ -9,12 +9,11 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import asn1tools
 from asn1tools.compiler import Specification
 from asn1tools.errors import Error
-from pydantic import ValidationError
 
 from ..errors import RejectedFrame
 from ..messages.v2x import (
@@ -28,7 +27,6 @@ from ..messages.v2x import (
 )
 
 Record = dict[str, Any]  # a SEQUENCE as asn1tools represents it
-Word = TypeVar("Word", bound=str)
 
 PROTOCOL_VERSION = 2  # of V1.4.1; the coding of version 1 differs
 MESSAGE_ID = 2
@@ -168,15 +166,6 @@ def encode(content: CamContent, generation_delta_time: int) -> bytes:
     header = {"protocolVersion": PROTOCOL_VERSION, "messageID": MESSAGE_ID, "stationID": content.station_id}
     body = {"generationDeltaTime": generation_delta_time, "camParameters": parameters}
     return bytes(specification().encode("CAM", {"header": header, "cam": body}))
-
-
-def decode_content(payload: bytes) -> tuple[CamContent, int]:
-    """Decode as `decode` does, into a validated message."""
-    content, generation_delta_time = decode(payload)
-    try:
-        return CamContent.model_validate(content), generation_delta_time
-    except ValidationError as error:
-        raise RejectedFrame("uper", error) from error
 
 
 # Decoding

@@ -116,5 +116,5 @@ def test_an_own_cam_on_the_bus_leaves_by_the_radio(unit: tuple[int, int], radio:
 
     until(exchange, "a frame at the radio")
     controller.close()
-    content, _ = cam.decode_content(geonetworking.decode_payload(sent[0]))
+    content, _ = cams.decode_content(geonetworking.decode_payload(sent[0]))
     assert content.station_id == 4_000_000_123

@@ -22,7 +22,6 @@ from pyubx2.ubxreader import UBXReader
 from services.core.cooperative.broadcast.ephemeris import satellite_state
 from services.core.cooperative.broadcast.rinex import read_rinex_navigation
 from services.core.cooperative.broadcast.rinex_observation import read_rinex_observations
-from services.core.cooperative.broadcast.rtcm import read_rtcm
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import (
     WEEK_NS,
@@ -36,6 +35,7 @@ from services.core.cooperative.satellites.model import ErrorModel, Sight, Sky
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
 from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ecef, ned_from_ecef
 from tests.support.data import recording
+from tests.support.rtcm import read_rtcm
 
 pytestmark = pytest.mark.recording
 Station = tuple[list[RawEpoch], EphemerisStore, np.ndarray]

@@ -63,7 +63,7 @@ def test_a_car_without_gnss_for_fifteen_seconds_is_held_by_its_wheels(rtk_car: P
     assert found["outage_largest_error_rms_m"] <= 3.5, "the goal, and 3.3 m the best peer"
 
 
-@pytest.mark.parametrize("trial", ["02", "08", "10"])
+@pytest.mark.parametrize("trial", ["08", *(pytest.param(trial, marks=pytest.mark.slow) for trial in ("02", "10"))])
 def test_a_car_with_a_tactical_imu_drifts_by_less_than_a_metre_and_a_half(trial: str, tmp_path: Path) -> None:
     drive = imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path)
     whole, cut = solved(drive), solved(drive, "10/30")

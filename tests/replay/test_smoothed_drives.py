@@ -43,6 +43,7 @@ def assert_bridged(found: Metrics) -> None:
     assert found["smoothed_outage_inside_max_m"] < max(found["outage_inside_max_m"], LONE_FIX_M)
 
 
+@pytest.mark.slow
 def test_the_outages_of_a_car_with_rtk_are_bridged(tmp_path: Path) -> None:
     found = smoothed("rtkexp_drive", recording("rtkexp_drive"), tmp_path, "15/45")
     assert_bridged(found)
@@ -51,7 +52,7 @@ def test_the_outages_of_a_car_with_rtk_are_bridged(tmp_path: Path) -> None:
     assert found["smoothed_within_3_sigma_fraction"] > 0.98
 
 
-@pytest.mark.parametrize("trial", ["02", "08", "10"])
+@pytest.mark.parametrize("trial", ["08", *(pytest.param(trial, marks=pytest.mark.slow) for trial in ("02", "10"))])
 def test_the_outages_of_a_car_with_a_tactical_imu_are_bridged(trial: str, tmp_path: Path) -> None:
     found = smoothed("wid_car", recording("wid_car") / f"trial{trial}", tmp_path, "10/30")
     assert_bridged(found)

@@ -5,7 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
+from shared.errors import RejectedFrame
 from shared.messages.v2x import (
     CamContent,
     CamFrames,
@@ -17,7 +19,7 @@ from shared.messages.v2x import (
     TrailerPresence,
     VehicleRole,
 )
-from shared.v2x import frames, geonetworking
+from shared.v2x import cam, frames, geonetworking
 
 # A car that brakes in a left turn, with every data element.
 BRAKING = CamContent(
@@ -68,6 +70,15 @@ SENDER = geonetworking.PositionVector(
     speed_m_s=23.45,
     heading_rad=math.radians(271.3),
 )
+
+
+def decode_content(payload: bytes) -> tuple[CamContent, int]:
+    """Decode a CAM into a validated message and its generationDeltaTime."""
+    content, generation_delta_time = cam.decode(payload)
+    try:
+        return CamContent.model_validate(content), generation_delta_time
+    except ValidationError as error:
+        raise RejectedFrame("uper", error) from error
 
 
 def batch(

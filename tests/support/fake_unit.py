@@ -27,7 +27,9 @@ from shared.messages.gnss import (
     GnssRaw,
     GnssRawEpoch,
     GnssSatellites,
+    GnssSignal,
     GnssSignalQuality,
+    GnssSignals,
     InterferenceState,
     RadioPath,
     RawMeasurement,
@@ -465,6 +467,19 @@ class FakeUnit:
             GnssRawEpoch(
                 sampled_ns=now_ns, received_ns=now_ns, source="gnss0", gps_time_ns=now_ns, measurements=measurements
             ),
+        )
+        signals = tuple(
+            GnssSignal(
+                constellation=one.constellation, number=one.number, signal=one.signal, cn0_db_hz=one.cn0_db_hz,
+                quality=SignalQuality.CARRIER_LOCKED if used else SignalQuality.CODE_LOCKED, healthy=True,
+                pseudorange_used=used, carrier_phase_used=used, doppler_used=used, corrected=False,
+            )
+            for one in measurements
+            for used in (one.number <= 17 and one.signal == "1C",)
+        )  # fmt: skip
+        yield (
+            "parsers.gnss",
+            GnssSignals(sampled_ns=now_ns, received_ns=now_ns, source="gnss0", signals=signals),
         )
         quiet = InterferenceState.NONE
         yield (

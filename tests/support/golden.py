@@ -29,7 +29,8 @@ FILES: dict[str, type[RawBytes]] = {"gnss.ubx": GnssRaw, "imu.xbus": ImuRaw, "ca
 # One message of so many is kept, of each type that comes often; of all others, every message.
 EVERY = {
     "AidingUpdate": 5, "FilterState": 10, "GnssNavigationBits": 20, "GnssRawEpoch": 10, "GnssSatellites": 10,
-    "ImuSamples": 100, "NavigationSolution": 10, "TrustMonitor": 20, "TrustState": 10, "WheelSpeeds": 10,
+    "GnssSignals": 30, "ImuSamples": 100, "NavigationSolution": 10, "TrustMonitor": 20, "TrustState": 10,
+    "WheelSpeeds": 10,
 }  # fmt: skip
 Row = dict[str, object]
 

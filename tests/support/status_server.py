@@ -29,10 +29,6 @@ class Running:
         self.thread.join(5.0)
         assert not self.thread.is_alive(), "the process does not end"
 
-    def age_by(self, seconds: float) -> None:
-        """Let time pass for the unit without waiting: nothing was said meanwhile."""
-        self.bus.offset_ns += int(seconds * 1e9)
-
 
 @contextmanager
 def status_server(

@@ -36,7 +36,7 @@ def write_pmtiles(path: Path, latitude_deg: float, longitude_deg: float, *, prot
     """Write a PMTiles file with the tiles of all zoom levels at a place."""
     layers = _as_protomaps(CROSSROADS) if protomaps else CROSSROADS
     tile = gzip.compress(_tile(layers), mtime=0)
-    ids = sorted(_tile_id(zoom, *_address(zoom, latitude_deg, longitude_deg)) for zoom in range(ZOOMS[0], ZOOMS[1] + 1))
+    ids = sorted(_tile_id(zoom, *tile_at(zoom, latitude_deg, longitude_deg)) for zoom in range(ZOOMS[0], ZOOMS[1] + 1))
     directory = gzip.compress(_directory(ids, len(tile)), mtime=0)
     metadata = gzip.compress(json.dumps(_metadata(layers)).encode(), mtime=0)
     root, begin = 127, 127 + len(directory)
@@ -75,7 +75,7 @@ def write_mbtiles(path: Path, latitude_deg: float, longitude_deg: float, *, png:
         )
         database.executemany("insert into metadata values (?, ?)", described.items())
         for zoom in range(ZOOMS[0], ZOOMS[1] + 1):
-            x, y = _address(zoom, latitude_deg, longitude_deg)
+            x, y = tile_at(zoom, latitude_deg, longitude_deg)
             data = png or gzip.compress(_tile(CROSSROADS), mtime=0)
             database.execute("insert into tiles values (?, ?, ?, ?)", (zoom, x, (1 << zoom) - 1 - y, data))
     database.close()
@@ -99,7 +99,7 @@ def _bounds(latitude_deg: float, longitude_deg: float) -> tuple[float, float, fl
     return longitude_deg - 0.5, longitude_deg + 0.5, latitude_deg - 0.5, latitude_deg + 0.5
 
 
-def _address(zoom: int, latitude_deg: float, longitude_deg: float) -> tuple[int, int]:
+def tile_at(zoom: int, latitude_deg: float, longitude_deg: float) -> tuple[int, int]:
     """Column and row, from the north-west, of the Web Mercator tile that holds a place."""
     size = 1 << zoom
     north = 0.5 - asinh(tan(radians(latitude_deg))) / (2.0 * pi)

@@ -48,7 +48,6 @@ NOT_REPRODUCED = (
     "Velocities of GPS alone and Galileo alone from Doppler on a drive: no recording with both systems has them. "
     "Instead: positions of a phone in a car, 5 s apart.",
 )
-Swept = list[tuple[float, float, float]]  # step, MT, median
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from .profiles import PERIOD_S
 
 LIMIT_KM_H = 10.0
 GAP_S = 600  # [s] start of a gap
-MEAN_GAPS, MEDIAN_GAPS = range(6, 11), range(14, 17)  # samples at speed zero of which statistics are shown
 LONGEST_GAP = 60  # samples
 DELAYS_S = tuple(0.5 * k for k in range(1, 60))
 SCALES = tuple(0.005 * k for k in range(1, 100))

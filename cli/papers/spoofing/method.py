@@ -41,9 +41,9 @@ def high_pass(values: FloatArray, rate_hz: float, *, cut_off_hz: float = CUT_OFF
     return _filtered(values, "highpass", rate_hz, cut_off_hz)
 
 
-def low_pass(values: FloatArray, rate_hz: float, *, cut_off_hz: float = GRAVITY_LOW_PASS_HZ) -> FloatArray:
-    """Butterworth low-pass of order 2, causal, in its steady state of the first sample."""
-    return _filtered(values, "lowpass", rate_hz, cut_off_hz)
+def low_pass(values: FloatArray, rate_hz: float) -> FloatArray:
+    """Butterworth low-pass of order 2 and `GRAVITY_LOW_PASS_HZ`, causal, in its steady state of the first sample."""
+    return _filtered(values, "lowpass", rate_hz, GRAVITY_LOW_PASS_HZ)
 
 
 def _filtered(

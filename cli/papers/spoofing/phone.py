@@ -47,9 +47,9 @@ class PhoneDrive:
     true_velocity: FloatArray  # shape (n, 3) [m/s, ENU]
 
 
-def drive_phone(seed: int, scenario: str = "urban") -> PhoneDrive:
+def drive_phone(seed: int) -> PhoneDrive:
     """Simulate 15 minutes of stop and go."""
-    drive = simulate(scenario, seed, float(DURATION_S))
+    drive = simulate("urban", seed, float(DURATION_S))
     rng = np.random.default_rng((seed, 2))
     n = DURATION_S * RATE_HZ
 

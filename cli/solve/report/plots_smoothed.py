@@ -7,7 +7,7 @@ import numpy as np
 from shared.maths.earth import FloatArray
 
 from ..metrics.metrics import Run
-from .plots import BLUE, GREEN, Figure, inline_svg, seconds_since, shade_gaps, stacked_axes, thinned
+from .drawing import BLUE, GREEN, Figure, inline_svg, seconds_since, shade_gaps, stacked_axes, thinned
 
 BANDS = 3.0  # standard deviations
 

@@ -9,7 +9,7 @@ from math import degrees
 from ..metrics.gnss_alone import WORSE
 from ..metrics.metrics import METRICS, Value
 from ..smoothing import SMOOTHED_METRICS
-from .plots import Figure
+from .drawing import Figure
 
 STYLE = """
 :root { color-scheme: light dark; --page: #fff; --ink: #1d2129; --muted: #565d68; --grid: #e3e6ea; --tile: #f4f6f8; }

@@ -7,7 +7,7 @@ import numpy as np
 from shared.maths.earth import FloatArray
 
 from ..metrics.integrity import Protected, Region
-from .plots import GREY, VARIABLES, Figure, inline_svg, stacked_axes
+from .drawing import GREY, VARIABLES, Figure, inline_svg, stacked_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

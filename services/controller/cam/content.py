@@ -90,7 +90,7 @@ class PathHistory:
     _points: deque[tuple[int, Geodetic]] = field(default_factory=lambda: deque(maxlen=PATH_POINTS))
 
     def add(self, time_ns: int, point: Geodetic) -> None:
-        """Keep a point that is 10 m or more from the last one; forget all of them where the time goes back."""
+        """Keep a point that is 10 m or more from the last one; delete all of them if time goes back."""
         if self._points and time_ns < self._points[0][0]:
             self._points.clear()
         if not self._points or hypot(*ned_from_geodetic_difference(point, self._points[0][1])[:2]) >= PATH_STEP_M:

@@ -28,7 +28,7 @@ class Config(Section):
         description="UBX messages requested from the GNSS receiver",
     )
     optional_gnss_messages: tuple[str, ...] = Field(
-        default=("RXM-RAWX", "RXM-SFRBX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG"),
+        default=("RXM-RAWX", "RXM-SFRBX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG", "NAV-SIG"),
         description="UBX messages requested besides; a receiver that rejects one of them sends the others all the same",
     )
     last_position_period_s: float = Field(default=10.0, gt=0.0)  # period at which the last position is stored

@@ -35,7 +35,7 @@ Rule = Callable[[Facts], str | None]
 
 ALIGNING_REASONS = {
     NavigationPhase.WAITING_FOR_IMU: "waiting for inertial samples",
-    NavigationPhase.LEVELLING: "levelling: let the vehicle stand still for a moment",
+    NavigationPhase.LEVELLING: "levelling: keep the vehicle still",
     NavigationPhase.WAITING_FOR_GNSS: "waiting for a GNSS fix: give the antenna a view of the sky",
     NavigationPhase.WAITING_FOR_HEADING: "waiting for the heading: drive straight ahead for a moment",
 }

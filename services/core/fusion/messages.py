@@ -1,4 +1,4 @@
-"""Between the messages of the bus and the types of the navigator."""
+"""Converts messages to the types of the navigator, and its results to messages."""
 
 from collections.abc import Iterator
 from math import cos, degrees, radians, sin
@@ -43,12 +43,12 @@ COURSE_SPEED_M_S = 0.5  # below it the course of a receiver is noise
 GROUND_SPEED_SD = 0.3  # [m/s] of a speed and course that the receiver has smoothed
 UNTURNED: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 LEAST_BASELINE_SD = 1e-3  # [rad]
-WORST_DOP = 1000.0  # some receivers say 99.99 where they know nothing
-UERE_M = 2.5  # [m] times the dilution of precision it is what a receiver without covariance is good for
+WORST_DOP = 1000.0  # some receivers state 99.99 for unknown
+UERE_M = 2.5  # [m] user-equivalent range error of a receiver without covariance
 
 
 def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]:
-    """Make measurements of a fix: none if it holds no position that is GNSS's own."""
+    """Make measurements of a fix: none without a position of GNSS alone."""
     if fix.fix_type not in USABLE or fix.latitude_deg is None or fix.longitude_deg is None:
         return []
     height = fix.height_ellipsoid_m
@@ -79,7 +79,7 @@ def turned(matrix: Matrix3, vectors: tuple[Vector3, ...]) -> tuple[Vector3, ...]
 
 
 def give(navigator: Navigator, message: Given) -> bool:
-    """Hand all but inertial samples to the navigator; False for a fix that holds no position."""
+    """Pass a message other than inertial samples to the navigator; False for a fix that holds no position."""
     match message:
         case GnssFix():
             return give_fix(navigator, message)
@@ -91,7 +91,7 @@ def give(navigator: Navigator, message: Given) -> bool:
 
 
 def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
-    """Hand a fix to the navigator; False if it holds no position."""
+    """Pass a fix to the navigator; False if it holds no position."""
     settings = navigator.settings
     measurements = measurements_from_fix(fix, settings)
     if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
@@ -111,7 +111,7 @@ def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
 
 
 def give_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
-    """Hand a fix without the excluded satellites to the navigator, which uses it in place of the receiver's own."""
+    """Pass a fix without the excluded satellites to the navigator, which uses it in place of the receiver's own."""
     stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
     position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), fix.height_ellipsoid_m)
     velocity = fix.velocity_ned_m_s
@@ -123,13 +123,13 @@ def give_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
 
 
 def give_verdict(navigator: Navigator, verdict: TrustState) -> None:
-    """Hand the exclusions of core.trust to the navigator."""
+    """Pass the exclusions of core.trust to the navigator."""
     since_ns = verdict.sampled_ns if verdict.suspect_since_ns is None else verdict.suspect_since_ns
     navigator.follow_trust(since_ns if verdict.gnss_excluded else None, odometer_excluded=verdict.odometer_excluded)
 
 
 def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
-    """Hand pressure and magnetic field of a batch of samples to the navigator."""
+    """Pass pressure and magnetic field of a batch of samples to the navigator."""
     sampled_ns, received_ns, source = batch.sampled_ns[-1], batch.received_ns, batch.source
     if batch.pressure_pa is not None:
         navigator.pressure(sampled_ns, batch.pressure_pa, received_ns=received_ns, source=source)
@@ -138,7 +138,7 @@ def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
 
 
 def give_speed(navigator: Navigator, message: VehicleSpeed | WheelSpeeds) -> None:
-    """Hand a speed to the navigator."""
+    """Pass a speed to the navigator."""
     if (seen := speed_of(message, navigator.settings)) is not None:
         navigator.speed(
             seen.time_ns,
@@ -166,7 +166,7 @@ def speed_of(message: VehicleSpeed | WheelSpeeds, settings: Settings) -> WheelSp
 
 
 def show_set_up(set_up: SetUpMonitor, message: GnssFix | VehicleSpeed | WheelSpeeds, settings: Settings) -> None:
-    """Hand a fix or a speed to the checks of the set-up, whatever the filter makes of it."""
+    """Pass a fix or a speed to the checks of the set-up, whether or not the filter uses it."""
     if isinstance(message, GnssFix):
         for measurement in measurements_from_fix(message, settings):
             set_up.see(measurement)
@@ -181,7 +181,7 @@ def arm_error(navigator: Navigator) -> ArmError:
 
 
 def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:
-    """Put the checks of the set-up on the bus."""
+    """Message of the checks of the set-up."""
     checks = (
         SetUpCheck(
             name=check.name,
@@ -233,7 +233,7 @@ def prior_from_last_position(last: LastPosition) -> Prior:
 
 
 def solution_message(solution: Solution) -> NavigationSolution:
-    """Put a solution on the bus."""
+    """Message of a solution."""
     position_cov, velocity_cov, attitude_cov = solution.triangles
     return NavigationSolution(
         sampled_ns=solution.time_ns,
@@ -262,7 +262,7 @@ def solution_message(solution: Solution) -> NavigationSolution:
 
 
 def filter_states(navigator: Navigator, imu: str) -> Iterator[FilterState]:
-    """Put on the bus what a later process can go on from; nothing while no filter runs."""
+    """The state from which another incarnation can continue; none while no filter runs."""
     saved = navigator.saved_state()
     if saved is None:
         return
@@ -290,7 +290,7 @@ def filter_states(navigator: Navigator, imu: str) -> Iterator[FilterState]:
 
 
 def give_filter_state(navigator: Navigator, state: FilterState, first: ImuSamples) -> None:
-    """Have the navigator go on from the state of an earlier process, if it belongs to these settings and this IMU."""
+    """Restore the state of an earlier incarnation, if it is of these settings and this IMU."""
     position = Geodetic(radians(state.latitude_deg), radians(state.longitude_deg), state.height_ellipsoid_m)
     if state.fingerprint != fingerprint(navigator.settings):
         navigator.rejects["saved state of other settings"] += 1
@@ -313,7 +313,7 @@ def give_filter_state(navigator: Navigator, state: FilterState, first: ImuSample
 
 
 def aiding_message(outcome: Outcome) -> AidingUpdate:
-    """Put what became of an observation on the bus."""
+    """Message of the result of an observation."""
     return AidingUpdate(
         sampled_ns=outcome.time_ns,
         source=outcome.source,
@@ -328,7 +328,7 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
 
 
 def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
-    """Put what the navigator is doing on the bus, or that it does nothing since the inertial samples stopped."""
+    """Message of the state of the navigator, or of the missing inertial samples since a stamp."""
     counts, exclusions = navigator.counts, navigator.engine.exclusions
     silent = silent_since_ns is not None
     estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None

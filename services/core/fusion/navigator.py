@@ -315,7 +315,7 @@ class Navigator:
         self._newest[key] = max(newest_ns, measurement.time_ns)
 
     def _unusable(self, sample: Sample, received_ns: int | None) -> str | None:
-        """Say why a sample cannot be used, if so."""
+        """Reason for which a sample cannot be used; None if it can."""
         time_ns, force, rate, _ = sample
         if not credible(force, rate):
             return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
@@ -325,7 +325,7 @@ class Navigator:
         return None
 
     def _fault(self, sample: Sample, *, saturated: bool) -> str | None:
-        """Say what is wrong with a sample that can be used, if anything is."""
+        """Fault of a sample that can be used; None without one."""
         time_ns, readings, last = sample.time_ns, (*sample.force, *sample.rate), self._oosm.newest
         repeats = self._repeats = self._repeats or Repeats(time_ns, readings)
         if last is not None and not self._remarkable:
@@ -335,7 +335,7 @@ class Navigator:
         return "gyroscope saturated" if saturated else fault
 
     def _misfit(self, sample: Sample, newest_ns: int, received_ns: int | None) -> str | None:
-        """Say why a sample does not follow the last one, if so; after many that go back begin again."""
+        """Reason for which a sample does not follow the last one, or None; after many that go back begin again."""
         clock = self._clock or Clock()
         if sample.time_ns > newest_ns:
             if not clock.is_ahead(sample.time_ns, newest_ns, received_ns):

@@ -107,7 +107,7 @@ class Process:
             yield messages.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
-        """Say what goes on when it changes, and every second."""
+        """Yield the state when it changes, and every second."""
         navigator, excluded = self._navigator, self._navigator.engine.exclusions
         exclusion = excluded.gnss_since_ns, excluded.odometer, excluded.satellites
         current = (navigator.phase, navigator.reason, exclusion, sampled_ns // STATE_PERIOD_NS)
@@ -116,7 +116,7 @@ class Process:
             yield messages.state_message(self._navigator, sampled_ns)
 
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
-        """Say where the vehicle is."""
+        """Yield the solution."""
         solution = self._navigator.solution()
         if solution is not None and solution.time_ns == sampled_ns:  # not of a sample that was refused
             self._last_solution = sampled_ns // self._solution_period_ns

@@ -11,6 +11,7 @@ FloatArray = npt.NDArray[np.float64]
 
 SECOND_NS = 1_000_000_000
 SLOPE_NS = SECOND_NS  # half the span over which the odometer's acceleration is taken
+MOST_SAMPLES = 2048  # of the odometer
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,10 @@ class OdometerTrack:
         [s] Longest time between two samples that is interpolated.
     """
 
-    def __init__(self, *, gap_s: float, size: int = 2048) -> None:
+    def __init__(self, *, gap_s: float) -> None:
         self._gap_ns = int(gap_s * SECOND_NS)
-        self._times: deque[int] = deque(maxlen=size)
-        self._speeds: deque[float] = deque(maxlen=size)
+        self._times: deque[int] = deque(maxlen=MOST_SAMPLES)
+        self._speeds: deque[float] = deque(maxlen=MOST_SAMPLES)
         self.resolution = 0.0  # [m/s] of the newest sample
 
     def add(self, time_ns: int, speed: float, resolution: float) -> None:

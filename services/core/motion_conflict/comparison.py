@@ -96,10 +96,6 @@ class SpeedComparison:
             return
         self.distance.position(time_ns, radians(latitude_deg), radians(longitude_deg))
 
-    def ferry(self, duration_s: float) -> None:
-        """Allow for time spent aboard a ferry or train since the last comparison of distances."""
-        self.distance.ferry_s += max(0.0, duration_s)
-
     def _acceptable(self, source: str, time_ns: int, last_ns: int | None, speed: float | None, limit: float) -> bool:
         reason = None
         if last_ns is not None and time_ns <= last_ns:

@@ -158,7 +158,6 @@ class DistanceRule:
     def __init__(self, *, gap_s: float) -> None:
         self.gap_s = gap_s  # longest time between two odometer speeds over which distance is integrated
         self.travelled_m: float | None = 0.0  # None: the odometer was interrupted
-        self.ferry_s = 0.0  # aboard a ferry or train since the last comparison
         self.compared: tuple[float, float, int, int] | None = (
             None  # GNSS distance, limit, start and end of the interval
         )
@@ -185,8 +184,8 @@ class DistanceRule:
             interrupted = self._last is None or abs(time_ns - self._last[0]) > self.gap_s * SECOND_NS
             if self.travelled_m is not None and not interrupted:
                 chord_m = dist(ecef_from_geodetic(here), ecef_from_geodetic(self._start[1]))
-                self.compared = (chord_m, distance_limit(self.travelled_m, self.ferry_s), self._start[0], time_ns)
-        self._start, self.travelled_m, self.ferry_s = (time_ns, here), 0.0, 0.0
+                self.compared = (chord_m, distance_limit(self.travelled_m), self._start[0], time_ns)
+        self._start, self.travelled_m = (time_ns, here), 0.0
 
 
 class MotionSensorRule:

@@ -101,7 +101,7 @@ class FreePropagation:
         """
         s = self._settings
         if speed is not None and self.odometer_rejections < ODOMETER_REJECTIONS:
-            forward, H = self._body_row(0)
+            forward, H = self.body_row(0)
             H[SCALE] = -speed
             variance = np.array([[speed_sd**2 * s.correlation_s]])
             found = correct(self.P, np.array([self.scale * speed - forward]), H[None], variance)
@@ -110,9 +110,9 @@ class FreePropagation:
             if used:
                 self._apply(found)
         if s.non_holonomic:
-            forward = self._body_row(0)[0]
-            lateral, H_lateral = self._body_row(1)
-            vertical, H_vertical = self._body_row(2)
+            forward = self.body_row(0)[0]
+            lateral, H_lateral = self.body_row(1)
+            vertical, H_vertical = self.body_row(2)
             H_lateral[YAW], H_vertical[PITCH] = -forward, forward
             z = np.array([self.yaw * forward - lateral, -self.pitch * forward - vertical])
             variances = [s.lateral_sd_m_s**2 + (s.rear_axle_distance_m * yaw_rate) ** 2, s.vertical_sd_m_s**2]
@@ -124,7 +124,7 @@ class FreePropagation:
         H = np.eye(3, SIZE)
         self._apply(correct(self.P, -self.nominal.velocity, H, np.eye(3) * STANDSTILL_SD**2))
 
-    def _body_row(self, axis: int) -> tuple[float, FloatArray]:
+    def body_row(self, axis: int) -> tuple[float, FloatArray]:
         """Velocity [m/s] along a body axis, and its derivatives by the error state, shape (15,)."""
         C, v = self.nominal.ned_from_body, self.nominal.velocity
         H = np.zeros(SIZE)

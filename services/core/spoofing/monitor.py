@@ -8,11 +8,13 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.trust import MonitorOutcome
 
 from .long_window import LENGTHS_S, LongResult, LongWindow
 from .metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
+from .position_step import FALSE_ALARM_RATE, NAME, UNIT, PositionStep, position_step
 from .settings import Settings
 from .short_window import Window, compare, window_of_fixes
 from .strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Increment
@@ -49,8 +51,9 @@ class InertialMonitor:
         self.long = LongWindow(s)
         self.window: Window | None = None  # newest one of 5 s
         self._window_missing = ""
+        self._step: PositionStep | None = None  # over the same 5 s
         self._fix_ns: int | None = None  # newest stamp, before the delay
-        self._exceeded: Counter[Metric | int] = Counter()  # successive evaluations above the threshold
+        self._exceeded: Counter[str | int] = Counter()  # successive evaluations above the threshold
         self._accusing = dict.fromkeys(LENGTHS_S, False)
         self._inconspicuous_ns: dict[int, int] = {}  # newest evaluation of each long window below the median
         self._known: dict[str, Verdict] = {}
@@ -75,8 +78,11 @@ class InertialMonitor:
         """Use the pressure of the barometer."""
         self._heights.pressure(time_ns, pressure_pa)
 
-    def fix(self, time_ns: int, velocity_n: Vector | None, sd_n: Vector | None) -> None:
-        """Use the GNSS velocity [m/s, NED] of the antenna; None when the receiver has none."""
+    def fix(
+        self, time_ns: int, velocity_n: Vector | None, sd_n: Vector | None, position: Geodetic | None = None,
+        position_sd_m: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Use the GNSS velocity [m/s, NED] of the antenna and its position; None where the receiver has none."""
         g = self.settings.gnss
         if velocity_n is None:
             self.rejected["gnss: fix without velocity"] += 1
@@ -93,7 +99,8 @@ class InertialMonitor:
         if float(sd[:2].max()) > g.largest_velocity_sd_m_s:
             self.rejected["gnss: velocity is too inaccurate to compare"] += 1
             return
-        self._pending.append(VelocityFix(time_ns - round(g.velocity_delay_s * SECOND_NS), np.array(velocity_n), sd))
+        true_ns = time_ns - round(g.velocity_delay_s * SECOND_NS)
+        self._pending.append(VelocityFix(true_ns, np.array(velocity_n), sd, position, position_sd_m))
 
     def odometer(self, time_ns: int, speed: float, resolution: float | None) -> None:
         """Use the odometer's speed [m/s]; the sign of a vehicle speed does not say whether it reverses."""
@@ -119,7 +126,7 @@ class InertialMonitor:
             self._states.append(anchor)
 
     def verdicts(self, time_ns: int) -> Mapping[str, Verdict]:
-        """Evaluate everything received; give the six metrics by name, and `long_30` and `long_60`.
+        """Evaluate everything received; give the six metrics by name, `position_step`, `long_30` and `long_60`.
 
         A fix counts when the increments have passed it. While a window accuses, propagations start only from solutions
         that have not used GNSS since the suspect time.
@@ -191,6 +198,8 @@ class InertialMonitor:
             chosen, run, known[-1], lever_arm_b=self._lever_arm, height_rate=self._heights.rate
         )  # fmt: skip
         self.window = window = self._comparable(window)
+        self._step = step = position_step(chosen)
+        self._exceeded[NAME] = self._exceeded[NAME] + 1 if step is not None and step.size > step.limit else 0
         profile = self.settings.profile
         for metric in Metric:
             sigma = profile.sigma_of(metric, window)
@@ -253,7 +262,20 @@ class InertialMonitor:
 
     def _short(self, time_ns: int) -> dict[str, Verdict]:
         missing = self._missing(time_ns)
-        return {metric.value: self._metric(metric, missing) for metric in Metric}
+        return {metric.value: self._metric(metric, missing) for metric in Metric} | {NAME: self._position(missing)}
+
+    def _position(self, missing: str | None) -> Verdict:
+        base = Verdict(
+            MonitorOutcome.NOT_EVALUATED, missing or "fixes without a position in the window", UNIT,
+            false_alarm_rate=FALSE_ALARM_RATE, window_s=WINDOW_S,
+        )  # fmt: skip
+        step = self._step
+        if missing is not None or step is None:
+            return base
+        reason = f"GNSS position {step.size:.1f} m from the integral of its velocity over 5 s, limit {step.limit:.1f} m"
+        accuses = self._exceeded[NAME] >= CONSECUTIVE
+        base = replace(base, reason=reason)
+        return judged(base, step.size, step.limit, accuses=accuses, suspect_since_ns=step.suspect_ns)
 
     def _metric(self, metric: Metric, missing: str | None) -> Verdict:
         profile, window, unit = self.settings.profile, self.window, UNITS[metric]

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pydantic import ValidationError, ValidationInfo, model_validator
 
 from shared.errors import ConfigError
+from shared.maths.earth import Geodetic
 from shared.maths.rotation import matrix_from_quaternion, ned_from_body
 from shared.messages.base import Symmetric3, Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
@@ -22,6 +23,7 @@ from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import Table, VehicleFile
 
 from .monitor import InertialMonitor
+from .position_step import UNKNOWN_SD_M
 from .profile import Origin, Profile
 from .settings import LongSettings, Settings
 from .statements import statements
@@ -144,7 +146,7 @@ class Process:
                 self._use_samples(message)
             case GnssFix() if self._is_chosen(message):
                 self._gnss.count(message.source, message.sampled_ns)
-                self.monitor.fix(message.sampled_ns, *velocity_of(message))
+                self.monitor.fix(message.sampled_ns, *velocity_of(message), *position_of(message))
             case VehicleSpeed() if self._is_chosen(message):
                 self.monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case NavigationSolution() if message.phase in WITH_HEADING:
@@ -224,6 +226,14 @@ def velocity_of(fix: GnssFix) -> tuple[Vector3 | None, Vector3 | None]:
         return fix.velocity_ned_m_s, fix.velocity_sd_ned_m_s
     speed, course = fix.ground_speed_m_s, fix.course_rad
     return (speed * cos(course), speed * sin(course), 0.0), (0.0, 0.0, UNKNOWN_VERTICAL_SD)
+
+
+def position_of(fix: GnssFix) -> tuple[Geodetic | None, float]:
+    """Position on the ellipsoid, and its horizontal standard deviation [m]."""
+    if fix.latitude_deg is None or fix.longitude_deg is None:
+        return None, 0.0
+    sd_m = UNKNOWN_SD_M if fix.position_sd_ned_m is None else max(fix.position_sd_ned_m[:2])
+    return Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), 0.0), sd_m
 
 
 def anchor_of(solution: NavigationSolution) -> Anchor:

@@ -1,4 +1,4 @@
-"""Two statements of the verdicts: `inertial_short` of the metrics over 5 s, `inertial_long` of 30 and 60 s."""
+"""Two statements of the verdicts: `inertial_short` of the tests over 5 s, `inertial_long` of 30 and 60 s."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -6,10 +6,11 @@ from dataclasses import asdict
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 
 from .metrics import Metric
+from .position_step import NAME
 from .verdicts import Verdict
 
 REASON_LENGTH = 400  # of a message
-SHORT = tuple(metric.value for metric in Metric)
+SHORT = (*(metric.value for metric in Metric), NAME)
 
 
 def statements(

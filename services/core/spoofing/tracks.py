@@ -8,6 +8,8 @@ from math import isfinite
 import numpy as np
 import numpy.typing as npt
 
+from shared.maths.earth import Geodetic
+
 from .compass import barometric_height
 from .strapdown import SECOND_NS
 
@@ -18,11 +20,13 @@ BIN_NS = 200_000_000  # of heights, whose newest mean is complete that much late
 
 @dataclass(frozen=True)
 class VelocityFix:
-    """Velocity of the antenna by GNSS."""
+    """Velocity of the antenna by GNSS, and its position where there is one."""
 
     time_ns: int  # when it was true: the receiver's delay is subtracted
     velocity_n: FloatArray  # shape (3,) [m/s, NED]
     sd: FloatArray  # shape (3,) [m/s, NED]
+    position: Geodetic | None = None
+    position_sd: float = 0.0  # [m] horizontal
 
     @property
     def speed(self) -> float:

@@ -41,7 +41,7 @@ from .passages import Crossing, Here, Passage, can_reach, crossing_between, over
 from .settings import Settings
 from .tracks import Track, TrackTable, Update, away_from_prediction
 
-VERSION = "1"  # of the algorithms, for evidence
+VERSION = "2"  # of the algorithms, for evidence: 2 states the crossing time of slow and silent vehicles wider
 SECOND_NS = 10**9
 ALIGNED = 0.5  # cosine between heading and lane above which a vehicle drives along it
 ON_ROAD = 0.5  # probability of all lanes together above which a vehicle may open a passage
@@ -70,7 +70,7 @@ class Journey:
 class Core:
     """Tracks, delta position, passages and gates of one plaza.
 
-    What it says of a vehicle follows from that vehicle's CAM, the deltas and the settings alone: a CAM is corrected by
+    The statements on a vehicle follow from its CAM, the deltas and the settings alone: a CAM is corrected by
     the newest delta that is older than `delta.latency_s` when the CAM arrives, and a passage begins with a new track.
     """
 
@@ -92,6 +92,7 @@ class Core:
         self._gates: dict[str, tuple[str, int]] = {}  # passage: content and time of its newest gate command
         self._rejected: Counter[str] = Counter()
         self._cams = 0
+        self._first_cam_ns: int | None = None
         self._newest_cam_ns = 0
         self._ready_ns: int | None = None  # from then on passages are opened
         self._source: str | None = settings.source
@@ -125,7 +126,7 @@ class Core:
     def estimate_delta(self, now_ns: int) -> TollDelta:
         """Compute the delta position; it is used once it is passed to `use_delta`.
 
-        A delta of a later time was retained in another life of the host, and would keep out those of this one.
+        A delta of a later time was retained before a reboot of the host, and would keep out those of this one.
         """
         while self._deltas and self._deltas[-1].sampled_ns > now_ns:
             self._rejected["delta_from_the_future"] += 1
@@ -173,6 +174,8 @@ class Core:
     def use(self, cams: Sequence[Cam]) -> Iterator[Statement]:
         """Use a batch of CAM."""
         vehicles = [cam for cam in cams if cam.station_type not in NO_VEHICLE]
+        if self._first_cam_ns is None and vehicles:
+            self._first_cam_ns = min(cam.received_ns for cam in vehicles)
         self._newest_cam_ns = max([self._newest_cam_ns, *(cam.received_ns for cam in vehicles)])
         self._rejected["no_road_vehicle"] += len(cams) - len(vehicles)
         for updates in self._table.use(vehicles):
@@ -304,9 +307,8 @@ class Core:
         journey = self._journeys.setdefault(track.number, Journey())
         if update.continues:
             self._inherit(journey, self._journeys.pop(update.continues.number, None), track)
-        if journey.passage is None:
-            self._adopt(journey, track, here)
-        if journey.passage is None and self._may_open(track, here):
+        waits = journey.passage is None and self._adopt(journey, track, here)
+        if journey.passage is None and not waits and self._may_open(track, here):
             here = self._reborn(update)
             if self._may_open(track, here):
                 yield from self._opened(journey, update, here)
@@ -335,6 +337,8 @@ class Core:
             journey.before, journey.crossing = here, None
         elif journey.crossing is None and journey.before is not None:
             journey.crossing = crossing_between(journey.before, here, decided)
+        elif journey.crossing is not None:
+            journey.crossing = journey.crossing.widened(here)
 
     def _may_open(self, track: Track, here: Here) -> bool:
         """Whether a vehicle without a passage is between approach line and gate line, drives forward, and is sure."""
@@ -408,18 +412,30 @@ class Core:
         self._attach(journey, old.passage, track)
         journey.before = journey.before or old.before
 
-    def _adopt(self, journey: Journey, track: Track, here: Here) -> None:
+    def _adopt(self, journey: Journey, track: Track, here: Here) -> bool:
         """Continue a passage that no track has, if its vehicle can be here now.
 
-        It has the same station ID, or that has fallen silent and this track begins where the vehicle must be.
+        It has the same station ID, or that has fallen silent and this track begins where the vehicle must be. Silence
+        counts from the first CAM of this process: after a restart, vehicles in a queue are where the next one was.
+
+        Returns
+        -------
+        bool
+            Whether the track waits, since it may continue a passage whose station is not silent for long enough.
         """
         idle = [passage for passage in self._passages.values() if not passage.doubt and self._is_idle(passage)]
         own = [passage for passage in idle if track.station_id in passage.station_ids and self._reaches(passage, here)]
         near = [passage for passage in idle if self._is_near(passage, here)]
-        if found := (own or near):
-            self._attach(journey, found[0], track)
-            if found[0].here.along < 0.0 and journey.crossing is None:
-                journey.before = journey.before or found[0].here
+        if not (found := own or near):
+            return False
+        if not own:
+            silent_since_ns = max(near[0].here.time_ns, self._first_cam_ns or 0)
+            if here.time_ns - silent_since_ns < self._settings.track.silence_ns(near[0].here.speed):
+                return True
+        self._attach(journey, found[0], track)
+        if found[0].crossing is None and journey.crossing is None:
+            journey.before = journey.before or found[0].here
+        return False
 
     def _is_near(self, passage: Passage, here: Here) -> bool:
         """Whether a vehicle is where that of an idle passage, whose station is silent, must be now."""
@@ -495,7 +511,7 @@ class Core:
         )
 
     def _take_over(self, passage: Passage) -> Iterator[TollPassage]:
-        """Let a track that has opened a younger passage for the same station ID continue the older one."""
+        """Continue the older passage of a station ID with the track that opened a younger one."""
         track = self._table.by_station.get(passage.station_ids[-1])
         journey = self._journeys.get(track.number) if track else None
         if track is None or journey is None or journey.here is None:
@@ -670,7 +686,7 @@ def derive(plaza: Plaza, settings: Settings, cams: Sequence[Cam], deltas: Sequen
         )
     for delta in deltas:
         core.use_delta(delta)
-    return [said for cam in cams for said in core.use([cam]) if isinstance(said, TollPassage)]
+    return [one for cam in cams for one in core.use([cam]) if isinstance(one, TollPassage)]
 
 
 def _row(location: Location, k: int) -> Location:

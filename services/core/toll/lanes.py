@@ -98,10 +98,3 @@ def lane_likelihood(left: FloatArray, variance: FloatArray, prior: FloatArray) -
     total = variance + CENTRE_VARIANCE
     density: FloatArray = prior * np.exp(-0.5 * left**2 / total) / np.sqrt(2.0 * np.pi * total)
     return density
-
-
-def probability_of_own_lane(sd: float, width: float) -> float:
-    """Probability that a vehicle in the centre of a lane is measured in it: 2 Φ(w/(2σ)) - 1."""
-    from scipy.special import ndtr
-
-    return float(2.0 * ndtr(0.5 * width / sd) - 1.0)

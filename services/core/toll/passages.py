@@ -1,8 +1,8 @@
 """The passage of one vehicle: approach line, gate line, exit line; charged only when all are passed, forward."""
 
 import hashlib
-from dataclasses import dataclass, field
-from math import hypot
+from dataclasses import dataclass, field, replace
+from math import hypot, sqrt
 
 from shared.messages.toll import POSTERIORS, PassageState
 
@@ -50,19 +50,40 @@ class Crossing:
     lanes: tuple[float, ...]
     delta_ns: int | None
 
+    def widened(self, here: Here) -> "Crossing":
+        """Give the time the standard deviation that a slow vehicle's has.
+
+        A position s behind the line, t after the crossing, is s/σ standard deviations of the front point away from it::
+
+            σ_t >= t · σ / max(s, σ)    where s <= 3 σ
+
+        At a constant speed that is σ/v. A vehicle that waits at the line may cross it as late as it goes on.
+        """
+        if here.along > 3.0 * here.along_sd:
+            return self
+        elapsed_s = (here.time_ns - self.time_ns) * 1e-9
+        return replace(self, sd_s=max(self.sd_s, elapsed_s * here.along_sd / max(here.along, here.along_sd)))
+
 
 def crossing_between(before: Here, after: Here, decided: float) -> Crossing:
     """Interpolate the crossing of the gate line between two positions, before it and behind it.
 
     The lane is that of the position behind the line; if that is undecided, of the position before it, which may be the
-    last one before a restart. The standard deviation is the along-track one over the speed.
+    last one before a restart. A vehicle that was on the line at a restart is `before` it with a coordinate of up to
+    `crossed_m`. The variance is that of the position along the road and that of the interpolation over a time T, with
+    accelerations of up to a, at the mean speed V between the two::
+
+        σ_t² = (σ/v)² + min(a T² / (8 V), T / √12)²
     """
-    share = -before.along / (after.along - before.along)
+    share = -before.along / (after.along - before.along) if before.along < 0.0 else 0.0
     elapsed_ns = after.time_ns - before.time_ns
-    speed = max(after.speed, (after.along - before.along) / (elapsed_ns * 1e-9), 0.1)
-    time_ns = before.time_ns + round(share * elapsed_ns)
+    gap_s = elapsed_ns * 1e-9
+    mean_speed = max((after.along - before.along) / gap_s, 0.1)
+    interpolated_s = min(ACCELERATION * gap_s**2 / (8.0 * mean_speed), gap_s / sqrt(12.0))
     witness = before if after.decided(decided) is None and before.decided(decided) is not None else after
-    return Crossing(time_ns, after.along_sd / speed, witness.decided(decided), witness.lanes, witness.delta_ns)
+    time_ns = before.time_ns + round(share * elapsed_ns)
+    sd_s = hypot(after.along_sd / max(after.speed, mean_speed), interpolated_s)
+    return Crossing(time_ns, sd_s, witness.decided(decided), witness.lanes, witness.delta_ns)
 
 
 def passage_id(plaza: str, frame: bytes) -> str:
@@ -124,6 +145,8 @@ class Passage:
         elif self.state is PassageState.OPEN and crossing and here.along >= settings.crossed_m:
             self.state, self.crossing = PassageState.CROSSED, crossing
             self.posteriors = [*self.posteriors[1 - POSTERIORS :], (here.time_ns, crossing.lanes)]
+        elif self.state is PassageState.CROSSED and self.crossing:
+            self.crossing = self.crossing.widened(here)
         if self.state is PassageState.CROSSED and here.along >= exit_line:
             self.exit_ns = here.time_ns
             if not self.registered:

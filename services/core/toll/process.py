@@ -25,7 +25,7 @@ In = CamList | GnssFix | TollRegistration | OpenPassages | TollDelta | Tick
 Out = PlazaDescription | TollDelta | TollTracks | TollPassage | GateCommand
 TRACKS_NS = 500_000_000  # period of `toll/tracks` while CAM arrive
 DELTA_NS = 900_000_000  # least distance of two deltas; receivers send one fix a second, or more
-NO_FIX_NS = 2_000_000_000  # without a fix for so long, a tick says why there is no delta
+NO_FIX_NS = 2_000_000_000  # without a fix for so long, a tick publishes why there is no delta
 
 
 class Config(Settings):

@@ -1,4 +1,4 @@
-"""Tracks of up to some hundred vehicles: birth, gating, association by station ID, pseudonym changes, deletion."""
+"""Tracks of up to some hundred vehicles: initiation, gating, association by station ID, pseudonym changes, deletion."""
 
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,6 @@ from .trackers.filters import Estimates, imm
 LINK_ACCELERATION = 3.0  # [m/s²] that a vehicle may have between its last CAM and the first with another station ID
 LINK_ACROSS_M = 2.0  # that it may be beside its prediction; the next lane is 3.5 m away
 LINK_SPEED_M_S = 1.0  # by which its speed may differ, beside what it has accelerated
-SLOW_M_S = 4.0  # below it a vehicle sends one CAM a second, and one that is lost is no sign of a new station ID
 
 # sampled_ns, received_ns and bytes of a frame, for evidence. The garbage collector does not follow such a tuple;
 # a minute of CAM of 200 vehicles, kept as messages, stops the process for 0.35 s in each search.
@@ -265,8 +264,7 @@ class TrackTable:
         nearest = int(np.argmin(distance))
         if not np.isfinite(distance[nearest]):
             return None, 0
-        silence_s = self._settings.link_after_s * (2.0 if abs(state[nearest, 3]) < SLOW_M_S else 1.0)
-        return tracks[nearest], round(silence_s * 1e9)
+        return tracks[nearest], self._settings.silence_ns(state[nearest, 3])
 
     def _noted(self, track: Track, one: Measured, *, born: bool) -> Update:
         track.updated_ns, track.received_ns = one.time_ns, one.cam.received_ns

@@ -13,6 +13,9 @@ HEALTHY_S = 2.0
 SHORT_FAULT_S = 10.0
 REPEATED_WITHIN_S = 600.0
 LONGEST_HEALTHY_S = 60.0
+# Normalised innovation squared over its gate up to which a position agrees with the solution without GNSS, and with one
+# whose protection level is above the alert limit: three times the distance.
+AGREES, AGREES_ABOVE_LIMIT = 1.0, 9.0
 
 
 def healthy_time(fault_s: float, earlier_faults: int) -> float:
@@ -103,13 +106,14 @@ def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
 
     Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite. Agreement takes
     both inertial windows and a position that does not contradict the solution without GNSS; the satellite monitor must
-    not accuse. Velocities alone cannot tell an attack that holds its offset from one that has ended. A solution whose
-    protection level is above the alert limit contradicts no position.
+    not accuse. Velocities alone cannot tell an attack that holds its offset from one that has ended. A position may be
+    three times as far from a solution whose protection level is above the alert limit.
     """
     accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
     passing = all(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
     ratio = facts.excluded_test_ratio
-    contradicted = (ratio is None or ratio > 1.0) and not facts.level_exceeded
+    limit = AGREES_ABOVE_LIMIT if facts.level_exceeded else AGREES
+    contradicted = ratio is None or ratio > limit
     agrees = not accusing and (is_lost(facts) or (passing and facts.exclusion_confirmed and not contradicted))
     suspect = [s.suspect_since_ns for s in accusing if s.suspect_since_ns is not None]
     return bool(accusing), agrees, min(suspect) if suspect else None

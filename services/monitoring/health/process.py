@@ -1,7 +1,6 @@
 """The watchdog: judges every topic and process by its deadline, and publishes problems and outages by root cause."""
 
-from shared.bus.bus import Bus, Envelope
-from shared.errors import BadPayload
+from shared.bus.bus import Bus, Envelope, decoded
 from shared.messages.operation import DeadlineReport, ProcessHealth, RecordingState
 from shared.runtime.config import Section, parse_vehicle
 
@@ -24,7 +23,7 @@ class Process:
         self._config = config
 
     def run(self, bus: Bus) -> None:
-        """Watch until told to stop."""
+        """Watch until `bus.stopping`."""
         watch = Watch(parse_vehicle(bus.vehicle_toml).processes, bus.now_ns())
         report_ns = step_ns = 0
         while not bus.stopping:
@@ -54,12 +53,7 @@ def _take(watch: Watch, envelope: Envelope, bus: Bus) -> None:
     )
     if not envelope.topic.startswith(DECODED) or (envelope.topic == "deadline/report" and not envelope.retained):
         return
-    try:
-        message = envelope.decode()
-    except BadPayload as error:
-        bus.rejects["payload"] += 1
-        bus.last_error = str(error)[:400]
-        return
+    message = decoded(bus, envelope)
     match message:
         case ProcessHealth():
             watch.take_health(message, envelope.received_ns, retained=envelope.retained)

@@ -1,4 +1,4 @@
-"""Status of one process from its heartbeats, farewell and last will."""
+"""Status of one process from its heartbeats, state `disconnected` and last will."""
 
 from shared.messages.operation import Freshness, ProcessHealth, ProcessState, ProcessStatus
 from shared.runtime.freshness import freshness_of, limits_of
@@ -21,7 +21,7 @@ class ProcessWatch:
         self.retained = False  # only retained messages came, which may be older than this run of the unit
 
     def take(self, health: ProcessHealth, received_ns: int, *, retained: bool) -> None:
-        """Note a birth, heartbeat, farewell or last will; one older than what is known is ignored."""
+        """Process a health message; one older than the newest is ignored."""
         known = self.heartbeat_ns is not None and retained and health.sent_ns <= self.heartbeat_ns
         if known or health.incarnation < self.incarnation:
             return

@@ -31,7 +31,7 @@ class TopicWatch:
         self.count = 0
         self.newest_ns: int | None = None
         self.producer: str | None = None
-        self.kept = False  # all that came was kept by the broker, and may be of a former life of the unit
+        self.kept = False  # only retained messages were received, which may be from before the start of the unit
         self._limits = limits_of(topic)
         self._pattern = stamp_pattern(topic.message)
         self._latencies_s: deque[float] = deque(maxlen=LATENCIES)

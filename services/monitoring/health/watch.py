@@ -35,7 +35,7 @@ RECOVERY_NS = 60_000_000_000  # after it, topics that are still silent are no lo
 SETTLE_NS = 10_000_000_000  # a relapse within this time continues the same outage
 MUTE_NS = 1_200_000_000  # a broker that does not even return our own heartbeat does not work
 STALL_NS = 1_000_000_000  # an observer that was suspended for longer cannot judge the others
-RESUME_NS = 60_000_000_000  # outages in a report of a former life count up to this age
+RESUME_NS = 60_000_000_000  # maximum age of a report whose outages are continued after a restart
 DISK_LOW_BYTES = 1_000_000_000
 BROKER, SELF = "broker", "monitoring.health"
 WHY_DOWN = {
@@ -52,7 +52,7 @@ class _Open:
     """An outage, and the topics that were not published since: each with the stamp of its last message before."""
 
     outage: Outage
-    life: int = 0  # incarnation of the process that is the root cause
+    incarnation: int = 0  # of the process that is the root cause
     silent_ns: dict[str, int] = field(default_factory=dict)
     recovered_ns: int = 0  # when the last of them was published again
 
@@ -93,9 +93,9 @@ class Watch:
             self._topics[topic.name].take(producer, payload, received_ns, retained=retained)
 
     def take_health(self, health: ProcessHealth, received_ns: int, *, retained: bool = False) -> None:
-        """Note a heartbeat, farewell or last will.
+        """Process a heartbeat, disconnect or last will.
 
-        A process that is not configured is watched from its birth to its farewell. Last wills count for nothing
+        A process that is not configured is watched from its first message to its disconnect. Last wills are ignored
         around an outage of the broker: it publishes them for connections that it dropped itself.
         """
         name = health.process
@@ -116,7 +116,7 @@ class Watch:
         self._recording = state
 
     def resume(self, report: DeadlineReport) -> None:
-        """Continue the outages that were open in the last report of a former life, and add the interruption itself."""
+        """Continue the outages that were open in the last report before a restart, and add the interruption itself."""
         starting = self._now_ns < self._started_ns + START_NS
         if not starting or not self._started_ns - RESUME_NS < report.now_ns < self._started_ns:
             return
@@ -174,7 +174,7 @@ class Watch:
     # --- processes
 
     def _present(self) -> frozenset[str]:
-        """Name the processes that should run: those configured, and others until their farewell."""
+        """Name the processes that should run: those configured, and others until their disconnect."""
         others = {name for name, watch in self._processes.items() if watch.state is not ProcessState.DISCONNECTED}
         return self._configured | others
 
@@ -197,7 +197,7 @@ class Watch:
             watch = self._processes[name]
             since_ns = self._started_ns if watch.seen_ns is None else max(watch.seen_ns, self._started_ns)
             self._begin(name, since_ns, f"{name} {WHY_DOWN[status]}", self._flowing(name))
-            self._open[name].life = watch.incarnation
+            self._open[name].incarnation = watch.incarnation
 
     # --- topics
 
@@ -235,7 +235,7 @@ class Watch:
         return {name for entry in self._open.values() for name in entry.silent_ns}
 
     def _root(self, topic: Topic, seen: tuple[str, ...] = ()) -> str | None:
-        """Find the root cause of the silence of a topic; None while it cannot be told yet.
+        """Find the root cause of the silence of a topic; None while it cannot be determined.
 
         It is, in this order: a producer that is down, or was restarted since the last message; what silenced the input
         that ended last, as soon as no other is late; an outage upstream that is not over for good; the topic itself.
@@ -318,7 +318,7 @@ class Watch:
         return not published.intersection(producers_of(topic, self._present()))
 
     def _why_silent(self, root: str) -> str:
-        """Say what is wrong with a root cause that is no process that is down."""
+        """Describe a root cause other than a process that is down."""
         if root not in self._topics:
             return f"{root} {RESTARTED}"
         producers = self._producers(BY_NAME[root])
@@ -378,7 +378,7 @@ class Watch:
         return not entry.silent_ns
 
     def _cause_end_ns(self, what: str) -> int:
-        """Say when a root cause that had silenced no topic was over."""
+        """Time at which a root cause that affected no topic ended."""
         if what == BROKER:
             return self._back_ns
         return (self._processes[what].heartbeat_ns or 0) if what in self._processes else 0
@@ -391,7 +391,7 @@ class Watch:
         )
 
     def _text(self, entry: _Open) -> str:
-        """Say what an outage means at the moment."""
+        """Describe the present effect of an outage."""
         what, waiting = entry.outage.what, ", ".join(entry.silent_ns)
         if what == BROKER and self.answering:
             return "the broker is back" + (f"; not yet published again: {waiting}" if waiting else "")
@@ -399,7 +399,7 @@ class Watch:
             status = self._status(what)
             if status.down:
                 return f"{what} {WHY_DOWN[status]}"
-            again = RESTARTED if self._processes[what].incarnation > entry.life else "runs again"
+            again = RESTARTED if self._processes[what].incarnation > entry.incarnation else "runs again"
             return f"{what} {again}" + (f"; not yet published again: {waiting}" if waiting else "")
         if what in self._topics and what not in entry.silent_ns:
             return f"{what} is published again; not yet: {waiting}"

@@ -11,6 +11,7 @@ from collections import Counter
 
 from pydantic import Field
 
+from shared.messages.base import Message
 from shared.messages.toll import (
     PASSAGES,
     SETTLED,
@@ -53,7 +54,7 @@ class Settings(Section):
     )  # how long a settled passage is known that costs nothing
     evidence_kept_days: float = Field(default=60.0, gt=0)  # objection period
     match_after_s: float = Field(default=150.0, gt=0)  # a detector pulse is accounted for after so long
-    match_gate_s: float = Field(default=5.0, gt=0)  # largest distance of a pulse from the crossing that explains it
+    match_gate_s: float = Field(default=5.0, gt=0)  # largest distance of a pulse from its crossing, or 3 sigma of that
     detector_sd_s: float = Field(default=0.1, gt=0)  # standard deviation of a pulse's time
     resend_first_s: float = Field(default=1.0, gt=0)  # until a transaction without receipt is sent again; doubles ...
     resend_longest_s: float = Field(default=60.0, gt=0)  # ... up to this
@@ -72,7 +73,21 @@ class Ledger:
         self._amount_cents = self._summed = 0
         self._cleaned_ns = 0  # what was settled before and not charged is deleted
 
-    # What arrives
+    # Received messages
+
+    def use(self, message: Message, now_ns: int) -> None:
+        """Store what a message states; those that are not of the ledger's topics change nothing."""
+        match message:
+            case TollRegistration():
+                self.register(message, now_ns)
+            case PlazaDetector():
+                self.detect(message, now_ns)
+            case TollPassage():
+                self.passage(message, now_ns)
+            case TollReceipt():
+                self.receipt(message, now_ns)
+            case _:
+                pass
 
     def register(self, message: TollRegistration, now_ns: int) -> None:
         """Store which contract uses a station ID now; the newest statement counts."""
@@ -126,7 +141,7 @@ class Ledger:
         if not message.accepted:
             self._reverse(message.passage_id, f"not accepted by {message.operator}: {message.reason}", now_ns)
 
-    # What time brings
+    # Periodic work
 
     def expire(self, now_ns: int) -> None:
         """Settle passages that fell silent, and delete what may not be kept longer."""
@@ -177,7 +192,7 @@ class Ledger:
                     self._count(row["lane"], row["crossing_ns"], "charged_without_detection")
                 self._store.execute("DELETE FROM crossing WHERE number = ?", number)
 
-    # What is published
+    # Published messages
 
     def due(self, now_ns: int) -> list[TollTransaction]:
         """List the transactions to send now: those without a receipt, again after growing pauses."""
@@ -436,7 +451,7 @@ class Ledger:
 
 
 def transaction_id(passage_id: str, kind: TransactionKind) -> str:
-    """Derive the ID of a transaction: the same for every attempt and every life of the ledger."""
+    """Derive the ID of a transaction: the same for every attempt and after a restart of the ledger."""
     return hashlib.sha256(f"{kind}:{passage_id}".encode()).hexdigest()
 
 

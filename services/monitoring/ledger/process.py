@@ -8,7 +8,7 @@ from shared.bus.bus import Bus, Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.operation import Origin, OriginKind
-from shared.messages.toll import LedgerState, PlazaDetector, TollPassage, TollReceipt, TollRegistration
+from shared.messages.toll import LedgerState
 from shared.toll.plaza import load_plaza, plaza_path
 
 from .ledger import Ledger, Settings
@@ -79,7 +79,7 @@ class Process:
         if messages:
             with self._store.transaction():
                 for message in messages:
-                    _store(ledger, message, now_ns)
+                    ledger.use(message, now_ns)
         if now_ns >= self._reconcile_ns:
             self._reconcile_ns = now_ns + RECONCILE_NS
             with self._store.transaction():
@@ -118,17 +118,3 @@ def _decoded(envelopes: list[Envelope], bus: Bus) -> Iterable[Message]:
         except BadPayload as error:
             bus.rejects["payload"] += 1
             bus.last_error = str(error)[:400]
-
-
-def _store(ledger: Ledger, message: Message, now_ns: int) -> None:
-    match message:
-        case TollRegistration():
-            ledger.register(message, now_ns)
-        case PlazaDetector():
-            ledger.detect(message, now_ns)
-        case TollPassage():
-            ledger.passage(message, now_ns)
-        case TollReceipt():
-            ledger.receipt(message, now_ns)
-        case _:
-            pass

@@ -42,7 +42,7 @@ class Process:
         self._opened_ns = self._flush_ns = self._state_ns = self._retry_ns = 0
 
     def run(self, bus: Bus) -> None:
-        """Record until told to stop; a road-side unit keeps nothing that describes other road users."""
+        """Record until `bus.stopping`; a road-side unit keeps nothing that describes other road users."""
         if parse_vehicle(bus.vehicle_toml).role is Role.RSU:
             self._kept_out = {topic.name for topic in TOPICS if topic.personal}
         self._folder = RecordingFolder(bus.state_dir / self._config.folder, self._opener)

@@ -124,7 +124,7 @@ class ProcessFlow:
         self.last_error = health.last_error or (self.last_error if same_life else None)
         self.heartbeat_ns = heartbeat_ns
         if health.state in (ProcessState.LOST, ProcessState.DISCONNECTED) and before is not None:
-            # A will was written at birth: what is known of this life stays known, except that it is over.
+            # A last will was written at the start: the newest values of the incarnation are kept, except its state.
             self.health = before.model_copy(update={"state": health.state, "incarnation": health.incarnation})
             return
         if not same_life:

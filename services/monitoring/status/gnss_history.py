@@ -4,6 +4,9 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import degrees
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
 
 from shared.messages.base import Message
 from shared.messages.gnss import (
@@ -14,12 +17,16 @@ from shared.messages.gnss import (
     GnssRawEpoch,
     GnssSatellites,
     GnssSignalQuality,
+    GnssSignals,
 )
 from shared.topics import BY_NAME
 
 NS = 1_000_000_000
+OfReceiver = GnssFix | GnssSatellites | GnssSignals | GnssRawEpoch | GnssSignalQuality | GnssConfiguration
 SOURCES_MAXIMUM, SATELLITES_MAXIMUM, CHANGES_MAXIMUM = 8, 160, 500
 TRACK_STEP_NS, TRACK_POINTS = 30 * NS, 120  # one hour
+PlaceInSky = tuple[str, int, float, float]  # constellation, number, elevation and azimuth in degrees
+KEPT_NS = round(0.95 * NS)  # between two records of an unchanged fix
 SILENT_NS = round((BY_NAME["gnss/fix"].silent_after_s or 5.0) * NS)
 NO_DATA = "no_data"
 FRESH_CORRECTION_S, OLD_CORRECTION_S = 5.0, 30.0  # a receiver's ambiguities outlive a few seconds without corrections
@@ -47,6 +54,27 @@ class Changes:
             yield self._newest_ns + SILENT_NS, NO_DATA
 
 
+class KeptFix(BaseModel):
+    """Kind of fix and class of the corrections of a receiver at one time."""
+
+    model_config = ConfigDict(defer_build=True)
+    kind: Literal["fix"]
+    ns: int
+    source: str
+    fix: str
+    correction: str
+
+
+class KeptSky(BaseModel):
+    """New points of the tracks of satellites."""
+
+    model_config = ConfigDict(defer_build=True)
+    kind: Literal["sky"]
+    ns: int
+    source: str
+    places: tuple[PlaceInSky, ...]
+
+
 @dataclass
 class ReceiverHistory:
     """One receiver: the newest of each kind of message with its arrival, and what changed."""
@@ -54,6 +82,7 @@ class ReceiverHistory:
     source: str
     fix: GnssFix | None = None
     satellites: GnssSatellites | None = None
+    signals: GnssSignals | None = None
     epoch: GnssRawEpoch | None = None
     quality: GnssSignalQuality | None = None
     configuration: GnssConfiguration | None = None
@@ -63,33 +92,62 @@ class ReceiverHistory:
     waited_since_ns: int | None = None  # first fix of all, if it had no position
     first_position_ns: int | None = None
     tracks: dict[tuple[str, int], deque[tuple[int, float, float]]] = field(default_factory=dict)
+    kept: KeptFix | None = None  # the newest one
 
-    def note_fix(self, fix: GnssFix, received_ns: int) -> None:
-        """Note kind, corrections, and how long the first position took."""
+    def note_fix(self, fix: GnssFix, received_ns: int) -> Iterator[KeptFix]:
+        """Note kind, corrections, and how long the first position took; give what a restart must know."""
         self.fix = fix
-        self.fixes.note(received_ns, kind_of(fix))
-        self.corrections.note(received_ns, correction_of(fix))
+        found = KeptFix(kind="fix", ns=received_ns, source=self.source, fix=kind_of(fix), correction=correction_of(fix))
+        self.restore_fix(found)
         located = fix.latitude_deg is not None
         if self.first_position_ns is None and located and self.waited_since_ns is not None:
             self.first_position_ns = received_ns
         elif self.waited_since_ns is None and "fix" not in self.updated_ns and not located:
             self.waited_since_ns = received_ns
+        last = self.kept
+        if (
+            last is None
+            or found.ns - last.ns >= KEPT_NS
+            or (last.fix, last.correction) != (found.fix, found.correction)
+        ):
+            self.kept = found
+            yield found
 
-    def note_satellites(self, message: GnssSatellites, received_ns: int) -> None:
-        """Add a point to each track, twice a minute; a satellite that has not been seen for the length is dropped."""
+    def restore_fix(self, kept: KeptFix) -> None:
+        """Note kind and corrections at one time."""
+        self.fixes.note(kept.ns, kept.fix)
+        self.corrections.note(kept.ns, kept.correction)
+
+    def note_satellites(self, message: GnssSatellites, received_ns: int) -> Iterator[KeptSky]:
+        """Add a point to each track, twice a minute; give what a restart must know."""
         self.satellites = message
-        for seen in message.satellites:
-            if seen.elevation_rad is None or seen.azimuth_rad is None:
-                continue
-            key = (str(seen.constellation), seen.number)
-            if key not in self.tracks and len(self.tracks) >= SATELLITES_MAXIMUM:
-                continue
-            track = self.tracks.setdefault(key, deque(maxlen=TRACK_POINTS))
-            if not track or received_ns - track[-1][0] >= TRACK_STEP_NS:
-                track.append((received_ns, degrees(seen.elevation_rad), degrees(seen.azimuth_rad)))
-        oldest_ns = received_ns - TRACK_POINTS * TRACK_STEP_NS
+        places = tuple(
+            (str(seen.constellation), seen.number, degrees(seen.elevation_rad), degrees(seen.azimuth_rad))
+            for seen in message.satellites
+            if seen.elevation_rad is not None and seen.azimuth_rad is not None
+        )
+        found = KeptSky(kind="sky", ns=received_ns, source=self.source, places=places)
+        if added := self.restore_sky(found):
+            yield found.model_copy(update={"places": added})
+
+    def restore_sky(self, kept: KeptSky) -> tuple[PlaceInSky, ...]:
+        """Add points to the tracks and return them; a satellite that has not been seen for the length is dropped."""
+        added = tuple(place for place in kept.places if self._append(place, kept.ns))
+        oldest_ns = kept.ns - TRACK_POINTS * TRACK_STEP_NS
         for key in [key for key, track in self.tracks.items() if track[-1][0] < oldest_ns]:
             del self.tracks[key]
+        return added
+
+    def _append(self, place: PlaceInSky, time_ns: int) -> bool:
+        constellation, number, elevation_deg, azimuth_deg = place
+        key = (constellation, number)
+        if key not in self.tracks and len(self.tracks) >= SATELLITES_MAXIMUM:
+            return False
+        track = self.tracks.setdefault(key, deque(maxlen=TRACK_POINTS))
+        due = not track or time_ns - track[-1][0] >= TRACK_STEP_NS
+        if due:
+            track.append((time_ns, elevation_deg, azimuth_deg))
+        return due
 
 
 class GnssHistory:
@@ -98,22 +156,29 @@ class GnssHistory:
     def __init__(self) -> None:
         self.receivers: dict[str, ReceiverHistory] = {}
 
-    def note(self, message: Message, received_ns: int) -> None:
-        """Take one message; what is not of a receiver is ignored."""
-        if not isinstance(message, GnssFix | GnssSatellites | GnssRawEpoch | GnssSignalQuality | GnssConfiguration):
-            return
-        receiver = self.receivers.get(message.source)
-        if receiver is None:
-            if len(self.receivers) >= SOURCES_MAXIMUM:
-                return
-            receiver = self.receivers[message.source] = ReceiverHistory(message.source)
+    def restore(self, kept: KeptFix | KeptSky) -> None:
+        """Take over a record of an earlier life of the process."""
+        receiver = self._receiver(kept.source)
+        if receiver and isinstance(kept, KeptFix):
+            receiver.restore_fix(kept)
+        elif receiver and isinstance(kept, KeptSky):
+            receiver.restore_sky(kept)
+
+    def note(self, message: Message, received_ns: int) -> list[KeptFix | KeptSky]:
+        """Take one message and return what a restart must know; what is not of a receiver is ignored."""
+        if not isinstance(message, OfReceiver) or (receiver := self._receiver(message.source)) is None:
+            return []
+        kept: list[KeptFix | KeptSky] = []
         match message:
             case GnssFix():
-                receiver.note_fix(message, received_ns)
+                kept += receiver.note_fix(message, received_ns)
                 receiver.updated_ns["fix"] = received_ns
             case GnssSatellites():
-                receiver.note_satellites(message, received_ns)
+                kept += receiver.note_satellites(message, received_ns)
                 receiver.updated_ns["satellites"] = received_ns
+            case GnssSignals():
+                receiver.signals = message
+                receiver.updated_ns["signals"] = received_ns
             case GnssRawEpoch():
                 receiver.epoch = message
                 receiver.updated_ns["epoch"] = received_ns
@@ -123,6 +188,12 @@ class GnssHistory:
             case GnssConfiguration():
                 receiver.configuration = message
                 receiver.updated_ns["configuration"] = received_ns
+        return kept
+
+    def _receiver(self, source: str) -> ReceiverHistory | None:
+        if source not in self.receivers and len(self.receivers) < SOURCES_MAXIMUM:
+            self.receivers[source] = ReceiverHistory(source)
+        return self.receivers.get(source)
 
 
 def kind_of(fix: GnssFix) -> str:

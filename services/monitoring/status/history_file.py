@@ -1,4 +1,4 @@
-"""Verdicts, their changes and outages as JSON lines in bounded files, which survive a restart of this process."""
+"""Verdicts, outages, fixes and tracks in the sky, as JSON lines in bounded files that outlive this process."""
 
 import logging
 from collections.abc import Iterator, Mapping
@@ -8,19 +8,19 @@ from pydantic_core import to_json
 
 log = logging.getLogger(__name__)
 
-FILE_BYTES = 2_000_000  # about four hours at one verdict a second; the file before it is kept as well
+FILE_BYTES = 2_000_000  # about two hours at one verdict and one fix a second; the file before it is kept as well
 Record = Mapping[str, object]
 
 
 class HistoryFile:
-    """Appends records, and reads those of earlier lives; what cannot be read or written is left out with a warning."""
+    """Appends records, and reads those of earlier incarnations; what cannot be read or written is logged."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._before = path, path.with_suffix(".before.jsonl")
         self._failed = False
 
     def read(self) -> Iterator[bytes]:
-        """Give the lines of earlier lives, oldest first."""
+        """Lines of earlier incarnations, oldest first."""
         for path in (self._before, self._path):
             try:
                 yield from path.read_bytes().splitlines() if path.exists() else []

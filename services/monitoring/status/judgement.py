@@ -54,13 +54,13 @@ def unavailable(expected: Collection[str], problem: Problem | None) -> Judgement
 
 
 def broker_problem(since_ns: int, *, connected: bool) -> Problem:
-    """Say that the broker does not work; everything else is unknown then."""
+    """Judgement while the broker does not work; everything else is unknown."""
     text = "the broker hangs: it is connected, but delivers nothing" if connected else "the broker is not reachable"
     return _problem("broker", text, since_ns)
 
 
 def watchdog_problem(since_ns: int) -> Problem:
-    """Say that `monitoring.health` does not report; everything else is unknown then."""
+    """Judgement while `monitoring.health` does not report; everything else is unknown."""
     return _problem(WATCHDOG, f"{WATCHDOG} does not report, so the state of processes and topics is unknown", since_ns)
 
 

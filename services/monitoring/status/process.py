@@ -25,6 +25,7 @@ from .replay import ReplayFeed
 from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
+from .web.events import Events
 from .web.map import MapApi
 from .web.pages import read_pages
 from .web.recordings import Action, Job, RecordingsApi
@@ -32,6 +33,7 @@ from .web.replay import ReplayApi
 from .web.routes import Api, Watching, make_app, make_server
 from .web.series import SeriesApi
 from .web.simulation import SimulationApi
+from .web.websocket import Stream
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +46,7 @@ LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
 
 
 class Config(Section):
-    """Where to listen, and how much to remember."""
+    """Address of the server, and lengths of the histories."""
 
     host: str | None = None  # "0.0.0.0" shows it to the whole network; without it OBU_HTTP_HOST, else 127.0.0.1
     port: int = Field(default=8080, ge=0, le=65535)  # 0: any free one
@@ -69,9 +71,9 @@ class Process:
         self._config = config
 
     def run(self, bus: Bus) -> None:
-        """Take in the bus and serve the web until told to stop."""
+        """Receive from the bus and serve the web until `bus.stopping`."""
         host = self._config.host or os.environ.get("OBU_HTTP_HOST", "127.0.0.1")
-        (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)  # of an earlier life
+        (bus.state_dir / ADDRESS_FILE).unlink(missing_ok=True)  # of an earlier incarnation
         listener = listen(host, self._config.port)
         expected = parse_vehicle(bus.vehicle_toml).processes
         state = State(bus.vehicle, expected, bus.now_ns(), self._config.history_s, replay=self._config.replay)
@@ -128,13 +130,14 @@ class Process:
         apis: tuple[SimulationApi, ReplayApi, RecordingsApi],
     ) -> uvicorn.Server:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
-        series = SeriesApi(state, lock, now_ns, self._config.clients_maximum)
+        clients = self._config.clients_maximum
+        series = SeriesApi(state, lock, now_ns, clients)
         collector = StateCollector(state, now_ns, lock, software_version())
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
-        watching = Watching(state, lock, now_ns, self._config.clients_maximum, apis[1])
+        watching = Watching(Stream(state, lock, now_ns, clients, apis[1]), Events(state, lock, now_ns, clients))
         maps = MapApi(state, lock, now_ns, self._config.map_file)
         app = make_app(api, (series, *apis, maps), read_pages(folder), watching, self._config.allowed_hosts)
-        return make_server(app, 4 * self._config.clients_maximum + 16)
+        return make_server(app, 4 * clients + 16)
 
     def _announce(self, listener: socket.socket, bus: Bus) -> None:
         host, port = listener.getsockname()[:2]

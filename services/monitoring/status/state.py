@@ -30,7 +30,7 @@ from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
-from .gnss_history import GnssHistory
+from .gnss_history import GnssHistory, KeptFix, KeptSky
 from .history import History, TrustHistory
 from .judgement import (
     BROKER_SILENT_NS,
@@ -89,7 +89,8 @@ class KeptEvent(BaseModel):
     message: TrustEvent
 
 
-Kept = Annotated[KeptVerdict | KeptOutage | KeptEvent, Field(discriminator="kind")]
+KeptRecord = KeptVerdict | KeptOutage | KeptEvent | KeptFix | KeptSky
+Kept = Annotated[KeptRecord, Field(discriminator="kind")]
 
 
 class State:
@@ -146,7 +147,7 @@ class State:
             self.outages.note(outage)
 
     def pass_to(self, now_ns: int) -> None:
-        """Let time pass up to the arrival of the next message of a replay; it never goes back."""
+        """Advance time to the arrival of the next message of a replay; it never goes back."""
         if now_ns > self._ticked_ns:
             self.tick(now_ns, broker=True)
 
@@ -166,7 +167,7 @@ class State:
         if message is not None and not envelope.retained:
             self.series.take(name, message, envelope.received_ns)
         if message is not None:
-            self.gnss.note(message, flow.updated_ns or envelope.received_ns)
+            self._unsaved.extend(map(dict, self.gnss.note(message, flow.updated_ns or envelope.received_ns)))
         match message:
             case ProcessHealth():
                 self._note_health(message, envelope, flow)
@@ -198,16 +199,16 @@ class State:
                 pass
 
     def unsaved(self) -> list[Record]:
-        """Hand over what a later life of this process must know, once."""
+        """Records to be kept for the next incarnation of this process, since the last call."""
         records = list(self._unsaved)
         self._unsaved.clear()
         return records
 
     def restore(self, lines: Iterable[bytes]) -> int:
-        """Take over what earlier lives have kept of the last hour; returns the number of lines that cannot be read."""
+        """Add the records of the last hour of earlier incarnations; returns the number of invalid lines."""
         bad, reader = 0, None
         for line in lines:
-            reader = reader or TypeAdapter[KeptVerdict | KeptOutage | KeptEvent](Kept)  # 1 MB, only while it is used
+            reader = reader or TypeAdapter[KeptRecord](Kept)  # 1 MB, only while it is used
             try:
                 kept = reader.validate_json(line)
             except ValidationError:
@@ -222,10 +223,12 @@ class State:
                     self.outages.note(kept.message)
                 case KeptEvent():
                     self.trust_events.append(kept.message)
+                case KeptFix() | KeptSky():
+                    self.gnss.restore(kept)
         return bad
 
     def tick(self, now_ns: int, *, broker: bool) -> None:
-        """Let time pass: renew rates once a second, verdict and history five times."""
+        """Advance time: renew rates once a second, verdict and history five times."""
         if now_ns - self._ticked_ns > STALL_NS:
             self._received_ns = self._broker_back_ns = now_ns  # this process did not run: no silence of the broker
         self._ticked_ns = now_ns
@@ -318,7 +321,7 @@ class State:
     def _note_health(self, health: ProcessHealth, envelope: Envelope, flow: TopicFlow) -> None:
         process = self.processes.get(health.process)
         if process is None:
-            raise BadPayload(f"{envelope.topic} speaks for {health.process}, which is no process")
+            raise BadPayload(f"{envelope.topic} is of {health.process}, which is no process")
         if not envelope.retained and flow.latencies_s and health.sent_ns > health.incarnation:
             self._delays_s.append(flow.latencies_s[-1])
         process.note(health, flow.updated_ns or envelope.received_ns)

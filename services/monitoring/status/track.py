@@ -69,12 +69,12 @@ class Track:
             self._append(TrackRow(self.rows[-1].time_ns, self.rows[-1].state, aided=False))
 
     def unsaved(self) -> list[TrackRow]:
-        """Hand over the rows that a later life of this process must know, once."""
+        """Rows to be kept for the next incarnation of this process, since the last call."""
         rows, self._unsaved = list(self._unsaved), deque(maxlen=UNSAVED)
         return rows
 
     def restore(self, lines: Iterable[bytes], now_ns: int) -> int:
-        """Take over rows of earlier lives that belong to this drive; returns how many lines cannot be read.
+        """Add rows of earlier incarnations that belong to this drive; returns the number of invalid lines.
 
         A pause of more than `RESTORED_NS` separates drives. Lines are the JSON of rows, oldest first.
         """

@@ -24,7 +24,14 @@ DYNAMIC_MODELS = {
     7: "airborne below 2 g", 8: "airborne below 4 g", 9: "wrist", 10: "bike", 11: "mower", 12: "scooter",
 }  # fmt: skip
 VERSION_HEAD, VERSION_LINE = 40, 30  # [bytes] software and hardware, and each further line
-ONCE_A_SECOND = ("RXM-RAWX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG")  # whatever the navigation period
+ONCE_A_SECOND = (
+    "RXM-RAWX",
+    "NAV-STATUS",
+    "NAV-CLOCK",
+    "MON-RF",
+    "SEC-SIG",
+    "NAV-SIG",
+)  # whatever the navigation period
 
 
 class Configurator:
@@ -155,7 +162,10 @@ def wanted_values(wanted: GnssConfigure) -> dict[int, int]:
 
 
 def optional_values(wanted: GnssConfigure) -> list[dict[int, int]]:
-    """Keys and values of each optional message; measurements, 1048 bytes of 32 signals, come once a second."""
+    """Keys and values of each optional message.
+
+    The long ones, 1048 bytes for 32 measurements and 976 for 60 signals, are sent once a second.
+    """
     every = max(1, round(1.0 / wanted.navigation_period_s))
     names = wanted.optional_messages
     return [_output_values((name,), every if name in ONCE_A_SECOND else 1) for name in names]

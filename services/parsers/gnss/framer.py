@@ -11,7 +11,6 @@ from operator import xor
 UBX_SYNC = b"\xb5\x62"
 MAX_UBX_PAYLOAD = 4096  # RXM-RAWX of 120 signals is 3856
 MAX_NMEA = 256  # the standard allows 82; proprietary sentences are longer
-MAX_BUFFER = 2 * MAX_UBX_PAYLOAD
 
 
 class Protocol(Enum):

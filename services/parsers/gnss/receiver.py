@@ -12,6 +12,7 @@ from shared.messages.gnss import (
     GnssRawEpoch,
     GnssSatellites,
     GnssSignalQuality,
+    GnssSignals,
 )
 
 from . import ubx_messages, ubx_raw, ubx_signal
@@ -26,11 +27,12 @@ NMEA_WAITS_NS = 5 * NS  # time without a UBX fix after which NMEA fixes are publ
 PART_AGE_NS = 1_500_000_000  # between a part of the signal quality and the next fix; at 1 Hz it is up to one second
 SAME_EPOCH_MS = 12  # times of week of one epoch are closer: RXM-RAWX has the receiver's own clock
 
-Output = GnssFix | GnssSatellites | GnssRawEpoch | GnssNavigationBits | GnssSignalQuality | GnssConfiguration
+OfEpoch = GnssSatellites | GnssSignals | GnssRawEpoch
+Output = GnssFix | OfEpoch | GnssNavigationBits | GnssSignalQuality | GnssConfiguration
 
 
 class Receiver:
-    """Decodes the bytes of one receiver to fixes, satellites and configuration results."""
+    """Decodes the bytes of one receiver to fixes, satellites, signals and configuration results."""
 
     def __init__(self, source: str, *, minimum_delay_s: float, rejects: Counter[str]) -> None:
         self.configurator = Configurator(source)
@@ -41,7 +43,7 @@ class Receiver:
         self._week, self._day = Unwrapper(WEEK_NS), Unwrapper(DAY_NS)
         self._ubx_clock, self._nmea_clock = ClockMapping(minimum_delay_s), ClockMapping(minimum_delay_s)
         # Time of week [ms] and message, pending until the fix of their epoch is stamped; at most one of each kind.
-        self._waiting: dict[type[GnssSatellites | GnssRawEpoch], tuple[int, GnssSatellites | GnssRawEpoch]] = {}
+        self._waiting: dict[type[OfEpoch], tuple[int, OfEpoch]] = {}
         self._signal: dict[str, tuple[int, ubx_signal.Part]] = {}  # of this epoch, each with its arrival [ns]
         self._resets: dict[ClockMapping, int] = {}  # of each mapping, published already
         self._last_stamp: tuple[int, int] | None = None  # time of week [ms] and time stamp [ns] of the newest fix
@@ -72,8 +74,10 @@ class Receiver:
             yield from self.configurator.take(frame.data)
             return
         payload = frame.data[6:-2]
-        if kind == "SAT":
-            yield from self._take_satellites(payload, received_ns)
+        if kind in ("SAT", "SIG"):
+            itow = ubx_messages.itow_ms(payload)
+            decoded = self._satellites(payload, received_ns) if kind == "SAT" else self._signals(payload, received_ns)
+            yield from self._stamped(itow, decoded)
             return
         for epoch in self._ubx.take(kind, payload, received_ns):
             yield from self._ubx_fix(epoch)
@@ -91,15 +95,21 @@ class Receiver:
                 del self._waiting[kind]
                 yield message.model_copy(update={"sampled_ns": sampled_ns})
 
-    def _take_satellites(self, payload: bytes, received_ns: int) -> Iterator[Output]:
-        itow = ubx_messages.satellites_itow_ms(payload)
-        satellites = GnssSatellites(
+    def _satellites(self, payload: bytes, received_ns: int) -> GnssSatellites:
+        return GnssSatellites(
             sampled_ns=received_ns,
             received_ns=received_ns,
             source=self._source,
             satellites=ubx_messages.decode_satellites(payload),
         )
-        yield from self._stamped(itow, satellites)
+
+    def _signals(self, payload: bytes, received_ns: int) -> GnssSignals:
+        return GnssSignals(
+            sampled_ns=received_ns,
+            received_ns=received_ns,
+            source=self._source,
+            signals=ubx_messages.decode_signals(payload),
+        )
 
     def _take_raw(self, kind: str | None, payload: bytes, received_ns: int) -> Iterator[Output]:
         if kind == "RAWX":
@@ -147,7 +157,7 @@ class Receiver:
         self._signal.clear()
         yield quality.model_copy(update=fields)
 
-    def _stamped(self, itow: int, message: GnssSatellites | GnssRawEpoch) -> Iterator[Output]:
+    def _stamped(self, itow: int, message: OfEpoch) -> Iterator[Output]:
         """Stamp a message with the time of its epoch's fix; without fixes, with its arrival time."""
         if self._last_stamp and _same_epoch(self._last_stamp[0], itow):
             yield message.model_copy(update={"sampled_ns": self._last_stamp[1]})

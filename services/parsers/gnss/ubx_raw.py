@@ -13,7 +13,7 @@ from math import isfinite
 from shared.messages.gnss import MAX_NAVIGATION_WORDS, Constellation, RawMeasurement
 
 from .gnss_time import MAXIMUM_LEAP_S, NS, WEEK_NS
-from .ubx_messages import UbxError, constellation_of
+from .ubx_messages import SIGNALS, UbxError, constellation_of
 
 RXM = 0x02
 KINDS = {0x13: "SFRBX", 0x15: "RAWX"}
@@ -22,15 +22,6 @@ EARLIEST_WEEK, LATEST_WEEK = 1700, 6000
 MAX_PSEUDORANGE_M = 1e8  # satellites in geostationary orbits are 42,000 km away; a receiver's clock adds up to 300 km
 MAX_DOPPLER_HZ = 1e5
 MAX_CYCLES = 1e10
-# Signals by (gnssId, sigId), as the observation codes of RINEX 3.05 name them.
-SIGNALS = {
-    (0, 0): "1C", (0, 3): "2L", (0, 4): "2S", (0, 6): "5I", (0, 7): "5Q",
-    (1, 0): "1C",
-    (2, 0): "1C", (2, 1): "1B", (2, 3): "5I", (2, 4): "5Q", (2, 5): "7I", (2, 6): "7Q",
-    (3, 0): "2I", (3, 1): "2I", (3, 2): "7I", (3, 3): "7I", (3, 5): "1P", (3, 7): "5P",
-    (5, 0): "1C", (5, 1): "1Z", (5, 4): "2S", (5, 5): "2L", (5, 8): "5I", (5, 9): "5Q",
-    (6, 0): "1C", (6, 2): "2C", (7, 0): "5A",
-}  # fmt: skip
 # Whose navigation words are used, by (gnssId, sigId): L1 C/A, and I/NAV of E1-B, whose signal version 1 leaves at 0.
 NAVIGATION_SIGNALS = {(0, 0): "1C", (2, 0): "1B", (2, 1): "1B"}
 NAVIGATION_WORDS = {0: 10, 2: 8}  # of a subframe of L1 C/A, of a page of E1-B

@@ -15,6 +15,7 @@ from shared.runtime.config import Section
 from shared.v2x import cam, frames, geonetworking, its_time
 
 MAX_FRAMES = 1024  # of one batch
+PAI_INTERVAL_M = 80.0  # itsGnPaiInterval: EN 302 636-4-1, annex H
 NS_PER_MS = 1_000_000
 
 
@@ -112,13 +113,19 @@ class Process:
             its_time_ms=own.its_time_ms,
             latitude_deg=own.latitude_deg,
             longitude_deg=own.longitude_deg,
-            accurate=not own.position_out_of_range,
+            accurate=_is_accurate(own),
             speed_m_s=own.speed_m_s or 0.0,
             heading_rad=own.heading_rad or 0.0,
         )
         mobile = own.station_type is not StationType.ROAD_SIDE_UNIT
         packet = geonetworking.encode_packet(payload, sender, mobile=mobile)
         yield V2xSend(received_ns=own.sampled_ns, source=str(own.station_id), data=packet)
+
+
+def _is_accurate(own: OwnCam) -> bool:
+    """Position accuracy indicator: the semi-major axis is known, and shorter than half of the interval."""
+    major_m = own.position_semi_major_m
+    return not own.position_out_of_range and major_m is not None and major_m < 0.5 * PAI_INTERVAL_M
 
 
 def _geodetic(latitude_deg: float, longitude_deg: float) -> Geodetic:

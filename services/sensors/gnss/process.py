@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 
-from shared.bus.bus import Bus, Envelope
+from shared.bus.bus import Bus, Envelope, decoded
 from shared.devices.device import open_device, split_url
 from shared.devices.driver import Link, run_driver
-from shared.errors import BadPayload
 from shared.messages.base import DeviceName
 from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.runtime.config import Section
@@ -35,11 +34,6 @@ class Process:
 
     def _write(self, bus: Bus, link: Link, envelopes: Sequence[Envelope]) -> None:
         for envelope in envelopes:
-            try:
-                message = envelope.decode()
-            except BadPayload as error:
-                bus.rejects["payload"] += 1
-                bus.last_error = str(error)[:400]
-                continue
+            message = decoded(bus, envelope)
             if isinstance(message, GnssWrite) and message.source == self._config.source:
                 link.write(bus, message.data)

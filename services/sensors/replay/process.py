@@ -48,7 +48,7 @@ class Process:
         self._received: list[Envelope] = []  # while messages were being sent
 
     def run(self, bus: Bus) -> None:
-        """Play until told to stop; at the end of the recording the replay pauses."""
+        """Publish until `bus.stopping`; at the end of the recording the replay pauses."""
         with Recording(self._path) as recording:
             try:
                 self._index = RecordingIndex(recording)
@@ -65,7 +65,7 @@ class Process:
     def _play(self, bus: Bus, events: SummaryWorker) -> None:
         played_ns, settle_s = self._index.begin_ns - 1, 0.0
         state_s = origin_s = 0.0
-        told = False
+        summarised = False
         while not bus.stopping:
             jumped = self._controls([*self._received, *bus.receive(STEP_S)])
             self._received.clear()
@@ -84,8 +84,8 @@ class Process:
             if now_s >= state_s or jumped or ended:
                 state_s = now_s + STATE_S
                 bus.publish(self._state(until_ns))
-            if not told and (summary := events.result()) is not None:
-                told = True
+            if not summarised and (summary := events.result()) is not None:
+                summarised = True
                 bus.publish(ReplayEvents(trust=summary.trust, outages=summary.outages))
 
     def _controls(self, envelopes: Iterable[Envelope]) -> bool:

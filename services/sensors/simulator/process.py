@@ -6,8 +6,7 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from shared.attacks import ScheduledAttack, schedule
-from shared.bus.bus import Bus
-from shared.errors import BadPayload
+from shared.bus.bus import Bus, decoded
 from shared.messages.base import Vector3
 from shared.messages.gnss import GnssWrite
 from shared.messages.simulation import SimulationAttack
@@ -107,12 +106,7 @@ class Process:
         while not bus.stopping:
             remaining_s = (due_ns - bus.now_ns()) * 1e-9
             for envelope in bus.receive(min(max(remaining_s, 0.0), 0.1)):
-                try:
-                    written = envelope.decode()
-                except BadPayload as error:
-                    bus.rejects["payload"] += 1
-                    bus.last_error = str(error)[:400]
-                    continue
+                written = decoded(bus, envelope)
                 if isinstance(written, GnssWrite) and written.source == SOURCE:
                     world.write(written.data, bus.now_ns())
                 elif isinstance(written, SimulationAttack):

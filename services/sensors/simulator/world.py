@@ -67,8 +67,8 @@ class World:
         clocks = np.random.default_rng((seed, Stream.CLOCKS))
         self._scenario, self._seed, self._start_ns = scenario, seed, start_ns
         self._tracker = Tracker(seed, start_ns, clocks, equipment.mounting_rpy_deg)
-        self._step_ns = self._tracker.clock.period_ns(STEP_NS)
-        self._vehicle = Vehicle(scenario, seed, self._step_ns * 1e-9)
+        self.step_ns = self._tracker.clock.period_ns(STEP_NS)
+        self._vehicle = Vehicle(scenario, seed, self.step_ns * 1e-9)
         self._receiver = Receiver(scenario, seed, start_ns, clocks, equipment.protocols, equipment.second_antenna_m)
         self._attacks = Attacks(scenario, seed, start_ns, attacks)
         self._can = CanBus(seed, start_ns, clocks, self._attacks.odometer)
@@ -95,7 +95,7 @@ class World:
                 continue
             motion = self._motion
             if motion is not None:
-                antenna = antenna_at(motion, (due_ns - self._start_ns) / self._step_ns)
+                antenna = antenna_at(motion, (due_ns - self._start_ns) / self.step_ns)
                 self._push_all(self._receiver.navigate(self._attacks.signals(antenna, due_ns)))
             self._push(self._receiver.next_epoch_ns, Due.EPOCH)
 
@@ -117,8 +117,8 @@ class World:
     def _drive(self) -> None:
         readings = self._vehicle.advance(BLOCK)
         self._motion = readings.motion
-        begin_ns, end_ns = (self._start_ns + (readings.motion.first + n) * self._step_ns for n in (0, BLOCK))
-        self._push_all(self._tracker.sample(readings, self._step_ns))
+        begin_ns, end_ns = (self._start_ns + (readings.motion.first + n) * self.step_ns for n in (0, BLOCK))
+        self._push_all(self._tracker.sample(readings, self.step_ns))
         self._push_all(self._can.transmit(readings.motion, begin_ns, end_ns))
         self._push_all(self._truth(readings))
         self.radio.deception = self._attacks.deception(end_ns)
@@ -134,7 +134,7 @@ class World:
     def _truth(self, readings: Readings) -> Iterator[tuple[int, Message]]:
         motion = readings.motion
         for i in range(TRUTH_EVERY, BLOCK + 1, TRUTH_EVERY):
-            sampled_ns = self._start_ns + (motion.first + i) * self._step_ns
+            sampled_ns = self._start_ns + (motion.first + i) * self.step_ns
             latitude, longitude, height = motion.position[i].tolist()
             roll, pitch, yaw = motion.attitude[i].tolist()
             yield (
@@ -155,7 +155,7 @@ class World:
     def _neighbours(self, motion: Motion, sampled_ns: int) -> Iterator[tuple[int, Message]]:
         node = motion.first + BLOCK
         here = Geodetic(*motion.position[BLOCK].tolist())
-        states = self.radio.receive(node * self._step_ns * 1e-9, sampled_ns, here, antenna_at(motion, node))
+        states = self.radio.receive(node * self.step_ns * 1e-9, sampled_ns, here, antenna_at(motion, node))
         yield states.received_ns, states
 
     def _push_all(self, arrivals: Iterator[tuple[int, Message]]) -> None:

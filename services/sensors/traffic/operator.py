@@ -1,4 +1,4 @@
-"""The operator's side of the books: every transaction once, whatever is repeated, and an answer to each."""
+"""The simulated operator: books every transaction once, also if repeated, and answers each with a receipt."""
 
 from shared.messages.toll import TollReceipt, TollTransaction
 

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from shared.bus.bus import Bus
+from shared.bus.bus import Bus, decoded
 from shared.devices.v2x_device import host_and_port
-from shared.errors import BadPayload
 from shared.messages.base import Message
 from shared.messages.toll import TollReceipt, TollTransaction
 from shared.toll.plaza import load_plaza
@@ -88,12 +87,7 @@ class Process:
                 return
             self._next_service_ns = bus.now_ns() + 5_000_000
             for envelope in bus.receive(min(max(remaining_s, 0.0), 0.1)):
-                try:
-                    message = envelope.decode()
-                except BadPayload as error:
-                    bus.rejects["payload"] += 1
-                    bus.last_error = str(error)[:400]
-                    continue
+                message = decoded(bus, envelope)
                 if isinstance(message, TollTransaction):
                     self._answer(message, bus.now_ns())
             while self._answers and self._answers[0][0] <= bus.now_ns():

@@ -82,7 +82,7 @@ class World:
         model = traffic.errors
         self._common = GaussMarkov(model.common_sd_m, model.common_s, STEP_S, self._rng)
         self._unit = GaussMarkov(model.unit_sd_m, model.unit_s, STEP_S, self._rng)
-        self._lanes: dict[str, list[Vehicle]] = {lane.name: [] for lane in plaza.lanes}
+        self.queues: dict[str, list[Vehicle]] = {lane.name: [] for lane in plaza.lanes}
         self._numbers, self._order = count(), count()
         self._heap: list[tuple[int, int, Frame | Message]] = []
         self._pulses: dict[str, deque[int]] = defaultdict(lambda: deque(maxlen=EARLIER_PULSES + 1))
@@ -105,7 +105,7 @@ class World:
     @property
     def vehicles(self) -> list[Vehicle]:
         """Every vehicle that is on the road now."""
-        return [vehicle for lane in self._lanes.values() for vehicle in lane]
+        return [vehicle for lane in self.queues.values() for vehicle in lane]
 
     # Vehicles
 
@@ -149,14 +149,14 @@ class World:
             distance=distance,
             speed=speed,
         )  # fmt: skip
-        self._lanes[lane.name].append(vehicle)
+        self.queues[lane.name].append(vehicle)
 
     def _advance(self, begin_ns: int) -> None:
         """Move everything by one step and push what arrives because of it."""
         self._common.step()
         self._unit.step()
         for lane in self.plaza.lanes:
-            queue = self._lanes[lane.name]
+            queue = self.queues[lane.name]
             leader: Vehicle | None = None
             for vehicle in queue:
                 self._send(vehicle, begin_ns)
@@ -167,12 +167,12 @@ class World:
         self._replace()
 
     def _replace(self) -> None:
-        """Let a new vehicle in for each one that has left, where there is room."""
+        """Add a vehicle for each one that has left, where there is room."""
         if not self.entry_open:
             return
         free = [
             lane for lane in self.plaza.lanes
-            if not (queue := self._lanes[lane.name]) or queue[-1].distance > ENTRY_GAP + queue[-1].length
+            if not (queue := self.queues[lane.name]) or queue[-1].distance > ENTRY_GAP + queue[-1].length
         ]  # fmt: skip
         missing = self._traffic.vehicles - len(self.vehicles)
         for k in self._rng.permutation(len(free))[:missing]:
@@ -214,7 +214,7 @@ class World:
         self._pulse_numbers[lane] += 1
         self._push(crossing_ns + STEP_NS, self._pulse(lane))
 
-    # What arrives
+    # Arrivals at the unit
 
     def _send(self, vehicle: Vehicle, begin_ns: int) -> None:
         if not vehicle.equipped:

@@ -1,21 +1,17 @@
 """Receives frames from the V2X radio and sends those of this unit."""
 
-import logging
 import time
 
 from pydantic import Field
 
-from shared.bus.bus import Bus
-from shared.devices.device import DeviceBusy, DeviceLost
-from shared.devices.driver import BACK_OFF_S
+from shared.bus.bus import Bus, decoded
+from shared.devices.device import DeviceLost
+from shared.devices.driver import Connection
 from shared.devices.v2x_device import Radio, check_radio_url, host_and_port, open_radio
-from shared.errors import BadPayload
 from shared.messages.base import DeviceName
 from shared.messages.v2x import CamFrames, V2xSend
 from shared.runtime.config import Section
 from shared.v2x import frames
-
-log = logging.getLogger(__name__)
 
 BATCH_S = 0.02
 MAX_BATCH_FRAMES = 200  # of the longest frames: 0.5 MB
@@ -45,42 +41,36 @@ class Process:
         if config.send_to is not None:
             host_and_port(config.send_to)
         self._config = config
-        self._radio: Radio | None = None
-        self._attempts = 0
-        self._next_attempt = self._next_batch = 0.0
+        self._next_batch = 0.0
         self._allowance = BURST_S * config.max_frames_s  # frames that may be published now
         self._refilled = time.monotonic()
-        self._fault: str | None = None
 
     def run(self, bus: Bus) -> None:
         """Receive and send until the bus stops."""
+        config = self._config
+        link = Connection[Radio](lambda: open_radio(config.device, config.send_to, bus.rejects))
         while not bus.stopping and not bus.connected:  # data published before would be lost
             bus.receive(0.1)
         while not bus.stopping:
             for envelope in bus.receive(max(0.0, self._next_batch - time.monotonic())):
-                try:
-                    message = envelope.decode()
-                except BadPayload as error:
-                    bus.rejects["payload"] += 1
-                    bus.last_error = str(error)[:400]
-                    continue
+                message = decoded(bus, envelope)
                 if isinstance(message, V2xSend):
-                    self._send(bus, message.data)
+                    link.write(bus, message.data)
             if time.monotonic() >= self._next_batch:
                 self._next_batch = time.monotonic() + BATCH_S
-                self._publish_batch(bus)
-        if self._radio is not None:
-            self._radio.close()
+                self._publish_batch(bus, link)
+        link.close()
 
-    def _publish_batch(self, bus: Bus) -> None:
+    def _publish_batch(self, bus: Bus, link: Connection[Radio]) -> None:
         try:
-            radio = self._radio or self._reopen(bus)
+            radio = link.opened()
             if radio is None:
                 return
             arrived = radio.read(MAX_READ)
         except DeviceLost as error:
-            self._lose(bus, error)
+            link.lose(bus, error)
             return
+        link.note_working(bus)
         accepted = arrived[: self._accept(len(arrived))]
         if len(accepted) < len(arrived):
             bus.rejects["frame_rate"] += len(arrived) - len(accepted)
@@ -104,33 +94,3 @@ class Process:
         accepted = min(arrived, int(self._allowance))
         self._allowance -= accepted
         return accepted
-
-    def _send(self, bus: Bus, frame: bytes) -> None:
-        try:
-            if self._radio is None:
-                raise DeviceBusy("radio not open")
-            self._radio.write(frame)
-        except DeviceBusy:
-            bus.rejects["write_lost"] += 1
-
-    def _reopen(self, bus: Bus) -> Radio | None:
-        if time.monotonic() < self._next_attempt:
-            return None
-        self._radio = open_radio(self._config.device, self._config.send_to, bus.rejects)
-        self._attempts = 0
-        if self._fault is not None:
-            log.info("radio opened again")
-            bus.last_error = None if bus.last_error == self._fault else bus.last_error
-            self._fault = None
-        return self._radio
-
-    def _lose(self, bus: Bus, error: DeviceLost) -> None:
-        if self._radio is not None:
-            bus.rejects["device_lost"] += 1
-            self._radio.close()
-            self._radio = None
-        if self._fault is None:
-            log.warning("%s; retrying", error)
-        self._fault = bus.last_error = str(error)
-        self._next_attempt = time.monotonic() + BACK_OFF_S[min(self._attempts, len(BACK_OFF_S) - 1)]
-        self._attempts += 1

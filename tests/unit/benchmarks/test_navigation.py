@@ -79,7 +79,7 @@ def test_a_solution_worse_than_gnss_alone_misses_the_goal() -> None:
             "at_fixes_horizontal_rmse_m": at_fixes,
             "gnss_alone_horizontal_rmse_m": alone,
         }
-        cells = report._accuracy({"navmatlab": metrics})
+        cells = report.rows_of({"navmatlab": metrics})
         return next(" | ".join(row[2:6]) for row in cells if row[:2] == ("navmatlab", "horizontal RMSE"))
 
     goals = "<= 0.65 and <= GNSS alone"

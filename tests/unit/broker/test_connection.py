@@ -60,7 +60,7 @@ def test_a_client_that_asks_and_does_not_read_is_let_go() -> None:
         transport = asyncio.run(_ask(broker, packet, reads=False))
         assert transport.aborted
         assert 80 < len(transport.written) <= 100
-        assert broker.tally.counts["unread"] == 1
+        assert broker.counters.counts["unread"] == 1
         assert not broker.sessions
 
 
@@ -68,4 +68,4 @@ def test_a_client_that_reads_now_and_then_may_ask_for_ever() -> None:
     broker = Broker(limits=Limits(unread_bytes=100))
     transport = asyncio.run(_ask(broker, PING, reads=True))
     assert transport.written == raw_mqtt.packet(0xD0, b"") * 200
-    assert not transport.aborted and broker.tally.counts["unread"] == 0
+    assert not transport.aborted and broker.counters.counts["unread"] == 0

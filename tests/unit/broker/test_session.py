@@ -61,7 +61,7 @@ def test_a_full_queue_forgets_its_oldest_message_of_qos_0_and_counts_it() -> Non
     world.wire.writable = True
     world.sink.pump()
     assert world.wire.payloads() == [b"a", b"d", b"e", b"f"]
-    assert world.broker.tally.counts["forgotten"] == 2
+    assert world.broker.counters.counts["dropped"] == 2
 
 
 def test_a_full_queue_of_qos_1_forgets_its_oldest_and_keeps_the_newest() -> None:
@@ -102,7 +102,7 @@ def test_messages_keep_their_order_whatever_waits(steps: list[tuple[bool, int, b
 def test_packet_identifiers_go_round_and_skip_those_in_flight() -> None:
     world = World()
     world.say(b"never acknowledged", qos=1)
-    world.sink._packet_id = 65_534
+    world.sink.packet_id = 65_534
     for _ in range(3):
         world.say(b"x", qos=1)
     assert [message.packet_id for message in world.wire.written] == [1, 65_535, 2, 3]
@@ -135,4 +135,4 @@ def test_a_retained_will_without_a_place_is_sent_and_counted_and_not_kept() -> N
     world.broker.leave(doomed, will=True)
     assert world.wire.payloads() == [b"kept", b"lost"]
     assert len(world.broker.retained) == 1
-    assert world.broker.tally.counts["retained full"] == 1
+    assert world.broker.counters.counts["retained full"] == 1

@@ -171,6 +171,17 @@ def test_time_that_is_safe_with_an_error_above_the_alert_limit_is_counted() -> N
     assert calm.hazardous_s == 0.0 and calm.above_level_fraction == 0.0
 
 
+def test_a_run_has_recovered_when_its_verdict_stays_safe_after_the_attack() -> None:
+    case = Case("urban", 1, 300.0, schedule("drag_off@100:60"))
+    lasting = timeline([(0.0, SAFE), (110.0, UNSAFE)], {})
+    back = timeline([(0.0, SAFE), (110.0, UNSAFE), (165.0, SAFE), (170.0, UNSAFE), (190.0, SAFE), (220.0, SAFE)], {})
+    unmoved = timeline([(0.0, UNSAFE), (50.0, SAFE)], {})
+    (row,) = harms([(case, lasting), (case, back), (case, unmoved)])
+    assert row.recovered == 2 and row.safe_again_s == pytest.approx(30.0)
+    (never,) = harms([(case, lasting)])
+    assert never.recovered == 0 and never.safe_again_s is None
+
+
 def test_the_share_of_safe_is_that_of_clean_drives_after_a_minute() -> None:
     clean = timeline([(0.0, TrustLevel.INITIALISING), (120.0, SAFE)], {})
     assert safe_share([(Case("urban", 1, 300.0), clean)]) == pytest.approx(180.0 / 240.0)

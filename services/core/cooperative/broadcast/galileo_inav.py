@@ -50,11 +50,6 @@ def decode_page(words: tuple[int, ...]) -> NavigationWord | None:
     return NavigationWord(data >> 122, data)
 
 
-def issue_of(word: NavigationWord) -> int | None:
-    """IODnav of words 1 to 4; None of others."""
-    return word.bits().unsigned(10) if word.number in EPHEMERIS_WORDS[:4] else None
-
-
 def decode_ephemeris(number: int, words: Mapping[int, NavigationWord], gps_time_ns: int) -> Ephemeris | None:
     """Decode an ephemeris from words 1 to 5 of a satellite.
 

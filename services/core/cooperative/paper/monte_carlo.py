@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..measurements import FloatArray
-from ..v2x.bank import BankSettings, LeaveOneOutBank, Pseudoranges
+from ..v2x.bank import LeaveOneOutBank, Pseudoranges
 from ..v2x.forward import (
     CLOCK,
     DRIFT,
@@ -225,7 +225,7 @@ def closed_loop(drive: Drive, ratio: float, variance_factor: float = 1.0) -> tup
     return rates_of(found, found & (scenario.faults() == 0.0)[:, np.newaxis]), np.array(errors)
 
 
-def leave_one_out(drive: Drive, ratio: float, settings: BankSettings | None = None) -> tuple[Rates, FloatArray]:
+def leave_one_out(drive: Drive, ratio: float) -> tuple[Rates, FloatArray]:
     """The leave-one-out bank on the same measurements; a satellite that waits for re-admission is no false alarm.
 
     Returns
@@ -235,7 +235,7 @@ def leave_one_out(drive: Drive, ratio: float, settings: BankSettings | None = No
     """
     H = scenario.real_rows()
     n, runs = len(H), len(drive.start)
-    bank = LeaveOneOutBank(start_estimate(drive), n, settings)
+    bank = LeaveOneOutBank(start_estimate(drive), n)
     excluded, false, errors = [], [], []
     accused_while_healthy = np.zeros((runs, n), dtype=np.bool_)
     sd, correlated, visible = np.full(n, scenario.PSEUDORANGE_SD), np.zeros(n), np.ones(n, dtype=np.bool_)

@@ -43,7 +43,7 @@ class _Tested:
 
 
 class SatelliteMonitor:
-    """Judges raw epochs one after the other; remembers which satellites are excluded and the last fault-free place."""
+    """Tests successive raw epochs; keeps the excluded satellites and the last fault-free position."""
 
     def __init__(self, settings: RaimSettings | None = None) -> None:
         self._settings = settings or RaimSettings()
@@ -149,7 +149,7 @@ class SatelliteMonitor:
         )
 
     def _readmit(self, excluded: tuple[SatelliteFinding, ...]) -> None:
-        """Count healthy epochs of the excluded satellites and forget those that may be used from the next epoch on."""
+        """Count healthy epochs of excluded satellites, and readmit those that may be used from the next epoch on."""
         for finding in excluded:
             healthy = finding.w < self._settings.readmission_t
             count = self._healthy_epochs.get(finding.satellite, 0) + 1 if healthy else 0

@@ -87,7 +87,7 @@ def unusable(
 
 
 class NeighbourTest:
-    """Decides which neighbours are excluded; remembers them until they have agreed for long enough."""
+    """Decides which neighbours are excluded, until their data have agreed for long enough."""
 
     def __init__(
         self, false_alarm_rate: float, readmission_epochs: int, readmission_t: float, forget_after_s: float

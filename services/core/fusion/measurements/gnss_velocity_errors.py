@@ -25,6 +25,7 @@ POWER_MEMORY_S = 60.0  # of the residuals' mean square
 INDEPENDENT_S = 0.5  # between velocities that count in full: more of them in that time count as one
 CERTAIN = 10.0  # largest logarithm of a likelihood ratio: what was learned is unlearned in minutes
 LARGEST = 3.0  # [-] standard deviations at which a residual is clipped
+SETTLING_S = 10.0  # from the first velocity: residuals repeat while heading and biases of the start are corrected
 BREAK_S = 2.0  # after it two velocities are no neighbours
 
 
@@ -37,6 +38,7 @@ class GnssVelocityErrors:
     last: FloatArray  # [-] residual over the root of that
     variance: FloatArray  # [m²/s²] of the time-correlated error
     time_ns: int = 0
+    since_ns: int = 0  # stamp of the first
     count: int = 0
     prior: float = WHITE_PRIOR[0]
     follows: bool = False  # positions are followed, for velocity errors are not white
@@ -63,15 +65,16 @@ class GnssVelocityErrors:
         power, last, variance = self.power.copy(), self.last.copy(), np.zeros(3)
         power[:n] += weight * (residual**2 - power[:n])
         last[:n] = np.clip(residual / np.sqrt(power[:n] + 1e-12), -LARGEST, LARGEST)
-        evidence = self.evidence
-        if self.count and 0.0 < step_s <= BREAK_S:
+        evidence, since_ns = self.evidence, self.since_ns if self.count else time_ns
+        settled = time_ns - since_ns > SETTLING_S * 1e9
+        if settled and 0.0 < step_s <= BREAK_S:
             rest = 1.0 - CORRELATIONS**2
             apart = last[:n] - CORRELATIONS[:, np.newaxis] * self.last[:n]
             ratio = 0.5 * (last[:n] ** 2 - apart**2 / rest[:, np.newaxis] - np.log(rest)[:, np.newaxis])
             counted = min(1.0, step_s / INDEPENDENT_S) * ratio.sum(axis=1)
             evidence = np.clip(exp(-step_s / MEMORY_S) * evidence + counted, -CERTAIN, CERTAIN)
         prior = WHITE_PRIOR[0] if stated else WHITE_PRIOR[1]
-        learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, self.count + 1, prior)
+        learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, since_ns, self.count + 1, prior)
         follows = learned.white < (1.0 - SURE if self.follows else SURE) or not (self.count or stated)
         variance[:n] = SHARE * variances if follows else 0.0
         return replace(learned, follows=follows)

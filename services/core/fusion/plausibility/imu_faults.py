@@ -1,4 +1,4 @@
-"""What may be wrong with an inertial sample: a clipped gyroscope, a dead accelerometer."""
+"""Faults of inertial samples: a clipped gyroscope, an accelerometer without output."""
 
 from operator import eq
 from typing import NamedTuple
@@ -48,7 +48,7 @@ def unremarkable(sample: Sample, last: Sample) -> bool:
 
 
 class Repeats:
-    """How long each of six readings has been the same to the last bit, and what that says of the sensor.
+    """Times for which each of six readings has been the same to the last bit, and the faults that follow.
 
     Parameters
     ----------
@@ -61,16 +61,14 @@ class Repeats:
     def __init__(self, time_ns: int, readings: Readings) -> None:
         self._readings = readings
         self._since_ns: tuple[int, ...] = (time_ns,) * 6
-        self._changed: tuple[bool, ...] = (
-            False,
-        ) * 6  # whether it ever did: a reading that never changes is one that is not made
+        self._changed: tuple[bool, ...] = (False,) * 6  # whether it ever did: a constant reading is not measured at all
 
     def changed(self, time_ns: int, readings: Readings) -> None:
-        """Take in a sample of which it is known that it differs from the one before in every reading."""
+        """Add a sample that is known to differ from the previous one in every reading."""
         self._readings, self._since_ns, self._changed = readings, (time_ns,) * 6, ALL
 
     def fault(self, time_ns: int, readings: Readings) -> str | None:
-        """Take in the next sample, and say what is wrong with it."""
+        """Add the next sample; returns its fault, or None."""
         old, self._readings = self._readings, readings
         if True not in map(eq, readings, old):  # nearly always
             self._since_ns, self._changed = (time_ns,) * 6, ALL

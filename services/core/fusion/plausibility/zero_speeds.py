@@ -1,4 +1,4 @@
-"""Whether an odometer that indicates zero may be at standstill, or is dead."""
+"""Decides whether an odometer that indicates zero is at standstill or has failed."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ BRAKING_LIMIT_M_S2 = 12.0  # no vehicle brakes harder; wheels that lock do
 class ZeroSpeeds(NamedTuple):
     """Newest speed of the odometer in use, and why a zero of it is not yet a standstill.
 
-    A sensor that has never indicated motion may be dead; one that falls to zero faster than a vehicle brakes has
+    A sensor that has never indicated motion may have failed; one that falls to zero faster than a vehicle brakes has
     failed, or its wheel is locked. The next speed above zero ends either doubt.
     """
 

@@ -1,4 +1,4 @@
-"""The last minutes of motion by inertial sensors, by GNSS and by wheels, each by itself and without a filter."""
+"""Motion of the last five minutes by inertial sensors, GNSS and wheels, separately and without a filter."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -105,7 +105,7 @@ class Intervals(NamedTuple):
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes between successive velocities of GNSS, one row each; `lagged` pairs them with the inertial sensors."""
+    """Changes between successive velocities of GNSS, one row each; `inertial` pairs them with the inertial sensors."""
 
     begin: FloatArray  # [s] shape (n, 2), times [begin, end] of the first velocity
     end: FloatArray  # [s] shape (n, 2), of the second
@@ -131,17 +131,10 @@ class Changes:
     def within(self, motion: Motion, margin_s: float) -> "Changes":
         """Those that the inertial samples cover without a gap, moved by up to a margin."""
         first, last = motion.nodes[0] + margin_s, motion.nodes[-1] - margin_s
-        gaps = [
-            np.interp(time, motion.nodes, motion.integrals[:, 6]) for time in (self._from(margin_s), self._to(margin_s))
-        ]
+        covered = (self.begin[:, 0] - margin_s, self.end[:, 1] + margin_s)
+        gaps = [np.interp(time, motion.nodes, motion.integrals[:, 6]) for time in covered]
         fit = (self.begin[:, 0] >= first) & (self.end[:, 1] <= last) & (gaps[0] == gaps[1])
         return Changes(self.begin[fit], self.end[fit], self.speed[fit], self.acceleration[fit], self.course_rate[fit])
-
-    def _from(self, margin_s: float) -> FloatArray:
-        return self.begin[:, 0] - margin_s
-
-    def _to(self, margin_s: float) -> FloatArray:
-        return self.end[:, 1] + margin_s
 
     def inertial(self, motion: Motion, lag_s: float) -> FloatArray:
         """Mean force and rate over the same times, shape (n, 6), GNSS taken to be older by a lag.
@@ -155,7 +148,7 @@ class Changes:
 
 
 def intervals_of(motion: Motion, velocities: Velocities, lag_s: float = 0.0) -> Intervals:
-    """Pair changes of velocity with mean force and rate over the same times, GNSS taken to be older by a lag."""
+    """Pair changes of velocity with mean force and rate over the same times, with GNSS delayed by a lag."""
     changes = Changes.of(velocities).within(motion, abs(lag_s))
     inertial = changes.inertial(motion, lag_s)
     begin, end = changes.begin.mean(axis=1), changes.end.mean(axis=1)

@@ -1,4 +1,4 @@
-"""Signs and axes of what the receiver says: velocity against positions, heights against the pitch of the road.
+"""Checks signs and axes of the receiver: velocity against positions, heights against the pitch of the road.
 
 On a road the specific force along the vehicle is f = a + g sin(slope), so that the climb over a window of speed v is::
 
@@ -90,7 +90,7 @@ def check_vertical(motion: Motion, intervals: Intervals | None, ahead: FloatArra
 
 def _verdict(name: str, what: str, fit: tuple[float, float], than: str, where: str) -> Check:
     gain, sd = fit
-    text = f"the {what} of GNSS changes by {gain:.2f} ± {sd:.2f} of what {than} says"
+    text = f"the {what} of GNSS changes by {gain:.2f} ± {sd:.2f} of the change by {than}"
     values = gain, sd, 1.0, 1.5
     if gain > WRONG_GAIN:
         return Check(name, Verdict.AGREES, text, *values)

@@ -1,13 +1,13 @@
-"""By how much GNSS is older than its stamps say, if it is more than a filter can find that is linear about zero.
+"""Searches delays of GNSS that are too large for the filter, which is linear about zero.
 
-Two accounts of one motion are compared at many lags: what speed and course of GNSS change by over an interval, and
-what the inertial sensors measured over the same interval, moved by the lag. At the right lag, and only there, changes
+Two measurements of one motion are compared at many lags: the changes of speed and course of GNSS over an interval, and
+the inertial measurements of the same interval, shifted by the lag. At the right lag, and only there, changes
 of speed are a linear function of the mean force, and changes of course one of the mean rate::
 
     change of speed / time = a . mean force + a0 + noise,    change of course / time = b . mean rate + b0 + noise
 
-Whatever the sensor's mounting, biases and heading are, they are in the coefficients, which are fitted at each lag. No
-filter is needed, so that one that was misled by the delay does not spoil the search.
+Mounting, biases and heading are in the coefficients, which are fitted at each lag. The search is independent of the
+filter, which the delay may have led astray.
 """
 
 from bisect import bisect_left, insort
@@ -43,7 +43,7 @@ NOT_SURE_S = 0.15
 
 
 class Found(NamedTuple):
-    """Delay beyond what the settings say, and its standard deviation [s]; infinite while nothing is known."""
+    """Delay beyond the settings, and its standard deviation [s]; infinite while unknown."""
 
     delay_s: float = 0.0
     sd_s: float = inf
@@ -58,7 +58,7 @@ class _Fit:
         self._xx, self._xy = np.zeros((lags, 4, 4)), np.zeros((lags, 4))
 
     def add(self, x: FloatArray, y: float) -> None:
-        """Take in a row a lag, shape (lags, 3), and the value that it should explain."""
+        """Add a row of regressors for each lag, shape (lags, 3), and the observation."""
         row = np.column_stack([np.ones(len(x)), x])
         self._xx += row[:, :, np.newaxis] * row[:, np.newaxis, :]
         self._xy += row * y
@@ -94,7 +94,7 @@ class DelaySearch:
         self._explained = 0.0
 
     def sample(self, time_ns: int, force: Vector, rate: Vector) -> None:
-        """Take the next sample in, and whatever has waited for it."""
+        """Add the next sample, and use the velocities that waited for it."""
         if self._start_ns is None or time_ns - self._last_ns > GAP_S * 1e9:
             self._begin(time_ns)
             return
@@ -108,13 +108,13 @@ class DelaySearch:
             self._compare(time_ns - self._behind_ns)
 
     def see(self, seen: GnssVelocity) -> None:
-        """Take in a velocity under its own stamp."""
+        """Add a velocity with its stamp."""
         insort(self._waiting, seen, key=lambda m: (m.time_ns, m.source))
         if len(self._waiting) > MOST_WAITING:
             self._waiting.pop(0)
 
     def result(self, assumed_s: float = 0.0) -> Found:
-        """Say what is known so far, and is known to be better than a delay that is assumed [s]."""
+        """The delay, if its likelihood is clearly above that of an assumed delay [s]."""
         total = self._likelihood
         best, assumed = int(np.argmax(total)), int(np.argmin(np.abs(LAGS_S - assumed_s)))
         away = np.abs(LAGS_S - LAGS_S[best]) > BESIDE_S

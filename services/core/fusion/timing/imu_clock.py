@@ -8,7 +8,7 @@ REFUSED_LIMIT = 100  # successive samples that do not follow, after which it is 
 
 
 class Clock:
-    """Samples in a row that do not follow the one before, and the time that was lost with them."""
+    """Consecutive samples rejected for their stamps, and the time lost with them."""
 
     def __init__(self) -> None:
         self.refused = 0
@@ -23,7 +23,7 @@ class Clock:
         return self.refused <= REFUSED_LIMIT
 
     def goes_back(self, time_ns: int, *, known: bool) -> bool:
-        """Take in a sample from the past, and say whether the clock was set back by more than can be bridged.
+        """Count a sample from the past; returns whether the clock was set back by more than can be bridged.
 
         Stamps that advance below one that was used are a clock that was set back: their time is lost. That of `known`
         ones is not: they come twice, to the last bit, or the filter was carried over their time without them.

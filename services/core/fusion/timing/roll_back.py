@@ -107,7 +107,7 @@ class Replay:
 
 
 def insert_if_remembered(engine: OutOfSequenceEngine, measurement: Measurement) -> bool:
-    """Have a measurement used; False if it is older than what the engine remembers."""
+    """Use a measurement; False if it is older than the oldest snapshot."""
     try:
         engine.insert(measurement)
     except LookupError:
@@ -148,7 +148,7 @@ class RollBack:
             self.engine, self._replay = self._replay.engine, None
 
     def insert(self, measurement: Measurement) -> bool:
-        """Have a measurement used at its stamp; False if it is older than what the engine remembers."""
+        """Use a measurement at its stamp; False if it is older than the oldest snapshot."""
         if not insert_if_remembered(self.engine, measurement):
             return False
         self._memory.measurement(measurement)

@@ -314,7 +314,7 @@ class Engine:
         self._rejections = 0 if outcome.used or outcome.test_ratio <= 1.0 else self._rejections + 1
 
     def _readmitted(self, time_ns: int, how: str) -> None:
-        """Say that the first position after an exclusion is used."""
+        """Enter NAVIGATING with the reason that GNSS is used again after an exclusion."""
         outage_s = self.exclusions.readmitted_after_s
         self.exclusions = replace(self.exclusions, readmitted_after_s=None)
         self._enter(NavigationPhase.NAVIGATING, time_ns, f"GNSS is used again after {outage_s:.0f} s, {how}")

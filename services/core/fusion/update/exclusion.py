@@ -2,15 +2,12 @@
 
 from dataclasses import dataclass, replace
 
-from shared.messages.navigation import AidingKind
-
 from ..measurements.base import FilterEvent, Measurement
 from ..measurements.dual_antenna import BaselineHeading
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.odometer import WheelSpeed
 
 GNSS = (GnssPosition, GnssVelocity, BaselineHeading)
-GNSS_KINDS = (AidingKind.GNSS_POSITION, AidingKind.GNSS_VELOCITY, AidingKind.BASELINE_HEADING)
 
 
 @dataclass(frozen=True)

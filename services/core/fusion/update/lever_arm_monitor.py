@@ -36,7 +36,7 @@ class ArmWatch(NamedTuple):
     def after(
         self, time_ns: int, navigation: ErrorStateFilter, z: FloatArray, S: FloatArray, *, gain: float, position: bool
     ) -> "ArmWatch":
-        """Take in an innovation with its covariance, and the share of it that the filter will follow."""
+        """Add an innovation with its covariance, and the share of it that the filter will follow."""
         (a, b, e), (c, d, f), _ = navigation.ned_from_body.tolist()
         if not position:
             x, y, w = navigation.rate

@@ -16,7 +16,7 @@ const FULL_DB_HZ = 60;
 const ORDER = ["gps", "galileo", "glonass", "beidou", "qzss", "sbas", "navic", "unknown"];
 const OUTCOME = { pass: "safe", accuses: "unsafe", not_evaluated: "off" };
 const FLAG = { unknown: "off", none: "safe", indicated: "caution", severe: "unsafe" };
-const TOPICS = ["gnss/raw", "gnss/fix", "gnss/satellites", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/signal_quality"];
+const TOPICS = ["gnss/raw", "gnss/fix", "gnss/satellites", "gnss/signals", "gnss/raw_epoch", "gnss/navigation_bits", "gnss/signal_quality"];
 
 function useAnswer(address, periodMs) {
   const [answer, setAnswer] = useState(null);
@@ -133,22 +133,40 @@ function SkyCard({ receiver, tracks }) {
   </${Card}>`;
 }
 
-// One bar a signal: filled if the satellite is used, hatched if not.
+// The signals of a satellite; without any, its C/N0 alone. Receivers that state no use of a signal state that of the satellite.
+function signalsOf(s) {
+  const given = s.signals.length > 0 ? [...s.signals].sort((a, b) => (a.band > b.band ? 1 : -1)) : [{ band: w.anySignal, cn0_db_hz: s.cn0_db_hz, used: null, reason: null }];
+  return given.map((g) => ({ ...g, used: !s.excluded && (g.used ?? s.used), reason: s.used && !s.excluded ? g.reason : null }));
+}
+
+// Of each signal of a constellation: how many are used, and their mean C/N0.
+function bandsOf(list) {
+  const bands = new Map();
+  for (const g of list.flatMap(signalsOf)) bands.set(g.band, [...(bands.get(g.band) ?? []), g]);
+  return [...bands].sort().map(([band, all]) => {
+    const received = all.filter((g) => g.cn0_db_hz !== null);
+    const mean = received.length > 0 ? received.reduce((sum, g) => sum + g.cn0_db_hz, 0) / received.length : null;
+    return w.band(band, all.filter((g) => g.used).length, all.length, mean?.toFixed(0));
+  });
+}
+
+// One bar a signal: filled if it is used, hatched if not.
 function SignalsCard({ receiver }) {
-  const satellites = receiver.satellites.filter((s) => s.cn0_db_hz !== null || Object.keys(s.signals).length > 0);
+  const satellites = receiver.satellites.filter((s) => s.cn0_db_hz !== null || s.signals.length > 0);
   const groups = ORDER.map((name) => [name, satellites.filter((s) => s.constellation === name)]).filter(([, list]) => list.length > 0);
-  const signalsOf = (s) => (Object.keys(s.signals).length > 0 ? Object.entries(s.signals).sort() : [[w.anySignal, s.cn0_db_hz]]);
-  const strongest = groups.map(([name, list]) => [name, Math.max(...list.flatMap((s) => signalsOf(s).map(([, v]) => v)))]);
+  const strongest = groups.map(([name, list]) => [name, Math.max(...list.flatMap(signalsOf).map((g) => g.cn0_db_hz ?? 0))]);
   const told = w.signalsLabel(strongest.map(([name, v]) => `${w.constellation[name]} ${v.toFixed(0)} dBHz`).join(", "));
-  const perSignal = satellites.some((s) => Object.keys(s.signals).length > 0);
+  const all = satellites.flatMap((s) => s.signals);
   return html`<${Card} title=${w.signals} note=${w.signalsNote} id="signals" class="signals-card">
     ${groups.length === 0 ? html`<${Empty} title=${w.noSignals} why=${w.noSignalsWhy} />` : html`
     <div class="bars" role="group" aria-label=${told}>${groups.map(([name, list]) => html`<div class="bar-group" key=${name}><h3><${ShapeKey} constellation=${name} />${w.constellation[name]}</h3>
-      <ul>${list.map((s) => html`<li key=${s.name} class=${useOf(s)}><span class="sat-name">${s.name}</span>${signalsOf(s).map(([signal, value]) => html`<span class="signal" key=${signal}>
-        <span class="signal-name">${signal}</span><span class="level"><span class="fill" style=${{ width: `${Math.min(value / FULL_DB_HZ, 1) * 100}%` }}></span></span><span class="value">${value.toFixed(0)}</span></span>`)}
+      <p class="note">${bandsOf(list).join("; ")}</p>
+      <ul>${list.map((s) => html`<li key=${s.name} class=${useOf(s)}><span class="sat-name">${s.name}</span>${signalsOf(s).map((g) => html`<span class="signal ${g.used ? "used" : ""}" key=${g.band}>
+        <span class="signal-name">${g.band}</span><span class="level"><span class="fill" style=${{ width: `${Math.min((g.cn0_db_hz ?? 0) / FULL_DB_HZ, 1) * 100}%` }}></span></span><span class="value">${fixed(g.cn0_db_hz, 0)}</span>
+        ${g.reason && html`<span class="why note">${g.reason}</span>`}</span>`)}
         ${useOf(s) !== "used" && html`<span class="why note">${reasonOf(s)}</span>`}</li>`)}</ul></div>`)}</div>
     <ul class="legend"><li><span class="bar-key used"></span>${w.use.used}</li><li><span class="bar-key tracked"></span>${w.notUsed}</li><li class="dim">${w.ticks(WEAK_DB_HZ, STRONG_DB_HZ)}</li></ul>
-    <p class="note block">${perSignal ? w.perSignal : w.perSatellite}</p>`}
+    <p class="note block">${all.length === 0 ? w.perSatellite : all.some((g) => g.used !== null) ? w.perSignal : w.perMeasurement}</p>`}
   </${Card}>`;
 }
 

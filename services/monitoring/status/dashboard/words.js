@@ -57,7 +57,7 @@ export const words = {
     running: "runs",
     ended: "has ended",
     failed: "failed",
-    refused: (why) => `Refused: ${why}`,
+    refused: (why) => `Rejected: ${why}`,
     empty: "There is no recording",
     emptyWhy: "monitoring.recorder writes them. The page System shows whether it runs.",
     note: "The recorder deletes the oldest recordings when the disk runs short; kept ones stay. [monitoring.status] recordings says what this page may do.",
@@ -222,7 +222,7 @@ export const words = {
     levelsOld: "Of the last position; not valid now.",
     truthError: "True error",
     truthNote: "(simulator)",
-    standing: "standing",
+    standing: "standstill",
     mode: "Mode",
     sigma: "1 σ",
     empty: "No position yet",
@@ -331,7 +331,7 @@ export const words = {
     stopAll: "Stop all",
     sent: "Sent; the simulator answers within a second.",
     done: "Done.",
-    refused: (reason) => `Refused: ${reason}`,
+    refused: (reason) => `Rejected: ${reason}`,
     failed: (status) => `the unit answered with HTTP ${status}`,
     noAnswer: "No answer from the simulator; see the System page.",
     active: "Active",
@@ -375,7 +375,7 @@ export const words = {
   statusWhy: {
     ready: "Its heartbeat is in time.",
     late: "Its heartbeat is overdue, but within the deadline.",
-    restarting: "It runs again, but topics that it published before are still silent.",
+    restarting: "It runs again, but has not published on all of its topics since.",
     stale: "Connected, but no heartbeat within the deadline: it hangs or is overloaded.",
     lost: "Its connection ended without a disconnect: it crashed or was killed.",
     ended: "It was stopped on request.",
@@ -449,7 +449,7 @@ export const words = {
       stale: "stale: last message older than its deadline",
       earlier: "last message from before a restart",
       never: "never received",
-      quiet: "event-driven: silence is no fault",
+      quiet: "event-driven: published when something happens",
     },
     noMatch: (text) => `No topic contains “${text}”.`,
     open: (name) => `Inspect ${name}`,
@@ -604,7 +604,7 @@ export const words = {
 
   shortcuts: {
     title: "Help and shortcuts",
-    intro: "This page shows the state of the on-board unit, and the age of every value. It sends nothing to a real vehicle.",
+    intro: "This page shows the state of the on-board unit, and the age of every value. It sends no commands to a real vehicle.",
     enabled: "Keyboard shortcuts",
     rows: [
       ["g n", "Now"],

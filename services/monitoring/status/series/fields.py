@@ -70,7 +70,7 @@ def parse(name: str) -> Field:
 
 
 def selector_of(message: Message) -> str | None:
-    """Tell which of those that share a topic a message is about."""
+    """Name the source that a message is of, among those that share a topic."""
     return next((str(value) for name in SELECTORS if (value := getattr(message, name, None)) is not None), None)
 
 

@@ -133,7 +133,7 @@ class Series:
                 kept.rings[1].put(period * SECOND_NS, value, fill=True)
 
     def take_wanted(self) -> list[str]:
-        """Hand over the fields whose past is to be read."""
+        """Fields whose past is to be read, since the last call."""
         wanted, self.wanted = self.wanted, []
         return [name for name in wanted if name in self._kept]
 

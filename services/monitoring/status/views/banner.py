@@ -193,14 +193,14 @@ def show(evidence: Evidence) -> Verdict:
         return Verdict(
             Trust.STALE,
             sentence(f"Trust is not evaluated: {why}", e.trust_cause),
-            "Do not rely on the position shown: no monitor is evaluated. The log of core.trust says why it is silent.",
+            "Do not rely on the position shown: no monitor is evaluated. The log of core.trust has the reason.",
             checks,
         )
     return _verdict(e, e.trust, checks)
 
 
 def no_verdict(age_s: float | None) -> str | None:
-    """Say for how long there has been no verdict; None while the newest is within its deadline."""
+    """Time without a verdict, as text; None while the newest is within its deadline."""
     if age_s is not None and age_s < _stale_after_s("trust/state"):
         return None
     return "no verdict" if age_s is None else f"no verdict for {age_s:.0f} s"

@@ -76,7 +76,7 @@ def ground_offset(point: LatitudeLongitude, origin: LatitudeLongitude) -> tuple[
 
 
 def offset_m(solution: NavigationSolution, reference: TruthState | GnssFix) -> tuple[float, float] | None:
-    """Tell how far a solution is from a reference, north and east [m]; None if the reference has no position.
+    """Offset of a solution from a reference, north and east [m]; None if the reference has no position.
 
     The reference is moved by its own velocity to the moment of the solution, and the difference of the
     two geodetic positions is taken to metres with the radii of curvature of the WGS84 ellipsoid.

@@ -1,9 +1,9 @@
 """The receivers as JSON for the page GNSS: sky, signals, why a satellite is not used, corrections, configuration."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from math import degrees
 
-from shared.messages.gnss import Constellation, Satellite, SignalQuality
+from shared.messages.gnss import Constellation, GnssSignal, Satellite, SignalQuality
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustState
 
 from ..gnss_history import ReceiverHistory
@@ -18,6 +18,7 @@ LETTERS = {
 SIGNAL_BANDS = {"1": "L1", "2": "L2", "5": "L5", "6": "L6", "7": "E5b", "8": "E5"}  # first digit of the RINEX code
 GALILEO_BANDS = {"1": "E1", "5": "E5a", "7": "E5b", "8": "E5", "6": "E6"}
 BEIDOU_BANDS = {"1": "B1C", "2": "B1I", "5": "B2a", "7": "B2I", "6": "B3I"}
+SIGNALS_AGE_NS = 10_000_000_000  # older signals are replaced by those of raw measurements
 _QUALITY_REASONS: dict[SignalQuality | None, str] = {
     SignalQuality.NO_SIGNAL: "no signal",
     SignalQuality.SEARCHING: "searched for, no signal yet",
@@ -27,7 +28,7 @@ _QUALITY_REASONS: dict[SignalQuality | None, str] = {
 
 
 def gnss(state: State, now_ns: int) -> Json:
-    """Show each receiver, the one heard last first."""
+    """Show each receiver, the one received last first."""
     trust = state.newest(TrustState, "trust/state", now_ns, live=True)
     monitor = next((m for m in trust.monitors if m.monitor == "satellites"), None) if trust else None
     tests = {test.name: test for test in monitor.tests} if monitor else {}
@@ -54,7 +55,7 @@ def name_of(constellation: Constellation, number: int) -> str:
 
 
 def why_not_used(satellite: Satellite, mask_rad: float | None) -> str | None:
-    """Say why a receiver does not use a satellite, as far as it states it; None of one that is used."""
+    """Reason stated by a receiver for not using a satellite; None for one that is used."""
     below = mask_rad is not None and satellite.elevation_rad is not None and satellite.elevation_rad < mask_rad
     reasons = (
         (satellite.healthy is False, "unhealthy, by its own message"),
@@ -102,9 +103,10 @@ def _first_fix_s(receiver: ReceiverHistory) -> float | None:
 
 
 def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mask_rad: float | None) -> list[Json]:
-    signals = _signals(receiver)
     rows: list[Json] = []
-    for satellite in receiver.satellites.satellites if receiver.satellites else ():
+    stated = _stated_signals(receiver)
+    measured = _measured_signals(receiver)
+    for satellite in receiver.satellites.satellites if receiver.satellites else _satellites_of(stated):
         name = name_of(satellite.constellation, satellite.number)
         test = tests.get(name)
         excluded = test is not None and test.reason.startswith("excluded")
@@ -114,7 +116,7 @@ def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mas
             "elevation_deg": _degrees(satellite.elevation_rad),
             "azimuth_deg": _degrees(satellite.azimuth_rad),
             "cn0_db_hz": satellite.cn0_db_hz,
-            "signals": signals.get(name, {}),
+            "signals": [_signal(one, satellite, mask_rad) for one in stated.get(name, ())] or measured.get(name, []),
             "residual_m": None if satellite.residual_m is None else round(satellite.residual_m, 1),
             "used": satellite.used,
             "excluded": excluded,
@@ -125,18 +127,53 @@ def _satellites(receiver: ReceiverHistory, tests: Mapping[str, MonitorTest], mas
     return rows
 
 
-def _signals(receiver: ReceiverHistory) -> dict[str, dict[str, float]]:
-    """C/N0 of each signal of a satellite, of receivers that send raw measurements, by the name of its band."""
-    found: dict[str, dict[str, float]] = {}
+def _stated_signals(receiver: ReceiverHistory) -> dict[str, list[GnssSignal]]:
+    """Signals of each satellite as the receiver states them, unless it has ended to."""
+    newest_ns = max(receiver.updated_ns.values(), default=0)
+    found: dict[str, list[GnssSignal]] = {}
+    if receiver.signals and newest_ns - receiver.updated_ns["signals"] <= SIGNALS_AGE_NS:
+        for signal in receiver.signals.signals:
+            found.setdefault(name_of(signal.constellation, signal.number), []).append(signal)
+    return found
+
+
+def _satellites_of(stated: Mapping[str, list[GnssSignal]]) -> Iterator[Satellite]:
+    """Satellites of a receiver that states signals only: without direction, with the strongest C/N0."""
+    for signals in stated.values():
+        best = max(signals, key=lambda signal: signal.cn0_db_hz or 0.0)
+        yield _as_satellite(best).model_copy(update={"used": any(signal.pseudorange_used for signal in signals)})
+
+
+def _as_satellite(signal: GnssSignal) -> Satellite:
+    return Satellite(
+        constellation=signal.constellation, number=signal.number, cn0_db_hz=signal.cn0_db_hz,
+        used=signal.pseudorange_used, quality=signal.quality, healthy=signal.healthy,
+    )  # fmt: skip
+
+
+def _signal(signal: GnssSignal, satellite: Satellite, mask_rad: float | None) -> Json:
+    """Show one signal; the satellite adds elevation and orbit to the reason why it is not used."""
+    of_satellite = {"elevation_rad": satellite.elevation_rad, "orbit_known": satellite.orbit_known}
+    reason = why_not_used(_as_satellite(signal).model_copy(update=of_satellite), mask_rad)
+    band = band_of(signal.constellation, signal.signal)
+    return {"band": band, "cn0_db_hz": signal.cn0_db_hz, "used": signal.pseudorange_used, "reason": reason}
+
+
+def _measured_signals(receiver: ReceiverHistory) -> dict[str, list[Json]]:
+    """C/N0 of each signal of a satellite, of receivers that send raw measurements; these do not state the use."""
+    found: dict[str, list[Json]] = {}
     for measured in receiver.epoch.measurements if receiver.epoch else ():
         if measured.cn0_db_hz is not None:
-            bands = {Constellation.GALILEO: GALILEO_BANDS, Constellation.BEIDOU: BEIDOU_BANDS}.get(
-                measured.constellation, SIGNAL_BANDS
-            )
-            code = measured.signal or ""
-            name = name_of(measured.constellation, measured.number)
-            found.setdefault(name, {})[bands.get(code[:1], code) or "-"] = round(measured.cn0_db_hz, 1)
+            band, cn0 = band_of(measured.constellation, measured.signal), round(measured.cn0_db_hz, 1)
+            rows = found.setdefault(name_of(measured.constellation, measured.number), [])
+            rows.append({"band": band, "cn0_db_hz": cn0, "used": None, "reason": None})
     return found
+
+
+def band_of(constellation: Constellation, code: str | None) -> str:
+    """Name the band of a signal by the first digit of its RINEX code: L2, E5b; "-" for an unknown signal."""
+    bands = {Constellation.GALILEO: GALILEO_BANDS, Constellation.BEIDOU: BEIDOU_BANDS}.get(constellation, SIGNAL_BANDS)
+    return bands.get((code or "")[:1], code) or "-"
 
 
 def _degrees(angle_rad: float | None) -> float | None:

@@ -34,7 +34,7 @@ OUTAGES_SHOWN = 50
 
 
 def contract() -> Json:
-    """Say what never changes: layers, processes, topics with their limits."""
+    """The constant part: layers, processes, topics with their limits."""
     topics = {}
     for topic in TOPICS:
         limits = limits_of(topic)
@@ -126,7 +126,7 @@ def trust(state: State, now_ns: int) -> Json:
 
 
 def origin(state: State, now_ns: int) -> Json | None:
-    """Say where the data are from; one simulated source among live ones makes the whole simulated."""
+    """Origin of the data; with one simulated source among live ones it is simulated."""
     order = (OriginKind.SIMULATED, OriginKind.REPLAY, OriginKind.LIVE)
     known = [(order.index(message.kind), message, ns) for message, ns in state.live_origins(now_ns)]
     if not known:

@@ -45,7 +45,7 @@ def plaza(state: "State", now_ns: int) -> Json | None:
 
 
 def verdict(state: "State", now_ns: int, *, broker: bool) -> Verdict:
-    """Say whether lanes are decided and passages charged, and if not, why and what to do."""
+    """Sentence on whether lanes are decided and passages charged, and if not, why and what to do."""
     ledger = state.newest(LedgerState, "ledger/state", now_ns, live=True)
     delta = state.newest(TollDelta, "toll/delta", now_ns, live=True)
     checks = (_ledger_check(ledger), _delta_check(delta), _accounts_check(ledger))

@@ -1,7 +1,7 @@
 """Server-sent events: the verdict, the solution and outages, for programs that want no WebSocket.
 
 `verdict` on opening and when the state or the deciding row changes; `solution` once a second; `outage` when one begins
-or ends. A comment every five seconds tells a dead connection from a quiet one.
+or ends. A comment every five seconds shows that the connection is open.
 """
 
 import asyncio
@@ -36,7 +36,7 @@ class Events:
         self._solution_ns = self._heartbeat_ns = 0
 
     async def run(self) -> None:
-        """Send what has happened while somebody listens."""
+        """Send the events while there are clients."""
         while True:
             await asyncio.sleep(PERIOD_S)
             if len(self.clients):
@@ -94,7 +94,7 @@ class _Stream(StreamingResponse):
         self._clients, self._client = clients, client
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send until the end, and forget the client."""
+        """Send until the end, and remove the client."""
         try:
             await super().__call__(scope, receive, send)
         finally:

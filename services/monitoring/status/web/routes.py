@@ -1,4 +1,4 @@
-"""The HTTP door: routes that read the state, and what every answer carries."""
+"""HTTP routes that read the state, and the headers of every response."""
 
 import asyncio
 import logging
@@ -208,16 +208,8 @@ class Described(FastAPI):
 class Watching:
     """The streams to clients that stay connected: `/ws` and `/api/events`."""
 
-    def __init__(
-        self,
-        state: State,
-        lock: AbstractContextManager[object],
-        now_ns: Callable[[], int],
-        clients_maximum: int,
-        replay: ReplayApi,
-    ) -> None:
-        self.stream = Stream(state, lock, now_ns, clients_maximum, replay)
-        self.events = Events(state, lock, now_ns, clients_maximum)
+    def __init__(self, stream: Stream, events: Events) -> None:
+        self.stream, self.events = stream, events
 
     def add_to(self, app: FastAPI) -> None:
         """Add the routes."""
@@ -291,7 +283,7 @@ def openapi() -> dict[str, Any]:
 
     api = Api(state, lock, now_ns, CollectorRegistry(), 900.0)
     replay = ReplayApi(None, lock, now_ns)
-    watching = Watching(state, lock, now_ns, 1, replay)
+    watching = Watching(Stream(state, lock, now_ns, 1, replay), Events(state, lock, now_ns, 1))
     recordings = RecordingsApi(Library(pathlib.Path()), Job(pathlib.Path()), frozenset(), lambda: None)
     simulation, maps = SimulationApi(state, lock, now_ns), MapApi(state, lock, now_ns, None)
     apis = (SeriesApi(state, lock, now_ns, 1), simulation, replay, recordings, maps)
@@ -319,7 +311,7 @@ def make_server(app: FastAPI, connections_maximum: int) -> uvicorn.Server:
 
 
 def _end_with(task: asyncio.Task[None], server: uvicorn.Server) -> None:
-    """End the server with a task that failed: better no pages, and a new life, than pages that stand still."""
+    """End the server if a task fails, so that the process is restarted instead of showing old data."""
     if not task.cancelled():
         log.error("the stream to the pages has failed", exc_info=task.exception())
         server.should_exit = True

@@ -96,20 +96,17 @@ class SeriesApi:
     async def serve(self, socket: WebSocket) -> None:
         """Send the past of the fields that are asked for in the address, then what is added, until the page leaves."""
         if not hosts.same_origin(socket.headers.get("origin"), socket.headers.get("host")):
-            await socket.send_denial_response(Response("this page is not from here\n", 403))
+            await socket.close()  # answered with 403
             return
         try:
             names = self._want(socket.query_params.get("fields", "")[:QUESTION_LENGTH])
             seconds = min(max(float(socket.query_params.get("seconds", "900")), 1.0), 3600.0)
         except (HTTPException, ValueError) as error:
-            text = error.detail if isinstance(error, HTTPException) else str(error)
-            await socket.accept()
-            await socket.send_text(to_json({"kind": "refused", "reason": text}).decode())
-            await socket.close()
+            await _refuse(socket, error.detail if isinstance(error, HTTPException) else str(error))
             return
         client = self._clients.enter()
         if client is None:
-            await socket.send_denial_response(Response("too many pages of charts are open; close one\n", 503))
+            await _refuse(socket, "too many pages of charts are open; close one and load this page again")
             return
         try:
             await socket.accept()
@@ -159,6 +156,13 @@ class SeriesApi:
             series.want(names, to_ns)  # nothing that is looked at gives way
             columns = series.columns(names, max(from_ns, oldest_ns), to_ns, fine=fine)
         return labelled(names, columns)
+
+
+async def _refuse(socket: WebSocket, reason: str) -> None:
+    """Say why nothing is sent, and close."""
+    await socket.accept()
+    await socket.send_text(to_json({"kind": "refused", "reason": reason}).decode())
+    await socket.close()
 
 
 def _parts(names: list[str]) -> list[list[str]]:

@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager
 
-from fastapi import Response, WebSocket, WebSocketDisconnect
+from fastapi import WebSocket, WebSocketDisconnect
 from pydantic_core import to_json
 
 from ..state import State
@@ -20,6 +20,7 @@ from .clients import Client, Clients, Frame
 from .replay import ReplayApi
 
 PERIOD_S = 0.2
+TRY_AGAIN_LATER = 1013  # registry of close codes of RFC 6455
 PLOTTED = ("latitude_deg", "longitude_deg", "speed_fused_m_s", "speed_gnss_m_s", "speed_odometer_m_s")
 
 
@@ -75,12 +76,12 @@ class Stream:
     async def serve(self, socket: WebSocket) -> None:
         """Serve one browser until it leaves or falls behind."""
         if not hosts.same_origin(socket.headers.get("origin"), socket.headers.get("host")):
-            await socket.send_denial_response(Response("this page is not from here\n", 403))
+            await socket.close()  # answered with 403
             return
         client = self.clients.enter(packed=socket.query_params.get("packed") == "1")
         if client is None:
-            text = f"too many viewers: {len(self.clients)} are connected; try again\n"
-            await socket.send_denial_response(Response(text, 503, {"Retry-After": "10"}))
+            await socket.accept()
+            await socket.close(TRY_AGAIN_LATER, f"too many viewers: {len(self.clients)} are connected; try again")
             return
         try:
             await socket.accept()

@@ -25,6 +25,7 @@ OUTPUTS = {
     "UBX_RXM_SFRBX": 0x20910231,
     "UBX_MON_RF": 0x20910359,
     "UBX_SEC_SIG": 0x20910634,
+    "UBX_NAV_SIG": 0x20910345,  # the last of UBX: its 80 ms on the line delay no other message
     "NMEA_ID_RMC": 0x209100AB,
     "NMEA_ID_GGA": 0x209100BA,
     "NMEA_ID_GSA": 0x209100BF,

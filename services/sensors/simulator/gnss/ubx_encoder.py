@@ -11,6 +11,7 @@ import numpy as np
 
 from .raw_measurements import CLOCK_DRIFT, clock_bias_s
 from .simulated_epoch import GEOID_M, LEAP_SECONDS, WEEK_MS, Epoch, gps_ms
+from .sky import TRACKED_DB_HZ, WEAKEST_DB_HZ
 
 NAV, RXM, ACK, CFG, MON, SEC = 0x01, 0x02, 0x05, 0x06, 0x0A, 0x27
 VALSET, VALGET = 0x8A, 0x8B
@@ -27,6 +28,12 @@ _SATELLITE = np.dtype([
     ("system", "u1"), ("number", "u1"), ("cn0", "u1"), ("elevation", "i1"), ("azimuth", "<i2"), ("residual", "<i2"),
     ("flags", "<u4"),
 ])  # fmt: skip
+_SIGNAL = np.dtype([
+    ("system", "u1"), ("number", "u1"), ("signal", "u1"), ("channel", "u1"), ("residual", "<i2"), ("cn0", "u1"),
+    ("quality", "u1"), ("corrections", "u1"), ("ionosphere", "u1"), ("flags", "<u2"), ("reserved", "<u4"),
+])  # fmt: skip
+# sigId of the second signal of each gnssId, and how much weaker it is received [dB]: L2C, E5b, B2I, GLONASS L2.
+_SECOND = {0: (3, 4.0), 2: (6, 1.0), 3: (2, 2.0), 6: (2, 3.0)}
 _RAW_HEAD = struct.Struct("<dHbBBB2x")
 _RAW = np.dtype([
     ("pseudorange", "<f8"), ("carrier", "<f8"), ("doppler", "<f4"), ("system", "u1"), ("number", "u1"),
@@ -115,6 +122,26 @@ def nav_sat(epoch: Epoch) -> bytes:
     # used, healthy, orbit from an ephemeris that is available
     rows["flags"] = quality | sky.used.astype(np.uint32) << 3 | 1 << 4 | 1 << 8 | 1 << 11
     return frame(NAV, 0x35, struct.pack("<IBB2x", epoch.itow_ms, 1, len(rows)) + rows.tobytes())
+
+
+def nav_sig(epoch: Epoch) -> bytes:
+    """Two signals of each satellite: the one of NAV-SAT, and a second one that is used if it is strong enough."""
+    sky = epoch.sky
+    system = np.array([c.gnss_id for c in epoch.constellations], np.uint8)[sky.system]
+    second, weaker = (np.array([_SECOND[i][k] for i in system.tolist()]) for k in (0, 1))
+    kind = np.column_stack([np.zeros_like(second), second]).ravel().astype(np.uint8)
+    cn0 = np.column_stack([sky.cn0_db_hz, np.maximum(sky.cn0_db_hz - weaker, 0.0)]).ravel()
+    cn0[cn0 < TRACKED_DB_HZ] = 0.0
+    used = np.repeat(sky.used, 2) & (cn0 >= WEAKEST_DB_HZ)
+    rows = np.zeros(len(cn0), _SIGNAL)
+    rows["system"], rows["number"], rows["signal"] = np.repeat(system, 2), np.repeat(sky.number, 2), kind
+    rows["cn0"] = np.rint(cn0)
+    rows["residual"] = np.where(used, np.rint(10.0 * np.repeat(sky.residual_m, 2)), 0)
+    rows["quality"] = np.where(used, 7, np.where(cn0 > 0.0, 4, 1))
+    carrier = used & (epoch.fix.carrier != "none")
+    # healthy; pseudorange, carrier phase and Doppler used; pseudorange corrected
+    rows["flags"] = 1 | used * 8 | carrier * 16 | used * 32 | carrier * 64
+    return frame(NAV, 0x43, struct.pack("<IBB2x", epoch.itow_ms, 0, len(rows)) + rows.tobytes())
 
 
 def nav_relposned(epoch: Epoch) -> bytes:
@@ -236,4 +263,5 @@ ENCODERS: dict[str, Callable[[Epoch], bytes]] = {
     "UBX_RXM_SFRBX": rxm_sfrbx,
     "UBX_MON_RF": mon_rf,
     "UBX_SEC_SIG": sec_sig,
+    "UBX_NAV_SIG": nav_sig,
 }

@@ -51,7 +51,7 @@ def test_a_port_in_use_is_told_with_the_one_that_is_used_instead(
     vehicle = (tmp_path / "demo" / "vehicle.toml").read_text()
     used = int(vehicle.partition("port = ")[2].split()[0])
     assert used != taken
-    assert f"port {taken} is taken: the dashboard takes {used}; to choose one: `obu demo --port NUMBER`" in err
+    assert f"port {taken} is in use: the dashboard uses {used}; to choose one: `obu demo --port NUMBER`" in err
     assert json.loads(out)["healthy"] is False, "standard output is the balance alone"
     assert f"not healthy: 0 of {EXPECTED} processes were alive at the end: see the logs" in err
 

@@ -1,4 +1,4 @@
-"""The supervisor: what ends is started again, and the end is the end."""
+"""The supervisor restarts children that end, and stops all of them."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ import pytest
 from cli.demo.supervisor import Supervisor
 
 SLEEPER = [sys.executable, "-c", "import time; time.sleep(60)"]
-DEAF = """
+IGNORING = """
 import pathlib, signal, sys, time
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
 pathlib.Path(sys.argv[1]).touch()
@@ -57,25 +57,27 @@ def test_a_child_that_ends_at_once_is_started_with_growing_pauses(supervisor: Su
     assert child.exit_codes == [3, 3]
 
 
-def test_a_child_that_refuses_its_configuration_is_not_started_again(supervisor: Supervisor) -> None:
-    supervisor.add("refusing", [sys.executable, "-c", "raise SystemExit(78)"])
-    child = supervisor.children["refusing"]
-    watch_until(supervisor, lambda: child.refuses)
+def test_a_child_that_rejects_its_configuration_is_not_restarted(supervisor: Supervisor) -> None:
+    supervisor.add("misconfigured", [sys.executable, "-c", "raise SystemExit(78)"])
+    child = supervisor.children["misconfigured"]
+    watch_until(supervisor, lambda: child.misconfigured)
     supervisor.watch()
     assert child.process is None and child.restarts == 0
 
 
-def test_what_a_child_says_is_kept(supervisor: Supervisor, tmp_path: Path) -> None:
-    supervisor.add("speaker", [sys.executable, "-c", "print('a word')"])
-    watch_until(supervisor, lambda: supervisor.children["speaker"].restarts >= 1)
-    assert "a word" in (tmp_path / "speaker.log").read_text()
+def test_the_output_of_a_child_is_logged(supervisor: Supervisor, tmp_path: Path) -> None:
+    supervisor.add("printing", [sys.executable, "-c", "print('a line')"])
+    watch_until(supervisor, lambda: supervisor.children["printing"].restarts >= 1)
+    assert "a line" in (tmp_path / "printing.log").read_text()
 
 
-def test_the_end_comes_within_five_seconds_even_for_the_deaf(supervisor: Supervisor, tmp_path: Path) -> None:
-    is_deaf = tmp_path / "is deaf"
-    supervisor.add("deaf", [sys.executable, "-c", DEAF, str(is_deaf)])
+def test_children_that_ignore_sigterm_or_are_stopped_end_within_five_seconds(
+    supervisor: Supervisor, tmp_path: Path
+) -> None:
+    ignores = tmp_path / "ignores"
+    supervisor.add("ignoring", [sys.executable, "-c", IGNORING, str(ignores)])
     supervisor.add("stopped", SLEEPER)
-    watch_until(supervisor, lambda: supervisor.alive() == 2 and is_deaf.exists())
+    watch_until(supervisor, lambda: supervisor.alive() == 2 and ignores.exists())
     stopped = supervisor.children["stopped"].process
     assert stopped
     stopped.send_signal(signal.SIGSTOP)

@@ -11,7 +11,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from cli.import_drive.import_drive import import_drive
-from cli.import_drive.mapping import parse_mapping
+from cli.import_drive.mapping.mapping import parse_mapping
 from shared.errors import UserError
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.messages.gnss import CarrierSolution, GnssFix

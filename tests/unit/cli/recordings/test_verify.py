@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
+from cli.recordings.repetition import Repetition, Verdict
 from cli.recordings.verify import verify
-from cli.recordings.verifying import Repetition, Verdict
 from shared.bus.bus import Envelope
 from shared.errors import UserError
 from shared.messages.base import Message, Tick
@@ -19,11 +19,11 @@ from tests.support.envelopes import sent
 
 SECOND = 1_000_000_000
 START_NS = 1_790_000_000 * SECOND
-LIFE = START_NS + 5
+INCARNATION = START_NS + 5
 
 
 class Echo:
-    """Says the speed that it was given, and its sum at the end: what it says depends on all that it heard."""
+    """Publishes the sum of the speeds, and its negative at the end: its messages depend on all inputs."""
 
     def __init__(self) -> None:
         self.total = 0.0
@@ -45,63 +45,65 @@ def speed(value: float, now_ns: int) -> VehicleSpeed:
 
 
 class Recorded:
-    """A process that runs as the live runtime runs it, while a recorder listens."""
+    """A process under the live runtime, with everything recorded."""
 
     def __init__(self, name: str, process: Reactor) -> None:
         self.name, self.process = name, process
         self.now_ns = START_NS
         self.envelopes: list[Envelope] = []
-        self._journal = Journal(name, LIFE)
+        self.order = Journal(name, INCARNATION)
         self._sequences = {name: 0}
 
     def input(self, message: Message, producer: str = "sensors.can") -> None:
         self.now_ns += SECOND // 10
-        self.say(producer, message)
+        self.publish(producer, message)
         self.consume(self.envelopes[-1])
 
     def consume(self, envelope: Envelope) -> None:
-        self._journal.add(envelope)
+        self.order.add(envelope)
         self.feed(envelope.decode())
 
     def tick(self) -> None:
         tick = Tick(now_ns=self.now_ns)
-        self._journal.add_tick(tick)
+        self.order.add_tick(tick)
         self.feed(tick)
 
     def feed(self, message: Message) -> None:
         for answer in self.process.handle(message):
-            self.say(self.name, answer)
+            self.publish(self.name, answer)
 
     def journal(self) -> None:
-        consumed = self._journal.take()
+        consumed = self.order.take()
         assert consumed is not None
-        self.say(self.name, consumed)
+        self.publish(self.name, consumed)
 
     def close(self) -> None:
-        self._journal.add_close()
+        self.order.add_close()
         self.journal()
 
     def health(self) -> None:
-        health = ProcessHealth(process=self.name, state=ProcessState.READY, incarnation=LIFE, sent_ns=self.now_ns)
-        self.say(self.name, health)
+        health = ProcessHealth(
+            process=self.name, state=ProcessState.READY, incarnation=INCARNATION, sent_ns=self.now_ns
+        )
+        self.publish(self.name, health)
 
-    def say(self, producer: str, message: Message) -> None:
+    def publish(self, producer: str, message: Message) -> None:
         self._sequences[producer] = self._sequences.get(producer, 0) + 1
-        self.envelopes.append(sent(message, self.now_ns, producer, LIFE, self._sequences[producer]))
+        self.envelopes.append(sent(message, self.now_ns, producer, INCARNATION, self._sequences[producer]))
 
     def repeat(self, process: Reactor) -> Repetition:
-        """Do the life again from what was recorded."""
+        """Repeat the incarnation from what was recorded."""
         store = {(e.topic, e.producer, e.incarnation, e.sequence): e for e in self.envelopes}
-        repetition = Repetition(self.name, LIFE, process, store.get)
+        repetition = Repetition(self.name, INCARNATION, process, store.get)
         for envelope in self.envelopes:
             if envelope.producer != self.name:
                 continue
             of_runtime = envelope.topic.startswith(("health/", "consumed/"))
-            if not repetition.add_word(envelope, compare=not of_runtime):
+            if not repetition.add_message(envelope, compare=not of_runtime):
                 continue
             message = envelope.decode()
             if envelope.topic.startswith("consumed/"):
-                repetition.add_journal(message, envelope.received_ns)  # type: ignore[arg-type]  # the topic says so
+                repetition.add_journal(message, envelope.received_ns)  # type: ignore[arg-type]  # by its topic
             repetition.advance(envelope.received_ns)
         repetition.advance(self.now_ns, last=True)
         return repetition
@@ -110,64 +112,64 @@ class Recorded:
         return [k for k, e in enumerate(self.envelopes) if e.topic == topic and e.producer == self.name][nth]
 
 
-def echo_life(seconds: int = 20, *, ended: bool = True) -> Recorded:
-    life = Recorded("core.fusion", Echo())
-    life.health()
+def echo_incarnation(seconds: int = 20, *, ended: bool = True) -> Recorded:
+    recorded = Recorded("core.fusion", Echo())
+    recorded.health()
     for k in range(seconds * 10):
-        life.input(speed(0.1 * k, life.now_ns))
+        recorded.input(speed(0.1 * k, recorded.now_ns))
         if k % 5 == 0:
-            life.health()
+            recorded.health()
         if k % 10 == 9:
-            life.tick()
-            life.journal()
+            recorded.tick()
+            recorded.journal()
     if ended:
-        for message in Echo.close(life.process):  # type: ignore[arg-type]  # it is one
-            life.say(life.name, message)
-        life.close()
-    return life
+        for message in Echo.close(recorded.process):  # type: ignore[arg-type]  # it is one
+            recorded.publish(recorded.name, message)
+        recorded.close()
+    return recorded
 
 
-def test_a_life_done_again_says_the_same() -> None:
-    repetition = echo_life().repeat(Echo())
+def test_a_repeated_incarnation_publishes_the_same() -> None:
+    repetition = echo_incarnation().repeat(Echo())
 
     assert repetition.verdict is Verdict.IDENTICAL
     assert (repetition.consumed, repetition.compared, repetition.unrecorded) == (220, 221, 0)
 
 
-def test_a_life_that_goes_on_is_compared_as_far_as_its_journal_goes() -> None:
-    life = echo_life(ended=False)
+def test_an_incarnation_that_continues_is_compared_up_to_the_end_of_its_journal() -> None:
+    recorded = echo_incarnation(ended=False)
     for k in range(4):
-        life.input(speed(k, life.now_ns))
+        recorded.input(speed(k, recorded.now_ns))
 
-    repetition = life.repeat(Echo())
+    repetition = recorded.repeat(Echo())
 
     assert repetition.verdict is Verdict.IDENTICAL
     assert repetition.compared == 220
 
 
 @pytest.mark.parametrize("topic", ["vehicle/speed", "mode/state"])
-def test_one_changed_byte_is_found_and_shown(topic: str) -> None:
-    life = echo_life()
-    at = life.index(topic, 7)
-    old = life.envelopes[at]
-    life.envelopes[at] = old._replace(payload=old.payload[:-3] + b"7" + old.payload[-2:])
-    repetition = life.repeat(Echo())
+def test_one_changed_byte_is_reported(topic: str) -> None:
+    recorded = echo_incarnation()
+    at = recorded.index(topic, 7)
+    old = recorded.envelopes[at]
+    recorded.envelopes[at] = old._replace(payload=old.payload[:-3] + b"7" + old.payload[-2:])
+    repetition = recorded.repeat(Echo())
 
     assert repetition.verdict is Verdict.DIFFERENT
     assert repetition.reason is not None
-    assert repetition.reason.startswith(f"word {old.sequence}: {topic} byte {len(old.payload) - 3}: said ")
+    assert repetition.reason.startswith(f"message {old.sequence}: {topic} byte {len(old.payload) - 3}: was ")
 
 
-def test_another_order_of_consumption_is_not_the_same_life() -> None:
+def test_another_arithmetic_of_the_inputs_is_different() -> None:
     class Doubling(Echo):
         def handle(self, message: Message) -> Iterator[Message]:
             self.total *= 1.0 if isinstance(message, Tick) else 1.0 + 1e-15
             yield from super().handle(message)
 
-    assert echo_life().repeat(Doubling()).verdict is Verdict.DIFFERENT
+    assert echo_incarnation().repeat(Doubling()).verdict is Verdict.DIFFERENT
 
 
-def test_a_process_that_now_says_more_or_less_differs() -> None:
+def test_a_process_that_publishes_more_or_less_is_different() -> None:
     class Chatty(Echo):
         def handle(self, message: Message) -> Iterator[Message]:
             yield from super().handle(message)
@@ -178,90 +180,90 @@ def test_a_process_that_now_says_more_or_less_differs() -> None:
         def close(self) -> Iterator[Message]:
             yield from ()
 
-    assert echo_life().repeat(Chatty()).verdict is Verdict.DIFFERENT
-    shy = echo_life().repeat(Shy())
+    assert echo_incarnation().repeat(Chatty()).verdict is Verdict.DIFFERENT
+    shy = echo_incarnation().repeat(Shy())
     assert shy.verdict is Verdict.DIFFERENT
-    assert shy.reason == "word 282: said vehicle/speed, now nothing"
+    assert shy.reason == "message 282: was vehicle/speed, now nothing"
 
 
-def test_a_process_that_now_dies_is_told_and_not_a_crash_of_the_check() -> None:
+def test_a_process_that_now_ends_by_an_error_is_reported() -> None:
     class Mortal(Echo):
         def handle(self, message: Message) -> Iterator[Message]:
             yield from super().handle(message)
             if self.total > 5.0:
                 raise ZeroDivisionError("too much")
 
-    repetition = echo_life().repeat(Mortal())
+    repetition = echo_incarnation().repeat(Mortal())
 
     assert repetition.verdict is Verdict.DIFFERENT
-    assert repetition.reason == "now it ends by ZeroDivisionError: too much"
+    assert repetition.reason == "it now ends by ZeroDivisionError: too much"
 
 
-def test_words_that_the_recorder_missed_are_skipped_and_counted() -> None:
-    life = echo_life()
+def test_messages_missing_in_the_recording_are_skipped_and_counted() -> None:
+    recorded = echo_incarnation()
     for topic, nth in (("vehicle/speed", 3), ("vehicle/speed", 60), ("mode/state", 5), ("health/core.fusion", 4)):
-        del life.envelopes[life.index(topic, nth)]
+        del recorded.envelopes[recorded.index(topic, nth)]
 
-    repetition = life.repeat(Echo())
+    repetition = recorded.repeat(Echo())
 
     assert repetition.verdict is Verdict.IDENTICAL
     assert (repetition.compared, repetition.unrecorded) == (218, 3)
 
 
-def test_a_missing_input_makes_a_life_incomplete_and_is_named() -> None:
-    life = echo_life()
-    k = [n for n, e in enumerate(life.envelopes) if e.producer == "sensors.can"][50]
-    del life.envelopes[k]
+def test_a_missing_input_makes_a_repetition_incomplete_and_is_named() -> None:
+    recorded = echo_incarnation()
+    k = [n for n, e in enumerate(recorded.envelopes) if e.producer == "sensors.can"][50]
+    del recorded.envelopes[k]
 
-    repetition = life.repeat(Echo())
+    repetition = recorded.repeat(Echo())
 
     assert repetition.verdict is Verdict.INCOMPLETE
     assert repetition.reason == "it consumed vehicle/speed 51 of sensors.can, which is not recorded"
 
 
 def test_a_missing_part_of_the_journal_is_incomplete_rather_than_different() -> None:
-    life = echo_life()
-    del life.envelopes[life.index("consumed/core.fusion", 3)]
+    recorded = echo_incarnation()
+    del recorded.envelopes[recorded.index("consumed/core.fusion", 3)]
 
-    repetition = life.repeat(Echo())
+    repetition = recorded.repeat(Echo())
 
     assert repetition.verdict is Verdict.INCOMPLETE
     assert repetition.reason is not None
-    assert repetition.reason.startswith("1 of its words are not recorded, then ")
+    assert repetition.reason.startswith("1 of its messages are not recorded, then ")
 
 
 def test_messages_delivered_twice_are_compared_once() -> None:
-    life = echo_life()
-    doubled = [life.index("mode/state", nth) for nth in (2, 9)] + [life.index("consumed/core.fusion", 4)]
+    recorded = echo_incarnation()
+    doubled = [recorded.index("mode/state", nth) for nth in (2, 9)] + [recorded.index("consumed/core.fusion", 4)]
     for at in sorted(doubled, reverse=True):
-        life.envelopes.insert(at + 40, life.envelopes[at])
+        recorded.envelopes.insert(at + 40, recorded.envelopes[at])
 
-    repetition = life.repeat(Echo())
+    repetition = recorded.repeat(Echo())
 
     assert repetition.verdict is Verdict.IDENTICAL
     assert repetition.compared == 221
 
 
-def test_a_saved_message_that_the_process_says_and_consumes_itself_is_an_input() -> None:
-    life = Recorded("core.fusion", Echo())
-    life.say("core.fusion", speed(5.0, 1))
-    life._journal.add(life.envelopes[-1])
-    life.feed(speed(5.0, 1))
+def test_a_saved_message_that_the_process_publishes_and_consumes_is_an_input() -> None:
+    recorded = Recorded("core.fusion", Echo())
+    recorded.publish("core.fusion", speed(5.0, 1))
+    recorded.order.add(recorded.envelopes[-1])
+    recorded.feed(speed(5.0, 1))
     for _ in range(10):
-        life.input(speed(1.0, life.now_ns))
-    life.journal()
+        recorded.input(speed(1.0, recorded.now_ns))
+    recorded.journal()
 
-    repetition = life.repeat(Echo())
+    repetition = recorded.repeat(Echo())
 
     assert repetition.verdict is Verdict.IDENTICAL
     assert (repetition.consumed, repetition.compared) == (11, 11)
 
 
-def test_a_life_without_a_journal_says_so() -> None:
-    life = Recorded("core.fusion", Echo())
-    life.health()
+def test_an_incarnation_without_a_journal_is_reported_as_such() -> None:
+    recorded = Recorded("core.fusion", Echo())
+    recorded.health()
 
-    assert life.repeat(Echo()).verdict is Verdict.NO_JOURNAL
+    assert recorded.repeat(Echo()).verdict is Verdict.NO_JOURNAL
 
 
 def candump(k: int) -> CanRaw:
@@ -273,15 +275,15 @@ def candump(k: int) -> CanRaw:
 def can_recording(path: Path, change: Callable[[list[Envelope]], None] = lambda envelopes: None) -> Path:
     """Record parsers.can as the unit does, and change something afterwards."""
     process = load_process("parsers.can", parse_vehicle(""))
-    life = Recorded("parsers.can", process)  # type: ignore[arg-type]  # it is one, by its layer
+    recorded = Recorded("parsers.can", process)  # type: ignore[arg-type]  # it is one, by its layer
     for k in range(300):
-        life.input(candump(k))
+        recorded.input(candump(k))
         if k % 10 == 9:
-            life.tick()
-            life.journal()
-    change(life.envelopes)
+            recorded.tick()
+            recorded.journal()
+    change(recorded.envelopes)
     writer = RecordingWriter(path, vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
-    for envelope in life.envelopes:
+    for envelope in recorded.envelopes:
         writer.write(envelope)
     writer.close()
     return path
@@ -294,7 +296,7 @@ def test_a_recorded_process_is_verified(tmp_path: Path, capsys: pytest.CaptureFi
     assert "identical" in out
 
 
-def test_a_recording_with_a_changed_word_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_with_a_changed_message_is_different(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def forge(envelopes: list[Envelope]) -> None:
         k = [n for n, e in enumerate(envelopes) if e.topic == "vehicle/speed"][10]
         old = envelopes[k]
@@ -306,7 +308,7 @@ def test_a_recording_with_a_changed_word_is_refused(tmp_path: Path, capsys: pyte
     assert "vehicle/speed byte " in captured.err
 
 
-def test_a_life_that_goes_over_two_files_is_verified_when_both_are_given(tmp_path: Path) -> None:
+def test_an_incarnation_in_two_files_is_verified_if_both_are_given(tmp_path: Path) -> None:
     whole: list[Envelope] = []
     can_recording(tmp_path / "all.mcap", whole.extend)
     for name, part in (("a.mcap", whole[:300]), ("b.mcap", whole[300:])):
@@ -323,35 +325,35 @@ def test_nothing_compared_is_not_success(tmp_path: Path) -> None:
     def only_inputs(envelopes: list[Envelope]) -> None:
         envelopes[:] = [e for e in envelopes if e.topic != "vehicle/speed" and not e.topic.startswith("consumed/")]
 
-    with pytest.raises(UserError, match="holds no word of a process"):
+    with pytest.raises(UserError, match="holds no message of a process"):
         verify([can_recording(tmp_path / "a.mcap", only_inputs)], None, None)
 
 
-def test_what_the_broker_keeps_is_found_by_a_life_that_begins_much_later(tmp_path: Path) -> None:
-    """It is consumed at once, and a newer one follows before the journal says so."""
+def test_a_retained_message_is_found_by_an_incarnation_that_begins_much_later(tmp_path: Path) -> None:
+    """It is consumed at once, and a newer one follows before the journal that names it."""
     process = load_process("core.fusion", parse_vehicle(""))
-    life = Recorded("core.fusion", process)  # type: ignore[arg-type]  # it is one, by its layer
+    recorded = Recorded("core.fusion", process)  # type: ignore[arg-type]  # it is one, by its layer
     kept = LastPosition(
         sampled_ns=START_NS, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0, yaw_rad=1.0,
         position_sd_ned_m=(1.0, 1.0, 2.0), yaw_sd_rad=0.02,
     )  # fmt: skip
-    life.say("controller.mode", kept)
-    (retained,) = life.envelopes
+    recorded.publish("controller.mode", kept)
+    (retained,) = recorded.envelopes
     for _ in range(100):
-        life.now_ns += SECOND
-        life.say("sensors.can", candump(1))
-    life.consume(retained)
-    life.say("controller.mode", kept)
-    life.input(GnssFix(sampled_ns=life.now_ns, received_ns=life.now_ns, source="g", fix_type=FixType.NONE))
-    life.journal()
+        recorded.now_ns += SECOND
+        recorded.publish("sensors.can", candump(1))
+    recorded.consume(retained)
+    recorded.publish("controller.mode", kept)
+    recorded.input(GnssFix(sampled_ns=recorded.now_ns, received_ns=recorded.now_ns, source="g", fix_type=FixType.NONE))
+    recorded.journal()
     writer = RecordingWriter(tmp_path / "a.mcap", vehicle="car", vehicle_toml='[vehicle]\nname = "car"\n')
-    for envelope in life.envelopes:
+    for envelope in recorded.envelopes:
         writer.write(envelope)
     writer.close()
     assert verify([tmp_path / "a.mcap"], "core.fusion", None) == 0
 
 
-def test_mistakes_of_the_user_are_told_in_one_sentence(tmp_path: Path) -> None:
+def test_mistakes_of_the_user_raise_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"cannot read .*missing\.mcap"):
         verify([tmp_path / "missing.mcap"], None, None)
     with pytest.raises(UserError, match=r"'sensors.imu' cannot be repeated; name one of controller.cam"):

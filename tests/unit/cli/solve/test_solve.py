@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from cli.import_drive.import_drive import import_drive
+from cli.solve.files import HEADER
 from cli.solve.metrics.metrics import METRICS, TIMINGS
 from cli.solve.overrides import Aiding
-from cli.solve.report.export import HEADER
 from cli.solve.smoothing import SMOOTHED_METRICS
 from cli.solve.solve import solve
 from services.sensors.simulator.drive import simulate
@@ -196,7 +196,7 @@ def test_the_smoothed_drive_is_written_and_more_accurate_than_the_filtered_one(
     assert list(found) == [*METRICS, *SMOOTHED_METRICS]
     for name in ("horizontal_rmse_m", "vertical_rmse_m", "velocity_rmse_m_s", "yaw_rmse_rad"):
         assert found[f"smoothed_{name}"] < found[name], name
-    assert (tmp_path / "solution_smoothed.kml").read_text().count("<coordinates>") == 1
+    assert (tmp_path / "solution_smoothed.kml").read_text().count("<gx:Track>") == 1
     report = (tmp_path / "report.html").read_text()
     assert "Position errors, filtered and smoothed" in report and "Smoothed: " in report
     assert "smoothed_horizontal_rmse_m" in report

@@ -1,6 +1,7 @@
 import math
 from collections.abc import Iterable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from shared.messages.trust import TrustLevel, TrustState
 from shared.messages.v2x import CamList, DriveDirection, OwnCam, StationType, V2xSend, VehicleRole
 from shared.v2x import its_time
 from tests.support import cams
+from tests.support.captures import dissect
 
 START_NS = 1_795_000_000 * 10**9
 UTC_OFFSET_NS = -250_000_000  # of the receiver's UTC to the time line of the unit
@@ -260,3 +262,73 @@ def test_the_path_ends_where_it_is_old_or_not_continuous() -> None:
     assert history.points(700 * 10**9, here) == ()
     history.add(0, here)
     assert history.points(10**9, here)[0].delta_longitude_deg == 0.0, "the time went back"
+
+
+def test_tshark_dissects_the_frame_that_this_unit_sends_as_its_solution_means_it(tmp_path: Path) -> None:
+    """To the north-east with 10 m/s in a right turn of 0.1 rad/s, worked out by hand in the units of TS 102 894-2.
+
+    The front is 2 m ahead of the IMU, 0.1 m to the right and 0.7 m below: v = (9.99, 0.2) m/s forward and right,
+    that is 9.992 m/s with a course 1.147 degrees to the right of the yaw of 53.130 degrees. Of its covariance
+    diag(0.01, 0.04) m²/s² remain 0.1726 m/s along that course and 0.1422 m/s across it.
+    """
+    turning = solution(
+        velocity_ned_m_s=(6.0, 8.0, 0.0),
+        yaw_rad=math.atan2(8.0, 6.0),
+        angular_rate_body_rad_s=(0.0, 0.0, 0.1),
+        position_cov_ned_m2=(2.5, 1.5, 0.0, 2.5, 0.0, 9.0),  # variances of 4 and 1 m², the larger to the north-east
+    )
+    messages = {
+        "safe": [FIX, verdict(TrustLevel.SAFE), turning],
+        "unsafe": [FIX, verdict(TrustLevel.UNSAFE), turning],
+        "no verdict": [FIX, turning],
+    }
+    frames = [cam_frame(sent(given)[0]) for given in messages.values()]
+    seen = dict(zip(messages, dissect(frames, tmp_path), strict=True))
+    assert not any(frame.malformed for frame in seen.values())
+
+    metres_of_latitude, metres_of_longitude = 111_211.4, 72_571.9  # of a degree at 49.4 degrees on WGS84
+    north, east = 2.0 * 0.6 - 0.1 * 0.8, 2.0 * 0.8 + 0.1 * 0.6
+    expected = {
+        "its.stationID": 77,
+        "cam.generationDeltaTime": ((1_795_000_000 - 1_072_915_200 + 5) * 1000 - 250) % 65536,
+        "cam.stationType": 5,
+        "its.latitude": round((49.4 + north / metres_of_latitude) * 1e7),
+        "its.longitude": round((-1.1 + east / metres_of_longitude) * 1e7),
+        "its.altitudeValue": 11_930,
+        "its.headingValue": 543,
+        "its.headingConfidence": 16,  # 1.96 · 0.1422 / 9.992 rad = 1.598 degrees, rounded up
+        "its.speedValue": 999,
+        "its.speedConfidence": 34,  # 1.96 · 0.1726 m/s = 0.338 m/s, rounded up
+        "cam.driveDirection": 0,
+        "its.vehicleLengthValue": 45,
+        "cam.vehicleWidth": 18,
+        "its.yawRateValue": -573,  # a turn to the right is negative
+        "its.curvatureValue": -100,
+        "its.longitudinalAccelerationValue": 161,  # unavailable: one solution has no acceleration
+        "btpb.dstport": 2001,
+        "geonw.src_pos.lat": round((49.4 + north / metres_of_latitude) * 1e7),
+        "geonw.src_pos.speed": 999,
+        "geonw.src_pos.hdg": 543,
+    }
+    for frame in seen.values():
+        assert {name: frame.number(name) for name in expected} == expected
+    confidence = {
+        name: (
+            frame.number("its.semiMajorConfidence"),
+            frame.number("its.semiMinorConfidence"),
+            frame.number("its.semiMajorOrientation"),
+            frame.number("its.altitudeConfidence"),
+            frame.number("geonw.src_pos.pai"),
+        )
+        for name, frame in seen.items()
+    }
+    assert confidence["safe"] == (490, 245, 450, 9, 1)  # 2.4477 · 2 m and 1 m, 45 degrees, at most 10 m
+    assert confidence["unsafe"] == (4094, 4094, 450, 9, 0), "the position cannot be trusted"
+    assert confidence["no verdict"] == (4095, 4095, 3601, 15, 0), "unavailable"
+
+
+def cam_frame(own: OwnCam) -> bytes:
+    """Encode a CAM as this unit sends it."""
+    (frame,) = Parser(ParserConfig()).handle(own)
+    assert isinstance(frame, V2xSend)
+    return frame.data

@@ -25,7 +25,7 @@ YOUNG = replace(HEALTHY, has_measured=False, solution_age_s=None, phase=P.LEVELL
         (replace(YOUNG, gnss_age_s=None), Mode.DETECTING, "no data from the GNSS receiver yet"),
         (replace(YOUNG, configuring="requesting a fix"), Mode.CONFIGURING, "requesting a fix"),
         (replace(YOUNG, configuring="requesting a fix", imu_age_s=9.0), Mode.DEGRADED, "no IMU samples for 9 s"),
-        (YOUNG, Mode.ALIGNING, "levelling: let the vehicle stand still"),
+        (YOUNG, Mode.ALIGNING, "levelling: keep the vehicle still"),
         (replace(YOUNG, phase=P.WAITING_FOR_GNSS, fix_age_s=None), Mode.ALIGNING, "give the antenna a view of the sky"),
         (replace(YOUNG, phase=P.WAITING_FOR_HEADING), Mode.ALIGNING, "drive straight ahead"),
         (replace(YOUNG, phase=None, fusion_age_s=None, uptime_s=5.0), Mode.ALIGNING,

@@ -9,11 +9,11 @@ import pytest
 from pyubx2.ubxreader import UBXReader
 
 from services.core.cooperative.broadcast.ephemeris import Ephemeris
-from services.core.cooperative.broadcast.rtcm import _measurements, read_rtcm
 from services.core.cooperative.measurements import WEEK_NS, Constellation
 from shared.maths.gnss_signals import L1_FREQUENCY, SPEED_OF_LIGHT
 from shared.maths.navigation_words import crc24q
 from tests.support.constellation import NOW_NS, constellation
+from tests.support.rtcm import measurements_of, read_rtcm
 
 TOLERANCES = {"group_delay_s": 2.0**-32, **dict.fromkeys(("cuc", "cus", "cic", "cis"), 2.0**-30)}  # half of a bit
 
@@ -74,7 +74,7 @@ CELL = {
 
 
 def test_a_measurement_is_the_sum_of_its_parts() -> None:
-    (one,) = _measurements(SimpleNamespace(**CELL), Constellation.GPS)
+    (one,) = measurements_of(SimpleNamespace(**CELL), Constellation.GPS)
     assert str(one.satellite) == "G07" and one.cn0_db_hz == 44.0
     assert one.pseudorange_m == pytest.approx(SPEED_OF_LIGHT * 75.5001e-3)
     assert one.doppler_hz == pytest.approx(299.75 * L1_FREQUENCY / SPEED_OF_LIGHT)
@@ -84,10 +84,10 @@ def test_a_measurement_is_the_sum_of_its_parts() -> None:
     "change", [{"DF397_01": 255}, {"DF400_01": -(2.0**-10)}, {"CELLSIG_01": "2W"}, {"CELLSIG_01": "5Q"}]
 )
 def test_what_is_marked_as_invalid_or_on_another_frequency_is_left_out(change: dict[str, object]) -> None:
-    assert not list(_measurements(SimpleNamespace(**(CELL | change)), Constellation.GPS))
+    assert not list(measurements_of(SimpleNamespace(**(CELL | change)), Constellation.GPS))
 
 
 def test_an_invalid_rate_leaves_no_doppler() -> None:
     for change in ({"DF399_01": -8192}, {"DF404_01": -1.6384}):
-        (one,) = _measurements(SimpleNamespace(**(CELL | change)), Constellation.GPS)
+        (one,) = measurements_of(SimpleNamespace(**(CELL | change)), Constellation.GPS)
         assert one.doppler_hz is None

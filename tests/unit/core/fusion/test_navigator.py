@@ -335,7 +335,7 @@ def test_a_jump_is_refused_and_a_lasting_one_resets_with_its_reason() -> None:
 def test_numbers_that_break_down_reset_with_their_reason() -> None:
     """A measurement of nonsense reaches the filter past every door; the solution stops and says why."""
     run = feed(navigator(), samples(25.0) + fixes(24.0)).navigator
-    engine = run._oosm.engine  # nothing that a caller does breaks the numbers down
+    engine = run.engine  # nothing that a caller does breaks the numbers down
     assert engine.filter is not None
     engine.filter.P = engine.filter.P * np.nan
     feed(run, samples()[2500:2510])

@@ -83,7 +83,7 @@ def test_derivatives_of_the_body_velocity_agree_with_finite_differences(drive: D
     free = FreePropagation(anchor_at(drive, 50.0), LongSettings())
     step = 1e-6
     for axis in range(3):
-        value, H = free._body_row(axis)
+        value, H = free.body_row(axis)
         assert value == pytest.approx(float(free.nominal.ned_from_body[:, axis] @ free.nominal.velocity))
         for element in range(6):
             psi, dv = np.zeros(3), np.zeros(3)

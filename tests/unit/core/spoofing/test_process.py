@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
 from services.core.spoofing.metrics import Metric
+from services.core.spoofing.position_step import FALSE_ALARM_RATE, NAME
 from services.core.spoofing.process import Config, Process, filter_anchor_of, velocity_of
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.rotation import ned_from_body
@@ -80,10 +81,13 @@ def test_a_clean_drive_passes_both_monitors_and_accuses_nobody(clean: Result) ->
 def test_there_is_one_statement_of_each_monitor_a_second_with_all_tests(clean: Result) -> None:
     short, long = clean.statements[SHORT][-1], clean.statements[LONG][-1]
     assert [s.sampled_ns for s in clean.statements[SHORT]] == [k * 10**9 for k in range(1, 151)]
-    assert {test.name for test in short.tests} == {metric.value for metric in Metric}
+    assert {test.name for test in short.tests} == {metric.value for metric in Metric} | {NAME}
     assert [(test.name, test.window_s) for test in long.tests] == [("long_30", 30.0), ("long_60", 60.0)]
     assert all(test.outcome is MonitorOutcome.PASS for test in long.tests)
-    assert short.window_s == 5.0 and short.false_alarm_rate == Config().profile.false_alarm_rate
+    assert short.window_s == 5.0
+    for test in short.tests:
+        expected = FALSE_ALARM_RATE if test.name == NAME else Config().profile.false_alarm_rate
+        assert test.false_alarm_rate == expected
     assert long.false_alarm_rate == Config().long.false_alarm_rate
     assert long.statistic is not None and long.threshold is not None and long.statistic < long.threshold
 
@@ -266,3 +270,15 @@ def test_both_monitors_work_with_speed_and_course_alone_and_accuse_a_drag_off(dr
     assert any(time_s is not None and BEGIN_S < time_s <= BEGIN_S + 30.0 for time_s in first_s)
     early = [s for m in (SHORT, LONG) for s in result.statements[m] if s.sampled_ns < BEGIN_S * 1e9]
     assert all(statement.outcome is not MonitorOutcome.ACCUSES for statement in early)
+
+
+def test_a_position_that_steps_aside_with_the_velocity_of_the_vehicle_is_accused_within_three_seconds() -> None:
+    begin_s, drive = 38.0, simulate("urban", 1, 44.0)
+    moved = drive.fix_position.copy()
+    moved[drive.fix_ns > begin_s * 1e9, 0] += 100.0 / 6.37e6
+    result = monitored(replace(drive, fix_position=moved))
+    first_s = result.first_s(SHORT)
+    assert first_s is not None and begin_s < first_s <= begin_s + 3.0
+    accusing = [s for s in result.statements[SHORT] if s.outcome is MonitorOutcome.ACCUSES]
+    assert all(test.name == NAME for s in accusing for test in s.tests if test.outcome is s.outcome)
+    assert all(s.suspect_since_ns is not None and s.suspect_since_ns <= begin_s * 1e9 for s in accusing)

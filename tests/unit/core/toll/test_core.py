@@ -2,7 +2,7 @@
 
 import gc
 from dataclasses import replace
-from math import isclose
+from math import cos, isclose, sin
 
 import numpy as np
 import pytest
@@ -98,6 +98,73 @@ def test_a_stop_on_the_gate_line_stays_open() -> None:
     plant.drive(replace(CAR, start=-200.0, acceleration=-1.0), until=60.0)
     assert plant.states == ["open"]
     plant.drive(replace(CAR, speed=0.0, acceleration=2.0, start=0.0, since=60.0), since=60.0, until=75.0)
+    assert plant.states == ["open", "crossed", "charged"]
+
+
+@pytest.mark.parametrize("ahead", [0.5, 1.5, 2.1])
+def test_the_crossing_of_a_vehicle_that_waits_before_the_line_is_as_uncertain_as_its_wait_is_long(ahead: float) -> None:
+    """It stops 1.2 m before the line for 10 s, and its receiver errs by `ahead` metres to the front."""
+    plant = Plant(COMMON)
+    plant.register(7)
+    _, _, heading = place(lane_of(plant.plaza, "n2"), 0.0)
+    error = (COMMON[0] + ahead * cos(heading), COMMON[1] + ahead * sin(heading))
+    plant.drive(replace(CAR, error=error, start=-201.2, acceleration=-1.0), until=30.0)
+    started = replace(CAR, error=error, speed=0.0, acceleration=2.0, start=-1.2, since=30.0)
+    plant.drive(started, since=30.0, until=45.0)
+    charged = plant.passages[-1]
+    assert charged.state is PassageState.CHARGED
+    assert charged.crossing_ns is not None and charged.crossing_sd_s is not None
+    late_s = 30.0 + 1.2**0.5 - (charged.crossing_ns - START_NS) * 1e-9
+    assert abs(late_s) < 3.0 * charged.crossing_sd_s
+    passing = Plant(COMMON)
+    passing.register(7)
+    passing.drive(CAR, until=20.0)
+    assert (passing.passages[-1].crossing_sd_s or 1.0) < 0.1
+
+
+def test_the_crossing_of_a_vehicle_that_was_silent_is_as_uncertain_as_the_silence_is_long() -> None:
+    """It stops 20 m before the line, is silent from then on for 15 s, and sends again behind the exit line."""
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(replace(CAR, start=-220.0, acceleration=-1.0), until=20.0)
+    started = replace(CAR, speed=0.0, acceleration=3.0, start=-20.0, since=29.0)
+    plant.drive(started, since=35.0, until=38.0)
+    charged = plant.passages[-1]
+    assert charged.state is PassageState.CHARGED
+    assert charged.crossing_ns is not None and charged.crossing_sd_s is not None
+    error_s = 29.0 + (40.0 / 3.0) ** 0.5 - (charged.crossing_ns - START_NS) * 1e-9
+    assert 1.0 < abs(error_s) < 2.0 * charged.crossing_sd_s
+
+
+def test_a_restart_in_a_queue_does_not_give_a_passage_to_the_vehicle_behind() -> None:
+    """The follower, 7 m behind and not yet at the approach line, is received first after the restart."""
+    plant = Plant(COMMON)
+    plant.register(7, 8)
+    leader = replace(CAR, start=-199.0, speed=0.8)
+    follower = replace(leader, station_id=8, start=-206.0)
+    plant.drive(leader, follower, until=3.0)
+    (stored,) = plant.passages
+    fixes, plant.core = plant.core, plant.new_core()
+    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=())))
+    plant.drive(follower, since=4.5, until=4.6)
+    plant.drive(follower, leader, since=4.6, until=6.0)
+    assert [one.station_ids for one in plant.passages] == [(7,)]
+    newest = [one for one in plant.said if isinstance(one, TollPassage)][-1]
+    assert (newest.passage_id, newest.station_ids) == (stored.passage_id, (7,))
+
+
+def test_a_restart_while_the_vehicle_waits_on_the_line_loses_no_charge() -> None:
+    """The position of the ledger's statement is 0.6 m behind the line, where a passage is still open."""
+    plant = Plant(COMMON)
+    plant.register(7)
+    plant.drive(replace(CAR, start=-199.4, acceleration=-1.0), until=25.0)
+    stored = next(one for one in reversed(plant.said) if isinstance(one, TollPassage))
+    assert stored.state is PassageState.OPEN and stored.crossing_ns is None
+    fixes, plant.core = plant.core, plant.new_core()
+    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=())))
+    plant.drive(replace(CAR, start=0.6, speed=0.0, acceleration=2.0, since=26.0), since=26.0, until=40.0)
     assert plant.states == ["open", "crossed", "charged"]
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from cli.papers.toll.lane_decisions import ROWS, gauss_markov, simulate
 from services.core.toll.delta import Delta, DeltaEstimator, ErrorModel
-from services.core.toll.lanes import LaneGeometry, probability_of_own_lane
+from services.core.toll.lanes import LaneGeometry, lane_likelihood
 
 SECOND_NS = 10**9
 
@@ -25,7 +25,13 @@ def estimator(model: ErrorModel | None = None) -> DeltaEstimator:
     ],
 )  # fmt: skip
 def test_a_centred_vehicle_is_in_its_lane_as_often_as_the_reference_says(sd: float, percent: float) -> None:
-    assert isclose(100.0 * probability_of_own_lane(sd, 3.5), percent, abs_tol=0.01)
+    """The share of the normal distribution of positions for which its lane of three is the most probable one."""
+    measured = np.linspace(-8.0 * sd, 8.0 * sd, 40_001)
+    left = measured[:, None] - np.array([-3.5, 0.0, 3.5])
+    prior = np.full_like(left, 1.0 / 3.0)
+    in_own_lane = lane_likelihood(left, np.full_like(left, sd**2), prior).argmax(axis=1) == 1
+    density = np.exp(-0.5 * (measured / sd) ** 2)
+    assert isclose(100.0 * float(density[in_own_lane].sum() / density.sum()), percent, abs_tol=0.02)
 
 
 def test_the_delta_is_the_surveyed_position_minus_the_fix() -> None:

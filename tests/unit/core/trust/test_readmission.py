@@ -157,9 +157,13 @@ def test_a_dead_inertial_monitor_keeps_gnss_excluded() -> None:
         ({"excluded_test_ratio": None}, False),
         ({"excluded_test_ratio": 1.2, "solution": replace(DEAD_RECKONING, protection_level_horizontal_m=10.1)}, True),
         ({"excluded_test_ratio": 1.2, "solution": replace(DEAD_RECKONING, protection_level_vertical_m=20.1)}, True),
+        (
+            {"excluded_test_ratio": 200.0, "solution": replace(DEAD_RECKONING, protection_level_horizontal_m=10.1)},
+            False,
+        ),
     ],
 )
-def test_positions_that_contradict_a_solution_within_the_alert_limit_do_not_agree(
+def test_positions_that_contradict_the_solution_without_gnss_do_not_agree(
     changes: dict[str, object], agrees: bool
 ) -> None:
     assert judge_gnss(replace(facts(), **changes))[1] is agrees  # type: ignore[arg-type]

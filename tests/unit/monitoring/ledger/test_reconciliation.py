@@ -40,6 +40,18 @@ def test_a_charge_explains_no_detection_of_another_lane() -> None:
     assert match([Pulse(1, "n1", 0)], [Crossing(7, 0, 0.2, "n2", {"n1": 0.004, "n2": 0.995})], **LIMITS) == {}
 
 
+def test_an_undecided_crossing_leaves_a_charge_the_only_pulse_that_explains_it() -> None:
+    pulses = [Pulse(1, "n1", 0), Pulse(2, "n2", 0)]
+    undecided = Crossing(7, 20_000_000, 0.05, None, {"n1": 0.6, "n2": 0.4})
+    charged = Crossing(8, 150_000_000, 0.05, "n1", {"n1": 0.995})
+    assert match(pulses, [undecided, charged], **LIMITS) == {1: 8, 2: 7}
+
+
+@pytest.mark.parametrize(("sd_s", "found"), [(0.5, {}), (3.0, {1: 7})])
+def test_a_crossing_is_sought_within_three_of_its_standard_deviations(sd_s: float, found: dict[int, int]) -> None:
+    assert match([Pulse(1, "n3", 8 * NS)], [Crossing(7, 0, sd_s, "n3", {"n3": 1.0})], **LIMITS) == found
+
+
 def test_at_most_one_pulse_and_one_crossing_belong_together_whatever_their_order() -> None:
     rng = np.random.default_rng(5)
     pulses = [Pulse(n, f"n{rng.integers(1, 3)}", int(rng.integers(0, 20 * NS))) for n in range(40)]

@@ -1,8 +1,10 @@
 """Receivers over time, and why a satellite is not used."""
 
 import math
+from pathlib import Path
 
 import pytest
+from pydantic_core import from_json, to_json
 
 from services.monitoring.status.gnss_history import (
     SATELLITES_MAXIMUM,
@@ -12,16 +14,23 @@ from services.monitoring.status.gnss_history import (
     correction_of,
     kind_of,
 )
-from services.monitoring.status.views.gnss import why_not_used
+from services.monitoring.status.history_file import HistoryFile
+from services.monitoring.status.state import State
+from services.monitoring.status.views.gnss import gnss, why_not_used
 from shared.messages.gnss import (
     CarrierSolution,
     Constellation,
     FixType,
     GnssFix,
+    GnssRawEpoch,
     GnssSatellites,
+    GnssSignal,
+    GnssSignals,
+    RawMeasurement,
     Satellite,
     SignalQuality,
 )
+from tests.support.envelopes import sent
 
 NS = 1_000_000_000
 TRACKED = Satellite(
@@ -54,6 +63,34 @@ def test_each_cause_has_its_own_reason(changes: dict[str, object], reason: str) 
     satellite = TRACKED.model_copy(update=changes)
     assert reason in (why_not_used(satellite, math.radians(10)) or "")
     assert why_not_used(satellite.model_copy(update={"used": True}), math.radians(10)) is None
+
+
+def rows_of(*messages: GnssSatellites | GnssSignals | GnssRawEpoch, second: int = 1) -> dict[str, list[object]]:
+    """Satellites of the view with their signals."""
+    state = State("bench", (), 0, 900.0)
+    for message in messages:
+        state.gnss.note(message, second * NS)
+    shown = from_json(to_json(gnss(state, NS)))
+    return {row["name"]: row["signals"] for row in shown["receivers"][0]["satellites"]}
+
+
+def test_each_signal_has_its_own_use_and_reason_and_replaces_the_raw_measurement() -> None:
+    stamps = {"sampled_ns": NS, "received_ns": NS, "source": "gnss0"}
+    sky = GnssSatellites.model_validate({**stamps, "satellites": (TRACKED.model_copy(update={"used": True}),)})
+    l1 = GnssSignal(
+        constellation=Constellation.GPS, number=7, signal="1C", cn0_db_hz=44.0, quality=SignalQuality.CARRIER_LOCKED,
+        healthy=True, pseudorange_used=True, carrier_phase_used=True, doppler_used=True, corrected=False,
+    )  # fmt: skip
+    l2 = l1.model_copy(update={"signal": "2L", "quality": SignalQuality.UNUSABLE, "pseudorange_used": False})
+    signals = GnssSignals.model_validate({**stamps, "signals": (l1, l2)})
+    measured = RawMeasurement(constellation=Constellation.GPS, number=7, signal="5Q", cn0_db_hz=39.0)
+    raw = GnssRawEpoch.model_validate({**stamps, "gps_time_ns": NS, "measurements": (measured,)})
+    used = {"band": "L1", "cn0_db_hz": 44.0, "used": True, "reason": None}
+    unused = {"band": "L2", "cn0_db_hz": 44.0, "used": False, "reason": "signal detected, but not usable"}
+    assert rows_of(sky, raw, signals) == {"G07": [used, unused]}
+    assert rows_of(signals) == {"G07": [used, unused]}, "a receiver that states signals only"
+    assert rows_of(sky, raw) == {"G07": [{"band": "L5", "cn0_db_hz": 39.0, "used": None, "reason": None}]}
+    assert rows_of(sky) == {"G07": []}
 
 
 def test_an_unknown_mask_is_no_reason() -> None:
@@ -96,6 +133,25 @@ def test_the_time_to_first_fix_is_measured_from_the_first_message_without_positi
         history.note(found, second * NS)
     receiver = history.receivers["gnss0"]
     assert (receiver.waited_since_ns, receiver.first_position_ns) == (0, 26 * NS)
+
+
+def test_tracks_and_bands_are_those_of_before_a_restart_with_the_pause_between(tmp_path: Path) -> None:
+    first, file = State("bench", (), 0, 900.0), HistoryFile(tmp_path / "kept.jsonl")
+    for second in range(1, 121):
+        turned = TRACKED.model_copy(update={"azimuth_rad": math.radians(second)})
+        sky = GnssSatellites(sampled_ns=0, received_ns=0, source="gnss0", satellites=(turned,))
+        located = fix(differential=second > 60, correction_age_s=1.0 if second > 60 else None)
+        for message in (located, sky):
+            first.receive(sent(message, second * NS))
+    file.append(first.unsaved())
+    restarted = State("bench", (), 150 * NS, 900.0)
+    assert restarted.restore(file.read()) == 0
+    before, after = first.gnss.receivers["gnss0"], restarted.gnss.receivers["gnss0"]
+    assert [(ns // NS, azimuth) for ns, _, azimuth in after.tracks["gps", 7]] == [(1, 1), (31, 31), (61, 61), (91, 91)]
+    assert after.tracks == before.tracks
+    for changes in (before.fixes, after.fixes):
+        assert list(changes.until(150 * NS)) == [(NS, "three_d"), (61 * NS, "differential"), (125 * NS, "no_data")]
+    assert list(after.corrections.until(121 * NS)) == [(NS, "none"), (61 * NS, "fresh")]
 
 
 def test_tracks_have_a_point_every_half_minute_and_all_of_it_is_bounded() -> None:

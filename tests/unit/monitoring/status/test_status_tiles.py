@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from services.monitoring.status.web.tiles import BadMap, describe, read_tile
-from tests.support.tile_files import _address, write_mbtiles, write_pmtiles
+from tests.support.tile_files import tile_at, write_mbtiles, write_pmtiles
 
 LATITUDE_DEG, LONGITUDE_DEG = 48.1351, 11.5820
 
@@ -26,7 +26,7 @@ def test_an_mbtiles_file_is_described_and_its_rows_are_counted_from_the_south(tm
     found = describe(path)
     assert (found.container, found.tiles, found.attribution) == ("mbtiles", "mvt", "© test mappers")
     assert "transportation" in found.layers
-    x, y = _address(14, LATITUDE_DEG, LONGITUDE_DEG)
+    x, y = tile_at(14, LATITUDE_DEG, LONGITUDE_DEG)
     phi = radians(LATITUDE_DEG)  # the form of the formula that OpenStreetMap's wiki gives
     assert y == int((1.0 - log(tan(phi) + 1.0 / cos(phi)) / pi) / 2.0 * 2**14)
     data = read_tile(path, 14, x, y)

@@ -14,14 +14,21 @@ from pyubx2.ubxmessage import UBXMessage
 
 from services.parsers.gnss.process import Config, Process
 from shared.messages.base import Message
-from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw, GnssSatellites, GnssSignalQuality
+from shared.messages.gnss import (
+    CarrierSolution,
+    FixType,
+    GnssFix,
+    GnssRaw,
+    GnssSatellites,
+    GnssSignalQuality,
+    GnssSignals,
+)
 from tests.support.data import recording
 
 NS = 1_000_000_000
 MS = 1_000_000
 START_NS = 1_767_225_600 * NS  # 2026-01-01 00:00:00
 ITOW_MS = 4 * 86_400_000 + 18_000  # the same instant: a Thursday
-CHAIN = ("PVT", "DOP", "COV")
 
 
 def ubx(kind: str, itow_ms: int, **fields: Any) -> bytes:
@@ -179,14 +186,18 @@ def test_an_invalid_message_is_counted_and_the_rest_of_the_epoch_is_used() -> No
     assert process.rejects == {"ubx_covariance": 1}
 
 
-def test_satellites_have_the_stamp_of_their_epoch_in_any_order_of_arrival() -> None:
+def test_satellites_and_signals_have_the_stamp_of_their_epoch_in_any_order_of_arrival() -> None:
+    sig = bytes(UBXMessage("NAV", "NAV-SIG", 0, iTOW=ITOW_MS, numSigs=1, gnssId_01=2, svId_01=7, sigId_01=6, cno_01=40,
+                           prUsed_01=1).serialize())  # fmt: skip
     sat = bytes(UBXMessage("NAV", "NAV-SAT", 0, iTOW=ITOW_MS, version=1, numSvs=1, gnssId_01=2, svId_01=7, cno_01=40,
                            elev_01=30, azim_01=90, svUsed_01=1).serialize())  # fmt: skip
-    for data in (pvt() + sat + eoe(), pvt() + eoe() + sat):
+    for data in (sig + pvt() + sat + eoe(), pvt() + eoe() + sat + sig):
         messages = feed(Process(Config()), data)
         (fix,), (satellites,) = fixes(messages), [m for m in messages if isinstance(m, GnssSatellites)]
         assert satellites.sampled_ns == fix.sampled_ns
         assert satellites.satellites[0].number == 7
+        (signals,) = [m for m in messages if isinstance(m, GnssSignals)]
+        assert (signals.sampled_ns, signals.signals[0].signal) == (fix.sampled_ns, "7Q")
 
 
 def test_the_stamp_is_the_time_of_the_epoch() -> None:

@@ -14,7 +14,7 @@ from pyubx2.ubxreader import UBXReader
 
 from services.parsers.gnss import ubx_messages
 from services.parsers.gnss.framer import Framer, Protocol
-from shared.messages.gnss import CarrierSolution, Constellation, FixType, SignalQuality
+from shared.messages.gnss import CarrierSolution, Constellation, FixType, GnssSignal, SignalQuality
 from tests.support.data import recording
 
 RECORDINGS = (
@@ -124,6 +124,58 @@ def test_every_recorded_nav_sat_is_decoded_as_by_pyubx2(folder: str, name: str) 
             assert satellite.orbit_known == (getattr(theirs, f"orbitSource_{i:02}") > 0)
 
 
+def matches_pyubx2(ours: tuple[GnssSignal, ...], theirs: Any) -> bool:
+    """Compare the signals of UBX-NAV-SIG one by one."""
+
+    def fields(i: int) -> list[Any]:
+        names = ("svId", "cno", "prUsed", "crUsed", "doUsed", "prCorrUsed", "health")
+        return [getattr(theirs, f"{name}_{i:02}") for name in names]
+
+    health = {None: 0, True: 1, False: 2}
+    codes = ubx_messages.SIGNALS
+    return len(ours) == theirs.numSigs and all(
+        [one.number, one.cn0_db_hz or 0, one.pseudorange_used, one.carrier_phase_used, one.doppler_used, one.corrected,
+         health[one.healthy]] == fields(i)
+        and one.quality is tuple(SignalQuality)[min(getattr(theirs, f"qualityInd_{i:02}"), 5)]
+        and (one.residual_m is None or math.isclose(one.residual_m, getattr(theirs, f"prRes_{i:02}"), abs_tol=1e-9))
+        and codes.get((getattr(theirs, f"gnssId_{i:02}"), getattr(theirs, f"sigId_{i:02}"))) == one.signal
+        for i, one in enumerate(ours, 1)
+    )  # fmt: skip
+
+
+def test_signals_written_by_pyubx2_are_decoded() -> None:
+    payload = encode(
+        "NAV-SIG", iTOW=1000, version=0, numSigs=2, gnssId_01=0, svId_01=7, sigId_01=3, prRes_01=-1.5, cno_01=41,
+        qualityInd_01=7, health_01=1, prUsed_01=1, crUsed_01=1, doUsed_01=1, prCorrUsed_01=1,
+        gnssId_02=2, svId_02=11, sigId_02=6, cno_02=0, qualityInd_02=1,
+    )  # fmt: skip
+    first, second = ubx_messages.decode_signals(payload)
+    assert first == GnssSignal(
+        constellation=Constellation.GPS, number=7, signal="2L", cn0_db_hz=41.0, quality=SignalQuality.CARRIER_LOCKED,
+        healthy=True, residual_m=-1.5, pseudorange_used=True, carrier_phase_used=True, doppler_used=True,
+        corrected=True,
+    )  # fmt: skip
+    assert second == GnssSignal(
+        constellation=Constellation.GALILEO, number=11, signal="7Q", quality=SignalQuality.SEARCHING,
+        pseudorange_used=False, carrier_phase_used=False, doppler_used=False, corrected=False,
+    )  # fmt: skip
+
+
+@pytest.mark.recording
+@pytest.mark.parametrize(
+    ("folder", "name", "least"),
+    [
+        ("gpsd_receiver_logs", "ublox-zed-f9r.log", 30),
+        ("gpsd_receiver_logs", "ublox-glo.log", 30),
+        ("pyubx2_logs", "pygpsdata-ALL.log", 1),
+    ],
+)
+def test_every_recorded_nav_sig_is_decoded_as_by_pyubx2(folder: str, name: str, least: int) -> None:
+    pairs = messages(recording(folder) / name, "SIG")
+    assert len(pairs) >= least
+    assert all(matches_pyubx2(ubx_messages.decode_signals(payload), theirs) for payload, theirs in pairs)
+
+
 @pytest.mark.recording
 def test_recorded_dop_and_high_precision_are_decoded_by_the_interface_description() -> None:
     path = recording("gpsd_receiver_logs") / "ublox-zed-f9p-hp.log"
@@ -209,13 +261,11 @@ def test_every_field_of_nav_hpposllh_is_decoded_with_its_unit() -> None:
     assert unknown.vertical_sd_m is None
 
 
-@pytest.mark.parametrize("kind", ["EOE", "DOP", "SAT"])
+@pytest.mark.parametrize("kind", ["EOE", "DOP", "SAT", "SIG"])
 def test_a_time_of_week_beyond_the_week_is_rejected(kind: str) -> None:
     def itow_ms(value: int) -> int:
         payload = struct.pack("<I14x", value)
-        return (
-            ubx_messages.satellites_itow_ms(payload) if kind == "SAT" else int(ubx_messages.parse(kind, payload).iTOW)
-        )
+        return ubx_messages.itow_ms(payload) if kind in ("SAT", "SIG") else int(ubx_messages.parse(kind, payload).iTOW)
 
     assert itow_ms(604_799_999) == 604_799_999
     with pytest.raises(ubx_messages.UbxError, match="time_of_week"):
@@ -275,6 +325,7 @@ def test_any_payload_is_decoded_or_raises_ubx_error(kind: str, payload: bytes) -
         "COV": decode_covariance,
         "HPPOSLLH": decode_high_precision,
         "SAT": ubx_messages.decode_satellites,
+        "SIG": ubx_messages.decode_signals,
         "RELPOSNED": lambda data: ubx_messages.decode_baseline(ubx_messages.parse("RELPOSNED", data)),
         "EOE": lambda data: ubx_messages.parse("EOE", data).iTOW,
     }

@@ -57,12 +57,12 @@ def test_velocities_and_range_rates_are_the_derivatives_of_positions_and_distanc
 def test_without_noise_the_offset_gives_the_range_rate_back_once_the_oscillators_are_known() -> None:
     world = World(BY_NAME["urban"], 2, DEFAULT_START_NS, Equipment(neighbours=6))
     states = [message for _, message in islice(world, 30_000) if isinstance(message, NeighbourStates)]
-    motion = Vehicle(BY_NAME["urban"], 2, world._step_ns * 1e-9).advance(100 * len(states)).motion
+    motion = Vehicle(BY_NAME["urban"], 2, world.step_ns * 1e-9).advance(100 * len(states)).motion
     traffic = Traffic(BY_NAME["urban"], 2, 6)
     common = []
     for k, one in enumerate(states, 1):
         here = Geodetic(*motion.position[100 * k].tolist())
-        cars: tuple[Car, ...] = traffic.at(100 * k * world._step_ns * 1e-9)
+        cars: tuple[Car, ...] = traffic.at(100 * k * world.step_ns * 1e-9)
         for car, said in zip(cars, one.neighbours, strict=True):
             assert car.station_id == said.station_id and said.cfo_hz is not None and said.oscillator_offset is not None
             measured = range_rate_from_cfo(said.cfo_hz, said.oscillator_offset, 0.0)

@@ -106,6 +106,19 @@ def test_nav_sat_lists_the_satellites() -> None:
     assert parse_ubx(ubx_encoder.nav_eoe(now)).iTOW == sat.iTOW == now.itow_ms
 
 
+def test_nav_sig_lists_two_signals_of_each_satellite_and_uses_the_satellites_of_nav_sat() -> None:
+    now = epoch(carrier="fixed")
+    sig = parse_ubx(ubx_encoder.nav_sig(now))
+    rows = range(1, sig.numSigs + 1)
+    first, second = ([n for n in rows if n % 2 == parity] for parity in (1, 0))
+    assert (sig.iTOW, sig.numSigs) == (now.itow_ms, 2 * len(now.sky.number))
+    assert sum(getattr(sig, f"prUsed_{n:02d}") for n in first) == now.satellites_used
+    signals = {(getattr(sig, f"gnssId_{n:02d}"), getattr(sig, f"sigId_{n:02d}")) for n in rows}
+    assert signals == {(0, 0), (0, 3), (2, 0), (2, 6), (3, 0), (3, 2), (6, 0), (6, 2)}
+    assert all(getattr(sig, f"cno_{n:02d}") <= getattr(sig, f"cno_{n - 1:02d}") for n in second)
+    assert all(getattr(sig, f"crUsed_{n:02d}") == getattr(sig, f"prUsed_{n:02d}") for n in rows)
+
+
 def test_the_calendar_time_of_an_epoch_has_its_milliseconds() -> None:
     assert epoch().utc == datetime(2026, 9, 21, 14, 13, 21, 200_000, tzinfo=UTC)
 

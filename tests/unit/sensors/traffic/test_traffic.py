@@ -151,7 +151,7 @@ def test_vehicles_do_not_run_into_each_other_and_stop_before_a_barrier() -> None
         if due_ns > START_NS + 40 * NS:
             break
         for lane in PLAZA.lanes:
-            queue = [v for v in world._lanes[lane.name] if v.path.turn is None]
+            queue = [v for v in world.queues[lane.name] if v.path.turn is None]
             gaps = [a.distance - a.length - b.distance for a, b in pairwise(queue)]
             assert min(gaps, default=1.0) > 0.0
             stopped += sum(v.speed < 0.1 and 0.0 < v.gate - v.distance < 4.0 for v in queue)

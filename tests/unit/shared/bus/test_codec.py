@@ -167,7 +167,7 @@ def test_not_a_number_cannot_be_put_into_a_message() -> None:
 
 def test_a_process_cannot_speak_for_another() -> None:
     health = ProcessHealth(process="core.fusion", state=ProcessState.READY, incarnation=1, sent_ns=2)
-    with pytest.raises(BadPayload, match="speaks for"):
+    with pytest.raises(BadPayload, match="carries a message of"):
         codec.decode("health/parsers.gnss", codec.encode(health))
 
 

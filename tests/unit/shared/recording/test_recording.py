@@ -355,4 +355,4 @@ def test_without_a_summary_a_lost_chunk_takes_the_channels_with_it_that_begin_in
     found, problems = read(tmp_path / "a.mcap")
 
     assert found == other
-    assert problems[-1] == "40 messages could not be rebuilt"
+    assert problems[-1] == "40 messages could not be decoded"

@@ -154,7 +154,7 @@ def test_the_ten_frames_of_the_test_system_decode_to_what_tshark_shows() -> None
     seen, ours = dissect_file(capture), packets(capture)
     assert len(seen) == len(ours) == 10
     for frame, (_, packet) in zip(seen, ours, strict=True):
-        content, generation_delta_time = cam.decode_content(geonetworking.decode_payload(packet))
+        content, generation_delta_time = cams.decode_content(geonetworking.decode_payload(packet))
         shown = codes(frame)
         assert generation_delta_time == frame.number("cam.generationDeltaTime")
         assert content.station_id == shown["station_id"] == 10143

@@ -17,7 +17,7 @@ TEST_SYSTEM = bytes.fromhex("02020000279fed2d4059f35a60ce2dc3ad800200200030d41e0
 
 
 def test_the_test_systems_cam_decodes_to_what_it_states_and_encodes_to_the_same_bytes() -> None:
-    content, generation_delta_time = cam.decode_content(TEST_SYSTEM)
+    content, generation_delta_time = cams.decode_content(TEST_SYSTEM)
     assert generation_delta_time == 60717
     assert (content.station_id, content.station_type) == (10143, StationType.PASSENGER_CAR)
     assert (content.latitude_deg, content.longitude_deg) == (43.554663, 10.30419)
@@ -35,7 +35,7 @@ def test_a_cam_of_another_implementation_decodes_to_what_others_read_in_it() -> 
     payload = bytes.fromhex(
         "02020000D900B1E74059D824554CC4C2D79FFFFFFC2230D41E58622FC0000082B88A800FFD01FFF8807FE013C0400009FFFF7FFFD8CE00"
     )
-    content, generation_delta_time = cam.decode_content(payload)
+    content, generation_delta_time = cams.decode_content(payload)
     assert (content.station_id, generation_delta_time) == (55552, 45543)
     assert content.station_type is StationType.PASSENGER_CAR
     assert (content.latitude_deg, content.longitude_deg) == (42.128017, -8.622778)
@@ -48,7 +48,7 @@ def test_a_cam_of_another_implementation_decodes_to_what_others_read_in_it() -> 
 @settings(max_examples=100, deadline=None)
 @given(cams.contents(), st.integers(0, 65535))
 def test_a_cam_with_values_on_the_grid_of_its_codes_survives_encoding(content: CamContent, time_ms: int) -> None:
-    decoded, decoded_time_ms = cam.decode_content(cam.encode(content, time_ms))
+    decoded, decoded_time_ms = cams.decode_content(cam.encode(content, time_ms))
     assert decoded_time_ms == time_ms
     assert_equal(decoded.model_dump(), content.model_dump())
 
@@ -114,7 +114,7 @@ def decoded_with(path: str, code: int) -> CamContent:
     record = cam.specification().decode("CAM", TEST_SYSTEM)
     part, name = path.split(".")
     parts(record)[part][name] = code
-    return cam.decode_content(cam.specification().encode("CAM", record))[0]
+    return cams.decode_content(cam.specification().encode("CAM", record))[0]
 
 
 @pytest.mark.parametrize(("path", "element", "legal", "missing"), ELEMENTS, ids=[row[1] for row in ELEMENTS])
@@ -152,7 +152,7 @@ def test_values_beyond_the_range_of_their_code_are_saturated_and_not_unavailable
             "longitudinal_acceleration_m_s2": -50.0,
         }
     )
-    decoded, _ = cam.decode_content(cam.encode(fast, 0))
+    decoded, _ = cams.decode_content(cam.encode(fast, 0))
     assert decoded.speed_m_s == 163.82
     assert decoded.height_ellipsoid_m == 8000.0
     assert decoded.yaw_rate_rad_s == pytest.approx(math.radians(327.66))
@@ -172,7 +172,7 @@ def test_a_confidence_is_rounded_up_and_too_large_a_one_is_out_of_range() -> Non
             "yaw_rate_confidence_rad_s": math.radians(0.11),
         }
     )
-    decoded, _ = cam.decode_content(cam.encode(content, 0))
+    decoded, _ = cams.decode_content(cam.encode(content, 0))
     assert (decoded.position_semi_major_m, decoded.position_out_of_range) == (None, True)
     assert decoded.position_semi_minor_m == 1.24
     assert decoded.speed_confidence_m_s is None
@@ -184,7 +184,7 @@ def test_a_confidence_is_rounded_up_and_too_large_a_one_is_out_of_range() -> Non
 
 def test_a_position_that_cannot_be_trusted_is_sent_with_its_code_whatever_the_ellipse_says() -> None:
     untrusted = cams.BRAKING.model_copy(update={"position_out_of_range": True})
-    decoded, _ = cam.decode_content(cam.encode(untrusted, 0))
+    decoded, _ = cams.decode_content(cam.encode(untrusted, 0))
     assert decoded.position_out_of_range
     assert decoded.position_semi_major_m is None
     assert decoded.latitude_deg == cams.BRAKING.latitude_deg
@@ -192,7 +192,7 @@ def test_a_position_that_cannot_be_trusted_is_sent_with_its_code_whatever_the_el
 
 def test_a_heading_just_below_a_full_turn_is_north() -> None:
     turned = cams.BRAKING.model_copy(update={"heading_rad": math.radians(359.97)})
-    assert cam.decode_content(cam.encode(turned, 0))[0].heading_rad == 0.0
+    assert cams.decode_content(cam.encode(turned, 0))[0].heading_rad == 0.0
 
 
 def test_extensions_of_a_later_version_are_skipped() -> None:
@@ -213,13 +213,13 @@ def test_extensions_of_a_later_version_are_skipped() -> None:
     record["cam"]["camParameters"]["basicContainer"]["n"] = 123_456_789
     extended = later.encode("CAM", record)
     assert len(extended) > len(TEST_SYSTEM) + 50
-    assert cam.decode_content(extended) == cam.decode_content(TEST_SYSTEM)
+    assert cams.decode_content(extended) == cams.decode_content(TEST_SYSTEM)
 
 
 def test_a_station_type_without_a_name_is_other() -> None:
     record = cam.specification().decode("CAM", TEST_SYSTEM)
     record["cam"]["camParameters"]["basicContainer"]["stationType"] = 200
-    assert cam.decode_content(cam.specification().encode("CAM", record))[0].station_type is StationType.OTHER
+    assert cams.decode_content(cam.specification().encode("CAM", record))[0].station_type is StationType.OTHER
 
 
 @pytest.mark.parametrize(
@@ -249,7 +249,7 @@ def test_a_truncated_cam_is_rejected(length: int) -> None:
 @given(st.binary(max_size=300))
 def test_random_bytes_behind_a_valid_header_are_decoded_or_rejected_and_never_more(tail: bytes) -> None:
     try:
-        content, _ = cam.decode_content(TEST_SYSTEM[:8] + tail)
+        content, _ = cams.decode_content(TEST_SYSTEM[:8] + tail)
     except RejectedFrame as error:
         assert error.reason == "uper"
     else:
@@ -263,6 +263,6 @@ def test_flipped_bits_are_decoded_or_rejected_and_never_more(places: list[tuple[
     for (place,) in places:
         damaged[place // 8] ^= 1 << place % 8
     try:
-        cam.decode_content(bytes(damaged))
+        cams.decode_content(bytes(damaged))
     except RejectedFrame as error:
         assert error.reason == "uper"

@@ -65,6 +65,12 @@ def test_white_errors_are_hardly_ever_taken_for_others() -> None:
             assert not errors.follows
 
 
+def test_residuals_of_the_first_ten_seconds_are_no_evidence() -> None:
+    drawn = residuals(0.9, 300, 1)
+    assert taught(UNKNOWN, drawn[:50]).white == taught(UNKNOWN, drawn[:1]).white
+    assert taught(UNKNOWN, drawn).follows
+
+
 def test_without_velocities_nothing_changes() -> None:
     assert not UNKNOWN.follows and UNKNOWN.white == 1.0
     assert UNKNOWN_POSITIONS.following(False) is UNKNOWN_POSITIONS

@@ -76,7 +76,7 @@ def error_m(made: Navigator) -> float:
 
 
 def filter_of(made: Navigator) -> ErrorStateFilter:
-    inside = made._oosm.engine.filter  # what it has learnt of the vehicle is not published
+    inside = made.engine.filter  # what it has learnt of the vehicle is not published
     assert inside is not None
     return inside
 

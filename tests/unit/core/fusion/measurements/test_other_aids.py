@@ -154,7 +154,7 @@ def test_a_barometer_holds_the_height_without_gnss() -> None:
     assert sd < 1.0 < 0.5 * without_sd
     heights = told(outcomes, AidingKind.BAROMETRIC_HEIGHT)
     assert len(heights) > 80 and np.mean([o.used for o in heights]) > 0.97
-    filtered = made._oosm.engine.filter
+    filtered = made.engine.filter
     assert filtered is not None
     offset_sd = float(filtered.P[em.BAROMETER_OFFSET, em.BAROMETER_OFFSET]) ** 0.5
     assert abs(filtered.parameter(em.BAROMETER_OFFSET) - OFFSET_M) < 3.0 * offset_sd < 5.0

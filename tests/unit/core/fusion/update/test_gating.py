@@ -236,7 +236,7 @@ def test_a_sound_receiver_is_hardly_ever_refused(seed_settings: dict[str, object
 @cache
 def filter_that_trusts_lasting_errors() -> ErrorStateFilter:
     """It knows its place to 0.2 m, and has learned that errors of 3 m last for 200 s."""
-    inside = run(Fault(0.0)).navigator._oosm.engine.filter
+    inside = run(Fault(0.0)).navigator.engine.filter
     assert inside is not None
     evidence = UNKNOWN.evidence.copy()
     evidence[:, HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0

@@ -10,13 +10,12 @@ RTCM 10403.3, tables 3.5-21, 3.5-102, 3.5-78, 3.5-82 and 3.5-87.
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from services.core.cooperative.broadcast.ephemeris import Ephemeris
+from services.core.cooperative.broadcast.galileo_inav import NO_ACCURACY, accuracy_m
+from services.core.cooperative.broadcast.gps_lnav import URA_M, nearest_ns
+from services.core.cooperative.measurements import Constellation, Measurement, RawEpoch, SatelliteId
 from shared.maths.gnss_signals import L1_FREQUENCY, SPEED_OF_LIGHT
 from shared.maths.navigation_words import GPS_PI
-
-from ..measurements import Constellation, Measurement, RawEpoch, SatelliteId
-from .ephemeris import Ephemeris
-from .galileo_inav import NO_ACCURACY, accuracy_m
-from .gps_lnav import URA_M, nearest_ns
 
 MS_NS = 1_000_000
 LIGHT_MS_M = SPEED_OF_LIGHT * 1e-3  # [m] in a millisecond
@@ -64,11 +63,11 @@ def read_rtcm(messages: Iterable[Any], near_ns: int) -> tuple[list[Ephemeris], l
             constellation, time = MEASUREMENTS[kind]
             seconds, milliseconds = divmod(getattr(message, time), 1000)
             time_ns = nearest_ns(seconds, near_ns) + milliseconds * MS_NS
-            epochs.setdefault(time_ns, []).extend(_measurements(message, constellation))
+            epochs.setdefault(time_ns, []).extend(measurements_of(message, constellation))
     return ephemerides, [RawEpoch(time_ns, tuple(measured)) for time_ns, measured in epochs.items()]
 
 
-def _measurements(message: Any, constellation: Constellation) -> Iterator[Measurement]:
+def measurements_of(message: Any, constellation: Constellation) -> Iterator[Measurement]:
     """Pseudorange c (N + rough + fine) and range-rate rough + fine of each satellite's signal on L1 or E1."""
     rough = {
         getattr(message, f"PRN_{k:02d}"): tuple(getattr(message, f"DF{field}_{k:02d}") for field in (397, 398, 399))

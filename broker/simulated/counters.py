@@ -8,7 +8,7 @@ log = logging.getLogger(__name__)
 LOG_PERIOD_S = 1.0
 
 
-class Tally:
+class Counters:
     """Counts by kind."""
 
     def __init__(self) -> None:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from .topics import is_filter, matches, overlap
+from .topic_filters import is_filter, matches, overlap
 
 READS = frozenset(("read", "readwrite"))
 WRITES = frozenset(("write", "readwrite"))

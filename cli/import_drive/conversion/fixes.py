@@ -6,12 +6,12 @@ import numpy as np
 
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
 
-from . import units
+from ..mapping import units
+from ..mapping.schema import Accuracy, Angle, Gnss, Quality, Scalar, Truth
+from ..readers.table import Table
 from .positions import positions_of, velocities_of
 from .quantities import Rows, as_ned, degrees_of, triples
-from .schema import Accuracy, Angle, Gnss, Quality, Scalar, Truth
 from .stamps import Stamps
-from .table import Table
 
 QUALITIES = {
     "fixed": (CarrierSolution.FIXED, True),

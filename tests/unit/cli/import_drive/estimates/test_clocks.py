@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from cli.import_drive.clocks import offset_of, shifted
-from cli.import_drive.mapping import parse_mapping
+from cli.import_drive.estimates.clocks import offset_of, shifted
+from cli.import_drive.mapping.mapping import parse_mapping
 from shared.errors import UserError
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.gnss import FixType, GnssFix

@@ -5,9 +5,9 @@ import numpy as np
 from shared.maths.earth import FloatArray
 from shared.messages.base import Vector3
 
-from . import units
-from .schema import Coordinate, Height
-from .table import Table
+from ..mapping import units
+from ..mapping.schema import Coordinate, Height
+from ..readers.table import Table
 
 AXES = {"n": (0, 1.0), "e": (1, 1.0), "d": (2, 1.0), "u": (2, -1.0)}
 Rows = list[Vector3]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paho.mqtt.client import topic_matches_sub
 
-from broker.simulated.topics import is_filter, is_name, matches, overlap
+from broker.simulated.topic_filters import is_filter, is_name, matches, overlap
 
 names = st.lists(st.sampled_from(["a", "b", "", "$x"]), min_size=1, max_size=5).map("/".join).filter(bool)
 filters = (

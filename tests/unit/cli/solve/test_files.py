@@ -1,10 +1,9 @@
 import csv
 import math
-import xml.etree.ElementTree as ET
 
 import pytest
 
-from cli.solve.report.export import HEADER, KML_POINTS, csv_lines, kml_text
+from cli.solve.files import HEADER, KML_POINTS, csv_lines, kml_points
 from tests.support.tracks import START_NS, solution, track
 
 
@@ -19,19 +18,18 @@ def test_the_csv_has_every_column_with_unknown_values_empty() -> None:
     assert all(math.isfinite(float(value)) for name, value in rows[1].items() if name != "phase")
 
 
-def test_the_kml_is_xml_with_the_track_in_longitude_latitude_order() -> None:
-    made = track(solution(0.1 * k) for k in range(30))
-    root = ET.fromstring(kml_text(made, "a <drive> & more"))
-    space = {"k": "http://www.opengis.net/kml/2.2"}
-    assert root.findtext("k:Document/k:name", namespaces=space) == "a <drive> & more"
-    text = root.findtext(".//k:coordinates", namespaces=space)
-    assert text is not None
-    points = [tuple(map(float, point.split(","))) for point in text.split()]
-    assert points[0][:2] == pytest.approx((solution(0.0).longitude_deg, solution(0.0).latitude_deg), abs=1e-8)
-    assert points[-1][:2] == pytest.approx((solution(2.9).longitude_deg, solution(2.9).latitude_deg), abs=1e-8)
+def test_the_kml_points_are_those_of_the_track_with_their_stamps() -> None:
+    points = kml_points(track(solution(0.1 * k) for k in range(30)))
+    assert len(points) == 30 and points[-1].time_ns == START_NS + 2_900_000_000
+    for point, time_s in ((points[0], 0.0), (points[-1], 2.9)):
+        expected = solution(time_s)
+        assert point.latitude_deg == pytest.approx(expected.latitude_deg, abs=1e-9)
+        assert point.longitude_deg == pytest.approx(expected.longitude_deg, abs=1e-9)
+        assert point.height_ellipsoid_m == pytest.approx(300.0)
 
 
 def test_the_number_of_points_of_the_kml_is_bounded() -> None:
     made = track([solution(0.0)])
     many = type(made)(made.stamps_ns.repeat(90_001), made.phases * 90_001, made.values.repeat(90_001, axis=0))
-    assert kml_text(many, "long").count(",300.00") <= KML_POINTS + 1
+    assert len(kml_points(many)) <= KML_POINTS + 1
+    assert kml_points(track([])) == []

@@ -1,6 +1,6 @@
 import pytest
 
-from cli.recordings.replaying import inputs_among, shifted
+from cli.recordings.device_data import inputs_among, shifted
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message

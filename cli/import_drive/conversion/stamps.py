@@ -5,9 +5,9 @@ import numpy.typing as npt
 
 from shared.maths.earth import FloatArray
 
-from . import units
-from .schema import TableFile
-from .table import Table
+from ..mapping import units
+from ..mapping.schema import TableFile
+from ..readers.table import Table
 
 Stamps = npt.NDArray[np.int64]
 

@@ -5,12 +5,12 @@ from collections.abc import Iterator
 from shared.maths.earth import FloatArray
 from shared.messages.navigation import TruthState
 
-from . import units
+from ..mapping import units
+from ..mapping.schema import Truth
+from ..readers.table import Table
 from .positions import angles_of, positions_of, velocities_of
 from .quantities import triples
-from .schema import Truth
 from .stamps import Stamps
-from .table import Table
 
 
 def true_states(spec: Truth, table: Table, sampled: Stamps) -> Iterator[TruthState]:

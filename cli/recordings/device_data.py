@@ -1,4 +1,4 @@
-"""Which messages of a recording stand for its devices, and how their stamps move to another time."""
+"""Selects the messages of a recording that replace its devices, and shifts their stamps."""
 
 import re
 from collections.abc import Collection
@@ -14,7 +14,7 @@ STAMPS = ("received_ns", "sampled_ns")
 
 
 def inputs_among(recorded: Collection[str]) -> frozenset[str]:
-    """Choose the topics to play: bytes of the devices, and measurements only where their bytes are missing."""
+    """Topics to publish: bytes of the devices, and measurements only where their bytes are missing."""
     present = [topic for topic in measurements() if topic.name in recorded]
     raw = {topic.name for topic in present if topic.is_raw}
     derived = {made.name for name in raw for consumer in _row(name).consumers for made in publications(consumer)}
@@ -22,7 +22,7 @@ def inputs_among(recorded: Collection[str]) -> frozenset[str]:
 
 
 def shifted(envelope: Envelope, shift_ns: int) -> Message:
-    """Give a message with its stamps moved."""
+    """Copy a message with its stamps shifted."""
     message = envelope.decode()
     values: dict[str, Any] = {name: getattr(message, name) for name in STAMPS if hasattr(message, name)}
     moved = {
@@ -35,7 +35,7 @@ def shifted(envelope: Envelope, shift_ns: int) -> Message:
 
 
 def _shifted_candump(lines: bytes, shift_ns: int) -> bytes:
-    """Move the times in front of the frames of a candump log, to the digits that they have."""
+    """Shift the times of the lines of a candump log, with their number of digits."""
 
     def move(match: re.Match[bytes]) -> bytes:
         digits = len(match[2])

@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from shared.maths.earth import FloatArray, Geodetic, ecef_from_geodetic, geodetic_from_ecef, ned_from_ecef
 
-from . import units
+from ..mapping import units
+from ..mapping.schema import Positioned, Quaternion, Velocity
+from ..readers.table import Table
 from .quantities import as_ned, degrees_of, heights
-from .schema import Positioned, Quaternion, Velocity
-from .table import Table
 
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])

@@ -10,7 +10,7 @@ from shared.maths.earth import FloatArray
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
 
-from .quantities import triples
+from ..conversion.quantities import triples
 
 LEAST_CORRELATION = 0.5  # of the forward acceleration with the changes of speed
 LEAST_STEPS = 30

@@ -3,9 +3,9 @@ import math
 
 import pytest
 
-from cli.import_drive.convert import Converted, convert, wanted_columns
-from cli.import_drive.mapping import parse_mapping
-from cli.import_drive.table import read_table
+from cli.import_drive.conversion.convert import Converted, convert, wanted_columns
+from cli.import_drive.mapping.mapping import parse_mapping
+from cli.import_drive.readers.table import read_table
 from shared.errors import UserError
 from shared.messages.gnss import CarrierSolution, GnssFix
 from shared.messages.imu import ImuSamples

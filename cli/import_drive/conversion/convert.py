@@ -14,12 +14,12 @@ from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 
-from . import units
+from ..mapping import units
+from ..mapping.schema import Force, Gnss, Gyroscope, Imu, Rate, Speed, TableFile, Truth, Velocity, Wheels
+from ..readers.table import Table
 from .fixes import fixes, usable_fixes
 from .quantities import triples
-from .schema import Force, Gnss, Gyroscope, Imu, Rate, Speed, TableFile, Truth, Velocity, Wheels
 from .stamps import Stamps, stamped
-from .table import Table
 from .truth import true_states
 
 MAXIMUM_IMU_MESSAGES_HZ = 100.0  # samples at higher rates are batched, as on the bus

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from cli.solve.metrics.errors import errors_against
 from cli.solve.metrics.integrity import INTEGRITY, Protected, Region, integrity_metrics, protected
 from cli.solve.metrics.metrics import METRICS
-from cli.solve.report.plots import WIDTH_IN
+from cli.solve.report.drawing import WIDTH_IN
 from cli.solve.report.stanford import HEIGHT_IN, draw, stanford
 from shared.messages.navigation import NavigationSolution
 from tests.support.tracks import reference, solution, track

@@ -1,4 +1,4 @@
-"""One life of a process done again: fed in the order in which it was, and compared with what it said then."""
+"""Repeats one incarnation of a process: feeds its inputs in the journal's order, and compares its messages."""
 
 import heapq
 from collections import deque
@@ -17,12 +17,12 @@ from shared.topics import topic_of
 
 PATIENCE_NS = 5_000_000_000  # QoS 1 may overtake QoS 0 on the way to the recorder by less than this
 
-Key = tuple[str, str, int, int]  # topic, producer, life, running number
+Key = tuple[str, str, int, int]  # topic, producer, incarnation, sequence
 Output = tuple[str, bytes]  # topic, and payload without sender
 
 
 class Verdict(StrEnum):
-    """How a repeated life compares with the recorded one."""
+    """How a repeated incarnation compares with the recorded one."""
 
     IDENTICAL = "identical"
     DIFFERENT = "different"
@@ -32,41 +32,41 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Run:
-    """Neighbouring messages of one producer, in the order consumed."""
+    """Consecutive messages of one producer, in the order consumed."""
 
     topic: str
     producer: str
-    life: int
+    incarnation: int
     first: int
     count: int
-    told_ns: int  # when the journal said so
+    journal_ns: int  # arrival of the journal that holds the run
 
 
 class Repetition:
-    """Feeds a fresh process what the journal says, and holds its words against the recorded ones.
+    """Feeds a new process the messages named by the journal, and compares its messages with the recorded ones.
 
-    A word that is missing in the recording is seen by the gap in the running numbers, and is skipped
-    in the repetition as well: at most as many as the gap is wide.
+    A gap in the sequence of the recorded messages shows that some are missing; as many of the repeated messages are
+    skipped at most.
     """
 
-    def __init__(self, name: str, life: int, process: Reactor, find: Callable[[Key], Envelope | None]) -> None:
-        self.name, self.life = name, life
+    def __init__(self, name: str, incarnation: int, process: Reactor, find: Callable[[Key], Envelope | None]) -> None:
+        self.name, self.incarnation = name, incarnation
         self.consumed = self.compared = self.unrecorded = 0
         self.reason: str | None = None
         self._process, self._find = process, find
         self._runs: deque[Run] = deque()
         self._rebuilt: deque[Output] = deque()
         self._recorded: list[tuple[int, int, Envelope | None]] = []
-        self.lively = False  # said something that a broker does not keep
+        self.running = False  # has published a message that is not retained
         self._known: set[int] = set()
-        self._restored: set[int] = set()  # words of its own that it consumed: what it had saved in another life
+        self._restored: set[int] = set()  # own messages that it consumed: saved by an earlier incarnation
         self._last_sequence = self._journal_ns = 0
-        self._gap = self._spare = 0  # numbers that are not recorded: since the last word, and before
+        self._gap = self._spare = 0  # sequence numbers that are not recorded: since the last message, and before
         self._failed = False
 
     @property
     def verdict(self) -> Verdict:
-        """Judge what was compared so far."""
+        """Result of the comparison so far."""
         if self._failed:
             return Verdict.DIFFERENT
         if self.reason:
@@ -74,32 +74,32 @@ class Repetition:
         return Verdict.IDENTICAL if self._journal_ns else Verdict.NO_JOURNAL
 
     def add_journal(self, consumed: Consumed, received_ns: int) -> None:
-        """Take the next part of the order of consumption."""
-        self._runs.extend(Run(*run, told_ns=received_ns) for run in consumed.runs)
+        """Append the next part of the order of consumption."""
+        self._runs.extend(Run(*run, journal_ns=received_ns) for run in consumed.runs)
         self._journal_ns = received_ns
 
-    def add_word(self, envelope: Envelope, *, compare: bool) -> bool:
-        """Take a message of the recorded life; what its runtime says only fills the running numbers.
+    def add_message(self, envelope: Envelope, *, compare: bool) -> bool:
+        """Add a recorded message of the incarnation; those of its runtime are counted, not compared.
 
-        Tells whether it is new: after a reconnection the recorder gets retained messages twice.
+        Returns whether it is new: after a reconnection the recorder receives retained messages twice.
         """
         if envelope.sequence <= self._last_sequence or envelope.sequence in self._known:
             return False
         self._known.add(envelope.sequence)
         heapq.heappush(self._recorded, (envelope.sequence, envelope.received_ns, envelope if compare else None))
         row = topic_of(envelope.topic)
-        self.lively = self.lively or (row is not None and not row.retain)
+        self.running = self.running or (row is not None and not row.retain)
         return True
 
     def advance(self, now_ns: int, *, last: bool = False) -> None:
-        """Feed what is there and compare what is due."""
+        """Feed the inputs that are available and compare the messages that are due."""
         if self.reason:
             return
         self._feed(now_ns, last=last)
         while self._recorded and not self.reason and (last or self._recorded[0][1] <= now_ns - 2 * PATIENCE_NS):
             self._compare()
         if last and not self.reason and len(self._rebuilt) > self._gap:
-            self._differs(f"now says {len(self._rebuilt)} words more, first {self._rebuilt[0][0]}")
+            self._differs(f"{len(self._rebuilt)} additional messages, first {self._rebuilt[0][0]}")
 
     def _feed(self, now_ns: int, *, last: bool) -> None:
         while self._runs:
@@ -110,11 +110,11 @@ class Repetition:
                 continue
             message = self._input(run)
             if message is None:
-                if last or now_ns - run.told_ns > PATIENCE_NS:
+                if last or now_ns - run.journal_ns > PATIENCE_NS:
                     self.reason = f"it consumed {run.topic} {run.first} of {run.producer}, which is not recorded"
                 return
             self._runs.popleft()
-            if (run.producer, run.life) == (self.name, self.life):
+            if (run.producer, run.incarnation) == (self.name, self.incarnation):
                 self._restored.add(run.first)
             if run.count > 1:
                 self._runs.appendleft(replace(run, first=run.first + 1, count=run.count - 1))
@@ -123,61 +123,61 @@ class Repetition:
 
     def _input(self, run: Run) -> Message | None:
         if run.topic == "tick":
-            return Tick(now_ns=run.life)
-        envelope = self._find((run.topic, run.producer, run.life, run.first))
+            return Tick(now_ns=run.incarnation)
+        envelope = self._find((run.topic, run.producer, run.incarnation, run.first))
         try:
             return None if envelope is None else envelope.decode()
         except BadPayload:
             return None
 
     def _keep(self, work: Callable[[], Iterable[Message]]) -> None:
-        """Let the process work, and keep what it says."""
+        """Run the process, and keep its messages."""
         try:
             for message in work():
                 self._rebuilt.append((codec.topic_name(message), codec.encode(message)))
-        except Exception as error:  # noqa: BLE001  # what a process dies of is what we are here to tell
-            self._failed, self.reason = True, f"now it ends by {type(error).__name__}: {error}"
+        except Exception as error:  # noqa: BLE001  # the error that ends a process is a result
+            self._failed, self.reason = True, f"it now ends by {type(error).__name__}: {error}"
             self._runs.clear()
 
     def _compare(self) -> None:
-        """Compare the next recorded word with the next repeated one that was not lost on the way."""
+        """Compare the next recorded message with the next repeated one, except those missing in the recording."""
         sequence, received_ns, envelope = heapq.heappop(self._recorded)
         self._known.discard(sequence)
         self._gap += sequence - self._last_sequence - 1
         self._last_sequence = sequence
         if envelope is None or sequence in self._restored:
             return
-        word = (envelope.topic, envelope.payload)
-        sender = Sender(process=self.name, incarnation=self.life, sequence=sequence)
-        while self._rebuilt and _sent(self._rebuilt[0], sender) != word and self._gap:
+        recorded = (envelope.topic, envelope.payload)
+        sender = Sender(process=self.name, incarnation=self.incarnation, sequence=sequence)
+        while self._rebuilt and _sent(self._rebuilt[0], sender) != recorded and self._gap:
             self._gap -= 1
             self.unrecorded += 1
             self._rebuilt.popleft()
-        now = _sent(self._rebuilt.popleft(), sender) if self._rebuilt else None
-        if now == word:
+        repeated = _sent(self._rebuilt.popleft(), sender) if self._rebuilt else None
+        if repeated == recorded:
             self.compared += 1
-        elif now is not None or received_ns <= self._journal_ns:
-            self._differs(f"word {sequence}: {_difference(word, now)}")
+        elif repeated is not None or received_ns <= self._journal_ns:
+            self._differs(f"message {sequence}: {_difference(recorded, repeated)}")
         self._spare, self._gap = self._spare + self._gap, 0
 
     def _differs(self, reason: str) -> None:
-        ahead = max((word[0] for word in self._recorded), default=self._last_sequence) - self._last_sequence
+        ahead = max((entry[0] for entry in self._recorded), default=self._last_sequence) - self._last_sequence
         lost = self._gap + self._spare + self.unrecorded + ahead - len(self._recorded)
-        self._failed = not lost  # a part of its journal may be among what is lost
-        self.reason = f"{lost} of its words are not recorded, then {reason}" if lost else reason
+        self._failed = not lost  # a part of its journal may be missing as well
+        self.reason = f"{lost} of its messages are not recorded, then {reason}" if lost else reason
 
 
-def _sent(word: Output, sender: Sender) -> Output:
-    return word[0], codec.signed(word[1], sender)
+def _sent(output: Output, sender: Sender) -> Output:
+    return output[0], codec.signed(output[1], sender)
 
 
 def _difference(recorded: Output, repeated: Output | None) -> str:
-    """Say where two words part."""
+    """Describe the first difference of two messages."""
     if repeated is None:
-        return f"said {recorded[0]}, now nothing"
+        return f"was {recorded[0]}, now nothing"
     if recorded[0] != repeated[0]:
-        return f"said {recorded[0]}, now {repeated[0]}"
+        return f"was {recorded[0]}, now {repeated[0]}"
     old, new = recorded[1], repeated[1]
     at = next((k for k, pair in enumerate(zip(old, new, strict=False)) if pair[0] != pair[1]), min(len(old), len(new)))
     start = max(at - 30, 0)
-    return f"{recorded[0]} byte {at}: said {old[start : at + 30]!r}, now {new[start : at + 30]!r}"
+    return f"{recorded[0]} byte {at}: was {old[start : at + 30]!r}, now {new[start : at + 30]!r}"

@@ -6,7 +6,7 @@ from operator import attrgetter
 import numpy as np
 import pytest
 
-from cli.import_drive.delay import delay_of_fixes, delay_of_reference
+from cli.import_drive.estimates.delay import delay_of_fixes, delay_of_reference
 from services.sensors.simulator.drive import simulate
 from shared.errors import UserError
 from shared.messages.gnss import FixType, GnssFix

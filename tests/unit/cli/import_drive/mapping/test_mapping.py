@@ -4,10 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.import_drive.mapping import Mapping, parse_mapping
+from cli.import_drive.mapping.mapping import Mapping, parse_mapping
 from shared.errors import UserError
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[5]
 IMU = """
 [imu]
 file = "imu.csv"

@@ -13,7 +13,7 @@ from shared.messages.navigation import NavigationState, TruthState
 from shared.runtime.config import VehicleFile
 from shared.runtime.offline import OfflineUnit
 
-from ..solve.overrides import with_settings
+from ...solve.overrides import with_settings
 
 LONGEST_S = 400.0  # of a drive, over which the filter estimates a delay
 WORST_SD_S = 0.1  # standard deviation above which the delay of fixes is not known

@@ -1,0 +1,1 @@
+"""Estimates of axes, delays and clock offsets from the data."""

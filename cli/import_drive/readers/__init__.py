@@ -1,0 +1,1 @@
+"""Readers of the formats: CSV rows, arrays, GnssLogger logs."""
