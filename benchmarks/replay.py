@@ -29,8 +29,9 @@ from tests.support.data import REPOSITORY
 
 HEAD = """# A two-hour recording in the browser
 
-Printed by `python -m benchmarks.replay` on a machine with two cores that others use too: `obu replay` of a simulated
-drive of two hours ({size_mb:.0f} MB), in Debian's Chromium without a graphics card.
+Printed by `python -m benchmarks.replay`: `obu replay` of a simulated drive of two hours ({size_mb:.0f} MB), in Debian's
+Chromium without a graphics card, on a machine with {cores} cores that others use too. Times are of a machine as busy as
+the load says, in runnable processes: above the number of cores everything waits for the others.
 
 """
 RESULTS = Path(__file__).parent / "results"
@@ -234,13 +235,15 @@ def main() -> None:
     for name in sys.argv[1:] or parts:
         with chromium() as browser:  # each part with a browser that has shown nothing yet
             found[name] = parts[name](browser)
+        found.setdefault("load", {})[name] = round(os.getloadavg()[0], 1)
         print(name, found[name], flush=True)
         file.write_text(json.dumps(found, indent=1) + "\n")
-    (RESULTS / "replay.md").write_text(HEAD.format(**found) + "\n".join(lines(found)) + "\n")
+    (RESULTS / "replay.md").write_text(HEAD.format(**found, cores=os.cpu_count()) + "\n".join(lines(found)) + "\n")
 
 
 def lines(found: Row) -> Iterator[str]:
     """Write the figures as Markdown."""
+    yield "- Load: " + ", ".join(f"{value} ({name})" for name, value in found["load"].items()) + "."
     for row in found.get("opens", ()):
         known = "with" if row["summary_known"] else "without"
         yield (
