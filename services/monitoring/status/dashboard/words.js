@@ -398,8 +398,8 @@ export const words = {
     map: "Processes by layer",
     mapNote: "Lines are topics. Layer 5 receives every topic.",
     legend: {
-      example: ["37/s", "24 ms"],
-      rate: "messages published a second",
+      example: ["n/s", "n ms"],
+      rate: "in a box: messages published a second",
       latency: "p99 latency: age of their data on arrival",
       lines: { fresh: "fresh; thicker is faster", late: "late", stale: "stale", quiet: "event-driven" },
     },
