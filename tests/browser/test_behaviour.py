@@ -424,7 +424,7 @@ def test_figures_lines_and_states_of_the_system_page_are_explained(
 ) -> None:
     page = open_page(units["normal"].address, path="system")
     layers = page.get_by_role("region", name="Processes by layer")
-    expect(layers.locator(".key-card")).to_contain_text("37/s messages published a second")
+    expect(layers.locator(".key-card")).to_contain_text("n/s in a box: messages published a second")
     expect(layers.locator(".key-card .lines li")).to_have_text(
         ["fresh; thicker is faster", "late", "stale", "event-driven"]
     )
