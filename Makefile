@@ -9,11 +9,11 @@ PORT ?= 8080
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture clean
+.PHONY: help setup demo test check slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture bench-replay clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(VENV)/.installed $(VENV)/.dashboard ## install what the unit needs into $(VENV)
 
@@ -109,11 +109,14 @@ starts: setup ## switch on anywhere in simulated drives: how soon the heading is
 v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
 	@$(PYTHON) -m benchmarks.v2x
 
+bench-replay: $(VENV)/.debian ## measure a two-hour recording in the browser: opening, scrubber, memory (half an hour)
+	@$(PYTHON) -m benchmarks.replay
+
 golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
 	@$(PYTHON) -m tests.support.golden
 
-picture: $(VENV)/.debian ## take the README's picture anew from a running demo
-	@$(PYTHON) docs/picture.py
+picture: $(VENV)/.debian ## take the pictures of every page anew from running demos (ten minutes)
+	@$(PYTHON) -m docs.picture
 
 clean: ## remove what set-up and runs have made
 	rm -rf $(VENV) .obu services/monitoring/status/dashboard/node_modules .pytest_cache .mypy_cache .ruff_cache

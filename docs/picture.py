@@ -1,4 +1,4 @@
-"""Takes the pictures of the dashboard from running demos: docs/dashboard.png, and every page of both roles."""
+"""Takes the pictures of the dashboard from running demos: docs/dashboard.png, and docs/pages."""
 
 import io
 import os
@@ -13,16 +13,32 @@ from pathlib import Path
 
 import httpx
 from PIL import Image
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
+
+from benchmarks.long_drive import write
 
 HERE = Path(__file__).parent
 PATIENCE_S = 120.0
 DRIVE_S = 35.0  # the speed plot and the trail fill in this time
 PAGE_S = 6.0  # a page draws itself in this time
-COLOURS = 256  # of a picture: a third of the bytes
-WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # the map, without a graphics card
-SIZES = {"": {"width": 1360, "height": 850}, "-phone": {"width": 390, "height": 844}}
-DEMOS = {"obu": (("--scenario", "urban"), "navigation/solution"), "rsu": (("--role", "rsu"), "toll/tracks")}
+SUMMARY_S = 30.0  # the summary of the earlier drive is computed in this time
+COLOURS = (256, 128, 64, 32)  # of a picture: the most that stay below `LARGEST`
+LARGEST = 150_000  # bytes
+LIMIT_MS = 120_000  # for a screenshot, in software and on a busy machine
+# The map without a graphics card; the compositor in software copies a picture where it else waits for the next frame.
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
+WIDE: ViewportSize = {"width": 1360, "height": 850}
+PHONE: ViewportSize = {"width": 390, "height": 844}
+MORE = ("now", "map")  # pages that are shown dark and on a phone as well
+EARLIER = ("20260921T141320Z_demo.mcap", 120.0)  # a drive of this length [s] for the page Recordings
+DEMOS = (  # arguments, the topic that is waited for, the pages
+    (
+        ("--scenario", "urban"),
+        "navigation/solution",
+        ("now", "map", "gnss", "charts", "trust", "recordings", "system"),
+    ),
+    (("--role", "rsu"), "toll/tracks", ("toll",)),
+)
 
 
 def main() -> None:
@@ -31,22 +47,25 @@ def main() -> None:
     if chromium is None:
         raise SystemExit("Chromium is not installed: `make picture` needs it")
     (HERE / "pages").mkdir(exist_ok=True)
-    with sync_playwright() as playwright:
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
+        earlier = write(Path(folder) / EARLIER[0], EARLIER[1])
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", *WEBGL])
-        for role, (arguments, awaited) in DEMOS.items():
-            with demo(arguments, awaited) as base:
-                photograph(browser, base, role)
+        for arguments, awaited, names in DEMOS:
+            with demo(arguments, awaited, earlier) as base:
+                photograph(browser, base, names)
         browser.close()
 
 
 @contextmanager
-def demo(arguments: tuple[str, ...], awaited: str) -> Iterator[str]:
-    """Run a demo and give the address of its dashboard when a topic has a message."""
+def demo(arguments: tuple[str, ...], awaited: str, earlier: Path) -> Iterator[str]:
+    """Run a demo with the recording of an earlier drive, and give its address when a topic has a message."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "cli", "demo", "--port", "0", *arguments]
         process = subprocess.Popen(command, env=os.environ | {"OBU_STATE": folder})
         try:
-            yield address(process, Path(folder), awaited)
+            base = address(process, Path(folder), awaited)
+            shutil.copy2(earlier, Path(folder) / "demo" / "recordings")
+            yield base
         finally:
             process.terminate()
             process.wait()
@@ -65,28 +84,35 @@ def address(process: subprocess.Popen[bytes], folder: Path, awaited: str) -> str
     raise SystemExit(f"the demo ended, or published no {awaited} in {PATIENCE_S:.0f} s")
 
 
-def photograph(browser: Browser, base: str, role: str) -> None:
-    """Open every page that the dashboard names, wide and as on a phone, in light and in dark."""
-    page = browser.new_page(viewport={"width": 1360, "height": 850}, reduced_motion="reduce")
+def photograph(browser: Browser, base: str, names: tuple[str, ...]) -> None:
+    """Open the pages, wide and light, and some of them dark and as on a phone."""
+    page = browser.new_page(viewport=WIDE, reduced_motion="reduce")
+    page.set_default_timeout(LIMIT_MS)
     page.goto(base)
     page.wait_for_timeout(DRIVE_S * 1000)
-    names = [str(link.get_attribute("href")).removeprefix("#/") for link in page.locator("nav.pages a").all()]
-    if role == "obu":
+    if "now" in names:
         keep(page, HERE / "dashboard.png")
     for name in names:
         page.goto(f"{base}/#/{name}")
-        for suffix, viewport in SIZES.items():
-            page.set_viewport_size(viewport)  # type: ignore[arg-type]  # two numbers
-            page.emulate_media(color_scheme="dark" if suffix else "light")
-            page.wait_for_timeout(PAGE_S * 1000)
-            keep(page, HERE / "pages" / f"{role}-{name}{suffix}.png")
+        for suffix, viewport in ("", WIDE), ("-dark", WIDE), ("-phone", PHONE):
+            if suffix and name not in MORE:
+                continue
+            page.set_viewport_size(viewport)
+            page.emulate_media(color_scheme="dark" if suffix == "-dark" else "light")
+            page.wait_for_timeout((SUMMARY_S if name == "recordings" else PAGE_S) * 1000)
+            keep(page, HERE / "pages" / f"{name}{suffix}.png")
+        page.set_viewport_size(WIDE)
+        page.emulate_media(color_scheme="light")
     page.close()
 
 
 def keep(page: Page, path: Path) -> None:
-    """Save a screenshot with few colours."""
-    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    """Save a screenshot with as many colours as its size allows."""
+    picture = Image.open(io.BytesIO(page.screenshot(animations="disabled"))).convert("RGB")
+    for colours in COLOURS:
+        picture.quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
+        if path.stat().st_size < LARGEST:
+            return
 
 
 if __name__ == "__main__":

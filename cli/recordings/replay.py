@@ -105,7 +105,9 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     logging.getLogger("cli.demo.supervisor").setLevel(logging.ERROR)
     try:
         _wait_for_page(supervisor, folder)
-        console.print(f"{file.name} is replayed at [bold]http://127.0.0.1:{http_port}[/]   (end with Ctrl-C)")
+        console.print(
+            f"{file.name} is replayed at [bold]http://127.0.0.1:{http_port}[/]   (end with Ctrl-C)", soft_wrap=True
+        )
         console.print(
             f"to listen: export OBU_BROKER={environment['OBU_BROKER']} OBU_VEHICLE={environment['OBU_VEHICLE']}",
             style="dim", soft_wrap=True, highlight=False,
@@ -155,17 +157,22 @@ def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Con
     inputs = inputs_of(recording)
     if not inputs.envelopes:
         raise UserError(f"{recording.path} holds no bytes of a device; record a unit with sensors or a simulator")
-    writer = RecordingWriter(path, vehicle=vehicle.name, vehicle_toml=vehicle.text)
     unit = OfflineUnit(vehicle)
-    with progress_on(console) as progress:
-        task = progress.add_task("solving", total=len(inputs.envelopes))
-        now_ns = 0
-        for count, message in enumerate(_merged(unit, inputs.messages())):
-            now_ns = max(now_ns, arrival_ns(message) or 0)
-            writer.write(_envelope(message, now_ns, count))
-            if count % 1000 == 0:
-                progress.update(task, completed=count)
-    writer.close()
+    try:
+        writer = RecordingWriter(path, vehicle=vehicle.name, vehicle_toml=vehicle.text)
+        with progress_on(console) as progress:
+            task = progress.add_task("solving", total=len(inputs.envelopes))
+            now_ns = 0
+            for count, message in enumerate(_merged(unit, inputs.messages())):
+                now_ns = max(now_ns, arrival_ns(message) or 0)
+                writer.write(_envelope(message, now_ns, count))
+                if count % 1000 == 0:
+                    progress.update(task, completed=count)
+        writer.close()
+    except OSError as error:
+        raise UserError(
+            f"cannot write {path}: {error.strerror}; make room, or set OBU_STATE to another disk"
+        ) from error
     return path
 
 

@@ -16,13 +16,14 @@ READ_AT_ONCE = 10  # summaries: the caller has other work
 
 @dataclass(frozen=True)
 class Entry:
-    """One recording; the summary is None while it is being recorded, until it is computed, and if it cannot be."""
+    """One recording; the summary is None while it is being recorded, until it is computed, and if that has failed."""
 
     name: str
     size_bytes: int
     modified_s: float  # since 1970
     kept: bool
     summary: RecordingSummary | None
+    failed: bool = False  # no summary can be computed of it
 
 
 class Library:
@@ -34,6 +35,7 @@ class Library:
         self.entries: Mapping[str, Entry] = {}
         self._worker: SummaryWorker | None = None
         self._tried: set[tuple[str, int]] = set()
+        self._trying: tuple[str, int] | None = None  # what the worker computes
         self._reads = READ_AT_ONCE
 
     def look(self, open_name: str | None) -> None:
@@ -42,17 +44,19 @@ class Library:
             self.entries, self.free_bytes = {}, None
             return
         self.free_bytes = shutil.disk_usage(self.folder).free
+        if self._worker is not None and not self._worker.running:
+            self._worker = self._trying = None
         self._reads = READ_AT_ONCE
         paths = sorted(self.folder.glob(f"*{RECORDING_SUFFIX}"), reverse=True)[:MOST]
         self.entries = {path.name: entry for path in paths if (entry := self._entry(path)) is not None}
-        if self._reads <= 0 or (self._worker is not None and self._worker.running):
+        if self._reads <= 0 or self._worker is not None:
             return
-        self._worker = None
         for entry in self.entries.values():
             key = entry.name, entry.size_bytes
             settled = entry.name != open_name and time.time() - entry.modified_s > SETTLED_S
             if entry.summary is None and settled and key not in self._tried:
                 self._tried.add(key)
+                self._trying = key
                 self._worker = SummaryWorker(self.folder / entry.name, self.folder)
                 return
 
@@ -86,6 +90,7 @@ class Library:
             return Entry(path.name, size, modified_s, kept, known.summary)
         stored = path.with_name(path.name + SUMMARY_SUFFIX)
         if self._reads <= 0 or not stored.exists():
-            return Entry(path.name, size, modified_s, kept, None)
+            failed = (path.name, size) in self._tried and (path.name, size) != self._trying
+            return Entry(path.name, size, modified_s, kept, None, failed)
         self._reads -= 1
         return Entry(path.name, size, modified_s, kept, read_summary(stored, size))

@@ -43,11 +43,15 @@ def read_summary(path: Path, size_bytes: int) -> RecordingSummary | None:
 
 
 class SummaryWorker:
-    """Computes the summary of one recording in a process of low priority, and keeps it in a folder."""
+    """Computes the summary of one recording in a process of low priority, and keeps it in a folder.
+
+    A summary that lies beside the recording is taken instead.
+    """
 
     def __init__(self, recording: Path, folder: Path) -> None:
-        self._output = folder / (recording.name + SUFFIX)
         self._size = recording.stat().st_size
+        beside = recording.with_name(recording.name + SUFFIX)
+        self._output = beside if read_summary(beside, self._size) else folder / beside.name
         self._child: subprocess.Popen[bytes] | None = None
         if read_summary(self._output, self._size) is None:
             command = [sys.executable, "-m", "shared.recording.summary", str(recording), str(self._output)]

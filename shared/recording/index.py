@@ -4,6 +4,7 @@ import struct
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 
 from mcap.opcode import Opcode
 from mcap.records import Channel
@@ -38,7 +39,7 @@ class RecordingIndex:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._channels: dict[int, Channel] = {}
-        chunks: list[tuple[Chunk, list[int]]] = []
+        chunks: list[tuple[Chunk, frozenset[int]]] = []
         for opcode, data in records(recording.summary()):
             if opcode == Opcode.CHANNEL:
                 channel = channel_of(data)
@@ -47,18 +48,20 @@ class RecordingIndex:
             elif opcode == Opcode.CHUNK_INDEX:
                 first_ns, last_ns, begin, _, length = CHUNK_INDEX.unpack_from(data)
                 table = CHANNEL_OFFSET.iter_unpack(data[CHUNK_INDEX.size : CHUNK_INDEX.size + length])
-                chunks.append((Chunk(first_ns, last_ns, begin), [channel for channel, _ in table]))
+                chunks.append((Chunk(first_ns, last_ns, begin), frozenset(channel for channel, _ in table)))
         if not chunks:
             raise BadRecording(f"{recording.path} has no index: it was not closed, or holds no message")
         chunks.sort(key=lambda entry: entry[0].first_ns)
         self.chunks = [chunk for chunk, _ in chunks]
+        self._channels_in = [numbers for _, numbers in chunks]
         self._firsts = [chunk.first_ns for chunk in self.chunks]
+        self._lasts = list(accumulate((chunk.last_ns for chunk in self.chunks), max))  # up to and with each chunk
         self._holding: dict[int, list[int]] = {number: [] for number in self._channels}  # chunks of each channel
         for place, (_, numbers) in enumerate(chunks):
             for number in numbers:
                 if number in self._holding:
                     self._holding[number].append(place)
-        self.begin_ns, self.end_ns = self._firsts[0], max(chunk.last_ns for chunk in self.chunks)
+        self.begin_ns, self.end_ns = self._firsts[0], self._lasts[-1]
         self._cache: dict[int, list[Row]] = {}
 
     @property
@@ -69,9 +72,8 @@ class RecordingIndex:
     def between(self, after_ns: int, until_ns: int, topics: Collection[str] | None = None) -> Iterator[Envelope]:
         """Yield the messages with ``after_ns < arrival <= until_ns`` in the order of the file."""
         wanted = {n for n, channel in self._channels.items() if topics is None or channel.topic in topics}
-        places = {place for number in wanted for place in self._holding[number]} if topics is not None else None
-        for place in range(bisect_right(self._firsts, until_ns)):
-            if self.chunks[place].last_ns <= after_ns or (places is not None and place not in places):
+        for place in range(bisect_right(self._lasts, after_ns), bisect_right(self._firsts, until_ns)):
+            if self.chunks[place].last_ns <= after_ns or wanted.isdisjoint(self._channels_in[place]):
                 continue
             for row in self._messages(place):
                 if after_ns < row[0] <= until_ns and row[1] in wanted and (found := self._envelope(row)) is not None:

@@ -1,22 +1,18 @@
 """A real Chromium, and a unit in each of the states that the dashboard must show well."""
 
-import os
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize
 
-from services.monitoring.status.process import DASHBOARD
+from tests.support.chromium import chromium
 from tests.support.status_server import Running, status_server
 
-AXE = DASHBOARD / "node_modules" / "axe-core" / "axe.min.js"
-# WebGL in software; pages are drawn without it, which is far faster where there is no graphics card.
-WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
 THEMES: dict[str, ViewportSize] = {
-    "light": {"width": 1440, "height": 900},
-    "dark": {"width": 1440, "height": 900},
+    "light": {"width": 1360, "height": 850},
+    "dark": {"width": 1360, "height": 850},
+    "phone-dark": {"width": 390, "height": 844},
     "phone": {"width": 390, "height": 844},
 }
 
@@ -30,21 +26,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("no Chromium here: `apt-get install chromium`")
-    if not AXE.exists():
-        pytest.skip("the browser tests' libraries are missing: `python deploy/install_dashboard.py --testing`")
-    # A name that resolves here makes the page an insecure context, as on a vehicle's own network.
-    arguments = [
-        "--host-resolver-rules=MAP obu.local 127.0.0.1",
-        *WEBGL,
-        *(["--no-sandbox"] if os.geteuid() == 0 else []),
-    ]
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=arguments)
-        yield chromium
-        chromium.close()
+    with chromium() as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +53,7 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
     contexts, errors = [], []
 
     def opener(address: str, *, theme: str = "light", path: str = "", **options: object) -> Page:
-        scheme = "dark" if theme == "dark" else "light"
+        scheme = "dark" if theme.endswith("dark") else "light"
         settings = {"viewport": THEMES[theme], "color_scheme": scheme, **options}
         context = browser.new_context(**settings)  # type: ignore[arg-type]  # the options are playwright's own
         contexts.append(context)

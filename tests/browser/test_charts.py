@@ -4,16 +4,11 @@ import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Page, ViewportSize, expect
+from playwright.sync_api import Page, expect
 
-from tests.browser.test_pages import faults, keep_picture
+from tests.browser.test_pages import judge_everywhere
 from tests.support.status_server import Running
 
-SIZES: dict[str, ViewportSize] = {
-    "light": {"width": 1360, "height": 850},
-    "dark": {"width": 1360, "height": 850},
-    "phone": {"width": 390, "height": 844},
-}
 PAGE_BYTES = 120_000
 FIRST_HEADING = {
     ("gnss", "empty"): "GNSS",
@@ -39,12 +34,7 @@ def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
     if path == "charts" and state != "empty":
         expect(page.locator(".plot canvas").first).to_be_visible(timeout=8000)
     assert sum(sizes) <= PAGE_BYTES, sum(sizes)
-    for theme, viewport in SIZES.items():
-        page.emulate_media(color_scheme="dark" if theme == "dark" else "light")
-        page.set_viewport_size(viewport)
-        keep_picture(page, f"{state}-{theme}-{path}")
-        assert faults(page) == [], theme
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), f"{theme} scrolls sideways"
+    judge_everywhere(page, f"{state}-{path}")
     assert all(url.startswith((units[state].address, "data:")) for url in requests if url != "about:blank")
 
 

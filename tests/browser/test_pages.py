@@ -12,7 +12,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from shared.messages.operation import Mode, ModeState
-from tests.browser.conftest import AXE, THEMES
+from tests.browser.conftest import THEMES
+from tests.support.chromium import AXE
 from tests.support.status_server import Running
 
 PLAIN_FRAMES = "delete window.DecompressionStream"  # so that a test can change them
@@ -31,19 +32,35 @@ SENTENCES: dict[str, str | re.Pattern[str]] = {
         "|Trust is not evaluated: core.trust has not published a verdict yet"
     ),
 }
+COLOUR_RULES = ("color-contrast", "link-in-text-block")
 FIRST_PAINT_BYTES, FIRST_PAINT_REQUESTS = 80_000, 15
 
 
-def faults(page: Page) -> list[str]:
-    """Let axe-core judge the page; only what it calls serious or critical counts."""
+def faults(page: Page, *rules: str) -> list[str]:
+    """Let axe-core judge the page, by all its rules or some; what it calls minor does not count."""
     if not page.evaluate("'axe' in window"):
         page.evaluate(AXE.read_text())
-    found: dict[str, Any] = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+    options = {"resultTypes": ["violations"], **({"runOnly": list(rules)} if rules else {})}
+    found: dict[str, Any] = page.evaluate("options => axe.run(document, options)", options)
     return [
-        f"{v['id']}: {v['nodes'][0]['html'][:160]} {v['nodes'][0].get('failureSummary', '')[:200]}"
+        f"{v['id']} ({v['impact']}): {v['nodes'][0]['html'][:160]} {v['nodes'][0].get('failureSummary', '')[:200]}"
         for v in found["violations"]
-        if v["impact"] in ("serious", "critical")
+        if v["impact"] != "minor"
     ]
+
+
+def judge_everywhere(page: Page, name: str) -> None:
+    """Hold the page to axe-core and to its width, wide and as on a phone, in light and in dark.
+
+    In dark only colours are judged: all else is as in light.
+    """
+    for theme, viewport in THEMES.items():
+        dark = theme.endswith("dark")
+        page.emulate_media(color_scheme="dark" if dark else "light")
+        page.set_viewport_size(viewport)
+        keep_picture(page, f"{name}-{theme}")
+        assert faults(page, *(COLOUR_RULES if dark else ())) == [], theme
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), f"{theme} scrolls sideways"
 
 
 def keep_picture(page: Page, name: str) -> None:
@@ -65,12 +82,7 @@ def test_a_page_is_right_accessible_and_asks_nobody_else(
     expect(banner.locator(".word")).to_have_text(WORDS[state], timeout=8000)
     expect(banner.locator(".sentence")).to_contain_text(SENTENCES[state], timeout=8000)
     expect(page.get_by_role("heading", level=2).first).to_be_visible()
-    for theme, viewport in THEMES.items():
-        page.emulate_media(color_scheme="dark" if theme == "dark" else "light")
-        page.set_viewport_size(viewport)
-        keep_picture(page, f"{state}-{theme}-{path}")
-        assert faults(page) == [], theme
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), f"{theme} scrolls sideways"
+    judge_everywhere(page, f"{state}-{path}")
     hosts = {urlsplit(url).netloc for url in requests if not url.startswith("data:")}
     assert hosts == {urlsplit(units[state].address).netloc}
 

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.conftest import THEMES
-from tests.browser.test_pages import faults, keep_picture
+from tests.browser.test_pages import judge_everywhere
 from tests.support.fake_plaza import FakePlaza
 from tests.support.status_server import Running, status_server
 
@@ -43,12 +42,7 @@ def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
     page = open_page(plazas[state].address, path="toll")
     expect(page.locator(".banner .word")).to_have_text(WORDS[state], timeout=12_000)
     expect(page.get_by_role("heading", level=2).first).to_be_visible()
-    for theme, viewport in THEMES.items():
-        page.emulate_media(color_scheme="dark" if theme == "dark" else "light")
-        page.set_viewport_size(viewport)
-        keep_picture(page, f"{state}-{theme}-toll")
-        assert faults(page) == [], theme
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), f"{theme} scrolls sideways"
+    judge_everywhere(page, f"{state}-toll")
 
 
 def test_a_road_side_unit_opens_on_its_plaza_and_has_no_pages_of_a_vehicle(

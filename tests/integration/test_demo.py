@@ -3,17 +3,19 @@
 import json
 import math
 import os
+import re
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
 import psutil
 import pytest
+from playwright.sync_api import Page, expect
 
 from shared.messages.base import Message, RawBytes
 from shared.messages.navigation import NavigationSolution
@@ -21,6 +23,8 @@ from shared.processes import Role, running
 from shared.recording import Recording
 from shared.runtime.config import load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
+from tests.support.chromium import chromium
+from tests.support.golden import record_golden_drive
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -90,6 +94,68 @@ def start_demo(folder: Path, *arguments: str) -> Demo:
         env=os.environ | {"OBU_STATE": str(folder)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     return Demo(process, port, folder / "demo")
+
+
+@pytest.fixture
+def demo(tmp_path: Path) -> Iterator[Demo]:
+    running = start_demo(tmp_path, "--broker", "mosquitto")
+    running.wait(running.all_ready, 40.0, "every process is ready")
+    yield running
+    running.process.terminate()
+    running.process.communicate(timeout=10.0)
+
+
+@pytest.mark.browser
+def test_a_drive_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
+    broken = demo.folder / "recordings" / "20200101T000000Z_broken.mcap"
+    broken.write_bytes(b"this is no recording")
+    half_a_minute = record_golden_drive(demo.folder / "recordings" / "20200102T000000Z_demo.mcap")
+    address = f"http://127.0.0.1:{demo.port}"
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(f"{address}/#/recordings")
+        ours = page.locator(".recording", has_text="being recorded")
+        short = page.locator(".recording", has=page.get_by_role("button", name=f"Delete {half_a_minute.name}"))
+        short.get_by_role("button", name="Replay").click()
+        opens = page.get_by_role("link", name="Open the replay")
+        expect(opens).to_be_visible(timeout=40_000)
+        expect(ours.get_by_role("button", name="Solve")).to_be_disabled()
+        second = httpx.post(f"{address}/api/recordings", json={"action": "solve", "name": broken.name}, timeout=5.0)
+        assert (second.status_code, second.json()["detail"]) == (409, "another job runs; stop it first")
+        with page.expect_popup() as popup:
+            opens.click()
+        replay_and_scrub(popup.value)
+        page.get_by_role("button", name="Stop").click()
+        job = page.locator(".job")
+        expect(job).to_contain_text("has ended", timeout=15_000)
+        short.get_by_role("button", name="Solve").click()
+        expect(job).to_contain_text("runs")
+        report = short.get_by_role("link", name="Report")
+        expect(report).to_be_visible(timeout=60_000)
+        expect(job).to_contain_text(re.compile("has ended.*Wrote .*report.html"), timeout=10_000)
+        with page.expect_popup() as popup:
+            report.click()
+        expect(popup.value.get_by_role("heading", level=1)).to_be_visible()
+        page.locator(".recording", has_text="broken").get_by_role("button", name="Solve").click()
+        expect(job).to_contain_text("is no recording, not even a damaged one", timeout=20_000)
+        expect(job).to_contain_text("failed")
+        expect(page.locator(".recording", has_text="broken")).to_contain_text("cannot be read", timeout=20_000)
+
+
+def replay_and_scrub(page: Page) -> None:
+    """Pause, choose a speed and drag to a position: the page shows recorded time as a replay."""
+    expect(page.locator(".origin")).to_contain_text("REPLAY", timeout=15_000)
+    page.get_by_role("button", name="Pause the replay").click()
+    expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
+    page.get_by_label("Speed of the replay").select_option("10")
+    scrubber = page.get_by_role("slider")
+    scrubber.fill("12")
+    expect(page.locator(".replay-time")).to_contain_text("0:12 of")
+    held = page.locator(".replay-time").inner_text()
+    page.wait_for_timeout(500)
+    assert page.locator(".replay-time").inner_text() == held
+    page.get_by_role("button", name="Play", exact=True).click()
+    expect(page.locator(".replay-time")).to_contain_text(re.compile("0:(1[5-9]|[2-5])"))
 
 
 def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Path) -> None:

@@ -16,9 +16,11 @@ from shared.messages.base import Message, RawBytes
 from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
 from shared.messages.vehicle import CanRaw
+from shared.recording import RecordingWriter
 from shared.runtime.config import load_vehicle
 from shared.runtime.offline import OfflineUnit
 from tests.support.data import REPOSITORY
+from tests.support.envelopes import sent
 
 FOLDER = REPOSITORY / "tests" / "golden"
 VEHICLE = REPOSITORY / "deploy" / "vehicles" / "simulated.toml"
@@ -42,6 +44,16 @@ def device_bytes(folder: Path = FOLDER) -> Iterator[RawBytes]:
             data = files[name][taken[name] : taken[name] + int(length)]
             taken[name] += len(data)
             yield FILES[name](received_ns=int(received_ns), source=source, data=data)
+
+
+def record_golden_drive(path: Path) -> Path:
+    """Write the stored bytes into a recording."""
+    vehicle = load_vehicle(VEHICLE)
+    writer = RecordingWriter(path, vehicle=vehicle.name, vehicle_toml=vehicle.text)
+    for sequence, message in enumerate(device_bytes()):
+        writer.write(sent(message, message.received_ns, "sensors.simulator", 1, sequence))
+    writer.close()
+    return path
 
 
 def results() -> Iterator[Message]:

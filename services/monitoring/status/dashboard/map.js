@@ -198,7 +198,7 @@ function Picture({ installed, network, afresh, theme, hidden, ids, colourBy, onV
       if (description?.container === "pmtiles") await loadArchiveReader(found);
       if (gone) return;
       const start = firstCamera(now.place, network);
-      made = new MapView(found, box.current, { theme, description, camera: start, placed: Boolean(lastCamera || now.place), latitude: start.center[1], handlers });
+      made = new MapView(found, box.current, { theme, title: w.canvas, description, camera: start, placed: Boolean(lastCamera || now.place), latitude: start.center[1], handlers });
       await made.ready;
       if (gone) return;
       afresh.current = true;

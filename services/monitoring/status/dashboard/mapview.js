@@ -17,14 +17,14 @@ const still = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 const slice = (columns, from) => Object.fromEntries(Object.entries(columns).map(([name, values]) => [name, values.slice(from)]));
 
 export class MapView {
-  constructor(library, box, { theme, description, camera, placed, latitude, handlers }) {
+  constructor(library, box, { theme, title, description, camera, placed, latitude, handlers }) {
     this.library = library;
     this.handlers = handlers;
     this.drawn = 0; // rows of the track that are in the source "track"
     this.markers = {};
     this.placed = placed;
     this.map = new library.Map({
-      container: box, style: makeStyle(theme, description, latitude), attributionControl: false, maxZoom: 24, maxPitch: 0, dragRotate: true,
+      container: box, style: makeStyle(theme, description, latitude), attributionControl: false, locale: { "Map.Title": title }, maxZoom: 24, maxPitch: 0, dragRotate: true,
       pitchWithRotate: false, fadeDuration: 0, ...camera,
     });
     this.map.addControl(new library.ScaleControl({ maxWidth: 130, unit: "metric" }));

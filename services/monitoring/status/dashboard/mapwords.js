@@ -1,6 +1,7 @@
 // Every word of the page Map.
 export const w = {
   title: "Map",
+  canvas: "Map: arrow keys move it, plus and minus zoom", // the name of the picture itself, which is another landmark than its card
   zoomIn: "Zoom in",
   zoomOut: "Zoom out",
   follow: "Follow",

@@ -1,8 +1,8 @@
 // The page that most people open: where the vehicle is, how well that is known, and what the sources say.
-import { useEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, history, isLive, isOld, link, nowMs, settings, state } from "./store.js";
+import { useEffect, useState } from "preact/hooks";
+import { brokerAnswers, clock, history, isLive, isOld, link, nowMs, state } from "./store.js";
 import {
-  Age, Band, Card, Empty, Row, STATUS_STATE, StateIcon, bandsOf, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, timeOfDay,
+  Age, Band, Card, Empty, Row, STATUS_STATE, StateIcon, bandsOf, checksNow, compass, degrees, duration, fixed, html, metres, percent, seconds, themeName, timeOfDay, usePlot,
 } from "./parts.js";
 import { CloseUp, scene } from "./closeup.js";
 import { words } from "./words.js";
@@ -115,18 +115,6 @@ function ServicesCard() {
   </${Card}>`;
 }
 
-let library = null;
-function loadPlot() {
-  library ??= new Promise((resolve, reject) => {
-    const script = document.createElement("script");
-    script.src = "/lib/uplot.js";
-    script.onload = () => resolve(window.uPlot);
-    script.onerror = reject;
-    document.head.append(script);
-  });
-  return library;
-}
-
 const SERIES = [["fused", "speed_fused_m_s", []], ["gnss", "speed_gnss_m_s", [8, 4]], ["odometer", "speed_odometer_m_s", [2, 3]]];
 
 function plotData() {
@@ -151,24 +139,7 @@ function plotOptions(size) {
 }
 
 function Plot({ theme }) {
-  const box = useRef(null);
-  const plot = useRef(null);
-  useEffect(() => {
-    let gone = false;
-    const element = box.current;
-    const size = () => ({ width: Math.max(element.clientWidth, 120), height: Math.max(element.clientHeight, 120) });
-    const observer = new ResizeObserver(() => plot.current?.setSize(size()));
-    loadPlot().then((Library) => {
-      if (gone) return;
-      plot.current = new Library(plotOptions(size()), plotData(), element);
-      observer.observe(element);
-    }, () => {});
-    return () => {
-      gone = true;
-      observer.disconnect();
-      plot.current?.destroy();
-    };
-  }, [theme]);
+  const [box, plot] = usePlot(theme, (Library, size, element) => new Library(plotOptions(size), plotData(), element));
   useEffect(() => plot.current?.setData(plotData()));
   return html`<div class="plot" ref=${box}></div>`;
 }
@@ -182,8 +153,6 @@ function SpeedCard() {
   const t = words.speed;
   const [table, setTable] = useState(false);
   state.value;
-  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
-  const theme = settings.value.theme === "auto" ? (dark ? "dark" : "light") : settings.value.theme;
   const values = SERIES.map(([name, field]) => [name, t[name], newest(field)]);
   const any = SERIES.some(([, field]) => history.fields[field]?.some((v) => v != null));
   const told = values.map(([, label, v]) => `${label} ${v === null ? words.topics.stale : `${v.toFixed(1)} ${t.unitName}`}`).join(", ");
@@ -193,7 +162,7 @@ function SpeedCard() {
     ${!any ? html`<${Empty} title=${t.empty} />`
       : table ? html`<div class="scroll" tabindex="0" role="region" aria-label=${t.title}><table class="plain"><thead><tr><th scope="col">${t.time}</th>${values.map(([, label]) => html`<th scope="col">${label}, ${t.unit}</th>`)}</tr></thead>
           <tbody>${rows.map(([ns, i]) => html`<tr><th scope="row">${timeOfDay(ns / 1e6)}</th>${SERIES.map(([, f]) => html`<td>${fixed(history.fields[f]?.[i] == null ? null : history.fields[f][i] * KMH, 1)}</td>`)}</tr>`)}</tbody></table></div>`
-      : html`<div role="img" aria-label=${t.label(told)}><${Plot} theme=${theme} /></div>`}
+      : html`<div role="img" aria-label=${t.label(told)}><${Plot} theme=${themeName()} /></div>`}
     <ul class="legend">${values.map(([name, label, v]) => html`<li><span class="key ${name}"></span><span>${label}</span><strong>${fixed(v, 1)}</strong><span class="dim">${t.unit}</span></li>`)}</ul>
   </${Card}>`;
 }

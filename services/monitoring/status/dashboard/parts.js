@@ -2,7 +2,7 @@
 import { h } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import htm from "htm";
-import { ageS, clock, connected, freshness, isLive, link, paused, state } from "./store.js";
+import { ageS, clock, connected, freshness, isLive, link, paused, settings, state } from "./store.js";
 import { words } from "./words.js";
 
 export const html = htm.bind(h);
@@ -193,4 +193,45 @@ export function Band({ bands, nowNs }) {
   return html`<div class="band" role="img" aria-label=${words.trustCard.label(listed)}>
     ${bands.map((b) => html`<span class="segment ${b.state}" title=${words.trust[b.state]} style=${{ left: share(b.from - nowNs + SPAN_S * 1e9), width: share(b.to - b.from) }}></span>`)}
   </div>`;
+}
+
+export function themeName() {
+  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+  return settings.value.theme === "auto" ? (dark ? "dark" : "light") : settings.value.theme;
+}
+
+let library = null; // uPlot, from the first plot on
+function loadPlot() {
+  library ??= new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = "/lib/uplot.js";
+    script.onload = () => resolve(window.uPlot);
+    script.onerror = reject;
+    document.head.append(script);
+  });
+  return library;
+}
+
+// References to a box and to the plot that fills it; `make(Library, size, box)` draws it anew for another shape.
+export function usePlot(shape, make) {
+  const box = useRef(null);
+  const plot = useRef(null);
+  useEffect(() => {
+    let gone = false;
+    const element = box.current;
+    const size = () => ({ width: Math.max(element.clientWidth, 120), height: Math.max(element.clientHeight, 120) });
+    const observer = new ResizeObserver(() => plot.current?.setSize(size()));
+    loadPlot().then((Library) => {
+      if (gone) return;
+      plot.current = make(Library, size(), element);
+      observer.observe(element);
+    }, () => {});
+    return () => {
+      gone = true;
+      observer.disconnect();
+      plot.current?.destroy();
+      plot.current = null;
+    };
+  }, [shape]);
+  return [box, plot];
 }

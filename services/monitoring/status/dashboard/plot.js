@@ -1,8 +1,7 @@
 // A chart of lines over time; all charts of a page share the cursor. Drawn by uPlot, which is loaded when it is needed.
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect } from "preact/hooks";
 import { signal } from "@preact/signals";
-import { settings } from "./store.js";
-import { html } from "./parts.js";
+import { html, themeName, usePlot } from "./parts.js";
 
 export const cursor = signal(null); // index of the sample under the cursor, in all charts
 
@@ -18,18 +17,6 @@ export const STYLES = [
   { colour: "--soft", dash: [], width: 1.5 },
 ];
 export const LIMIT_STYLE = { colour: "--mark-unsafe", dash: [6, 4], width: 1.75 };
-
-let library = null;
-export function loadPlot() {
-  library ??= new Promise((resolve, reject) => {
-    const script = document.createElement("script");
-    script.src = "/lib/uplot.js";
-    script.onload = () => resolve(window.uPlot);
-    script.onerror = reject;
-    document.head.append(script);
-  });
-  return library;
-}
 
 const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800];
 const clockText = (s) => new Date(s * 1000).toISOString().slice(11, 19);
@@ -69,42 +56,21 @@ export function short(v, digits = 6) {
   return String(+v.toPrecision(Math.max(digits, Math.floor(Math.log10(Math.abs(v) || 1)) + 3)));
 }
 
-function themeName() {
-  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
-  return settings.value.theme === "auto" ? (dark ? "dark" : "light") : settings.value.theme;
-}
-
 export function Plot({ time, lines, columns, label, axisLabel, span }) {
-  const box = useRef(null);
-  const plot = useRef(null);
-  const theme = themeName();
-  const shape = `${theme} ${axisLabel} ${lines.map((l) => l.key).join()}`;
   const data = [time, ...columns];
-  const range = () => {
+  const range = (plot) => {
     const last = time.at(-1) ?? 1;
-    plot.current?.setScale("x", { min: last - span, max: last });
+    plot?.setScale("x", { min: last - span, max: last });
   };
-  useEffect(() => {
-    let gone = false;
-    const element = box.current;
-    const size = () => ({ width: Math.max(element.clientWidth, 120), height: Math.max(element.clientHeight, 120) });
-    const observer = new ResizeObserver(() => plot.current?.setSize(size()));
-    loadPlot().then((Library) => {
-      if (gone) return;
-      plot.current = new Library(options(size(), lines, axisLabel), data, element);
-      range();
-      observer.observe(element);
-    }, () => {});
-    return () => {
-      gone = true;
-      observer.disconnect();
-      plot.current?.destroy();
-      plot.current = null;
-    };
-  }, [shape]);
+  const shape = `${themeName()} ${axisLabel} ${lines.map((l) => l.key).join()}`;
+  const [box, plot] = usePlot(shape, (Library, size, element) => {
+    const made = new Library(options(size, lines, axisLabel), data, element);
+    range(made);
+    return made;
+  });
   useEffect(() => {
     plot.current?.setData(data, false);
-    range();
+    range(plot.current);
   }, [time, shape]);
   // Arrow keys move the cursor of all charts.
   const moved = (event) => {

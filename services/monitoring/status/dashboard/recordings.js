@@ -51,11 +51,11 @@ function Recording({ r, allowed, job, run }) {
   return html`<li class="recording">
     <svg viewBox="-3 -3 106 66" role="img" aria-label=${s?.outline ? w.outline : w.noOutline}>${s?.outline && html`<path d=${s.outline} />`}</svg>
     <div class="recording-text"><h3>${begin ? `${begin.toISOString().slice(0, 10)} ${timeOfDay(begin.getTime())}` : r.name}</h3>
-      <p class="note">${r.recording ? w.recording : !s ? w.computing : [duration((s.end_ns - s.begin_ns) / 1e9), s.distance_m === null ? w.noPosition : metres(s.distance_m), w.outages(s.outages.length), s.origin && words.origin[s.origin]?.[0]].filter(Boolean).join(" · ")} · ${bytes(r.size_bytes)}${r.kept ? ` · ${w.kept}` : ""}</p>
+      <p class="note">${r.recording ? w.recording : r.failed ? w.unreadable : !s ? w.computing : [duration((s.end_ns - s.begin_ns) / 1e9), s.distance_m === null ? w.noPosition : metres(s.distance_m), w.outages(s.outages.length), s.origin && words.origin[s.origin]?.[0]].filter(Boolean).join(" · ")} · ${bytes(r.size_bytes)}${r.kept ? ` · ${w.kept}` : ""}</p>
       ${s && html`<${Verdicts} s=${s} />`}
       <p class="toolbar">
-        ${may("replay") && html`<button disabled=${busy || r.recording} onClick=${() => run("replay", r.name)}>${w.replay}</button>`}
-        ${may("solve") && html`<button disabled=${busy || r.recording} onClick=${() => run("solve", r.name)}>${w.solve}</button>`}
+        ${may("replay") && html`<button disabled=${busy} title=${busy ? w.busy : r.recording ? w.soFar : null} onClick=${() => run("replay", r.name)}>${w.replay}</button>`}
+        ${may("solve") && html`<button disabled=${busy} title=${busy ? w.busy : r.recording ? w.soFar : null} onClick=${() => run("solve", r.name)}>${w.solve}</button>`}
         ${r.report && html`<a href=${`/api/recordings/${encodeURIComponent(r.name)}/report`} target="_blank" rel="noopener">${w.report}</a>`}
         ${may("download") && html`<a href=${`/api/recordings/${encodeURIComponent(r.name)}`} download>${w.download}</a>`}
         ${may("keep") && html`<button onClick=${() => run(r.kept ? "release" : "keep", r.name)}>${r.kept ? w.release : w.keep}</button>`}

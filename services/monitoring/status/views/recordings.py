@@ -16,7 +16,8 @@ def recordings(entries: Iterable[Entry], open_name: str | None) -> list[Json]:
 
 def _recording(entry: Entry, *, recording: bool) -> Json:
     shown: Json = {
-        "name": entry.name, "size_bytes": entry.size_bytes, "kept": entry.kept, "recording": recording, "summary": None,
+        "name": entry.name, "size_bytes": entry.size_bytes, "kept": entry.kept, "recording": recording,
+        "failed": entry.failed, "summary": None,
     }  # fmt: skip
     if (s := entry.summary) is not None:
         shown["summary"] = {

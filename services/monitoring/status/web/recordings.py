@@ -105,7 +105,7 @@ class Job:
             "running": self.running,
             "failed": not self.running and self._child.returncode not in (0, -15),
             "port": int(port[1]) if port and self.running else None,
-            "text": lines[-1][:300] if lines else "",
+            "text": lines[-1].removeprefix("obu: ")[:300] if lines else "",
         }
 
 
@@ -121,7 +121,12 @@ class RecordingsApi:
         """Add the routes."""
         wrong = {403: "Not allowed, or a page from elsewhere", 404: "No such recording"}
         missing: Responses = {status: described(Refusal, text) for status, text in wrong.items()}
-        more = {409: "It is being written, is kept, or a job runs", 413: "Too long", 422: "Not a command"}
+        more = {
+            409: "It is being written, is kept, or a job runs",
+            413: "Too long",
+            422: "Not a command",
+            503: "No room",
+        }
         done: Responses = {
             202: described(Done, "Carried out"),
             **missing,
@@ -200,9 +205,17 @@ class RecordingsApi:
             case Action.REPLAY | Action.SOLVE:
                 if self._job.running:
                     raise HTTPException(409, "another job runs; stop it first")
-                self._job.start(action, name, (self._library.folder / name).resolve())
+                self._start(action, name)
             case _:
                 raise HTTPException(422, f"{action} is no command")
+
+    def _start(self, action: Action, name: str) -> None:
+        try:
+            self._job.start(action, name, (self._library.folder / name).resolve())
+        except OSError as error:
+            raise HTTPException(
+                503, f"it cannot start: {error.strerror}; make room, for example by deleting a recording"
+            ) from error
 
     def _insist(self, action: Action, name: str) -> None:
         """Refuse what the configuration does not allow, and names that are not in the list."""

@@ -61,6 +61,23 @@ def test_kml_has_as_many_times_as_places(drive: Path, tmp_path: Path) -> None:
     assert tags.count("when") == tags.count("coord") == SECONDS * 10
 
 
+@pytest.mark.parametrize("form", [Format.GPX, Format.KML])
+def test_gpsbabel_reads_the_places_heights_and_times_of_the_drive(drive: Path, tmp_path: Path, form: Format) -> None:
+    if shutil.which("gpsbabel") is None:
+        pytest.skip("gpsbabel is not installed: apt-get install gpsbabel")
+    out = exported(drive, form, tmp_path, period=1.0)
+    command = ["gpsbabel", "-t", "-i", form.value, "-f", str(out), "-o", "gpx,gpxver=1.1", "-F", "-"]
+    read = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    assert read.stderr == "", "not even a warning"
+    points = ElementTree.fromstring(read.stdout).findall(".//g:trkpt", GPX)
+    latitudes = [float(p.attrib["lat"]) for p in points]
+    assert latitudes == pytest.approx([latitude_at(s) for s in range(SECONDS)], abs=1e-9)
+    others = {(float(p.attrib["lon"]), p.findtext("g:ele", namespaces=GPX)) for p in points}
+    assert others == {(LONGITUDE_DEG, "500.000")}
+    times = [p.findtext("g:time", namespaces=GPX) for p in points]
+    assert times == [f"2023-11-14T22:13:{20 + s}Z" for s in range(SECONDS)]
+
+
 def test_geojson_is_a_line_with_the_times_of_its_points(drive: Path, tmp_path: Path) -> None:
     [feature] = json.loads(exported(drive, Format.GEOJSON, tmp_path).read_text())["features"]
     places, times = feature["geometry"]["coordinates"], feature["properties"]["times"]

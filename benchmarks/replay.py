@@ -1,0 +1,272 @@
+"""A two-hour recording in the browser: `python -m benchmarks.replay [opens scrubs memory]`.
+
+Opens it with `obu replay`, drags the scrubber at ten positions a second, and lets pages take as many frames as in an
+hour. Needs Chromium and the libraries of the browser tests, and a machine that does nothing else.
+"""
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+from playwright.sync_api import Browser, Page, WebSocketRoute
+
+from benchmarks.long_drive import write
+from shared.messages.navigation import NavigationSolution
+from shared.recording import Recording
+from shared.recording.index import RecordingIndex
+from tests.support.chromium import chromium
+from tests.support.data import REPOSITORY
+
+HEAD = """# A two-hour recording in the browser
+
+Printed by `python -m benchmarks.replay`: `obu replay` of a simulated drive of two hours ({size_mb:.0f} MB), in Debian's
+Chromium without a graphics card, on a machine with {cores} cores that others use too. Times are of a machine as busy as
+the load says, in runnable processes: above the number of cores everything waits for the others.
+
+"""
+RESULTS = Path(__file__).parent / "results"
+DRIVE = REPOSITORY / ".obu" / "benchmarks" / "two-hours.mcap"
+LIMIT_MS = 120_000
+PAGES = ("now", "map", "gnss", "charts", "trust", "system")
+POSITIONS, SCRUB_HZ = 50, 10.0
+NEAR_DEG = 2e-6  # 0.2 m: that the page shows this position and no other
+HOUR_FRAMES, FRAME_HZ, SPEED = 18_000, 5, 60.0
+PLAIN_FRAMES = "delete window.DecompressionStream"  # so that they can be repeated
+# Samples what the page shows, once per picture: time [ms], latitude, longitude [deg].
+SAMPLER = """() => {
+  const shown = (window.shown = []);
+  const look = () => {
+    const texts = [...document.querySelectorAll(".coordinates dd")].map((e) => e.textContent);
+    const [latitude, longitude] = texts.map(parseFloat);
+    const last = shown.at(-1);
+    if (!last || last[1] !== latitude || last[2] !== longitude) shown.push([performance.now(), latitude, longitude]);
+    requestAnimationFrame(look);
+  };
+  look();
+  const slider = document.querySelector(".replay-scrubber input");
+  window.dragged = [];
+  slider.addEventListener("input", () => window.dragged.push([performance.now(), Number(slider.value)]));
+}"""
+Row = dict[str, Any]
+
+
+@contextmanager
+def replay_of(drive: Path) -> Iterator[tuple[str, float]]:
+    """Run `obu replay`; give the address of the page and the time until it was printed [s]."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "cli", "replay", str(drive), "--port", "0"]
+        began = time.monotonic()
+        with subprocess.Popen(
+            command, env={**os.environ, "OBU_STATE": folder}, stderr=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stderr is not None
+            line = next((line for line in process.stderr if "replayed at" in line), "")
+            took_s = time.monotonic() - began
+            try:
+                yield line.split("replayed at ")[1].split()[0], took_s
+            finally:
+                process.terminate()
+                process.communicate()
+
+
+def opened(browser: Browser, drive: Path) -> list[Row]:
+    """Time the opening: the address, the bar with its scrubber and recorded time, the events on the scrubber."""
+    rows: list[Row] = []
+    summary = drive.with_name(drive.name + ".summary.json")
+    for known in (False, True):
+        summary.unlink(missing_ok=True)
+        if known:
+            subprocess.run([sys.executable, "-m", "shared.recording.summary", str(drive), str(summary)], check=True)
+        page = browser.new_page()
+        with replay_of(drive) as (address, address_s):
+            began = time.monotonic()
+            page.goto(address)
+            page.locator(".replay-scrubber input").wait_for(timeout=LIMIT_MS)
+            page.locator(".replay-time time").wait_for(timeout=LIMIT_MS)
+            page_s = time.monotonic() - began
+            page.locator(".replay-track .segment").nth(1).wait_for(state="attached", timeout=LIMIT_MS)
+            events_s = time.monotonic() - began
+        page.close()
+        rows.append({
+            "summary_known": known, "address_s": address_s, "page_s": page_s, "events_s": address_s + events_s,
+            "opens_s": address_s + page_s,
+        })  # fmt: skip
+        print(rows[-1], flush=True)
+    summary.unlink()
+    return rows
+
+
+def scrubbed(browser: Browser, drive: Path) -> Row:
+    """Drag the scrubber over the drive; time from each movement to the picture that shows its position [ms]."""
+    page = browser.new_page(viewport={"width": 1360, "height": 850})
+    with replay_of(drive) as (address, _), Recording(drive) as recording:
+        page.goto(address)
+        page.get_by_role("button", name="Pause the replay").click(timeout=LIMIT_MS)
+        page.get_by_role("button", name="Play", exact=True).wait_for()
+        box = page.locator(".replay-scrubber input").bounding_box()
+        assert box is not None
+        at = [box["x"] + box["width"] * (0.1 + 0.8 * k / POSITIONS) for k in range(POSITIONS)]
+        httpx.post(f"{address}/api/replay", json={"command": "seek", "position_s": 600.0}, timeout=5.0)
+        page.locator(".coordinates").wait_for(timeout=LIMIT_MS)  # none before the first solution
+        page.evaluate(SAMPLER)
+        page.mouse.move(at[0], box["y"] + box["height"] / 2)
+        page.mouse.down()
+        began = time.monotonic()
+        for k, x in enumerate(at):
+            page.wait_for_timeout(max(0.0, began + k / SCRUB_HZ - time.monotonic()) * 1000)
+            page.mouse.move(x, box["y"] + box["height"] / 2)
+        page.wait_for_timeout(1500)
+        page.mouse.up()
+        dragged, shown = page.evaluate("[window.dragged, window.shown]")
+        index = RecordingIndex(recording)
+        times_ms = [found for moved in dragged if (found := _shown_after(moved, shown, index)) is not None]
+    page.close()
+    return {
+        "positions": len(dragged), "hz": (len(dragged) - 1) / (dragged[-1][0] - dragged[0][0]) * 1000,
+        "shown": len(times_ms), "median_ms": statistics.median(times_ms),
+        "p95_ms": sorted(times_ms)[int(0.95 * len(times_ms))], "largest_ms": max(times_ms),
+    }  # fmt: skip
+
+
+def _shown_after(moved: list[float], shown: list[list[float]], index: RecordingIndex) -> float | None:
+    """Time from a movement of the scrubber to the picture with the position that was recorded there."""
+    at_ms, value_s = moved
+    there = next(
+        message for envelope in index.newest(index.begin_ns + round(value_s * 1e9))
+        if isinstance(message := envelope.decode(), NavigationSolution)
+    )  # fmt: skip
+    return next((
+        t - at_ms for t, latitude, longitude in shown
+        if t >= at_ms
+        and max(abs(latitude - there.latitude_deg), abs(longitude - there.longitude_deg)) < NEAR_DEG
+    ), None)  # fmt: skip
+
+
+def remembered(browser: Browser, drive: Path, name: str) -> Row:
+    """Play the first hour at 60 times its speed, each frame 60 times: what the page's memory is before and after."""
+    page = browser.new_page(viewport={"width": 1360, "height": 850})
+    page.add_init_script(PLAIN_FRAMES)
+    taken = _repeat_frames(page, round(SPEED))
+    with replay_of(drive) as (address, _):
+        page.goto(f"{address}/#/{name}")
+        page.locator("h2").first.wait_for(timeout=LIMIT_MS)
+        page.wait_for_timeout(3000)
+        before = _memory(page)
+        httpx.post(f"{address}/api/replay", json={"command": "speed", "speed": SPEED}, timeout=5.0).raise_for_status()
+        while taken() < HOUR_FRAMES:
+            page.wait_for_timeout(1000)
+        row = {"page": name, "frames": taken(), **{f"{key}_before_mb": value for key, value in before.items()},
+               **{f"{key}_after_mb": value for key, value in _memory(page).items()}}  # fmt: skip
+    page.close()
+    print(row, flush=True)
+    return row
+
+
+def _repeat_frames(page: Page, times: int) -> Callable[[], int]:
+    """Give the page every frame several times, numbered anew; return what counts them."""
+    counted = [0]
+
+    def connect(route: WebSocketRoute) -> None:
+        server = route.connect_to_server()
+        sequence = [0]
+
+        def pass_on(text: str | bytes) -> None:
+            frame = json.loads(text)
+            playing = (frame["state"].get("replay") or {}).get("position_ns") is not None
+            for _ in range(times if frame["kind"] == "difference" and playing else 1):
+                sequence[0] += 1
+                route.send(json.dumps({**frame, "sequence": sequence[0]}))
+                counted[0] += 1
+
+        server.on_message(pass_on)
+
+    page.route_web_socket("**/ws*", connect)
+    return lambda: counted[0]
+
+
+def _memory(page: Page) -> dict[str, float]:
+    """Heap of the page's scripts after a collection, and private memory of its process [MB]."""
+    session = page.context.new_cdp_session(page)
+    session.send("HeapProfiler.collectGarbage")
+    session.send("Performance.enable")
+    metrics = {metric["name"]: metric["value"] for metric in session.send("Performance.getMetrics")["metrics"]}
+    session.detach()
+    renderers = [p for p in psutil.Process().children(recursive=True) if "--type=renderer" in p.cmdline()]
+    largest = max((p.memory_full_info().uss for p in renderers), default=0)
+    return {"heap": round(metrics["JSHeapUsedSize"] / 1e6, 1), "process": round(largest / 1e6, 1)}
+
+
+def painted(browser: Browser, drive: Path) -> dict[str, float]:
+    """First contentful paint of each page [s], in a session of its own."""
+    found = {}
+    with replay_of(drive) as (address, _):
+        for name in PAGES:
+            page = browser.new_page()
+            page.goto(f"{address}/#/{name}")
+            page.locator("h2").first.wait_for(timeout=LIMIT_MS)
+            paint_ms = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime")
+            found[name] = round(paint_ms / 1000, 3)
+            page.close()
+    return found
+
+
+def main() -> None:
+    """Measure, and write the tables; parts that are not named keep their figures."""
+    DRIVE.parent.mkdir(parents=True, exist_ok=True)
+    drive, file = write(DRIVE), RESULTS / "replay.json"
+    found: Row = json.loads(file.read_text()) if file.exists() else {}
+    found["size_mb"] = drive.stat().st_size / 1e6
+    parts: dict[str, Callable[[Browser], object]] = {
+        "opens": lambda browser: opened(browser, drive),
+        "paints": lambda browser: painted(browser, drive),
+        "scrubs": lambda browser: scrubbed(browser, drive),
+        "memory": lambda browser: [remembered(browser, drive, name) for name in ("now", "charts", "map")],
+    }
+    for name in sys.argv[1:] or parts:
+        with chromium() as browser:  # each part with a browser that has shown nothing yet
+            found[name] = parts[name](browser)
+        found.setdefault("load", {})[name] = round(os.getloadavg()[0], 1)
+        print(name, found[name], flush=True)
+        file.write_text(json.dumps(found, indent=1) + "\n")
+    (RESULTS / "replay.md").write_text(HEAD.format(**found, cores=os.cpu_count()) + "\n".join(lines(found)) + "\n")
+
+
+def lines(found: Row) -> Iterator[str]:
+    """Write the figures as Markdown."""
+    yield "- Load: " + ", ".join(f"{value} ({name})" for name, value in found["load"].items()) + "."
+    for row in found.get("opens", ()):
+        known = "with" if row["summary_known"] else "without"
+        yield (
+            f"- Opens {known} a summary beside it: address after {row['address_s']:.1f} s, bar with recorded time "
+            f"{row['page_s']:.1f} s later; events after {row['events_s']:.1f} s."
+        )
+    if "paints" in found:
+        yield "- First contentful paint: " + ", ".join(f"{k} {v:.2f} s" for k, v in found["paints"].items()) + "."
+    if row := found.get("scrubs"):
+        yield (
+            f"- Scrubber dragged over {row['positions']} positions, {row['hz']:.1f} a second: {row['shown']} shown, "
+            f"median {row['median_ms']:.0f} ms, 95 % within {row['p95_ms']:.0f} ms, largest {row['largest_ms']:.0f} ms."
+        )
+    if found.get("memory"):
+        yield f"\nAn hour at {SPEED:.0f} times its speed, each frame {SPEED:.0f} times ({FRAME_HZ} a second):\n"
+        yield "| page | frames | heap before, MB | heap after | private memory of its process before, MB | after |"
+        yield "| --- | --- | --- | --- | --- | --- |"
+        for row in found["memory"]:
+            yield (
+                f"| {row['page']} | {row['frames']} | {row['heap_before_mb']} | {row['heap_after_mb']} "
+                f"| {row['process_before_mb']} | {row['process_after_mb']} |"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""Debian's Chromium under playwright, or a skipped test that says what is missing."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from playwright.sync_api import Browser, sync_playwright
+
+from services.monitoring.status.process import DASHBOARD
+
+AXE = DASHBOARD / "node_modules" / "axe-core" / "axe.min.js"
+# WebGL in software; pages are drawn without it, which is far faster where there is no graphics card.
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Run a browser for the length of a block."""
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("no Chromium here: `apt-get install chromium`")
+    if not AXE.exists():
+        pytest.skip("the browser tests' libraries are missing: `python deploy/install_dashboard.py --testing`")
+    # A name that resolves here makes the page an insecure context, as on a vehicle's own network.
+    arguments = [
+        "--host-resolver-rules=MAP obu.local 127.0.0.1",
+        *WEBGL,
+        *(["--no-sandbox"] if os.geteuid() == 0 else []),
+    ]
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=path, args=arguments)
+        yield started
+        started.close()

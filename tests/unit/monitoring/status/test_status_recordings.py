@@ -1,0 +1,63 @@
+"""The recordings of a unit: what cannot be read, and jobs that cannot start, say so."""
+
+import os
+from pathlib import Path
+
+import httpx
+import pytest
+
+from shared.library.library import Library
+from shared.library.summary import SUFFIX, SummaryWorker
+from shared.recording.summary import write_summary
+from tests.support.drives import record
+from tests.support.status_server import eventually, status_server
+
+NAME = "20231114T221320Z_car.mcap"
+
+
+def old(path: Path) -> Path:
+    """Make a file look settled."""
+    os.utime(path, (0, 0))
+    return path
+
+
+def test_a_recording_without_a_summary_to_come_is_said_to_be_unreadable(tmp_path: Path) -> None:
+    (tmp_path / NAME).write_bytes(b"this is no recording")
+    old(tmp_path / NAME)
+    library = Library(tmp_path)
+    library.look(None)
+    library.look(None)
+    assert not library.entries[NAME].failed, "while it is being computed nothing is known"
+
+    def failed() -> bool:
+        library.look(None)
+        return library.entries[NAME].failed
+
+    eventually(failed, within_s=20.0)
+
+
+def test_a_job_that_cannot_start_is_answered_with_the_reason_and_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "jobs").write_text("a file where the folder of the jobs should be")
+    drive = record(tmp_path / "recordings" / NAME, 5)
+    write_summary(drive, drive.with_name(NAME + SUFFIX))
+    with status_server(tmp_path, unit=False, recordings=["solve"]) as server:
+        url = f"{server.address}/api/recordings"
+        eventually(lambda: httpx.get(url, timeout=5.0).json()["recordings"])
+        answer = httpx.post(url, json={"action": "solve", "name": NAME}, timeout=5.0)
+    assert answer.status_code == 503
+    assert answer.json()["detail"] == "it cannot start: File exists; make room, for example by deleting a recording"
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_summary_beside_the_recording_is_not_computed_again(tmp_path: Path, known: bool) -> None:
+    drive = record(tmp_path / NAME, 5)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    if known:
+        write_summary(drive, drive.with_name(NAME + SUFFIX))
+    worker = SummaryWorker(drive, elsewhere)
+    assert worker.running is not known
+    worker.wait(20.0)
+    assert worker.result() is not None
+    assert bool(list(elsewhere.iterdir())) is not known
