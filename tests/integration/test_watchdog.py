@@ -184,16 +184,6 @@ def send_garbage(demo: Demo) -> None:
     assert demo.process.poll() is None
 
 
-def test_a_killed_broker_is_one_outage(units: list[Unit]) -> None:
-    def test(unit: Unit) -> None:
-        unit.fail(BROKER_PROCESS[unit.kind], signal.SIGKILL)
-        unit.until(lambda _: "broker" in unit.causes, "the loss is shown")
-        unit.until_well()
-        unit.assert_one_outage("broker", "the broker is not reachable", "imu/raw", "navigation/solution")
-
-    on_each(units, test)
-
-
 def test_a_killed_filter_goes_on_within_two_seconds_and_is_the_cause_until_it_publishes_again(
     units: list[Unit], tmp_path: Path
 ) -> None:
@@ -267,6 +257,16 @@ def error_ned_m(solution: NavigationSolution, truth: dict[int, TruthState]) -> t
         math.radians(solution.latitude_deg), math.radians(solution.longitude_deg), solution.height_ellipsoid_m
     )
     return ned_from_geodetic_difference(here, there)
+
+
+def test_a_killed_broker_is_one_outage(units: list[Unit]) -> None:
+    def test(unit: Unit) -> None:
+        unit.fail(BROKER_PROCESS[unit.kind], signal.SIGKILL)
+        unit.until(lambda _: "broker" in unit.causes, "the loss is shown")
+        unit.until_well()
+        unit.assert_one_outage("broker", "the broker is not reachable", "imu/raw", "navigation/solution")
+
+    on_each(units, test)
 
 
 def test_a_killed_parser_is_the_cause_of_its_topics_and_of_what_depends_on_them(units: list[Unit]) -> None:
