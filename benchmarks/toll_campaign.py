@@ -76,6 +76,7 @@ LEDGER_STEPS = tuple(
     )
 )  # fmt: skip
 WARM_UP_NS = 30 * NS
+PATIENCE_NS = 5 * NS  # for the step of a kill; then another one is drawn
 BEFORE_M, BEHIND_M = 150.0, 90.0  # of the approach and the exit line: the simulated road
 RESULTS = Path(__file__).parent / "results"
 EXPLANATION = Path(__file__).parents[1] / "docs/explanation/charging.md"
@@ -184,6 +185,7 @@ class Campaign:
         self.kills: Counter[str] = Counter()
         self.passages_per_kill, self.next_kill = passages_per_kill, passages_per_kill
         self.armed: str | None = None  # step of the next kill, once that is due
+        self.armed_ns = START_NS
         self.steps: dict[str, list[str]] = {"core": [], "ledger": []}  # still to be drawn in this turn
         self.world_now_ns = START_NS
         self.truth: dict[int, TrafficPassage] = {}
@@ -228,7 +230,11 @@ class Campaign:
         """Deliver what arrives within 100 ms; a kill is due every so many passages."""
         if len(self.truth) >= self.next_kill and self.armed is None:
             self.next_kill += self.passages_per_kill * float(self.rng.uniform(0.5, 1.5))
-            self.armed = self._next_step("core" if self.rng.random() < 0.5 else "ledger")
+            self._arm("core" if self.rng.random() < 0.5 else "ledger", now_ns)
+        if self.armed is not None and now_ns - self.armed_ns > PATIENCE_NS:
+            process = "core" if self.armed in CORE_STEPS else "ledger"
+            self.steps[process].insert(0, self.armed)
+            self._arm(process, now_ns)
         if self.core is None and now_ns >= self.core_back_ns:
             self.core = Toll(TollConfig())
             if self.delta is not None:
@@ -243,11 +249,11 @@ class Campaign:
             if isinstance(cams, CamList):
                 self._publish(self._answers(cams), now_ns)
 
-    def _next_step(self, process: str) -> str:
-        """Draw a step of a process; each is drawn once before any is drawn again."""
+    def _arm(self, process: str, now_ns: int) -> None:
+        """Draw the step of the next kill; each once in a turn, or again if it does not come."""
         steps = CORE_STEPS if process == "core" else LEDGER_STEPS
         self.steps[process] = self.steps[process] or self.rng.permutation(steps).tolist()
-        return self.steps[process].pop()
+        self.armed, self.armed_ns = self.steps[process].pop(), now_ns
 
     def _deliver(self, item: Message, now_ns: int) -> None:
         match item:
@@ -414,15 +420,16 @@ def table(result: Result) -> str:
     """Write the result as a table."""
     undecided = sum(result.undecided.values())
     rows = {
-        "passages, after the first 30 s of each part": f"{result.passages}, {result.registered} of them registered",
+        "simulated passages, each with a detection": f"{result.detections}",
+        "of these after 30 s of a part, before its end": f"{result.passages} ({result.registered} registered)",
         "kills": f"{result.kills_core} of `core.toll`, {result.kills_ledger} of the ledger, "
         f"at {len(result.kills_by_step)} of {len(CORE_STEPS + LEDGER_STEPS)} steps",
         "double charges, charges of who has not passed": f"{result.double_charges}, {result.wrong_charges}",
-        "lane decided": f"{result.decided}, of them charged {100.0 * result.charged_share_of_decided:.2f} %",
+        "lane decided": f"{result.decided}, charged {100.0 * result.charged_share_of_decided:.2f} %",
         "charged in the right lane": f"{result.lanes_right} of {result.charged}",
         "decided and not charged": "; ".join(f"{n} {end}" for end, n in result.decided_uncharged.items()) or "none",
         "undecided": f"{undecided} ({100.0 * undecided / max(result.registered, 1):.1f} % of the registered)",
-        "detections": f"{result.detections}: " + ", ".join(f"{name} {n}" for name, n in result.outcomes.items()),
+        "outcomes of all detections": ", ".join(f"{name} {n}" for name, n in result.outcomes.items()),
         "every detection has one outcome": "yes" if result.reconciliation_exact else "no",
         "charges without a detection": f"{result.charged_without_detection}",
         "simulated time, processor time": f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s",

@@ -425,30 +425,32 @@ class Core:
         """
         idle = [passage for passage in self._passages.values() if not passage.doubt and self._is_idle(passage)]
         own = [passage for passage in idle if track.station_id in passage.station_ids and self._reaches(passage, here)]
-        near = [passage for passage in idle if self._is_near(passage, here)]
-        if not (found := own or near):
+        away = [self._away(passage, here) for passage in idle]
+        nearest = idle[int(np.argmin(away))] if away and np.isfinite(min(away)) else None
+        found = own[0] if own else nearest
+        if found is None:
             return False
         if not own:
-            silent_since_ns = max(near[0].here.time_ns, self._first_cam_ns or 0)
-            if here.time_ns - silent_since_ns < self._settings.track.silence_ns(near[0].here.speed):
+            silent_since_ns = max(found.here.time_ns, self._first_cam_ns or 0)
+            if here.time_ns - silent_since_ns < self._settings.track.silence_ns(found.here.speed):
                 return True
-        self._attach(journey, found[0], track)
-        if found[0].crossing is None and journey.crossing is None:
-            journey.before = journey.before or found[0].here
+        self._attach(journey, found, track)
+        if found.crossing is None and journey.crossing is None:
+            journey.before = journey.before or found.here
         return False
 
-    def _is_near(self, passage: Passage, here: Here) -> bool:
-        """Whether a vehicle is where that of an idle passage, whose station is silent, must be now."""
+    def _away(self, passage: Passage, here: Here) -> float:
+        """Distance [m] from where the vehicle of an idle passage must be now; infinite if it cannot be that one."""
         last = passage.here
         if not here.aligned or passage.station_ids[-1] in self._table.by_station:
-            return False
+            return np.inf
         elapsed_s = (here.time_ns - last.time_ns) * 1e-9
         if not 0.0 < elapsed_s <= self._settings.track.deleted_after_s:
-            return False
+            return np.inf
         moved = np.array([[here.east - last.east, here.north - last.north]])
         dt, heading, speed, now = np.array([[elapsed_s], [last.heading], [last.speed], [here.speed]])
         gate_m = self._settings.track.link_gate_m
-        return bool(np.isfinite(away_from_prediction(moved, dt, heading, speed, now, gate_m)[0]))
+        return float(away_from_prediction(moved, dt, heading, speed, now, gate_m)[0])
 
     def _is_idle(self, passage: Passage) -> bool:
         track = self._table.by_station.get(passage.station_ids[-1])

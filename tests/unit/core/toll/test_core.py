@@ -257,6 +257,21 @@ def test_a_restart_at_any_time_continues_the_passage(kill: float, renamed: bool)
     assert len({one.passage_id for one in plant.passages}) == 1
 
 
+def test_after_a_restart_a_renamed_vehicle_continues_its_own_passage_and_not_that_of_a_silent_one() -> None:
+    """Two vehicles 15 m behind each other; the first is silent after the restart, the second has a new station ID."""
+    plant = Plant(COMMON)
+    plant.register(7, 8, 80)
+    second = replace(CAR, station_id=8, start=CAR.start - 15.0)
+    plant.drive(CAR, second, until=6.0)
+    stored = {one.station_ids: one for one in plant.said if isinstance(one, TollPassage)}
+    fixes, plant.core = plant.core, plant.new_core()
+    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=tuple(stored.values()), settled=())))
+    plant.drive(second.named(80), since=7.0, until=10.0)
+    newest = [one for one in plant.said if isinstance(one, TollPassage)][-1]
+    assert (newest.passage_id, newest.station_ids) == (stored[(8,)].passage_id, (8, 80))
+
+
 def test_the_ledgers_answer_may_come_after_the_vehicle() -> None:
     plant = Plant(COMMON)
     plant.register(7)
