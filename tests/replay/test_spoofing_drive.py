@@ -21,6 +21,7 @@ from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.trust import MonitorOutcome
+from shared.messages.vehicle import VehicleSpeed
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile, load_vehicle
 from tests.support.data import REPOSITORY, recording
@@ -164,5 +165,5 @@ def test_a_car_whose_receiver_is_half_a_second_late_raises_no_lasting_alarm_once
     assert first_s is not None and 0.0 < first_s - drive.start_ns / SECOND_NS - ATTACK_S < 30.0
 
 
-def _elapsed_s(drive: RealDrive, message: ImuSamples | GnssFix) -> float:
+def _elapsed_s(drive: RealDrive, message: ImuSamples | GnssFix | VehicleSpeed) -> float:
     return (message.received_ns - drive.start_ns) / SECOND_NS
