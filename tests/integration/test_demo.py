@@ -3,33 +3,24 @@
 import json
 import math
 import os
-import re
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
-import numpy as np
 import psutil
 import pytest
-from playwright.sync_api import Page, expect
 
-from shared.bus.bus import Bus
-from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message, RawBytes
-from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
+from shared.messages.navigation import NavigationSolution
 from shared.processes import Role, running
 from shared.recording import Recording
-from shared.runtime.config import BrokerAddress, load_vehicle
+from shared.runtime.config import load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
-from shared.topics import TOPICS
-from tests.support import mqtt
-from tests.support.chromium import chromium
-from tests.support.golden import record_golden_drive
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -99,163 +90,6 @@ def start_demo(folder: Path, *arguments: str) -> Demo:
         env=os.environ | {"OBU_STATE": str(folder)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     return Demo(process, port, folder / "demo")
-
-
-@pytest.fixture(scope="module", params=KINDS)
-def demo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
-    running = start_demo(tmp_path_factory.mktemp("demo"), "--broker", request.param)
-    running.wait(running.all_ready, 40.0, "every process is ready")
-    yield running
-    running.process.terminate()
-    running.process.communicate(timeout=10.0)
-
-
-def test_a_killed_filter_goes_on_with_honest_uncertainty_within_two_seconds(demo: Demo, tmp_path: Path) -> None:
-    """The state that the broker retains: solutions go on with the first sample, long before the filter could align."""
-    killed = demo.child("run core.fusion")
-    bus = Bus("observer", "demo", BrokerAddress.parse(killed.environ()["OBU_BROKER"]),
-              [t for t in TOPICS if t.name in ("navigation/solution", "navigation/state", "truth/state")],
-              tmp_path, observer=True)  # fmt: skip
-    solutions: dict[int, list[tuple[float, NavigationSolution]]] = {}  # by the life of their producer
-    truth: dict[int, TruthState] = {}
-    reasons: list[str] = []
-
-    def listen(until: Callable[[], bool], limit_s: float, what: str) -> None:
-        end = time.monotonic() + limit_s
-        while not until():
-            assert time.monotonic() < end, f"not within {limit_s} s: {what}"
-            for envelope in bus.receive(0.05):
-                message = envelope.decode()
-                if isinstance(message, TruthState):
-                    truth[message.sampled_ns] = message
-                elif isinstance(message, NavigationSolution):
-                    solutions.setdefault(envelope.incarnation, []).append((time.time(), message))
-                elif isinstance(message, NavigationState):
-                    reasons.append(message.reason)
-
-    listen(lambda: len(next(iter(solutions.values()), ())) > 30, 60.0, "the filter has aligned")
-    lives = set(solutions)
-    killed.kill()
-    listen(lambda: set(solutions) > lives, 10.0, "there is a solution again")
-    started_s = demo.child("run core.fusion").create_time()
-    (after,) = [solutions[life] for life in solutions if life not in lives]
-    listen(lambda: len(after) > 30, 10.0, "solutions go on")
-    bus.close()
-    assert after[0][0] - started_s < 2.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), "2 s of a free machine"
-    assert any(reason.startswith("warm start") for reason in reasons), reasons
-    known = [solution for _, solution in after if min(truth) <= solution.sampled_ns <= max(truth)]
-    assert len(known) > 20
-    for solution in known:
-        north_m, east_m, down_m = error_ned_m(solution, truth)
-        nn, _, _, ee, _, dd = solution.position_cov_ned_m2
-        assert math.hypot(north_m, east_m) < 3.0 * math.sqrt(nn + ee)
-        assert abs(down_m) < 3.5 * math.sqrt(dd)
-        assert math.hypot(north_m, east_m) < (solution.protection_level_horizontal_m or 0.0)
-
-
-def error_ned_m(solution: NavigationSolution, truth: dict[int, TruthState]) -> tuple[float, float, float]:
-    """Estimated position minus the true one [m, NED], which is interpolated between its stamps."""
-    stamps = sorted(truth)
-    rows = [(truth[t].latitude_deg, truth[t].longitude_deg, truth[t].height_ellipsoid_m) for t in stamps]
-    times_s = [(t - solution.sampled_ns) * 1e-9 for t in stamps]
-    latitude, longitude, height = (float(np.interp(0.0, times_s, column)) for column in zip(*rows, strict=True))
-    there = Geodetic(math.radians(latitude), math.radians(longitude), height)
-    here = Geodetic(
-        math.radians(solution.latitude_deg), math.radians(solution.longitude_deg), solution.height_ellipsoid_m
-    )
-    return ned_from_geodetic_difference(here, there)
-
-
-@pytest.mark.browser
-@pytest.mark.parametrize("demo", ["mosquitto"], indirect=True)
-def test_the_drive_so_far_is_replayed_and_solved_from_the_page(demo: Demo) -> None:
-    broken = demo.folder / "recordings" / "20200101T000000Z_broken.mcap"
-    broken.write_bytes(b"this is no recording")
-    half_a_minute = record_golden_drive(demo.folder / "recordings" / "20200102T000000Z_demo.mcap")
-    address = f"http://127.0.0.1:{demo.port}"
-    with chromium() as browser:
-        page = browser.new_page()
-        page.goto(f"{address}/#/recordings")
-        ours = page.locator(".recording", has_text="being recorded")
-        ours.get_by_role("button", name="Replay").click()
-        opens = page.get_by_role("link", name="Open the replay")
-        expect(opens).to_be_visible(timeout=40_000)
-        expect(ours.get_by_role("button", name="Solve")).to_be_disabled()
-        second = httpx.post(f"{address}/api/recordings", json={"action": "solve", "name": broken.name}, timeout=5.0)
-        assert (second.status_code, second.json()["detail"]) == (409, "another job runs; stop it first")
-        with page.expect_popup() as popup:
-            opens.click()
-        replay_and_scrub(popup.value)
-        page.get_by_role("button", name="Stop").click()
-        job = page.locator(".job")
-        expect(job).to_contain_text("has ended", timeout=15_000)
-        short = page.locator(".recording", has=page.get_by_role("button", name=f"Delete {half_a_minute.name}"))
-        short.get_by_role("button", name="Solve").click()
-        expect(job).to_contain_text("runs")
-        report = short.get_by_role("link", name="Report")
-        expect(report).to_be_visible(timeout=60_000)
-        expect(job).to_contain_text(re.compile("has ended.*Wrote .*report.html"), timeout=10_000)
-        with page.expect_popup() as popup:
-            report.click()
-        expect(popup.value.get_by_role("heading", level=1)).to_be_visible()
-        page.locator(".recording", has_text="broken").get_by_role("button", name="Solve").click()
-        expect(job).to_contain_text("is no recording, not even a damaged one", timeout=20_000)
-        expect(job).to_contain_text("failed")
-        expect(page.locator(".recording", has_text="broken")).to_contain_text("cannot be read", timeout=20_000)
-    for file in broken, half_a_minute:
-        file.unlink()
-
-
-def replay_and_scrub(page: Page) -> None:
-    """Pause, choose a speed and drag to a position: the page shows recorded time as a replay."""
-    expect(page.locator(".origin")).to_contain_text("REPLAY", timeout=15_000)
-    page.get_by_role("button", name="Pause the replay").click()
-    expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
-    page.get_by_label("Speed of the replay").select_option("10")
-    scrubber = page.get_by_role("slider")
-    scrubber.fill("12")
-    expect(page.locator(".replay-time")).to_contain_text("0:12 of")
-    held = page.locator(".replay-time").inner_text()
-    page.wait_for_timeout(500)
-    assert page.locator(".replay-time").inner_text() == held
-    page.get_by_role("button", name="Play", exact=True).click()
-    expect(page.locator(".replay-time")).to_contain_text(re.compile("0:(1[5-9]|[2-5])"))
-
-
-GARBAGE = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)
-SPEAKERS = {
-    "gnss/fix": "parsers.gnss", "imu/sample": "parsers.imu", "navigation/last_position": "controller.mode",
-    "gnss/raw": "sensors.simulator", "imu/raw": "sensors.simulator", "can/raw": "sensors.simulator",
-    "truth/state": "sensors.simulator", "health/core.fusion": "core.fusion",
-}  # fmt: skip
-
-
-def test_garbage_on_the_bus_is_counted_and_ends_nothing(demo: Demo) -> None:
-    address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
-    children = {child.pid for child in psutil.Process(demo.process.pid).children()}
-    sender = b'{"sender":{"process":"x","incarnation":1,"sequence":1},'
-    for name, speaker in SPEAKERS.items():
-        with mqtt.Client(address.port, user=speaker) as client:
-            client.connect()
-            for payload in GARBAGE:
-                client.publish(f"obu/demo/{name}", payload)
-                client.publish(f"obu/demo/{name}", sender + payload[1:])
-    time.sleep(2.0)
-    demo.wait(demo.all_ready, 5.0, "every process goes on")
-    assert {child.pid for child in psutil.Process(demo.process.pid).children()} == children
-    assert demo.process.poll() is None
-
-
-def test_sigterm_ends_everything_within_five_seconds(demo: Demo) -> None:
-    children = psutil.Process(demo.process.pid).children(recursive=True)
-    started = time.monotonic()
-    demo.process.terminate()
-    output, errors = demo.process.communicate(timeout=10.0)
-    assert time.monotonic() - started < 5.0
-    assert "Traceback" not in output + errors
-    assert not [child for child in children if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
-    for log in (demo.folder / "logs").glob("*.log"):
-        assert "Traceback" not in log.read_text(), log.name
 
 
 def test_a_run_ends_in_one_json_object_and_can_be_repeated_exactly(tmp_path: Path) -> None:

@@ -1,21 +1,31 @@
-"""One watchdog: what `monitoring.health` finds and `monitoring.status` shows when parts of a whole unit fail.
+"""A whole unit whose parts fail: what `monitoring.health` finds and `monitoring.status` shows, and what goes on.
 
 A unit on each broker runs as `make demo` starts it, under its supervisor. Every failure is one outage with one root
 cause, and nothing else is accused. Both units fail at the same time, which halves the time of these tests.
 """
 
+import math
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 
+from shared.bus.bus import Bus
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
+from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
+from shared.runtime.config import BrokerAddress
+from shared.topics import TOPICS
 from tests.integration.test_demo import KINDS, Demo, start_demo
+from tests.support import mqtt
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
@@ -130,7 +140,7 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Unit]]:
     made = [Unit(kind, start_demo(tmp_path_factory.mktemp(kind), "--broker", kind)) for kind in KINDS]
     try:
         for unit in made:
-            unit.until(is_well, "the unit navigates", 60.0)
+            unit.until(is_well, "the unit navigates", 150.0)
         yield made
     finally:
         for unit in made:
@@ -145,6 +155,35 @@ def on_each(units: list[Unit], test: Callable[[Unit], None]) -> None:
         list(pool.map(test, units))
 
 
+GARBAGE = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)
+SPEAKERS = {
+    "gnss/fix": "parsers.gnss", "imu/sample": "parsers.imu", "navigation/last_position": "controller.mode",
+    "gnss/raw": "sensors.simulator", "imu/raw": "sensors.simulator", "can/raw": "sensors.simulator",
+    "truth/state": "sensors.simulator", "health/core.fusion": "core.fusion",
+}  # fmt: skip
+
+
+def test_garbage_on_the_bus_is_counted_and_ends_nothing(units: list[Unit]) -> None:
+    on_each(units, lambda unit: send_garbage(unit.demo))
+
+
+def send_garbage(demo: Demo) -> None:
+    """Publish garbage in the name of each speaker."""
+    address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
+    children = {child.pid for child in psutil.Process(demo.process.pid).children()}
+    sender = b'{"sender":{"process":"x","incarnation":1,"sequence":1},'
+    for name, speaker in SPEAKERS.items():
+        with mqtt.Client(address.port, user=speaker) as client:
+            client.connect()
+            for payload in GARBAGE:
+                client.publish(f"obu/demo/{name}", payload)
+                client.publish(f"obu/demo/{name}", sender + payload[1:])
+    time.sleep(2.0)
+    demo.wait(demo.all_ready, 5.0, "every process goes on")
+    assert {child.pid for child in psutil.Process(demo.process.pid).children()} == children
+    assert demo.process.poll() is None
+
+
 def test_a_killed_broker_is_one_outage(units: list[Unit]) -> None:
     def test(unit: Unit) -> None:
         unit.fail(BROKER_PROCESS[unit.kind], signal.SIGKILL)
@@ -155,11 +194,15 @@ def test_a_killed_broker_is_one_outage(units: list[Unit]) -> None:
     on_each(units, test)
 
 
-def test_a_killed_filter_is_the_cause_until_it_publishes_again(units: list[Unit]) -> None:
+def test_a_killed_filter_goes_on_within_two_seconds_and_is_the_cause_until_it_publishes_again(
+    units: list[Unit], tmp_path: Path
+) -> None:
     def test(unit: Unit) -> None:
-        unit.fail("run core.fusion", signal.SIGKILL)
+        folder = tmp_path / unit.kind
+        folder.mkdir()
+        kill_and_compare(unit.demo, lambda: unit.fail("run core.fusion", signal.SIGKILL), folder)
         lost = "core.fusion was lost: it crashed, was killed or lost its connection"
-        unit.until(lambda _: bool(unit.problems), "the loss is shown")
+        unit.until(lambda _: bool(unit.outages()), "the loss is an outage")
         unit.until_well()
         unit.assert_one_outage("core.fusion", lost, "navigation/solution", "navigation/state")
         again = {text for text in unit.problems if text.startswith("core.fusion was restarted and is starting again")}
@@ -168,6 +211,62 @@ def test_a_killed_filter_is_the_cause_until_it_publishes_again(units: list[Unit]
         assert all("core.fusion was" in sentence for sentence in explained), explained
 
     on_each(units, test)
+
+
+def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Path) -> None:
+    """Kill the filter: solutions go on with the retained state, and with an honest uncertainty, within two seconds."""
+    address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
+    bus = Bus("observer", "demo", address,
+              [t for t in TOPICS if t.name in ("navigation/solution", "navigation/state", "truth/state")],
+              folder, observer=True)  # fmt: skip
+    solutions: dict[int, list[tuple[float, NavigationSolution]]] = {}  # by the life of their producer
+    truth: dict[int, TruthState] = {}
+    reasons: list[str] = []
+
+    def listen(until: Callable[[], bool], limit_s: float, what: str) -> None:
+        end = time.monotonic() + limit_s
+        while not until():
+            assert time.monotonic() < end, f"not within {limit_s} s: {what}"
+            for envelope in bus.receive(0.05):
+                message = envelope.decode()
+                if isinstance(message, TruthState):
+                    truth[message.sampled_ns] = message
+                elif isinstance(message, NavigationSolution):
+                    solutions.setdefault(envelope.incarnation, []).append((time.time(), message))
+                elif isinstance(message, NavigationState):
+                    reasons.append(message.reason)
+
+    listen(lambda: len(next(iter(solutions.values()), ())) > 30, 60.0, "the filter has aligned")
+    lives = set(solutions)
+    kill()
+    listen(lambda: set(solutions) > lives, 40.0, "there is a solution again")
+    started_s = demo.child("run core.fusion").create_time()
+    (after,) = [solutions[life] for life in solutions if life not in lives]
+    listen(lambda: len(after) > 30, 40.0, "solutions go on")
+    bus.close()
+    assert after[0][0] - started_s < 2.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), "2 s of a free machine"
+    assert any(reason.startswith("warm start") for reason in reasons), reasons
+    known = [solution for _, solution in after if min(truth) <= solution.sampled_ns <= max(truth)]
+    assert len(known) > 20
+    for solution in known:
+        north_m, east_m, down_m = error_ned_m(solution, truth)
+        nn, _, _, ee, _, dd = solution.position_cov_ned_m2
+        assert math.hypot(north_m, east_m) < 3.0 * math.sqrt(nn + ee)
+        assert abs(down_m) < 3.5 * math.sqrt(dd)
+        assert math.hypot(north_m, east_m) < (solution.protection_level_horizontal_m or 0.0)
+
+
+def error_ned_m(solution: NavigationSolution, truth: dict[int, TruthState]) -> tuple[float, float, float]:
+    """Estimated position minus the true one [m, NED], which is interpolated between its stamps."""
+    stamps = sorted(truth)
+    rows = [(truth[t].latitude_deg, truth[t].longitude_deg, truth[t].height_ellipsoid_m) for t in stamps]
+    times_s = [(t - solution.sampled_ns) * 1e-9 for t in stamps]
+    latitude, longitude, height = (float(np.interp(0.0, times_s, column)) for column in zip(*rows, strict=True))
+    there = Geodetic(math.radians(latitude), math.radians(longitude), height)
+    here = Geodetic(
+        math.radians(solution.latitude_deg), math.radians(solution.longitude_deg), solution.height_ellipsoid_m
+    )
+    return ned_from_geodetic_difference(here, there)
 
 
 def test_a_killed_parser_is_the_cause_of_its_topics_and_of_what_depends_on_them(units: list[Unit]) -> None:
@@ -294,3 +393,22 @@ def test_a_hung_watchdog_leaves_the_rest_unknown_and_the_position_shown(units: l
         assert unit.causes == {"monitoring.health"}
 
     on_each(units, test)
+
+
+def test_sigterm_ends_everything_within_five_seconds(units: list[Unit]) -> None:
+    """The last test: it ends the units."""
+    for unit in units:
+        end(unit.demo)
+
+
+def end(demo: Demo) -> None:
+    """Stop a demo as Ctrl-C does."""
+    children = psutil.Process(demo.process.pid).children(recursive=True)
+    started = time.monotonic()
+    demo.process.terminate()
+    output, errors = demo.process.communicate(timeout=10.0)
+    assert time.monotonic() - started < 5.0
+    assert "Traceback" not in output + errors
+    assert not [child for child in children if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
+    for log in (demo.folder / "logs").glob("*.log"):
+        assert "Traceback" not in log.read_text(), log.name

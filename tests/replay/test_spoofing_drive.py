@@ -142,3 +142,27 @@ def test_a_minute_of_another_car_raises_no_lasting_alarm(tmp_path: Path) -> None
     assert result.share("inertial_long", MonitorOutcome.PASS) > 0.25, (
         "the window of 30 s is first full after 42 of 60 s"
     )
+
+
+@pytest.mark.slow
+def test_a_car_whose_receiver_is_half_a_second_late_raises_no_lasting_alarm_once_its_delays_are_set(
+    tmp_path: Path,
+) -> None:
+    """`navmatlab_car_0327`: positions 0.5 s and velocities 0.62 s old, as the check of the set-up says on the drive."""
+    drive = real_drive("navmatlab_car_0327", "navmatlab_car", tmp_path)
+    config = Config().with_values(
+        LOW_COST_IMU | {"gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": 0.62}
+    )
+    delays = {"gnss.delay_s": 0.5, "gnss.velocity_delay_s": 0.12}
+    result = monitored(drive, config, drive.messages, **delays)
+    assert result.share("inertial_short", MonitorOutcome.ACCUSES) < 0.005
+    assert result.episodes("inertial_long") == 0, "5 episodes and 22 % of the time without the delays"
+    assert result.share("inertial_long", MonitorOutcome.PASS) > 0.85
+    part = [m for m in dragged(drive, 0.3, 3.0) if isinstance(m, Tick) or 200.0 < _elapsed_s(drive, m) < 340.0]
+    attacked = monitored(drive, config, part, **delays)
+    first_s = attacked.first_s("inertial_long")
+    assert first_s is not None and 0.0 < first_s - drive.start_ns / SECOND_NS - ATTACK_S < 30.0
+
+
+def _elapsed_s(drive: RealDrive, message: ImuSamples | GnssFix) -> float:
+    return (message.received_ns - drive.start_ns) / SECOND_NS

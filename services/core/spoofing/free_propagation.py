@@ -21,6 +21,9 @@ VELOCITY, ATTITUDE, ACCELEROMETER, GYROSCOPE = slice(0, 3), slice(3, 6), slice(6
 SCALE, YAW, PITCH = 12, 13, 14
 SIZE = 15
 STANDSTILL_SD = 0.02  # [m/s]
+# [m/s] of the forward speed, above which the non-holonomic constraint is not used: the products of the errors of speed
+# and direction, which its linear form leaves out, are then as large as its own noise.
+LARGEST_SPEED_SD = 2.0
 ODOMETER_REJECTIONS = 3  # in a row, after which this propagation no longer uses it
 
 
@@ -97,7 +100,8 @@ class FreePropagation:
             s u - v_bx = 0,    v_by - yaw v_bx = 0,    v_bz + pitch v_bx = 0
             H of v_b: [C', C' sk(v)]
 
-        Their errors are correlated over `correlation_s`; R is multiplied by it, for one update a second.
+        Their errors are correlated over `correlation_s`; R is multiplied by it, for one update a second. The constraint
+        is used while the standard deviation of v_bx is at most `LARGEST_SPEED_SD`.
         """
         s = self._settings
         if speed is not None and self.odometer_rejections < ODOMETER_REJECTIONS:
@@ -109,8 +113,8 @@ class FreePropagation:
             self.odometer_rejections = 0 if used else self.odometer_rejections + 1
             if used:
                 self._apply(found)
-        if s.non_holonomic:
-            forward = self.body_row(0)[0]
+        forward, H_forward = self.body_row(0)
+        if s.non_holonomic and H_forward @ self.P @ H_forward <= LARGEST_SPEED_SD**2:
             lateral, H_lateral = self.body_row(1)
             vertical, H_vertical = self.body_row(2)
             H_lateral[YAW], H_vertical[PITCH] = -forward, forward

@@ -163,3 +163,17 @@ def test_an_odometer_that_freezes_is_rejected_and_then_left_out(drive: Drive) ->
     assert free.odometer_rejections == 3
     free.aid(float(before @ free.nominal.ned_from_body[:, 0]), 0.1, 0.0)
     assert free.odometer_rejections == 3, "no longer used"
+
+
+@pytest.mark.parametrize(("speed_sd", "left"), [(1.9, 0.5 * 0.03 / (1.9**2 + 0.03)), (2.1, 0.5)])
+def test_the_non_holonomic_constraint_is_used_while_the_forward_speed_is_known(
+    drive: Drive, speed_sd: float, left: float
+) -> None:
+    anchor = anchor_at(drive, START_S)
+    covariance = np.zeros((SIZE, SIZE))
+    covariance[VELOCITY, VELOCITY] = np.eye(3) * speed_sd**2
+    sideways = anchor.velocity_n + 0.5 * anchor.ned_from_body[:, 1]
+    free = FreePropagation(replace(anchor, velocity_n=sideways, covariance=covariance), LongSettings())
+    free.aid(None, 0.1, 0.0)
+    lateral = free.nominal.ned_from_body[:, 1] @ free.nominal.velocity
+    assert lateral == pytest.approx(left, abs=1e-3), "lateral noise of 0.1 m/s that lasts 3 s"
