@@ -429,7 +429,7 @@ def test_figures_lines_and_states_of_the_system_page_are_explained(
         ["fresh; thicker is faster", "late", "stale", "event-driven"]
     )
     topics = page.get_by_role("region", name="Topics").first
-    expect(topics.locator(".legend")).to_contain_text("event-driven: silence is no fault")
+    expect(topics.locator(".legend")).to_contain_text("event-driven: published when something happens")
     event = topics.locator("tr", has_text="outage/event")
     expect(event).to_contain_text("no event yet")
     expect(event.locator(".state.info")).to_be_visible()
@@ -482,7 +482,7 @@ def test_the_page_trust_shows_statistics_against_thresholds_and_unfolds_the_test
     expect(fold).to_have_attribute("aria-expanded", "false")
     fold.focus()
     page.keyboard.press("Enter")
-    tests = monitors.get_by_role("region", name="Tests of Motion conflict")
+    tests = monitors.get_by_role("group", name="Tests of Motion conflict")
     expect(tests.get_by_role("row", name="held speed")).to_contain_text("0 of 4 s")
     expect(tests.get_by_role("row", name="trimmed mean")).to_contain_text("threshold 10 km/h")
     events = page.get_by_role("region", name="Changes of the verdict")

@@ -112,7 +112,7 @@ def test_layers_follow_measure_table_and_inspection_do_what_they_say(
     page.get_by_label("Track colour").select_option("level")
     expect(page.locator(".map-legend")).to_contain_text("2 to 5 m")
     page.get_by_role("button", name="Table").click()
-    table = page.get_by_role("region", name="Table")
+    table = page.get_by_role("group", name="Table")
     expect(table.locator("tbody tr").first).to_contain_text("3.1 m")
     expect(table).to_contain_text("GNSS used")
     assert faults(page) == []

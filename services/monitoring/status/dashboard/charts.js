@@ -101,7 +101,7 @@ function ChartCard({ chart, span }) {
   return html`<${Card} title=${chart.title} note=${chart.note} id=${`chart-${chart.id}`} class="chart-card"
     aside=${!empty && html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${empty ? html`<${Empty} title=${w.emptyField} why=${w.emptyFieldWhy} />`
-      : table ? html`<div class="scroll" tabindex="0" role="region" aria-label=${chart.title}><table class="plain"><thead><tr><th scope="col">${w.time}</th>${lines.map((l) => html`<th scope="col">${l.label}${unit}</th>`)}</tr></thead>
+      : table ? html`<div class="scroll" tabindex="0" role="group" aria-label=${chart.title}><table class="plain"><thead><tr><th scope="col">${w.time}</th>${lines.map((l) => html`<th scope="col">${l.label}${unit}</th>`)}</tr></thead>
           <tbody>${rows.map((i) => html`<tr><th scope="row">${timeOfDay(time[i] * 1000)}</th>${columns.map((column) => html`<td>${column[i] == null ? "-" : short(column[i], 4)}</td>`)}</tr>`)}</tbody></table></div>`
       : html`<${Plot} time=${time} lines=${lines} columns=${columns} span=${span} axisLabel=${chart.unit || w.dimensionless[chart.id] || w.noUnit} label=${w.label(chart.title, told)} />`}
     <ul class="legend lines-legend">${now.map(([l, v]) => html`<li key=${l.key}><${Key} style=${l.style} /><span>${l.label}</span>

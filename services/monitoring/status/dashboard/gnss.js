@@ -106,7 +106,7 @@ function SatelliteTable({ satellites }) {
   const keys = { name: (s) => s.name, elevation: (s) => -(s.elevation_deg ?? -91), cn0: (s) => -(s.cn0_db_hz ?? -1), use: (s) => ({ excluded: 0, tracked: 1, used: 2 }[useOf(s)]) };
   const sorted = [...satellites].sort((a, b) => (keys[order](a) > keys[order](b) ? 1 : keys[order](a) < keys[order](b) ? -1 : a.name > b.name ? 1 : -1));
   const head = (name, label, extra = "") => html`<th scope="col" class=${extra} aria-sort=${order === name ? "ascending" : null}><button class="link" onClick=${() => setOrder(name)}>${label}</button></th>`;
-  return html`<div class="scroll sat-table" tabindex="0" role="region" aria-label=${w.satellites}><table class="plain">
+  return html`<div class="scroll sat-table" tabindex="0" role="group" aria-label=${w.satellites}><table class="plain">
     <thead><tr>${head("name", w.columns.name)}${head("elevation", w.columns.elevation, "number")}<th scope="col" class="number">${w.columns.azimuth}</th>${head("cn0", w.columns.cn0, "number")}<th scope="col" class="number wide-only">${w.columns.residual}</th>${head("use", w.columns.use)}<th scope="col" class="wide-only">${w.columns.why}</th></tr></thead>
     <tbody>${sorted.map((s) => html`<tr key=${s.name}><th scope="row"><span class="with-icon"><${ShapeKey} constellation=${s.constellation} kind=${useOf(s)} />${s.name}</span></th>
       <td class="number">${s.elevation_deg === null ? "-" : `${Math.round(s.elevation_deg)}°`}</td><td class="number">${s.azimuth_deg === null ? "-" : `${Math.round(s.azimuth_deg)}°`}</td>
@@ -218,7 +218,7 @@ function InterferenceCard({ receiver }) {
       ${q.radio_paths.map((path) => html`<${Row} label=${w.path(path.number)} value=${w.gain(percent(path.gain_ratio))} extra=${w.pathNote(path.noise_level, percent(path.narrowband_ratio))} />`)}
       ${q.clock && html`<${Row} label=${w.clock} value=${`${(q.clock.bias_s * 1e6).toFixed(1)} µs`} extra=${w.drift((q.clock.drift_ratio * 1e9).toFixed(0))} />`}
     </dl>`}
-    ${tests.length > 0 && html`<h3 class="divide">${w.evidence}</h3><div class="scroll" tabindex="0" role="region" aria-label=${w.evidence}><table class="plain"><thead><tr><th scope="col">${w.test}</th><th scope="col" class="number">${w.statistic}</th><th scope="col" class="wide-only">${w.columns.why}</th></tr></thead>
+    ${tests.length > 0 && html`<h3 class="divide">${w.evidence}</h3><div class="scroll" tabindex="0" role="group" aria-label=${w.evidence}><table class="plain"><thead><tr><th scope="col">${w.test}</th><th scope="col" class="number">${w.statistic}</th><th scope="col" class="wide-only">${w.columns.why}</th></tr></thead>
       <tbody>${tests.map(([name, t]) => html`<tr key=${name}><th scope="row"><span class="with-icon"><${StateIcon} state=${OUTCOME[t.outcome]} word=${words.trustPage.outcome[t.outcome]} />${t.label}</span></th>
         <td class="number">${t.statistic === null ? "-" : `${number(t.statistic)} ${words.trustPage.of} ${number(t.threshold)}`}</td><td class="wide-only">${t.reason}</td></tr>`)}</tbody></table></div>
     <p class="note block">${w.evidenceNote}</p>`}

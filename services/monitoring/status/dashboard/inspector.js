@@ -30,7 +30,7 @@ function Fields({ name }) {
   if (listed.length === 0) return null;
   return html`<h3>${t.fields}<input type="search" class="push" placeholder=${t.findField} aria-label=${t.findField} value=${filter} onInput=${(e) => setFilter(e.target.value)} /></h3>
     ${chosen.length > 0 && html`<p class="note block"><a href="#/charts">${t.charts(chosen.length)}</a></p>`}
-    <div class="scroll fields" tabindex="0" role="region" aria-label=${t.fields}><table class="plain">
+    <div class="scroll fields" tabindex="0" role="group" aria-label=${t.fields}><table class="plain">
       <thead><tr>${t.fieldColumns.map((text) => html`<th scope="col">${text}</th>`)}<th><span class="sr">${t.plot}</span></th></tr></thead>
       <tbody>${shown.map((f) => html`<tr key=${f.name}><th scope="row">${f.path}${f.axis && html` <span class="dim">${f.axis}</span>`}</th><td>${+f.value.toPrecision(10)}</td><td>${f.unit}</td>
         <td><button aria-pressed=${chosen.includes(f.name)} aria-label=${t.plotField(f.path)} onClick=${() => toggle(f.name)}>${chosen.includes(f.name) ? t.plotted : t.plot}</button></td></tr>`)}</tbody></table></div>`;

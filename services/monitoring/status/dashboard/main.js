@@ -164,10 +164,10 @@ function LostBar() {
   const full = why === "full";
   const visible = !open && lostS > LOST_BAR_AFTER_S && (state.value || !full); // without any data the page says it
   const reason = full ? words.lost.full(link.value.viewers.connected) : words.lost.why[why] ?? "";
-  return html`${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${state.value ? words.lost.bar(duration(lostS)) : words.lost.never} <span>${reason}</span></p></div>`}
+  return html`<section class="notices" aria-label=${words.notices}>${visible && html`<div class="bar lost"><${Icon} name="stale" /><p>${state.value ? words.lost.bar(duration(lostS)) : words.lost.never} <span>${reason}</span></p></div>`}
     ${outdated.value && html`<div class="bar"><p>${words.lost.outdated}</p><button onClick=${() => location.reload()}>${words.lost.reload}</button></div>`}
     ${paused.value && html`<div class="bar paused"><p>${words.paused(timeOfDay(nowMs()))}</p><button onClick=${togglePause}>${words.resume}</button></div>`}
-    <p class=${shownGap === null ? "sr" : "bar back"} role="status">${shownGap === null ? "" : words.lost.back(duration(shownGap))}</p>`;
+    <p class=${shownGap === null ? "sr" : "bar back"} role="status">${shownGap === null ? "" : words.lost.back(duration(shownGap))}</p></section>`;
 }
 
 // The bar of a replay is loaded with the first frame of one.

@@ -149,7 +149,7 @@ function Legend({ colourBy, theme, sc, columns }) {
 function Sections({ columns }) {
   const rows = columns ? sections(columns).reverse() : [];
   if (!rows.length) return html`<p class="note block">${w.noTrack}</p>`;
-  return html`<div class="scroll" tabindex="0" role="region" aria-label=${w.table}><table class="plain"><thead><tr>${w.columns.map((c) => html`<th scope="col">${c}</th>`)}</tr></thead>
+  return html`<div class="scroll" tabindex="0" role="group" aria-label=${w.table}><table class="plain"><thead><tr>${w.columns.map((c) => html`<th scope="col">${c}</th>`)}</tr></thead>
     <tbody>${rows.map((r) => html`<tr><th scope="row">${timeOfDay(r.from / 1e6)}</th><td>${duration((r.to - r.from) / 1e9)}</td><td>${words.trust[r.state] ?? r.state}</td><td>${w.kinds[r.kind]}</td><td>${r.level ? metres(r.level) : words.age.bar}</td></tr>`)}</tbody></table></div>`;
 }
 

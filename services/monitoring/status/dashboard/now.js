@@ -160,7 +160,7 @@ function SpeedCard() {
   return html`<${Card} title=${t.title} note=${t.last} id="speed" class="speed-card"
     aside=${any && html`<button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${!any ? html`<${Empty} title=${t.empty} />`
-      : table ? html`<div class="scroll" tabindex="0" role="region" aria-label=${t.title}><table class="plain"><thead><tr><th scope="col">${t.time}</th>${values.map(([, label]) => html`<th scope="col">${label}, ${t.unit}</th>`)}</tr></thead>
+      : table ? html`<div class="scroll" tabindex="0" role="group" aria-label=${t.title}><table class="plain"><thead><tr><th scope="col">${t.time}</th>${values.map(([, label]) => html`<th scope="col">${label}, ${t.unit}</th>`)}</tr></thead>
           <tbody>${rows.map(([ns, i]) => html`<tr><th scope="row">${timeOfDay(ns / 1e6)}</th>${SERIES.map(([, f]) => html`<td>${fixed(history.fields[f]?.[i] == null ? null : history.fields[f][i] * KMH, 1)}</td>`)}</tr>`)}</tbody></table></div>`
       : html`<div role="img" aria-label=${t.label(told)}><${Plot} theme=${themeName()} /></div>`}
     <ul class="legend">${values.map(([name, label, v]) => html`<li><span class="key ${name}"></span><span>${label}</span><strong>${fixed(v, 1)}</strong><span class="dim">${t.unit}</span></li>`)}</ul>

@@ -181,7 +181,7 @@ function TopicsCard() {
   return html`<${Card} title=${t.title} id="topics" class="topics-card"
     aside=${html`<input type="search" id="find" placeholder=${t.filter} aria-label=${t.filter} value=${filter} onInput=${(e) => setFilter(e.target.value)} />`}>
     ${shown.length === 0 ? html`<p class="note block">${t.noMatch(filter)}</p>` : html`
-    <div class="scroll" tabindex="0" role="region" aria-label=${t.title}><table class="plain topics">
+    <div class="scroll" tabindex="0" role="group" aria-label=${t.title}><table class="plain topics">
       <thead><tr><th scope="col">${t.columns.topic}</th><th scope="col" class="wide-only">${t.columns.state}</th><th scope="col" class="number">${t.columns.rate}</th><th scope="col" class="number wide-only">${t.columns.latency}</th><th scope="col" class="number">${t.columns.age}</th></tr></thead>
       <tbody>${shown.map(([name, flow]) => {
         const fresh = freshness(name, flow.updated_ns);

@@ -77,7 +77,7 @@ function Picture({ t }) {
 function TracksTable({ t }) {
   const c = w.trackColumns;
   const most = (v) => Object.entries(v.lanes).sort((a, b) => b[1] - a[1])[0];
-  return html`<div class="scroll" tabindex="0" role="region" aria-label=${w.approaching}><table class="plain"><thead><tr>${[c.track, c.lane, c.probability, c.speed, c.heading, c.ellipse, c.contract].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
+  return html`<div class="scroll" tabindex="0" role="group" aria-label=${w.approaching}><table class="plain"><thead><tr>${[c.track, c.lane, c.probability, c.speed, c.heading, c.ellipse, c.contract].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
     <tbody>${t.tracks.map((v) => html`<tr key=${v.track}><th scope="row">${v.track}</th><td>${v.lane ?? w.undecided(most(v)?.[0])}</td><td>${percent(most(v)?.[1])}</td>
       <td>${fixed(v.speed_m_s * 3.6, 0)} km/h</td><td>${fixed(compass(v.heading_rad), 0)}°</td><td>± ${metres(v.ellipse[0])}</td><td>${v.registered ? w.registered : w.unregistered}</td></tr>`)}</tbody></table></div>`;
 }
@@ -113,7 +113,7 @@ function PassagesCard({ t, onOpen }) {
   const c = w.columns;
   const rows = t.ledger?.recent ?? [];
   return html`<${Card} title=${w.passages} id="passages" class="passages-card" note=${w.passagesNote}>
-    ${!rows.length ? html`<p class="note block">${w.noPassages}</p>` : html`<div class="scroll" tabindex="0" role="region" aria-label=${w.passages}><table class="plain"><thead><tr>
+    ${!rows.length ? html`<p class="note block">${w.noPassages}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.passages}><table class="plain"><thead><tr>
       ${[c.time, c.lane, c.state, c.amount].map((name) => html`<th scope="col">${name}</th>`)}${[c.probability, c.tariff, c.receipt].map((name) => html`<th scope="col" class="wide-only">${name}</th>`)}</tr></thead>
     <tbody>${rows.map((p) => html`<tr key=${p.passage_id}><th scope="row"><button class="link" onClick=${() => onOpen(p)}>${p.crossing_ns ? timeOfDay(p.crossing_ns / 1e6) : w.notCrossed}</button></th><td>${p.lane ?? words.age.bar}</td>
       <td><span class="with-icon"><${StateIcon} state=${STATE_ICON[p.state]} word="" />${w.states[p.state]}</span></td><td>${amount(p.amount_cents, p.currency)}</td>
@@ -127,7 +127,7 @@ function AccountCard({ t }) {
   const c = w.accountColumns;
   return html`<${Card} title=${w.account} id="account" class="account-card" note=${w.accountNote} aside=${html`<${Age} topic="ledger/state" stamp=${l.updated_ns} />`}>
     ${l.problem && html`<p class="with-icon problem"><${StateIcon} state="unsafe" word=${w.problem} />${l.problem}</p>`}
-    ${!l.lanes.length ? html`<p class="note block">${w.noDetections}</p>` : html`<div class="scroll" tabindex="0" role="region" aria-label=${w.account}><table class="plain numbers-table"><thead><tr><th scope="col">${c.lane}</th><th scope="col">${c.hour}</th><th scope="col">${c.detections}</th>${OUTCOMES.map((name) => html`<th scope="col">${w.states[name]}</th>`)}<th scope="col">${c.pending}</th><th scope="col">${c.agrees}</th></tr></thead>
+    ${!l.lanes.length ? html`<p class="note block">${w.noDetections}</p>` : html`<div class="scroll" tabindex="0" role="group" aria-label=${w.account}><table class="plain numbers-table"><thead><tr><th scope="col">${c.lane}</th><th scope="col">${c.hour}</th><th scope="col">${c.detections}</th>${OUTCOMES.map((name) => html`<th scope="col">${w.states[name]}</th>`)}<th scope="col">${c.pending}</th><th scope="col">${c.agrees}</th></tr></thead>
     <tbody>${l.lanes.map((b) => html`<tr key=${`${b.lane}${b.hour_ns}`}><th scope="row">${b.lane}</th><td>${timeOfDay(b.hour_ns / 1e6).slice(0, 5)}</td><td>${b.detections}</td>${OUTCOMES.map((name) => html`<td>${b[name]}</td>`)}<td>${b.pending}</td>
       <td><${StateIcon} state=${b.agrees ? "safe" : "unsafe"} word=${b.agrees ? w.agrees : w.disagrees} />${b.charged_without_detection > 0 && w.withoutDetection(b.charged_without_detection)}</td></tr>`)}</tbody></table></div>`}
     <dl class="rows"><${Row} label=${w.transactions} value=${l.transactions} extra=${w.reversals(l.reversals)} />

@@ -46,7 +46,7 @@ function Statistic({ shown }) {
 
 function TestsTable({ tests, label }) {
   const c = w.columns;
-  return html`<div class="scroll" tabindex="0" role="region" aria-label=${w.testsOf(label)}><table class="plain tests">
+  return html`<div class="scroll" tabindex="0" role="group" aria-label=${w.testsOf(label)}><table class="plain tests">
     <thead><tr><th scope="col">${c.test}</th><th scope="col">${c.outcome}</th><th scope="col">${c.statistic}</th><th scope="col" class="wide-only">${c.falseAlarm}</th><th scope="col" class="wide-only">${c.window}</th><th scope="col" class="wide-only">${c.since}</th></tr></thead>
     <tbody>${tests.map(([name, t]) => html`<tr key=${name}><th scope="row">${t.label}</th><td><${Outcome} shown=${t} /></td><td><${Statistic} shown=${t} /></td>
       <td class="wide-only">${chance(t.false_alarm_rate)}</td><td class="wide-only">${t.window_s == null ? words.age.bar : duration(t.window_s)}</td><td class="wide-only">${sinceText(t.since_ns)}</td></tr>`)}</tbody>
@@ -174,7 +174,7 @@ function Strip({ label, times, ratios }) {
 function HistoryTable({ rows, bands }) {
   const c = w.history;
   const share = (ratios) => `${Math.round((100 * ratios.filter((r) => r != null).length) / Math.max(ratios.length, 1))} %`;
-  return html`<div class="scroll" tabindex="0" role="region" aria-label=${w.historyTitle}><table class="plain"><thead><tr>${[c.monitor, c.newest, c.largest, c.evaluated].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
+  return html`<div class="scroll" tabindex="0" role="group" aria-label=${w.historyTitle}><table class="plain"><thead><tr>${[c.monitor, c.newest, c.largest, c.evaluated].map((name) => html`<th scope="col">${name}</th>`)}</tr></thead>
     <tbody>${rows.map(([, label, ratios]) => html`<tr><th scope="row">${label}</th><td>${ratios.at(-1)?.toFixed(2) ?? w.outcome.not_evaluated}</td><td>${largest(ratios)?.toFixed(2) ?? words.age.bar}</td><td>${share(ratios)}</td></tr>`)}</tbody></table>
     <table class="plain"><thead><tr><th scope="col">${c.verdict}</th><th scope="col">${c.from}</th><th scope="col">${c.length}</th></tr></thead>
     <tbody>${bands.slice().reverse().slice(0, 50).map((b) => html`<tr><th scope="row">${words.trust[b.state]}</th><td>${timeOfDay(b.from / 1e6)}</td><td>${duration((b.to - b.from) / 1e9)}</td></tr>`)}</tbody></table></div>`;

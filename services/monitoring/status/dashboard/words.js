@@ -11,6 +11,7 @@ export const words = {
   themeButton: (name) => `Colours: ${name}. Change`,
   help: "Help and shortcuts",
   close: "Close",
+  notices: "Notices",
   paused: (time) => `Paused at ${time} UTC: this page shows the state of that time. New data are kept and shown on resuming.`,
   pausedBadge: "PAUSED",
   resume: "Resume",
