@@ -81,9 +81,14 @@ def test_a_jump_back_shows_nothing_newer_and_the_minute_before_it(address: str) 
 
     eventually(lambda: past() and past()[0] < 32.0)
     assert 89.0 < past()[-1] < 90.2
-    events = httpx.get(f"{address}/api/replay", timeout=5.0).json()["replay"]
-    assert [change["state"] for change in events["trust"][:3]] == ["safe", "unsafe", "safe"]
-    assert [outage["what"] for outage in events["outages"]] == ["sensors.imu"]
+
+    def events() -> dict[str, list[dict[str, str]]]:
+        found: dict[str, list[dict[str, str]]] = httpx.get(f"{address}/api/replay", timeout=5.0).json()["replay"]
+        return found
+
+    eventually(lambda: events()["trust"], within_s=20.0)  # the recording is read for them while it plays
+    assert [change["state"] for change in events()["trust"][:3]] == ["safe", "unsafe", "safe"]
+    assert [outage["what"] for outage in events()["outages"]] == ["sensors.imu"]
 
 
 def test_recorded_time_passes_at_the_speed_that_was_asked_for_and_not_while_paused(address: str) -> None:
