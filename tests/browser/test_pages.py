@@ -29,7 +29,7 @@ SENTENCES: dict[str, str | re.Pattern[str]] = {
     "alarm": "The position must not be used: Short inertial window accuses GNSS",
     "empty": re.compile(
         "Nothing is known yet: waiting for the first verdict of core.trust"
-        "|Trust is not evaluated: core.trust has not published a verdict yet"
+        "|Trust is not evaluated: no verdict of core.trust"
     ),
 }
 COLOUR_RULES = ("color-contrast", "link-in-text-block")

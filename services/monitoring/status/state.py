@@ -284,6 +284,12 @@ class State:
         back = health is not None and health.state is ProcessState.READY and health.sent_ns >= self._counts_from_ns
         return self.judgement.statuses[process].down and not back
 
+    def _has_ended(self, process: str) -> bool:
+        """Whether the newest health message of a process is its last one: a replay shows what was before it."""
+        health = self.processes[process].health
+        ended = health is not None and health.state in (ProcessState.LOST, ProcessState.DISCONNECTED)
+        return ended and not self.replay
+
     @property
     def _counts_from_ns(self) -> int:
         """Time of the last start of this process, or return of the broker."""
@@ -370,14 +376,15 @@ class State:
         """Collect what the banner shows."""
         solution = self.newest(NavigationSolution, "navigation/solution", now_ns)
         navigation = self.newest(NavigationState, "navigation/state", now_ns, live=True)
-        trust = None if self.is_earlier("trust/state") else self.newest(TrustState, "trust/state", now_ns)
+        without_trust = self.is_earlier("trust/state") or self._has_ended("core.trust")
+        trust = None if without_trust else self.newest(TrustState, "trust/state", now_ns)
         return Evidence(
             broker=not self._broker_lost(now_ns),
             received_ns=self._received_ns,
             awaited=self._awaited(trust, now_ns),
             earlier_monitors=frozenset(m.monitor for m in trust.monitors if self._is_old(m)) if trust else frozenset(),
             trust=trust,
-            trust_age_s=self.age_s("trust/state", now_ns),
+            trust_age_s=None if without_trust else self.age_s("trust/state", now_ns),
             trust_cause=self.judgement.cause("trust/state"),
             solution=solution,
             solution_age_s=self.age_s("navigation/solution", now_ns),

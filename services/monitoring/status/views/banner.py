@@ -189,7 +189,7 @@ def show(evidence: Evidence) -> Verdict:
             checks,
         )
     if e.trust is None or (missing := no_verdict(e.trust_age_s)):
-        why = "core.trust has not published a verdict yet" if e.trust is None else missing
+        why = "no verdict of core.trust" if e.trust is None else missing
         return Verdict(
             Trust.STALE,
             sentence(f"Trust is not evaluated: {why}", e.trust_cause),

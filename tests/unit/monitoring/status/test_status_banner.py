@@ -126,7 +126,7 @@ def test_an_old_verdict_is_said_with_its_age_and_root_cause() -> None:
 
 def test_a_verdict_that_never_came_is_said() -> None:
     shown = show(changed(trust=None, trust_age_s=None))
-    assert shown.sentence == "Trust is not evaluated: core.trust has not published a verdict yet."
+    assert shown.sentence == "Trust is not evaluated: no verdict of core.trust."
     assert not [c for c in shown.checks if c.kind is Kind.MONITOR]
 
 

@@ -339,6 +339,14 @@ def restart(world: World, process: str) -> None:
     world.beat(process)
 
 
+def test_the_verdict_of_a_process_that_has_ended_is_withdrawn_at_once(driving: World) -> None:
+    will = ProcessHealth(process="core.trust", state=ProcessState.LOST, incarnation=START_NS, sent_ns=driving.now_ns)
+    driving.hear(will, "core.trust")
+    drive(driving, 0.3, without=("core.trust",))
+    assert driving.state.verdict.state is Trust.STALE
+    assert driving.state.verdict.sentence.startswith("Trust is not evaluated: no verdict of core.trust")
+
+
 def test_a_verdict_of_before_the_restart_of_core_trust_is_not_shown_any_more(driving: World) -> None:
     restart(driving, "core.trust")
     drive(driving, 0.3, without=("core.trust",))
