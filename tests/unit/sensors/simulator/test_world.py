@@ -159,7 +159,8 @@ def test_the_accelerometer_axes_follow_the_configured_mounting() -> None:
 def test_the_messages_of_an_epoch_share_their_time_and_arrive_within_150_ms(minute: list[Message]) -> None:
     epochs: dict[int, list[tuple[int, str]]] = defaultdict(list)
     for received_ns, parsed in frames(minute):
-        if parsed.identity[:3] in ("RXM", "MON", "SEC"):  # after the epoch's NAV-EOE, so that no fix waits for them
+        # After the epoch's NAV-EOE, so that no fix waits for them.
+        if parsed.identity[:3] in ("RXM", "MON", "SEC") or parsed.identity == "NAV-SIG":
             assert epochs
             continue
         epochs[parsed.iTOW].append((received_ns, parsed.identity))
@@ -211,7 +212,7 @@ def test_a_new_rate_is_acknowledged_and_applied_from_the_next_epoch() -> None:
     parsed = frames(message for _, message in [*before, *after])
     responses = [(r, p) for r, p in parsed if p.identity in ("ACK-ACK", "CFG-VALGET")]
     assert [p.identity for _, p in responses] == ["ACK-ACK", "CFG-VALGET", "ACK-ACK"]
-    assert responses[0][0] - now_ns < 200_000_000
+    assert responses[0][0] - now_ns < 300_000_000, "after 2.7 kB of the epoch, at 11.5 kB/s"
     times = [p.iTOW for _, p in parsed if p.identity == "NAV-PVT"]
     assert np.diff(times).tolist() == sorted(np.diff(times).tolist(), reverse=True), "once slow, then fast"
     assert set(np.diff(times)) == {1000, 100}
@@ -226,7 +227,7 @@ def test_a_saturated_serial_line_skips_whole_epochs() -> None:
     world.write(valset([("CFG_RATE_MEAS", 50)]), DEFAULT_START_NS)
     arrivals = takewhile(lambda a: a[0] < DEFAULT_START_NS + 10 * NS, world)
     pvts = [(r, p) for r, p in frames(message for _, message in arrivals) if p.identity == "NAV-PVT"]
-    assert 50 < len(pvts) < 80, "1.7 kB per epoch at 11.5 kB/s"
+    assert 30 < len(pvts) < 50, "2.7 kB per epoch at 11.5 kB/s"
     steps = np.diff([p.iTOW for _, p in pvts])
     assert steps.min() == 50
     assert steps.max() < 2000
