@@ -205,7 +205,7 @@ def test_a_new_rate_is_acknowledged_and_applied_from_the_next_epoch() -> None:
     arrivals = iter(world)
     before = list(takewhile(lambda a: a[0] < DEFAULT_START_NS + 3 * NS, arrivals))
     now_ns = before[-1][0]
-    wanted = [("CFG_RATE_MEAS", 100), ("CFG_MSGOUT_UBX_NAV_SAT_UART1", 10)]
+    wanted = [("CFG_RATE_MEAS", 100), *((f"CFG_MSGOUT_UBX_NAV_{name}_UART1", 10) for name in ("SAT", "SIG"))]
     world.write(valset(wanted), now_ns)
     world.write(valget(["CFG_RATE_MEAS"]), now_ns)
     after = list(takewhile(lambda a: a[0] < DEFAULT_START_NS + 8 * NS, arrivals))
