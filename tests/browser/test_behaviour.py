@@ -506,7 +506,7 @@ def test_without_core_trust_the_page_says_that_trust_is_not_evaluated(
         expect(monitors.locator(".state.safe").first).to_be_visible()
         server.unit.kill("core.trust")
         expect(page.locator(".banner .sentence")).to_contain_text(
-            re.compile(r"Trust is not evaluated: no verdict for \d+ s \(core.trust was lost"), timeout=9000
+            re.compile(r"Trust is not evaluated: no verdict of core.trust \(core.trust was lost"), timeout=9000
         )
         expect(page.locator(".banner .word")).to_have_text("NO DATA")
         expect(page.get_by_role("region", name="Verdict", exact=True)).to_contain_text("Trust is not evaluated")
