@@ -56,7 +56,7 @@ check: | $(VENV)/.testing ## the checks alone, on what is installed
 	@$(PYTHON) -m ruff format --check .
 	@$(PYTHON) -m mypy
 	@$(PYTHON) -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not slow and not whole_unit" --durations=15 $(PYTEST_ARGS)
-	@$(PYTHON) -m pytest -m "whole_unit" $(PYTEST_ARGS)
+	@$(PYTHON) -m pytest -m "whole_unit and not slow" $(PYTEST_ARGS)
 
 slow: | $(VENV)/.testing ## test with the recordings that CI leaves out (seconds; they are not part of the repository)
 	@$(PYTHON) -m pytest -m "slow and not container" $(PYTEST_ARGS)
