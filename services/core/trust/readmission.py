@@ -120,5 +120,8 @@ def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
 
 
 def is_lost(facts: Facts) -> bool:
-    """Whether fusion runs without a position: nothing is left that GNSS can be compared with."""
-    return facts.solution is not None and not facts.solution.navigating
+    """Whether fusion is without a position, or publishes none: nothing is left that GNSS can be compared with."""
+    if facts.solution is None:
+        return False
+    stale = facts.time_ns - facts.solution.sampled_ns > facts.limits.solution_silent_after_s * SECOND_NS
+    return stale or not facts.solution.navigating

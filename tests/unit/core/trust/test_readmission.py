@@ -139,7 +139,8 @@ def test_gnss_is_excluded_by_inertial_monitors_and_by_unidentified_satellite_fau
 
 
 def test_a_dead_inertial_monitor_keeps_gnss_excluded() -> None:
-    dead = replace(facts(inertial_long=ACCUSED), time_ns=100 * SECOND_NS)
+    now_ns = 100 * SECOND_NS
+    dead = replace(facts(inertial_long=ACCUSED), time_ns=now_ns, solution=replace(DEAD_RECKONING, sampled_ns=now_ns))
     readmission = Readmission()
     readmission.update(0, accused=True, agrees=False)
     for time_s in range(1, 100):
@@ -169,10 +170,14 @@ def test_positions_that_contradict_the_solution_without_gnss_do_not_agree(
     assert judge_gnss(replace(facts(), **changes))[1] is agrees  # type: ignore[arg-type]
 
 
-def test_gnss_is_readmitted_after_a_minute_without_accusation_where_the_solution_is_lost() -> None:
+@pytest.mark.parametrize("changes", [{"navigating": False}, {"sampled_ns": -3 * SECOND_NS}])
+def test_gnss_is_readmitted_after_a_minute_without_accusation_where_the_solution_is_lost(
+    changes: dict[str, object],
+) -> None:
     lost = replace(
         facts(inertial_short=(Outcome.NOT_EVALUATED, ()), inertial_long=(Outcome.NOT_EVALUATED, ())),
-        solution=replace(DEAD_RECKONING, navigating=False),
+        time_ns=0,
+        solution=replace(DEAD_RECKONING, **{"sampled_ns": 0, **changes}),  # type: ignore[arg-type]
         exclusion_confirmed=False,
     )
     readmission = Readmission()
