@@ -43,6 +43,11 @@ class ProcessState(StrEnum):
     DISCONNECTED = "disconnected"  # ended as asked
     LOST = "lost"  # last will
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the process has ended, as asked or not."""
+        return self in (ProcessState.DISCONNECTED, ProcessState.LOST)
+
 
 class ProcessHealth(Message):
     """Start, heartbeat, disconnect or last will of one process."""

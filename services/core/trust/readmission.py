@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from .facts import GNSS, INERTIAL, SECOND_NS, Facts, Monitor, Outcome
+from .verdict import solution_lost
 
 HEALTHY_S = 2.0
 SHORT_FAULT_S = 10.0
@@ -121,7 +122,4 @@ def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
 
 def is_lost(facts: Facts) -> bool:
     """Whether fusion is without a position, or publishes none: nothing is left that GNSS can be compared with."""
-    if facts.solution is None:
-        return False
-    stale = facts.time_ns - facts.solution.sampled_ns > facts.limits.solution_silent_after_s * SECOND_NS
-    return stale or not facts.solution.navigating
+    return solution_lost(facts) is not None

@@ -61,7 +61,8 @@ def _no_solution(facts: Facts) -> str | None:
     return "no navigation solution yet" if facts.solution is None else None
 
 
-def _solution_lost(facts: Facts) -> str | None:
+def solution_lost(facts: Facts) -> str | None:
+    """Row 2: why there is no position, or none that is current; None before the first."""
     solution = facts.solution
     if solution is None:
         return None
@@ -193,7 +194,7 @@ def _sentence(facts: Facts, statement: Statement) -> str:
 
 ROWS: tuple[tuple[TrustState, Row], ...] = (
     (TrustState.INITIALISING, _no_solution),
-    (TrustState.NO_FIX, _solution_lost),
+    (TrustState.NO_FIX, solution_lost),
     (TrustState.UNSAFE, _above_alert_limit),
     (TrustState.UNSAFE, _gnss_accused),
     (TrustState.UNSAFE, _satellite_fault),

@@ -99,7 +99,7 @@ class Watch:
         around an outage of the broker: it publishes them for connections that it dropped itself.
         """
         name = health.process
-        over = health.state in (ProcessState.LOST, ProcessState.DISCONNECTED)
+        over = health.state.is_over
         if health.state is ProcessState.LOST and (not self.answering or received_ns < self._judged_from_ns):
             return
         if name not in self._processes:

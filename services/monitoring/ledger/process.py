@@ -1,11 +1,9 @@
 """Feeds the ledger from the bus and publishes what is committed. Without a usable database nothing is charged."""
 
 import logging
-from collections.abc import Iterable
 from pathlib import Path
 
-from shared.bus.bus import Bus, Envelope
-from shared.errors import BadPayload
+from shared.bus.bus import Bus, Envelope, decoded
 from shared.messages.base import Message
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.toll import LedgerState
@@ -51,7 +49,7 @@ class Process:
             self._store.close()
 
     def _step(self, bus: Bus, envelopes: list[Envelope]) -> None:
-        messages = list(_decoded(envelopes, bus))
+        messages = [message for envelope in envelopes if (message := decoded(bus, envelope)) is not None]
         for message in messages:
             if isinstance(message, Origin):
                 self._replaying = message.kind is OriginKind.REPLAY
@@ -109,12 +107,3 @@ class Process:
         if self._store:
             self._store.close()
         self._store = self._ledger = None
-
-
-def _decoded(envelopes: list[Envelope], bus: Bus) -> Iterable[Message]:
-    for envelope in envelopes:
-        try:
-            yield envelope.decode()
-        except BadPayload as error:
-            bus.rejects["payload"] += 1
-            bus.last_error = str(error)[:400]

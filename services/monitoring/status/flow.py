@@ -6,7 +6,7 @@ from itertools import pairwise
 from shared.bus.bus import Envelope
 from shared.errors import BadPayload
 from shared.messages.base import Message
-from shared.messages.operation import Consumed, Freshness, ProcessHealth, ProcessState
+from shared.messages.operation import Consumed, Freshness, ProcessHealth
 from shared.runtime.freshness import freshness_of, limits_of, percentile
 from shared.topics import Topic
 
@@ -123,7 +123,7 @@ class ProcessFlow:
         same_life = before is not None and before.incarnation == health.incarnation
         self.last_error = health.last_error or (self.last_error if same_life else None)
         self.heartbeat_ns = heartbeat_ns
-        if health.state in (ProcessState.LOST, ProcessState.DISCONNECTED) and before is not None:
+        if health.state.is_over and before is not None:
             # A last will was written at the start: the newest values of the incarnation are kept, except its state.
             self.health = before.model_copy(update={"state": health.state, "incarnation": health.incarnation})
             return

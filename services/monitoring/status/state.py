@@ -287,8 +287,7 @@ class State:
     def _has_ended(self, process: str) -> bool:
         """Whether the newest health message of a process is its last one: a replay shows what was before it."""
         health = self.processes[process].health
-        ended = health is not None and health.state in (ProcessState.LOST, ProcessState.DISCONNECTED)
-        return ended and not self.replay
+        return health is not None and health.state.is_over and not self.replay
 
     @property
     def _counts_from_ns(self) -> int:
