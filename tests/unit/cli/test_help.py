@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.testing import CliRunner
 
-from cli.main import app
+from cli.main import command_line
 
 
 def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperCommand | TyperGroup]]:
@@ -24,7 +24,8 @@ def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperComm
             yield from commands(command, name)
 
 
-ROOT = typer.main.get_command(app)
+APP = command_line([])
+ROOT = typer.main.get_command(APP)
 ALL = dict(commands(ROOT)) if isinstance(ROOT, TyperGroup) else {}
 
 
@@ -42,14 +43,14 @@ def test_every_command_has_examples_that_the_command_line_accepts(name: str) -> 
 
 @pytest.mark.parametrize("name", ALL)
 def test_the_value_of_every_option_is_named_by_its_meaning_or_its_choices(name: str) -> None:
-    text = CliRunner().invoke(app, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
+    text = CliRunner().invoke(APP, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
     options = [line for line in text.splitlines() if re.match(r"\W+--?\w", line)]
     assert len(options) >= 1
     assert not [line for line in options if re.search(r"<(str|path|int|float|list)", line)], "give a metavar"
 
 
 def test_the_version_is_that_of_the_package() -> None:
-    found = CliRunner().invoke(app, ["--version"])
+    found = CliRunner().invoke(APP, ["--version"])
     assert found.exit_code == 0 and found.output == f"obu {version('obu')}\n"
 
 
