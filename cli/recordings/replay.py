@@ -80,9 +80,11 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     speed, wanted_port = options
     unit = _vehicle_of(file, vehicle)
     played = _playable(file, unit, folder, console)
+    summaries = folder if played != file else state_dir().resolve() / "recordings"
+    summaries.mkdir(exist_ok=True)
     broker_port, (http_port, taken) = free_port(), port_or_free(wanted_port)
     text = _with_sections(unit, {
-        "sensors.replay": {"file": str(played.resolve()), "speed": speed},
+        "sensors.replay": {"file": str(played.resolve()), "speed": speed, "summaries": str(summaries)},
         "monitoring.status": {"port": http_port, "replay": True},
     })  # fmt: skip
     (folder / "vehicle.toml").write_text(text, encoding="utf-8")
