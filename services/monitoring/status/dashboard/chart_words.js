@@ -61,6 +61,6 @@ export const chartWords = {
     satellites: { title: "Satellites", note: "" },
     dop: { title: "Dilution of precision", note: "" },
     heading: { title: "Heading uncertainty", note: "" },
-    ages: { title: "Ages", note: "" },
+    ages: { title: "Age of GNSS and corrections", note: "" },
   },
 };
