@@ -416,12 +416,9 @@ def _record(
 def command_line(arguments: Sequence[str]) -> typer.Typer:
     """Give the command line with the command of `IN_MODULES` that is called; with all for help and unknown names."""
     groups = {"": app, "calibrate": calibrate, "record": recordings}
-    here = {
-        info.name or getattr(info.callback, "__name__", "")
-        for info in (*app.registered_commands, *app.registered_groups)
-    }
+    here = {info.name or getattr(info.callback, "__name__", "") for info in app.registered_commands}
     first = arguments[0] if arguments else ""
-    known = first in here or first in IN_MODULES
+    known = first in {*here, *(info.name for info in app.registered_groups), *IN_MODULES}
     for path, (module, function) in IN_MODULES.items():
         *group, name = path.split()
         if not known or first == path.split()[0]:
