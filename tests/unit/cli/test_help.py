@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from importlib.metadata import version
 
@@ -11,6 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.testing import CliRunner
 
 from cli.main import command_line
+from tests.support.data import REPOSITORY
 
 
 def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperCommand | TyperGroup]]:
@@ -56,3 +59,9 @@ def test_the_version_is_that_of_the_package() -> None:
 
 def test_all_commands_are_found() -> None:
     assert {"demo", "solve", "record", "record repair", "papers navigation"} <= set(ALL)
+
+
+def test_the_command_line_of_a_replay_imports_neither_arrays_nor_the_web_server() -> None:
+    look = "import sys; from cli.main import command_line; command_line(['replay']); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert not {"numpy", "scipy", "fastapi", "asn1tools"} & set(done.stdout.split())
