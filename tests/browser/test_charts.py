@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.test_pages import judge_everywhere
-from tests.support.status_server import Running
+from tests.support.dashboard.status_server import Running
 
 PAGE_BYTES = 120_000
 FIRST_HEADING = {

@@ -15,8 +15,8 @@ import pytest
 from websockets.sync.client import connect
 
 from services.monitoring.status.views.patch import merge
-from tests.support.drives import BEGIN_NS, NORTH_M_S, SECOND, record
-from tests.support.status_server import eventually
+from tests.support.dashboard.status_server import eventually
+from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record
 
 Json = dict[str, Any]
 ROOT = Path(__file__).parents[2]

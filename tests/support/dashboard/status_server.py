@@ -10,8 +10,8 @@ from typing import cast
 
 from services.monitoring.status.process import ADDRESS_FILE, Config, Process
 from shared.bus.bus import Bus
-from tests.support.fake_plaza import FakePlaza
-from tests.support.fake_unit import FakeBus, FakeUnit
+from tests.support.dashboard.fake_unit import FakeBus, FakeUnit
+from tests.support.v2x.fake_plaza import FakePlaza
 
 
 @dataclass
