@@ -24,7 +24,7 @@ from benchmarks.long_drive import write
 from shared.messages.navigation import NavigationSolution
 from shared.recording import Recording
 from shared.recording.index import RecordingIndex
-from tests.support.chromium import chromium
+from tests.support.dashboard.chromium import chromium
 from tests.support.data import REPOSITORY
 
 HEAD = """# A two-hour recording in the browser

@@ -30,7 +30,7 @@ SERVER = """
 import sys, threading
 from pathlib import Path
 from services.monitoring.status.process import Config, Process
-from tests.support.fake_unit import FakeBus, FakeUnit
+from tests.support.dashboard.fake_unit import FakeBus, FakeUnit
 bus = FakeBus(Path(sys.argv[1]))
 unit = FakeUnit(bus)
 threading.Thread(target=lambda: (sys.stdin.readline(), setattr(bus, "stopping", True)), daemon=True).start()

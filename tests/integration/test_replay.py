@@ -16,8 +16,8 @@ from websockets.sync.client import connect
 
 from services.monitoring.status.views.patch import merge
 from shared.library.summary import SUFFIX
-from tests.support.drives import BEGIN_NS, NORTH_M_S, SECOND, record
-from tests.support.status_server import eventually
+from tests.support.dashboard.status_server import eventually
+from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record
 
 Json = dict[str, Any]
 ROOT = Path(__file__).parents[2]
