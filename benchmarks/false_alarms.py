@@ -32,8 +32,8 @@ from services.sensors.simulator.drive import simulate
 from shared.messages.base import Tick
 from shared.messages.navigation import FilterState, NavigationSolution
 from shared.messages.trust import MonitorOutcome
-from tests.support.motion import World, drives_and_stops
-from tests.support.spoofing import inputs
+from tests.support.drives.motion import World, drives_and_stops
+from tests.support.drives.spoofing import inputs
 
 EPOCHS = 100_000
 WORKERS = 2

@@ -13,8 +13,8 @@ from playwright.sync_api import Page, expect
 from shared.messages.operation import Origin, OriginKind
 from tests.browser.conftest import THEMES
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
-from tests.support.fake_unit import SIMULATED
-from tests.support.status_server import Running, status_server
+from tests.support.dashboard.fake_unit import SIMULATED
+from tests.support.dashboard.status_server import Running, status_server
 
 DEADLINE_S = 2.0  # of navigation/solution
 
