@@ -252,6 +252,7 @@ def as_table(results: dict[tuple[str, str], Seen]) -> str:
 
     lines = ["| process | failure | banner | row | outage | timeline | as before |", "|---|---|---|---|---|---|---|"]
     for (name, failure), seen in results.items():
-        cells = times(seen.banner), times(seen.row), times(seen.outage), " → ".join(seen.timeline)
+        outage = "the one before continues" if seen.continued and not seen.outage else times(seen.outage)
+        cells = times(seen.banner), times(seen.row), outage, " → ".join(seen.timeline)
         lines.append(f"| `{name}` | {failure} | {' | '.join(cells)} | {seen.recovered_s:.0f} s |")
     return "\n".join(lines) + "\n"
