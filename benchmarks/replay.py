@@ -30,8 +30,8 @@ from tests.support.data import REPOSITORY
 HEAD = """# A two-hour recording in the browser
 
 Printed by `python -m benchmarks.replay`: `obu replay` of a simulated drive of two hours ({size_mb:.0f} MB), in Debian's
-Chromium without a graphics card, on a machine with {cores} cores that others use too. Times are of a machine as busy as
-the load says, in runnable processes: above the number of cores everything waits for the others.
+Chromium without a graphics card, on a machine with {cores} cores that others use too, most of them at a lower priority.
+Times are of a machine as busy as the load says, in runnable processes.
 
 """
 RESULTS = Path(__file__).parent / "results"
