@@ -65,6 +65,17 @@ def test_white_errors_are_hardly_ever_taken_for_others() -> None:
             assert not errors.follows
 
 
+def test_residuals_that_decay_after_an_outage_are_no_evidence() -> None:
+    for seed in range(5):
+        errors = taught(UNKNOWN, residuals(0.0, 600, seed))
+        drawn = residuals(0.0, 300, seed + 30)
+        drawn[:50] += np.array([1.0, 3.0, 0.3]) * np.exp(-np.arange(50) / 10.0)[:, np.newaxis]
+        after = errors.after(errors.time_ns + 60_000_000_000, drawn[0], STATED, stated=True)
+        for residual in drawn[1:]:
+            after = taught(after, residual[np.newaxis])
+            assert not after.follows and after.white > 0.9
+
+
 def test_residuals_of_the_first_ten_seconds_are_no_evidence() -> None:
     drawn = residuals(0.9, 300, 1)
     assert taught(UNKNOWN, drawn[:50]).white == taught(UNKNOWN, drawn[:1]).white
