@@ -359,6 +359,7 @@ class Navigator:
         if clock.goes_back(sample.time_ns, known=self._oosm.is_known(sample)):
             self._roll_back.restart("the inertial clock went back")
             self._clock, self._repeats, self._remarkable, self._newest = None, None, True, {}
+            self._suspected = 0.0, 0.0
         return "sample doubled or out of order"
 
     def _settle_clock(self, time_ns: int, lost_s: float) -> None:
