@@ -71,7 +71,7 @@ def test_a_delay_in_use_follows_the_check_and_outlives_a_filter() -> None:
         navigator.imu(time_ns, force, rate)
         if navigator.engine.filter is not None and time_ns > 35e9:
             break
-    steps = [((0.5, 0.6), (0.5, 0.6)), ((0.55, 0.6), (0.5, 0.6)), ((0.0, 0.4), (0.0, 0.4)), ((0.0, 0.0), None)]
+    steps = [((0.5, 0.6), (0.5, 0.6)), ((0.55, 0.6), (0.5, 0.6)), ((0.0, 0.4), (0.0, 0.4)), ((0.6, 0.0), None)]
     for (position_s, velocity_s), expected in steps:
         navigator.suspect_delay(position_s, velocity_s)
         time_ns += 10_000_000
@@ -79,7 +79,7 @@ def test_a_delay_in_use_follows_the_check_and_outlives_a_filter() -> None:
         filter_ = navigator.engine.filter
         assert filter_ is not None
         assert (None if filter_.late is None else filter_.late[:2]) == expected
-        assert navigator.engine.aids.watch.late_s == (expected or (0.0,))[0]
+        assert navigator.engine.aids.watch.late_s == (expected or (0.6,))[0]
     navigator.suspect_delay(0.5, 0.5)
     time_ns += 10_000_000
     navigator.imu(time_ns, force, rate)

@@ -286,9 +286,11 @@ class ErrorStateFilter:
         self.gnss_error = self.gnss_error / ratios
 
     def suspect_delay(self, position_s: float, velocity_s: float) -> None:
-        """Keep the position on the clock of a receiver whose fixes seem to be older than their stamps; 0 ends it."""
-        suspected = bool(position_s or velocity_s)
-        self.late = Late(position_s, velocity_s, self.velocity) if suspected else None
+        """Keep the position on the clock of a receiver whose fixes seem to be older than their stamps.
+
+        A velocity that is in time ends it: positions that lag alone are smoothed, by nobody knows what.
+        """
+        self.late = Late(position_s, velocity_s, self.velocity) if velocity_s else None
 
     def _lag(self, late: Late, span_s: float) -> None:
         """Move the position by the velocity of the delay ago in place of the present one."""
