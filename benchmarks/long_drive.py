@@ -12,8 +12,8 @@ from shared.recording import RecordingWriter
 from shared.runtime.config import load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
 from shared.topics import BY_MESSAGE
+from tests.support.bus.envelopes import sent
 from tests.support.data import REPOSITORY
-from tests.support.envelopes import sent
 
 VEHICLE = REPOSITORY / "deploy" / "vehicles" / "simulated.toml"
 SCENARIO, SEED = "tunnel", 1  # the verdict changes with every tunnel

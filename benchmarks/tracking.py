@@ -19,7 +19,7 @@ from services.core.toll.process import Config, Out, Process
 from shared.messages.base import Tick
 from shared.messages.toll import TollPassage
 from shared.messages.v2x import CamList
-from tests.support.toll import SECOND_NS, START_NS, Vehicle, example_plaza, fix, nothing_open, registration
+from tests.support.v2x.toll import SECOND_NS, START_NS, Vehicle, example_plaza, fix, nothing_open, registration
 
 RESULTS = Path(__file__).parent / "results"
 VEHICLES, RATE_HZ, BATCH_S = 200, 10, 0.02

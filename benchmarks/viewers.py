@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 from websockets.asyncio.client import connect
 
-from services.monitoring.status.process import ADDRESS_FILE
+from shared.runtime.config import ADDRESS_FILE
 
 HEAD = """# Load of the dashboard's server by the number of viewers
 
@@ -30,7 +30,7 @@ SERVER = """
 import sys, threading
 from pathlib import Path
 from services.monitoring.status.process import Config, Process
-from tests.support.fake_unit import FakeBus, FakeUnit
+from tests.support.dashboard.fake_unit import FakeBus, FakeUnit
 bus = FakeBus(Path(sys.argv[1]))
 unit = FakeUnit(bus)
 threading.Thread(target=lambda: (sys.stdin.readline(), setattr(bus, "stopping", True)), daemon=True).start()

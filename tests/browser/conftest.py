@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, ViewportSize
 
-from tests.support.chromium import chromium
-from tests.support.status_server import Running, status_server
+from tests.support.dashboard.chromium import chromium
+from tests.support.dashboard.status_server import Running, status_server
 
 THEMES: dict[str, ViewportSize] = {
     "light": {"width": 1360, "height": 850},

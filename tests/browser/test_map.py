@@ -23,10 +23,10 @@ from services.sensors.simulator.v2x.radio import Radio
 from services.sensors.simulator.vehicle import AntennaState
 from shared.maths.earth import Geodetic, ecef_from_geodetic
 from tests.browser.test_pages import faults, judge_everywhere, keep_picture
-from tests.support.fake_unit import LATITUDE_DEG, LONGITUDE_DEG
-from tests.support.status_server import Running, eventually, status_server
-from tests.support.tile_files import write_mbtiles, write_pmtiles
-from tests.support.tolling import PLAZA
+from tests.support.dashboard.fake_unit import LATITUDE_DEG, LONGITUDE_DEG
+from tests.support.dashboard.status_server import Running, eventually, status_server
+from tests.support.dashboard.tile_files import write_mbtiles, write_pmtiles
+from tests.support.v2x.tolling import PLAZA
 
 SIZES: dict[str, ViewportSize] = {"wide": {"width": 1360, "height": 850}, "phone": {"width": 390, "height": 844}}
 MINUTE_NS = 60 * 10**9

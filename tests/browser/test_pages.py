@@ -13,8 +13,8 @@ from playwright.sync_api import Page, expect
 
 from shared.messages.operation import Mode, ModeState
 from tests.browser.conftest import THEMES
-from tests.support.chromium import AXE
-from tests.support.status_server import Running
+from tests.support.dashboard.chromium import AXE
+from tests.support.dashboard.status_server import Running
 
 PLAIN_FRAMES = "delete window.DecompressionStream"  # so that a test can change them
 WORDS: dict[str, str | re.Pattern[str]] = {

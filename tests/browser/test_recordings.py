@@ -11,8 +11,8 @@ from playwright.sync_api import Page, expect
 from shared.library.summary import SUFFIX
 from shared.recording.summary import write_summary
 from tests.browser.test_pages import judge_everywhere
-from tests.support.drives import record
-from tests.support.status_server import Running, eventually, status_server
+from tests.support.dashboard.status_server import Running, eventually, status_server
+from tests.support.drives.meridian import record
 
 ALL = ["download", "keep", "delete", "replay", "solve"]
 NAME = "20231114T221320Z_car.mcap"

@@ -7,8 +7,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.test_pages import judge_everywhere
-from tests.support.fake_plaza import FakePlaza
-from tests.support.status_server import Running, status_server
+from tests.support.dashboard.status_server import Running, status_server
+from tests.support.v2x.fake_plaza import FakePlaza
 
 PLAZAS = {
     "normal": FakePlaza(),

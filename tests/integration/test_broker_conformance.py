@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import brokers, raw_mqtt
-from tests.support.brokers import MOSQUITTO, SIMULATED, RunningBroker
-from tests.support.mqtt import Client
+from tests.support.bus import brokers, raw_mqtt
+from tests.support.bus.brokers import MOSQUITTO, SIMULATED, RunningBroker
+from tests.support.bus.mqtt import Client
 
 REFUSED = 0x80  # in the answer to a subscription
 ACL = """\

@@ -24,7 +24,7 @@ from shared.messages.operation import Consumed, Mode, ModeState, ProcessHealth, 
 from shared.runtime.config import BrokerAddress
 from shared.runtime.live import LiveReactor
 from shared.topics import TOPICS, subscriptions
-from tests.support import brokers, mqtt
+from tests.support.bus import brokers, mqtt
 
 LAST = LastPosition(
     sampled_ns=1, utc_ns=None, latitude_deg=48.0, longitude_deg=11.0, height_ellipsoid_m=500.0, yaw_rad=1.0,

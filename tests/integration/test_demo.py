@@ -23,8 +23,8 @@ from shared.processes import Role, running
 from shared.recording import Recording
 from shared.runtime.config import load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
-from tests.support.chromium import chromium
-from tests.support.golden import record_golden_drive
+from tests.support.dashboard.chromium import chromium
+from tests.support.drives.golden import record_golden_drive
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 

@@ -24,7 +24,7 @@ from shared.bus.bus import Bus
 from shared.messages.gnss import GnssRaw
 from shared.messages.navigation import TruthState
 from shared.runtime.config import BrokerAddress
-from tests.support import simulated
+from tests.support.bus import simulated
 
 NS = 1_000_000_000
 START_NS = time.time_ns()  # gpsd mistrusts times far from its own clock

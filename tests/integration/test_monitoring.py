@@ -22,8 +22,8 @@ from shared.messages.operation import DeadlineReport, Origin, OriginKind, Outage
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import BrokerAddress, broker_address
 from shared.topics import TOPICS, subscriptions
-from tests.support import brokers
-from tests.support.envelopes import sent, sent_bytes
+from tests.support.bus import brokers
+from tests.support.bus.envelopes import sent, sent_bytes
 
 VEHICLE = '[vehicle]\nname = "car"\n[monitoring.recorder]\nminimum_free_bytes = 0\n'
 LIMIT_S = 15.0

@@ -16,8 +16,8 @@ import pytest
 
 from broker import simulated
 from broker.simulated import Handle, Limits
-from tests.support import raw_mqtt
-from tests.support.mqtt import Client
+from tests.support.bus import raw_mqtt
+from tests.support.bus.mqtt import Client
 
 ROOT = Path(__file__).parents[2]
 

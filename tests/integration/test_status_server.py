@@ -21,7 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Close
 from websockets.sync.client import ClientConnection, connect
 
-from services.monitoring.status.process import ADDRESS_FILE, Config, Process
+from services.monitoring.status.process import Config, Process
 from services.monitoring.status.views.patch import merge
 from services.monitoring.status.web import answers
 from shared.errors import UserError
@@ -29,9 +29,10 @@ from shared.messages.gnss import FixType, GnssFix
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.simulation import AttackName
 from shared.recording.folder import RecordingFolder
-from tests.support.envelopes import sent
-from tests.support.fake_unit import FakeBus
-from tests.support.status_server import Running, eventually, status_server
+from shared.runtime.config import ADDRESS_FILE
+from tests.support.bus.envelopes import sent
+from tests.support.dashboard.fake_unit import FakeBus
+from tests.support.dashboard.status_server import Running, eventually, status_server
 
 Json = dict[str, Any]
 ROOT = Path(__file__).parents[2]
@@ -484,7 +485,7 @@ MEMORY = """
 import sys, threading
 from pathlib import Path
 from services.monitoring.status.process import Config, Process
-from tests.support.fake_unit import FakeBus, FakeUnit
+from tests.support.dashboard.fake_unit import FakeBus, FakeUnit
 bus = FakeBus(Path(sys.argv[1]))
 unit = FakeUnit(bus)
 threading.Thread(target=lambda: (sys.stdin.readline(), setattr(bus, "stopping", True)), daemon=True).start()

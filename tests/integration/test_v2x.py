@@ -16,7 +16,8 @@ from shared.messages.v2x import CamList, OwnCam
 from shared.runtime.config import BrokerAddress
 from shared.topics import BY_NAME
 from shared.v2x import cam, geonetworking, its_time
-from tests.support import brokers, cams
+from tests.support.bus import brokers
+from tests.support.v2x import cams
 
 LIMIT_S = 20.0
 

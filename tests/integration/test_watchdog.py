@@ -25,7 +25,7 @@ from shared.messages.navigation import NavigationSolution, NavigationState, Trut
 from shared.runtime.config import BrokerAddress
 from shared.topics import TOPICS
 from tests.integration.test_demo import KINDS, Demo, start_demo
-from tests.support import mqtt
+from tests.support.bus import mqtt
 
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 

@@ -9,8 +9,8 @@ from math import isclose
 import pytest
 
 from services.parsers.gnss.framer import Framer, Protocol
-from tests.support.golden import FILES, FOLDER, Row, device_bytes, results, rows, stored_rows
-from tests.support.ublox import parse_nmea, parse_ubx
+from tests.support.drives.golden import FILES, FOLDER, Row, device_bytes, results, rows, stored_rows
+from tests.support.gnss.ublox import parse_nmea, parse_ubx
 
 RELATIVE = 1e-6
 # [unit of the field] below which two values are the same, by the end of the field's name.

@@ -35,7 +35,7 @@ from services.core.cooperative.satellites.model import ErrorModel, Sight, Sky
 from services.core.cooperative.satellites.monitor import SatelliteMonitor
 from shared.maths.earth import Geodetic, ecef_from_geodetic, geodetic_from_ecef, ned_from_ecef
 from tests.support.data import recording
-from tests.support.rtcm import read_rtcm
+from tests.support.gnss.rtcm import read_rtcm
 
 pytestmark = pytest.mark.recording
 Station = tuple[list[RawEpoch], EphemerisStore, np.ndarray]

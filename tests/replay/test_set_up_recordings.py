@@ -13,7 +13,7 @@ from cli.solve.solve import solve
 from services.core.fusion.set_up.findings import Verdict
 from services.core.fusion.settings import Settings
 from tests.support.data import REPOSITORY, recording
-from tests.support.set_up import Recorded, Spoiled, recorded
+from tests.support.drives.set_up import Recorded, Spoiled, recorded
 
 MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 pytestmark = pytest.mark.recording

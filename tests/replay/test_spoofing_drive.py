@@ -25,7 +25,7 @@ from shared.messages.vehicle import VehicleSpeed
 from shared.recording import Recording
 from shared.runtime.config import VehicleFile, load_vehicle
 from tests.support.data import REPOSITORY, recording
-from tests.support.spoofing import SECOND_NS, Input, Result, run
+from tests.support.drives.spoofing import SECOND_NS, Input, Result, run
 
 RECORDINGS = REPOSITORY / "benchmarks" / "recordings"
 ATTACK_S = 300.0

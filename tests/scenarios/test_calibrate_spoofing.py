@@ -15,7 +15,7 @@ from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.config import VehicleFile, load_vehicle
 from shared.runtime.offline import OfflineUnit, arrival_ns
-from tests.support.envelopes import sent
+from tests.support.bus.envelopes import sent
 
 pytestmark = pytest.mark.slow  # three drives of a minute or more through fusion
 

@@ -15,8 +15,8 @@ from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.base import Message
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationSolution, NavigationState
 from shared.messages.trust import TrustLevel, TrustState
-from tests.support.chain import Chain, attacked
-from tests.support.spoofing import SECOND_NS
+from tests.support.drives.chain import Chain, attacked
+from tests.support.drives.spoofing import SECOND_NS
 
 BEGIN_S, END_S, DURATION_S = 100.0, 130.0, 180.0
 

@@ -15,8 +15,8 @@ from shared.messages.navigation import NavigationPhase, NavigationSolution, Trut
 from shared.messages.v2x import Cam, CamList, V2xSend
 from shared.runtime.config import parse_vehicle
 from shared.runtime.offline import OfflineUnit
-from tests.support import cams
-from tests.support.golden import VEHICLE
+from tests.support.drives.golden import VEHICLE
+from tests.support.v2x import cams
 
 FRONT_BODY_M = (2.0, 0.0, 0.6)
 SECTIONS = f"""

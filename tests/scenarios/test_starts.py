@@ -15,7 +15,7 @@ from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import GnssSettings, Settings
 from shared.maths.earth import Geodetic
-from tests.support.starts import Leg, manoeuvre
+from tests.support.drives.starts import Leg, manoeuvre
 
 LIMIT = radians(3.0)
 REVERSING_OUT: tuple[Leg, ...] = (

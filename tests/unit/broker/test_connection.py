@@ -6,7 +6,7 @@ import socket
 from broker.simulated.broker import Broker
 from broker.simulated.connection import Connection
 from broker.simulated.session import Limits
-from tests.support import raw_mqtt
+from tests.support.bus import raw_mqtt
 
 PING = raw_mqtt.packet(0xC0, b"")
 MESSAGE = raw_mqtt.packet(0x32, raw_mqtt.string("t") + b"\0\1\0x")  # of QoS 1, answered with five bytes or four

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cli import doctor
-from tests.support import brokers
+from tests.support.bus import brokers
 
 
 def test_a_missing_broker_is_reported_with_its_remedy(

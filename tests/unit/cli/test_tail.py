@@ -9,7 +9,7 @@ from shared.bus.bus import Bus
 from shared.errors import UserError
 from shared.messages.operation import ProcessState
 from shared.runtime.config import BrokerAddress, parse_vehicle
-from tests.support import brokers
+from tests.support.bus import brokers
 
 CAR = parse_vehicle("[vehicle]\nname = 'car'\n")
 

@@ -6,7 +6,7 @@ from cli.demo.balance import Balance
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.navigation import NavigationSolution, TruthState
 from shared.runtime.config import parse_vehicle
-from tests.support.tracks import START_NS, solution
+from tests.support.drives.tracks import START_NS, solution
 
 
 def truth(time_s: float) -> TruthState:

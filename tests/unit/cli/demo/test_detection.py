@@ -5,7 +5,7 @@ import pytest
 from cli.demo.detection import seconds_in_states, summarise
 from shared.messages.simulation import AttackName, AttackRun
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustState
-from tests.support.status_world import monitor, trust
+from tests.support.dashboard.status_world import monitor, trust
 
 NS = 1_000_000_000
 ACCUSES = {"outcome": MonitorOutcome.ACCUSES, "accused": ("gnss",)}

@@ -7,7 +7,7 @@ from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.vehicle import CanRaw
-from tests.support.envelopes import sent
+from tests.support.bus.envelopes import sent
 
 SECOND = 1_000_000_000
 THEN_NS = 1_600_000_000 * SECOND

@@ -9,7 +9,7 @@ from cli.recordings.record import repair
 from shared.bus.bus import Envelope
 from shared.errors import UserError
 from shared.recording import Recording, RecordingWriter
-from tests.support.envelopes import sent_bytes
+from tests.support.bus.envelopes import sent_bytes
 
 START_NS = 1_790_000_000_000_000_000
 

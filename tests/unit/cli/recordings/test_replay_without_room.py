@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from tests.support.data import REPOSITORY
-from tests.support.golden import record_golden_drive
+from tests.support.drives.golden import record_golden_drive
 
 ROOM = 500  # bytes of the largest file that may be written
 

@@ -15,7 +15,7 @@ from shared.messages.vehicle import CanRaw, VehicleSpeed
 from shared.recording import RecordingWriter
 from shared.runtime.config import parse_vehicle
 from shared.runtime.live import Journal, Reactor, load_process
-from tests.support.envelopes import sent
+from tests.support.bus.envelopes import sent
 
 SECOND = 1_000_000_000
 START_NS = 1_790_000_000 * SECOND

@@ -4,7 +4,7 @@ import math
 import pytest
 
 from cli.solve.files import HEADER, KML_POINTS, csv_lines, kml_points
-from tests.support.tracks import START_NS, solution, track
+from tests.support.drives.tracks import START_NS, solution, track
 
 
 def test_the_csv_has_every_column_with_unknown_values_empty() -> None:

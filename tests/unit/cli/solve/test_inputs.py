@@ -4,8 +4,8 @@ from shared.messages.base import Message
 from shared.messages.gnss import FixType, GnssFix, GnssRaw
 from shared.messages.imu import ImuRaw, ImuSamples
 from shared.messages.navigation import TruthState
-from tests.support.envelopes import sent
-from tests.support.tracks import solution
+from tests.support.bus.envelopes import sent
+from tests.support.drives.tracks import solution
 
 
 def envelope(message: Message) -> Envelope:

@@ -20,8 +20,8 @@ from shared.messages.imu import ImuSamples
 from shared.messages.neighbours import NeighbourStates
 from shared.recording import Recording, RecordingWriter
 from shared.runtime.offline import arrival_ns
-from tests.support.csv_drive import write_drive
-from tests.support.envelopes import sent
+from tests.support.bus.envelopes import sent
+from tests.support.drives.csv_drive import write_drive
 
 Metrics = dict[str, float]
 

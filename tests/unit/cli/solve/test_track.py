@@ -3,7 +3,7 @@ import math
 import numpy as np
 
 from cli.solve.track import NAMES
-from tests.support.tracks import START_NS, solution, track
+from tests.support.drives.tracks import START_NS, solution, track
 
 
 def test_a_solution_is_a_row_with_standard_deviations() -> None:

@@ -17,8 +17,8 @@ from shared.messages.navigation import NavigationPhase, NavigationSolution
 from shared.messages.trust import TrustLevel, TrustState
 from shared.messages.v2x import CamList, DriveDirection, OwnCam, StationType, V2xSend, VehicleRole
 from shared.v2x import its_time
-from tests.support import cams
-from tests.support.captures import dissect
+from tests.support.gnss.captures import dissect
+from tests.support.v2x import cams
 
 START_NS = 1_795_000_000 * 10**9
 UTC_OFFSET_NS = -250_000_000  # of the receiver's UTC to the time line of the unit

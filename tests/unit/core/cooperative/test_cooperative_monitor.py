@@ -13,7 +13,7 @@ from services.core.cooperative.v2x.monitor import MAX_NEIGHBOURS, CooperativeMon
 from services.core.cooperative.v2x.neighbours import NeighbourReport, NeighbourTest
 from shared.maths.earth import Geodetic, ecef_from_geodetic, ned_from_ecef
 from shared.maths.frequency_offset import cfo_from_range_rate
-from tests.support.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch
+from tests.support.gnss.constellation import NOW_NS, constellation, filled_store, pushed, raw_epoch
 
 STORE = filled_store()
 ORIGIN = np.array(ecef_from_geodetic(Geodetic(0.83, 0.16, 300.0)))

@@ -16,7 +16,7 @@ from services.core.cooperative.broadcast.ephemeris import (
 from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import WEEK_NS, Constellation, SatelliteId
 from shared.maths.gnss_signals import EARTH_RATE
-from tests.support.constellation import NOW_NS, TOE_NS, constellation, ephemeris
+from tests.support.gnss.constellation import NOW_NS, TOE_NS, constellation, ephemeris
 
 GPS, GALILEO = SatelliteId(Constellation.GPS, 5), SatelliteId(Constellation.GALILEO, 11)
 DAY_NS = 86_400 * 1_000_000_000

@@ -10,7 +10,7 @@ from services.core.cooperative.broadcast.store import EphemerisStore
 from services.core.cooperative.measurements import WEEK_NS, Constellation, SatelliteId
 from services.sensors.simulator.gnss.navigation_words import Packer, lnav_words
 from shared.maths.navigation_words import parity
-from tests.support.constellation import (
+from tests.support.gnss.constellation import (
     IONOSPHERE,
     NOW_NS,
     TOE_NS,

@@ -12,8 +12,8 @@ from services.core.cooperative.broadcast.ephemeris import Ephemeris
 from services.core.cooperative.measurements import WEEK_NS, Constellation
 from shared.maths.gnss_signals import L1_FREQUENCY, SPEED_OF_LIGHT
 from shared.maths.navigation_words import crc24q
-from tests.support.constellation import NOW_NS, constellation
-from tests.support.rtcm import measurements_of, read_rtcm
+from tests.support.gnss.constellation import NOW_NS, constellation
+from tests.support.gnss.rtcm import measurements_of, read_rtcm
 
 TOLERANCES = {"group_delay_s": 2.0**-32, **dict.fromkeys(("cuc", "cus", "cic", "cis"), 2.0**-30)}  # half of a bit
 

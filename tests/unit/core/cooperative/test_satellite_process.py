@@ -13,7 +13,7 @@ from shared.messages.base import Tick
 from shared.messages.gnss import Constellation as System
 from shared.messages.gnss import FixType, GnssFix, GnssNavigationBits, GnssRawEpoch, RawMeasurement
 from shared.messages.trust import MonitorOutcome, TrustMonitor
-from tests.support.constellation import NOW_NS, constellation, inav_pages, lnav_subframes, pushed, raw_epoch
+from tests.support.gnss.constellation import NOW_NS, constellation, inav_pages, lnav_subframes, pushed, raw_epoch
 
 NS = 1_000_000_000
 HERE = np.array(ecef_from_geodetic(Geodetic(radians(42.37), radians(13.35), 700.0)))

@@ -13,7 +13,7 @@ from services.core.motion_conflict.monitor import MotionMonitor
 from services.core.motion_conflict.settings import Settings
 from services.core.motion_conflict.tachograph import KM_H, WindowMode
 from services.core.motion_conflict.verdicts import Accused, MotionVerdicts, State
-from tests.support.motion import SECOND_NS, World, drives_and_stops
+from tests.support.drives.motion import SECOND_NS, World, drives_and_stops
 
 NAMES = [field.name for field in fields(MotionVerdicts)]
 KNOWN = Calibration(1.0, 0.0, 0.001, 0.03)  # of an earlier drive

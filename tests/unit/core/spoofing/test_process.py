@@ -20,7 +20,7 @@ from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
 from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
-from tests.support.spoofing import Input, Result, drag_off, inputs, monitored, run
+from tests.support.drives.spoofing import Input, Result, drag_off, inputs, monitored, run
 
 BEGIN_S = 100.0
 SHORT, LONG = "inertial_short", "inertial_long"

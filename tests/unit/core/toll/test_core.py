@@ -11,7 +11,7 @@ from services.core.toll.core import derive
 from services.core.toll.settings import Settings
 from shared.messages.toll import STATION_IDS, OpenPassages, PassageState, TollPassage
 from shared.messages.v2x import CamList, StationType
-from tests.support.toll import START_NS, Plant, Vehicle, fix, lane_of, place
+from tests.support.v2x.toll import START_NS, Plant, Vehicle, fix, lane_of, place
 
 COMMON = (2.5, -1.5)  # [m, north and east] error that the receivers have in common
 CAR = Vehicle(7, "n2", error=COMMON)

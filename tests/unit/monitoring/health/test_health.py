@@ -4,8 +4,8 @@ from services.monitoring.health.process import Config, Process
 from shared.bus import codec
 from shared.bus.bus import Envelope
 from shared.messages.operation import DeadlineReport, Outage, ProcessHealth, ProcessState
-from tests.support.envelopes import sent_bytes
-from tests.support.fake_bus import FakeBus
+from tests.support.bus.envelopes import sent_bytes
+from tests.support.bus.fake_bus import FakeBus
 
 START_NS = 1_790_000_000_000_000_000
 STEP_NS = 40_000_000

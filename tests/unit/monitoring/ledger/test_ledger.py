@@ -9,7 +9,7 @@ import pytest
 from services.monitoring.ledger.ledger import Ledger, Settings
 from services.monitoring.ledger.store import LedgerFault, Row, Store, Value
 from shared.messages.toll import SETTLED, EvidencePack, PassageState, TransactionKind
-from tests.support.tolling import NS, PLAZA, START_NS, STATION, Vehicle, answer, ledger_at
+from tests.support.v2x.tolling import NS, PLAZA, START_NS, STATION, Vehicle, answer, ledger_at
 
 OPEN, CROSSED, CHARGED = PassageState.OPEN, PassageState.CROSSED, PassageState.CHARGED
 LATER_NS = START_NS + 30 * NS

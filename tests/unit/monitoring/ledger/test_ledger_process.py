@@ -12,9 +12,9 @@ from shared.bus.envelope import Envelope
 from shared.messages.base import Message
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.toll import LedgerState, OpenPassages, PassageState, TollTransaction
-from tests.support.envelopes import sent, sent_bytes
-from tests.support.fake_bus import FakeBus
-from tests.support.tolling import START_NS, Vehicle
+from tests.support.bus.envelopes import sent, sent_bytes
+from tests.support.bus.fake_bus import FakeBus
+from tests.support.v2x.tolling import START_NS, Vehicle
 
 SECOND = 10  # receives
 

@@ -9,7 +9,7 @@ import pytest
 from services.monitoring.ledger.ledger import Ledger
 from services.monitoring.ledger.reconciliation import Crossing, Pulse, match
 from shared.messages.toll import LaneBalance, PassageState
-from tests.support.tolling import NS, START_NS, Vehicle, ledger_at
+from tests.support.v2x.tolling import NS, START_NS, Vehicle, ledger_at
 
 LIMITS = {"detector_sd_s": 0.1, "gate_s": 5.0}
 RIPE_NS = START_NS + 400 * NS

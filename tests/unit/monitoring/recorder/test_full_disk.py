@@ -12,8 +12,8 @@ from pathlib import Path
 from services.monitoring.recorder.process import Config, Process
 from shared.messages.operation import RecordingState
 from shared.recording import Recording
-from tests.support.envelopes import sent_bytes
-from tests.support.fake_bus import FakeBus
+from tests.support.bus.envelopes import sent_bytes
+from tests.support.bus.fake_bus import FakeBus
 
 disk = Path(sys.argv[1])
 rng = random.Random(1)

@@ -9,8 +9,8 @@ from shared.bus.bus import Envelope
 from shared.messages.operation import RecordingState
 from shared.recording import Recording
 from shared.recording.reader import MAXIMUM_CHUNK
-from tests.support.envelopes import sent_bytes
-from tests.support.fake_bus import FakeBus
+from tests.support.bus.envelopes import sent_bytes
+from tests.support.bus.fake_bus import FakeBus
 
 START_NS = 1_790_000_000_000_000_000
 EASY = Config(minimum_free_bytes=0)

@@ -11,7 +11,7 @@ from services.monitoring.status.views.plain_words import plain
 from shared.messages.gnss import FixType
 from shared.messages.navigation import AidingKind, NavigationPhase
 from shared.messages.trust import MonitorOutcome, TrustLevel
-from tests.support.status_world import START_NS, aiding, fix, monitor, solution, trust
+from tests.support.dashboard.status_world import START_NS, aiding, fix, monitor, solution, trust
 
 LEVELS = {"protection_level_horizontal_m": 3.14, "protection_level_vertical_m": 4.2, "integrity_risk": 1e-3}
 GOOD = Evidence(

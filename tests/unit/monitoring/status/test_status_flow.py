@@ -7,7 +7,7 @@ from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import AidingKind
 from shared.messages.operation import Mode, ModeState, Origin, OriginKind
-from tests.support.status_world import ALL, SECOND_NS, World, aiding, fix, solution
+from tests.support.dashboard.status_world import ALL, SECOND_NS, World, aiding, fix, solution
 
 
 def samples(now_ns: int) -> ImuSamples:

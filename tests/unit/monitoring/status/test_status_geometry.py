@@ -12,7 +12,7 @@ from services.monitoring.status.views.geometry import (
     offset_m,
     vertical_sd,
 )
-from tests.support.status_world import START_NS, fix, solution
+from tests.support.dashboard.status_world import START_NS, fix, solution
 
 
 def test_the_ellipse_of_equal_variances_is_a_circle_of_2_4477_sigma() -> None:

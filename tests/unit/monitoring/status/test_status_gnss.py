@@ -30,7 +30,7 @@ from shared.messages.gnss import (
     Satellite,
     SignalQuality,
 )
-from tests.support.envelopes import sent
+from tests.support.bus.envelopes import sent
 
 NS = 1_000_000_000
 TRACKED = Satellite(

@@ -7,7 +7,7 @@ from services.monitoring.status.views import prometheus
 from shared.messages.navigation import AidingKind
 from shared.messages.operation import RecordingState
 from shared.messages.trust import TrustLevel
-from tests.support.status_world import START_NS, World, aiding, fix, solution, trust
+from tests.support.dashboard.status_world import START_NS, World, aiding, fix, solution, trust
 
 
 def scrape(world: World) -> dict[str, dict[tuple[str, ...], float]]:

@@ -9,8 +9,8 @@ import pytest
 from shared.library.library import Library
 from shared.library.summary import SUFFIX, SummaryWorker
 from shared.recording.summary import write_summary
-from tests.support.drives import record
-from tests.support.status_server import eventually, status_server
+from tests.support.dashboard.status_server import eventually, status_server
+from tests.support.drives.meridian import record
 
 NAME = "20231114T221320Z_car.mcap"
 

@@ -11,8 +11,8 @@ from shared.messages.operation import Origin, OriginKind, Outage
 from shared.messages.replay import ReplayEvents, ReplayState, TrustChange
 from shared.messages.trust import TrustLevel
 from shared.runtime.config import parse_vehicle
-from tests.support.drives import BEGIN_NS, SECOND, solution, verdict
-from tests.support.envelopes import sent
+from tests.support.bus.envelopes import sent
+from tests.support.drives.meridian import BEGIN_NS, SECOND, solution, verdict
 
 HOST_NS = 1_800_000_000 * SECOND
 END_NS = BEGIN_NS + 1000 * SECOND

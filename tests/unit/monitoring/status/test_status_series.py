@@ -9,7 +9,7 @@ from services.monitoring.status.series import fields, rings, store
 from services.monitoring.status.series.store import Series, SeriesFull
 from shared.messages.gnss import Constellation, FixType, GnssFix, GnssSatellites, Satellite
 from shared.messages.navigation import AidingKind, AidingUpdate, TruthState
-from tests.support.status_world import solution
+from tests.support.dashboard.status_world import solution
 
 NS = 1_000_000_000
 NOW_NS = 1_795_000_000 * NS

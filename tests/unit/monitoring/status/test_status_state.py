@@ -30,7 +30,7 @@ from shared.messages.operation import (
 )
 from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
-from tests.support.status_world import (
+from tests.support.dashboard.status_world import (
     ALL,
     SECOND_NS,
     START_NS,

@@ -8,7 +8,7 @@ from services.monitoring.status.process import Config, Process
 from services.monitoring.status.web.websocket import Stream
 from shared.bus.bus import Envelope
 from shared.errors import ObuError
-from tests.support.fake_bus import FakeBus
+from tests.support.bus.fake_bus import FakeBus
 
 START_NS = 1_795_000_000 * 10**9
 

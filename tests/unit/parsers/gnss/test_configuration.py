@@ -14,7 +14,7 @@ from services.parsers.gnss.process import Config, Process
 from services.sensors.simulator.gnss.ubx_encoder import mon_ver
 from shared.messages.base import Message, Tick
 from shared.messages.gnss import GnssConfiguration, GnssConfigure, GnssRaw, GnssWrite
-from tests.support.ublox import valset
+from tests.support.gnss.ublox import valset
 
 NS = 1_000_000_000
 REQUEST = GnssConfigure(request_id=7, source="gnss0", navigation_period_s=0.2, messages=("NAV-PVT", "NAV-COV"))

@@ -23,7 +23,7 @@ from shared.messages.gnss import (
     SignalFlags,
 )
 from tests.support.data import recording
-from tests.support.ublox import parse_ubx
+from tests.support.gnss.ublox import parse_ubx
 
 NS = 1_000_000_000
 UNKNOWN, NONE, INDICATED, SEVERE = InterferenceState

@@ -12,9 +12,9 @@ from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.v2x import Cam, CamContent, CamFrames, CamList, Encapsulation, OwnCam, StationType, V2xSend
 from shared.v2x import cam, frames, geonetworking, its_time
-from tests.support import cams
-from tests.support.captures import packets
 from tests.support.data import recording
+from tests.support.gnss.captures import packets
+from tests.support.v2x import cams
 
 NOW_NS = 1_795_000_000 * 10**9 + 123_456_789
 MS = 1_000_000

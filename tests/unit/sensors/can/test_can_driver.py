@@ -6,7 +6,7 @@ import pytest
 from services.sensors.can.process import Config, Process
 from shared.errors import UserError
 from shared.messages.vehicle import CanRaw
-from tests.support.live_bus import eventually, running
+from tests.support.bus.live_bus import eventually, running
 
 
 def test_frames_are_published_in_batches_of_at_most_0_07_s_and_none_is_lost() -> None:

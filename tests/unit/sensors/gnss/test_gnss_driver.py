@@ -7,7 +7,7 @@ import pytest
 from services.sensors.gnss.process import Config, Process
 from shared.errors import UserError
 from shared.messages.gnss import GnssRaw, GnssWrite
-from tests.support.live_bus import eventually, running
+from tests.support.bus.live_bus import eventually, running
 
 
 def test_received_and_written_bytes_are_unchanged() -> None:

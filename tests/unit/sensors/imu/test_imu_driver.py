@@ -6,7 +6,7 @@ import tty
 from services.sensors.imu.process import Config, Process
 from shared.devices import xbus
 from shared.messages.imu import ImuRaw
-from tests.support.live_bus import eventually, running
+from tests.support.bus.live_bus import eventually, running
 
 
 def test_frames_at_100_hz_are_published_unchanged_with_a_delay_below_5_ms() -> None:

@@ -15,7 +15,7 @@ from shared.maths.earth import ned_from_geodetic_difference
 from shared.maths.gnss_signals import SPEED_OF_LIGHT
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.simulation import AttackCommand, AttackName, SimulationAttack, SimulationState
-from tests.support.attacked_drive import NS, Drive, attacked, place, seconds
+from tests.support.drives.attacked_drive import NS, Drive, attacked, place, seconds
 
 START_S, END_S = 33.0, 48.0
 CONSISTENT = [

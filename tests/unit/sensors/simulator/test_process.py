@@ -15,9 +15,9 @@ from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.messages.imu import ImuRaw
 from shared.messages.simulation import RoadNetwork, SimulationState
 from shared.runtime.config import load_vehicle
-from tests.support.envelopes import sent, sent_bytes
-from tests.support.fake_bus import FakeBus
-from tests.support.ublox import valset
+from tests.support.bus.envelopes import sent, sent_bytes
+from tests.support.bus.fake_bus import FakeBus
+from tests.support.gnss.ublox import valset
 
 NS = 1_000_000_000
 START_NS = 1_790_000_000 * NS

@@ -15,7 +15,7 @@ from services.sensors.simulator.gnss.reception import Fix
 from services.sensors.simulator.gnss.simulated_epoch import GEOID_M, Epoch
 from services.sensors.simulator.gnss.sky import CONSTELLATIONS, Sky, SkyModel, dilution
 from shared.maths.earth import Geodetic
-from tests.support.ublox import parse_nmea, parse_ubx, valget, valset
+from tests.support.gnss.ublox import parse_nmea, parse_ubx, valget, valset
 
 PLACE = Geodetic(radians(42.370012345), radians(13.350098765), 712.3456)
 NAMES = ("gps", "galileo", "glonass", "beidou")

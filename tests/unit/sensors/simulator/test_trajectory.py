@@ -14,7 +14,7 @@ from services.sensors.simulator.scenarios import BY_NAME, SCENARIOS, Scenario
 from services.sensors.simulator.vehicle import antenna_at
 from shared.maths.earth import Geodetic, earth_rate_n, gravity, ned_track, transport_rate_n
 from shared.maths.rotation import skew
-from tests.support.rotations import mean_rotation
+from tests.support.drives.rotations import mean_rotation
 
 STEP = 0.01
 

@@ -23,7 +23,7 @@ from shared.messages.neighbours import NeighbourStates
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.vehicle import CanRaw
 from shared.topics import BY_MESSAGE, publications
-from tests.support.ublox import parse_ubx, valget, valset
+from tests.support.gnss.ublox import parse_ubx, valget, valset
 
 NS = 1_000_000_000
 

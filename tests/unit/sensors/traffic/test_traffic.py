@@ -27,7 +27,7 @@ from shared.messages.toll import (
 )
 from shared.messages.v2x import Cam, CamFrames
 from shared.v2x import frames
-from tests.support.tolling import NS, PLAZA, START_NS, Vehicle, ledger_at
+from tests.support.v2x.tolling import NS, PLAZA, START_NS, Vehicle, ledger_at
 
 PERFECT = Channel(loss=0.0, duplicates=0.0, latency_s=0.0, reordered=0.0)
 ALL_WELL = Mix(unequipped=0.0, unregistered=0.0, silent=0.0, new_station_id=0.0, corrected=0.0, turning=0.0)

@@ -10,7 +10,7 @@ from services.sensors.v2x.process import MAX_BATCH_FRAMES, Config, Process
 from shared.errors import UserError
 from shared.messages.v2x import MAX_FRAME_BYTES, CamFrames, Encapsulation, V2xSend
 from shared.v2x import frames
-from tests.support.live_bus import LiveBus, eventually, running
+from tests.support.bus.live_bus import LiveBus, eventually, running
 
 
 @contextmanager

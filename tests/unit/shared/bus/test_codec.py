@@ -18,7 +18,7 @@ from shared.messages.navigation import NavigationSolution
 from shared.messages.operation import ProcessHealth, ProcessState
 from shared.messages.vehicle import CanRaw
 from shared.topics import TOPICS
-from tests.support.status_world import solution
+from tests.support.dashboard.status_world import solution
 
 FIX = GnssFix(
     sampled_ns=1, received_ns=2, source="gnss", fix_type=FixType.THREE_D, latitude_deg=48.1, longitude_deg=11.5

@@ -11,7 +11,7 @@ import pytest
 
 from shared.devices.device import Device, DeviceBusy, DeviceLost, open_device
 from shared.errors import UserError
-from tests.support.live_bus import eventually
+from tests.support.bus.live_bus import eventually
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from shared.devices.device import open_device
 from shared.devices.driver import Link, run_driver
 from shared.messages.imu import ImuRaw
 from shared.messages.operation import Origin, OriginKind
-from tests.support.live_bus import LiveBus, eventually, running
+from tests.support.bus.live_bus import LiveBus, eventually, running
 
 
 class Script:

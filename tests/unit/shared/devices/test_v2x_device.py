@@ -13,7 +13,8 @@ from shared.devices.device import DeviceBusy, DeviceLost
 from shared.devices.v2x_device import Radio, open_radio
 from shared.messages.v2x import MAX_FRAME_BYTES, Encapsulation
 from shared.v2x import cam, geonetworking
-from tests.support import brokers, cams
+from tests.support.bus import brokers
+from tests.support.v2x import cams
 
 OPEN_TO_ALL = "topic readwrite #\n"
 

@@ -7,7 +7,7 @@ import pytest
 from shared.errors import BadRecording
 from shared.recording import Recording
 from shared.recording.index import RecordingIndex
-from tests.support.drives import BEGIN_NS, SECOND, record
+from tests.support.drives.meridian import BEGIN_NS, SECOND, record
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
 from shared.messages.operation import Mode, ModeState
 from shared.recording import Recording, RecordingWriter
-from tests.support.envelopes import sent, sent_bytes
+from tests.support.bus.envelopes import sent, sent_bytes
 
 START_NS = 1_790_000_000_000_000_000
 

@@ -9,7 +9,7 @@ from shared.errors import BadRecording
 from shared.library.summary import SUFFIX, SummaryWorker, read_summary
 from shared.recording import RecordingWriter
 from shared.recording.summary import POINTS, summarise, write_summary
-from tests.support.drives import BEGIN_NS, NORTH_M_S, SECOND, record
+from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record
 
 
 def test_a_summary_has_the_course_of_the_drive(tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ import pytest
 
 from shared.messages.v2x import StationType
 from shared.v2x import cam, geonetworking
-from tests.support import cams
-from tests.support.captures import Dissection, dissect, dissect_file, packets
 from tests.support.data import recording
+from tests.support.gnss.captures import Dissection, dissect, dissect_file, packets
+from tests.support.v2x import cams
 
 
 def codes(seen: Dissection) -> dict[str, int]:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from shared.errors import RejectedFrame
 from shared.messages.v2x import CamContent, StationType
 from shared.v2x import cam
-from tests.support import cams
+from tests.support.v2x import cams
 
 # Of a CAM of the ETSI test system, without its headers: standing passenger car, 1 Hz.
 TEST_SYSTEM = bytes.fromhex("02020000279fed2d4059f35a60ce2dc3ad800200200030d41e0000012016840310a50733ffe1fffa001000")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from shared.errors import RejectedFrame
 from shared.v2x import geonetworking
-from tests.support import cams
+from tests.support.v2x import cams
 
 PAYLOAD = bytes.fromhex("0202000027")
 PACKET = geonetworking.encode_packet(PAYLOAD, cams.SENDER)

@@ -13,7 +13,7 @@ from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import TruthState
 from shared.runtime.config import parse_vehicle
-from tests.support.tracks import START_NS, solution
+from tests.support.drives.tracks import START_NS, solution
 
 S = 1_000_000_000
 LATE_S = 0.31

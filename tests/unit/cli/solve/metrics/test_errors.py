@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cli.solve.metrics.errors import errors_against
-from tests.support.tracks import RATE, reference, solution, track
+from tests.support.drives.tracks import RATE, reference, solution, track
 
 NOWHERE = (0.0, 0.0, 0.0)
 SOLUTIONS_S = [0.1 * k for k in range(301)]

@@ -13,7 +13,7 @@ from cli.solve.report.report import against_gnss
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.base import Vector3
 from shared.messages.gnss import FixType, GnssFix
-from tests.support.tracks import START_NS, reference, solution, track
+from tests.support.drives.tracks import START_NS, reference, solution, track
 
 S = 1_000_000_000
 ARM = (1.0, 0.5, -1.2)

@@ -13,7 +13,7 @@ from cli.solve.metrics.metrics import METRICS
 from cli.solve.report.drawing import WIDTH_IN
 from cli.solve.report.stanford import HEIGHT_IN, draw, stanford
 from shared.messages.navigation import NavigationSolution
-from tests.support.tracks import reference, solution, track
+from tests.support.drives.tracks import reference, solution, track
 
 LIMITS = (10.0, 20.0)
 NOWHERE = (0.0, 0.0, 0.0)

@@ -14,7 +14,7 @@ from cli.solve.track import Track
 from shared.messages.base import Vector3
 from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase, NavigationState
 from tests.support.data import REPOSITORY
-from tests.support.tracks import START_NS, circle, reference, solution, track
+from tests.support.drives.tracks import START_NS, circle, reference, solution, track
 
 S = 1_000_000_000
 NOWHERE = (0.0, 0.0, 0.0)

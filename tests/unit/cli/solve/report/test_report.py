@@ -7,7 +7,7 @@ from cli.solve.metrics.metrics import Run, metrics_of
 from cli.solve.report.plots import figures_of
 from cli.solve.report.report import Heading, page
 from shared.messages.navigation import AidingKind, AidingUpdate
-from tests.support.tracks import START_NS, reference, solution, track
+from tests.support.drives.tracks import START_NS, reference, solution, track
 
 S = 1_000_000_000
 

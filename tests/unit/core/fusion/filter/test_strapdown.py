@@ -25,7 +25,7 @@ from shared.maths.rotation import (
     quaternion_from_rotation_vector,
     skew,
 )
-from tests.support.rotations import mean_rotation
+from tests.support.drives.rotations import mean_rotation
 
 STEP_NS = 10_000_000
 COMPONENT = st.floats(-2.0, 2.0)

@@ -24,7 +24,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
 from shared.messages.navigation import AidingKind
-from tests.support.starts import manoeuvre
+from tests.support.drives.starts import manoeuvre
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from services.core.fusion.set_up.motion import MotionLog
 from services.core.fusion.set_up.regression import least_squares, nearest_permutation
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import simulate
-from tests.support.set_up import Recorded, Spoiled, matrix_of, simulated
+from tests.support.drives.set_up import Recorded, Spoiled, matrix_of, simulated
 
 SECONDS = 180.0
 

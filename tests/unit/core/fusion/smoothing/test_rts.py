@@ -26,7 +26,7 @@ from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.kalman import correct
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix
-from tests.support.histories import Records
+from tests.support.drives.histories import Records
 
 FloatArray = npt.NDArray[np.float64]
 PERIOD_NS = 500_000_000

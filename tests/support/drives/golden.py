@@ -19,8 +19,8 @@ from shared.messages.vehicle import CanRaw
 from shared.recording import RecordingWriter
 from shared.runtime.config import load_vehicle
 from shared.runtime.offline import OfflineUnit
+from tests.support.bus.envelopes import sent
 from tests.support.data import REPOSITORY
-from tests.support.envelopes import sent
 
 FOLDER = REPOSITORY / "tests" / "golden"
 VEHICLE = REPOSITORY / "deploy" / "vehicles" / "simulated.toml"

@@ -20,8 +20,8 @@ from shared.messages.toll import (
     TollTracks,
 )
 from shared.runtime.config import parse_vehicle
-from tests.support.fake_unit import FakeBus, heartbeat
-from tests.support.tolling import PLAZA, Vehicle
+from tests.support.dashboard.fake_unit import FakeBus, heartbeat
+from tests.support.v2x.tolling import PLAZA, Vehicle
 from tests.support.watchdog import Watchdog
 
 VEHICLE_TOML = '[vehicle]\nname = "plaza-1"\nrole = "rsu"\n[sensors.traffic]\n[sensors.v2x]\n[parsers.v2x]\n'

@@ -10,7 +10,7 @@ from shared.messages.navigation import AidingKind, AidingUpdate, NavigationPhase
 from shared.messages.operation import ProcessHealth, ProcessState
 from shared.messages.trust import MonitorOutcome, TrustLevel, TrustMonitor, TrustState
 from shared.runtime.config import parse_vehicle
-from tests.support.envelopes import sent_bytes
+from tests.support.bus.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
 
 START_NS = 1_795_000_000 * 10**9

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from services.monitoring.status.process import ADDRESS_FILE, Config, Process
+from services.monitoring.status.process import Config, Process
 from shared.bus.bus import Bus
-from tests.support.fake_plaza import FakePlaza
-from tests.support.fake_unit import FakeBus, FakeUnit
+from shared.runtime.config import ADDRESS_FILE
+from tests.support.dashboard.fake_unit import FakeBus, FakeUnit
+from tests.support.v2x.fake_plaza import FakePlaza
 
 
 @dataclass

@@ -25,7 +25,7 @@ class RunningBroker(Protocol):
 
 def start(kind: str, folder: Path, acl: str | None = None) -> RunningBroker:
     """Start a broker that keeps its files in `folder`, with the unit's access list or with the text of another."""
-    from tests.support import mosquitto, simulated
+    from tests.support.bus import mosquitto, simulated
 
     return simulated.start(folder, acl) if kind == SIMULATED else mosquitto.start(folder, acl)
 
@@ -33,7 +33,7 @@ def start(kind: str, folder: Path, acl: str | None = None) -> RunningBroker:
 def access_list(folder: Path, text: str | None) -> Path:
     """Write an access list into the folder; without a text, find the unit's own."""
     if text is None:
-        return Path(__file__).parents[2] / "broker" / "acl.conf"
+        return Path(__file__).parents[3] / "broker" / "acl.conf"
     path = folder / "acl.conf"
     path.write_text(text)
     path.chmod(0o600)

@@ -8,7 +8,7 @@ from shared.messages.navigation import NavigationPhase, NavigationSolution
 from shared.messages.operation import Origin, OriginKind, Outage
 from shared.messages.trust import TrustLevel, TrustState
 from shared.recording import RecordingWriter
-from tests.support.envelopes import sent
+from tests.support.bus.envelopes import sent
 
 BEGIN_NS = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000

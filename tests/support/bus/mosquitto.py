@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from broker import local_config
-from tests.support import brokers
+from tests.support.bus import brokers
 
 READY_WITHIN_S = 5.0
 

@@ -9,7 +9,7 @@ from typing import TypeVar, cast
 
 from shared.bus.bus import Bus, Envelope
 from shared.messages.base import Message
-from tests.support.envelopes import sent
+from tests.support.bus.envelopes import sent
 
 M = TypeVar("M", bound=Message)
 

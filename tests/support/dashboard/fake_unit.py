@@ -56,7 +56,7 @@ from shared.messages.simulation import AttackCommand, AttackRun, SimulationAttac
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 from shared.messages.vehicle import CanRaw, WheelSpeeds
 from shared.runtime.config import parse_vehicle
-from tests.support.envelopes import sent_bytes
+from tests.support.bus.envelopes import sent_bytes
 from tests.support.watchdog import Watchdog
 
 RADIUS_M, SPEED_M_S = 60.0, 9.0

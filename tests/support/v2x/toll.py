@@ -21,7 +21,7 @@ FAR_NS = 10**18
 
 def example_plaza() -> Plaza:
     """The plaza of deploy/plazas."""
-    path = Path(__file__).parents[2] / "deploy/plazas/example.geojson"
+    path = Path(__file__).parents[3] / "deploy/plazas/example.geojson"
     return parse_plaza(path.read_bytes(), str(path))
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from broker import simulated
-from tests.support import brokers
+from tests.support.bus import brokers
 
 
 class Simulated:

@@ -22,7 +22,7 @@ from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState
 from shared.messages.trust import MonitorOutcome, TrustMonitor, TrustState
 from shared.topics import BY_MESSAGE
-from tests.support.spoofing import SECOND_NS, drag_off, inputs
+from tests.support.drives.spoofing import SECOND_NS, drag_off, inputs
 
 KMH = 1.0 / 3.6
 
