@@ -46,7 +46,7 @@ def test_a_start_at_rest_measures_the_bias(seed: int) -> None:
 def test_a_start_on_the_move_estimates_the_bias_and_states_what_is_left() -> None:
     """Mean of the squared errors over their variances, over starts with other biases."""
     pulls = np.concatenate([heading_errors(seed, MOVING_S)[1] for seed in (0, 1, 3)])
-    assert np.mean(np.square(pulls)) < 3.0, "1.6 was measured"
+    assert np.mean(np.square(pulls)) < 3.5
 
 
 def test_an_imu_askew_by_twenty_degrees_starts_at_rest_as_well() -> None:

@@ -35,7 +35,7 @@ from .velocity_matching import REST_OFFSET_SD, Comparison
 
 FloatArray = npt.NDArray[np.float64]
 
-VERTICAL_BIAS_SHARE = 0.6  # of the prior: gravity does not observe it, and more spoils starts on the move
+VERTICAL_BIAS_SHARE = 0.4  # of the prior: gravity does not observe it, and more spoils starts on the move
 TRACK_S = 5.0  # longest time of the positions that give a course
 MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
 REST_VELOCITY_SD = 0.05  # [m/s]

@@ -38,6 +38,7 @@ FloatArray = npt.NDArray[np.float64]
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
 DELAY_PSD = 1e-6  # [s] 1 ms in a second, 60 ms in an hour
+MOVED_SHARE = 0.75  # [-] of the way by which a suspected delay moves the position: delays that are found scatter so
 NO_ERRORS = ImuErrors()
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
 
@@ -293,8 +294,13 @@ class ErrorStateFilter:
         self.late = Late(position_s, velocity_s, self.velocity) if velocity_s else None
 
     def _lag(self, late: Late, span_s: float) -> None:
-        """Move the position by the velocity of the delay ago in place of the present one."""
-        change, share = late.change(self.velocity), -late.position_s / late.longest_s * span_s
+        """Move the position by the velocity of the delay ago in place of the present one.
+
+        Its variance grows by (d_p c)² in the delay T: neither that nor the first-order lag is known well.
+        """
+        change, share = late.change(self.velocity), late.position_s / late.longest_s
+        self.inflate_along(em.POSITION, share * sqrt(late.longest_s * span_s) * np.array(change))
+        share *= -MOVED_SHARE * span_s
         north, east, down = (share * part for part in change)
         here = geodetic_from_ned_difference((north, east, down), self.position)
         self.inertial = self.inertial._replace(position=here)
