@@ -219,6 +219,12 @@ def test_an_error_of_the_stamp_is_an_error_along_the_road() -> None:
     assert fast >= line_factor(1e-3) * 0.06 > 5.0 * slow
 
 
+def test_the_way_driven_in_a_delay_that_is_not_corrected_is_added() -> None:
+    level, upright = levels(Watch(), velocity=20.0)
+    late, late_upright = levels(replace(Watch(), late_s=0.5), velocity=20.0)
+    assert (late - level, late_upright - upright) == pytest.approx((10.0, 0.0))
+
+
 def test_numbers_that_have_broken_down_protect_nothing() -> None:
     broken = ((float("nan"), 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     assert levels(watch(), cov=broken) == (LARGEST_M, LARGEST_M)

@@ -110,6 +110,18 @@ def test_a_finding_needs_two_evaluations_and_outlives_ignorance() -> None:
     assert monitor.checks["imu_axes"] == (right, 40)
 
 
+def test_delays_in_use_are_those_that_contradict_the_settings() -> None:
+    monitor = SetUpMonitor(Settings())
+    assert monitor.delays == (0.0, 0.0)
+    for _ in range(2):
+        monitor._adopt(Check("gnss_velocity_delay", Verdict.CONTRADICTS, statistic=0.6), 10)
+    assert monitor.delays == (0.6, 0.6), "of positions nothing is known, and they come from the same receiver"
+    monitor._adopt(Check("gnss_delay", Verdict.AGREES, statistic=0.03), 20)
+    assert monitor.delays == (0.0, 0.6), "only the velocity is smoothed"
+    monitor._adopt(Check("gnss_velocity_delay", Verdict.AGREES, statistic=0.1), 30)
+    assert monitor.delays == (0.0, 0.0)
+
+
 def test_regression_has_honest_errors_and_drops_outliers() -> None:
     rng = np.random.default_rng(1)
     truth = np.array([[1.0, -2.0], [0.5, 3.0]])
