@@ -93,13 +93,13 @@ def test_a_message_arrives_as_it_was_sent_with_its_sender_and_number(make_bus: C
     assert [b.sequence - a.sequence for a, b in itertools.pairwise(heard)] == [1] * 49
 
 
-def test_a_process_hears_only_what_the_contract_gives_it(make_bus: Callable[[str], Bus]) -> None:
+def test_a_process_receives_only_the_topics_of_its_row(make_bus: Callable[[str], Bus]) -> None:
     sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.imu")
     sensor.publish(raw(sensor, b"x"))
     assert pump(0.2, sensor, parser) == []
 
 
-def test_a_late_observer_finds_the_state_of_every_process(make_bus: Callable[[str], Bus]) -> None:
+def test_a_late_observer_receives_the_state_of_every_process(make_bus: Callable[[str], Bus]) -> None:
     make_bus("core.fusion").receive(0.05)
     observer = make_bus("observer")
     heard = [e for e in pump(0.3, observer) if e.topic == "health/core.fusion"]
@@ -108,7 +108,7 @@ def test_a_late_observer_finds_the_state_of_every_process(make_bus: Callable[[st
     assert health.state == ProcessState.READY
 
 
-def test_a_farewell_is_not_a_loss(make_bus: Callable[[str], Bus]) -> None:
+def test_a_process_that_ends_regularly_is_not_lost(make_bus: Callable[[str], Bus]) -> None:
     process, observer = make_bus("core.fusion"), make_bus("observer")
     process.close()
     states = [e.decode() for e in pump(0.3, observer) if e.topic == "health/core.fusion"]
@@ -116,7 +116,7 @@ def test_a_farewell_is_not_a_loss(make_bus: Callable[[str], Bus]) -> None:
     assert states[-1].state == ProcessState.DISCONNECTED
 
 
-def test_two_processes_of_one_name_do_not_fight_at_full_speed_and_say_why(
+def test_two_processes_of_one_name_reconnect_with_pauses_and_log_the_reason(
     make_bus: Callable[[str], Bus], caplog: pytest.LogCaptureFixture
 ) -> None:
     first, second = make_bus("core.fusion"), make_bus("core.fusion")
@@ -128,7 +128,7 @@ def test_two_processes_of_one_name_do_not_fight_at_full_speed_and_say_why(
     wait_for(lambda: first.connected, first, limit_s=2.0)
 
 
-def test_the_bus_comes_back_after_the_broker_and_says_what_it_lost(
+def test_the_bus_reconnects_after_the_broker_and_counts_lost_messages(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
 ) -> None:
     sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
@@ -187,7 +187,7 @@ HOSTILE: tuple[dict[str, object], ...] = (
 )  # fmt: skip
 
 
-def test_hostile_payloads_on_a_topic_are_counted_and_the_process_goes_on(
+def test_invalid_payloads_on_a_topic_are_counted_and_the_process_continues(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
 ) -> None:
     parser, controller, observer = make_bus("parsers.gnss"), make_bus("controller.mode"), make_bus("observer")
@@ -213,9 +213,7 @@ def test_hostile_payloads_on_a_topic_are_counted_and_the_process_goes_on(
     assert [(run[1], run[2], run[4]) for run in runs] == [("parsers.gnss", parser.incarnation, 1)]
 
 
-def test_what_was_said_before_the_end_is_given_back_at_the_next_start(
-    make_bus: Callable[[str], Bus], tmp_path: Path
-) -> None:
+def test_a_restarted_process_receives_its_retained_state(make_bus: Callable[[str], Bus], tmp_path: Path) -> None:
     first = make_bus("controller.mode")
     run_until(LiveReactor(Answering(), first), first, lambda: True, lambda: None)
     assert (tmp_path / "saved-navigation-last_position.json").exists()
@@ -225,9 +223,7 @@ def test_what_was_said_before_the_end_is_given_back_at_the_next_start(
     assert process.given[0] == LAST
 
 
-def test_a_saved_state_that_cannot_be_read_is_ignored_and_counted(
-    make_bus: Callable[[str], Bus], tmp_path: Path
-) -> None:
+def test_an_undecodable_saved_state_is_ignored_and_counted(make_bus: Callable[[str], Bus], tmp_path: Path) -> None:
     (tmp_path / "saved-navigation-last_position.json").write_bytes(b'{"sampled_ns": 1, "latit')
     bus, process = make_bus("controller.mode"), Answering()
     bus.receive(0.05)
@@ -272,7 +268,7 @@ def test_a_killed_process_is_declared_lost_at_once(
     process.communicate()
 
 
-def test_sigterm_ends_a_process_with_a_farewell_and_without_an_error(
+def test_sigterm_ends_a_process_regularly_and_without_an_error(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus], tmp_path: Path
 ) -> None:
     observer = make_bus("observer")
@@ -284,7 +280,7 @@ def test_sigterm_ends_a_process_with_a_farewell_and_without_an_error(
     assert "Traceback" not in output
 
 
-def test_without_a_broker_a_process_waits_and_says_so(tmp_path: Path) -> None:
+def test_without_a_broker_a_process_waits_and_logs_it(tmp_path: Path) -> None:
     process = start_process("parsers.can", 1, tmp_path)
     assert process.stdout
     patience = threading.Timer(20.0, process.kill)
@@ -300,7 +296,7 @@ def test_without_a_broker_a_process_waits_and_says_so(tmp_path: Path) -> None:
     assert "no broker at 127.0.0.1:1" in lines[0]["event"]
 
 
-def test_a_mistyped_setting_ends_in_one_sentence(tmp_path: Path) -> None:
+def test_a_mistyped_setting_is_an_error_of_one_sentence(tmp_path: Path) -> None:
     process = start_process("core.fusion", 1, tmp_path, "[core.fusion]\nlever_arm_m = [0, 0, 0]\n")
     output, _ = process.communicate(timeout=20.0)
     assert process.returncode == os.EX_CONFIG
@@ -312,7 +308,7 @@ def filler(bus: Bus, number: int) -> GnssConfigure:
     return GnssConfigure(request_id=number, source="gnss", navigation_period_s=1.0, messages=())
 
 
-def test_messages_of_qos_1_wait_for_the_broker_in_a_queue_that_forgets_the_oldest_and_counts(
+def test_messages_of_qos_1_wait_for_the_broker_in_a_bounded_queue_that_drops_the_oldest(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shared.bus.bus.QUEUE_LENGTH", 20)
@@ -333,7 +329,7 @@ def test_messages_of_qos_1_wait_for_the_broker_in_a_queue_that_forgets_the_oldes
     assert found == list(range(30, 50))
 
 
-def test_a_message_that_is_larger_than_a_payload_may_be_is_dropped_and_counted(make_bus: Callable[[str], Bus]) -> None:
+def test_an_oversized_message_is_dropped_and_counted(make_bus: Callable[[str], Bus]) -> None:
     sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
     oversized = GnssRaw.model_construct(received_ns=1, source="gnss", data=bytes(1 << 20))
     sensor.publish(oversized)
@@ -343,7 +339,7 @@ def test_a_message_that_is_larger_than_a_payload_may_be_is_dropped_and_counted(m
     assert [m.data for m in heard if isinstance(m, GnssRaw)] == [b"next"]
 
 
-def test_a_process_that_does_not_take_its_messages_keeps_the_newest_and_counts_the_rest(
+def test_the_queue_of_a_blocked_process_keeps_the_newest_messages_and_counts_the_dropped(
     make_bus: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shared.bus.bus.QUEUE_LENGTH", 10)
@@ -368,7 +364,9 @@ def test_a_process_that_does_not_take_its_messages_keeps_the_newest_and_counts_t
         b"\x20\x00", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"",
     ],
 )  # fmt: skip
-def test_a_broker_that_sends_garbage_ends_neither_the_loop_nor_the_reconnection(garbage: bytes, tmp_path: Path) -> None:
+def test_invalid_bytes_from_the_broker_end_neither_the_loop_nor_the_reconnection(
+    garbage: bytes, tmp_path: Path
+) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         bus = Bus("core.fusion", "car", BrokerAddress("127.0.0.1", server.getsockname()[1]), (), tmp_path)
         for _ in range(3):

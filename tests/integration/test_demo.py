@@ -214,7 +214,7 @@ def assert_live_and_offline_agree(messages: list[Message], vehicle: Path) -> Non
         (["import", "gone.toml", "."], "gone.toml"),
     ],
 )
-def test_a_mistake_of_the_user_is_answered_in_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
+def test_a_user_error_is_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "cli", *arguments], capture_output=True, text=True, timeout=60, check=False,
         env=os.environ | {"OBU_STATE": str(tmp_path)},
@@ -224,7 +224,7 @@ def test_a_mistake_of_the_user_is_answered_in_one_sentence(arguments: list[str],
     assert "Traceback" not in done.stderr
 
 
-def test_a_port_in_use_sends_the_dashboard_to_a_free_one(tmp_path: Path) -> None:
+def test_with_its_port_in_use_the_dashboard_uses_a_free_one(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -119,7 +119,7 @@ def run_command(code: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
 
 
-def test_a_recorder_that_is_killed_loses_at_most_a_second(unit: Unit, tmp_path: Path) -> None:
+def test_a_killed_recorder_loses_at_most_one_second(unit: Unit, tmp_path: Path) -> None:
     recorder = unit.start("monitoring.recorder")
     bus = unit.bus("sensors.imu")
     unit.wait(2.0, imu_publisher(bus))
@@ -139,7 +139,7 @@ def test_a_recorder_that_is_killed_loses_at_most_a_second(unit: Unit, tmp_path: 
     assert raw[0].source == "imu0"
 
 
-def test_a_killed_process_is_an_outage_at_once_and_the_cause_of_what_follows(unit: Unit) -> None:
+def test_a_killed_process_is_an_outage_at_once_and_the_cause_of_dependent_outages(unit: Unit) -> None:
     unit.start("monitoring.health")
     parser = unit.start("parsers.imu")
     bus = unit.bus("sensors.imu")
@@ -189,7 +189,7 @@ def test_a_broker_that_restarts_is_one_outage_with_its_duration(unit: Unit, brok
     assert away_s - 0.5 < (outage.until_ns - outage.since_ns) * 1e-9 < away_s + 2.5
 
 
-def test_a_recording_by_hand_holds_what_was_said(unit: Unit, tmp_path: Path) -> None:
+def test_a_manual_recording_holds_the_published_messages(unit: Unit, tmp_path: Path) -> None:
     bus = unit.bus("sensors.imu")
     command = run_command(
         "from pathlib import Path; from cli.recordings.record import record;"
@@ -208,7 +208,7 @@ def test_a_recording_by_hand_holds_what_was_said(unit: Unit, tmp_path: Path) -> 
     assert numbers == list(range(numbers[0], numbers[-1] + 1))
 
 
-def test_a_replay_sends_the_bytes_again_with_stamps_of_now_and_says_that_it_is_one(unit: Unit, tmp_path: Path) -> None:
+def test_a_replay_publishes_the_bytes_with_present_stamps_and_the_origin_replay(unit: Unit, tmp_path: Path) -> None:
     path, then_ns = tmp_path / "drive.mcap", 1_600_000_000_000_000_000
     writer = RecordingWriter(path)
     for k in range(80):
@@ -237,7 +237,7 @@ def test_a_replay_sends_the_bytes_again_with_stamps_of_now_and_says_that_it_is_o
     assert (origin.kind, origin.name, origin.speed) == (OriginKind.REPLAY, "drive", 2.0)
 
 
-def test_a_replay_refuses_a_bus_that_carries_other_data(unit: Unit, tmp_path: Path) -> None:
+def test_a_replay_is_rejected_on_a_bus_with_live_data(unit: Unit, tmp_path: Path) -> None:
     bus = unit.bus("sensors.imu")
     bus.publish(Origin(now_ns=bus.now_ns(), kind=OriginKind.LIVE, name="car"))
     writer = RecordingWriter(tmp_path / "drive.mcap")
@@ -249,7 +249,7 @@ def test_a_replay_refuses_a_bus_that_carries_other_data(unit: Unit, tmp_path: Pa
         play_onto(tmp_path / "drive.mcap", 1.0, broker_address(), None)
 
 
-def test_commands_without_a_broker_say_what_to_try(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_without_a_broker_fail_with_a_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cli.recordings.common.PATIENCE_S", 0.5)
     monkeypatch.setenv("OBU_BROKER", "mqtt://127.0.0.1:1")
     monkeypatch.setenv("OBU_STATE", str(tmp_path))

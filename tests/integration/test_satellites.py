@@ -28,7 +28,7 @@ def statements(scenario: str, seed: int, duration_s: float) -> list[TrustMonitor
 
 
 @pytest.mark.parametrize(("scenario", "seed"), [("parking_lot", 1), ("urban", 2), ("degraded", 3)])
-def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_there(scenario: str, seed: int) -> None:
+def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_complete(scenario: str, seed: int) -> None:
     found = statements(scenario, seed, 60.0)
     assert {one.monitor for one in found} == {"satellites"} and len(found) > 55
     begin, rest = found[0], found[EPHEMERIDES_S + 2 :]
@@ -38,7 +38,7 @@ def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_there(scenari
     assert all(one.statistic is not None and one.threshold and one.statistic < one.threshold for one in rest)
 
 
-def test_a_tunnel_is_not_evaluated_and_says_so() -> None:
+def test_in_a_tunnel_the_monitor_is_not_evaluated_with_a_reason() -> None:
     found = statements("tunnel", 1, 80.0)
     assert found[-1].outcome is MonitorOutcome.NOT_EVALUATED
     assert found[-1].reason == "no raw measurements of GPS L1 or Galileo E1 in this epoch"
@@ -69,7 +69,7 @@ def with_push(row: int) -> Iterator[tuple[str, TrustMonitor]]:
 
 
 @pytest.mark.parametrize("row", [0, 3, 8, 12])
-def test_a_push_of_50_m_on_one_satellite_is_excluded_in_its_epoch(row: int) -> None:
+def test_a_pseudorange_error_of_50_m_on_one_satellite_is_excluded_in_its_epoch(row: int) -> None:
     found = list(with_push(row))
     (_, before), (name, at_once), *later = found[PUSHED_EPOCH - 2 :]
     assert before.outcome is MonitorOutcome.PASS

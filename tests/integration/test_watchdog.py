@@ -165,7 +165,7 @@ SPEAKERS = {
 }  # fmt: skip
 
 
-def test_garbage_on_the_bus_is_counted_and_ends_nothing(units: list[Unit]) -> None:
+def test_invalid_payloads_on_the_bus_are_counted_and_end_no_process(units: list[Unit]) -> None:
     on_each(units, lambda unit: send_garbage(unit.demo))
 
 
@@ -186,7 +186,7 @@ def send_garbage(demo: Demo) -> None:
     assert demo.process.poll() is None
 
 
-def test_a_killed_filter_goes_on_within_two_seconds_and_is_the_cause_until_it_publishes_again(
+def test_a_killed_filter_publishes_again_within_two_seconds_and_is_the_cause_until_then(
     units: list[Unit], tmp_path: Path
 ) -> None:
     def test(unit: Unit) -> None:
@@ -397,7 +397,7 @@ def test_a_hung_watchdog_leaves_the_rest_unknown_and_the_position_shown(units: l
     on_each(units, test)
 
 
-def test_sigterm_ends_everything_within_five_seconds(units: list[Unit]) -> None:
+def test_sigterm_ends_all_processes_within_five_seconds(units: list[Unit]) -> None:
     """The last test: it ends the units."""
     for unit in units:
         end(unit.demo)

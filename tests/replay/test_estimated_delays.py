@@ -49,7 +49,7 @@ def last_state(drive: Path, until_s: float, **settings: object) -> NavigationSta
     return states[-1]
 
 
-def test_gnss_that_is_a_second_late_is_found_and_its_velocity_is_later_still(tmp_path: Path) -> None:
+def test_a_gnss_delay_of_a_second_is_estimated_and_velocity_is_delayed_more_than_position(tmp_path: Path) -> None:
     drive = as_recorded("balzer82_car", recording("balzer82_car"), tmp_path)
     found = last_state(drive, 110.0, **{"imu.gyroscope_bias_sd_rad_s": 0.05, "non_holonomic.mounting_sd_rad": 0.17})
     assert found.gnss_delay_s is not None and found.gnss_velocity_delay_s is not None

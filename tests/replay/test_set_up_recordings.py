@@ -39,7 +39,7 @@ SPOILED = {
 }
 
 
-def test_a_drive_with_wheels_and_centimetres_is_accused_of_nothing_but_what_is_wrong(tmp_path: Path) -> None:
+def test_the_checks_of_a_drive_with_wheel_speeds_and_rtk_report_only_injected_faults(tmp_path: Path) -> None:
     settings = Settings()
     drive = messages_of("wid_car", recording("wid_car") / "trial02", tmp_path, settings)
     assert not accused(drive, Spoiled(), settings)
@@ -50,7 +50,7 @@ def test_a_drive_with_wheels_and_centimetres_is_accused_of_nothing_but_what_is_w
 
 @pytest.mark.slow
 @pytest.mark.parametrize("trial", ["01", "03", "04", "07", "08", "10"])
-def test_jumps_and_gaps_of_gnss_are_no_fault_of_the_set_up(trial: str, tmp_path: Path) -> None:
+def test_jumps_and_gaps_of_gnss_are_no_findings_of_the_set_up(trial: str, tmp_path: Path) -> None:
     settings = Settings()
     drive = messages_of("wid_car", recording("wid_car") / f"trial{trial}", tmp_path, settings)
     assert not accused(drive, Spoiled(), settings)
@@ -67,7 +67,7 @@ def test_a_hilly_drive_shows_signs_of_velocity_and_height(tmp_path: Path) -> Non
         assert name in accused(drive, spoiled, settings)
 
 
-def test_a_phone_with_a_bias_of_four_degrees_a_second_finds_its_heading(tmp_path: Path) -> None:
+def test_a_phone_with_a_gyroscope_bias_of_four_degrees_a_second_aligns_its_heading(tmp_path: Path) -> None:
     """The start is on the move, and nothing is set for the gyroscope."""
     path = tmp_path / "comma.mcap"
     import_drive(MAPPINGS / "comma_segment.toml", recording("comma_segment"), path)

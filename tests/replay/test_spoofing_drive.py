@@ -130,7 +130,7 @@ def test_a_drag_off_of_0_3_m_s2_on_the_recording_is_accused(drive: RealDrive, co
     assert found and 0.0 < min(found) <= 30.0, "17.5 s were measured"
 
 
-def test_a_minute_of_another_car_raises_no_lasting_alarm(tmp_path: Path) -> None:
+def test_a_minute_of_another_car_raises_no_permanent_alarm(tmp_path: Path) -> None:
     """The recording does not say how old its fixes are: from 0.05 to 0.15 s there is no alarm, at 0 s the long one."""
     drive = real_drive("comma_segment", "comma_segment", tmp_path)
     delay_s = 0.1
@@ -146,7 +146,7 @@ def test_a_minute_of_another_car_raises_no_lasting_alarm(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_car_whose_receiver_is_half_a_second_late_raises_no_lasting_alarm_once_its_delays_are_set(
+def test_a_receiver_with_a_configured_delay_of_half_a_second_raises_no_permanent_alarm(
     tmp_path: Path,
 ) -> None:
     """`navmatlab_car_0327`: positions 0.5 s and velocities 0.62 s old, as the check of the set-up says on the drive."""

@@ -37,19 +37,19 @@ def heading_errors(seed: int, at_s: float, yaw: float = 0.0, pitch: float = 0.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
-def test_a_start_at_rest_measures_the_bias(seed: int) -> None:
+def test_after_a_start_at_standstill_the_heading_error_is_below_2_degrees(seed: int) -> None:
     errors, pulls = heading_errors(seed, 0.0)
     assert degrees(np.abs(errors).max()) < 2.0
     assert np.mean(np.square(pulls)) < 3.0
 
 
-def test_a_start_on_the_move_estimates_the_bias_and_states_what_is_left() -> None:
+def test_after_a_start_in_motion_normalised_heading_errors_squared_are_below_3_5() -> None:
     """Mean of the squared errors over their variances, over starts with other biases."""
     pulls = np.concatenate([heading_errors(seed, MOVING_S)[1] for seed in (0, 1, 3)])
     assert np.mean(np.square(pulls)) < 3.5
 
 
-def test_an_imu_askew_by_twenty_degrees_starts_at_rest_as_well() -> None:
+def test_with_an_imu_mounted_at_20_degrees_the_heading_error_is_below_3_degrees() -> None:
     errors, pulls = heading_errors(1, 0.0, yaw=radians(20.0), pitch=radians(15.0))
     assert degrees(np.abs(errors).max()) < 3.0
     assert np.mean(np.square(pulls)) < 3.0

@@ -70,7 +70,7 @@ def test_the_profile_names_its_recordings_and_is_read_by_core_spoofing(learned: 
     assert all(0.0 < sigma < 2.0 for values in config.profile.sigma.values() for sigma in values)
 
 
-def test_a_drive_without_attack_is_judged_by_the_profile_and_not_accused(learned: Learned) -> None:
+def test_a_drive_without_attack_is_tested_with_the_profile_and_not_accused(learned: Learned) -> None:
     vehicle = learned.vehicle(VEHICLE)
     profile = vehicle.section("core.spoofing", Config).profile
     judged = [s for s in statements(learned, vehicle) if s.outcome is not MonitorOutcome.NOT_EVALUATED]

@@ -71,7 +71,7 @@ def drifting(rate: float) -> Wrong:
 
 
 @pytest.mark.parametrize("scenario", ["urban", "highway"])
-def test_a_position_that_freezes_is_refused_and_the_level_stays_above_the_error(scenario: str) -> None:
+def test_frozen_positions_are_rejected_and_the_level_stays_above_the_error(scenario: str) -> None:
     """Even after the filter has given way to it, and begun again at the wrong place: who was right is not known."""
     seen = drive_with(frozen, scenario)
     assert seen.counts.fixes_rejected - seen.before.fixes_rejected >= 10 and seen.counts.resets > 0, "it is told"
@@ -79,25 +79,25 @@ def test_a_position_that_freezes_is_refused_and_the_level_stays_above_the_error(
     assert (seen.error <= seen.level).all()
 
 
-def test_an_epoch_that_is_held_is_left_out_for_ten_seconds_and_then_refused() -> None:
+def test_repeated_epochs_are_not_used_for_ten_seconds_and_then_rejected() -> None:
     seen = drive_with(held, "highway")
     assert seen.counts.epochs_repeated >= 10 and seen.counts.fixes_rejected >= 10
     assert (seen.error > seen.level).mean() < 0.1
     assert seen.error[:20].max() < 3.0, "ten seconds without GNSS, and not 300 m"
 
 
-def test_a_position_that_drifts_by_a_metre_a_second_is_told_within_seconds() -> None:
+def test_positions_drifting_at_1_m_s_are_rejected_and_the_largest_level_is_above_the_error() -> None:
     seen = drive_with(drifting(1.0))
     assert seen.counts.fixes_rejected - seen.before.fixes_rejected >= 10
     assert seen.level.max() > seen.error.max()
 
 
-def test_a_position_that_drifts_slowly_is_followed_and_told_when_it_returns() -> None:
+def test_a_drift_of_0_1_m_s_causes_no_larger_error_than_its_offset() -> None:
     """0.1 m/s is within every gate; the level is not made for it: see docs/explanation/protection-levels.md."""
     seen = drive_with(drifting(0.1))
     assert 1.0 < seen.error.max() < 0.1 * (END_S - BEGIN_S) + 1.5, "no farther than it was dragged"
 
 
-def test_who_gave_way_is_unsure_of_it_for_minutes() -> None:
+def test_ten_seconds_after_frozen_positions_the_level_is_still_above_30_m() -> None:
     seen = drive_with(frozen)
     assert seen.level[-1] > 30.0, "ten seconds after everything is right again"

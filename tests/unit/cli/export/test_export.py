@@ -150,7 +150,7 @@ def test_rinex_has_every_observation_in_its_columns(tmp_path: Path) -> None:
     assert float(galileo[0][19:33]) == -7.25
 
 
-def test_what_a_recording_does_not_hold_is_named_with_what_to_try(drive: Path, tmp_path: Path) -> None:
+def test_missing_content_of_a_recording_is_named_with_a_remedy(drive: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"holds no raw measurements; .*--format nmea"):
         exported(drive, Format.RINEX, tmp_path)
     with pytest.raises(UserError, match=r"holds no imu/sample; it holds .*gnss/fix.*--topic"):
@@ -160,6 +160,6 @@ def test_what_a_recording_does_not_hold_is_named_with_what_to_try(drive: Path, t
     assert not list(tmp_path.iterdir()), "nothing is left of a file that could not be written"
 
 
-def test_a_recording_that_was_not_closed_is_exported_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_a_recording_that_was_not_closed_is_exported_up_to_its_end(tmp_path: Path) -> None:
     cut = record(tmp_path / "cut.mcap", 3, close=False)
     assert len(exported(cut, Format.CSV, tmp_path).read_text().splitlines()) == 31

@@ -302,7 +302,7 @@ def test_an_attack_with_a_duration_ends_by_itself_and_a_second_start_replaces_th
         (stop(AttackName.JAM), "jam is not active"),
     ],
 )
-def test_a_command_that_cannot_be_executed_is_refused_with_its_reason(command: SimulationAttack, reason: str) -> None:
+def test_a_command_that_cannot_be_executed_is_rejected_with_its_reason(command: SimulationAttack, reason: str) -> None:
     (answer,) = commanded((3.0, command))
     assert answer.refused is not None and answer.refused.startswith(reason)
     assert not answer.attacks

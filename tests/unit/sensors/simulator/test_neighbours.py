@@ -72,7 +72,7 @@ def test_without_noise_the_offset_gives_the_range_rate_back_once_the_oscillators
 
 
 @pytest.mark.parametrize("count", [0, 2, 6])
-def test_so_many_neighbours_as_are_asked_for_are_near(count: int) -> None:
+def test_the_configured_number_of_neighbours_is_near(count: int) -> None:
     world = World(BY_NAME["highway"], 1, DEFAULT_START_NS, Equipment(neighbours=count))
     truth: TruthState | None = None
     for _, message in islice(world, 20_000):
@@ -88,7 +88,7 @@ def test_the_same_seed_gives_the_same_neighbours_and_another_one_others() -> Non
     assert received("urban") == received("urban") != received("urban", seed=2)
 
 
-def test_neighbours_leave_the_bytes_of_the_devices_as_they_are() -> None:
+def test_neighbours_do_not_change_the_bytes_of_the_devices() -> None:
     def rest(count: int) -> list[Message]:
         world = World(BY_NAME["urban"], 1, DEFAULT_START_NS, Equipment(neighbours=count))
         return [m for _, m in islice(world, 5000) if not isinstance(m, NeighbourStates)][:4800]
@@ -96,7 +96,7 @@ def test_neighbours_leave_the_bytes_of_the_devices_as_they_are() -> None:
     assert rest(0) == rest(6)
 
 
-def test_liars_add_the_same_to_what_they_publish_and_to_nothing_else() -> None:
+def test_false_neighbours_add_one_offset_to_their_published_states_only() -> None:
     honest, lying = received("urban", seconds=5), []
     lie = schedule("neighbour_collusion(neighbours=2,speed=3)@0")
     world = World(BY_NAME["urban"], 1, DEFAULT_START_NS, Equipment(neighbours=4), [lie])

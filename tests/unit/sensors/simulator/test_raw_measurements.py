@@ -96,7 +96,7 @@ def test_least_squares_of_the_measurements_are_the_fix(scenario: str, seed: int)
     assert solved > 20
 
 
-def test_satellites_are_where_their_words_say() -> None:
+def test_satellite_positions_follow_from_their_navigation_words() -> None:
     model, gps_s = SkyModel(("gps", "galileo"), (1,)), 1.474e9 + 1234.5
     stream = parsed("parking_lot", 1, 40.0)
     (first, *_) = (one for one in stream if isinstance(one, GnssRawEpoch))
@@ -146,7 +146,7 @@ def test_the_ionosphere_is_broadcast_every_twelve_and_a_half_minutes() -> None:
     assert not store.rejected
 
 
-def test_a_second_of_everything_fits_the_serial_line() -> None:
+def test_one_second_of_all_messages_fits_the_serial_line() -> None:
     """11,520 bytes/s at 115,200 baud; UBX and NMEA together, with four constellations."""
     sent: dict[int, int] = {}
     for one in messages("parking_lot", 1, 60.0):

@@ -34,13 +34,13 @@ def ended(folder: Path, how: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
 
 
-def test_a_process_that_hangs_ends_itself_and_says_where_it_hung(tmp_path: Path) -> None:
+def test_a_hung_process_ends_itself_and_logs_its_stack(tmp_path: Path) -> None:
     result = ended(tmp_path, "hang")
     assert result.stdout == "alive\n", "as long as it serves the bus, broker or not, it lives"
     assert result.returncode == 1
     assert "lost_in_thought" in result.stderr
 
 
-def test_a_process_that_has_left_the_bus_is_not_watched_any_more(tmp_path: Path) -> None:
+def test_a_process_that_has_left_the_bus_is_not_monitored(tmp_path: Path) -> None:
     result = ended(tmp_path, "close")
     assert (result.returncode, result.stdout) == (0, "alive\n")

@@ -64,7 +64,7 @@ class Given:
         return ()
 
 
-def test_a_process_is_given_what_an_earlier_life_said_and_not_what_it_said_itself() -> None:
+def test_a_process_receives_states_of_an_earlier_incarnation_and_not_its_own() -> None:
     bus, process = Broker([envelope(state(1), OLD_LIFE, 7), envelope(state(2), LIFE, 1)]), Given()
     LiveReactor(process, cast(Bus, bus)).run()
     assert [m for m in process.messages if not isinstance(m, Tick)] == [state(1)]

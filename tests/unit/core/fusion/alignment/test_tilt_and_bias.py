@@ -32,7 +32,7 @@ def started(bias: Vector) -> ErrorStateFilter:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_the_start_knows_which_tilt_a_bias_makes(axis: int) -> None:
+def test_the_initial_covariance_of_tilt_and_bias_agrees_with_finite_differences(axis: int) -> None:
     """Finite differences of the whole start against P: E[psi x] = (d psi / d x) var(x), x being minus the bias."""
     size = 1e-3
     bias = [0.0, 0.0, 0.0]

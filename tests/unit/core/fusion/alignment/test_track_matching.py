@@ -55,7 +55,7 @@ def found(
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.3], ids=["straight", "bend"])
-def test_a_vehicle_without_a_rest_is_taken_to_go_where_its_nose_points(rate: float) -> None:
+def test_without_a_standstill_positions_give_the_course_over_ground(rate: float) -> None:
     result, _, velocity, turn = found(speed=8.0, rate=rate)
     assert result is not None
     motion, heading = result
@@ -67,7 +67,9 @@ def test_a_vehicle_without_a_rest_is_taken_to_go_where_its_nose_points(rate: flo
 
 @pytest.mark.parametrize("acceleration", [1.5, -1.5], ids=["forwards", "backwards"])
 @pytest.mark.parametrize("rate", [0.0, 0.2], ids=["straight", "bend"])
-def test_after_a_rest_the_way_itself_is_matched_also_backwards(acceleration: float, rate: float) -> None:
+def test_after_a_standstill_positions_are_matched_with_the_integrated_track_forwards_and_backwards(
+    acceleration: float, rate: float
+) -> None:
     result, _, velocity, turn = found(rest_s=4.0, acceleration=acceleration, rate=rate)
     assert result is not None
     motion, heading = result
@@ -76,7 +78,7 @@ def test_after_a_rest_the_way_itself_is_matched_also_backwards(acceleration: flo
     assert abs(complex(*motion.velocity[:2]) - velocity) < 0.02
 
 
-def test_its_standard_deviation_is_that_of_its_errors() -> None:
+def test_the_standard_deviation_of_the_matched_heading_is_that_of_its_errors() -> None:
     """Noise of 0.5 m as stated, at 8 m/s; what the settings add for sideslip is not simulated."""
     errors, ratios = [], []
     for seed in range(100):
@@ -90,7 +92,7 @@ def test_its_standard_deviation_is_that_of_its_errors() -> None:
     assert np.std(errors) == pytest.approx(0.5 / (8.0 * sqrt(10.0)), rel=0.2)
 
 
-def test_noise_above_what_is_stated_is_seen_in_the_residuals() -> None:
+def test_noise_above_the_stated_accuracy_increases_the_standard_deviation() -> None:
     sds = [result[1].sd for seed in range(20) if (result := found(speed=8.0, noise=1.5, sd=0.1, seed=seed)[0])]
     assert np.median(sds) > Settings().alignment.course_yaw_sd_rad * 1.15
 
@@ -99,11 +101,11 @@ def test_noise_above_what_is_stated_is_seen_in_the_residuals() -> None:
     "poor", [{"speed": 1.5}, {"speed": 3.0, "noise": 3.0, "sd": 3.0}, {"speed": 8.0, "drive_s": 1.0}],
     ids=["slow", "noisy", "one fix"],
 )  # fmt: skip
-def test_a_poor_track_gives_nothing(poor: dict[str, float]) -> None:
+def test_a_short_slow_or_noisy_track_gives_no_heading(poor: dict[str, float]) -> None:
     assert found(**poor)[0] is None
 
 
-def test_positions_that_scatter_have_not_moved() -> None:
+def test_scattered_positions_at_standstill_have_zero_velocity() -> None:
     rng = np.random.default_rng(2)
     still = [Point(fix_at(complex(*rng.standard_normal(2)), float(k), 1.0), complex(k), 0j, 0j) for k in range(6)]
     assert moved_m_s(still) == 0.0 and moved_m_s(still[:1]) == 0.0

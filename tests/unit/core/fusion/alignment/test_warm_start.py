@@ -99,7 +99,7 @@ def restarted(i: int, gap: int) -> Navigator:
     return made
 
 
-def test_a_state_that_is_restored_at_once_is_the_same_estimate() -> None:
+def test_a_state_restored_after_0_01_s_has_the_same_errors_and_covariance() -> None:
     saved = states()[5000]
     again = restored(settings(), saved, sample(5001))
     assert errors(again, 5001) == pytest.approx(errors(led_to(5002), 5001), abs=0.02)
@@ -119,7 +119,7 @@ def led_to(end: int) -> ErrorStateFilter:
 
 
 @pytest.mark.parametrize("gap_s", [1.0, 2.0, 3.0, 4.9])
-def test_after_a_gap_the_errors_are_as_large_as_the_filter_says(gap_s: float) -> None:
+def test_after_a_gap_the_mean_nees_is_at_most_1_2(gap_s: float) -> None:
     """NEES of attitude, velocity and position over all seconds of a drive in a town; it may be too careful."""
     gap = round(gap_s * 100)
     found = [
@@ -131,7 +131,7 @@ def test_after_a_gap_the_errors_are_as_large_as_the_filter_says(gap_s: float) ->
     assert np.quantile(found, 0.95) < 3.0
 
 
-def test_restarted_processes_stay_consistent_while_they_go_on() -> None:
+def test_restarted_filters_have_a_mean_nees_below_1_5_and_a_median_error_below_2_m() -> None:
     """Seeded crashes at random times: the error stays within what the filter says, and is small soon."""
     rng, found, away_m = np.random.default_rng(11), [], []
     for i in rng.choice([i for i in states() if 500 < i < 10_000], 12, replace=False).tolist():
@@ -149,7 +149,7 @@ def test_restarted_processes_stay_consistent_while_they_go_on() -> None:
     assert np.median(away_m) < 2.0
 
 
-def test_the_first_sample_has_a_solution_that_says_why() -> None:
+def test_the_first_sample_after_a_warm_start_has_a_solution_and_a_reason() -> None:
     made = restarted(3000, 150)
     made.imu(*sample(3150)[:3])
     solution = made.solution()
@@ -159,13 +159,13 @@ def test_the_first_sample_has_a_solution_that_says_why() -> None:
     assert solution.position_cov[0, 0] > 2.0 * covariance_of(states()[3000])[6, 6]
 
 
-def test_without_a_position_for_long_a_warm_start_coasts() -> None:
+def test_a_warm_start_during_an_outage_of_gnss_is_coasting() -> None:
     made = restarted(7000, 250)  # GNSS is away since 60 s
     made.imu(*sample(7250)[:3])
     assert made.phase is NavigationPhase.COASTING
 
 
-def test_what_a_filter_learned_goes_with_its_state() -> None:
+def test_biases_and_parameters_are_restored_with_the_state() -> None:
     saved, again = states()[9000], restored(settings(), states()[9000], sample(9100))
     assert again.imu.accelerometer_bias == saved.accelerometer_bias
     assert again.imu.gyroscope_bias == saved.gyroscope_bias
@@ -178,7 +178,7 @@ def test_what_a_filter_learned_goes_with_its_state() -> None:
     assert again.P[odometer] == pytest.approx(covariance_of(saved)[odometer], rel=0.02)
 
 
-def test_saving_leaves_the_filter_as_it_was() -> None:
+def test_saving_does_not_change_the_filter() -> None:
     one, other = restarted(3000, 100), restarted(3000, 100)
     for (_, first), (_, second) in zip(led(one, 3100, 3600), led(other, 3100, 3600), strict=True):
         first.saved_state()
@@ -187,7 +187,7 @@ def test_saving_leaves_the_filter_as_it_was() -> None:
     assert one.solution().position == other.solution().position  # type: ignore[union-attr]
 
 
-def test_unmeasured_motion_is_that_of_a_sampled_walk() -> None:
+def test_the_covariance_of_unmeasured_motion_agrees_with_monte_carlo_draws() -> None:
     """Monte Carlo of the two Brownian bridges and the two constants, integrated by sums."""
     rng, span_s, n, runs = np.random.default_rng(3), 2.0, 200, 20_000
     step, g = span_s / n, np.array([-3.0, 10.0])
@@ -212,7 +212,7 @@ def test_unmeasured_motion_is_that_of_a_sampled_walk() -> None:
     assert ((sampled - expected) / scale) == pytest.approx(np.zeros((5, 5)), abs=0.04)
 
 
-def test_no_gap_adds_nothing_and_a_longer_one_adds_more() -> None:
+def test_the_added_covariance_is_zero_without_a_gap_and_grows_with_its_length() -> None:
     assert not unmeasured_motion((10.0, 3.0, 0.0), 0.0).any()
     grown = [np.diag(unmeasured_motion((10.0, 3.0, 0.0), span_s))[MOVING] for span_s in (0.5, 1.0, 2.0, 4.0)]
     assert (np.diff(grown, axis=0) > 0.0).all()
@@ -253,7 +253,7 @@ def spoiled(name: str) -> SavedState:
         ("short", "saved state of another layout"),
     ],
 )
-def test_a_spoiled_state_is_refused_with_a_counted_reason(name: str, reason: str) -> None:
+def test_an_invalid_state_is_rejected_with_a_counted_reason(name: str, reason: str) -> None:
     made, saved = Navigator(settings()), spoiled(name)
     made.restore(saved, int(drive().t_ns[5100]))
     assert made.rejects == {reason: 1}
@@ -270,11 +270,11 @@ def test_a_spoiled_state_is_refused_with_a_counted_reason(name: str, reason: str
         (LONGEST_GAP_S, None),
     ],
 )
-def test_a_state_of_another_time_is_refused(age_s: float, reason: str | None) -> None:
+def test_a_state_too_old_or_from_the_future_is_rejected(age_s: float, reason: str | None) -> None:
     assert fault(states()[5000], int(drive().t_ns[5000]) + round(age_s * 1e9)) == reason
 
 
-def test_every_state_of_a_drive_can_be_used() -> None:
+def test_every_saved_state_of_a_drive_is_valid() -> None:
     assert all(fault(saved, saved.inertial.time_ns + 10**9) is None for saved in states().values())
 
 

@@ -150,7 +150,7 @@ def test_time_correlated_errors_decay_exactly_at_any_step() -> None:
     assert decayed(P, 1e4)[em.GNSS_ERROR, em.GNSS_ERROR] == pytest.approx(np.eye(3))
 
 
-def test_vibration_adds_what_the_settings_lack() -> None:
+def test_vibration_increases_the_process_noise_to_the_measured_psd() -> None:
     psd = em.process_noise_psd((em.ATTITUDE, 2.0), (em.VELOCITY, 3.0))
     Q = em.process_noise(psd, attitude_psd=0.5, velocity_psd=5.0, step_s=0.1)
     assert Q[em.ATTITUDE] == pytest.approx(np.full(3, 0.2))
@@ -158,7 +158,7 @@ def test_vibration_adds_what_the_settings_lack() -> None:
     assert not Q[em.POSITION.start :].any()
 
 
-def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
+def test_the_system_matrix_equals_the_matrix_products_of_its_docstring() -> None:
     F = em.system_matrix(*STATE[1:], EARTH, FORCE_N, RATE)
     latitude_scale, east_scale = curvature_radii(LATITUDE)
     m, t, tangent = latitude_scale + HEIGHT, east_scale + HEIGHT, tan(LATITUDE)
@@ -253,7 +253,7 @@ AXLE = vector(
     ],
     ids=["odometer", "non-holonomic"],
 )
-def test_the_matrices_of_the_wheels_agree_with_finite_differences(
+def test_odometer_and_nhc_matrices_agree_with_finite_differences(
     measurement: WheelSpeed | NonHolonomic, predicted: Sequence[float]
 ) -> None:
     seen = measurement.observe(PERFECT)
@@ -265,7 +265,7 @@ def test_the_matrices_of_the_wheels_agree_with_finite_differences(
         assert (ahead - behind) / 2e-5 == pytest.approx(seen.H[:, j], rel=1e-6, abs=1e-6)
 
 
-def test_the_noise_goes_where_its_name_says() -> None:
+def test_each_noise_setting_is_on_the_diagonal_of_its_states() -> None:
     noise = em.process_noise_psd((em.ATTITUDE, 1.0), (em.GYROSCOPE_BIAS, 4.0), (em.ODOMETER_SCALE, 5.0))
     assert noise[em.ATTITUDE].tolist() == [1.0] * 3 and noise[em.GYROSCOPE_BIAS].tolist() == [4.0] * 3
     assert noise[em.ODOMETER_SCALE] == 5.0 and noise.sum() == 20.0
@@ -314,7 +314,7 @@ def test_the_matrices_of_delays_agree_with_finite_differences(
     assert seen.H[:, em.DELAYS].any(axis=0).sum() == (2 if isinstance(measurement, GnssVelocity) else 1)
 
 
-def test_a_delay_is_that_by_which_what_is_measured_is_older() -> None:
+def test_a_known_delay_makes_measurements_of_an_earlier_instant_agree() -> None:
     """Position and velocity of the antenna a moment ago agree with a filter that knows of the delay."""
     then_s, v, a = 0.05, np.array(VELOCITY) + antenna_velocity(PERFECT, ARM), np.array(ACCELERATION)
     old = geodetic_from_ned_difference(vector(-then_s * v + 0.5 * then_s**2 * a), ANTENNA)

@@ -31,7 +31,7 @@ def led(drive: Drive, **settings: float) -> Navigator:
     return made
 
 
-def test_the_scale_of_the_gyroscope_about_the_vertical_is_found(drive: Drive) -> None:
+def test_the_gyroscope_scale_about_the_vertical_is_estimated_within_3_5_sigma(drive: Drive) -> None:
     navigation = led(drive, **{"imu.gyroscope_scale_sd": 0.01}).engine.filter
     assert navigation is not None
     sd = np.sqrt(np.diag(navigation.P)[em.GYROSCOPE_SCALE])
@@ -42,7 +42,7 @@ def test_the_scale_of_the_gyroscope_about_the_vertical_is_found(drive: Drive) ->
     assert sd[0] > 0.005 and sd[1] > 0.005, "and hardly about the other two"
 
 
-def test_what_is_not_asked_for_is_not_estimated(drive: Drive) -> None:
+def test_scales_are_not_estimated_by_default(drive: Drive) -> None:
     navigation = led(drive).engine.filter
     assert navigation is not None
     assert navigation.imu.gyroscope_scale == navigation.imu.accelerometer_scale == (0.0, 0.0, 0.0)

@@ -33,7 +33,7 @@ def taught(errors: GnssVelocityErrors, drawn: FloatArray, *, stated: bool = True
 
 
 @pytest.mark.parametrize("size", [0.2, 1.0, 3.0])
-def test_white_velocity_errors_are_found_within_two_minutes_whatever_their_size(size: float) -> None:
+def test_velocity_errors_of_any_size_are_estimated_as_white_within_two_minutes(size: float) -> None:
     for seed in range(5):
         drawn = residuals(0.0, 600, seed, size)
         assert not taught(UNKNOWN, drawn[:1]).follows and taught(UNKNOWN, drawn[:1], stated=False).follows
@@ -41,14 +41,14 @@ def test_white_velocity_errors_are_found_within_two_minutes_whatever_their_size(
 
 
 @pytest.mark.parametrize("correlation", [0.3, 0.5, 0.9])
-def test_velocity_errors_that_repeat_are_found_within_a_minute(correlation: float) -> None:
+def test_correlated_velocity_errors_are_detected_within_a_minute(correlation: float) -> None:
     for seed in range(5):
         errors = taught(UNKNOWN, residuals(correlation, 300, seed))
         assert errors.follows and errors.white < 0.01
         assert errors.variance == pytest.approx(SHARE * STATED, rel=0.01)
 
 
-def test_what_was_learned_is_unlearned_within_minutes_when_the_evidence_turns() -> None:
+def test_the_estimate_changes_within_four_minutes_when_the_correlation_changes() -> None:
     for seed in range(3):
         white = taught(UNKNOWN, residuals(0.0, 3000, seed))
         repeating = taught(white, residuals(0.5, 600, seed + 10))
@@ -57,7 +57,7 @@ def test_what_was_learned_is_unlearned_within_minutes_when_the_evidence_turns() 
         assert not taught(repeating, residuals(0.0, 1200, seed + 20)).follows
 
 
-def test_white_errors_are_hardly_ever_taken_for_others() -> None:
+def test_white_velocity_errors_are_not_estimated_as_correlated() -> None:
     for seed in range(20):
         errors = UNKNOWN
         for residual in residuals(0.0, 600, seed):
@@ -65,7 +65,7 @@ def test_white_errors_are_hardly_ever_taken_for_others() -> None:
             assert not errors.follows
 
 
-def test_residuals_of_the_first_ten_seconds_are_no_evidence() -> None:
+def test_residuals_of_the_first_ten_seconds_are_not_used() -> None:
     drawn = residuals(0.9, 300, 1)
     assert taught(UNKNOWN, drawn[:50]).white == taught(UNKNOWN, drawn[:1]).white
     assert taught(UNKNOWN, drawn).follows
@@ -76,13 +76,13 @@ def test_without_velocities_nothing_changes() -> None:
     assert UNKNOWN_POSITIONS.following(False) is UNKNOWN_POSITIONS
 
 
-def test_a_pause_is_no_evidence() -> None:
+def test_a_pause_does_not_change_the_estimate() -> None:
     errors = taught(UNKNOWN, residuals(0.0, 300, 1))
     later = errors.after(errors.time_ns + 3_000_000_000, errors.last * np.sqrt(errors.power), STATED, stated=True)
     assert later.white == errors.white
 
 
-def test_followed_positions_have_no_estimated_error_and_the_levels_hold_half_of_what_is_stated() -> None:
+def test_with_correlated_velocity_errors_no_position_error_is_estimated_and_levels_hold_half_of_the_stated() -> None:
     followed = UNKNOWN_POSITIONS.following(True)
     assert followed.lasting == 0.0
     assert followed.scaled(COV) == pytest.approx(FOLLOWED[0] * COV)
@@ -92,7 +92,7 @@ def test_followed_positions_have_no_estimated_error_and_the_levels_hold_half_of_
     assert UNKNOWN_POSITIONS.unestimated(COV) == (0.0, 0.0)
 
 
-def test_an_overstated_size_does_not_count_in_full_where_positions_are_followed() -> None:
+def test_with_correlated_velocity_errors_an_overstated_accuracy_is_scaled_down() -> None:
     evidence = np.zeros_like(UNKNOWN_POSITIONS.evidence)
     evidence[:, :, 0] = 100.0  # the smallest scale, an eighth
     level, _ = replace(UNKNOWN_POSITIONS, evidence=evidence, follows=True).unestimated(COV)

@@ -87,14 +87,14 @@ def aided() -> tuple[Navigator, list[Outcome]]:
     return made, feed(made, drive().odometer * 1.03)
 
 
-def test_wheels_hold_the_position_without_gnss() -> None:
+def test_odometer_and_nhc_halve_the_drift_in_an_outage_and_keep_it_below_0_3_m() -> None:
     """Half a minute without GNSS."""
     without = navigator(**{"odometer.enabled": False, "non_holonomic.enabled": False})
     feed(without, drive().odometer)
     assert error_m(aided()[0]) < min(0.3, 0.5 * error_m(without))
 
 
-def test_scale_and_mounting_are_learnt_as_well_as_the_filter_says() -> None:
+def test_scale_and_mounting_are_estimated_within_four_sigma() -> None:
     inside = filter_of(aided()[0])
     d = drive()
     moving = d.odometer > 1.0
@@ -106,7 +106,7 @@ def test_scale_and_mounting_are_learnt_as_well_as_the_filter_says() -> None:
     assert sd[0] < 0.005 and (sd[1:] < radians(0.7)).all(), "much better than at switch-on"
 
 
-def test_both_aids_are_told() -> None:
+def test_odometer_and_nhc_have_outcomes_and_98_percent_are_used() -> None:
     outcomes = aided()[1]
     assert {o.kind for o in outcomes} >= {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
     wheels = [o for o in outcomes if o.kind in (AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC)]
@@ -114,7 +114,7 @@ def test_both_aids_are_told() -> None:
     assert all(o.reason == "beyond the gate" for o in wheels if not o.used)
 
 
-def test_neither_aid_is_used_if_the_settings_say_so() -> None:
+def test_disabled_odometer_and_nhc_are_not_used_and_estimate_nothing() -> None:
     made = navigator(**{"odometer.enabled": False, "non_holonomic.enabled": False})
     kinds = {o.kind for o in feed(made, drive().odometer)}
     assert not kinds & {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
@@ -123,7 +123,7 @@ def test_neither_aid_is_used_if_the_settings_say_so() -> None:
     assert not cross.any(), "what is not measured does not touch the other fifteen states"
 
 
-def test_springs_give_way_more_than_tyres_do_but_in_bends() -> None:
+def test_the_lateral_nhc_variance_grows_in_bends_and_the_vertical_one_does_not() -> None:
     """Straight on, the two standard deviations count; a bend at 10 m/s adds slip sideways, and nothing vertically."""
     settings = Settings().with_values({"non_holonomic.rear_axle_body_m": ARM_B})
     twin = backing(-10.0, 0.1)
@@ -136,7 +136,7 @@ def test_springs_give_way_more_than_tyres_do_but_in_bends() -> None:
     assert bend[1, 1] == straight[1, 1]
 
 
-def test_spinning_wheels_are_not_believed() -> None:
+def test_speeds_of_spinning_wheels_are_rejected() -> None:
     """On ice the driven wheels turn three times as fast as the car goes."""
     speeds = drive().odometer.copy()
     speeds[900:] *= 3.0
@@ -146,7 +146,7 @@ def test_spinning_wheels_are_not_believed() -> None:
     assert len(fast) > 20 and not any(o.used for o in fast)
 
 
-def test_another_odometer_has_a_scale_of_its_own() -> None:
+def test_a_second_odometer_is_used_once_the_first_one_is_silent() -> None:
     made = navigator()
     d = drive()
     for k, time_ns in enumerate(d.odometer_ns.tolist()):
@@ -170,13 +170,13 @@ def backing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
 
 
 @pytest.mark.parametrize("speed_m_s", [0.2, 3.0])
-def test_a_speed_without_a_sign_may_be_one_backwards(speed_m_s: float) -> None:
+def test_an_unsigned_speed_agrees_with_driving_backwards(speed_m_s: float) -> None:
     twin = backing(speed_m_s, 0.05)
     seen = WheelSpeed(0, 0, "", speed_m_s, 0.0, True, True, navigator().settings).observe(twin)
     assert abs(float(seen.z[0])) < 0.02 + 0.06 * speed_m_s  # the scale of the odometer is not one
 
 
-def test_where_nobody_knows_the_sign_a_speed_says_how_fast_at_most() -> None:
+def test_an_unsigned_speed_at_unknown_sign_has_mean_zero_and_variance_of_its_square() -> None:
     """Of +1 and -1 m/s the mean is zero and the variance one."""
     twin = backing(0.0, 0.5)
     seen = WheelSpeed(0, 0, "", 1.0, 0.0, True, True, navigator().settings).observe(twin)
@@ -184,14 +184,14 @@ def test_where_nobody_knows_the_sign_a_speed_says_how_fast_at_most() -> None:
     assert 1.0 < float(seen.R[0, 0]) < 1.01
 
 
-def test_a_speed_below_zero_has_its_sign() -> None:
+def test_a_negative_speed_is_measured_with_its_sign() -> None:
     twin = backing(1.0, 0.05)
     seen = WheelSpeed(0, 0, "", -1.0, 0.0, True, True, navigator().settings).observe(twin)
     assert abs(float(seen.z[0])) < 0.05
     assert float(seen.R[0, 0]) < 0.01
 
 
-def test_wheels_that_contradict_for_long_are_heard_in_the_end() -> None:
+def test_speeds_rejected_for_two_seconds_are_used_in_the_end() -> None:
     """The filter is sure of a speed that is wrong by 1 m/s: it doubts after two seconds, not at once."""
     settings = navigator().settings
     twin, judge = backing(-5.0, 0.02), Judge(settings)
@@ -214,7 +214,7 @@ def rest_after(speed: float, limit: float, force: float = 0.0) -> bool:
     return stands(rest)
 
 
-def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> None:
+def test_zero_wheel_speeds_widen_the_speed_limit_of_the_standstill_detector_only() -> None:
     """After a minute without GNSS a vehicle at rest may seem to creep at 1.5 m/s."""
     assert not rest_after(1.5, limit=0.3)
     assert rest_after(1.5, limit=2.0)
@@ -223,7 +223,9 @@ def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> Non
 
 
 @pytest.mark.parametrize(("speed", "supports"), [(0.0, True), (0.4, False)])
-def test_only_wheels_that_stand_now_vouch_for_a_rest(speed: float, supports: bool) -> None:
+def test_only_current_zero_wheel_speeds_widen_the_limit_of_the_standstill_detector(
+    speed: float, supports: bool
+) -> None:
     made = navigator()
     feed(made, np.interp(np.arange(1101), [1000, 1050], [0.0, 1.0]) * (speed - drive().odometer) + drive().odometer)
     aids = made.engine.aids
@@ -236,7 +238,7 @@ def test_only_wheels_that_stand_now_vouch_for_a_rest(speed: float, supports: boo
         assert aids.standstill_limits(inside.time_ns + 3 * 10**9, inside).pace < 1.0, "it was too long ago"
 
 
-def test_wheels_that_stand_stop_a_slide_at_once() -> None:
+def test_the_first_zero_wheel_speed_reduces_a_velocity_error_of_0_3_m_s_below_0_04_m_s() -> None:
     """An outage has left 0.2 m/s to the side and downwards; the first zero takes most of it away."""
     twin = backing(0.0, 0.3)
     slide = twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([0.0, 0.2, 0.2])
@@ -250,7 +252,7 @@ def test_wheels_that_stand_stop_a_slide_at_once() -> None:
 
 
 @pytest.mark.parametrize("before", [None, 12.0])
-def test_a_dead_odometer_is_no_standstill(before: float | None) -> None:
+def test_zero_speeds_of_a_failed_odometer_are_rejected(before: float | None) -> None:
     """It never indicated motion, or fell from 12 m/s to zero in a tenth of a second, while the filter is unsure."""
     settings = navigator().settings
     zeros = ZeroSpeeds()

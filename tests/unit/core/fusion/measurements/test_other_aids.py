@@ -145,7 +145,7 @@ def told(outcomes: list[Outcome], kind: AidingKind) -> list[Outcome]:
     return [outcome for outcome in outcomes if outcome.kind is kind]
 
 
-def test_a_barometer_holds_the_height_without_gnss() -> None:
+def test_a_barometer_halves_the_height_deviation_in_an_outage() -> None:
     """Fifty seconds without GNSS, wheels or rests."""
     made, outcomes = led(pressure=True)
     error, sd = height_error(made)
@@ -160,7 +160,7 @@ def test_a_barometer_holds_the_height_without_gnss() -> None:
     assert abs(filtered.parameter(em.BAROMETER_OFFSET) - OFFSET_M) < 3.0 * offset_sd < 5.0
 
 
-def test_a_window_that_opens_does_not_lift_the_vehicle() -> None:
+def test_a_pressure_step_is_rejected_and_the_height_stays_within_three_sigma() -> None:
     made, outcomes = led(pressure=True, shifted=(OUTAGE_S[0] - 20.0, 12.0), outage=False)
     refused = [o for o in told(outcomes, AidingKind.BAROMETRIC_HEIGHT) if o.time_ns > (OUTAGE_S[0] - 19.0) * 1e9]
     assert refused and not refused[0].used and refused[0].reason == "beyond the gate"
@@ -175,7 +175,7 @@ def test_a_pressure_of_no_road_is_counted(pressure_pa: float) -> None:
     assert made.rejects == {"pressure of no road": 1}
 
 
-def test_two_antennas_give_the_heading_at_rest() -> None:
+def test_two_antennas_give_the_heading_at_standstill() -> None:
     d, yaw_body, sd = drive(), radians(90.0), radians(0.3)
     made = Navigator(
         Settings(gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b), alignment=AlignmentSettings(levelling_s=5.0))
@@ -196,7 +196,7 @@ def test_two_antennas_give_the_heading_at_rest() -> None:
     assert solution.attitude_cov[2, 2] ** 0.5 < sd, "the mean of several is better than one"
 
 
-def test_a_heading_that_contradicts_the_drive_is_refused() -> None:
+def test_a_dual_antenna_heading_that_contradicts_the_filter_is_rejected() -> None:
     made, _ = led(outage=False, seconds=60.0)
     d, at = drive(), int(drive().t_ns[5999])
     made.measure(BaselineHeading(at + 1, at + 1, "gnss", float(d.attitude[5999, 2]) + 0.5, 0.005, 0.0))
@@ -207,7 +207,7 @@ def test_a_heading_that_contradicts_the_drive_is_refused() -> None:
     assert not heading.used and heading.reason == "beyond the gate"
 
 
-def test_a_compass_is_used_once_known_headings_have_confirmed_it() -> None:
+def test_a_magnetometer_is_used_once_four_known_headings_have_confirmed_it() -> None:
     outcomes = told(led(iron=(0.01, -0.01, 0.02), outage=False)[1], AidingKind.MAGNETIC_HEADING)
     first = next(i for i, o in enumerate(outcomes) if o.used)
     assert outcomes[first - 1].reason == "not yet judged by 4 known headings"
@@ -215,14 +215,14 @@ def test_a_compass_is_used_once_known_headings_have_confirmed_it() -> None:
     assert max(abs(o.innovation[0]) for o in outcomes[first:]) < radians(10.0)
 
 
-def test_a_compass_beside_iron_is_refused_with_its_error() -> None:
+def test_a_magnetometer_disturbed_by_iron_is_rejected_with_a_reason() -> None:
     outcomes = told(led(iron=(0.2, 0.1, 0.0), outage=False)[1], AidingKind.MAGNETIC_HEADING)
     assert not any(o.used for o in outcomes)
     reasons = {o.reason for o in outcomes}
     assert "field of another strength than the Earth's" in reasons or any("errs by up to" in str(r) for r in reasons)
 
 
-def test_a_compass_is_judged_by_sectors_of_the_horizon() -> None:
+def test_magnetometer_errors_are_averaged_by_sectors_of_heading() -> None:
     check = CompassCheck()
     for k in range(4):
         assert check.spread is None

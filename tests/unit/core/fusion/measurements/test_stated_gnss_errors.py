@@ -67,7 +67,7 @@ def fixes_at_rest() -> list[GnssPosition]:
     ]
 
 
-def test_what_is_told_is_what_a_bank_says_that_is_certain() -> None:
+def test_a_stated_error_model_equals_a_bank_with_one_certain_hypothesis() -> None:
     told, bank = KnownGnssErrors(TIME_S, 1.0 - SHARE), certain()
     assert (bank.correlation_s, bank.lasting) == pytest.approx((TIME_S, 1.0 - SHARE))
     assert told.unit == pytest.approx(bank.unit)
@@ -78,7 +78,9 @@ def test_what_is_told_is_what_a_bank_says_that_is_certain() -> None:
     assert one.both == pytest.approx(other.both)
 
 
-def test_a_drive_told_is_a_drive_with_a_bank_that_is_certain(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_with_a_stated_error_model_equals_one_with_a_certain_hypothesis(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """To a micrometre: the bank's weights are rounded."""
     drive = drive_of(ErrorKind.GAUSS_MARKOV, 1)
     told = led(drive, **GIVEN).solution()
@@ -90,7 +92,7 @@ def test_a_drive_told_is_a_drive_with_a_bank_that_is_certain(monkeypatch: pytest
     assert told.position_cov == pytest.approx(certainly.position_cov, rel=1e-6)
 
 
-def test_what_is_not_told_is_learned() -> None:
+def test_without_a_stated_error_model_it_is_estimated() -> None:
     filter_ = led(drive_of(ErrorKind.GAUSS_MARKOV, 1)).engine.filter
     assert filter_ is not None and isinstance(filter_.colour, GnssErrorBank)
     assert filter_.colour.time_ns is not None, "and has been taught"
@@ -98,13 +100,13 @@ def test_what_is_not_told_is_learned() -> None:
     assert told is not None and told.colour == KnownGnssErrors(TIME_S, 1.0 - SHARE)
 
 
-def test_an_error_that_was_never_zero_starts_as_it_did_to_the_bit() -> None:
+def test_an_error_that_was_zero_long_ago_has_the_stationary_covariance() -> None:
     times = np.array([-9.0, -5.0, -4.0, 0.0])
     for mine, known in zip(mean_at_rest(times, 0.7, 6.0), mean_at_rest(times, 0.7, 6.0, -1e6), strict=True):
         assert (mine == known).all(), "zero for so long ago that nothing of it is left"
 
 
-def test_the_covariance_of_a_start_from_zero_is_that_of_its_errors() -> None:
+def test_the_covariance_of_errors_that_start_at_zero_agrees_with_drawn_errors() -> None:
     """20,000 draws of processes that were zero a second before the first fix; 4 % tolerance."""
     times, zero, lasting, time_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), -10.0, 0.9, 20.0
     weights, joint = mean_at_rest(times, lasting, time_s, zero)
@@ -119,7 +121,7 @@ def test_the_covariance_of_a_start_from_zero_is_that_of_its_errors() -> None:
     assert np.cov(wrong.T) == pytest.approx(joint, rel=0.04, abs=0.005)
 
 
-def test_a_start_from_zero_is_where_its_first_fix_is() -> None:
+def test_with_errors_that_start_at_zero_the_initial_position_is_the_first_fix() -> None:
     """The error that grows from there is known to grow, and the place is as good as a fix's white part."""
     first = first_place(fixes_at_rest(), KnownGnssErrors(240.0, 1.0 - 1e-4), zero_ns=0)
     assert ned_from_geodetic_difference(first.position, ORIGIN) == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
@@ -127,7 +129,7 @@ def test_a_start_from_zero_is_where_its_first_fix_is() -> None:
     assert first.error[0] * SD[0] == pytest.approx(0.9, abs=0.05)
 
 
-def test_only_the_first_alignment_starts_from_zero() -> None:
+def test_only_the_first_alignment_assumes_a_zero_error() -> None:
     """When a solution was lost, errors have walked for as long as it ran."""
     settings = Settings(gnss=GnssSettings(correlation_time_s=240.0, zero_error_at_start=True))
     first, second = Alignment(settings), Alignment(settings, first=False)
@@ -146,7 +148,9 @@ def test_only_the_first_alignment_starts_from_zero() -> None:
     ],
     ids=["5 s", "walk"],
 )
-def test_told_how_errors_run_it_is_as_good_as_it_says(kind: ErrorKind, given: dict[str, float | bool]) -> None:
+def test_with_a_stated_error_model_the_nees_is_in_the_99_percent_band(
+    kind: ErrorKind, given: dict[str, float | bool]
+) -> None:
     """Sum of normalised errors squared of six runs, in the 99 % band of chi-square of 18."""
     nees = 0.0
     for seed in range(RUNS):

@@ -51,14 +51,14 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("what", SPOILED)
-def test_a_spoiled_set_up_is_found_out_by_name(what: str) -> None:
+def test_each_wrong_setting_is_reported_by_the_check_of_its_name_alone(what: str) -> None:
     spoiled, expected = SPOILED[what]
     found = accused(spoiled.checks(town()))
     assert expected <= found
     assert found <= expected | {"gnss_delay"}, "and nothing else is accused"
 
 
-def test_what_a_check_says_corrects_the_set_up() -> None:
+def test_the_setting_that_a_check_proposes_corrects_the_fault() -> None:
     """The setting to paste turns swapped axes into those of the vehicle; delay and scale are those that were made."""
     axes = ("y", "-x", "z")
     setting = tomllib.loads(Spoiled(axes=axes).checks(town())["imu_axes"].setting or "")
@@ -77,7 +77,7 @@ def test_what_a_check_says_corrects_the_set_up() -> None:
 @pytest.mark.parametrize(
     ("scenario", "seed"), [("urban", 1), ("parking_lot", 1), ("parking_lot", 2), ("degraded", 4), ("highway", 1)]
 )
-def test_a_good_drive_is_not_accused(scenario: str, seed: int) -> None:
+def test_a_correct_set_up_is_not_reported(scenario: str, seed: int) -> None:
     checks = Spoiled(arm=ArmError((0.05, 0.05), 1.0, wrong=False)).checks(
         simulated(simulate(scenario, seed, duration_s=SECONDS))
     )
@@ -85,20 +85,20 @@ def test_a_good_drive_is_not_accused(scenario: str, seed: int) -> None:
     assert checks["accelerometer_scale"].verdict is checks["imu_upright"].verdict is Verdict.AGREES
 
 
-def test_most_of_the_set_up_is_known_after_three_minutes() -> None:
+def test_after_three_minutes_only_delay_and_lever_arm_may_be_unknown() -> None:
     checks = Spoiled().checks(town())
     unknown = {name for name, check in checks.items() if check.verdict is Verdict.UNKNOWN}
     assert unknown <= {"gnss_delay", "lever_arm"}
 
 
-def test_a_standing_vehicle_shows_gravity_alone() -> None:
+def test_at_standstill_only_the_checks_of_gravity_are_decided() -> None:
     n = 3000
     still = Recorded(np.arange(1, n + 1) * 10_000_000, np.tile([0.0, 0.0, -9.81], (n, 1)), np.zeros((n, 3)), fixes=[])
     known = {name for name, check in Spoiled().checks(still).items() if check.verdict is not Verdict.UNKNOWN}
     assert known == {"accelerometer_scale", "imu_upright"}
 
 
-def test_a_finding_needs_two_evaluations_and_outlives_ignorance() -> None:
+def test_a_finding_needs_two_evaluations_and_stays_when_later_ones_are_unknown() -> None:
     monitor = SetUpMonitor(Settings())
     wrong, right = Check("imu_axes", Verdict.CONTRADICTS), Check("imu_axes", Verdict.AGREES)
     monitor._adopt(wrong, 10)
@@ -110,7 +110,7 @@ def test_a_finding_needs_two_evaluations_and_outlives_ignorance() -> None:
     assert monitor.checks["imu_axes"] == (right, 40)
 
 
-def test_regression_has_honest_errors_and_drops_outliers() -> None:
+def test_regression_has_consistent_standard_deviations_and_excludes_outliers() -> None:
     rng = np.random.default_rng(1)
     truth = np.array([[1.0, -2.0], [0.5, 3.0]])
     pulls = []
@@ -125,14 +125,14 @@ def test_regression_has_honest_errors_and_drops_outliers() -> None:
     assert least_squares(np.ones((20, 2)), np.ones((20, 1))) is None
 
 
-def test_the_nearest_permutation_of_a_skewed_one_is_itself() -> None:
+def test_the_nearest_permutation_of_a_disturbed_permutation_is_that_permutation() -> None:
     rng = np.random.default_rng(2)
     true = matrix_of(("-z", "x", "y"))
     found, gap = nearest_permutation(true + 0.2 * rng.standard_normal((3, 3)))
     assert np.array_equal(found, true) and gap > 2.0
 
 
-def test_the_log_forgets_and_keeps_to_one_device() -> None:
+def test_the_log_holds_300_s_of_one_device() -> None:
     log = MotionLog()
     for k in range(40_000):
         log.sample(k * 10_000_000, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))

@@ -43,31 +43,31 @@ def unsure(velocity_sd: float) -> Limits:
     return limits_of(P)
 
 
-def test_half_a_second_of_quiet_is_a_standstill() -> None:
+def test_half_a_second_below_all_limits_is_a_standstill() -> None:
     rest = after(UNSETTLED, 0.25)  # settles
     assert not stands(after(rest, 0.48))
     assert stands(after(rest, 0.52))
 
 
-def test_each_condition_alone_prevents_it() -> None:
+def test_each_limit_alone_prevents_a_standstill() -> None:
     assert not stands(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
     assert not stands(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
     assert not stands(after(UNSETTLED, 5.0, speed=0.31))
     assert stands(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
 
 
-def test_it_ends_within_a_few_samples_of_the_first_motion() -> None:
+def test_a_standstill_ends_within_50_ms_of_the_first_motion() -> None:
     """At 1 m/s² the smoothed acceleration passes its limit after 20 ms, and the vehicle has moved by 0.2 mm."""
     rest = after(UNSETTLED, 2.0)
     assert not stands(after(rest, 0.02, acceleration=(1.0, 0.0, 0.0)))
     assert not stands(after(rest, 0.05, rate=(0.0, 0.0, 0.1)))
 
 
-def test_rolling_evenly_is_no_standstill() -> None:
+def test_constant_speed_is_not_a_standstill() -> None:
     assert not stands(after(UNSETTLED, 10.0, speed=10.0))
 
 
-def test_an_idling_engine_does_not_end_it() -> None:
+def test_vibration_of_an_idling_engine_does_not_end_a_standstill() -> None:
     """Single samples swing by 0.65 m/s² and 0.017 rad/s (1 sigma) at 27 Hz, as recorded in a car at rest."""
     rest = after(UNSETTLED, 2.0)
     for k in range(2000):
@@ -76,7 +76,7 @@ def test_an_idling_engine_does_not_end_it() -> None:
         assert stands(rest)
 
 
-def test_a_filter_that_does_not_know_its_speed_waits_for_two_seconds_of_quiet() -> None:
+def test_with_an_uncertain_velocity_a_standstill_needs_two_seconds() -> None:
     """After a minute without GNSS it sees 1.5 m/s at rest, and 0.1 m/s where the vehicle rolls."""
     limits, settled = unsure(0.6), after(UNSETTLED, 0.25)
     for speed in (0.1, 1.5):
@@ -86,7 +86,7 @@ def test_a_filter_that_does_not_know_its_speed_waits_for_two_seconds_of_quiet() 
     assert unsure(0.05) == CERTAIN
 
 
-def test_a_wrong_tilt_hides_no_rest() -> None:
+def test_a_standstill_is_detected_with_a_tilt_error_of_half_a_degree() -> None:
     """Half a degree makes 0.09 m/s² of gravity; two degrees are beyond what a filter has."""
     for limits in (CERTAIN, unsure(0.6)):
         leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), limits=limits)  # it brakes
@@ -98,7 +98,7 @@ def test_a_wrong_tilt_hides_no_rest() -> None:
         assert not stands(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), limits=limits))
 
 
-def test_a_road_is_no_rest_however_slow_the_filter_believes_to_be() -> None:
+def test_motion_on_a_smooth_road_is_not_a_standstill_at_an_uncertain_velocity() -> None:
     """It rolls evenly at 1.5 m/s: 0.1 m/s² up and down in 2 s, as on the smoothest of the recorded streets."""
     rest, limits = UNSETTLED, unsure(0.6)
     for k in range(2000):
@@ -106,7 +106,7 @@ def test_a_road_is_no_rest_however_slow_the_filter_believes_to_be() -> None:
         assert not stands(rest)
 
 
-def test_a_rest_tells_of_the_gyroscope_what_its_mean_is_worth() -> None:
+def test_the_zaru_variance_summed_over_ten_minutes_is_that_of_the_mean_rate() -> None:
     """Over ten minutes, the variance of the mean of errors that last, and of others that do not, is that of R."""
     navigation = ErrorStateFilter(
         Settings(), InertialState(0, (1.0, 0.0, 0.0, 0.0), STILL, Geodetic(0.7, 0.2, 100.0)), np.eye(SIZE)
