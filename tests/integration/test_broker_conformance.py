@@ -1,4 +1,4 @@
-"""What the unit asks of a broker, of Mosquitto and the simulated one alike; where they differ, the test says so."""
+"""What the unit requires of a broker, tested with Mosquitto and the simulated one; differences are stated."""
 
 import contextlib
 import re
@@ -104,7 +104,7 @@ def test_a_thousand_messages_of_qos_1_arrive_complete_and_in_order(alice: Client
 
     bob.subscribe(topic)
     for _ in range(20):
-        for _ in range(50):  # within what Mosquitto keeps for a client that does not acknowledge yet
+        for _ in range(50):  # within the queue of Mosquitto for a client that has not acknowledged yet
             alice.paho.publish(topic, str(sent), qos=1)
             sent += 1
         bob.until(all_have_arrived)
@@ -160,7 +160,7 @@ def test_bursts_of_small_messages_do_not_wait_for_each_other(alice: Client, bob:
 def test_a_client_that_does_not_read_has_a_bounded_queue_and_delays_no_other(
     broker: RunningBroker, alice: Client, bob: Client, topic: str
 ) -> None:
-    """The simulated broker forgets the oldest messages, so that the last one arrives; Mosquitto drops the newest."""
+    """The simulated broker drops the oldest messages and delivers the last one; Mosquitto drops the newest."""
     bob.subscribe(topic, qos=0)
     with raw_mqtt.connect(broker.port, "slow", user="tester") as slow:
         slow.sendall(raw_mqtt.subscribe(topic))
@@ -208,7 +208,7 @@ def test_a_bare_hash_does_not_match_topics_that_begin_with_a_dollar(alice: Clien
 
 @pytest.mark.parametrize("pattern", ["a/#/b", "a/b#", "a+/b"])
 def test_an_invalid_filter_is_rejected(broker: RunningBroker, pattern: str) -> None:
-    """The simulated broker refuses the filter; Mosquitto ends the connection. (paho would not send it.)"""
+    """The simulated broker rejects the filter; Mosquitto ends the connection. (paho would not send it.)"""
     with raw_mqtt.connect(broker.port, "careless", user="tester") as raw:
         raw.sendall(raw_mqtt.subscribe(pattern))
         assert raw.recv(100) == (b"\x90\x03\0\1\x80" if broker.kind == SIMULATED else b"")
@@ -288,7 +288,7 @@ def test_the_will_of_a_client_that_disconnects_is_not_published(broker: RunningB
 
 
 def test_a_hung_client_is_disconnected_after_its_keep_alive(broker: RunningBroker, bob: Client, topic: str) -> None:
-    """After 1.5 times the keep-alive; Mosquitto 2.0.11 looks only every 5 s."""
+    """After 1.5 times the keep-alive; Mosquitto 2.0.11 checks every 5 s."""
     bob.subscribe(topic)
     with Client(broker.port) as hung:
         hung.will(topic, "lost")
@@ -348,21 +348,21 @@ def test_a_message_is_delivered_only_to_clients_that_may_read_it(broker: Running
         assert reader.hears_nothing()
 
 
-@pytest.mark.parametrize("user", ["reader", "writer", "stranger"])
+@pytest.mark.parametrize("user", ["reader", "writer", "unknown"])
 def test_a_subscription_without_a_readable_topic_is_rejected(broker: RunningBroker, user: str) -> None:
-    """Mosquitto 2.0.11 grants every subscription and filters messages; the simulated broker filters, and says so."""
+    """Mosquitto 2.0.11 grants every subscription and filters messages; the simulated broker rejects them."""
     with Client(broker.port, user=user) as client:
         client.connect()
         assert client.subscribe("closed/#") == [REFUSED if broker.kind == SIMULATED else 1]
 
 
 def test_an_unknown_client_neither_receives_nor_publishes(broker: RunningBroker, alice: Client) -> None:
-    with Client(broker.port, user="stranger") as stranger:
-        stranger.connect()
-        stranger.subscribe("#")
+    with Client(broker.port, user="unknown") as unknown:
+        unknown.connect()
+        unknown.subscribe("#")
         alice.publish("open/a", "x", retain=True)
-        stranger.publish("open/a", "forged")
-        assert stranger.hears_nothing()
+        unknown.publish("open/a", "forged")
+        assert unknown.hears_nothing()
         alice.subscribe("open/a")
         assert alice.payloads() == ["x"]
     alice.publish("open/a", "", retain=True)
@@ -380,7 +380,7 @@ def test_a_client_without_a_name_has_the_rules_before_the_first_user(broker: Run
 
 
 def test_a_will_that_is_not_allowed_is_not_delivered(broker: RunningBroker, bob: Client) -> None:
-    """The simulated broker refuses the client; Mosquitto takes it and drops the will."""
+    """The simulated broker rejects the client; Mosquitto accepts it and drops the will."""
     bob.subscribe("closed/#")
     with Client(broker.port, user="writer") as writer:
         writer.will("closed/door", "forged")

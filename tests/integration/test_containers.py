@@ -1,4 +1,4 @@
-"""The unit as `docker compose up` runs it: healthy, without rights, and back after each kind of death.
+"""The unit as `docker compose up` runs it: healthy, without privileges, and restarted after each kind of failure.
 
 It takes two minutes, and three with an empty build cache, so it is marked slow: `make containers` runs it. It skips
 where there is no engine with Compose, or where the base images can neither be found nor fetched.
@@ -31,7 +31,7 @@ MEMORY_BYTES = 700e6
 
 
 def run(*command: str, environment: dict[str, str] | None = None, timeout_s: float = 60.0) -> str:
-    """Run a command to its end; its standard output, or a failure that shows what it said."""
+    """Run a command to its end; its standard output, or a failure with its error output."""
     result = subprocess.run(
         command, cwd=ROOT, env={**os.environ, **(environment or {})}, timeout=timeout_s, capture_output=True, text=True,
         check=False,
@@ -93,7 +93,7 @@ class Unit:
             "-c", f"import os; os.kill({pid}, {int(number)})")  # fmt: skip
 
     def health_check(self, service: str) -> str:
-        """Run a container's health check now; what it finds wrong."""
+        """Run a container's health check; return its output if it fails."""
         command = ["docker", "exec", f"{self.project}-{service}-1", "python", "-S", "deploy/healthcheck.py"]
         return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False).stderr.strip()
 

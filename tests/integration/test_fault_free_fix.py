@@ -1,4 +1,4 @@
-"""While a satellite is excluded, the least-squares fix of core.cooperative takes the place of the receiver's own."""
+"""While a satellite is excluded, the least-squares fix of core.cooperative replaces that of the receiver."""
 
 from collections.abc import Iterator
 from math import degrees, radians
@@ -28,7 +28,7 @@ def drive() -> list[Message]:
 
 
 def faulty(drive: list[Message]) -> Iterator[Message]:
-    """The drive with a longer pseudorange of one satellite for ten seconds, and the receiver's fixes that follow it."""
+    """The drive with a longer pseudorange of one satellite for ten seconds, and the resulting fixes of the receiver."""
     origin_ns = next(one.sampled_ns for one in drive if isinstance(one, GnssFix))
     for one in drive:
         since_ns = one.sampled_ns - origin_ns if isinstance(one, GnssFix | GnssRawEpoch) else 0

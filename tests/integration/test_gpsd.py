@@ -1,4 +1,4 @@
-"""What gpsd, which is not ours, makes of the simulated receiver's bytes."""
+"""The bytes of the simulated receiver, decoded by gpsd."""
 
 import json
 import math
@@ -27,8 +27,8 @@ from shared.runtime.config import BrokerAddress
 from tests.support.bus import simulated
 
 NS = 1_000_000_000
-START_NS = time.time_ns()  # gpsd mistrusts times far from its own clock
-SPEED_UP = 16.0  # gpsd stamps nothing with its own clock that this test reads
+START_NS = time.time_ns()  # gpsd rejects times far from its own clock
+SPEED_UP = 16.0  # this test reads no stamps of gpsd's own clock
 LIMIT_S = 12.0
 Report = dict[str, Any]  # JSON of gpsd
 
@@ -127,7 +127,7 @@ def test_gpsd_decodes_satellites_and_stated_accuracy() -> None:
 
 @pytest.mark.skipif(shutil.which("gpsdecode") is None, reason="gpsdecode is not installed: apt install gpsd-clients")
 def test_gpsdecode_reads_the_output_of_obu_tail_raw(tmp_path: Path) -> None:
-    """The bytes are those of the device, and reach the pipe while the unit runs."""
+    """The device bytes are written to the pipe while the unit runs."""
     broker = simulated.start(tmp_path)
     environment = os.environ | {"OBU_BROKER": f"mqtt://127.0.0.1:{broker.port}", "OBU_STATE": str(tmp_path)}
     command = [sys.executable, "-m", "cli", "tail", "--raw", "gnss/raw", "--count", "60"]

@@ -1,4 +1,4 @@
-"""The HTTP and WebSocket API over real sockets on loopback; the bus is a pretended one."""
+"""The HTTP and WebSocket API over real sockets on loopback; the bus is a simulated one."""
 
 import json
 import logging
@@ -159,16 +159,16 @@ def test_every_answer_carries_the_security_headers(server: Running) -> None:
 
 
 def test_a_websocket_of_another_origin_is_rejected(server: Running) -> None:
-    with pytest.raises(InvalidStatus) as refused:
+    with pytest.raises(InvalidStatus) as rejected:
         watch(server, Origin="http://attacker.example")
-    assert refused.value.response.status_code == 403
+    assert rejected.value.response.status_code == 403
 
 
 def test_an_unknown_host_name_is_rejected(server: Running) -> None:
     assert ask(server, "/api/state", Host="attacker.example").status_code == 421
-    with pytest.raises(InvalidStatus) as refused:
+    with pytest.raises(InvalidStatus) as rejected:
         connect(server.address.replace("http", "ws") + "/ws", additional_headers={"Host": "attacker.example"})
-    assert refused.value.response.status_code in (400, 421)
+    assert rejected.value.response.status_code in (400, 421)
 
 
 def test_the_websocket_sends_a_snapshot_and_then_changes(server: Running) -> None:
@@ -183,11 +183,11 @@ def test_the_websocket_sends_a_snapshot_and_then_changes(server: Running) -> Non
             assert (change["kind"], change["sequence"]) == ("difference", sequence + 1)
             state, sequence = merge(state, change["state"]), sequence + 1
         with watch(server) as second:
-            told = frame(second)
-            while sequence < told["sequence"]:
+            whole = frame(second)
+            while sequence < whole["sequence"]:
                 change = frame(first)
                 state, sequence = merge(state, change["state"]), change["sequence"]
-    assert state == told["state"], "who followed the differences knows what a newcomer is told"
+    assert state == whole["state"], "all differences give the snapshot of a new client"
 
 
 def test_all_browsers_receive_the_same_frame_five_times_a_second(server: Running) -> None:
@@ -293,9 +293,9 @@ def test_a_viewer_above_the_limit_is_rejected_with_their_number_and_not_logged(
 ) -> None:
     with status_server(tmp_path, unit=False, clients_maximum=1) as server, watch(server) as first:
         frame(first)
-        with watch(server) as second, pytest.raises(ConnectionClosed) as refused:
+        with watch(server) as second, pytest.raises(ConnectionClosed) as rejected:
             second.recv(timeout=5.0)
-        assert refused.value.rcvd == Close(1013, "too many viewers: 1 are connected; try again")
+        assert rejected.value.rcvd == Close(1013, "too many viewers: 1 are connected; try again")
         assert get(server, "/api/viewers") == {"connected": 1, "events": 0, "maximum": 1}
         charts = server.address.replace("http", "ws") + "/ws/series?fields=gnss/fix:hdop"
         with connect(charts), connect(charts) as other:
@@ -396,8 +396,8 @@ def test_the_solution_is_json_or_geojson_as_requested(server: Running) -> None:
         assert latitude == pytest.approx(flat["latitude_deg"], abs=1e-3)
         assert height == pytest.approx(flat["height_ellipsoid_m"], abs=1.0)
         assert feature["properties"]["state"] == "safe"
-    asked = ask(server, "/api/solution?format=json", Accept="application/geo+json")
-    assert asked.headers["content-type"] == "application/json"
+    chosen = ask(server, "/api/solution?format=json", Accept="application/geo+json")
+    assert chosen.headers["content-type"] == "application/json"
     assert ask(server, "/api/solution?format=kml").status_code == 422
 
 
@@ -509,7 +509,7 @@ def test_the_process_has_less_than_60_mib(tmp_path: Path) -> None:
         process.stdin.close()
         assert process.wait(timeout=8.0) == 0
     resident_kb = re.search(r"VmRSS:\s+(\d+)", status)
-    # 51 MiB of it are imports, 1 MiB is the pretended unit, 1.2 MiB are the last hour of the charts
+    # 51 MiB of it are imports, 1 MiB is the simulated unit, 1.2 MiB are the last hour of the charts
     assert resident_kb and int(resident_kb[1]) < 60 * 1024
 
 
@@ -602,7 +602,7 @@ def test_series_are_continued_over_a_websocket_without_a_gap_or_a_repetition(ser
 
 
 def test_the_history_of_charts_is_read_from_the_recording_after_a_restart(tmp_path: Path) -> None:
-    start_ns = 1_795_000_000 * 10**9  # of the pretended unit
+    start_ns = 1_795_000_000 * 10**9  # of the simulated unit
     folder = RecordingFolder(tmp_path / "recordings")
     folder.stored()
     folder.open("drive", vehicle="truck-07", vehicle_toml="", chunk_bytes=4096)
@@ -612,13 +612,13 @@ def test_the_history_of_charts_is_read_from_the_recording_after_a_restart(tmp_pa
         for n, ns in enumerate(stamps)
     ]
     folder.write([sent(fix, fix.sampled_ns + 1_000_000, "parsers.gnss") for fix in fixes])
-    folder.flush()  # it is not closed: the recorder still writes it
+    folder.flush()  # not closed, as while the recorder writes
     with status_server(tmp_path, unit=False) as running:
         address = "/api/series?fields=gnss/fix:hdop,gnss/fix:satellites_used&seconds=1100"
         eventually(lambda: known(get(running, address), "gnss/fix:hdop") > 1000, within_s=20.0)
         found = [value for value in get(running, address)["values"]["gnss/fix:hdop"] if value is not None]
         assert found == sorted(found) and found[-1] == pytest.approx(2.199)
-        chosen = "/api/series?fields=gnss/fix:@latency_s&seconds=1100"  # nobody has asked for it before the restart
+        chosen = "/api/series?fields=gnss/fix:@latency_s&seconds=1100"  # not requested before the restart
         eventually(lambda: known(get(running, chosen), "gnss/fix:@latency_s") > 1000, within_s=20.0)
         assert next(v for v in get(running, chosen)["values"]["gnss/fix:@latency_s"] if v) == pytest.approx(1e-3)
     folder.close()

@@ -1,4 +1,4 @@
-"""The V2X processes as they run in a unit: each a process of its own, a broker with the unit's access list between."""
+"""The V2X processes of a unit, connected by a broker with the access list of the unit."""
 
 import os
 import socket

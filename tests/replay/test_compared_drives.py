@@ -63,8 +63,8 @@ def test_with_a_gnss_delay_of_a_second_and_a_tilted_imu_innovations_are_below_8_
     (tmp_path / name).write_text("\n".join(lines) + "\n")
     found = solved(imported("balzer82_car", tmp_path, tmp_path))
     assert found["duration_s"] == pytest.approx(60.0, abs=0.1) and found["alignment_s"] < 10.0
-    # The receiver smooths: its speed is 0.35 s older than its position, metres at the speed of this car. Measured were
-    # 64 refused fixes and one reset, and none of either without `gnss.time_correlated_errors`.
+    # The velocity of the receiver is 0.35 s older than its position, metres at the speed of this car. Measured were
+    # 64 rejected fixes and one reset, and none of either without `gnss.time_correlated_errors`.
     assert found["fixes_used"] > 450 and found["fixes_rejected"] < 100 and found["filter_resets"] <= 1
     assert found["innovation_horizontal_rms_m"] < 8.0
 

@@ -1,4 +1,4 @@
-"""Recordings with delays that are known, imported as they were recorded: what is estimated of them while driving.
+"""Recordings with known delays, imported as they were recorded: the delays that the filter estimates.
 
 ================  ==============================  =====================================================
 drive             by hand                         estimated, with its standard deviation
@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 
 def as_recorded(name: str, folder: Path, out: Path) -> Path:
-    """Import a drive without what its mapping knows of delays."""
+    """Import a drive without the delays of its mapping."""
     folder_of_mappings = REPOSITORY / "benchmarks" / "recordings"
     lines = (
         (folder_of_mappings / "mappings" / f"{name}.toml")

@@ -73,7 +73,7 @@ def test_the_position_of_a_surveyed_station_is_within_its_accuracy(station: Stat
 def pushes(
     station: Station, bias_m: float
 ) -> Iterator[tuple[SatelliteVerdict, SatelliteId, float | None, float | None]]:
-    """Push each satellite of every fourth epoch; yields the verdict, the satellite, and its MDB and MIB before."""
+    """Add a pseudorange error to each satellite of every fourth epoch; yield verdict, satellite, MDB and MIB."""
     epochs, store, _ = station
     for epoch in epochs[::4]:
         clean = SatelliteMonitor().evaluate(epoch, store)
@@ -102,7 +102,7 @@ def test_a_pseudorange_error_of_50_m_is_excluded_in_its_epoch_where_it_is_identi
 def test_a_detectable_pseudorange_error_is_accused_and_its_satellite_excluded_or_suspected(
     station: Station, bias_m: float
 ) -> None:
-    """Where two satellites cannot be separated the other one may be excluded: then the verdict says so."""
+    """Where two satellites cannot be separated the other one may be excluded: then both are suspects."""
     wrong = tried = 0
     for verdict, satellite, detectable, _ in pushes(station, bias_m):
         if detectable is not None and detectable < 50.0:

@@ -1,4 +1,4 @@
-"""Real drives, imported by the mappings of the repository and solved: how far off is the unit on the road?
+"""Real drives, imported by the mappings of the repository and solved: errors against their references.
 
 The truth of these drives is their own RTK. A position at a fix that the filter has used says how well it follows, the
 innovation how well it predicts one fix ahead, and an outage how far it drifts alone. The measured values are printed
@@ -78,13 +78,13 @@ def test_jumps_of_metres_in_a_city_are_rejected_with_at_most_one_reset(trial: st
     found = solved(imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path))
     assert 20 < found["fixes_rejected"] < 0.4 * found["fixes_used"]
     assert found["filter_resets"] <= 1
-    # These fixes are their own truth, and it jumps by up to 4.9 m.
+    # The fixes are used as truth and have jumps of up to 4.9 m.
     assert found["horizontal_rmse_m"] < 1.0
 
 
 def test_attitude_and_velocity_of_a_truck_agree_with_a_reference_of_higher_grade(tmp_path: Path) -> None:
     found = solved(imported("auburn_truck", recording("auburn_truck") / "turn", tmp_path))
-    # The IMU sits turned by several degrees against the reference, and the cab leans on its springs.
+    # The IMU is rotated by several degrees against the reference, and the cab moves on its suspension.
     assert found["yaw_sd_rad"] <= radians(1.0), "the goal, another filter reached 1.3"
     assert found["roll_rmse_rad"] < 0.05 and found["pitch_rmse_rad"] < 0.05
     assert found["velocity_rmse_m_s"] < 0.4, "the antenna is several metres from the IMU, and how many is not known"

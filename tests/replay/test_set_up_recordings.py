@@ -1,4 +1,4 @@
-"""The set-up of real drives: nothing is found wrong with them as they are, and what is spoiled is found by name."""
+"""Checks of the set-up on real drives: no finding as recorded, and each injected fault is reported by its check."""
 
 import json
 from pathlib import Path
@@ -68,7 +68,7 @@ def test_a_hilly_drive_shows_signs_of_velocity_and_height(tmp_path: Path) -> Non
 
 
 def test_a_phone_with_a_gyroscope_bias_of_four_degrees_a_second_aligns_its_heading(tmp_path: Path) -> None:
-    """The start is on the move, and nothing is set for the gyroscope."""
+    """A start in motion with default settings of the gyroscope."""
     path = tmp_path / "comma.mcap"
     import_drive(MAPPINGS / "comma_segment.toml", recording("comma_segment"), path)
     assert solve(path, score_from=8.0, out=tmp_path / "out") == 0

@@ -1,4 +1,4 @@
-"""Real drives, smoothed: outages are bridged from both ends, and attitude follows the reference more closely.
+"""Real drives, smoothed: errors in outages, and attitude against the reference.
 
 Horizontal error within outages, at every truth: median, largest [m]; measured with the vehicle files in `deploy`:
 
@@ -27,7 +27,7 @@ from tests.support.data import REPOSITORY, recording
 
 Metrics = dict[str, float]
 pytestmark = pytest.mark.recording
-LONE_FIX_M = 0.1  # one fix of wid_car 08, which is its truth, lies 0.096 m beside those before and after it
+LONE_FIX_M = 0.1  # [m] one fix of wid_car 08, used as truth, deviates by 0.096 m from its neighbours
 
 
 def smoothed(mapping: str, folder: Path, out: Path, outage: str | None = None) -> Metrics:

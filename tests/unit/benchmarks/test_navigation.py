@@ -1,4 +1,4 @@
-"""The benchmark on drives: what it pools and prints, and that peers get the files that their makers document."""
+"""The benchmark on drives: pooled metrics, printed tables, and the documented input files of peers."""
 
 import json
 import stat

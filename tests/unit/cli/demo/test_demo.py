@@ -1,4 +1,4 @@
-"""What the demo says before it starts anything."""
+"""What the demo prints before it starts any process."""
 
 import json
 import logging
@@ -68,6 +68,6 @@ def test_the_last_line_states_where_the_recording_is_kept_until_the_next_run(
     monkeypatch.setattr(demo, "_watch", interrupted)
     with pytest.raises(KeyboardInterrupt):
         demo.run(options())
-    said = " ".join(capfd.readouterr().err.split())
-    assert f"recorded: {tmp_path}/demo/recordings/drive.mcap (copy it: the next demo removes it)" in said
-    assert logging.getLogger("shared").isEnabledFor(logging.WARNING), "its silence ends with it"
+    printed = " ".join(capfd.readouterr().err.split())
+    assert f"recorded: {tmp_path}/demo/recordings/drive.mcap (copy it: the next demo removes it)" in printed
+    assert logging.getLogger("shared").isEnabledFor(logging.WARNING), "the log level is restored"

@@ -219,7 +219,7 @@ def test_the_longitudinal_acceleration_is_that_of_the_last_half_second() -> None
 
 
 def test_a_drive_is_sent_by_the_generation_rules() -> None:
-    """10 s at rest, then 10 s with 1.5 m/s2: 1 Hz, and then as often as 0.5 m/s or 4 m demand."""
+    """10 s at standstill at 1 Hz, then 10 s with 1.5 m/s² with a CAM for each 0.5 m/s or 4 m."""
     drive = [
         solution(START_NS + step * 100 * MS, velocity_ned_m_s=(max(0.0, 0.15 * (step - 100)), 0.0, 0.0))
         for step in range(200)

@@ -118,7 +118,7 @@ def test_a_replayed_drive_is_another_motion_from_the_same_place() -> None:
     pairs = both(during("replay_drive"))
     assert moved(*pairs[0])[0] == pytest.approx(np.zeros(3), abs=0.01)
     assert max(np.linalg.norm(moved(*pair)[1]) for pair in pairs) > 2.0
-    assert max(fix.ground_speed_m_s or 0.0 for fix, _ in pairs) > 3.0, "the other drive does not stand"
+    assert max(fix.ground_speed_m_s or 0.0 for fix, _ in pairs) > 3.0, "the other drive is in motion"
 
 
 def test_meaconing_is_a_longer_signal_a_late_clock_and_the_place_of_the_rebroadcaster() -> None:

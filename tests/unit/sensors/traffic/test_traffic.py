@@ -1,4 +1,4 @@
-"""The simulated plaza: errors and generation rules as they are stated, and a channel that loses what it should."""
+"""The simulated plaza: errors and generation rules as they are stated, and a channel with the stated losses."""
 
 from collections import Counter
 from itertools import pairwise, takewhile

@@ -11,19 +11,19 @@ from shared.bus import bus
 from shared.runtime.config import BrokerAddress
 
 bus.HUNG_S, bus.HEARTBEAT_S = 0.3, 0.05
-door = bus.Bus("core.fusion", "test", BrokerAddress("127.0.0.1", int(sys.argv[1])), (), Path(sys.argv[2]))
-door.guard()
+link = bus.Bus("core.fusion", "test", BrokerAddress("127.0.0.1", int(sys.argv[1])), (), Path(sys.argv[2]))
+link.guard()
 
 def lost_in_thought():
     time.sleep(30.0)
 
 until = time.monotonic() + 1.0
 while time.monotonic() < until:
-    door.receive(0.02)
+    link.receive(0.02)
 print("alive", flush=True)
 if sys.argv[3] == "hang":
     lost_in_thought()
-door.close()
+link.close()
 time.sleep(0.6)
 """
 

@@ -1,4 +1,4 @@
-"""What travels on the bus comes back as it was, or is refused with a reason."""
+"""Encoded messages are decoded unchanged, or rejected with a reason."""
 
 import base64
 import json

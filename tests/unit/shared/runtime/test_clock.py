@@ -1,4 +1,4 @@
-"""The offset of the time line: agreed once a boot, by whoever comes first."""
+"""The offset of the time line: set once a boot by the first process."""
 
 import os
 import threading

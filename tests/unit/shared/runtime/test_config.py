@@ -1,4 +1,4 @@
-"""The vehicle's file: what it may say, and what is said to its author when it is wrong."""
+"""The vehicle file: its keys, and the errors for invalid ones."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The live runtime: what it gives a process, and what it leaves out."""
+"""The live runtime: messages that a process receives, and those it does not."""
 
 from collections import Counter
 from pathlib import Path
@@ -54,7 +54,7 @@ class Broker:
 
 
 class Given:
-    """A process that remembers what it was given."""
+    """A process that stores what it received."""
 
     def __init__(self) -> None:
         self.messages: list[Message] = []

@@ -19,7 +19,7 @@ from shared.topics import BY_MESSAGE
 
 
 class Echo:
-    """A process that remembers what it was given and answers a fix with a state."""
+    """A process that stores what it received and answers a fix with a state."""
 
     def __init__(self) -> None:
         self.given: list[Message] = []
@@ -53,13 +53,13 @@ def echoes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Echo]:
 
 
 def test_a_message_and_its_answers_are_delivered_to_each_consumer(echoes: dict[str, Echo]) -> None:
-    said = list(OfflineUnit(parse_vehicle("")).run([fix(1)]))
+    published = list(OfflineUnit(parse_vehicle("")).run([fix(1)]))
     running_here = {row.name for row in running(Role.OBU)}
     answers = [NavigationState] * len(
         running_here & set(BY_MESSAGE[GnssFix].consumers)
     )  # one of each that was given the fix
     assert len(answers) >= 2
-    assert [type(m) for m in said] == [GnssFix, *answers]
+    assert [type(m) for m in published] == [GnssFix, *answers]
     assert [type(m) for m in echoes["core.fusion"].given] == [GnssFix]
     assert [type(m) for m in echoes["controller.mode"].given] == [GnssFix, *answers]
     assert echoes["parsers.imu"].given == []
@@ -86,7 +86,7 @@ def test_a_tick_is_delivered_each_second_before_later_messages(echoes: dict[str,
 
 
 def test_unchecked_messages_are_valid() -> None:
-    """Makers on the way of an inertial sample validate nothing: their messages must be as if they did."""
+    """Producers on the path of an inertial sample skip validation; their messages must be valid."""
     world = World(BY_NAME["urban"], 1, 10**18, Equipment())
     driven = (message for _, message in itertools.islice(world, 4000) if not isinstance(message, TruthState))
     kinds = set()

@@ -1,4 +1,4 @@
-"""The plaza's file: geometry in the tangent plane, and what its author is told when it is wrong."""
+"""The plaza's file: geometry in the tangent plane, and the errors for an invalid file."""
 
 import json
 import math

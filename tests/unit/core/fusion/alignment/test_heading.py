@@ -17,7 +17,7 @@ STILL: Vector = (0.0, 0.0, 0.0)
 
 
 def levelled(acceleration: float, *, rest_s: float = 5.0, drive_s: float = 3.0, rate: float = 0.0) -> Levelling:
-    """Rest, then a drive with an acceleration along the body and a turn to the right."""
+    """Standstill, then a drive with an acceleration along the body and a turn to the right."""
     levelling = Levelling(Settings())
     for _ in range(round(rest_s / STEP_S)):
         levelling.advance((0.0, 0.0, -STANDARD_GRAVITY), STILL, STEP_S)
@@ -58,7 +58,7 @@ def test_without_a_standstill_the_heading_is_the_course_over_ground() -> None:
 
 
 def test_the_velocity_of_the_lever_arm_is_removed_from_the_course() -> None:
-    """An antenna that swings to the right by 1 m/s, on a vehicle that goes north at 10 m/s."""
+    """The antenna has 1 m/s to the right from rotation, on a vehicle that drives north at 10 m/s."""
     found = heading(levelled(0.0, rest_s=0.0), (10.0, 1.0, 0.0), swing=(0.0, 1.0, 0.0))
     assert found.turn == pytest.approx(0.0, abs=1e-3)
 

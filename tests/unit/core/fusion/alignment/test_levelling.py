@@ -59,7 +59,7 @@ def test_moving_off_completes_the_levelling() -> None:
 
 
 def test_levelling_in_motion_has_tilt_errors_below_2_5_degrees_and_the_stated_deviation() -> None:
-    """Twenty seconds of turns, braking and accelerating leave less tilt than is stated, and than 2.5 degrees."""
+    """Twenty seconds of turns, braking and accelerating."""
     levelling = Levelling(Settings())
     for forward, right in ((1.5, 0.5), (0.0, 2.0), (-1.5, -0.5), (0.0, -2.0)) * 5:
         feed(levelling, 1.0, (forward, right, -STANDARD_GRAVITY))
@@ -71,7 +71,7 @@ def test_levelling_in_motion_has_tilt_errors_below_2_5_degrees_and_the_stated_de
 
 
 def test_levelling_in_motion_estimates_a_gyroscope_bias_of_4_degrees_a_second() -> None:
-    """A minute of driving with 4 degrees a second of bias about an axis that is level."""
+    """A minute of driving with a bias of 4 degrees a second about a horizontal axis."""
     levelling, bias = Levelling(Settings()), radians(4.0)
     for forward, right in ((1.5, 0.5), (0.0, 1.0), (-1.5, -0.5), (0.0, -1.0)) * 15:
         for _ in range(100):
@@ -83,7 +83,7 @@ def test_levelling_in_motion_estimates_a_gyroscope_bias_of_4_degrees_a_second() 
 
 
 def test_a_standstill_is_detected_with_an_idling_engine() -> None:
-    """Single samples shake by 0.7 m/s² and 0.014 rad/s, as recorded in a car at rest."""
+    """Vibration of 0.7 m/s² and 0.014 rad/s in single samples, as recorded in a car at standstill."""
     levelling = Levelling(Settings())
     feed(levelling, 15.0, UP, (0.001, 0.0, 0.0), shake=0.7)
     assert levelling.at_rest
@@ -91,7 +91,7 @@ def test_a_standstill_is_detected_with_an_idling_engine() -> None:
 
 
 def test_slow_even_motion_after_a_standstill_is_not_a_standstill() -> None:
-    """Rolling evenly for two seconds while turning by 0.2 degrees a second leaves the bias as it was."""
+    """Constant speed for two seconds with a yaw rate of 0.2 degrees a second does not change the bias."""
     levelling = Levelling(Settings())
     feed(levelling, 10.0, UP)
     feed(levelling, 0.5, (1.0, 0.0, -STANDARD_GRAVITY))
@@ -109,7 +109,7 @@ def test_a_motion_measured_by_gnss_ends_a_standstill() -> None:
 
 
 def test_bias_and_attitude_of_a_false_standstill_are_discarded_when_gnss_measures_motion() -> None:
-    """Even motion looks like a rest until positions tell; what it has taught is forgotten, and it counts as motion."""
+    """Motion at constant speed is detected as a standstill until positions change."""
     levelling = Levelling(Settings())
     feed(levelling, 4.0, UP, (0.0, 0.0, 0.01))
     assert levelling.at_rest and levelling.rate_bias[2] == pytest.approx(0.01)
@@ -117,7 +117,7 @@ def test_bias_and_attitude_of_a_false_standstill_are_discarded_when_gnss_measure
     assert not levelling.at_rest and levelling.quaternion_at_rest is None and levelling.yaw_at_start is None
     assert levelling.rate_bias == NOTHING
     feed(levelling, 0.5, UP)
-    assert levelling.ready, "after three seconds of motion levelling goes on while navigating"
+    assert levelling.ready, "after three seconds of motion"
 
 
 def test_acceleration_is_integrated_from_the_end_of_a_standstill() -> None:
@@ -129,7 +129,7 @@ def test_acceleration_is_integrated_from_the_end_of_a_standstill() -> None:
 
 
 def test_an_hour_of_earth_rotation_at_standstill_does_not_tilt_the_level_frame() -> None:
-    """The Earth turns by 15 degrees an hour; an hour in fast motion: the same turn in 36 s of half-second blocks."""
+    """The rotation of the Earth in an hour, 15 degrees, applied within 36 s of half-second blocks."""
     levelling = Levelling(Settings())
     for hour in range(72):
         feed(levelling, 0.5, UP, (radians(0.01 * hour / 72), 0.0, 0.0))

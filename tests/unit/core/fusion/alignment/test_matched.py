@@ -1,4 +1,4 @@
-"""A filter whose sensors err by exactly what it assumes knows how large its errors are: `make consistency`, small."""
+"""Consistency of a filter whose sensors have exactly the errors of its model: a small `make consistency`."""
 
 import numpy as np
 import pytest
@@ -32,8 +32,8 @@ def test_normalised_innovations_of_a_matched_filter_are_within_10_percent_of_one
 def test_doubled_and_halved_normalised_errors_are_outside_the_band(runs: list[Sizes]) -> None:
     doubled = [Sizes(one.time_s, 4.0 * one.errors, one.innovations) for one in runs]
     halved = [Sizes(one.time_s, 0.25 * one.errors, one.innovations) for one in runs]
-    assert not row_of("too sure", doubled).within
-    assert not row_of("too careful", halved).within
+    assert not row_of("optimistic", doubled).within
+    assert not row_of("pessimistic", halved).within
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -1,4 +1,4 @@
-"""A bias of the accelerometer tilts what is levelled by it, and the covariance of the start says so."""
+"""Correlation of tilt and accelerometer bias in the initial covariance after levelling."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ TILTED = ned_from_body(0.05, -0.08, 0.7)
 
 
 def started(bias: Vector) -> ErrorStateFilter:
-    """Stand on a slope for 16 s, and start with a heading that was saved."""
+    """Filter after 16 s of standstill on a slope, with a saved heading."""
     navigator = Navigator(Settings(merge_delay_s=0.0, imu=ImuSettings(accelerometer_bias_sd_m_s2=BIAS_SD)))
     x, y, z = (TILTED.T @ np.array([0.0, 0.0, -STANDARD_GRAVITY]) + bias).tolist()
     here = Geodetic(0.74, 0.23, 700.0)

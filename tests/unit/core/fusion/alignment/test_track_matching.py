@@ -36,7 +36,7 @@ def found(
     sd: float = 0.3,
     seed: float = 1,
 ) -> tuple[tuple[Motion, Heading] | None, Levelling, complex, float]:
-    """Rest, then drive, with fixes of the last five seconds; what was found, and true velocity and turn at the end."""
+    """Match fixes of the last five seconds of a drive after a standstill; give also the true velocity and rotation."""
     rng, levelling = np.random.default_rng(int(seed)), Levelling(Settings())
     place, yaw, points = 0j, YAW, []
     for k in range(1, round((rest_s + drive_s) / STEP_S) + 1):
@@ -60,7 +60,7 @@ def test_without_a_standstill_positions_give_the_course_over_ground(rate: float)
     assert result is not None
     motion, heading = result
     assert heading.how == "course over ground"
-    # Levelling on the move takes a part of the pull of the bend for tilt.
+    # Levelling in motion attributes a part of the centripetal acceleration to tilt.
     assert wrap_angle(heading.turn - turn) == pytest.approx(0.0, abs=radians(0.01 if rate == 0.0 else 2.0))
     assert abs(complex(*motion.velocity[:2]) - velocity) < (1e-3 if rate == 0.0 else 0.3)
 
@@ -79,14 +79,14 @@ def test_after_a_standstill_positions_are_matched_with_the_integrated_track_forw
 
 
 def test_the_standard_deviation_of_the_matched_heading_is_that_of_its_errors() -> None:
-    """Noise of 0.5 m as stated, at 8 m/s; what the settings add for sideslip is not simulated."""
+    """Noise of 0.5 m as stated, at 8 m/s; the sideslip that the settings allow for is not simulated."""
     errors, ratios = [], []
     for seed in range(100):
         result, _, _, turn = found(speed=8.0, noise=0.5, sd=0.5, seed=seed)
         assert result is not None
         errors.append(wrap_angle(result[1].turn - turn))
         ratios.append(errors[-1] / sqrt(result[1].sd ** 2 - Settings().alignment.course_yaw_sd_rad ** 2))
-    # Residuals of five positions make it larger at times, and never smaller than what is stated.
+    # Large residuals of five positions increase it at times; it is never below that of the stated accuracy.
     assert 0.65 < np.sqrt(np.mean(np.square(ratios))) < 1.1
     # Five positions 8 m apart: the sum of squares about their mean is 10 times 64 m².
     assert np.std(errors) == pytest.approx(0.5 / (8.0 * sqrt(10.0)), rel=0.2)

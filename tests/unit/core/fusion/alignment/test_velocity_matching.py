@@ -1,4 +1,4 @@
-"""Heading from accelerations seen twice: any turn is found, tilt does not matter, and nonsense says nothing."""
+"""Rotation between the accelerations of the IMU and of GNSS: any angle, with tilt, noise and outliers."""
 
 from cmath import rect
 from math import degrees, inf, pi, radians, sqrt
@@ -22,7 +22,7 @@ PLACE = Geodetic(0.74, 0.2, 100.0)
 
 
 def compared(turn: float = TURN, *, offset: complex = 0j, noise: float = SD, n: int = 25, seed: int = 1) -> Match:
-    """A drive of turns and brakes, by inertial sensors that lean and are turned, and by GNSS."""
+    """Match a drive with turns and braking, measured by a tilted and rotated IMU and by GNSS."""
     rng, match = np.random.default_rng(seed), Match()
     inertial, seen = 3.0 + 4.0j, 10.0 + 0j
     for k in range(n):
@@ -39,13 +39,13 @@ def test_a_rotation_of_any_angle_is_estimated_within_four_sigma(turn: float) -> 
 
 
 def test_a_tilt_of_five_degrees_does_not_change_the_estimated_rotation() -> None:
-    """Five degrees of tilt look like an acceleration of 0.85 m/s² that never ends."""
+    """Five degrees of tilt are a constant acceleration of 0.85 m/s²."""
     found, sd = compared(offset=0.85 + 0j).result(1.0)
     assert found == pytest.approx(TURN, abs=4.0 * sd)
 
 
 def test_normalised_errors_of_the_rotation_have_a_deviation_between_0_5_and_1_1() -> None:
-    """Errors over their standard deviations, 200 runs: it may err on the safe side by less than two."""
+    """200 runs; a pessimistic factor of less than two is allowed."""
     sizes = []
     for seed in range(200):
         found, sd = compared(seed=seed).result(1.0)
@@ -54,7 +54,7 @@ def test_normalised_errors_of_the_rotation_have_a_deviation_between_0_5_and_1_1(
 
 
 def test_intervals_without_acceleration_do_not_reduce_the_standard_deviation_of_one_manoeuvre() -> None:
-    """Idling for 50 s, then 2 s at 1 m/s², in which levelling has leant the frame by another 1.5 degrees."""
+    """50 s of standstill, then 2 s at 1 m/s² in which levelling has changed the tilt by 1.5 degrees."""
     match, inertial, seen = Match(), 0j, 0j
     for k in range(52):
         a, lean = (1.0 + 0j, 0.26j) if k >= 50 else (0j, 0j)
@@ -90,7 +90,7 @@ def test_a_rotated_match_gives_the_rotated_angle_with_the_same_deviation() -> No
 
 
 def test_a_heading_correction_at_constant_speed_is_not_an_acceleration() -> None:
-    """A filter at an even 30 m/s whose heading is corrected by a degree now and then goes on as it went."""
+    """A filter at a constant 30 m/s whose heading is corrected by a degree at times."""
     match = Match()
     for k in range(20):
         match = match.turned(radians(1.0)).after(k * 10**9, 30.0 + 0j, 30.0 + 0j, SD)
@@ -98,7 +98,7 @@ def test_a_heading_correction_at_constant_speed_is_not_an_acceleration() -> None
 
 
 def test_at_constant_speed_noise_does_not_contradict_the_heading() -> None:
-    """A tilt that is being learnt looks like an acceleration of 0.1 m/s², and GNSS noise has any direction."""
+    """A tilt that is being estimated appears as an acceleration of 0.1 m/s²; GNSS noise has any direction."""
     rng = np.random.default_rng(5)
     for _ in range(50):
         comparison = Comparison()
@@ -111,7 +111,7 @@ def test_at_constant_speed_noise_does_not_contradict_the_heading() -> None:
 
 @pytest.mark.parametrize("velocity", [True, False])
 def test_velocities_and_positions_give_the_same_rotation(velocity: bool) -> None:
-    """A circle of 20 m at 8 m/s; inertial sensors see it turned by 150 degrees."""
+    """A circle of 20 m at 8 m/s; the IMU frame is rotated by 150 degrees."""
     comparison, rate, radius, turn = Comparison(offset_sd=REST_OFFSET_SD), 0.4, 20.0, radians(150.0)
     for k in range(60):
         time_ns, angle = k * 200_000_000, rate * k * 0.2
@@ -139,7 +139,7 @@ def test_velocities_of_a_second_receiver_are_not_used() -> None:
 
 
 def test_corrections_of_the_filter_are_removed_from_the_velocity_gain() -> None:
-    """A tilt of 1 mrad about north that was taken out at 1 s makes the velocity gain as much less eastwards since."""
+    """A tilt of 1 mrad about north, corrected at 1 s, changes the velocity gain eastwards from then on."""
     corrections = Corrections(10**9).after(10**9, (1e-3, 0.0, 0.02, 0.1, -0.2))
     later = corrections.at(3 * 10**9)
     assert later.velocity == pytest.approx(complex(0.1, -0.2 + 2.0 * 1e-3 * STANDARD_GRAVITY))

@@ -19,7 +19,7 @@ def test_a_predicted_covariance_is_phi_p_phi_transposed_plus_noise() -> None:
 
 
 def test_a_scale_estimated_after_two_fixes_results_in_the_covariance_of_that_scale_from_the_start() -> None:
-    """Place r unknown, lasting error u of variance one, two fixes r + h u, and h = 2 found to be 0.5 after them."""
+    """Unknown position r, time-correlated error u of variance one, two fixes r + h u; h = 2, then 0.5."""
 
     def after_two_fixes(h: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
         P, H, R = np.diag([1e8, 1.0]), np.array([[1.0, h]]), np.array([[0.01]])

@@ -71,7 +71,7 @@ def drive() -> Drive:
 
 
 def test_ideal_samples_of_four_minutes_reproduce_velocity_and_attitude(drive: Drive) -> None:
-    """Ideal inertial readings of a drive of 240 s lead back to its velocity within 2e-9 m/s and its attitude."""
+    """Ideal samples of a drive of 240 s: velocity to 2e-9 m/s, attitude to 2e-12."""
     start = ned_from_body(*drive.attitude[0])
     state = InertialState(0, quaternion_from_matrix(start), (0.0, 0.0, 0.0), Geodetic(*drive.position[0].tolist()))
     forces, rates = drive.ideal_force_b.tolist(), drive.ideal_rate_b.tolist()
@@ -105,7 +105,7 @@ def test_at_standstill_velocity_and_attitude_stay_constant(latitude: float) -> N
 
 
 def test_a_zero_rate_gyroscope_rotates_against_the_earth_at_earth_rate() -> None:
-    """A body fixed in space, seen from the turning Earth, turns against it by 15 degrees an hour."""
+    """A body fixed in inertial space rotates by -15 degrees an hour relative to the Earth."""
     state = InertialState(0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), Geodetic(pi / 4, 0.0, 0.0))
     for k in range(1, 101):
         state, _ = propagated(state, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0), k * STEP_NS)
@@ -123,7 +123,7 @@ def test_driving_east_over_the_antimeridian_wraps_the_longitude() -> None:
 @settings(max_examples=30)
 @given(st.integers(1, 9))
 def test_two_part_steps_agree_with_one_step_to_second_order(tenths: int) -> None:
-    """Cutting a step changes the result only to second order in the step: here less than a micrometre a second."""
+    """The difference is of second order in the step: less than 1e-6 m/s."""
     attitude = quaternion_from_matrix(ned_from_body(0.02, 0.01, 1.0))
     start = InertialState(0, attitude, (10.0, 5.0, 0.0), Geodetic(0.74, 0.2, 100.0))
     force, rate = (1.0, 2.0, -9.8), (0.0, 0.0, 0.3)

@@ -1,4 +1,4 @@
-"""How GNSS errors run over time: whether the bank finds it, and what their start leaves unknown."""
+"""Estimation of the GNSS error model by a bank of hypotheses, and the initial covariance."""
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +16,8 @@ SD = np.array([3.0, 2.0, 5.0])
 ORIGIN = Geodetic(0.74, 0.23, 700.0)
 
 
-def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, size: float = 1.0) -> GnssErrorBank:
-    """What errors of a kind and size teach in n seconds, beside a track whose velocity is wrong by 3 cm/s."""
+def bank_after(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, size: float = 1.0) -> GnssErrorBank:
+    """Bank after n seconds of errors of a kind and size, on a track with a velocity error of 3 cm/s."""
     rmse = (float(SD[0]), float(SD[1]), float(SD[2]))
     drawn = position_errors(InjectedError(kind, rmse, correlation_s), n, 1.0, seed=(seed,))
     wandering = np.cumsum(0.03 * np.random.default_rng(seed).standard_normal((n, 3)), axis=0)
@@ -28,14 +28,14 @@ def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, 
 
 
 def test_white_errors_are_estimated_as_white() -> None:
-    colour = learned(ErrorKind.WHITE, 1.0)
+    colour = bank_after(ErrorKind.WHITE, 1.0)
     assert colour.lasting < 0.1 or colour.correlation_s < 2.5
 
 
 @pytest.mark.parametrize("correlation_s", [5.0, 20.0, 60.0])
 def test_the_correlation_time_is_estimated_within_a_factor_of_two(correlation_s: float) -> None:
     for seed in (1, 2, 3):
-        colour = learned(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
+        colour = bank_after(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
         assert colour.lasting > 0.9
         assert 0.5 < colour.correlation_s / correlation_s < 2.0
 
@@ -53,31 +53,31 @@ def test_the_correlation_time_is_estimated_within_a_factor_of_two(correlation_s:
 def test_the_scale_of_changing_errors_is_estimated_within_a_factor_of_1_5(
     kind: ErrorKind, correlation_s: float, size: float
 ) -> None:
-    """Within a factor of 1.5 in five minutes; white ones below what is stated may have a base beside them."""
+    """In five minutes; white errors below the stated accuracy may have a constant error in addition."""
     for seed in (1, 2):
-        found = learned(kind, correlation_s, n=300, seed=seed, size=size).scale / size
+        found = bank_after(kind, correlation_s, n=300, seed=seed, size=size).scale / size
         assert (found > 1.0 / 1.5).all() and (found < 1.5).all(), found
 
 
 def test_a_slowly_changing_error_keeps_at_least_half_of_the_stated_scale() -> None:
-    """In a tenth of its correlation time it shows a tenth of itself, and the size that is stated is believed."""
+    """Data over a tenth of the correlation time."""
     for seed in (1, 2, 3):
-        assert (learned(ErrorKind.GAUSS_MARKOV, 600.0, n=60, seed=seed).scale > 0.5).all()
+        assert (bank_after(ErrorKind.GAUSS_MARKOV, 600.0, n=60, seed=seed).scale > 0.5).all()
 
 
 def test_after_a_gap_the_estimated_scale_is_unchanged() -> None:
-    colour = learned(ErrorKind.GAUSS_MARKOV, 20.0)
+    colour = bank_after(ErrorKind.GAUSS_MARKOV, 20.0)
     later = colour.after(240 * 10**9, np.full(3, 500.0), SD, np.full(3, 0.03**2))
     assert later.scale == pytest.approx(colour.scale, rel=0.05)
 
 
 def test_fixes_within_two_seconds_do_not_change_the_error_model() -> None:
-    colour = learned(ErrorKind.WHITE, 1.0, n=11)
+    colour = bank_after(ErrorKind.WHITE, 1.0, n=11)
     assert colour.after(10_100_000_000, np.zeros(3), SD, np.full(3, 0.03**2)) is colour
 
 
 def test_the_error_model_adapts_to_errors_with_another_correlation_time() -> None:
-    colour = learned(ErrorKind.WHITE, 1.0)
+    colour = bank_after(ErrorKind.WHITE, 1.0)
     drawn = position_errors(InjectedError(ErrorKind.GAUSS_MARKOV, (3.0, 2.0, 5.0), 60.0), 300, 1.0, seed=(9,))
     for i, path in enumerate(drawn.injected):
         colour = colour.after((1000 + i) * 10**9, path, SD, np.full(3, 0.03**2))
@@ -86,14 +86,14 @@ def test_the_error_model_adapts_to_errors_with_another_correlation_time() -> Non
 
 
 def test_one_outlier_changes_the_correlated_share_by_less_than_0_1() -> None:
-    colour = learned(ErrorKind.GAUSS_MARKOV, 60.0)
+    colour = bank_after(ErrorKind.GAUSS_MARKOV, 60.0)
     struck = colour.after(180 * 10**9, np.full(3, 1e6), SD, np.full(3, 0.03**2))
     assert abs(struck.lasting - colour.lasting) < 0.1
     assert np.isfinite(struck.way).all()
 
 
 def test_a_fix_that_is_not_newer_does_not_change_the_error_model() -> None:
-    colour = learned(ErrorKind.WHITE, 1.0)
+    colour = bank_after(ErrorKind.WHITE, 1.0)
     assert colour.after(0, np.zeros(3), SD, np.full(3, 0.03**2)) is colour
 
 
@@ -110,7 +110,7 @@ def test_the_mean_of_correlated_errors_has_more_than_80_percent_of_their_varianc
 
 
 def test_the_covariance_of_the_initial_position_agrees_with_drawn_errors() -> None:
-    """20,000 draws of the fixes of a rest, against what `mean_at_rest` says; 3 % tolerance."""
+    """20,000 draws of fixes at standstill against `mean_at_rest`; 3 % tolerance."""
     times, lasting, correlation_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), 0.7, 6.0
     weights, joint = mean_at_rest(times, lasting, correlation_s)
     K = lasting * np.exp(-np.abs(times[:, None] - times) / correlation_s)

@@ -1,4 +1,4 @@
-"""Gaps of seconds in which the vehicle drives on and turns: what was known of the heading before is no longer true."""
+"""Gaps of seconds in which the vehicle turns, so that the heading before the gap is no longer valid."""
 
 from functools import cache
 from math import hypot
