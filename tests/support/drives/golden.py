@@ -94,7 +94,7 @@ def write_device_bytes(folder: Path = FOLDER) -> None:
 
 
 def main() -> None:
-    """Write the stored result anew, and with `--bytes` the bytes of the devices as well."""
+    """Rewrite the stored result, and with `--bytes` the bytes of the devices as well."""
     FOLDER.mkdir(exist_ok=True)
     if "--bytes" in sys.argv[1:]:
         write_device_bytes()

@@ -1,4 +1,4 @@
-"""The access list: its format, and that the printed one gives each process exactly its row of the contract."""
+"""The access list: its format, and the printed list against the rows of the contract."""
 
 import itertools
 
@@ -23,7 +23,7 @@ def test_a_process_may_read_and_write_the_topics_of_its_row_only(row: ProcessRow
         assert PRINTED.may_write(row.name, name) is writes
 
 
-@pytest.mark.parametrize("user", [None, "stranger", "core"])
+@pytest.mark.parametrize("user", [None, "unknown", "core"])
 def test_an_unknown_user_may_neither_read_nor_write(user: str | None) -> None:
     assert not PRINTED.may_subscribe(user, "#")
     assert not PRINTED.may_write(user, "obu/v/gnss/raw")
@@ -45,7 +45,7 @@ def test_anonymous_clients_may_be_allowed_to_read() -> None:
     acl = parse(access_list(nameless_read=True))
     assert acl.may_read(None, "obu/v/navigation/solution")
     assert not acl.may_write(None, "obu/v/navigation/solution")
-    assert not acl.may_read("stranger", "obu/v/navigation/solution")
+    assert not acl.may_read("unknown", "obu/v/navigation/solution")
 
 
 def test_topic_lines_have_the_meaning_of_mosquitto() -> None:

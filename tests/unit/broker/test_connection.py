@@ -13,7 +13,7 @@ MESSAGE = raw_mqtt.packet(0x32, raw_mqtt.string("t") + b"\0\1\0x")  # of QoS 1, 
 
 
 class Transport(asyncio.Transport):
-    """Keeps what is written."""
+    """Stores what is written."""
 
     def __init__(self, raw: socket.socket) -> None:
         super().__init__({"socket": raw})

@@ -12,7 +12,7 @@ from broker.simulated.session import Limits, Session
 
 
 class Wire:
-    """A connection that keeps what is written; `writable` as the test wants it."""
+    """A connection that stores what is written; the test sets `writable`."""
 
     def __init__(self) -> None:
         self.writable = True
@@ -85,7 +85,7 @@ def test_a_queue_never_holds_more_messages_or_bytes_than_its_bounds(said: list[t
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 1), st.booleans()), max_size=40))
 def test_messages_are_sent_in_order_after_any_wait(steps: list[tuple[bool, int, bool]]) -> None:
-    """The client reads now and then, and acknowledges now and then; QoS 0 never overtakes QoS 1."""
+    """The client reads and acknowledges at random; QoS 0 never overtakes QoS 1."""
     world = World(Limits(in_flight=2))
     for number, (reads, qos, acknowledges) in enumerate(steps):
         world.wire.writable = reads

@@ -1,4 +1,4 @@
-"""Filters against paho's own matcher, and against every topic of a small world."""
+"""Filters against paho's own matcher, and against all topics of a small set."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""RXM-RAWX and RXM-SFRBX against pyubx2 as an independent reader, and against bytes that cannot be."""
+"""RXM-RAWX and RXM-SFRBX against pyubx2 as an independent reader, and against impossible values."""
 
 import math
 import struct

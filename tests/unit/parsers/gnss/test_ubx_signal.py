@@ -53,7 +53,7 @@ def radio(*jamming: int) -> bytes:
 
 
 def security(jamming: int = 3, spoofing: int = 3) -> bytes:
-    """Version 1: bit 0 is "enabled", the state stands above it."""
+    """Version 1: bit 0 is "enabled", the state is in the bits above it."""
     return struct.pack("<B3xB3xB3x", 1, jamming, spoofing)
 
 

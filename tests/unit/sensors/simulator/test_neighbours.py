@@ -1,4 +1,4 @@
-"""Neighbours of the simulated vehicle: their motion is consistent, and so is what the radio measures of them."""
+"""Neighbours of the simulated vehicle: consistency of their motion and of the radio measurements."""
 
 from itertools import islice, pairwise
 

@@ -29,7 +29,7 @@ Parsed = list[GnssFix | GnssRawEpoch | GnssNavigationBits]
 
 
 def parsed(scenario: str, seed: int, duration_s: float) -> Parsed:
-    """What parsers.gnss makes of the simulator's bytes."""
+    """Messages of parsers.gnss for the bytes of the simulator."""
     process = Process(Config())
     raw = (one for one in messages(scenario, seed, duration_s) if isinstance(one, GnssRaw))
     found = [message for one in raw for message in process.handle(one)]
@@ -64,7 +64,7 @@ def pairs(stream: Parsed) -> Iterator[tuple[GnssFix, GnssRawEpoch]]:
 
 @pytest.mark.parametrize(("scenario", "seed"), [("parking_lot", 1), ("urban", 2), ("degraded", 3)])
 def test_least_squares_of_the_measurements_are_the_fix(scenario: str, seed: int) -> None:
-    """Within 2 mm, and 1 cm/s: the monitor's range-rate leaves out the flight time's own change, 2 to 4 mm/s."""
+    """Within 2 mm, and 1 cm/s: the range-rate of the monitor neglects the change of the flight time, 2 to 4 mm/s."""
     stream = parsed(scenario, seed, 60.0)
     both = list(pairs(stream))
     assert len(both) > 50

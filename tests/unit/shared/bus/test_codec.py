@@ -39,7 +39,7 @@ def test_missing_values_are_omitted() -> None:
 
 
 def test_a_solution_of_an_older_unit_opens_without_protection_levels() -> None:
-    """Recordings from before they were computed: what is missing is unknown, and not a level of zero."""
+    """In recordings of earlier versions protection levels are None, and not zero."""
     old = solution(0)
     payload = codec.encode(old)
     assert (

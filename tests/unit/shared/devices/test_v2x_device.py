@@ -33,7 +33,7 @@ def port(broker: brokers.RunningBroker) -> int:
 
 @pytest.fixture
 def far(port: int) -> Iterator[mqtt.Client]:
-    """What stands for the modem behind the broker; it keeps what was published for it."""
+    """Client in place of the modem at the broker; it stores what was published for it."""
     client = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv311, userdata=[])
     client.on_connect = lambda c, *_: c.subscribe("plaza/send")
     client.on_message = lambda _c, kept, message: kept.append(message.payload)

@@ -1,4 +1,4 @@
-"""What Foxglove draws of a recording, read by the MCAP library's own reader."""
+"""Messages of a recording for Foxglove, read by the reader of the MCAP library."""
 
 import json
 from math import atan2, cos, pi, sin

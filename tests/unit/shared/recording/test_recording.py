@@ -68,7 +68,7 @@ def test_all_envelopes_are_read_equal_and_in_order(tmp_path: Path) -> None:
 
 
 def test_a_recording_of_version_0_1_opens_with_its_senders_and_devices(tmp_path: Path) -> None:
-    """It kept sender, and device and stamp of raw bytes, on the channel; what fitted on none had one of its own."""
+    """Version 0.1 had the sender, and the device and stamp of raw bytes, in the channel."""
     state = ModeState(sampled_ns=START_NS, mode=Mode.BOOT, since_ns=0, reason="test")
     raw = GnssRaw(received_ns=START_NS - 5, source="gnss0", data=b"\xb5\x62")
     with (tmp_path / "old.mcap").open("wb") as file:
@@ -267,7 +267,7 @@ def test_a_second_recording_never_overwrites_the_first(tmp_path: Path) -> None:
 
 
 class FullDisk:
-    """A file that takes so many bytes and then, like a full disk, a part of a write and no more."""
+    """A file with room for some bytes, whose last write is partial, as on a full disk."""
 
     def __init__(self, path: Path, room: int) -> None:
         self._file = path.open("xb", buffering=0)

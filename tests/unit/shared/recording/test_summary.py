@@ -1,4 +1,4 @@
-"""The summary of a drive whose course is known."""
+"""The summary of a drive with a known track."""
 
 import itertools
 from pathlib import Path

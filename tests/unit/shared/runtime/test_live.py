@@ -29,7 +29,7 @@ def envelope(message: FilterState, life: int, number: int) -> Envelope:
 
 
 class Broker:
-    """A bus that delivers once, and keeps what is published."""
+    """A bus that delivers once, and stores what is published."""
 
     process, incarnation, connected, stopping = "core.fusion", LIFE, True, False
     state_dir = Path("nothing was saved")

@@ -1,4 +1,4 @@
-"""The offline runtime: every consumer is fed, in order, with ticks between."""
+"""The offline runtime: messages and ticks in order to every consumer."""
 
 import itertools
 
@@ -57,7 +57,7 @@ def test_a_message_and_its_answers_are_delivered_to_each_consumer(echoes: dict[s
     running_here = {row.name for row in running(Role.OBU)}
     answers = [NavigationState] * len(
         running_here & set(BY_MESSAGE[GnssFix].consumers)
-    )  # one of each that was given the fix
+    )  # one of each process that received the fix
     assert len(answers) >= 2
     assert [type(m) for m in published] == [GnssFix, *answers]
     assert [type(m) for m in echoes["core.fusion"].given] == [GnssFix]

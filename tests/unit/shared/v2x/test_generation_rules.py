@@ -1,4 +1,4 @@
-"""The rules of EN 302 637-2 clause 6.1.3 on motions whose answer follows from them."""
+"""The rules of EN 302 637-2 clause 6.1.3 on motions with a known result."""
 
 import math
 from collections.abc import Callable
@@ -74,7 +74,7 @@ def test_the_rate_stays_within_1_to_10_a_second_when_the_rules_are_checked_more_
     rules, times = GenerationRules(), []
     for step in range(1000):
         now_ns = step * 13 * MS
-        speed = 50.0 * math.sin(step)  # every check sees a change
+        speed = 50.0 * math.sin(step)  # a change at every check
         if rules.check(Dynamics(now_ns, ORIGIN, 0.0, speed)):
             times.append(now_ns // MS)
     assert min(periods(times)) >= 90  # 100 ms less the tolerance for the instants of the checks
