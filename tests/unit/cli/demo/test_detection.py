@@ -1,4 +1,4 @@
-"""What counts as the detection of an attack, and how the time in each state of the verdict is added up."""
+"""Detections of an attack, and the time in each state of the verdict."""
 
 import pytest
 

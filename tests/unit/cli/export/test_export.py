@@ -43,7 +43,7 @@ def test_csv_has_a_row_for_each_message_and_a_column_for_each_element(drive: Pat
     assert int(rows[15]["sampled_ns"]) == BEGIN_NS + 15 * SECOND // 10
     assert float(rows[15]["latitude_deg"]) == latitude_at(1.5)
     assert float(rows[0]["velocity_ned_m_s.0"]) == NORTH_M_S
-    assert rows[0]["protection_level_horizontal_m"] == "", "what is unknown is empty"
+    assert rows[0]["protection_level_horizontal_m"] == "", "unknown values are empty"
     fixes = list(csv.DictReader(exported(drive, Format.CSV, tmp_path, topic="gnss/fix").read_text().splitlines()))
     assert [fix["satellites_used"] for fix in fixes] == ["9"] * SECONDS
 
@@ -157,7 +157,7 @@ def test_missing_content_of_a_recording_is_named_with_a_remedy(drive: Path, tmp_
         exported(drive, Format.CSV, tmp_path, topic="imu/sample")
     with pytest.raises(UserError, match="gpx is made of positions: give --topic navigation/solution"):
         exported(drive, Format.GPX, tmp_path, topic="trust/state")
-    assert not list(tmp_path.iterdir()), "nothing is left of a file that could not be written"
+    assert not list(tmp_path.iterdir()), "no incomplete file"
 
 
 def test_a_recording_that_was_not_closed_is_exported_up_to_its_end(tmp_path: Path) -> None:

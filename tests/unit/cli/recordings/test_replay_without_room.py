@@ -1,4 +1,4 @@
-"""`obu replay` of a recording without solutions needs room for them."""
+"""`obu replay` of a recording without solutions on a full disk."""
 
 import resource
 import subprocess

@@ -92,7 +92,7 @@ class Recorded:
         self.envelopes.append(sent(message, self.now_ns, producer, INCARNATION, self._sequences[producer]))
 
     def repeat(self, process: Reactor) -> Repetition:
-        """Repeat the incarnation from what was recorded."""
+        """Repeat the incarnation from the recorded inputs."""
         store = {(e.topic, e.producer, e.incarnation, e.sequence): e for e in self.envelopes}
         repetition = Repetition(self.name, INCARNATION, process, store.get)
         for envelope in self.envelopes:
