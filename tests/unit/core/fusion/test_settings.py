@@ -1,4 +1,4 @@
-"""Sections of the settings of core.fusion, and what is said of the keys of earlier versions."""
+"""Sections of the settings of core.fusion, and the errors for keys of earlier versions."""
 
 import tomllib
 from pathlib import Path
