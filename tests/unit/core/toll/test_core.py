@@ -144,8 +144,7 @@ def test_a_restart_in_a_queue_does_not_give_a_passage_to_the_vehicle_behind() ->
     follower = replace(leader, station_id=8, start=-206.0)
     plant.drive(leader, follower, until=3.0)
     (stored,) = plant.passages
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=())))
     plant.drive(follower, since=4.5, until=4.6)
     plant.drive(follower, leader, since=4.6, until=6.0)
@@ -161,8 +160,7 @@ def test_a_restart_while_the_vehicle_waits_on_the_line_loses_no_charge() -> None
     plant.drive(replace(CAR, start=-199.4, acceleration=-1.0), until=25.0)
     stored = next(one for one in reversed(plant.said) if isinstance(one, TollPassage))
     assert stored.state is PassageState.OPEN and stored.crossing_ns is None
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=())))
     plant.drive(replace(CAR, start=0.6, speed=0.0, acceleration=2.0, since=26.0), since=26.0, until=40.0)
     assert plant.states == ["open", "crossed", "charged"]
@@ -248,8 +246,7 @@ def test_a_restart_at_any_time_continues_the_passage(kill: float, renamed: bool)
     said = [one for one in plant.said if isinstance(one, TollPassage)]
     finals = {one.passage_id for one in said if one.state.is_final}
     newest = {one.passage_id: one for one in said if one.passage_id not in finals}
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     stored = tuple(one.model_copy(update={"evidence": None}) for one in newest.values())
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=stored, settled=tuple(finals))))
     plant.drive(CAR.named(70) if renamed else CAR, since=kill + 1.5, until=22.0)
@@ -264,8 +261,7 @@ def test_after_a_restart_a_renamed_vehicle_continues_its_own_passage_and_not_tha
     second = replace(CAR, station_id=8, start=CAR.start - 15.0)
     plant.drive(CAR, second, until=6.0)
     stored = {one.station_ids: one for one in plant.said if isinstance(one, TollPassage)}
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=tuple(stored.values()), settled=())))
     plant.drive(second.named(80), since=7.0, until=10.0)
     newest = [one for one in plant.said if isinstance(one, TollPassage)][-1]
@@ -277,8 +273,7 @@ def test_the_ledgers_answer_may_come_after_the_vehicle() -> None:
     plant.register(7)
     plant.drive(CAR, until=5.0)
     stored = plant.passages[-1]
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     plant.drive(CAR, since=5.5, until=8.0)
     plant.said += plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=()))
     plant.drive(CAR, since=8.0, until=20.0)
@@ -289,8 +284,7 @@ def test_the_ledgers_answer_may_come_after_the_vehicle() -> None:
 
 def test_no_passage_is_opened_before_the_ledger_answered_or_the_wait_is_over() -> None:
     plant = Plant(COMMON)
-    fixes, plant.core = plant.core, type(plant.core)(plant.plaza, plant.settings)
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart(answered=False)
     plant.drive(replace(CAR, start=-200.0), until=2.9)
     assert not plant.passages
     plant.drive(replace(CAR, start=-200.0), since=2.9, until=5.0)
@@ -526,8 +520,7 @@ def test_a_contradiction_is_known_after_a_restart() -> None:
     again = replace(CAR, since=15.0)
     plant.drive(again, since=15.0, until=20.0)
     newest = {one.passage_id: one for one in plant.said if isinstance(one, TollPassage)}
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=tuple(newest.values()), settled=())))
     plant.drive(again, since=21.0, until=31.0)
     assert plant.states.count("suspect") == 1
@@ -598,7 +591,8 @@ def test_a_retained_delta_of_a_later_time_does_not_keep_out_those_of_now() -> No
     plant = Plant(COMMON)
     ours = plant.core.estimate_delta(START_NS)
     core = type(plant.core)(plant.plaza, plant.settings)
-    core._estimator = plant.core._estimator
+    for one in plant.fixes:
+        core.fix(one)
     core.use_delta(ours.model_copy(update={"sampled_ns": START_NS + 10**15}))
     core.use_delta(core.estimate_delta(START_NS))
     assert [one.sampled_ns for one in core._deltas] == [ours.sampled_ns]
