@@ -196,7 +196,7 @@ def test_wildcards_match_by_the_standard(
     for tail in ("", "a", "a/", "a/b", "a/b/c", "c/b"):
         alice.publish(f"{topic}/{tail}" if tail else topic, tail)
     assert sorted(bob.payloads(len(taken))) == sorted(taken)
-    assert bob.hears_nothing()
+    assert bob.receives_nothing()
 
 
 def test_a_bare_hash_does_not_match_topics_that_begin_with_a_dollar(alice: Client, bob: Client, topic: str) -> None:
@@ -222,7 +222,7 @@ def test_overlapping_subscriptions_deliver_a_message_once(
     bob.subscribe(f"{topic}/+", qos=1)
     alice.publish(f"{topic}/a", "once")
     assert bob.take()[0].qos in ((1,) if broker.kind == SIMULATED else (0, 1))
-    assert bob.hears_nothing()
+    assert bob.receives_nothing()
 
 
 def test_unsubscribing_ends_the_messages(alice: Client, bob: Client, topic: str) -> None:
@@ -230,7 +230,7 @@ def test_unsubscribing_ends_the_messages(alice: Client, bob: Client, topic: str)
     bob.unsubscribe(topic)
     bob.unsubscribe(topic)
     alice.publish(topic, "x")
-    assert bob.hears_nothing()
+    assert bob.receives_nothing()
 
 
 def test_a_client_receives_its_own_messages_on_a_subscribed_topic(alice: Client, topic: str) -> None:
@@ -256,7 +256,7 @@ def test_a_retained_message_is_delivered_to_new_subscribers_until_an_empty_one_c
     assert bob.payloads() == [""]
     bob.unsubscribe(topic)
     bob.subscribe(topic)
-    assert bob.hears_nothing()
+    assert bob.receives_nothing()
 
 
 # Wills, keep-alive, take-over
@@ -284,7 +284,7 @@ def test_the_will_of_a_client_that_disconnects_is_not_published(broker: RunningB
         client.will(topic, "lost")
         client.connect()
         client.leave()
-    assert bob.hears_nothing()
+    assert bob.receives_nothing()
 
 
 def test_a_hung_client_is_disconnected_after_its_keep_alive(broker: RunningBroker, bob: Client, topic: str) -> None:
@@ -306,7 +306,7 @@ def test_a_client_that_only_pings_stays_connected(broker: RunningBroker, bob: Cl
         quiet.connect(keep_alive_s=1)
         quiet.spin(1.8)
         assert not quiet.ended
-    assert bob.hears_nothing()
+    assert bob.receives_nothing()
 
 
 def test_a_second_client_of_the_same_name_takes_over(broker: RunningBroker, bob: Client, topic: str) -> None:
@@ -334,7 +334,7 @@ def test_a_message_that_is_not_allowed_is_not_delivered(broker: RunningBroker, b
         writer.publish("closed/door", "forged")
         writer.publish("closed/door", "forged", qos=0)
         assert bob.payloads(2) == ["20", "ready"]
-        assert bob.hears_nothing()
+        assert bob.receives_nothing()
         assert not writer.ended
 
 
@@ -345,7 +345,7 @@ def test_a_message_is_delivered_only_to_clients_that_may_read_it(broker: Running
         for topic in ("open/a/b", "obu/x/gnss/raw", "open/a", "obu/x/gnss/fix"):
             alice.publish(topic, topic)
         assert reader.payloads(2) == ["open/a", "obu/x/gnss/fix"]
-        assert reader.hears_nothing()
+        assert reader.receives_nothing()
 
 
 @pytest.mark.parametrize("user", ["reader", "writer", "unknown"])
@@ -362,7 +362,7 @@ def test_an_unknown_client_neither_receives_nor_publishes(broker: RunningBroker,
         unknown.subscribe("#")
         alice.publish("open/a", "x", retain=True)
         unknown.publish("open/a", "forged")
-        assert unknown.hears_nothing()
+        assert unknown.receives_nothing()
         alice.subscribe("open/a")
         assert alice.payloads() == ["x"]
     alice.publish("open/a", "", retain=True)
@@ -376,7 +376,7 @@ def test_a_client_without_a_name_has_the_rules_before_the_first_user(broker: Run
         alice.publish("open/a", "seen")
         assert nameless.payloads() == ["seen"]
         nameless.publish("open/a", "forged")
-        assert nameless.hears_nothing()
+        assert nameless.receives_nothing()
 
 
 def test_a_will_that_is_not_allowed_is_not_delivered(broker: RunningBroker, bob: Client) -> None:
@@ -388,7 +388,7 @@ def test_a_will_that_is_not_allowed_is_not_delivered(broker: RunningBroker, bob:
         assert answer == ("Not authorized" if broker.kind == SIMULATED else "Success")
         if broker.kind == MOSQUITTO:
             writer.kill()
-    assert bob.hears_nothing()
+    assert bob.receives_nothing()
 
 
 # Versions

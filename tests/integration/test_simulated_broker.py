@@ -93,7 +93,7 @@ def test_the_will_of_mosquitto_sub_is_published_when_it_is_killed_and_not_when_i
         else:
             client.publish("enough", "x")
         listener.communicate(timeout=5)
-        assert client.hears_nothing() is not killed
+        assert client.receives_nothing() is not killed
 
 
 @pytest.mark.broker

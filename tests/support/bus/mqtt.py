@@ -79,7 +79,7 @@ class Client:
         """Wait for messages and return their payloads."""
         return [message.payload.decode() for message in self.take(count, within_s)]
 
-    def hears_nothing(self) -> bool:
+    def receives_nothing(self) -> bool:
         """Whether no message is queued or received within `QUIET_S`."""
         self.spin(QUIET_S)
         return not self.messages

@@ -43,7 +43,7 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class Spoiled:
+class Faults:
     """Faults that are applied to a correct recording."""
 
     axes: tuple[str, str, str] = ("x", "y", "z")  # published axes by those of the vehicle

@@ -97,12 +97,12 @@ def test_neighbours_do_not_change_the_bytes_of_the_devices() -> None:
 
 
 def test_false_neighbours_add_one_offset_to_their_published_states_only() -> None:
-    honest, lying = received("urban", seconds=5), []
+    true_states, false_states = received("urban", seconds=5), []
     lie = schedule("neighbour_collusion(neighbours=2,speed=3)@0")
     world = World(BY_NAME["urban"], 1, DEFAULT_START_NS, Equipment(neighbours=4), [lie])
-    lying = list(islice((message for _, message in world if isinstance(message, NeighbourStates)), 5))
-    for true, told in zip(honest, lying, strict=True):
-        pairs: list[tuple[Neighbour, Neighbour]] = list(zip(true.neighbours, told.neighbours, strict=True))
+    false_states = list(islice((message for _, message in world if isinstance(message, NeighbourStates)), 5))
+    for true, published in zip(true_states, false_states, strict=True):
+        pairs: list[tuple[Neighbour, Neighbour]] = list(zip(true.neighbours, published.neighbours, strict=True))
         for number, (a, b) in enumerate(pairs):
             added = np.subtract(b.velocity_ned_m_s, a.velocity_ned_m_s)
             assert np.isclose(np.linalg.norm(added), 3.0 if number < 2 else 0.0)
