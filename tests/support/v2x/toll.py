@@ -126,7 +126,7 @@ class Plant:
     def __init__(self, error: tuple[float, float] | None = None, settings: Settings | None = None) -> None:
         self.plaza, self.settings = example_plaza(), settings or Settings()
         self.error = error
-        self.said: list[TollPassage | GateCommand] = []
+        self.statements: list[TollPassage | GateCommand] = []
         self.clock_s = -30.0
         self.registered: list[int] = []
         self.fixes: list[GnssFix] = []
@@ -164,7 +164,7 @@ class Plant:
         now_ns = START_NS + round(self.clock_s * 1e9)
         self.deltas.append(self.core.estimate_delta(now_ns))
         self.core.use_delta(self.deltas[-1])
-        self.said += self.core.tick(now_ns)
+        self.statements += self.core.tick(now_ns)
         self.clock_s += 1.0
 
     def drive(self, *vehicles: Vehicle, until: float, since: float = 0.0) -> None:
@@ -173,12 +173,12 @@ class Plant:
             t = k / 10.0
             if t >= self.clock_s:
                 self.second()
-            self.said += self.core.use([vehicle.cam(self.plaza, t) for vehicle in vehicles])
+            self.statements += self.core.use([vehicle.cam(self.plaza, t) for vehicle in vehicles])
 
     @property
     def passages(self) -> list[TollPassage]:
         """Changes of state."""
-        return [one for one in self.said if isinstance(one, TollPassage) and not one.checkpoint]
+        return [one for one in self.statements if isinstance(one, TollPassage) and not one.checkpoint]
 
     @property
     def states(self) -> list[str]:
@@ -186,4 +186,4 @@ class Plant:
 
     @property
     def gates(self) -> list[GateCommand]:
-        return [one for one in self.said if isinstance(one, GateCommand)]
+        return [one for one in self.statements if isinstance(one, GateCommand)]

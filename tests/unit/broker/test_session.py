@@ -73,10 +73,10 @@ def test_a_full_queue_of_qos_1_drops_its_oldest_and_keeps_the_newest() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 1), st.integers(0, 60)), max_size=60))
-def test_a_queue_never_holds_more_messages_or_bytes_than_its_bounds(said: list[tuple[int, int]]) -> None:
+def test_a_queue_never_holds_more_messages_or_bytes_than_its_bounds(published: list[tuple[int, int]]) -> None:
     world = World(Limits(queue_messages=10, queue_bytes=200))
     world.wire.writable = False
-    for qos, size in said:
+    for qos, size in published:
         world.say(bytes(size), qos=qos)
         sizes = [len(waiting.payload) for waiting in world.sink.queue]
         assert len(sizes) <= 10

@@ -63,9 +63,13 @@ def test_without_noise_the_offset_gives_the_range_rate_back_once_the_oscillators
     for k, one in enumerate(states, 1):
         here = Geodetic(*motion.position[100 * k].tolist())
         cars: tuple[Car, ...] = traffic.at(100 * k * world.step_ns * 1e-9)
-        for car, said in zip(cars, one.neighbours, strict=True):
-            assert car.station_id == said.station_id and said.cfo_hz is not None and said.oscillator_offset is not None
-            measured = range_rate_from_cfo(said.cfo_hz, said.oscillator_offset, 0.0)
+        for car, neighbour in zip(cars, one.neighbours, strict=True):
+            assert (
+                car.station_id == neighbour.station_id
+                and neighbour.cfo_hz is not None
+                and neighbour.oscillator_offset is not None
+            )
+            measured = range_rate_from_cfo(neighbour.cfo_hz, neighbour.oscillator_offset, 0.0)
             common.append(measured - range_rate(car, here, antenna_at(motion, 100 * k)))  # c y_r and noise
     spread = float(np.diff(np.array(common).reshape(-1, 6)[:, :2]).std() / np.sqrt(2.0))
     assert len(states) > 100 and abs(spread - CFO_SD_HZ * 0.0508) < 0.15
