@@ -29,6 +29,7 @@ from .plausibility.measurements import Devices, impossible
 from .settings import Settings
 from .smoothing.history import HistoryRecorder
 from .solution import Bounds, Solution, solution_of
+from .timing.delay_compensation import SuspectedDelay
 from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
 from .timing.out_of_sequence import OutOfSequenceEngine, key_of
 from .timing.roll_back import RollBack
@@ -42,6 +43,7 @@ HELD_LIMIT = 1000  # measurements that wait for an inertial sample
 SPEED_PERIOD_NS = 95_000_000  # wheel speeds are used at most this often
 FAULT_FREE_NS = 3_000_000_000  # after a fault-free fix, in which another one is expected
 FAULT_FREE_WAIT_NS = 1_000_000_000
+NEW_DELAY_S = 0.1  # change of a suspected delay that matters
 
 
 class Navigator:
@@ -63,6 +65,7 @@ class Navigator:
         self._repeats: Repeats | None = None
         self._remarkable = True  # the last sample was checked, and is known to `_repeats`
         self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
+        self._suspected = 0.0, 0.0  # [s] delays of GNSS
         self._devices = Devices(self.rejects, self._now_ns)
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
@@ -238,6 +241,16 @@ class Navigator:
         """Exclude GNSS since a suspect time, None to use it, and the odometer, as core.trust has decided."""
         self._roll_back.follow(gnss_suspect_since_ns, odometer_excluded=odometer_excluded)
 
+    def suspect_delay(self, position_s: float, velocity_s: float) -> None:
+        """Allow for delays [s] of GNSS positions and velocities that no setting corrects, from now on; 0 ends it."""
+        newest, (old_s, old_velocity_s) = self._oosm.newest, self._suspected
+        changes = abs(position_s - old_s), abs(velocity_s - old_velocity_s)
+        if newest is None or self.settings.estimate_delays or max(changes) < NEW_DELAY_S:
+            return
+        self._suspected = position_s, velocity_s
+        grown_s = max(0.0, abs(velocity_s) - abs(old_velocity_s))
+        self._roll_back.insert(SuspectedDelay(newest.time_ns + 1, position_s, velocity_s, grown_s))
+
     @property
     def _oosm(self) -> OutOfSequenceEngine:
         return self._roll_back.engine
@@ -346,6 +359,7 @@ class Navigator:
         if clock.goes_back(sample.time_ns, known=self._oosm.is_known(sample)):
             self._roll_back.restart("the inertial clock went back")
             self._clock, self._repeats, self._remarkable, self._newest = None, None, True, {}
+            self._suspected = 0.0, 0.0
         return "sample doubled or out of order"
 
     def _settle_clock(self, time_ns: int, lost_s: float) -> None:

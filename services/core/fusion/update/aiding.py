@@ -14,7 +14,7 @@ from ..measurements.magnetometer import CompassCheck, MagneticHeading
 from ..measurements.odometer import WheelSpeed
 from ..plausibility.zero_speeds import ZeroSpeeds
 from ..settings import Settings
-from ..timing.delay_compensation import FoundDelay
+from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .duplicate_epochs import Epochs
 from .gating import Judge
 from .standstill_detector import Limits, limits_of
@@ -34,7 +34,7 @@ class Aids:
         self._zeros = ZeroSpeeds()  # of the same
         self._compass = CompassCheck()
         self._epochs = Epochs()
-        self._delay: FoundDelay | None = None  # newest one, for a filter that starts after it
+        self._delay: FoundDelay | SuspectedDelay | None = None  # newest one, for a filter that starts after it
 
     def fork(self) -> "Aids":
         """Independent copy."""
@@ -52,8 +52,10 @@ class Aids:
 
     def receive(self, event: FilterEvent) -> None:
         """Keep a found delay for filters that start later."""
-        if isinstance(event, FoundDelay):
+        if isinstance(event, FoundDelay | SuspectedDelay):
             self._delay = event
+        if isinstance(event, SuspectedDelay):
+            self.watch = replace(self.watch, late_s=abs(event.position_s))
 
     def is_duplicate(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a measurement repeats an earlier one of its receiver."""

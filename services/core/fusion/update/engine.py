@@ -24,7 +24,7 @@ from ..measurements.zupt import Standstill
 from ..plausibility.imu_faults import Sample, mean
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
-from ..timing.delay_compensation import FoundDelay
+from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .aiding import Aids
 from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, OdometerExclusion
 from .imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
@@ -35,6 +35,7 @@ LOST_S = 1.0  # a longer one ends the solution, though not the attitude
 FORGOTTEN_S = 5.0  # a still longer one ends that too
 KEPT = Heading(0.0, radians(20.0), "heading kept")
 BEFORE_ALL_NS = -(2**64)
+Event = FoundDelay | SuspectedDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion  # no measurements
 
 
 class Engine:
@@ -241,7 +242,7 @@ class Engine:
 
     def _use(self, measurement: Measurement) -> list[Outcome]:
         """Use a measurement in the filter, or in the alignment."""
-        if isinstance(measurement, FoundDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion):
+        if isinstance(measurement, Event):
             self._follow(measurement)
             return []
         if (why := self.exclusions.reason(measurement)) is not None:
@@ -265,13 +266,13 @@ class Engine:
             self._align(measurement)
         return outcomes
 
-    def _follow(self, event: FoundDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion) -> None:
+    def _follow(self, event: Event) -> None:
         """Take over an event that is no measurement.
 
         The scale of an accused odometer is estimated anew. A state that contains suspect GNSS is inflated by the
         largest pull of it.
         """
-        if isinstance(event, FoundDelay | LostTime):
+        if isinstance(event, FoundDelay | SuspectedDelay | LostTime):
             self.aids.receive(event)
             self._try(event.apply)
             return
