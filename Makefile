@@ -118,7 +118,7 @@ bench-replay: $(VENV)/.debian ## measure a two-hour recording in the browser: op
 	@$(PYTHON) -m benchmarks.replay
 
 golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
-	@$(PYTHON) -m tests.support.drives.meridian.golden
+	@$(PYTHON) -m tests.support.drives.golden
 
 picture: $(VENV)/.debian ## take the pictures of every page anew from running demos (ten minutes)
 	@$(PYTHON) -m docs.picture
