@@ -98,8 +98,8 @@ def _started(
         (north + x[3], east + x[4], down + x[5]),
         geodetic_from_ned_difference((x[6], x[7], x[8]), Geodetic(*drive.position[first].tolist())),
     )
-    colour = KnownGnssErrors(LASTING_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN
-    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), colour=colour)
+    gnss_errors = KnownGnssErrors(LASTING_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN
+    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), gnss_errors=gnss_errors)
     return navigation, -np.array(x[9:])  # of a filter that starts with biases of zero
 
 

@@ -1,5 +1,6 @@
 """From inertial samples and the first fixes to a running filter: levelling, position, heading."""
 
+from copy import copy
 from math import cos, hypot, sin
 
 import numpy as np
@@ -91,12 +92,11 @@ class Alignment:
         self._track: tuple[Point, ...] = ()  # newest last
         self._fixes_at_rest: tuple[GnssPosition, ...] = ()
 
-    def fork(self) -> "Alignment":
+    def copy(self) -> "Alignment":
         """Independent copy."""
-        twin = Alignment.__new__(Alignment)
-        twin.__dict__.update(self.__dict__)
-        twin.levelling = self.levelling.fork()
-        return twin
+        made = copy(self)
+        made.levelling = copy(self.levelling)
+        return made
 
     def use_prior(self, prior: Prior) -> None:
         """Use a position and heading that were saved before the power went; only the first counts."""
@@ -245,7 +245,7 @@ class Alignment:
         begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
         parameters = (*known[:begin], *first.error, *known[end:])
         imu = (self._lost.imu if self._lost else ImuErrors())._replace(accelerometer_bias=bias, gyroscope_bias=drift)
-        started = ErrorStateFilter(settings, inertial, P, imu, parameters, first.colour)
+        started = ErrorStateFilter(settings, inertial, P, imu, parameters, first.gnss_errors)
         if self._lost is not None:
             started.velocity_errors = self._lost.velocity_errors
         return started
@@ -253,8 +253,8 @@ class Alignment:
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weighted mean of the fixes of a standstill, or the one fix of a moving vehicle."""
         rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
-        colour = self._lost.colour.at_start() if self._lost else gnss_error_model(self._settings)
-        return first_place(rest or [fix], colour, self._zero_ns)
+        gnss_errors = self._lost.gnss_errors.at_start() if self._lost else gnss_error_model(self._settings)
+        return first_place(rest or [fix], gnss_errors, self._zero_ns)
 
     def _scales_cov(self) -> FloatArray:
         if self._lost is not None:

@@ -28,11 +28,11 @@ class FirstPlace(NamedTuple):
     error: tuple[float, ...]
     error_cov: FloatArray  # shape (3, 3)
     both: FloatArray  # shape (3, 3) [m] covariance of position and error
-    colour: GnssErrorBank | KnownGnssErrors
+    gnss_errors: GnssErrorBank | KnownGnssErrors
 
 
 def first_place(
-    rest: Sequence[GnssPosition], colour: GnssErrorBank | KnownGnssErrors, zero_ns: int | None = None
+    rest: Sequence[GnssPosition], gnss_errors: GnssErrorBank | KnownGnssErrors, zero_ns: int | None = None
 ) -> FirstPlace:
     """Weigh the fixes of a rest, newest last, by what they show of the run of their errors.
 
@@ -46,12 +46,12 @@ def first_place(
     if not newest.lasts:
         independent = min(float(len(rest)), 1.0 - times_s[0] / REST_CORRELATION_S)
         place, zeros = _moved(newest.position, offsets.mean(axis=0)), np.zeros((3, 3))
-        return FirstPlace(place, cov / independent, (0.0,) * 3, np.eye(3), zeros, colour.at_start())
+        return FirstPlace(place, cov / independent, (0.0,) * 3, np.eye(3), zeros, gnss_errors.at_start())
     for fix, offset in zip(rest, offsets, strict=True):
-        colour = colour.after(fix.time_ns, offset, np.sqrt(fix.cov.diagonal()), NOWHERE)
-    lasting, scaled = max(colour.lasting, 1e-6), colour.scaled(newest.cov)
+        gnss_errors = gnss_errors.after(fix.time_ns, offset, np.sqrt(fix.cov.diagonal()), NOWHERE)
+    lasting, scaled = max(gnss_errors.lasting, 1e-6), gnss_errors.scaled(newest.cov)
     zero_s = None if zero_ns is None else (zero_ns - newest.time_ns) * 1e-9
-    weights, joint = mean_at_rest(times_s, lasting, colour.correlation_s, zero_s)
+    weights, joint = mean_at_rest(times_s, lasting, gnss_errors.correlation_s, zero_s)
     root = np.linalg.cholesky(scaled)
     place, error = weights @ offsets
     in_sds = np.linalg.solve(root, error) / sqrt(lasting)
@@ -61,7 +61,7 @@ def first_place(
         tuple(in_sds.tolist()),
         max(joint[1, 1] / lasting, LEAST) * np.eye(3),
         joint[0, 1] / sqrt(lasting) * root,
-        colour.at_start(),
+        gnss_errors.at_start(),
     )
 
 

@@ -130,12 +130,6 @@ class Levelling:
         self._block = _Block()
         self._levelling_s = settings.alignment.levelling_s
 
-    def fork(self) -> "Levelling":
-        """Copy that goes its own way."""
-        twin = Levelling.__new__(Levelling)
-        twin.__dict__.update(self.__dict__)
-        return twin
-
     @property
     def at_rest(self) -> bool:
         """Whether the vehicle has not moved for a while."""

@@ -8,6 +8,7 @@ vibration of the two samples, which is constant over the gap. A vehicle that tur
     psi_D' = w,    v' = g w + a,    p' = v,    g = d v / d psi_D = (-v_E, v_N, 0)
 """
 
+from copy import copy
 from hashlib import sha256
 from math import inf
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from shared.maths.rotation import Vector
 
 from ..filter import error_model as em
 from ..filter.eskf import NO_PARAMETERS, ErrorStateFilter
-from ..filter.propagation import ZERO, ImuErrors, Intervals, begun, implausible, samples_of
+from ..filter.propagation import ZERO, ImuErrors, Intervals, implausible, initial_state, samples_of
 from ..filter.strapdown import InertialState
 from ..plausibility.imu_faults import Sample, credible, mean
 from ..settings import Settings
@@ -69,14 +70,14 @@ def saved_state(
     navigation: ErrorStateFilter, sample: Sample, accepted_ns: int | None, gnss_excluded_since_ns: int | None = None
 ) -> SavedState | None:
     """Take the state out of a filter, which stays as it is; None if its covariance is no longer sound."""
-    twin = navigation.fork()
+    twin = copy(navigation)
     twin.recorder = None
     try:
         twin.propagate_covariance()
     except FilterDiverged:
         return None
     units = np.ones(em.SIZE)
-    units[em.GNSS_ERROR] = twin.colour.unit
+    units[em.GNSS_ERROR] = twin.gnss_errors.unit
     return SavedState(
         inertial=twin.inertial,
         accelerometer_bias=twin.imu.accelerometer_bias,
@@ -100,7 +101,7 @@ def fault(saved: SavedState, time_ns: int) -> str | None:
         return "saved state of another layout"
     w, x, y, z = saved.inertial.quaternion
     unit = abs(w * w + x * x + y * y + z * z - 1.0) < 1e-6
-    if not unit or implausible(begun(saved.inertial, ZERO, ZERO)) or not credible(*saved.sample):
+    if not unit or implausible(initial_state(saved.inertial, ZERO, ZERO)) or not credible(*saved.sample):
         return "saved state beyond any vehicle"
     return None if _is_positive(covariance_of(saved)) else "saved state without a positive covariance"
 
@@ -149,16 +150,16 @@ def restored(settings: Settings, saved: SavedState, sample: Sample) -> ErrorStat
     FilterDiverged
         The sample and the state make no sense together.
     """
-    colour = gnss_error_model(settings)
+    gnss_errors = gnss_error_model(settings)
     units = np.ones(em.SIZE)
-    units[em.GNSS_ERROR] = colour.unit
+    units[em.GNSS_ERROR] = gnss_errors.unit
     navigation = ErrorStateFilter(
         settings,
         saved.inertial,
         covariance_of(saved) / np.outer(units, units),
         ImuErrors(saved.accelerometer_bias, saved.gyroscope_bias, saved.accelerometer_scale, saved.gyroscope_scale),
         tuple((np.array(saved.parameters) / units[em.PARAMETERS]).tolist()),
-        colour,
+        gnss_errors,
     )
     force, rate = mean(saved.sample[0], sample.force), mean(saved.sample[1], sample.rate)
     bias, down = np.array(saved.gyroscope_bias), navigation.ned_from_body[2]

@@ -1,6 +1,7 @@
 """Selection among aiding sensors, and the state that is kept of each."""
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 
 from ..alignment.velocity_matching import Comparison
@@ -36,12 +37,11 @@ class Aids:
         self._epochs = Epochs()
         self._delay: FoundDelay | None = None  # newest one, for a filter that starts after it
 
-    def fork(self) -> "Aids":
+    def copy(self) -> "Aids":
         """Independent copy."""
-        twin = Aids.__new__(Aids)
-        twin.__dict__.update(self.__dict__)
-        twin.judge = self.judge.fork()
-        return twin
+        made = copy(self)
+        made.judge = copy(self.judge)
+        return made
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
         """Continue with a filter that has just started, and with the comparison that found its heading."""
@@ -82,7 +82,9 @@ class Aids:
             if outcome.used and isinstance(measurement, GnssPosition | GnssVelocity):
                 gate = gating.false_alarm_probability, gating.robust_limit
                 self.pull = self.pull.after(outcome, P, navigation.P, gate)
-            estimated = isinstance(measurement, GnssPosition) and measurement.lasts and not navigation.colour.follows
+            estimated = (
+                isinstance(measurement, GnssPosition) and measurement.lasts and not navigation.gnss_errors.follows
+            )
             self.watch = self.watch.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated
             )
@@ -110,7 +112,7 @@ class Aids:
             better = seen.of_wheels and not used.of_wheels
             if not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS:
                 return True
-            navigation.forget_odometer()
+            navigation.reset_odometer_scale()
             self._zeros = ZeroSpeeds()
         self._odometer = seen
         return False

@@ -2,6 +2,7 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from math import degrees, hypot, inf, radians
@@ -40,7 +41,7 @@ BEFORE_ALL_NS = -(2**64)
 class Engine:
     """Alignment first, then the filter with its measurements, its gaps and its resets.
 
-    Everything that it holds is replaced and never changed in place, so that a `fork` is cheap and stays as it was.
+    Everything that it holds is replaced and never changed in place, so that a copy is cheap and independent.
     """
 
     def __init__(self, settings: Settings, counts: Counts | None = None, why: str = "") -> None:
@@ -66,14 +67,12 @@ class Engine:
         self._rejections = 0  # consecutive positions
         self._why = why  # the solution was lost
 
-    def fork(self) -> "Engine":
-        """Copy that goes its own way."""
-        twin = Engine.__new__(Engine)
-        twin.__dict__.update(self.__dict__)
-        twin.filter = self.filter.fork() if self.filter else None
-        twin._alignment = self._alignment.fork() if self._alignment else None
-        twin.aids = self.aids.fork()
-        return twin
+    def copy(self) -> "Engine":
+        """Independent copy."""
+        made = copy(self)
+        made.filter, made.aids = copy(self.filter), self.aids.copy()
+        made._alignment = self._alignment.copy() if self._alignment else None
+        return made
 
     def use_prior(self, prior: Prior) -> None:
         """Take a saved position and heading, of use until the filter runs for the first time."""
@@ -278,7 +277,7 @@ class Engine:
         begins = isinstance(event, OdometerExclusion) and event.excluded and not self.exclusions.odometer
         self.exclusions = self.exclusions.after(event)
         if begins:
-            self._try(ErrorStateFilter.forget_odometer)
+            self._try(ErrorStateFilter.reset_odometer_scale)
         if isinstance(event, GnssExcluded) and event.unreached_s > 0.0:
             self._try(partial(self.aids.pull.inflate, span_s=event.unreached_s))
 

@@ -1,5 +1,6 @@
 """Gating by the normalised innovation squared, down-weighting, exclusion and readmission of devices."""
 
+from copy import copy
 from math import radians
 from typing import NamedTuple
 
@@ -73,12 +74,6 @@ class Judge:
         self._doubt_ns: int | None = None  # when the next inflation is due, while wheel speeds are rejected
         self._standings: dict[tuple[str, AidingKind], Standing] = {}
 
-    def fork(self) -> "Judge":
-        """Copy that goes its own way."""
-        twin = Judge.__new__(Judge)
-        twin.__dict__.update(self.__dict__)
-        return twin
-
     def acquit(self, comparison: Comparison) -> None:
         """Start without faults of devices: the filter was wrong, and is a new one."""
         self._standings, self.corrections, self.arm = {}, Corrections(), lever_arm_monitor.begun()
@@ -105,12 +100,12 @@ class Judge:
         correction, ratio = self._weigh(navigation, seen)
         limit = self._settings.gating.robust_limit if seen.kind in WIDENING else 1.0
         if ratio > limit and isinstance(measurement, GnssPosition) and seen.H[:, em.GNSS_ERROR].any():
-            other = navigation.fork()
+            other = copy(navigation)
             other.recorder = None
-            other.forget_gnss_error()
+            other.reset_gnss_error()
             anew = measurement.observe(other)
             if self._weigh(other, anew)[1] <= 1.0:
-                navigation.forget_gnss_error()
+                navigation.reset_gnss_error()
                 seen = anew
                 correction, ratio = self._weigh(navigation, seen)
         if ratio > limit and seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3:

@@ -1,3 +1,4 @@
+from copy import copy
 from math import degrees, radians, sqrt
 
 import numpy as np
@@ -137,10 +138,10 @@ def test_waiting_at_rest_for_hours_does_not_tilt_the_level_frame() -> None:
     assert (roll, pitch) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-def test_a_fork_goes_its_own_way() -> None:
+def test_a_copy_is_independent() -> None:
     levelling = Levelling(Settings())
     feed(levelling, 5.0, UP)
-    twin = levelling.fork()
+    twin = copy(levelling)
     feed(levelling, 5.0, (2.0, 0.0, -STANDARD_GRAVITY))
     assert twin.at_rest and not levelling.at_rest
     assert twin.velocity == (0.0, 0.0)

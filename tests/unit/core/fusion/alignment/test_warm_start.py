@@ -1,6 +1,7 @@
 """A filter goes on from a saved state: as sure of itself as it may be, and from no state that is not its own."""
 
 from collections.abc import Iterator
+from copy import copy
 from functools import cache
 from math import radians
 
@@ -141,7 +142,7 @@ def test_restarted_processes_stay_consistent_while_they_go_on() -> None:
             running = navigator.engine.filter
             assert running is not None and navigator.counts.resets == 0, "it navigates from its first sample on"
             if (k - i - gap) % 200 == 0:
-                found.append(nees(running.fork(), k))
+                found.append(nees(copy(running), k))
             if k == end - 1:
                 away_m.append(float(np.hypot(*errors(running, k)[6:8])))
     assert np.mean(found) < 1.5
@@ -170,7 +171,7 @@ def test_what_a_filter_learned_goes_with_its_state() -> None:
     assert again.imu.accelerometer_bias == saved.accelerometer_bias
     assert again.imu.gyroscope_bias == saved.gyroscope_bias
     unit = np.ones(em.SIZE - em.DRIVING)
-    unit[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING] = again.colour.unit
+    unit[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING] = again.gnss_errors.unit
     fading = [3, 4, 5, 10, 11, 12]  # the time-correlated errors of position and velocity
     kept = np.delete(np.array(again.parameters) * unit, fading)
     assert kept == pytest.approx(np.delete(np.array(saved.parameters), fading))

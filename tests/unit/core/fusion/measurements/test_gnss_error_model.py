@@ -21,23 +21,23 @@ def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, 
     rmse = (float(SD[0]), float(SD[1]), float(SD[2]))
     drawn = position_errors(InjectedError(kind, rmse, correlation_s), n, 1.0, seed=(seed,))
     wandering = np.cumsum(0.03 * np.random.default_rng(seed).standard_normal((n, 3)), axis=0)
-    colour = UNKNOWN
+    gnss_errors = UNKNOWN
     for i, path in enumerate(size * drawn.injected + 0.02 * SD * drawn.noise + wandering + 100.0):
-        colour = colour.after(i * 10**9, path, SD, np.full(3, 0.03**2))
-    return colour
+        gnss_errors = gnss_errors.after(i * 10**9, path, SD, np.full(3, 0.03**2))
+    return gnss_errors
 
 
 def test_white_errors_are_found_to_be_white() -> None:
-    colour = learned(ErrorKind.WHITE, 1.0)
-    assert colour.lasting < 0.1 or colour.correlation_s < 2.5
+    gnss_errors = learned(ErrorKind.WHITE, 1.0)
+    assert gnss_errors.lasting < 0.1 or gnss_errors.correlation_s < 2.5
 
 
 @pytest.mark.parametrize("correlation_s", [5.0, 20.0, 60.0])
 def test_the_correlation_time_is_found_within_a_factor_of_two(correlation_s: float) -> None:
     for seed in (1, 2, 3):
-        colour = learned(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
-        assert colour.lasting > 0.9
-        assert 0.5 < colour.correlation_s / correlation_s < 2.0
+        gnss_errors = learned(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
+        assert gnss_errors.lasting > 0.9
+        assert 0.5 < gnss_errors.correlation_s / correlation_s < 2.0
 
 
 @pytest.mark.parametrize(
@@ -64,35 +64,35 @@ def test_an_error_that_hardly_changes_is_not_taken_for_a_small_one() -> None:
 
 
 def test_after_a_gap_the_way_is_unknown_and_teaches_nothing() -> None:
-    colour = learned(ErrorKind.GAUSS_MARKOV, 20.0)
-    later = colour.after(240 * 10**9, np.full(3, 500.0), SD, np.full(3, 0.03**2))
-    assert later.scale == pytest.approx(colour.scale, rel=0.05)
+    gnss_errors = learned(ErrorKind.GAUSS_MARKOV, 20.0)
+    later = gnss_errors.after(240 * 10**9, np.full(3, 500.0), SD, np.full(3, 0.03**2))
+    assert later.scale == pytest.approx(gnss_errors.scale, rel=0.05)
 
 
 def test_fixes_that_follow_each_other_fast_teach_once_in_two_seconds() -> None:
-    colour = learned(ErrorKind.WHITE, 1.0, n=11)
-    assert colour.after(10_100_000_000, np.zeros(3), SD, np.full(3, 0.03**2)) is colour
+    gnss_errors = learned(ErrorKind.WHITE, 1.0, n=11)
+    assert gnss_errors.after(10_100_000_000, np.zeros(3), SD, np.full(3, 0.03**2)) is gnss_errors
 
 
 def test_a_bank_that_has_learned_learns_anew_where_the_sky_is_another() -> None:
-    colour = learned(ErrorKind.WHITE, 1.0)
+    gnss_errors = learned(ErrorKind.WHITE, 1.0)
     drawn = position_errors(InjectedError(ErrorKind.GAUSS_MARKOV, (3.0, 2.0, 5.0), 60.0), 300, 1.0, seed=(9,))
     for i, path in enumerate(drawn.injected):
-        colour = colour.after((1000 + i) * 10**9, path, SD, np.full(3, 0.03**2))
-    assert colour.lasting > 0.8
-    assert colour.correlation_s > 20.0
+        gnss_errors = gnss_errors.after((1000 + i) * 10**9, path, SD, np.full(3, 0.03**2))
+    assert gnss_errors.lasting > 0.8
+    assert gnss_errors.correlation_s > 20.0
 
 
 def test_one_outlier_is_no_evidence() -> None:
-    colour = learned(ErrorKind.GAUSS_MARKOV, 60.0)
-    struck = colour.after(180 * 10**9, np.full(3, 1e6), SD, np.full(3, 0.03**2))
-    assert abs(struck.lasting - colour.lasting) < 0.1
+    gnss_errors = learned(ErrorKind.GAUSS_MARKOV, 60.0)
+    struck = gnss_errors.after(180 * 10**9, np.full(3, 1e6), SD, np.full(3, 0.03**2))
+    assert abs(struck.lasting - gnss_errors.lasting) < 0.1
     assert np.isfinite(struck.way).all()
 
 
 def test_a_fix_that_is_not_newer_teaches_nothing() -> None:
-    colour = learned(ErrorKind.WHITE, 1.0)
-    assert colour.after(0, np.zeros(3), SD, np.full(3, 0.03**2)) is colour
+    gnss_errors = learned(ErrorKind.WHITE, 1.0)
+    assert gnss_errors.after(0, np.zeros(3), SD, np.full(3, 0.03**2)) is gnss_errors
 
 
 def test_the_mean_of_white_errors_is_as_good_as_their_number_says() -> None:

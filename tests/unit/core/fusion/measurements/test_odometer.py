@@ -1,5 +1,6 @@
 """The wheels as aids: what they hold without GNSS, what is learnt of them, and when they are not believed."""
 
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from math import hypot, radians
@@ -100,7 +101,7 @@ def test_scale_and_mounting_are_learnt_as_well_as_the_filter_says() -> None:
     moving = d.odometer > 1.0
     truth = np.hypot(d.velocity_n[:, 0], d.velocity_n[:, 1])
     scale = 1.03 * float(np.median(d.odometer[1:][moving[1:]] / truth[9::10][moving[1:]])) - 1.0
-    sd = np.sqrt(inside.P.diagonal()[em.VEHICLE])
+    sd = np.sqrt(inside.P.diagonal()[em.ODOMETER_SCALE : em.MOUNTING.stop])
     errors = np.array(inside.parameters[:3]) - (scale, MOUNTING[1], MOUNTING[2])
     assert (np.abs(errors) < 4.0 * sd).all()
     assert sd[0] < 0.005 and (sd[1:] < radians(0.7)).all(), "much better than at switch-on"
@@ -119,7 +120,7 @@ def test_neither_aid_is_used_if_the_settings_say_so() -> None:
     kinds = {o.kind for o in feed(made, drive().odometer)}
     assert not kinds & {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
     assert filter_of(made).parameters[:3] == (0.0, 0.0, 0.0)
-    cross = filter_of(made).P[em.VEHICLE, :15]
+    cross = filter_of(made).P[em.ODOMETER_SCALE : em.MOUNTING.stop, :15]
     assert not cross.any(), "what is not measured does not touch the other fifteen states"
 
 
@@ -158,7 +159,7 @@ def test_another_odometer_has_a_scale_of_its_own() -> None:
 
 def backing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
     """A filter that goes backwards, and knows how fast with a standard deviation."""
-    twin = filter_of(aided()[0]).fork()
+    twin = copy(filter_of(aided()[0]))
     twin.propagate_covariance()
     north, east, _ = (twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([-speed_m_s, 0.0, 0.0])).tolist()
     twin.inertial = twin.inertial._replace(velocity=(north, east, 0.0))

@@ -92,10 +92,10 @@ def test_a_drive_told_is_a_drive_with_a_bank_that_is_certain(monkeypatch: pytest
 
 def test_what_is_not_told_is_learned() -> None:
     filter_ = led(drive_of(ErrorKind.GAUSS_MARKOV, 1)).engine.filter
-    assert filter_ is not None and isinstance(filter_.colour, GnssErrorBank)
-    assert filter_.colour.time_ns is not None, "and has been taught"
+    assert filter_ is not None and isinstance(filter_.gnss_errors, GnssErrorBank)
+    assert filter_.gnss_errors.time_ns is not None, "and has been taught"
     told = led(drive_of(ErrorKind.GAUSS_MARKOV, 1), **GIVEN).engine.filter
-    assert told is not None and told.colour == KnownGnssErrors(TIME_S, 1.0 - SHARE)
+    assert told is not None and told.gnss_errors == KnownGnssErrors(TIME_S, 1.0 - SHARE)
 
 
 def test_an_error_that_was_never_zero_starts_as_it_did_to_the_bit() -> None:

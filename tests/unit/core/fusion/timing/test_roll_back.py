@@ -122,7 +122,7 @@ def test_the_solution_and_the_state_confirm_the_exclusion_and_count_the_fixes() 
 def test_nothing_is_learned_of_excluded_gnss() -> None:
     nav, plain = rolled_back()[0].engine, without_gnss().engine
     assert nav.filter is not None and plain.filter is not None
-    assert nav.filter.colour.unit == pytest.approx(plain.filter.colour.unit)
+    assert nav.filter.gnss_errors.unit == pytest.approx(plain.filter.gnss_errors.unit)
     assert nav.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING] == pytest.approx(
         plain.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING], abs=1e-3
     ), "scale of the odometer and mounting"

@@ -1,5 +1,6 @@
 """Faults of a receiver: what is refused, what is weighed less, and when it is admitted again."""
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
 from math import radians
@@ -210,7 +211,7 @@ def test_a_filter_that_gave_way_to_a_height_is_unsure_of_it_as_of_a_place() -> N
 
 def test_only_a_height_that_is_used_ends_the_dispute_about_heights() -> None:
     """A position without a height is no answer to a height that was refused."""
-    twin = filter_that_trusts_lasting_errors().fork()
+    twin = copy(filter_that_trusts_lasting_errors())
     twin.propagate_covariance()
     made = Outcome(SECOND_NS, "gnss", AidingKind.GNSS_POSITION, (0.1, 0.1), (1.0, 1.0), 0.1, used=True)
     refused = made._replace(height=Height(-47.0, 1.0, taken_over=False))
@@ -240,8 +241,8 @@ def filter_that_trusts_lasting_errors() -> ErrorStateFilter:
     assert inside is not None
     evidence = UNKNOWN.evidence.copy()
     evidence[:, HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0
-    twin, P = inside.fork(), inside.P.copy()
-    twin.colour = replace(UNKNOWN, evidence=evidence)
+    twin, P = copy(inside), inside.P.copy()
+    twin.gnss_errors = replace(UNKNOWN, evidence=evidence)
     twin.parameters = tuple(0.0 for _ in twin.parameters)
     for part, variance in ((em.POSITION, 0.04), (em.GNSS_ERROR, 0.01)):
         P[part], P[:, part] = 0.0, 0.0
@@ -257,16 +258,16 @@ def fix_beside(navigation: ErrorStateFilter, north_m: float) -> GnssPosition:
 
 def test_a_jump_within_what_the_receiver_states_is_another_lasting_error() -> None:
     """Other satellites, other errors: the fix is used, and the solution stays where it was."""
-    twin = filter_that_trusts_lasting_errors().fork()
+    twin = copy(filter_that_trusts_lasting_errors())
     fix = fix_beside(twin, 6.0)
     outcome = Judge(SETTINGS).judge(twin, fix, fix.observe(twin))
     assert outcome.used and outcome.weight == 1.0
     assert twin.gnss_error[0] == pytest.approx(2.0, rel=0.02)
-    assert abs(twin.moved[0] - filter_that_trusts_lasting_errors().moved[0]) < 0.1
+    assert abs(twin.position_correction[0] - filter_that_trusts_lasting_errors().position_correction[0]) < 0.1
 
 
 def test_a_jump_beyond_what_the_receiver_states_is_refused() -> None:
-    twin = filter_that_trusts_lasting_errors().fork()
+    twin = copy(filter_that_trusts_lasting_errors())
     fix = fix_beside(twin, 15.0)
     assert not Judge(SETTINGS).judge(twin, fix, fix.observe(twin)).used
     assert twin.gnss_error[0] == 0.0
