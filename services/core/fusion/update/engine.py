@@ -93,7 +93,7 @@ class Engine:
         """Whether the vehicle stands still."""
         if self.filter is not None:
             return stands(self.filter.state.quiet)
-        return self._alignment is not None and self._alignment.levelling.at_rest
+        return self._alignment is not None and self._alignment.levelling.is_stationary
 
     def process(self, samples: Samples, measurements: Sequence[Measurement]) -> list[Outcome]:
         """Propagate over samples, using on the way the measurements that were true until the last of them.
@@ -327,13 +327,13 @@ class Engine:
         """Give a measurement to the alignment, and start the filter if it can."""
         assert self._alignment is not None
         if isinstance(measurement, GnssVelocity):
-            self._alignment.see_velocity(measurement)
+            self._alignment.use_velocity(measurement)
         elif isinstance(measurement, BaselineHeading):
-            self._alignment.see_heading(measurement)
+            self._alignment.use_heading(measurement)
         started = self._alignment.start_at(measurement) if isinstance(measurement, GnssPosition) else None
         if started is None:
             return
-        how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
+        how = self._alignment.method if not self._why else f"{self._alignment.method}, after {self._why}"
         self._start(started, measurement.time_ns, self._alignment.comparison)
         self.counts = self.counts.with_position(used=True)
         self.accepted_ns = measurement.time_ns

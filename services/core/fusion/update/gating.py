@@ -12,11 +12,11 @@ from ..alignment.heading import Heading
 from ..alignment.velocity_matching import Comparison, Corrections
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..filter.kalman import FloatArray
 from ..measurements.base import Height, Measurement, Observation, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from ..settings import Settings
 from . import lever_arm_monitor
+from .lever_arm_monitor import FloatArray
 
 # Standard deviations by which the covariance is inflated at a rejected GNSS measurement [m, m/s].
 WIDENING = {
@@ -83,7 +83,7 @@ class Judge:
         """Turn by which the filter's heading is wrong; None if it is not."""
         corrections = self.corrections.at(seen.time_ns)
         (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, seen.lever_arm), navigation.velocity
-        self.corrections = Corrections(corrections.time_ns, corrections.velocity, corrections.lean)
+        self.corrections = Corrections(corrections.time_ns, corrections.velocity, corrections.tilt)
         pure = complex(an + vn, ae + ve) + corrections.velocity
         self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
         if not self.comparison.is_wrong(seen.time_ns):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.core.fusion.alignment.levelling import Levelling, level, rest_gyroscope_bias
+from services.core.fusion.alignment.levelling import Levelling, level, standstill_gyroscope_bias
 from services.core.fusion.settings import Settings
 from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n
 from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body
@@ -40,13 +40,13 @@ def test_the_gyroscope_bias_at_rest_is_what_the_earth_does_not_explain() -> None
     attitude, bias = ned_from_body(0.1, 0.2, 2.0), np.array([1e-3, -2e-3, 5e-4])
     earth = earth_rate_n(radians(42.0))
     x, y, z = (attitude.T @ np.array(earth) + bias).tolist()
-    assert rest_gyroscope_bias((x, y, z), attitude, earth) == pytest.approx(bias, abs=1e-15)
+    assert standstill_gyroscope_bias((x, y, z), attitude, earth) == pytest.approx(bias, abs=1e-15)
 
 
 def test_a_rest_of_fifteen_seconds_ends_the_levelling() -> None:
     levelling = Levelling(Settings())
     feed(levelling, 14.9, UP, (0.002, 0.0, -0.001))
-    assert levelling.at_rest and not levelling.ready
+    assert levelling.is_stationary and not levelling.ready
     feed(levelling, 0.2, UP, (0.002, 0.0, -0.001))
     assert levelling.ready
     assert levelling.rate_bias == pytest.approx((0.002, 0.0, -0.001), abs=1e-12)
@@ -56,7 +56,7 @@ def test_a_vehicle_that_drives_off_is_not_waited_for() -> None:
     levelling = Levelling(Settings())
     feed(levelling, 3.0, UP)
     feed(levelling, 1.0, (1.5, 0.0, -STANDARD_GRAVITY))
-    assert levelling.ready and not levelling.at_rest
+    assert levelling.ready and not levelling.is_stationary
 
 
 def test_a_vehicle_in_motion_is_levelled_while_it_drives() -> None:
@@ -65,7 +65,7 @@ def test_a_vehicle_in_motion_is_levelled_while_it_drives() -> None:
     for forward, right in ((1.5, 0.5), (0.0, 2.0), (-1.5, -0.5), (0.0, -2.0)) * 5:
         feed(levelling, 1.0, (forward, right, -STANDARD_GRAVITY))
     assert levelling.ready
-    assert levelling.quaternion_at_rest is None
+    assert levelling.standstill_quaternion is None
     roll, pitch, _ = Rotation.from_matrix(matrix_from_quaternion(levelling.quaternion)).as_euler("ZYX")[::-1]
     assert max(abs(degrees(roll)), abs(degrees(pitch))) < min(2.5, degrees(levelling.tilt_sd))
     assert levelling.tilt_sd > radians(2.0)
@@ -77,8 +77,8 @@ def test_levelling_on_the_move_learns_a_large_bias() -> None:
     for forward, right in ((1.5, 0.5), (0.0, 1.0), (-1.5, -0.5), (0.0, -1.0)) * 15:
         for _ in range(100):
             levelling.advance((forward, right, -STANDARD_GRAVITY), (bias, 0.0, 0.0), 0.01)
-    assert levelling.rate_bias[0] == pytest.approx(bias, abs=3.0 * sqrt(levelling.drift.bias))
-    assert sqrt(levelling.drift.bias) < radians(0.7)
+    assert levelling.rate_bias[0] == pytest.approx(bias, abs=3.0 * sqrt(levelling.covariance.bias))
+    assert sqrt(levelling.covariance.bias) < radians(0.7)
     roll, pitch, _ = Rotation.from_matrix(matrix_from_quaternion(levelling.quaternion)).as_euler("ZYX")[::-1]
     assert max(abs(degrees(roll)), abs(degrees(pitch))) < 3.0 * degrees(levelling.tilt_sd)
 
@@ -87,7 +87,7 @@ def test_an_idling_engine_does_not_hide_a_rest() -> None:
     """Single samples shake by 0.7 m/s² and 0.014 rad/s, as recorded in a car at rest."""
     levelling = Levelling(Settings())
     feed(levelling, 15.0, UP, (0.001, 0.0, 0.0), shake=0.7)
-    assert levelling.at_rest
+    assert levelling.is_stationary
     assert levelling.rate_bias == pytest.approx((0.001, 0.0, 0.0), abs=2e-3)
 
 
@@ -97,25 +97,25 @@ def test_a_creep_after_a_rest_is_not_taken_for_a_rest() -> None:
     feed(levelling, 10.0, UP)
     feed(levelling, 0.5, (1.0, 0.0, -STANDARD_GRAVITY))
     feed(levelling, 3.0, UP, (0.0, 0.0, radians(0.2)))
-    assert not levelling.at_rest
+    assert not levelling.is_stationary
     assert levelling.rate_bias == pytest.approx(NOTHING, abs=1e-12)
 
 
 def test_a_motion_that_gnss_sees_is_no_rest() -> None:
     levelling = Levelling(Settings())
     for _ in range(10):
-        levelling.see_speed(30.0)
+        levelling.use_speed(30.0)
         feed(levelling, 1.0, UP)
-    assert not levelling.at_rest
+    assert not levelling.is_stationary
 
 
 def test_a_rest_that_was_none_is_taken_back() -> None:
     """Even motion looks like a rest until positions tell; what it has taught is forgotten, and it counts as motion."""
     levelling = Levelling(Settings())
     feed(levelling, 4.0, UP, (0.0, 0.0, 0.01))
-    assert levelling.at_rest and levelling.rate_bias[2] == pytest.approx(0.01)
-    levelling.forget_rest()
-    assert not levelling.at_rest and levelling.quaternion_at_rest is None and levelling.yaw_at_start is None
+    assert levelling.is_stationary and levelling.rate_bias[2] == pytest.approx(0.01)
+    levelling.discard_standstill()
+    assert not levelling.is_stationary and levelling.standstill_quaternion is None and levelling.yaw_at_start is None
     assert levelling.rate_bias == NOTHING
     feed(levelling, 0.5, UP)
     assert levelling.ready, "after three seconds of motion levelling goes on while navigating"
@@ -143,5 +143,5 @@ def test_a_copy_is_independent() -> None:
     feed(levelling, 5.0, UP)
     twin = copy(levelling)
     feed(levelling, 5.0, (2.0, 0.0, -STANDARD_GRAVITY))
-    assert twin.at_rest and not levelling.at_rest
+    assert twin.is_stationary and not levelling.is_stationary
     assert twin.velocity == (0.0, 0.0)

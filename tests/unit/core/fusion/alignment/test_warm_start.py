@@ -248,9 +248,9 @@ def spoiled(name: str) -> SavedState:
         ("negative", "saved state without a positive covariance"),
         ("certain", "saved state without a positive covariance"),
         ("boundless", "saved state without a positive covariance"),
-        ("quaternion", "saved state beyond any vehicle"),
-        ("speed", "saved state beyond any vehicle"),
-        ("sample", "saved state beyond any vehicle"),
+        ("quaternion", "implausible saved state"),
+        ("speed", "implausible saved state"),
+        ("sample", "implausible saved state"),
         ("short", "saved state of another layout"),
     ],
 )

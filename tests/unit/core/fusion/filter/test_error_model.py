@@ -202,7 +202,8 @@ def navigation(error: FloatArray) -> ErrorStateFilter:
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
     rate = vector(np.array(RATE) - error[em.GYROSCOPE_BIAS])
     wrong.state = wrong.state._replace(rate_b=rate, smoothed_acceleration_n=ACCELERATION)
-    wrong.parameters = (*(np.array(VEHICLE) + error[em.VEHICLE]).tolist(), *error[em.VEHICLE.stop :].tolist())
+    vehicle = slice(em.ODOMETER_SCALE, em.MOUNTING.stop)
+    wrong.parameters = (*(np.array(VEHICLE) + error[vehicle]).tolist(), *error[vehicle.stop :].tolist())
     return wrong
 
 

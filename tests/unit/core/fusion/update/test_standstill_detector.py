@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from services.core.fusion.alignment.heading import REST_RATE_SD
+from services.core.fusion.alignment.heading import STANDSTILL_RATE_SD
 from services.core.fusion.filter.error_model import SIZE, VELOCITY
 from services.core.fusion.filter.eskf import ErrorStateFilter
 from services.core.fusion.filter.strapdown import InertialState
@@ -115,7 +115,7 @@ def test_a_rest_tells_of_the_gyroscope_what_its_mean_is_worth() -> None:
     count = 6000
     lags = np.arange(1, count)
     together = 1.0 + 2.0 * float(((1.0 - lags / count) * np.exp(-lags * PERIOD_S / SETTLING_S)).sum())
-    mean_variance = (RATE_SD**2 + REST_RATE_SD**2 * together) / count
+    mean_variance = (RATE_SD**2 + STANDSTILL_RATE_SD**2 * together) / count
     assert R[0, 0] / count == pytest.approx(mean_variance, rel=0.02)
     shaken = Standstill(0, STILL, rate_sd=0.01).observe_zero_rate(navigation).R
     assert shaken[2, 2] - R[2, 2] == pytest.approx(0.01**2 - RATE_SD**2)
