@@ -125,7 +125,7 @@ def give_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
 def give_verdict(navigator: Navigator, verdict: TrustState) -> None:
     """Pass the exclusions of core.trust to the navigator."""
     since_ns = verdict.sampled_ns if verdict.suspect_since_ns is None else verdict.suspect_since_ns
-    navigator.follow_trust(since_ns if verdict.gnss_excluded else None, odometer_excluded=verdict.odometer_excluded)
+    navigator.apply_exclusions(since_ns if verdict.gnss_excluded else None, odometer_excluded=verdict.odometer_excluded)
 
 
 def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
@@ -176,8 +176,8 @@ def show_set_up(set_up: SetUpMonitor, message: GnssFix | VehicleSpeed | WheelSpe
 
 def arm_error(navigator: Navigator) -> ArmError:
     """Error of the lever arm by the innovations of the filter."""
-    arm = navigator.engine.aids.judge.arm
-    return ArmError(*arm.error(), arm.wrong() is not None)
+    arm = navigator.engine.aids.gate.lever_arm
+    return ArmError(*arm.error(), arm.significant_error() is not None)
 
 
 def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from shared.maths.compiled import COMPILED, compilable, compiled
 from shared.maths.rotation import Quaternion, Vector
 
-from ..update.standstill_detector import UNSETTLED, Limits, Quiet, detect, norm, stands
+from ..update.standstill_detector import UNSETTLED, Limits, Quiet, detect, is_standstill, norm
 from .strapdown import InertialState, LocalEarth, local_earth, mechanise
 
 FloatArray = npt.NDArray[np.float64]
@@ -209,7 +209,7 @@ def propagate(  # noqa: PLR0915  # one loop
         sn, se, sd = sn + share * (an - sn), se + share * (ae - se), sd + share * (ad - sd)
 
         quiet = detect(quiet, rate_b, acceleration_n, norm(velocity), step, limits)
-        if stands(quiet):
+        if is_standstill(quiet):
             standstill_s += step
             zx, zy, zz = zx + rate_b[0] * step, zy + rate_b[1] * step, zz + rate_b[2] * step
         else:

@@ -18,7 +18,7 @@ from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..filter.strapdown import rotate
 from ..settings import Settings
-from ..update.standstill_detector import stands
+from ..update.standstill_detector import is_standstill
 from .base import Measurement, Observation
 from .gnss_error_model import KnownGnssErrors
 
@@ -150,7 +150,7 @@ class GnssVelocity:
     def teach(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
         """Update the model of velocity errors of the filter that has used it; a standstill shows nothing of them."""
         known = isinstance(navigation.gnss_errors, KnownGnssErrors)
-        if known or not self.lasts or stands(navigation.state.quiet):
+        if known or not self.lasts or is_standstill(navigation.state.quiet):
             return
         n = self.axes
         residual = np.array(innovation) + navigation.gnss_velocity_error[:n]

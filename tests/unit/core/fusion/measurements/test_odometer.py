@@ -19,8 +19,8 @@ from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.plausibility.zero_speeds import ZeroSpeeds
 from services.core.fusion.settings import Settings
-from services.core.fusion.update.gating import Judge
-from services.core.fusion.update.standstill_detector import QUIET_S, SMOOTHING_S, UNSETTLED, Limits, detect, stands
+from services.core.fusion.update.gating import Gate
+from services.core.fusion.update.standstill_detector import QUIET_S, SMOOTHING_S, UNSETTLED, Limits, detect, is_standstill
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
@@ -195,12 +195,12 @@ def test_a_speed_below_zero_has_its_sign() -> None:
 def test_wheels_that_contradict_for_long_are_heard_in_the_end() -> None:
     """The filter is sure of a speed that is wrong by 1 m/s: it doubts after two seconds, not at once."""
     settings = navigator().settings
-    twin, judge = backing(-5.0, 0.02), Judge(settings)
+    twin, gate = backing(-5.0, 0.02), Gate(settings)
     before = twin.P[em.VELOCITY, em.VELOCITY].copy()
     used = []
     for k in range(600):
         seen = WheelSpeed(k * 100_000_000, 0, "", 6.2, 0.0, True, True, settings)
-        used.append(judge.judge(twin, seen, seen.observe(twin)).used)
+        used.append(gate.use(twin, seen, seen.observe(twin)).used)
         if k == 15:
             assert (twin.P[em.VELOCITY, em.VELOCITY] == before).all()
     assert not any(used[:20]) and all(used[-50:])
@@ -212,7 +212,7 @@ def rest_after(speed: float, limit: float, force: float = 0.0) -> bool:
     rest = UNSETTLED
     for _ in range(round((SMOOTHING_S + QUIET_S) * 100) + 2):
         rest = detect(rest, (0.0, 0.0, 0.0), (force, 0.0, 0.0), speed, 0.01, Limits(limit, 1.0))
-    return stands(rest)
+    return is_standstill(rest)
 
 
 def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> None:
@@ -244,7 +244,7 @@ def test_wheels_that_stand_stop_a_slide_at_once() -> None:
     twin.inertial = twin.inertial._replace(velocity=(float(slide[0]), float(slide[1]), float(slide[2])))
     twin.state = twin.state._replace(rate_b=(0.0, 0.0, 0.0))
     settings = navigator().settings
-    outcome = Judge(settings).judge(twin, zero := wheels(0.0, settings), zero.observe(twin))
+    outcome = Gate(settings).use(twin, zero := wheels(0.0, settings), zero.observe(twin))
     assert outcome.used and len(outcome.innovation) == 3
     assert hypot(*twin.velocity) < 0.04
     assert np.sqrt(twin.P[em.VELOCITY, em.VELOCITY].trace()) < 0.3
@@ -261,7 +261,7 @@ def test_a_dead_odometer_is_no_standstill(before: float | None) -> None:
     zeros = zeros.after(100_000_000, 0.0)
     twin = backing(-5.0, 2.0)
     zero = wheels(0.0, settings, zeros.doubt)
-    outcome = Judge(settings).judge(twin, zero, zero.observe(twin))
+    outcome = Gate(settings).use(twin, zero, zero.observe(twin))
     assert not outcome.used and outcome.reason == zeros.doubt
     assert hypot(*twin.velocity) > 4.5
     assert zeros.after(200_000_000, 5.0).after(700_000_000, 0.0).doubt is None, "it moved, and braked as a vehicle does"

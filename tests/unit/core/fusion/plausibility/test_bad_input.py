@@ -93,7 +93,8 @@ def run(
         force, rate = change(time_s, (x, y, z), (a, b, c))
         stamp_ns = time_ns + int(offset_s * 1e9)
         arrival_ns = time_ns + int(arrival_offset_s(time_s) * 1e9) + 2_000_000
-        found.outcomes += made.imu(stamp_ns, force, rate, arrival_ns, saturated=saturated(time_s))
+        made.advance(stamp_ns, force, rate, arrival_ns, saturated=saturated(time_s))
+        found.outcomes += made.release(arrival_ns)
         for j in range(i + 1 - again(time_s), i + 1):
             made.imu(int(d.t_ns[j]), d.force_b[j].tolist(), d.rate_b[j].tolist(), arrival_ns)
         solution = made.solution()
@@ -340,7 +341,7 @@ def test_a_fix_that_is_not_finite_is_counted_and_left_out(broken: float) -> None
     for odd in (place._replace(latitude=broken), place._replace(longitude=broken), place._replace(height=broken)):
         made.fix(SECOND_NS, position=odd, velocity=(broken, 0.0, 0.0), position_sd=(broken, 1.0, 1.0))
     made.fix(SECOND_NS, position=place, velocity=good, position_sd=(broken, 1.0, 1.0))
-    told = {"position not finite": 3, "velocity of no vehicle": 3}
+    told = {"position not finite": 3, "implausible velocity": 3}
     assert made.rejects == told, "the good ones are held for their sample"
 
 

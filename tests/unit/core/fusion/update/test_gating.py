@@ -17,7 +17,7 @@ from services.core.fusion.measurements.gnss import GnssPosition
 from services.core.fusion.measurements.gnss_error_model import HYPOTHESES, SCALES, UNKNOWN
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import AlignmentSettings, GatingSettings, GnssSettings, Settings
-from services.core.fusion.update.gating import Judge, Standing
+from services.core.fusion.update.gating import FaultStatus, Gate
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind
@@ -115,7 +115,7 @@ def test_a_single_outlier_costs_nothing_but_itself() -> None:
 
 def test_repeated_faults_take_longer_to_be_forgiven() -> None:
     """Three faults of 3 s: healthy times of 1, 2 and 4 s; after a minute without any it is 1 s again."""
-    second, standing, time_ns = 1_000_000_000, Standing(), 0
+    second, standing, time_ns = 1_000_000_000, FaultStatus(), 0
     needed: list[float] = []
     for pause_s in (10, 10, 10, 100, 10):
         for _ in range(30):
@@ -132,11 +132,11 @@ def test_repeated_faults_take_longer_to_be_forgiven() -> None:
 
 
 def test_a_receiver_on_probation_that_errs_again_begins_its_time_anew() -> None:
-    standing = Standing(excluded=True, faults=1)
+    standing = FaultStatus(excluded=True, faults=1)
     standing = standing.after(0, agrees=True, settings=SETTINGS)
     standing = standing.after(900_000_000, agrees=False, settings=SETTINGS)
     standing = standing.after(1_100_000_000, agrees=True, settings=SETTINGS)
-    assert standing.excluded and standing.sound_ns == 1_100_000_000
+    assert standing.excluded and standing.agreeing_since_ns == 1_100_000_000
 
 
 def test_bursts_of_any_size_do_less_harm_than_with_a_hard_gate_or_without_any() -> None:
@@ -260,7 +260,7 @@ def test_a_jump_within_what_the_receiver_states_is_another_lasting_error() -> No
     """Other satellites, other errors: the fix is used, and the solution stays where it was."""
     twin = copy(filter_that_trusts_lasting_errors())
     fix = fix_beside(twin, 6.0)
-    outcome = Judge(SETTINGS).judge(twin, fix, fix.observe(twin))
+    outcome = Gate(SETTINGS).use(twin, fix, fix.observe(twin))
     assert outcome.used and outcome.weight == 1.0
     assert twin.gnss_error[0] == pytest.approx(2.0, rel=0.02)
     assert abs(twin.position_correction[0] - filter_that_trusts_lasting_errors().position_correction[0]) < 0.1
@@ -269,12 +269,12 @@ def test_a_jump_within_what_the_receiver_states_is_another_lasting_error() -> No
 def test_a_jump_beyond_what_the_receiver_states_is_refused() -> None:
     twin = copy(filter_that_trusts_lasting_errors())
     fix = fix_beside(twin, 15.0)
-    assert not Judge(SETTINGS).judge(twin, fix, fix.observe(twin)).used
+    assert not Gate(SETTINGS).use(twin, fix, fix.observe(twin)).used
     assert twin.gnss_error[0] == 0.0
 
 
 def test_healthy_time_is_not_doubled_for_ever() -> None:
-    standing, time_ns = Standing(excluded=True, faults=20), 0
+    standing, time_ns = FaultStatus(excluded=True, faults=20), 0
     while standing.excluded:
         standing = standing.after(time_ns, agrees=True, settings=SETTINGS)
         time_ns += 100_000_000

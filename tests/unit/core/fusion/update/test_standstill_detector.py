@@ -14,8 +14,8 @@ from services.core.fusion.update.standstill_detector import (
     Limits,
     Quiet,
     detect,
+    is_standstill,
     limits_of,
-    stands,
 )
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
@@ -45,26 +45,26 @@ def unsure(velocity_sd: float) -> Limits:
 
 def test_half_a_second_of_quiet_is_a_standstill() -> None:
     rest = after(UNSETTLED, 0.25)  # settles
-    assert not stands(after(rest, 0.48))
-    assert stands(after(rest, 0.52))
+    assert not is_standstill(after(rest, 0.48))
+    assert is_standstill(after(rest, 0.52))
 
 
 def test_each_condition_alone_prevents_it() -> None:
-    assert not stands(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
-    assert not stands(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
-    assert not stands(after(UNSETTLED, 5.0, speed=0.31))
-    assert stands(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
+    assert not is_standstill(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
+    assert not is_standstill(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
+    assert not is_standstill(after(UNSETTLED, 5.0, speed=0.31))
+    assert is_standstill(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
 
 
 def test_it_ends_within_a_few_samples_of_the_first_motion() -> None:
     """At 1 m/s² the smoothed acceleration passes its limit after 20 ms, and the vehicle has moved by 0.2 mm."""
     rest = after(UNSETTLED, 2.0)
-    assert not stands(after(rest, 0.02, acceleration=(1.0, 0.0, 0.0)))
-    assert not stands(after(rest, 0.05, rate=(0.0, 0.0, 0.1)))
+    assert not is_standstill(after(rest, 0.02, acceleration=(1.0, 0.0, 0.0)))
+    assert not is_standstill(after(rest, 0.05, rate=(0.0, 0.0, 0.1)))
 
 
 def test_rolling_evenly_is_no_standstill() -> None:
-    assert not stands(after(UNSETTLED, 10.0, speed=10.0))
+    assert not is_standstill(after(UNSETTLED, 10.0, speed=10.0))
 
 
 def test_an_idling_engine_does_not_end_it() -> None:
@@ -73,16 +73,16 @@ def test_an_idling_engine_does_not_end_it() -> None:
     for k in range(2000):
         swing = 2.0**0.5 * np.sin(2.0 * np.pi * 27.0 * k * STEP_S)
         rest = detect(rest, (0.017 * swing, 0.0, 0.0), (0.0, 0.0, 0.65 * swing), 0.0, STEP_S, CERTAIN)
-        assert stands(rest)
+        assert is_standstill(rest)
 
 
 def test_a_filter_that_does_not_know_its_speed_waits_for_two_seconds_of_quiet() -> None:
     """After a minute without GNSS it sees 1.5 m/s at rest, and 0.1 m/s where the vehicle rolls."""
     limits, settled = unsure(0.6), after(UNSETTLED, 0.25)
     for speed in (0.1, 1.5):
-        assert not stands(after(settled, UNCERTAIN_QUIET_S - 0.1, speed=speed, limits=limits))
-        assert stands(after(settled, UNCERTAIN_QUIET_S + 0.1, speed=speed, limits=limits))
-    assert not stands(after(settled, 10.0, speed=4.0, limits=limits)), "it is surer than that"
+        assert not is_standstill(after(settled, UNCERTAIN_QUIET_S - 0.1, speed=speed, limits=limits))
+        assert is_standstill(after(settled, UNCERTAIN_QUIET_S + 0.1, speed=speed, limits=limits))
+    assert not is_standstill(after(settled, 10.0, speed=4.0, limits=limits)), "it is surer than that"
     assert unsure(0.05) == CERTAIN
 
 
@@ -91,11 +91,11 @@ def test_a_wrong_tilt_hides_no_rest() -> None:
     for limits in (CERTAIN, unsure(0.6)):
         leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), limits=limits)  # it brakes
         leaning = after(leaning, 1.0, acceleration=(0.06, 0.06, 0.0), limits=limits)
-        assert not stands(leaning)
+        assert not is_standstill(leaning)
         leaning = after(leaning, UNCERTAIN_QUIET_S + 0.5, acceleration=(0.06, 0.06, 0.0), limits=limits)
-        assert stands(leaning)
-        assert not stands(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), limits=limits)), "it drives off"
-        assert not stands(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), limits=limits))
+        assert is_standstill(leaning)
+        assert not is_standstill(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), limits=limits)), "it drives off"
+        assert not is_standstill(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), limits=limits))
 
 
 def test_a_road_is_no_rest_however_slow_the_filter_believes_to_be() -> None:
@@ -103,7 +103,7 @@ def test_a_road_is_no_rest_however_slow_the_filter_believes_to_be() -> None:
     rest, limits = UNSETTLED, unsure(0.6)
     for k in range(2000):
         rest = detect(rest, STILL, (0.1 * float(np.sin(np.pi * k * STEP_S)), 0.0, 0.0), 0.1, STEP_S, limits)
-        assert not stands(rest)
+        assert not is_standstill(rest)
 
 
 def test_a_rest_tells_of_the_gyroscope_what_its_mean_is_worth() -> None:
