@@ -9,7 +9,7 @@ PORT ?= 8080
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture bench-replay clean
+.PHONY: help setup demo test check types whole-unit slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture bench-replay clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -54,9 +54,14 @@ test: $(VENV)/.debian ## run every check that CI runs: all but `make slow` and `
 check: | $(VENV)/.testing ## the checks alone, on what is installed
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .
+	@$(PYTHON) -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not slow and not whole_unit" --durations=30 $(PYTEST_ARGS)
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=line types whole-unit
+
+types: # on one core, while the whole unit mostly waits on the other
 	@$(PYTHON) -m mypy
-	@$(PYTHON) -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not slow and not whole_unit" --durations=15 $(PYTEST_ARGS)
-	@$(PYTHON) -m pytest -m "whole_unit and not slow" $(PYTEST_ARGS)
+
+whole-unit:
+	@$(PYTHON) -m pytest -m "whole_unit and not slow" --durations=15 $(PYTEST_ARGS)
 
 slow: | $(VENV)/.testing ## test with the recordings that CI leaves out (seconds; they are not part of the repository)
 	@$(PYTHON) -m pytest -m "slow and not container" $(PYTEST_ARGS)
@@ -113,7 +118,7 @@ bench-replay: $(VENV)/.debian ## measure a two-hour recording in the browser: op
 	@$(PYTHON) -m benchmarks.replay
 
 golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
-	@$(PYTHON) -m tests.support.drives.golden
+	@$(PYTHON) -m tests.support.drives.meridian.golden
 
 picture: $(VENV)/.debian ## take the pictures of every page anew from running demos (ten minutes)
 	@$(PYTHON) -m docs.picture

@@ -8,9 +8,11 @@ evaluations; a monitor with the interval below it is more cautious than designed
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -24,6 +26,7 @@ from services.core.motion_conflict.monitor import MotionMonitor
 from services.core.motion_conflict.settings import Settings as MotionSettings
 from services.core.motion_conflict.verdicts import MotionVerdicts, State
 from services.core.spoofing.process import Config as SpoofingConfig
+from services.core.spoofing.process import In as SpoofingIn
 from services.core.spoofing.process import Process as Spoofing
 from services.sensors.simulator.drive import simulate
 from shared.messages.base import Tick
@@ -63,35 +66,36 @@ class Count:
         return "too many" if low > self.design else "cautious" if high < self.design else "inside"
 
 
+Key = tuple[str, float | None]  # test, design rate
 Outcome = tuple[str, float | None, bool | None]  # test, design rate, accuses (None: not evaluated)
-Job = tuple[int, int, float | None]  # seed, seconds, design rate
-Campaign = Callable[[Job], list[Count]]
+Job = tuple[int, int]  # seed, seconds
+Campaign = Callable[[Job], list[Count]]  # at all design rates
 
 
 def counted(epochs: Iterator[Sequence[Outcome]]) -> list[Count]:
-    """Count evaluations and uninterrupted accusations of each test."""
-    design: dict[str, float | None] = {}
-    evaluations: dict[str, int] = {}
-    episodes: dict[str, int] = {}
-    accusing: dict[str, int] = {}
-    before: dict[str, bool] = {}
+    """Count evaluations and uninterrupted accusations of each test and design rate."""
+    evaluations: Counter[Key] = Counter()
+    episodes: Counter[Key] = Counter()
+    accusing: Counter[Key] = Counter()
+    before: dict[Key, bool] = {}
     for outcomes in epochs:
         for test, rate, accuses in outcomes:
-            design[test] = rate
-            evaluations[test] = evaluations.get(test, 0) + (accuses is not None)
-            episodes[test] = episodes.get(test, 0) + (accuses is True and not before.get(test, False))
-            accusing[test] = accusing.get(test, 0) + (accuses is True)
-            before[test] = accuses is True
-    return [
-        Count(test, rate, evaluations[test], episodes[test], accusing[test])
-        for test, rate in design.items()
-        if evaluations[test]
-    ]
+            key = test, rate
+            evaluations[key] += accuses is not None
+            episodes[key] += accuses is True and not before.get(key, False)
+            accusing[key] += accuses is True
+            before[key] = accuses is True
+    return [Count(*key, evaluations[key], episodes[key], accusing[key]) for key in evaluations if evaluations[key]]
 
 
 def motion(job: Job) -> list[Count]:
     """All tests of core.motion_conflict on a random drive whose odometer has a scale and a delay."""
-    seed, seconds, rate = job
+    found = {(one.test, one.design): one for rate in DESIGN_RATES for one in motion_at(*job, rate)}
+    return list(found.values())  # tests whose rate is no setting count once
+
+
+def motion_at(seed: int, seconds: int, rate: float | None) -> list[Count]:
+    """The same tests at one design rate; None: as delivered."""
     rng = np.random.default_rng((seed, 7))
     settings = MotionSettings()
     if rate is not None:
@@ -116,28 +120,35 @@ def motion(job: Job) -> list[Count]:
 def inertial(job: Job) -> list[Count]:
     """All tests of core.spoofing on a simulated drive of the unit, with the solutions of core.fusion.
 
-    The 5 s window has a learned profile, whose rate is not a setting; `rate` is that of the long windows.
+    The 5 s window has a learned profile, whose rate is not a setting: the design rates are those of the long windows.
     """
-    seed, seconds, rate = job
+    seed, seconds = job
     drive = simulate(SCENARIOS[seed % len(SCENARIOS)], seed, float(seconds))
     values = {"gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}
     fusion = Fusion(FusionConfig().with_values(values))
-    spoofing = Spoofing(
-        SpoofingConfig().with_values(values if rate is None else values | {"long.false_alarm_rate": rate})
-    )
+    monitors = [
+        Spoofing(SpoofingConfig().with_values(values if rate is None else values | {"long.false_alarm_rate": rate}))
+        for rate in DESIGN_RATES
+    ]
 
     def epochs() -> Iterator[list[Outcome]]:
         for message in inputs(drive):
+            received: list[SpoofingIn] = [message]
             if not isinstance(message, Tick):
-                for solution in fusion.handle(message):
-                    if isinstance(solution, NavigationSolution | FilterState):
-                        list(spoofing.handle(solution))
-            yield [
-                (test.name, test.false_alarm_rate,
-                 None if test.outcome is MonitorOutcome.NOT_EVALUATED else test.outcome is MonitorOutcome.ACCUSES)
-                for statement in spoofing.handle(message)
+                solved = fusion.handle(message)
+                received = [*(one for one in solved if isinstance(one, NavigationSolution | FilterState)), message]
+            tests = [
+                test
+                for monitor in monitors
+                for one in received
+                for statement in monitor.handle(one)
                 for test in statement.tests
-            ]  # fmt: skip
+            ]
+            found = {(test.name, test.false_alarm_rate): test.outcome for test in tests}
+            yield [
+                (*key, None if outcome is MonitorOutcome.NOT_EVALUATED else outcome is MonitorOutcome.ACCUSES)
+                for key, outcome in found.items()
+            ]
 
     return counted(epochs())
 
@@ -145,12 +156,12 @@ def inertial(job: Job) -> list[Count]:
 MONITORS: dict[str, tuple[Campaign, int]] = {"motion": (motion, MOTION_S), "inertial": (inertial, INERTIAL_S)}
 
 
-def campaign(monitor: str, epochs: int, progress: bool) -> list[Count]:
-    """Run enough drives at each design rate, and add up their counts."""
+def campaign(monitor: str, epochs: int, progress: bool) -> Iterator[list[Count]]:
+    """Run enough drives; yield the sums of their counts after each drive."""
     work, drive_s = MONITORS[monitor]
     drives = max(1, round(epochs / drive_s))
-    jobs: list[Job] = [(seed, min(drive_s, epochs), rate) for rate in DESIGN_RATES for seed in range(1, drives + 1)]
-    total: dict[tuple[str, float | None], Count] = {}
+    jobs: list[Job] = [(seed, min(drive_s, epochs)) for seed in range(1, drives + 1)]
+    total: dict[Key, Count] = {}
     for counts in in_parallel(work, jobs, WORKERS, progress):
         for one in counts:
             known = total.get((one.test, one.design), Count(one.test, one.design, 0, 0, 0))
@@ -161,7 +172,7 @@ def campaign(monitor: str, epochs: int, progress: bool) -> list[Count]:
                 known.episodes + one.episodes,
                 known.accusing + one.accusing,
             )
-    return list(total.values())
+        yield list(total.values())
 
 
 def table(monitor: str, counts: Sequence[Count]) -> Table:
@@ -181,27 +192,37 @@ def table(monitor: str, counts: Sequence[Count]) -> Table:
     return Table(f"False alarms of {monitor} on fault-free simulated drives", columns, rows)
 
 
-def main() -> int:
-    """Run the campaign; return 1 if a test has more false alarms than designed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.false_alarms", description=__doc__)
-    parser.add_argument("--monitor", choices=(*MONITORS, "all"), default="all")
-    parser.add_argument("--epochs", type=int, default=EPOCHS, help="evaluations of each monitor and design rate")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
-    options = parser.parse_args()
-    if options.epochs < 1:
-        parser.error("--epochs must be at least 1; try --epochs 5000")
-    chosen = list(MONITORS) if options.monitor == "all" else [options.monitor]
-    found = {monitor: campaign(monitor, options.epochs, sys.stderr.isatty()) for monitor in chosen}
-    document = {
+def document(epochs: int, found: Mapping[str, Sequence[Count]]) -> dict[str, object]:
+    """All counts, for programs."""
+    return {
         "made": datetime.now(UTC).date().isoformat(),
-        "epochs": options.epochs,
+        "epochs": epochs,
         "monitors": {
             monitor: [{**asdict(one), "interval": one.interval, "verdict": one.verdict} for one in counts]
             for monitor, counts in found.items()
         },
     }
+
+
+def main() -> int:
+    """Run the campaign; return 1 if a test has more false alarms than designed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.false_alarms", description=__doc__)
+    parser.add_argument("--monitor", choices=(*MONITORS, "all"), default="all")
+    parser.add_argument("--epochs", type=int, default=EPOCHS, help="evaluations of each monitor and design rate")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write JSON to this file after each drive")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    options = parser.parse_args()
+    if options.epochs < 1:
+        parser.error("--epochs must be at least 1; try --epochs 5000")
+    chosen = list(MONITORS) if options.monitor == "all" else [options.monitor]
+    found: dict[str, list[Count]] = {}
+    for monitor in chosen:
+        for counts in campaign(monitor, options.epochs, sys.stderr.isatty()):
+            found[monitor] = counts
+            if options.out:  # after each drive: an interrupted campaign leaves what it has counted
+                options.out.write_text(json.dumps(document(options.epochs, found), indent=2) + "\n")
     if options.json:
-        print(json.dumps(document, indent=2))
+        print(json.dumps(document(options.epochs, found), indent=2))
     else:
         console = Console()
         for monitor, counts in found.items():

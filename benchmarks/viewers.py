@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 from websockets.asyncio.client import connect
 
-from services.monitoring.status.process import ADDRESS_FILE
+from shared.runtime.config import ADDRESS_FILE
 
 HEAD = """# Load of the dashboard's server by the number of viewers
 

@@ -13,9 +13,9 @@ def main() -> None:
         if sys.argv[1:2] == ["run"] and len(sys.argv) == 3 and sys.argv[2] in BY_NAME:
             run(sys.argv[2])  # the processes of a vehicle start without the weight of the command line
         else:
-            from .main import app
+            from .main import command_line
 
-            app(prog_name="obu")
+            command_line(sys.argv[1:])(prog_name="obu")
     except ConfigError as error:
         print(f"obu: {error}", file=sys.stderr)  # this is the command line
         sys.exit(os.EX_CONFIG)

@@ -5,8 +5,9 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -19,15 +20,18 @@ from shared.messages.simulation import AttackName
 from shared.processes import BY_NAME, Role
 from shared.runtime.config import load_vehicle
 
-from .attack_lab.attack_lab import attack_lab
-from .calibrate.spoofing import calibrate_spoofing
-from .export.export import export
-from .import_drive.import_drive import import_drive
-from .recordings.record import record, repair
-from .recordings.replay import replay
-from .recordings.verify import verify
-from .solve.solve import solve
-from .verify_toll import verify_toll
+IN_MODULES = {  # commands that are imported when they are called: NumPy and the filter take seconds
+    "import": ("import_drive.import_drive", "import_drive"),
+    "solve": ("solve.solve", "solve"),
+    "attack-lab": ("attack_lab.attack_lab", "attack_lab"),
+    "replay": ("recordings.replay", "replay"),
+    "export": ("export.export", "export"),
+    "verify": ("recordings.verify", "verify"),
+    "verify-toll": ("verify_toll", "verify_toll"),
+    "calibrate spoofing": ("calibrate.spoofing", "calibrate_spoofing"),
+    "record repair": ("recordings.record", "repair"),
+}
+
 
 app = typer.Typer(
     epilog="Begin with [bold]obu demo[/]. The help of each command has examples, such as [bold]obu solve --help[/].",
@@ -403,16 +407,20 @@ def _record(
     [bold]obu record repair cut.mcap -o whole.mcap[/]
     """
     if context.invoked_subcommand is None:
+        from .recordings.record import record
+
         _end_on_sigterm()
         raise typer.Exit(record(output, duration, vehicle))
 
 
-calibrate.command("spoofing")(_ended(calibrate_spoofing))
-app.command("import")(_ended(import_drive))
-app.command("solve")(_ended(solve))
-app.command("attack-lab")(_ended(attack_lab))
-recordings.command("repair")(_ended(repair))
-app.command("replay")(_ended(replay))
-app.command("export")(_ended(export))
-app.command("verify")(_ended(verify))
-app.command("verify-toll")(_ended(verify_toll))
+def command_line(arguments: Sequence[str]) -> typer.Typer:
+    """Give the command line with the command of `IN_MODULES` that is called; with all for help and unknown names."""
+    groups = {"": app, "calibrate": calibrate, "record": recordings}
+    here = {info.name or getattr(info.callback, "__name__", "") for info in app.registered_commands}
+    first = arguments[0] if arguments else ""
+    known = first in {*here, *(info.name for info in app.registered_groups), *IN_MODULES}
+    for path, (module, function) in IN_MODULES.items():
+        *group, name = path.split()
+        if not known or first == path.split()[0]:
+            groups["".join(group)].command(name)(_ended(getattr(import_module(f".{module}", __package__), function)))
+    return app

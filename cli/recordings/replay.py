@@ -4,7 +4,7 @@ import logging
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +12,6 @@ import typer
 from rich.console import Console
 
 from broker.acl import access_list
-from services.monitoring.status.process import ADDRESS_FILE
 from shared.bus import codec
 from shared.bus.envelope import Envelope
 from shared.errors import UserError
@@ -20,17 +19,13 @@ from shared.messages.base import Message, Sender
 from shared.messages.replay import FASTEST, SLOWEST
 from shared.processes import Role
 from shared.recording import Recording, RecordingWriter
-from shared.runtime.config import BrokerAddress, Table, VehicleFile, state_dir
-from shared.runtime.offline import OfflineUnit, arrival_ns
+from shared.runtime.config import ADDRESS_FILE, BrokerAddress, Table, VehicleFile, state_dir
 from shared.topics import BY_MESSAGE
 
 from ..demo.local import as_toml, broker_command, free_port, port_or_free
 from ..demo.supervisor import Supervisor
 from ..progress import progress_on
-from ..solve.inputs import inputs_of
 from .common import open_recording, vehicle_of
-from .onto_bus import play_onto
-from .record import repair_into
 
 START_LIMIT_S = 30.0
 RUN_HERE = ("sensors.replay", "monitoring.status")
@@ -71,6 +66,8 @@ def replay(  # one argument an option
     [bold]obu replay drive.mcap --broker mqtt://127.0.0.1:1884[/]
     """
     if broker is not None:
+        from .onto_bus import play_onto
+
         return play_onto(file, speed, BrokerAddress.parse(broker), vehicle)
     console = Console(stderr=True)
     base = state_dir().resolve() / "replays"
@@ -83,9 +80,11 @@ def _serve(file: Path, folder: Path, options: tuple[float, int], vehicle: Path |
     speed, wanted_port = options
     unit = _vehicle_of(file, vehicle)
     played = _playable(file, unit, folder, console)
+    summaries = folder if played != file else state_dir().resolve() / "recordings"
+    summaries.mkdir(exist_ok=True)
     broker_port, (http_port, taken) = free_port(), port_or_free(wanted_port)
     text = _with_sections(unit, {
-        "sensors.replay": {"file": str(played.resolve()), "speed": speed},
+        "sensors.replay": {"file": str(played.resolve()), "speed": speed, "summaries": str(summaries)},
         "monitoring.status": {"port": http_port, "replay": True},
     })  # fmt: skip
     (folder / "vehicle.toml").write_text(text, encoding="utf-8")
@@ -143,6 +142,8 @@ def _playable(file: Path, vehicle: VehicleFile, folder: Path, console: Console) 
         topics = recording.topics
         if not topics:
             console.print(f"{file.name} was not closed: reading all of it first")
+            from .record import repair_into
+
             copy = folder / f"whole-{file.name}"
             repair_into(recording, copy, console)
             return _playable(copy, vehicle, folder, console)
@@ -154,6 +155,10 @@ def _playable(file: Path, vehicle: VehicleFile, folder: Path, console: Console) 
 
 def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Console) -> Path:
     """Write the inputs of a recording, and the outputs of layers 2 to 4, into a new one."""
+    from shared.runtime.offline import OfflineUnit, arrival_ns
+
+    from ..solve.inputs import inputs_of
+
     inputs = inputs_of(recording)
     if not inputs.envelopes:
         raise UserError(f"{recording.path} holds no bytes of a device; record a unit with sensors or a simulator")
@@ -163,7 +168,7 @@ def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Con
         with progress_on(console) as progress:
             task = progress.add_task("solving", total=len(inputs.envelopes))
             now_ns = 0
-            for count, message in enumerate(_merged(unit, inputs.messages())):
+            for count, message in enumerate(chain(unit.run(inputs.messages()), unit.close())):
                 now_ns = max(now_ns, arrival_ns(message) or 0)
                 writer.write(_envelope(message, now_ns, count))
                 if count % 1000 == 0:
@@ -174,11 +179,6 @@ def _solved(recording: Recording, vehicle: VehicleFile, path: Path, console: Con
             f"cannot write {path}: {error.strerror}; make room, or set OBU_STATE to another disk"
         ) from error
     return path
-
-
-def _merged(unit: OfflineUnit, inputs: Iterator[Message]) -> Iterator[Message]:
-    yield from unit.run(inputs)
-    yield from unit.close()
 
 
 def _envelope(message: Message, now_ns: int, sequence: int) -> Envelope:

@@ -13,6 +13,7 @@ from ..messages.replay import TrustChange
 RECORDING_SUFFIX, KEEP_SUFFIX, SUFFIX = ".mcap", ".keep", ".summary.json"
 VERSION = 1  # of what is computed: another one is computed anew
 LONGEST = 500  # changes and outages that are kept
+NICE = 15  # beside the processes of a vehicle, which come first
 
 Point = tuple[Latitude, Longitude]
 
@@ -43,18 +44,18 @@ def read_summary(path: Path, size_bytes: int) -> RecordingSummary | None:
 
 
 class SummaryWorker:
-    """Computes the summary of one recording in a process of low priority, and keeps it in a folder.
+    """Computes the summary of one recording in a process of low priority (`nice`), and keeps it in a folder.
 
     A summary that lies beside the recording is taken instead.
     """
 
-    def __init__(self, recording: Path, folder: Path) -> None:
+    def __init__(self, recording: Path, folder: Path, *, nice: int = NICE) -> None:
         self._size = recording.stat().st_size
         beside = recording.with_name(recording.name + SUFFIX)
         self._output = beside if read_summary(beside, self._size) else folder / beside.name
         self._child: subprocess.Popen[bytes] | None = None
         if read_summary(self._output, self._size) is None:
-            command = [sys.executable, "-m", "shared.recording.summary", str(recording), str(self._output)]
+            command = [sys.executable, "-m", "shared.recording.summary", str(recording), str(self._output), str(nice)]
             self._child = subprocess.Popen(command, stdin=subprocess.DEVNULL)
 
     @property

@@ -1,6 +1,6 @@
 """What a list of recordings shows of one: times, distance, outline of the track, verdicts and outages.
 
-`python -m shared.recording.summary RECORDING OUTPUT` computes it in a process of its own, which
+`python -m shared.recording.summary RECORDING OUTPUT [NICE]` computes it in a process of its own, which
 `shared.library.summary.SummaryWorker` starts.
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ..bus.envelope import Envelope
 from ..errors import BadPayload, BadRecording
-from ..library.summary import LONGEST, Point, RecordingSummary
+from ..library.summary import LONGEST, NICE, Point, RecordingSummary
 from ..maths.ellipsoid import curvature_radii
 from ..messages.base import Name
 from ..messages.gnss import GnssFix
@@ -28,7 +28,6 @@ from .reader import Recording
 POINTS = 100  # of the outline
 SPACING_NS = 1_000_000_000  # of positions
 TOPICS = ("navigation/solution", "gnss/fix", "trust/state", "outage/event", "origin/state")
-NICE = 15
 
 
 def summarise(path: Path) -> RecordingSummary:
@@ -146,8 +145,8 @@ def write_summary(recording: Path, output: Path) -> None:
 
 def main(arguments: Iterable[str]) -> int:
     """Compute the summary of a recording into a file."""
-    recording, output = arguments
-    os.nice(NICE)
+    recording, output, *nice = arguments
+    os.nice(int(nice[0]) if nice else NICE)
     try:
         write_summary(Path(recording), Path(output))
     except (BadRecording, OSError) as error:

@@ -14,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ..errors import ConfigError, UserError
 from ..processes import BY_NAME, Role, running
 
+ADDRESS_FILE = "status.address"  # in the state folder: where monitoring.status serves the dashboard
+
 S = TypeVar("S", bound="Section")
 Table = dict[str, object]
 

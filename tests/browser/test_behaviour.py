@@ -202,6 +202,10 @@ def test_pictures_have_a_table_that_says_the_same(units: dict[str, Running], ope
         card = page.get_by_role("region", name=name, exact=True).first
         card.get_by_role("button", name="Table").click()
         expect(card.get_by_role("table")).to_contain_text(heading)
+    for name, line in (("fused", "solid"), ("gnss", "dashed"), ("odometer", "dotted")):
+        key = page.locator(f".legend .key.{name}")
+        expect(key).to_have_css("border-top-style", line)
+        expect(key).to_have_css("background-color", "rgba(0, 0, 0, 0)")  # a line as in the plot, and no square
 
 
 def test_the_close_up_zooms_turns_and_fits_again(units: dict[str, Running], open_page: Callable[..., Page]) -> None:

@@ -91,7 +91,7 @@ def test_without_a_receiver_the_page_says_what_to_connect(
     units: dict[str, Running], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(units["empty"].address, path="gnss")
-    expect(page.get_by_text("No GNSS receiver has been received yet")).to_be_visible(timeout=8000)
+    expect(page.get_by_text("No message of a GNSS receiver yet")).to_be_visible(timeout=8000)
     expect(page.get_by_text("name its port under [sensors.gnss]")).to_be_visible()
 
 
@@ -106,10 +106,11 @@ def test_any_numeric_field_is_plotted_from_the_inspector_and_all_charts_share_th
     drawer.get_by_label("Find a field").fill("velocity_ned")
     drawer.get_by_role("button", name="Plot velocity_ned_m_s.1").click()
     drawer.get_by_role("link", name="2 fields are on the page Charts").click()
-    radians = page.get_by_role("region", name="Chosen fields").first
-    expect(radians).to_contain_text("in rad", timeout=8000)
+    radians = page.get_by_role("region", name="Chosen fields in rad", exact=True)
     expect(radians.locator("li")).to_contain_text("navigation/solution:roll_rad0.01rad", timeout=8000)
-    expect(page.get_by_role("region", name="Chosen fields").nth(1)).to_contain_text("velocity_ned_m_s.1 (east)")
+    expect(page.get_by_role("region", name="Chosen fields in m/s", exact=True)).to_contain_text(
+        "velocity_ned_m_s.1 (east)"
+    )
     page.get_by_role("button", name="1 min").click()
     speed = page.get_by_role("region", name="Speed", exact=True)
     chart = speed.get_by_role("img", name=re.compile("Speed over time. Fused 32.4 km"))

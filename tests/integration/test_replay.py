@@ -15,6 +15,7 @@ import pytest
 from websockets.sync.client import connect
 
 from services.monitoring.status.views.patch import merge
+from shared.library.summary import SUFFIX
 from tests.support.dashboard.status_server import eventually
 from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record
 
@@ -38,6 +39,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     process.send_signal(signal.SIGTERM)
     assert process.wait(15.0) == 0
     assert not list((folder / "replays").iterdir()), "it leaves nothing behind"
+    assert [path.name for path in (folder / "recordings").iterdir()] == [f"drive.mcap{SUFFIX}"], "but the summary"
 
 
 def command(address: str, **fields: object) -> httpx.Response:

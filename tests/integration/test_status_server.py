@@ -21,7 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Close
 from websockets.sync.client import ClientConnection, connect
 
-from services.monitoring.status.process import ADDRESS_FILE, Config, Process
+from services.monitoring.status.process import Config, Process
 from services.monitoring.status.views.patch import merge
 from services.monitoring.status.web import answers
 from shared.errors import UserError
@@ -29,6 +29,7 @@ from shared.messages.gnss import FixType, GnssFix
 from shared.messages.operation import Origin, OriginKind
 from shared.messages.simulation import AttackName
 from shared.recording.folder import RecordingFolder
+from shared.runtime.config import ADDRESS_FILE
 from tests.support.bus.envelopes import sent
 from tests.support.dashboard.fake_unit import FakeBus
 from tests.support.dashboard.status_server import Running, eventually, status_server

@@ -140,8 +140,10 @@ class Process:
     def _evaluate(
         self, epoch: RawEpoch, reports: tuple[NeighbourReport, ...]
     ) -> tuple[SatelliteVerdict, SatelliteVerdict | None]:
-        """Test with neighbours first, and then plainly what is left; a start needs the plain solution first.
+        """Test with neighbours first, and then plainly what is left.
 
+        The filters start from a plain solution that has passed its test: without redundancy, as while ephemerides are
+        collected after a gap, an error of any size may be in it, and healthy satellites would be excluded for it.
         What plain RAIM excludes in an epoch the filters do not use from then on. Where the filters exclude more than
         two satellites and all of them agree with one another, no satellite is at fault: all signals are false and the
         neighbours contradict them, or they were false and are true again. GNSS is accused as a whole in that epoch, and
@@ -152,7 +154,7 @@ class Process:
             return self._plain.evaluate(epoch, self._store), None
         if not cooperative.runs_until(epoch.gps_time_ns):
             plain = self._plain.evaluate(epoch, self._store)
-        start = plain.solution if plain and (plain.fault_free or plain.outcome is Outcome.NOT_EVALUATED) else None
+        start = plain.solution if plain and plain.fault_free else None
         helped = cooperative.evaluate(epoch, self._store, reports, road_e=None, start=start)
         restarts = len(helped.excluded) > MOST_FAULTY and self._plain.all_agree(epoch, self._store)
         if restarts:

@@ -18,7 +18,7 @@ from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
 from shared.library.library import Library
 from shared.messages.operation import RecordingState
-from shared.runtime.config import Section, parse_vehicle
+from shared.runtime.config import ADDRESS_FILE, Section, parse_vehicle
 
 from .history_file import HistoryFile
 from .replay import ReplayFeed
@@ -38,7 +38,6 @@ from .web.websocket import Stream
 log = logging.getLogger(__name__)
 
 DASHBOARD = Path(__file__).parent / "dashboard"
-ADDRESS_FILE = "status.address"
 PAST_PERIOD_S = 1.0
 HISTORY_FILE = "status.history.jsonl"
 TRACK_FILE = "status.track.jsonl"

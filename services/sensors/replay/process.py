@@ -26,6 +26,7 @@ STEP_S = 0.02  # of the host's clock, between two looks for messages that are du
 SETTLED_S = 0.3  # after the last jump: then the past minute follows
 PAST_NS, RECENT_NS = 60_000_000_000, 3_000_000_000
 BURST = 100  # messages between two turns of the network
+WATCHED_NICE = 5  # of the computation of events that somebody waits for
 
 
 class Config(Section):
@@ -33,6 +34,7 @@ class Config(Section):
 
     file: str = ""  # recording with an index, as `obu record repair` writes it
     speed: float = Field(default=1.0, ge=SLOWEST, le=FASTEST)  # recorded seconds per second, at the start
+    summaries: str | None = None  # folder that keeps the summary if none is beside the recording; `obu replay` sets it
 
 
 class Process:
@@ -56,7 +58,7 @@ class Process:
                 raise UserError(f"{error}; make one that has with `obu record repair FILE -o whole.mcap`") from error
             self._position = Position(self._index.begin_ns, self._index.end_ns, self._config.speed, time.monotonic())
             self._all, self._shown = playable(self._index.topics), shown(self._index.topics)
-            events = SummaryWorker(self._path, bus.state_dir)
+            events = SummaryWorker(self._path, Path(self._config.summaries or bus.state_dir), nice=WATCHED_NICE)
             try:
                 self._play(bus, events)
             finally:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from services.monitoring.status.process import ADDRESS_FILE, Config, Process
+from services.monitoring.status.process import Config, Process
 from shared.bus.bus import Bus
+from shared.runtime.config import ADDRESS_FILE
 from tests.support.dashboard.fake_unit import FakeBus, FakeUnit
 from tests.support.v2x.fake_plaza import FakePlaza
 

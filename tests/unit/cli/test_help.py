@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from importlib.metadata import version
 
@@ -10,7 +12,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.testing import CliRunner
 
-from cli.main import app
+from cli.main import command_line
+from tests.support.data import REPOSITORY
 
 
 def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperCommand | TyperGroup]]:
@@ -24,7 +27,8 @@ def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperComm
             yield from commands(command, name)
 
 
-ROOT = typer.main.get_command(app)
+APP = command_line([])
+ROOT = typer.main.get_command(APP)
 ALL = dict(commands(ROOT)) if isinstance(ROOT, TyperGroup) else {}
 
 
@@ -42,16 +46,22 @@ def test_every_command_has_examples_that_the_command_line_accepts(name: str) -> 
 
 @pytest.mark.parametrize("name", ALL)
 def test_the_value_of_every_option_is_named_by_its_meaning_or_its_choices(name: str) -> None:
-    text = CliRunner().invoke(app, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
+    text = CliRunner().invoke(APP, [*name.split(), "--help"], env={"COLUMNS": "200"}).output
     options = [line for line in text.splitlines() if re.match(r"\W+--?\w", line)]
     assert len(options) >= 1
     assert not [line for line in options if re.search(r"<(str|path|int|float|list)", line)], "give a metavar"
 
 
 def test_the_version_is_that_of_the_package() -> None:
-    found = CliRunner().invoke(app, ["--version"])
+    found = CliRunner().invoke(APP, ["--version"])
     assert found.exit_code == 0 and found.output == f"obu {version('obu')}\n"
 
 
 def test_all_commands_are_found() -> None:
     assert {"demo", "solve", "record", "record repair", "papers navigation"} <= set(ALL)
+
+
+def test_the_command_line_of_a_replay_imports_neither_arrays_nor_the_web_server() -> None:
+    look = "import sys; from cli.main import command_line; command_line(['replay']); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert not {"numpy", "scipy", "fastapi", "asn1tools"} & set(done.stdout.split())

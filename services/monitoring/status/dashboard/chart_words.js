@@ -15,8 +15,7 @@ export const chartWords = {
   more: "Any number in any message can be plotted: open a topic and choose Plot beside a field.",
   moreLink: "Topics",
   silent: (titles) => `Without values in this time: ${titles}.`,
-  own: "Chosen fields",
-  ownUnit: (unit) => `in ${unit}`,
+  own: (unit) => (unit ? `Chosen fields in ${unit}` : "Chosen fields without unit"),
   noUnit: "without unit",
   remove: "remove",
   removeField: (field) => `Remove ${field}`,
@@ -62,6 +61,6 @@ export const chartWords = {
     satellites: { title: "Satellites", note: "" },
     dop: { title: "Dilution of precision", note: "" },
     heading: { title: "Heading uncertainty", note: "" },
-    ages: { title: "Ages", note: "" },
+    ages: { title: "Age of GNSS and corrections", note: "" },
   },
 };

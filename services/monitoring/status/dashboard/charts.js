@@ -55,7 +55,7 @@ function ownCharts(described) {
     const { unit = "", axis = "" } = described[field] ?? {};
     byUnit.set(unit, [...(byUnit.get(unit) ?? []), line(field, axis ? `${field} (${axis})` : field, { own: true })]);
   }
-  return [...byUnit].map(([unit, lines]) => ({ id: `own-${unit.replace(/[^a-z0-9]/gi, "_")}`, title: w.own, note: unit ? w.ownUnit(unit) : w.noUnit, unit, lines }));
+  return [...byUnit].map(([unit, lines]) => ({ id: `own-${unit.replace(/[^a-z0-9]/gi, "_")}`, title: w.own(unit), note: "", unit, lines }));
 }
 
 function topicOf(field) {

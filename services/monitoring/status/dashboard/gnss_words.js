@@ -2,7 +2,7 @@
 export const gnssWords = {
   title: "GNSS",
   loading: "The receiver's state is being read.",
-  empty: "No GNSS receiver has been received yet",
+  empty: "No message of a GNSS receiver yet",
   emptyWhy: "Sky, signals and fix appear here with the first message of a receiver. Connect it, and name its port under [sensors.gnss] in the vehicle's file.",
   emptyLink: "State of parsers.gnss",
   receivers: "Receivers",

@@ -1,4 +1,4 @@
-// The shell around the pages: who speaks, whether it is connected, one sentence on trust, and the way about.
+// The shell around the pages: unit, connection, the verdict in one sentence, and navigation.
 import { render } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { brokerAnswers, clock, connected, contract, isLive, isOld, link, nowMs, outdated, paused, remember, settings, start, state, togglePause } from "./store.js";

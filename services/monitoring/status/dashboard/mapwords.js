@@ -39,5 +39,5 @@ export const w = {
   noLibrary: "The map's library could not be loaded; the close-up view is shown instead. It is tried again when the page is opened anew.",
   loading: "Loading the map ...",
   inspect: (time, verdict, kind, level) => `${time} UTC: ${verdict}, ${kind}${level ? `, protection level ${level}` : ""}.`,
-  hint: "Click on the track to see what was known there.",
+  hint: "Click on the track: its time, verdict, navigation and protection level are shown.",
 };

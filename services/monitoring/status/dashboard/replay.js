@@ -1,5 +1,5 @@
 // The bar of a replay: play, pause, speed, and a scrubber over the whole drive with verdicts and outages.
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { clock, link, nowMs, settings, state } from "./store.js";
 import { Icon, duration, html, timeOfDay } from "./parts.js";
 import { words } from "./words.js";
@@ -62,7 +62,9 @@ export function ReplayBar() {
   const length = (replay.end_ns - replay.begin_ns) / 1e9;
   const position = Math.min(Math.max((nowMs() ?? replay.position_ns / 1e6) - replay.begin_ns / 1e6, 0) / 1000, length);
   const shown = dragged ?? position;
-  const events = eventsOf(replay);
+  const events = useMemo(() => eventsOf(replay), [replay.trust, replay.outages]);
+  // Drawn anew with the events, and not with every position: two hours have hundreds.
+  const track = useMemo(() => html`<${Track} replay=${replay} length=${length} />`, [replay.trust, replay.outages, length]);
   const following = events.find((e) => e.at > position + 1.5);
   const toggle = () => run({ command: replay.playing ? "pause" : "play" });
   const step = (s) => run({ command: "seek", position_s: Math.min(Math.max(position + s, 0), length) });
@@ -92,7 +94,7 @@ export function ReplayBar() {
     <p class="replay-time"><strong>${at.toISOString().slice(0, 10)} <time>${timeOfDay(at.getTime())}</time></strong> <span class="dim">${w.position(clockOf(shown), clockOf(length))}</span></p>
     <button onClick=${jump} disabled=${!following || !link.value.open} title=${following?.text ?? w.noEvent}>${w.next}</button>
     <p class="note" role="status">${error || (replay.lost ? w.lost : following ? w.following(following.text, clockOf(following.at)) : "")}</p>
-    <div class="replay-scrubber"><${Track} replay=${replay} length=${length} />
+    <div class="replay-scrubber">${track}
       <input type="range" min="0" max=${length} step="any" value=${shown} aria-label=${w.scrubber} aria-valuetext=${`${timeOfDay(at.getTime())}, ${duration(shown)}`}
         onInput=${(e) => { const value = Number(e.target.value); setDragged(value); seek(value); }}
         onKeyDown=${(e) => { const s = { ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10 }[e.key]; if (s) { e.preventDefault(); step(s); } }}

@@ -1,4 +1,4 @@
-// What the page knows: the state as the server told it, the link to the server, and the server's clock.
+// What the page knows: the state as the server sent it, the link to the server, and the server's clock.
 import { signal } from "@preact/signals";
 
 const BACKOFF_S = [0.5, 1, 2, 5];

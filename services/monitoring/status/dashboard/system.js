@@ -17,7 +17,7 @@ function Node({ name, onHover }) {
   const status = statusOf(name);
   return html`<li><a class="node ${STATUS_STATE[status]}" id=${`node-${name}`} href=${`#/system?node=${name}`}
     onMouseEnter=${() => onHover(name)} onMouseLeave=${() => onHover(null)} onFocus=${() => onHover(name)} onBlur=${() => onHover(null)}>
-    <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word=${words.status[status]} /><span class="sr">${name}</span><span aria-hidden="true">${short(name)}</span>${p.restarts > 0 && html`<span class="restarts">${w.restarted(p.restarts)}</span>`}</span>
+    <span class="name"><${StateIcon} state=${STATUS_STATE[status]} word=${words.status[status]} /><span class="sr">${name}</span><span aria-hidden="true">${short(name).split(/(?=_)/).map((part) => html`<wbr />${part}`)}</span>${p.restarts > 0 && html`<span class="restarts">${w.restarted(p.restarts)}</span>`}</span>
     <span class="figures">${status === "waiting" || status === "missing" ? words.status[status]
       : status !== "ready" ? html`<strong>${words.status[status]}</strong>`
       : html`<span aria-hidden="true">${[p.out_hz == null ? null : `${rate(p.out_hz)}/s`, p.latency_p99_s == null ? null : seconds(p.latency_p99_s)].filter(Boolean).join(" · ")}</span><span class="sr">${w.load(rate(p.out_hz), seconds(p.latency_p99_s))}</span>`}</span>

@@ -89,7 +89,7 @@ function PlazaCard({ t }) {
   return html`<${Card} title=${w.plaza(t.plaza.name)} id="plaza" class="plaza-card" note=${w.vehicles(t.tracks.length)}
     aside=${html`<${Age} topic="toll/tracks" stamp=${t.tracks_ns} /> <button class="link" aria-pressed=${table} onClick=${() => setTable(!table)}>${table ? words.closeup.picture : words.closeup.table}</button>`}>
     ${table ? html`<${TracksTable} t=${t} />` : html`<${Picture} t=${t} />`}
-    <ul class="legend"><li><span class="key decided"></span>${w.legend.decided}</li><li><span class="key undecided"></span>${w.legend.undecided}</li><li><span class="key unregistered"></span>${w.legend.unregistered}</li><li class="dim">${w.legend.bars}</li></ul>
+    <ul class="legend"><li><span class="lane-key decided"></span>${w.legend.decided}</li><li><span class="lane-key undecided"></span>${w.legend.undecided}</li><li><span class="lane-key unregistered"></span>${w.legend.unregistered}</li><li class="dim">${w.legend.bars}</li></ul>
   </${Card}>`;
 }
 

@@ -61,7 +61,7 @@ export const words = {
     refused: (why) => `Rejected: ${why}`,
     empty: "There is no recording",
     emptyWhy: "monitoring.recorder writes them. The page System shows whether it runs.",
-    note: "The recorder deletes the oldest recordings when the disk runs short; kept ones stay. [monitoring.status] recordings says what this page may do.",
+    note: "The recorder deletes the oldest recordings when the disk runs short; kept ones stay. The setting recordings of [monitoring.status] lists what this page may do.",
   },
 
   replay: {
@@ -79,7 +79,7 @@ export const words = {
     following: (text, at) => `Next: ${text} at ${at}`,
     outage: (what) => `outage of ${what}`,
     noAnswer: "The replay does not answer",
-    lost: "The process that plays the recording does not report; it is started again",
+    lost: "The player does not report its position; it is being restarted",
   },
 
   chain: {
@@ -512,7 +512,7 @@ export const words = {
     title: "Unit",
     note: "operating mode and filter, with reasons",
     mode: "Mode",
-    modeFor: "For",
+    modeFor: "In this mode for",
     sources: "Sources",
     none: "none chosen",
     filter: "Filter",

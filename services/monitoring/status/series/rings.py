@@ -22,7 +22,7 @@ class Ring:
         """Note a value; one that is older than the ring is dropped, and `fill` leaves what is there."""
         period, length = time_ns // self.period_ns, self._length
         if not self._cells:
-            self._cells = array("d", [nan]) * length
+            self._cells, self._newest = array("d", [nan]) * length, period
         if period > self._newest:
             for skipped in range(max(self._newest + 1, period - length + 1), period + 1):
                 self._cells[skipped % length] = nan

@@ -149,7 +149,7 @@ SENTENCES = {
 ACTIONS = {
     TrustLevel.SAFE: "Use the position within its protection level. The Trust page shows every monitor.",
     TrustLevel.CAUTION: (
-        "Use it to find your way, not where a wrong position does harm. The Trust page shows what is not evaluated."
+        "Use it for route guidance, not where a wrong position does harm. The Trust page shows what is not evaluated."
     ),
     TrustLevel.UNSAFE: (
         "Do not use the position shown. Check the antenna and leave the area of interference; the Trust page shows the "

@@ -15,7 +15,15 @@ from shared.errors import UserError
 from shared.messages.gnss import Constellation, GnssRawEpoch, RawMeasurement
 from shared.recording import RecordingWriter
 from tests.support.bus.envelopes import sent
-from tests.support.drives.meridian import BEGIN_NS, LATITUDE_DEG, LONGITUDE_DEG, NORTH_M_S, SECOND, record, solution
+from tests.support.drives.meridian import (
+    BEGIN_NS,
+    LATITUDE_DEG,
+    LONGITUDE_DEG,
+    NORTH_M_S,
+    SECOND,
+    record,
+    solution,
+)
 
 SECONDS = 20
 GPX = {"g": "http://www.topografix.com/GPX/1/1"}

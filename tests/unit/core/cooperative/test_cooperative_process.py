@@ -15,7 +15,7 @@ from shared.messages.navigation import NavigationPhase, NavigationState
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 from tests.support.gnss.constellation import NOW_NS, raw_epoch
-from tests.unit.core.cooperative.test_satellite_process import HERE, NS, at, informed, message, said
+from tests.unit.core.cooperative.test_satellite_process import HERE, NS, at, bits, informed, message, said
 
 TO_NED = ned_from_ecef(*geodetic_from_ecef((HERE[0], HERE[1], HERE[2]))[:2])
 OWN_OFFSET = -3e-7  # [-] of the vehicle's radio
@@ -233,3 +233,25 @@ def test_the_accuracy_is_the_largest_standard_deviation_in_any_direction(
 ) -> None:
     found = largest_sd(cov)
     assert found is sd if sd is None else found == pytest.approx(sd)
+
+
+@pytest.mark.parametrize("seed", [1, 3, 4])
+def test_while_ephemerides_are_collected_after_a_gap_nobody_is_accused(seed: int) -> None:
+    """The four satellites known first have a PDOP of 264: filters that start from them are wrong by hundreds of metres.
+
+    With such a start these seeds accuse up to two of the three neighbours for 5 to 22 epochs.
+    """
+    first = ("G08", "G12", "G18", "G21")
+    process = informed(first)
+
+    def epoch(second: int) -> RawEpoch:
+        return at(second, seed)
+
+    statements = run(process, range(1, 9), epoch)
+    others = [name for one in at(1).measurements if (name := str(one.satellite)) not in first]
+    for second, name in zip(range(11, 21), others, strict=False):  # 9 and 10 are missing
+        said(process, *bits(float(second), (name,)))
+        statements += run(process, range(second, second + 1), epoch)
+    assert not [one for one in statements if one.accused]
+    assert statements[7].outcome is MonitorOutcome.NOT_EVALUATED
+    assert by_name(statements[-1], "cooperative").reason == "with 3 neighbours"

@@ -14,7 +14,15 @@ from shared.recording import Recording
 from shared.recording.channels import RAW_FORMATS
 from shared.recording.foxglove import quaternion_enu_from_flu
 from shared.topics import TOPICS
-from tests.support.drives.meridian import BEGIN_NS, LATITUDE_DEG, LONGITUDE_DEG, NORTH_M_S, SECOND, messages, record
+from tests.support.drives.meridian import (
+    BEGIN_NS,
+    LATITUDE_DEG,
+    LONGITUDE_DEG,
+    NORTH_M_S,
+    SECOND,
+    messages,
+    record,
+)
 
 
 @pytest.fixture(scope="module")
