@@ -73,7 +73,7 @@ def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
             navigation.propagate_covariance()
         if stamps[i] % EPOCH_NS:
             continue
-        outcomes = [o for one in fixes[stamps[i] // EPOCH_NS - 1] for o in aids.hold(navigation, one)]
+        outcomes = [o for one in fixes[stamps[i] // EPOCH_NS - 1] for o in aids.use(navigation, one)]
         navigation.propagate_covariance()
         times.append(stamps[i] * 1e-9)
         errors.append(sizes_of(navigation, error_of(navigation, drive, first + i, biases[i])))
