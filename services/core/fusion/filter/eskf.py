@@ -101,16 +101,6 @@ class ErrorStateFilter:
         state = self.state
         return InertialState(state.time_ns, state.quaternion, state.velocity, Geodetic(*state.position))
 
-    @inertial.setter
-    def inertial(self, inertial: InertialState) -> None:
-        _, quaternion, velocity, (latitude, longitude, height) = inertial
-        self.state = self.state._replace(
-            quaternion=quaternion,
-            velocity=velocity,
-            position=(latitude, longitude, height),
-            earth=local_earth(latitude),
-        )
-
     @property
     def time_ns(self) -> int:
         """Instant of the state."""
@@ -164,21 +154,14 @@ class ErrorStateFilter:
     @property
     def gnss_error(self) -> FloatArray:
         """Time-correlated error of GNSS positions over its standard deviation, shape (3,)."""
-        return np.array(self.parameters[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING])
-
-    @gnss_error.setter
-    def gnss_error(self, error: FloatArray) -> None:
-        self._set_parameters(em.GNSS_ERROR, error)
+        place = em.GNSS_ERROR
+        return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
 
     @property
     def gnss_velocity_error(self) -> FloatArray:
         """Time-correlated error of GNSS velocities [m/s, NED], shape (3,)."""
         place = em.GNSS_VELOCITY_ERROR
         return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
-
-    @gnss_velocity_error.setter
-    def gnss_velocity_error(self, error: FloatArray) -> None:
-        self._set_parameters(em.GNSS_VELOCITY_ERROR, error)
 
     def _set_parameters(self, place: slice, values: FloatArray) -> None:
         begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
@@ -227,9 +210,9 @@ class ErrorStateFilter:
         self.P = predict(self.P, Phi, np.diag(Q))
         gnss_decay = Phi.item(em.GNSS_ERROR.start, em.GNSS_ERROR.start)
         if gnss_decay != 1.0:
-            self.gnss_error = gnss_decay * self.gnss_error
+            self._set_parameters(em.GNSS_ERROR, gnss_decay * self.gnss_error)
         velocity_decay = Phi.item(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.start)
-        self.gnss_velocity_error = velocity_decay * self.gnss_velocity_error
+        self._set_parameters(em.GNSS_VELOCITY_ERROR, velocity_decay * self.gnss_velocity_error)
         self.state = state._replace(span_s=0.0, velocity_gain_n=ZERO, rotation_b=ZERO)
         self._check()
         if self.recorder is not None:
@@ -246,7 +229,7 @@ class ErrorStateFilter:
         if self.recorder is not None:
             self.recorder.record_rescaling(self.time_ns, place, ratios, self.P[place])
         self.P = rescaled(self.P, place, ratios)
-        self.gnss_error = self.gnss_error / ratios
+        self._set_parameters(place, self.gnss_error / ratios)
 
     def begin_standstill(self) -> None:
         """Begin a new interval between two zero-velocity updates."""
@@ -313,7 +296,6 @@ class ErrorStateFilter:
         """Subtract errors x, shape (34,), from the state, true = estimated - x, and set the covariance P after it."""
         x: list[float] = errors.tolist()
         self.P = P
-        self.inertial = corrected(self.inertial, x[: em.MOVING])
         self.position_correction = minus(self.position_correction, x[em.POSITION])
         self.imu = ImuErrors(
             minus(self.imu.accelerometer_bias, x[em.ACCELEROMETER_BIAS]),
@@ -321,9 +303,16 @@ class ErrorStateFilter:
             minus(self.imu.accelerometer_scale, x[em.ACCELEROMETER_SCALE]),
             minus(self.imu.gyroscope_scale, x[em.GYROSCOPE_SCALE]),
         )
+        _, quaternion, velocity, (latitude, longitude, height) = corrected(self.inertial, x[: em.MOVING])
         rx, ry, rz = self.state.rate_b
         bx, by, bz = x[em.GYROSCOPE_BIAS]
-        self.state = self.state._replace(rate_b=(rx + bx, ry + by, rz + bz))
+        self.state = self.state._replace(
+            quaternion=quaternion,
+            velocity=velocity,
+            position=(latitude, longitude, height),
+            earth=local_earth(latitude),
+            rate_b=(rx + bx, ry + by, rz + bz),
+        )
         self.parameters = tuple(map(sub, self.parameters, x[em.PARAMETERS]))
         self._check()
 
@@ -332,8 +321,8 @@ class ErrorStateFilter:
         variances = self.P.diagonal().tolist()
         if not (isfinite(sum(variances)) and min(variances[: em.ACCELEROMETER_SCALE.start]) > 0.0):
             raise FilterDiverged("the covariance is not positive")
-        if (why := implausible(self.state)) is not None:
-            raise FilterDiverged(why)
+        if (violation := implausible(self.state)) is not None:
+            raise FilterDiverged(violation)
 
 
 def minus(old: Vector, errors: list[float]) -> Vector:

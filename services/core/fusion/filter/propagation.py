@@ -239,19 +239,7 @@ def propagate(  # noqa: PLR0915  # one loop
     return after, k - begin, stop.value
 
 
-@compiled
-def propagate_arrays(
-    state: State,
-    times_ns: Sequence[int] | IntArray,
-    rows: Sequence[Sequence[float]] | FloatArray,
-    begin: int,
-    end: int,
-    errors: ImuErrors,
-    limits: Limits,
-    intervals: Intervals,
-) -> tuple[State, int, int]:
-    """Compiled form of `propagate`, for arrays."""
-    return propagate(state, times_ns, rows, begin, end, errors, limits, intervals)
+propagate_arrays = compiled(propagate)  # for arrays
 
 
 def implausible(state: State) -> str | None:

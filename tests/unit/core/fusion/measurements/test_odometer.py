@@ -162,7 +162,7 @@ def backing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
     twin = copy(filter_of(aided()[0]))
     twin.propagate_covariance()
     north, east, _ = (twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([-speed_m_s, 0.0, 0.0])).tolist()
-    twin.inertial = twin.inertial._replace(velocity=(north, east, 0.0))
+    twin.state = twin.state._replace(velocity=(north, east, 0.0))
     P = twin.P.copy()
     P[em.VELOCITY] = P[:, em.VELOCITY] = 0.0
     P[em.VELOCITY, em.VELOCITY] = velocity_sd**2 * np.eye(3)
@@ -241,7 +241,7 @@ def test_wheels_that_stand_stop_a_slide_at_once() -> None:
     """An outage has left 0.2 m/s to the side and downwards; the first zero takes most of it away."""
     twin = backing(0.0, 0.3)
     slide = twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([0.0, 0.2, 0.2])
-    twin.inertial = twin.inertial._replace(velocity=(float(slide[0]), float(slide[1]), float(slide[2])))
+    twin.state = twin.state._replace(velocity=(float(slide[0]), float(slide[1]), float(slide[2])))
     twin.state = twin.state._replace(rate_b=(0.0, 0.0, 0.0))
     settings = navigator().settings
     outcome = Gate(settings).use(twin, zero := wheels(0.0, settings), zero.observe(twin))
