@@ -130,13 +130,13 @@ def rest(lasts: bool) -> list[GnssPosition]:
 
 def test_position_and_lasting_error_start_with_a_covariance_that_can_be() -> None:
     first = first_place(rest(lasts=True), UNKNOWN)
-    whole = np.block([[first.cov, first.both], [first.both.T, first.error_cov]])
+    whole = np.block([[first.cov, first.cross_cov], [first.cross_cov.T, first.error_cov]])
     assert np.linalg.eigvalsh(whole)[0] > 0.0
-    assert (np.diag(first.both) < 0.0).all()
+    assert (np.diag(first.cross_cov) < 0.0).all()
 
 
 def test_fixes_with_corrections_start_without_a_lasting_error() -> None:
     first = first_place(rest(lasts=False), UNKNOWN)
     assert first.error == (0.0, 0.0, 0.0)
-    assert not first.both.any()
+    assert not first.cross_cov.any()
     assert first.cov == pytest.approx(np.diag(SD**2) / 4.0)  # 15 s of errors of 5 s

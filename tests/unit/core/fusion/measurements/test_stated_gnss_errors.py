@@ -75,7 +75,7 @@ def test_what_is_told_is_what_a_bank_says_that_is_certain() -> None:
     one, other = first_place(fixes_at_rest(), told), first_place(fixes_at_rest(), bank)
     assert one.position == pytest.approx(other.position, abs=1e-12)
     assert one.error == pytest.approx(other.error, abs=1e-9)
-    assert one.both == pytest.approx(other.both)
+    assert one.cross_cov == pytest.approx(other.cross_cov)
 
 
 def test_a_drive_told_is_a_drive_with_a_bank_that_is_certain(monkeypatch: pytest.MonkeyPatch) -> None:
