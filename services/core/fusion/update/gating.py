@@ -79,14 +79,14 @@ class Gate:
         self._status, self.corrections, self.lever_arm = {}, Corrections(), LeverArmMonitor()
         self.comparison = comparison
 
-    def heading_error(self, observation: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> Heading | None:
+    def heading_error(self, measurement: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> Heading | None:
         """Turn that corrects the filter's heading where GNSS contradicts it; None if it does not."""
-        corrections = self.corrections.at(observation.time_ns)
-        (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, observation.lever_arm), navigation.velocity
-        self.corrections = Corrections(corrections.time_ns, corrections.velocity, corrections.tilt)
+        corrections = self.corrections.at(measurement.time_ns)
+        (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, measurement.lever_arm), navigation.velocity
+        self.corrections = corrections._replace(yaw=0.0)
         uncorrected = complex(an + vn, ae + ve) + corrections.velocity
-        self.comparison = self.comparison.turned(-corrections.yaw).after(observation, uncorrected)
-        if not self.comparison.is_wrong(observation.time_ns):
+        self.comparison = self.comparison.turned(-corrections.yaw).after(measurement, uncorrected)
+        if not self.comparison.is_wrong(measurement.time_ns):
             return None
         turn, sd = self.comparison.result()
         return Heading(turn, max(sd, CORRECTED_HEADING_SD), "matched accelerations")

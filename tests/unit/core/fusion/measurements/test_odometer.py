@@ -20,7 +20,14 @@ from services.core.fusion.navigator import Navigator
 from services.core.fusion.plausibility.zero_speeds import ZeroSpeeds
 from services.core.fusion.settings import Settings
 from services.core.fusion.update.gating import Gate
-from services.core.fusion.update.standstill_detector import QUIET_S, SMOOTHING_S, UNSETTLED, Limits, detect, is_standstill
+from services.core.fusion.update.standstill_detector import (
+    QUIET_S,
+    SMOOTHING_S,
+    UNSETTLED,
+    Limits,
+    detect,
+    is_standstill,
+)
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
