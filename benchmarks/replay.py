@@ -18,7 +18,7 @@ from typing import Any
 
 import httpx
 import psutil
-from playwright.sync_api import Browser, Page, WebSocketRoute
+from playwright.sync_api import Browser, Page
 
 from benchmarks.long_drive import write
 from shared.messages.navigation import NavigationSolution
@@ -41,7 +41,34 @@ PAGES = ("now", "map", "gnss", "charts", "trust", "system")
 POSITIONS, SCRUB_HZ = 50, 10.0
 NEAR_DEG = 2e-6  # 0.2 m: that the page shows this position and no other
 HOUR_FRAMES, FRAME_HZ, SPEED = 18_000, 5, 60.0
-PLAIN_FRAMES = "delete window.DecompressionStream"  # so that they can be repeated
+# Gives the page every frame of a replay that plays several times, numbered anew, one after another, and drops frames
+# that come faster than it takes them: on a slow machine they would else be measured as memory of the page.
+REPEATED = """(times) => {
+  delete window.DecompressionStream;
+  const waiting = [], { port1, port2 } = new MessageChannel();
+  let sequence = 0;
+  window.taken = 0;
+  const set = Object.getOwnPropertyDescriptor(WebSocket.prototype, "onmessage").set;
+  Object.defineProperty(WebSocket.prototype, "onmessage", { set(handler) {
+    waiting.length = 0;
+    set.call(this, (event) => {
+      if (waiting.length > 5) return;
+      const frame = JSON.parse(event.data);
+      const copies = frame.kind === "difference" && frame.state.replay?.position_ns != null ? times : 1;
+      if (waiting.push({ frame, copies, handler }) === 1) port2.postMessage(0);
+    });
+  } });
+  port1.onmessage = () => {
+    const next = waiting[0];
+    if (!next) return;
+    sequence += 1;
+    window.taken += 1;
+    next.handler({ data: JSON.stringify({ ...next.frame, sequence }) });
+    next.copies -= 1;
+    if (next.copies === 0) waiting.shift();
+    if (waiting.length) port2.postMessage(0);
+  };
+}"""
 # Samples what the page shows, once per picture: time [ms], latitude, longitude [deg].
 SAMPLER = """() => {
   const shown = (window.shown = []);
@@ -161,43 +188,21 @@ def _shown_after(moved: list[float], shown: list[list[float]], index: RecordingI
 def remembered(browser: Browser, drive: Path, name: str) -> Row:
     """Play the first hour at 60 times its speed, each frame 60 times: what the page's memory is before and after."""
     page = browser.new_page(viewport={"width": 1360, "height": 850})
-    page.add_init_script(PLAIN_FRAMES)
-    taken = _repeat_frames(page, round(SPEED))
+    page.add_init_script(f"({REPEATED})({SPEED:.0f})")
     with replay_of(drive) as (address, _):
         page.goto(f"{address}/#/{name}")
         page.locator("h2").first.wait_for(timeout=LIMIT_MS)
         page.wait_for_timeout(3000)
         before = _memory(page)
         httpx.post(f"{address}/api/replay", json={"command": "speed", "speed": SPEED}, timeout=5.0).raise_for_status()
-        while taken() < HOUR_FRAMES:
+        while page.evaluate("window.taken") < HOUR_FRAMES:
             page.wait_for_timeout(1000)
-        row = {"page": name, "frames": taken(), **{f"{key}_before_mb": value for key, value in before.items()},
+        row = {"page": name, "frames": page.evaluate("window.taken"),
+               **{f"{key}_before_mb": value for key, value in before.items()},
                **{f"{key}_after_mb": value for key, value in _memory(page).items()}}  # fmt: skip
     page.close()
     print(row, flush=True)
     return row
-
-
-def _repeat_frames(page: Page, times: int) -> Callable[[], int]:
-    """Give the page every frame several times, numbered anew; return what counts them."""
-    counted = [0]
-
-    def connect(route: WebSocketRoute) -> None:
-        server = route.connect_to_server()
-        sequence = [0]
-
-        def pass_on(text: str | bytes) -> None:
-            frame = json.loads(text)
-            playing = (frame["state"].get("replay") or {}).get("position_ns") is not None
-            for _ in range(times if frame["kind"] == "difference" and playing else 1):
-                sequence[0] += 1
-                route.send(json.dumps({**frame, "sequence": sequence[0]}))
-                counted[0] += 1
-
-        server.on_message(pass_on)
-
-    page.route_web_socket("**/ws*", connect)
-    return lambda: counted[0]
 
 
 def _memory(page: Page) -> dict[str, float]:

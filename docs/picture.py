@@ -29,9 +29,7 @@ LIMIT_MS = 120_000  # for a screenshot, in software and on a busy machine
 WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
 WIDE: ViewportSize = {"width": 1360, "height": 850}
 PHONE: ViewportSize = {"width": 390, "height": 844}
-# The vehicle's position is known: a picture of a machine that has just been too busy shows NO FIX.
-KNOWN = """() => !["STARTING", "INITIALISING", "NO FIX", "NO DATA", "NO CONNECTION", "BROKER LOST"]
-  .includes(document.querySelector(".banner .word")?.innerText ?? "NO DATA")"""
+UNKNOWN = ("", "STARTING", "INITIALISING", "NO FIX", "NO DATA", "NO CONNECTION", "BROKER LOST")  # words of the banner
 MORE = ("now", "map")  # pages that are shown dark and on a phone as well
 EARLIER = ("20260921T141320Z_demo.mcap", 120.0)  # a drive of this length [s] for the page Recordings
 DEMOS = (  # arguments, the topic that is waited for, the pages
@@ -93,7 +91,7 @@ def photograph(browser: Browser, base: str, names: tuple[str, ...]) -> None:
     page.set_default_timeout(LIMIT_MS)
     page.goto(base)
     page.wait_for_timeout(DRIVE_S * 1000)
-    page.wait_for_function(KNOWN)
+    wait_for_verdict(page)
     if "now" in names:
         keep(page, HERE / "dashboard.png")
     for name in names:
@@ -104,11 +102,18 @@ def photograph(browser: Browser, base: str, names: tuple[str, ...]) -> None:
             page.set_viewport_size(viewport)
             page.emulate_media(color_scheme="dark" if suffix == "-dark" else "light")
             page.wait_for_timeout((SUMMARY_S if name == "recordings" else PAGE_S) * 1000)
-            page.wait_for_function(KNOWN)
+            wait_for_verdict(page)
             keep(page, HERE / "pages" / f"{name}{suffix}.png")
         page.set_viewport_size(WIDE)
         page.emulate_media(color_scheme="light")
     page.close()
+
+
+def wait_for_verdict(page: Page) -> None:
+    """Wait until the position is known: a machine that was too busy for a moment shows NO FIX."""
+    word = page.locator(".banner .word")
+    while word.inner_text() in UNKNOWN:
+        page.wait_for_timeout(500)
 
 
 def keep(page: Page, path: Path) -> None:

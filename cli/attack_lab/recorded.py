@@ -13,6 +13,7 @@ from shared.errors import UserError
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.base import Message, RawBytes
 from shared.messages.gnss import FixType, GnssFix, GnssNavigationBits, GnssRawEpoch, GnssSatellites
+from shared.messages.imu import ImuSamples
 from shared.messages.simulation import AttackName
 from shared.messages.vehicle import VehicleSpeed, WheelSpeeds
 from shared.processes import BY_NAME as PROCESSES
@@ -68,6 +69,8 @@ def attacked(messages: Iterable[Message], attack: ScheduledAttack, start_ns: int
 
 
 def _stamp_ns(message: Message) -> int:
+    if isinstance(message, ImuSamples):
+        return message.sampled_ns[-1]
     stamp = getattr(message, "sampled_ns", None)
     return int(stamp) if stamp is not None else 0
 

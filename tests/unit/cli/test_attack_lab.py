@@ -24,6 +24,7 @@ from shared.attacks import BY_NAME, ScheduledAttack, schedule
 from shared.errors import UserError
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.gnss import FixType, GnssFix
+from shared.messages.imu import ImuSamples
 from shared.messages.simulation import AttackName
 from shared.messages.trust import TrustLevel
 from shared.messages.vehicle import VehicleSpeed
@@ -130,6 +131,15 @@ def test_attacks_on_the_odometer_scale_and_hold_the_speed() -> None:
     held = list(attacked(speeds, schedule("odometer_freeze@10:5"), 0))
     assert [m.speed_m_s for m in scaled if isinstance(m, VehicleSpeed)][9:12] == [9.0, 20.0, 22.0]
     assert [m.speed_m_s for m in held if isinstance(m, VehicleSpeed)][9:17] == [9.0] * 6 + [15.0, 16.0]
+
+
+def test_inertial_samples_which_have_a_stamp_each_stay_as_they_are() -> None:
+    one = ImuSamples(
+        received_ns=12 * NS, source="imu0", sampled_ns=(11 * NS, 12 * NS),
+        specific_force_body_m_s2=((0.0, 0.0, -9.8),) * 2, angular_rate_body_rad_s=((0.0, 0.0, 0.0),) * 2,
+    )  # fmt: skip
+    assert list(attacked([one], schedule("position_jump@10"), 0)) == [one]
+    assert list(attacked([one], schedule("odometer_scale@10"), 0)) == [one]
 
 
 def test_faults_of_satellites_are_refused_on_recordings_with_what_is_possible() -> None:
