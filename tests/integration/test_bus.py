@@ -1,4 +1,4 @@
-"""The bus and the live runtime on real brokers: what arrives, what is lost, what comes back."""
+"""The bus and the live runtime on real brokers: delivery, losses and reconnection."""
 
 import contextlib
 import itertools
@@ -50,7 +50,7 @@ def make_bus(broker: brokers.RunningBroker, tmp_path: Path) -> Iterator[Callable
         bus = Bus(process, "car", address, topics, tmp_path, observer=observer)
         made.append(bus)
         wait_for(lambda: bus.connected, bus)
-        if not observer:  # an observer shall find the retained messages itself
+        if not observer:  # an observer receives the retained messages in the test
             pump(0.1, *made)  # the broker has taken the subscriptions
         return bus
 
@@ -60,14 +60,14 @@ def make_bus(broker: brokers.RunningBroker, tmp_path: Path) -> Iterator[Callable
 
 
 def pump(seconds: float, *buses: Bus) -> list[Envelope]:
-    """Run every bus for a while and return what the last one heard."""
-    heard: list[Envelope] = []
+    """Run every bus for a while and return what the last one received."""
+    received: list[Envelope] = []
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         for bus in buses:
             got = bus.receive(0.01)
-        heard += got
-    return heard
+        received += got
+    return received
 
 
 def wait_for(condition: Callable[[], bool], *buses: Bus, limit_s: float = 10.0) -> None:
@@ -87,28 +87,28 @@ def test_a_message_arrives_as_it_was_sent_with_its_sender_and_number(make_bus: C
     sent = [raw(sensor, bytes([n])) for n in range(50)]
     for message in sent:
         sensor.publish(message)
-    heard = pump(0.3, sensor, parser)
-    assert [envelope.decode() for envelope in heard] == sent
-    assert {(e.producer, e.incarnation) for e in heard} == {("sensors.gnss", sensor.incarnation)}
-    assert [b.sequence - a.sequence for a, b in itertools.pairwise(heard)] == [1] * 49
+    received = pump(0.3, sensor, parser)
+    assert [envelope.decode() for envelope in received] == sent
+    assert {(e.producer, e.incarnation) for e in received} == {("sensors.gnss", sensor.incarnation)}
+    assert [b.sequence - a.sequence for a, b in itertools.pairwise(received)] == [1] * 49
 
 
-def test_a_process_hears_only_what_the_contract_gives_it(make_bus: Callable[[str], Bus]) -> None:
+def test_a_process_receives_only_the_topics_of_its_row(make_bus: Callable[[str], Bus]) -> None:
     sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.imu")
     sensor.publish(raw(sensor, b"x"))
     assert pump(0.2, sensor, parser) == []
 
 
-def test_a_late_observer_finds_the_state_of_every_process(make_bus: Callable[[str], Bus]) -> None:
+def test_a_late_observer_receives_the_state_of_every_process(make_bus: Callable[[str], Bus]) -> None:
     make_bus("core.fusion").receive(0.05)
     observer = make_bus("observer")
-    heard = [e for e in pump(0.3, observer) if e.topic == "health/core.fusion"]
-    health = heard[0].decode()
+    received = [e for e in pump(0.3, observer) if e.topic == "health/core.fusion"]
+    health = received[0].decode()
     assert isinstance(health, ProcessHealth)
     assert health.state == ProcessState.READY
 
 
-def test_a_farewell_is_not_a_loss(make_bus: Callable[[str], Bus]) -> None:
+def test_a_process_that_ends_regularly_is_not_lost(make_bus: Callable[[str], Bus]) -> None:
     process, observer = make_bus("core.fusion"), make_bus("observer")
     process.close()
     states = [e.decode() for e in pump(0.3, observer) if e.topic == "health/core.fusion"]
@@ -116,19 +116,19 @@ def test_a_farewell_is_not_a_loss(make_bus: Callable[[str], Bus]) -> None:
     assert states[-1].state == ProcessState.DISCONNECTED
 
 
-def test_two_processes_of_one_name_do_not_fight_at_full_speed_and_say_why(
+def test_two_processes_of_one_name_reconnect_with_pauses_and_log_the_reason(
     make_bus: Callable[[str], Bus], caplog: pytest.LogCaptureFixture
 ) -> None:
     first, second = make_bus("core.fusion"), make_bus("core.fusion")
     pump(4.0, first, second)
-    # With a pause of 0.05 s alone it would be forty times and more.
+    # With a constant pause of 0.05 s it would be more than forty.
     assert 2 <= first.reconnections + second.reconnections <= 16
     assert "does another core.fusion run on this broker?" in caplog.text
     second.close()
     wait_for(lambda: first.connected, first, limit_s=2.0)
 
 
-def test_the_bus_comes_back_after_the_broker_and_says_what_it_lost(
+def test_the_bus_reconnects_after_the_broker_and_counts_lost_messages(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
 ) -> None:
     sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
@@ -142,14 +142,14 @@ def test_the_bus_comes_back_after_the_broker_and_says_what_it_lost(
     pump(0.2, parser)
     wait_for(lambda: sensor.connected and controller.connected, sensor, controller)
     sensor.publish(raw(sensor, b"new"))
-    heard = [e.decode() for e in pump(0.5, sensor, controller, parser)]
+    received = [e.decode() for e in pump(0.5, sensor, controller, parser)]
     assert sensor.dropped == 1 and sensor.reconnections == 1
-    assert [m.data for m in heard if isinstance(m, GnssRaw)] == [b"new"]
-    assert [m.request_id for m in heard if isinstance(m, GnssConfigure)] == [7]
+    assert [m.data for m in received if isinstance(m, GnssRaw)] == [b"new"]
+    assert [m.request_id for m in received if isinstance(m, GnssConfigure)] == [7]
 
 
 class Answering:
-    """A process of the controller's kind that states what it was given."""
+    """A process of the controller that publishes a state and stores what it received."""
 
     def __init__(self) -> None:
         self.given: list[Message] = []
@@ -187,7 +187,7 @@ HOSTILE: tuple[dict[str, object], ...] = (
 )  # fmt: skip
 
 
-def test_hostile_payloads_on_a_topic_are_counted_and_the_process_goes_on(
+def test_invalid_payloads_on_a_topic_are_counted_and_the_process_continues(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus]
 ) -> None:
     parser, controller, observer = make_bus("parsers.gnss"), make_bus("controller.mode"), make_bus("observer")
@@ -197,7 +197,7 @@ def test_hostile_payloads_on_a_topic_are_counted_and_the_process_goes_on(
     with mqtt.Client(broker.port, "intruder", user="parsers.gnss") as intruder:
         intruder.connect()
         for body in (
-            b"\xff\x00", b"{}", json.dumps(good).encode(),  # nobody sent these
+            b"\xff\x00", b"{}", json.dumps(good).encode(),  # without a sender
             *(sender + json.dumps(good | wrong).encode()[1:] for wrong in HOSTILE), sender + b'"a":' + b"[" * 300_000,
             sender + b'"received_ns":' + b"9" * 310 + b"}", bytes(1 << 20),
             sender + json.dumps(good).encode()[1:],
@@ -207,15 +207,13 @@ def test_hostile_payloads_on_a_topic_are_counted_and_the_process_goes_on(
     assert len([m for m in process.given if not isinstance(m, Tick)]) == 1
     assert controller.rejects["payload"] + controller.rejects["envelope"] == 6 + len(HOSTILE)
     assert controller.rejects["payload"] >= len(HOSTILE)
-    heard = [e for e in pump(0.3, controller, observer) if e.topic == "consumed/controller.mode"]
-    journals = [m for e in heard if isinstance(m := e.decode(), Consumed)]
+    received = [e for e in pump(0.3, controller, observer) if e.topic == "consumed/controller.mode"]
+    journals = [m for e in received if isinstance(m := e.decode(), Consumed)]
     runs = [run for journal in journals for run in journal.runs if run[0] == "gnss/fix"]
     assert [(run[1], run[2], run[4]) for run in runs] == [("parsers.gnss", parser.incarnation, 1)]
 
 
-def test_what_was_said_before_the_end_is_given_back_at_the_next_start(
-    make_bus: Callable[[str], Bus], tmp_path: Path
-) -> None:
+def test_a_restarted_process_receives_its_retained_state(make_bus: Callable[[str], Bus], tmp_path: Path) -> None:
     first = make_bus("controller.mode")
     run_until(LiveReactor(Answering(), first), first, lambda: True, lambda: None)
     assert (tmp_path / "saved-navigation-last_position.json").exists()
@@ -225,9 +223,7 @@ def test_what_was_said_before_the_end_is_given_back_at_the_next_start(
     assert process.given[0] == LAST
 
 
-def test_a_saved_state_that_cannot_be_read_is_ignored_and_counted(
-    make_bus: Callable[[str], Bus], tmp_path: Path
-) -> None:
+def test_an_undecodable_saved_state_is_ignored_and_counted(make_bus: Callable[[str], Bus], tmp_path: Path) -> None:
     (tmp_path / "saved-navigation-last_position.json").write_bytes(b'{"sampled_ns": 1, "latit')
     bus, process = make_bus("controller.mode"), Answering()
     bus.receive(0.05)
@@ -272,7 +268,7 @@ def test_a_killed_process_is_declared_lost_at_once(
     process.communicate()
 
 
-def test_sigterm_ends_a_process_with_a_farewell_and_without_an_error(
+def test_sigterm_ends_a_process_regularly_and_without_an_error(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus], tmp_path: Path
 ) -> None:
     observer = make_bus("observer")
@@ -284,7 +280,7 @@ def test_sigterm_ends_a_process_with_a_farewell_and_without_an_error(
     assert "Traceback" not in output
 
 
-def test_without_a_broker_a_process_waits_and_says_so(tmp_path: Path) -> None:
+def test_without_a_broker_a_process_waits_and_logs_it(tmp_path: Path) -> None:
     process = start_process("parsers.can", 1, tmp_path)
     assert process.stdout
     patience = threading.Timer(20.0, process.kill)
@@ -300,7 +296,7 @@ def test_without_a_broker_a_process_waits_and_says_so(tmp_path: Path) -> None:
     assert "no broker at 127.0.0.1:1" in lines[0]["event"]
 
 
-def test_a_mistyped_setting_ends_in_one_sentence(tmp_path: Path) -> None:
+def test_a_mistyped_setting_is_an_error_of_one_sentence(tmp_path: Path) -> None:
     process = start_process("core.fusion", 1, tmp_path, "[core.fusion]\nlever_arm_m = [0, 0, 0]\n")
     output, _ = process.communicate(timeout=20.0)
     assert process.returncode == os.EX_CONFIG
@@ -312,7 +308,7 @@ def filler(bus: Bus, number: int) -> GnssConfigure:
     return GnssConfigure(request_id=number, source="gnss", navigation_period_s=1.0, messages=())
 
 
-def test_messages_of_qos_1_wait_for_the_broker_in_a_queue_that_forgets_the_oldest_and_counts(
+def test_messages_of_qos_1_wait_for_the_broker_in_a_bounded_queue_that_drops_the_oldest(
     broker: brokers.RunningBroker, make_bus: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shared.bus.bus.QUEUE_LENGTH", 20)
@@ -327,23 +323,23 @@ def test_messages_of_qos_1_wait_for_the_broker_in_a_queue_that_forgets_the_oldes
     wait_for(lambda: parser.connected, parser)
     pump(0.2, parser)
     wait_for(lambda: controller.connected, controller)
-    heard = [e.decode() for e in pump(1.0, controller, parser)]
-    found = [m.request_id for m in heard if isinstance(m, GnssConfigure)]
+    received = [e.decode() for e in pump(1.0, controller, parser)]
+    found = [m.request_id for m in received if isinstance(m, GnssConfigure)]
     # Mosquitto has 100 acknowledgements to wait for at most: all 20 come, in order.
     assert found == list(range(30, 50))
 
 
-def test_a_message_that_is_larger_than_a_payload_may_be_is_dropped_and_counted(make_bus: Callable[[str], Bus]) -> None:
+def test_an_oversized_message_is_dropped_and_counted(make_bus: Callable[[str], Bus]) -> None:
     sensor, parser = make_bus("sensors.gnss"), make_bus("parsers.gnss")
     oversized = GnssRaw.model_construct(received_ns=1, source="gnss", data=bytes(1 << 20))
     sensor.publish(oversized)
     sensor.publish(raw(sensor, b"next"))
-    heard = [e.decode() for e in pump(0.3, sensor, parser)]
+    received = [e.decode() for e in pump(0.3, sensor, parser)]
     assert sensor.dropped == 1 and sensor.connected and sensor.reconnections == 0
-    assert [m.data for m in heard if isinstance(m, GnssRaw)] == [b"next"]
+    assert [m.data for m in received if isinstance(m, GnssRaw)] == [b"next"]
 
 
-def test_a_process_that_does_not_take_its_messages_keeps_the_newest_and_counts_the_rest(
+def test_the_queue_of_a_blocked_process_keeps_the_newest_messages_and_counts_the_dropped(
     make_bus: Callable[[str], Bus], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shared.bus.bus.QUEUE_LENGTH", 10)
@@ -351,13 +347,13 @@ def test_a_process_that_does_not_take_its_messages_keeps_the_newest_and_counts_t
     for number in range(40):
         sensor.publish(raw(sensor, b"%d" % number))
     pump(0.2, sensor)
-    heard = [m.data for e in parser.receive(0.5) if isinstance(m := e.decode(), GnssRaw)]
-    assert heard == [b"%d" % number for number in range(30, 40)]
+    received = [m.data for e in parser.receive(0.5) if isinstance(m := e.decode(), GnssRaw)]
+    assert received == [b"%d" % number for number in range(30, 40)]
     assert parser.dropped == 30
 
 
 @pytest.mark.parametrize(
-    "garbage",
+    "data",
     [
         b"\x20\x02\0\0" + b"\x30\x05\0\x02\xc3\x28x",  # a topic that is not UTF-8
         b"\x20\x02\0\0" + b"\x30\x01\0",  # a PUBLISH that ends inside its topic
@@ -368,13 +364,13 @@ def test_a_process_that_does_not_take_its_messages_keeps_the_newest_and_counts_t
         b"\x20\x00", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"",
     ],
 )  # fmt: skip
-def test_a_broker_that_sends_garbage_ends_neither_the_loop_nor_the_reconnection(garbage: bytes, tmp_path: Path) -> None:
+def test_invalid_bytes_from_the_broker_end_neither_the_loop_nor_the_reconnection(data: bytes, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         bus = Bus("core.fusion", "car", BrokerAddress("127.0.0.1", server.getsockname()[1]), (), tmp_path)
         for _ in range(3):
             wait_for(lambda: bool(select.select([server], [], [], 0.0)[0]), bus)
             with contextlib.closing(server.accept()[0]) as connection:
-                connection.sendall(garbage)
+                connection.sendall(data)
                 for _ in range(4):
                     bus.receive(0.02)
             wait_for(lambda: not bus.connected, bus)

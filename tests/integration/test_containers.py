@@ -1,4 +1,4 @@
-"""The unit as `docker compose up` runs it: healthy, without rights, and back after each kind of death.
+"""The unit as `docker compose up` runs it: healthy, without privileges, and restarted after each kind of failure.
 
 It takes two minutes, and three with an empty build cache, so it is marked slow: `make containers` runs it. It skips
 where there is no engine with Compose, or where the base images can neither be found nor fetched.
@@ -31,7 +31,7 @@ MEMORY_BYTES = 700e6
 
 
 def run(*command: str, environment: dict[str, str] | None = None, timeout_s: float = 60.0) -> str:
-    """Run a command to its end; its standard output, or a failure that shows what it said."""
+    """Run a command to its end; its standard output, or a failure with its error output."""
     result = subprocess.run(
         command, cwd=ROOT, env={**os.environ, **(environment or {})}, timeout=timeout_s, capture_output=True, text=True,
         check=False,
@@ -93,7 +93,7 @@ class Unit:
             "-c", f"import os; os.kill({pid}, {int(number)})")  # fmt: skip
 
     def health_check(self, service: str) -> str:
-        """Run a container's health check now; what it finds wrong."""
+        """Run a container's health check; return its output if it fails."""
         command = ["docker", "exec", f"{self.project}-{service}-1", "python", "-S", "deploy/healthcheck.py"]
         return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False).stderr.strip()
 
@@ -118,13 +118,13 @@ def unit() -> Iterator[Unit]:
         running.compose("down", "--volumes", "--timeout", "5", timeout_s=60)
 
 
-def test_every_process_comes_up_and_the_vehicle_is_located(unit: Unit) -> None:
+def test_every_process_starts_and_a_position_is_published(unit: Unit) -> None:
     eventually(unit.is_well, within_s=60)
     topics = cast("dict[str, dict[str, object]]", unit.get("/api/state")["topics"])
     assert topics["navigation/solution"]
 
 
-def test_no_process_is_root_and_none_has_a_capability(unit: Unit) -> None:
+def test_no_process_runs_as_root_or_with_a_capability(unit: Unit) -> None:
     for service, uid in [*((service, "10001") for service in SERVICES), ("broker", "1883")]:
         status = dict(
             line.split(":\t", 1) for line in unit.compose("exec", "-T", service, "cat", "/proc/1/status").splitlines()
@@ -135,20 +135,20 @@ def test_no_process_is_root_and_none_has_a_capability(unit: Unit) -> None:
         assert status["NoNewPrivs"] == "1", service
 
 
-def test_the_program_cannot_be_changed_from_inside(unit: Unit) -> None:
+def test_the_file_system_of_a_container_is_read_only(unit: Unit) -> None:
     attempt = "import pathlib; pathlib.Path('/opt/obu/services/x.py').write_text('')"
     with pytest.raises(AssertionError, match=r"Read-only file system|Permission denied"):
         unit.compose("exec", "-T", "core-fusion", "python", "-c", attempt)
     assert unit.inspect("core-fusion", "{{.HostConfig.ReadonlyRootfs}}") == "true"
 
 
-def test_only_the_dashboard_is_reached_from_outside(unit: Unit) -> None:
+def test_only_the_port_of_the_dashboard_is_open(unit: Unit) -> None:
     published = {s for s in [*SERVICES, "broker"] if unit.inspect(s, "{{json .HostConfig.PortBindings}}") != "{}"}
     assert published == {"monitoring-status"}
     assert run("docker", "network", "inspect", "--format", "{{.Internal}}", f"{unit.project}_bus").strip() == "true"
 
 
-def test_a_killed_process_comes_back(unit: Unit) -> None:
+def test_a_killed_process_is_restarted(unit: Unit) -> None:
     before = unit.inspect("core-fusion", "{{.State.StartedAt}}")
     unit.signal("core-fusion", signal.SIGKILL)
     eventually(lambda: unit.inspect("core-fusion", "{{.State.StartedAt}}") != before, within_s=20)
@@ -156,7 +156,7 @@ def test_a_killed_process_comes_back(unit: Unit) -> None:
     assert unit.inspect("core-fusion", "{{.RestartCount}}") == "1"
 
 
-def test_everything_is_back_after_the_broker_was_killed_and_no_process_ended_by_it(unit: Unit) -> None:
+def test_after_a_kill_of_the_broker_all_processes_reconnect_without_a_restart(unit: Unit) -> None:
     restarts = {service: unit.inspect(service, "{{.RestartCount}}") for service in SERVICES}
     unit.signal("broker", signal.SIGKILL)
     eventually(lambda: unit.inspect("broker", "{{.RestartCount}}") == "1", within_s=20)
@@ -182,7 +182,7 @@ def test_a_process_that_hangs_becomes_unhealthy(unit: Unit) -> None:
     eventually(unit.is_well, within_s=30)
 
 
-def test_the_unit_fits_a_small_machine(unit: Unit) -> None:
+def test_the_unit_is_within_its_memory_limit(unit: Unit) -> None:
     names = [f"{unit.project}-{service}-1" for service in [*SERVICES, "broker"]]
     lines = run("docker", "stats", "--no-stream", "--format", "{{.MemUsage}}", *names).splitlines()
     sizes = [line.split("/")[0].strip() for line in lines]
@@ -191,7 +191,7 @@ def test_the_unit_fits_a_small_machine(unit: Unit) -> None:
     assert sum(float(size[:-3]) * factors[size[-3:]] for size in sizes) < MEMORY_BYTES
 
 
-def test_told_to_stop_every_process_ends_by_itself(unit: Unit) -> None:
+def test_every_process_ends_on_sigterm(unit: Unit) -> None:
     unit.compose("stop", timeout_s=60)
     assert {service: unit.inspect(service, "{{.State.ExitCode}}") for service in SERVICES} == dict.fromkeys(
         SERVICES, "0"

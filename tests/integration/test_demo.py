@@ -50,21 +50,21 @@ class Demo:
     folder: Path
 
     def get(self, path: str) -> dict[str, object]:
-        """Ask the API; an empty answer while it is away."""
+        """Request from the API; an empty answer while it is not reachable."""
         try:
             return dict(httpx.get(f"http://127.0.0.1:{self.port}{path}", timeout=2.0).json())
         except (httpx.HTTPError, json.JSONDecodeError):
             return {}
 
     def child(self, mark: str) -> psutil.Process:
-        """Find a process of this demo by what stands in its command line."""
+        """Find a process of this demo by its command line."""
         for process in psutil.Process(self.process.pid).children(recursive=True):
             if mark in " ".join(process.cmdline()):
                 return process
         raise AssertionError(f"no child with {mark!r}")
 
     def wait(self, condition: Callable[[], bool], limit_s: float, what: str) -> float:
-        """Wait for a condition and say how long it took."""
+        """Wait for a condition; return the seconds that it took."""
         started = time.monotonic()
         while not condition():
             assert time.monotonic() - started < limit_s, f"not within {limit_s} s: {what}"
@@ -72,7 +72,7 @@ class Demo:
         return time.monotonic() - started
 
     def statuses(self) -> dict[str, str]:
-        """Say how each process looks from outside."""
+        """Give the state of each process as the API shows it."""
         processes = self.get("/api/health").get("processes", {})
         assert isinstance(processes, dict)
         return {name: str(entry["status"]) for name, entry in processes.items()}
@@ -82,7 +82,7 @@ class Demo:
         return set(found) == SIMULATED and set(found.values()) == {"ready"}
 
     def solutions(self) -> int:
-        """Count the solutions that the page has seen."""
+        """Count the solutions that the page has received."""
         entry = self.get("/api/topics/navigation/solution")
         return int(str(entry.get("count", 0)))
 
@@ -214,7 +214,7 @@ def assert_live_and_offline_agree(messages: list[Message], vehicle: Path) -> Non
         (["import", "gone.toml", "."], "gone.toml"),
     ],
 )
-def test_a_mistake_of_the_user_is_answered_in_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
+def test_a_user_error_is_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "cli", *arguments], capture_output=True, text=True, timeout=60, check=False,
         env=os.environ | {"OBU_STATE": str(tmp_path)},
@@ -224,7 +224,7 @@ def test_a_mistake_of_the_user_is_answered_in_one_sentence(arguments: list[str],
     assert "Traceback" not in done.stderr
 
 
-def test_a_port_in_use_sends_the_dashboard_to_a_free_one(tmp_path: Path) -> None:
+def test_with_its_port_in_use_the_dashboard_uses_a_free_one(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -1,4 +1,4 @@
-"""While a satellite is excluded, the least-squares fix of core.cooperative takes the place of the receiver's own."""
+"""While a satellite is excluded, the least-squares fix of core.cooperative replaces that of the receiver."""
 
 from collections.abc import Iterator
 from math import degrees, radians
@@ -28,7 +28,7 @@ def drive() -> list[Message]:
 
 
 def faulty(drive: list[Message]) -> Iterator[Message]:
-    """The drive with a longer pseudorange of one satellite for ten seconds, and the receiver's fixes that follow it."""
+    """The drive with a longer pseudorange of one satellite for ten seconds, and the resulting fixes of the receiver."""
     origin_ns = next(one.sampled_ns for one in drive if isinstance(one, GnssFix))
     for one in drive:
         since_ns = one.sampled_ns - origin_ns if isinstance(one, GnssFix | GnssRawEpoch) else 0
@@ -53,7 +53,7 @@ def published(drive: list[Message]) -> list[Message]:
     return list(OfflineUnit(parse_vehicle(""), CORE).run(faulty(drive)))
 
 
-def test_the_fault_free_fix_takes_the_place_of_the_receivers_own(published: list[Message]) -> None:
+def test_the_fault_free_fix_replaces_that_of_the_receiver(published: list[Message]) -> None:
     replaced = {one.sampled_ns for one in published if isinstance(one, FaultFreeFix)}
     assert len(replaced) >= 5
     used = {
@@ -65,7 +65,7 @@ def test_the_fault_free_fix_takes_the_place_of_the_receivers_own(published: list
     assert max(abs(one.innovation[0]) for one in used.values()) < MOVED_M / 2.0, "not those of the receiver"
 
 
-def test_a_satellite_that_is_left_out_of_the_position_is_a_finding_and_no_reason_to_doubt(
+def test_an_excluded_satellite_is_a_finding_and_no_accusation(
     published: list[Message],
 ) -> None:
     accusing = [

@@ -1,4 +1,4 @@
-"""What gpsd, which is not ours, makes of the simulated receiver's bytes."""
+"""The bytes of the simulated receiver, decoded by gpsd."""
 
 import json
 import math
@@ -27,8 +27,8 @@ from shared.runtime.config import BrokerAddress
 from tests.support.bus import simulated
 
 NS = 1_000_000_000
-START_NS = time.time_ns()  # gpsd mistrusts times far from its own clock
-SPEED_UP = 16.0  # gpsd stamps nothing with its own clock that this test reads
+START_NS = time.time_ns()  # gpsd rejects times far from its own clock
+SPEED_UP = 16.0  # this test reads no stamps of gpsd's own clock
 LIMIT_S = 12.0
 Report = dict[str, Any]  # JSON of gpsd
 
@@ -99,7 +99,7 @@ def reports(protocol: str, wanted: int) -> tuple[list[Report], list[Report], lis
 
 
 @pytest.mark.parametrize("protocol", ["ubx", "nmea"])
-def test_gpsd_finds_the_vehicle_where_it_is(protocol: str) -> None:
+def test_gpsd_decodes_the_true_position(protocol: str) -> None:
     positions, _, truth = reports(protocol, 40)
     assert len(positions) >= 20
     assert {report["mode"] for report in positions[5:]} == {3}
@@ -117,7 +117,7 @@ def test_gpsd_finds_the_vehicle_where_it_is(protocol: str) -> None:
     assert yaw_rad is not None and last["track"] == pytest.approx(math.degrees(yaw_rad), abs=0.5)
 
 
-def test_gpsd_sees_the_satellites_and_the_accuracy_that_the_receiver_states() -> None:
+def test_gpsd_decodes_satellites_and_stated_accuracy() -> None:
     positions, skies, _ = reports("ubx", 10)
     assert positions[-1]["eph"] == pytest.approx(math.hypot(0.01, 0.01), abs=0.001)
     assert positions[-1]["epv"] == pytest.approx(0.015, abs=0.001)
@@ -126,8 +126,8 @@ def test_gpsd_sees_the_satellites_and_the_accuracy_that_the_receiver_states() ->
 
 
 @pytest.mark.skipif(shutil.which("gpsdecode") is None, reason="gpsdecode is not installed: apt install gpsd-clients")
-def test_what_obu_tail_raw_writes_into_a_pipe_is_read_by_gpsdecode(tmp_path: Path) -> None:
-    """The bytes are those of the device, and reach the pipe while the unit runs."""
+def test_gpsdecode_reads_the_output_of_obu_tail_raw(tmp_path: Path) -> None:
+    """The device bytes are written to the pipe while the unit runs."""
     broker = simulated.start(tmp_path)
     environment = os.environ | {"OBU_BROKER": f"mqtt://127.0.0.1:{broker.port}", "OBU_STATE": str(tmp_path)}
     command = [sys.executable, "-m", "cli", "tail", "--raw", "gnss/raw", "--count", "60"]

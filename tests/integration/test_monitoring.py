@@ -43,11 +43,11 @@ def broker(
 
 
 class Unit:
-    """Processes of their own, buses of this test, and everything that an observer hears."""
+    """Processes of their own, buses of this test, and everything that an observer receives."""
 
     def __init__(self, port: int, folder: Path) -> None:
         self._address, self._folder = BrokerAddress("127.0.0.1", port), folder
-        self.heard: list[Envelope] = []
+        self.received: list[Envelope] = []
         self.processes: list[subprocess.Popen[bytes]] = []
         self.buses: list[Bus] = []
         self.observer = self.bus("observer")
@@ -65,7 +65,7 @@ class Unit:
             command = [sys.executable, "-m", "cli", "run", name]
             process = subprocess.Popen(command, env=os.environ, stdout=log, stderr=log)
         self.processes.append(process)
-        self.until(lambda: any(e.topic == f"health/{name}" for e in self.heard))
+        self.until(lambda: any(e.topic == f"health/{name}" for e in self.received))
         return process
 
     def until(self, condition: Callable[[], bool], each: Callable[[], None] = lambda: None) -> None:
@@ -74,22 +74,22 @@ class Unit:
             assert time.monotonic() < deadline, "it did not happen in time"
             each()
             for bus in self.buses:
-                heard = bus.receive(0.004)
+                received = bus.receive(0.004)
                 if bus is self.buses[0]:
-                    self.heard += heard
+                    self.received += received
 
     def wait(self, seconds: float, each: Callable[[], None] = lambda: None) -> None:
         until = time.monotonic() + seconds
         self.until(lambda: time.monotonic() >= until, each)
 
-    def said(self, topic: str) -> list[Message]:
-        return [envelope.decode() for envelope in self.heard if envelope.topic == topic]
+    def published(self, topic: str) -> list[Message]:
+        return [envelope.decode() for envelope in self.received if envelope.topic == topic]
 
     def outages(self) -> dict[str, Outage]:
-        return {message.what: message for message in self.said("outage/event") if isinstance(message, Outage)}
+        return {message.what: message for message in self.published("outage/event") if isinstance(message, Outage)}
 
     def causes(self) -> dict[str, str | None]:
-        reports = [message for message in self.said("deadline/report")[-1:] if isinstance(message, DeadlineReport)]
+        reports = [message for message in self.published("deadline/report")[-1:] if isinstance(message, DeadlineReport)]
         return {age.topic: age.cause for report in reports for age in report.topics}
 
     def close(self) -> None:
@@ -115,11 +115,11 @@ def imu_publisher(bus: Bus) -> Callable[[], None]:
 
 
 def run_command(code: str) -> subprocess.Popen[bytes]:
-    """Run a command in a process of its own: two observers in one would take each other's connection."""
+    """Run a command in a process of its own: two observers of one name would end each other's connection."""
     return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
 
 
-def test_a_recorder_that_is_killed_loses_at_most_a_second(unit: Unit, tmp_path: Path) -> None:
+def test_a_killed_recorder_loses_at_most_one_second(unit: Unit, tmp_path: Path) -> None:
     recorder = unit.start("monitoring.recorder")
     bus = unit.bus("sensors.imu")
     unit.wait(2.0, imu_publisher(bus))
@@ -139,7 +139,7 @@ def test_a_recorder_that_is_killed_loses_at_most_a_second(unit: Unit, tmp_path: 
     assert raw[0].source == "imu0"
 
 
-def test_a_killed_process_is_an_outage_at_once_and_the_cause_of_what_follows(unit: Unit) -> None:
+def test_a_killed_process_is_an_outage_at_once_and_the_cause_of_dependent_outages(unit: Unit) -> None:
     unit.start("monitoring.health")
     parser = unit.start("parsers.imu")
     bus = unit.bus("sensors.imu")
@@ -155,7 +155,7 @@ def test_a_killed_process_is_an_outage_at_once_and_the_cause_of_what_follows(uni
         data = xbus.encode_mtdata2({kind: xbus.encode_field(kind, *value) for kind, value in values.items()})
         bus.publish(ImuRaw(received_ns=bus.now_ns(), source="imu0", data=data))
 
-    unit.until(lambda: len(unit.said("imu/sample")) > 50, sample)
+    unit.until(lambda: len(unit.published("imu/sample")) > 50, sample)
     parser.kill()
     killed_ns = bus.now_ns()
     unit.until(lambda: "parsers.imu" in unit.outages(), sample)
@@ -172,7 +172,7 @@ def test_a_broker_that_restarts_is_one_outage_with_its_duration(unit: Unit, brok
     unit.start("monitoring.health")
     unit.start("parsers.can")
     unit.wait(0.3)
-    unit.heard.clear()
+    unit.received.clear()
     broker.stop()
     stopped = time.monotonic()
     while time.monotonic() < stopped + 0.7:
@@ -189,7 +189,7 @@ def test_a_broker_that_restarts_is_one_outage_with_its_duration(unit: Unit, brok
     assert away_s - 0.5 < (outage.until_ns - outage.since_ns) * 1e-9 < away_s + 2.5
 
 
-def test_a_recording_by_hand_holds_what_was_said(unit: Unit, tmp_path: Path) -> None:
+def test_a_manual_recording_holds_the_published_messages(unit: Unit, tmp_path: Path) -> None:
     bus = unit.bus("sensors.imu")
     command = run_command(
         "from pathlib import Path; from cli.recordings.record import record;"
@@ -208,7 +208,7 @@ def test_a_recording_by_hand_holds_what_was_said(unit: Unit, tmp_path: Path) -> 
     assert numbers == list(range(numbers[0], numbers[-1] + 1))
 
 
-def test_a_replay_sends_the_bytes_again_with_stamps_of_now_and_says_that_it_is_one(unit: Unit, tmp_path: Path) -> None:
+def test_a_replay_publishes_the_bytes_with_present_stamps_and_the_origin_replay(unit: Unit, tmp_path: Path) -> None:
     path, then_ns = tmp_path / "drive.mcap", 1_600_000_000_000_000_000
     writer = RecordingWriter(path)
     for k in range(80):
@@ -223,7 +223,7 @@ def test_a_replay_sends_the_bytes_again_with_stamps_of_now_and_says_that_it_is_o
     assert done.result() == 0
     unit.wait(0.3)
 
-    played = [envelope for envelope in unit.heard if envelope.topic == "imu/raw"]
+    played = [envelope for envelope in unit.received if envelope.topic == "imu/raw"]
     bytes_again = [message for envelope in played if isinstance(message := envelope.decode(), ImuRaw)]
     assert [message.data for message in bytes_again] == [b"%d" % k for k in range(80)]
     stamps = [message.received_ns for message in bytes_again]
@@ -231,13 +231,13 @@ def test_a_replay_sends_the_bytes_again_with_stamps_of_now_and_says_that_it_is_o
     assert abs(stamps[0] - played[0].received_ns) < 500_000_000
     took_s = (played[-1].received_ns - played[0].received_ns) * 1e-9
     assert took_s == pytest.approx(79 * 0.02 / 2.0, abs=0.3)
-    assert not unit.said("mode/state")
-    [origin, *_] = unit.said("origin/state")
+    assert not unit.published("mode/state")
+    [origin, *_] = unit.published("origin/state")
     assert isinstance(origin, Origin)
     assert (origin.kind, origin.name, origin.speed) == (OriginKind.REPLAY, "drive", 2.0)
 
 
-def test_a_replay_refuses_a_bus_that_carries_other_data(unit: Unit, tmp_path: Path) -> None:
+def test_a_replay_is_rejected_on_a_bus_with_live_data(unit: Unit, tmp_path: Path) -> None:
     bus = unit.bus("sensors.imu")
     bus.publish(Origin(now_ns=bus.now_ns(), kind=OriginKind.LIVE, name="car"))
     writer = RecordingWriter(tmp_path / "drive.mcap")
@@ -249,7 +249,7 @@ def test_a_replay_refuses_a_bus_that_carries_other_data(unit: Unit, tmp_path: Pa
         play_onto(tmp_path / "drive.mcap", 1.0, broker_address(), None)
 
 
-def test_commands_without_a_broker_say_what_to_try(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_without_a_broker_fail_with_a_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cli.recordings.common.PATIENCE_S", 0.5)
     monkeypatch.setenv("OBU_BROKER", "mqtt://127.0.0.1:1")
     monkeypatch.setenv("OBU_STATE", str(tmp_path))

@@ -70,7 +70,7 @@ def test_a_drive_is_shown_in_recorded_time_as_a_replay(address: str) -> None:
     assert shown["solution"]["latitude_deg"] == pytest.approx(latitude_deg, abs=2e-5)
 
 
-def test_a_jump_back_shows_nothing_newer_and_the_minute_before_it(address: str) -> None:
+def test_after_a_jump_back_nothing_newer_and_the_minute_before_it_is_shown(address: str) -> None:
     command(address, command="pause")
     command(address, command="seek", position_s=500.0)
     eventually(lambda: shown_s(address) == pytest.approx(500.0, abs=0.11))
@@ -93,7 +93,7 @@ def test_a_jump_back_shows_nothing_newer_and_the_minute_before_it(address: str) 
     assert [outage["what"] for outage in events()["outages"]] == ["sensors.imu"]
 
 
-def test_recorded_time_passes_at_the_speed_that_was_asked_for_and_not_while_paused(address: str) -> None:
+def test_recorded_time_passes_at_the_requested_speed_and_not_while_paused(address: str) -> None:
     command(address, command="seek", position_s=10.0)
     command(address, command="speed", speed=10.0)
     command(address, command="play")
@@ -109,7 +109,7 @@ def test_recorded_time_passes_at_the_speed_that_was_asked_for_and_not_while_paus
     command(address, command="speed", speed=1.0)
 
 
-def test_the_scrubber_shows_ten_positions_a_second(address: str) -> None:
+def test_at_least_16_of_20_seeks_in_two_seconds_are_shown(address: str) -> None:
     command(address, command="pause")
     shown: set[int] = set()
     with connect(address.replace("http", "ws") + "/ws", max_size=None) as socket, httpx.Client(timeout=5.0) as client:
@@ -131,7 +131,7 @@ def test_the_scrubber_shows_ten_positions_a_second(address: str) -> None:
     assert len(reached) >= 16, f"only {reached} of 20 positions in two seconds"
 
 
-def test_no_other_site_commands_a_replay_and_bad_commands_are_refused(address: str) -> None:
+def test_replay_commands_of_other_origins_and_invalid_ones_are_rejected(address: str) -> None:
     body = {"command": "pause"}
     foreign = httpx.post(f"{address}/api/replay", json=body, headers={"Origin": "http://evil.example"}, timeout=5.0)
     assert foreign.status_code == 403

@@ -28,17 +28,17 @@ def statements(scenario: str, seed: int, duration_s: float) -> list[TrustMonitor
 
 
 @pytest.mark.parametrize(("scenario", "seed"), [("parking_lot", 1), ("urban", 2), ("degraded", 3)])
-def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_there(scenario: str, seed: int) -> None:
+def test_a_minute_of_the_simulator_passes_once_the_ephemerides_are_complete(scenario: str, seed: int) -> None:
     found = statements(scenario, seed, 60.0)
     assert {one.monitor for one in found} == {"satellites"} and len(found) > 55
-    begin, rest = found[0], found[EPHEMERIDES_S + 2 :]
+    begin, later = found[0], found[EPHEMERIDES_S + 2 :]
     assert begin.outcome is MonitorOutcome.NOT_EVALUATED and begin.reason
     assert "ephemerides of 0 of" in found[10].reason
-    assert {one.outcome for one in rest} == {MonitorOutcome.PASS} and len(rest) > 20
-    assert all(one.statistic is not None and one.threshold and one.statistic < one.threshold for one in rest)
+    assert {one.outcome for one in later} == {MonitorOutcome.PASS} and len(later) > 20
+    assert all(one.statistic is not None and one.threshold and one.statistic < one.threshold for one in later)
 
 
-def test_a_tunnel_is_not_evaluated_and_says_so() -> None:
+def test_in_a_tunnel_the_monitor_is_not_evaluated_with_a_reason() -> None:
     found = statements("tunnel", 1, 80.0)
     assert found[-1].outcome is MonitorOutcome.NOT_EVALUATED
     assert found[-1].reason == "no raw measurements of GPS L1 or Galileo E1 in this epoch"
@@ -54,26 +54,26 @@ def pushed(epoch: GnssRawEpoch, row: int) -> GnssRawEpoch:
 
 
 def with_push(row: int) -> Iterator[tuple[str, TrustMonitor]]:
-    """Name of the pushed satellite, and the statement of each epoch; the push begins with `PUSHED_EPOCH`."""
+    """Name of the satellite with an error from `PUSHED_EPOCH` on, and the statement of each epoch."""
     process, epochs = Process(Config()), 0
     for message in OfflineUnit(parse_vehicle(""), ("parsers.gnss",)).run(messages("parking_lot", 1, 50.0)):
         if isinstance(message, GnssRawEpoch):
             epochs += 1
             one = message.measurements[row]
             name = f"{'G' if one.constellation.value == 'gps' else 'E'}{one.number:02d}"
-            for said in process.handle(pushed(message, row) if epochs >= PUSHED_EPOCH else message):
-                if isinstance(said, TrustMonitor):
-                    yield name, said
+            for statement in process.handle(pushed(message, row) if epochs >= PUSHED_EPOCH else message):
+                if isinstance(statement, TrustMonitor):
+                    yield name, statement
         elif isinstance(message, GnssFix | GnssNavigationBits):
             assert not list(process.handle(message))
 
 
 @pytest.mark.parametrize("row", [0, 3, 8, 12])
-def test_a_push_of_50_m_on_one_satellite_is_excluded_in_its_epoch(row: int) -> None:
+def test_a_pseudorange_error_of_50_m_on_one_satellite_is_excluded_in_its_epoch(row: int) -> None:
     found = list(with_push(row))
     (_, before), (name, at_once), *later = found[PUSHED_EPOCH - 2 :]
     assert before.outcome is MonitorOutcome.PASS
-    for said in (at_once, *(said for _, said in later)):
-        assert (said.outcome, said.accused) == (MonitorOutcome.ACCUSES, (name,))
-        assert said.suspect_since_ns == before.sampled_ns
-        assert said.statistic is not None and said.threshold is not None and said.statistic < said.threshold
+    for one in (at_once, *(statement for _, statement in later)):
+        assert (one.outcome, one.accused) == (MonitorOutcome.ACCUSES, (name,))
+        assert one.suspect_since_ns == before.sampled_ns
+        assert one.statistic is not None and one.threshold is not None and one.statistic < one.threshold

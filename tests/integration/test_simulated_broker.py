@@ -70,7 +70,7 @@ def test_mosquittos_own_clients_exchange_messages(handle: Handle) -> None:
 
 
 @pytest.mark.broker
-def test_mosquitto_sub_gets_the_retained_message(handle: Handle) -> None:
+def test_mosquitto_sub_receives_the_retained_message(handle: Handle) -> None:
     command = mosquitto_client("mosquitto_pub", handle.port, "-t", "car/state", "-r", "-m", "kept")
     subprocess.run(command, check=True, timeout=5)
     command = mosquitto_client("mosquitto_sub", handle.port, "-t", "car/state", "-C", "1", "-F", "%r %p")
@@ -80,7 +80,9 @@ def test_mosquitto_sub_gets_the_retained_message(handle: Handle) -> None:
 
 @pytest.mark.broker
 @pytest.mark.parametrize("killed", [True, False])
-def test_mosquitto_subs_will_is_sent_when_it_is_killed_and_not_when_it_is_done(handle: Handle, killed: bool) -> None:
+def test_the_will_of_mosquitto_sub_is_published_when_it_is_killed_and_not_when_it_ends(
+    handle: Handle, killed: bool
+) -> None:
     will = ("--will-topic", "car/lost", "--will-payload", "lost", "--will-qos", "1")
     with Client(handle.port) as client:
         client.connect()
@@ -91,11 +93,11 @@ def test_mosquitto_subs_will_is_sent_when_it_is_killed_and_not_when_it_is_done(h
         else:
             client.publish("enough", "x")
         listener.communicate(timeout=5)
-        assert client.hears_nothing() is not killed
+        assert client.receives_nothing() is not killed
 
 
 @pytest.mark.broker
-def test_mosquitto_pub_of_mqtt_5_is_told_that_its_version_is_not_spoken(handle: Handle) -> None:
+def test_mosquitto_pub_with_mqtt_5_is_rejected_for_its_version(handle: Handle) -> None:
     command = [*mosquitto_client("mosquitto_pub", handle.port), "-t", "x", "-m", "x", "-V", "5"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
     assert done.returncode
@@ -150,7 +152,9 @@ def test_a_client_of_another_protocol_is_rejected_and_disconnected(handle: Handl
         raw_mqtt.packet(0xF0, b""),
     ],
 )
-def test_a_client_that_breaks_the_protocol_is_disconnected_with_its_will(handle: Handle, sent: bytes) -> None:
+def test_a_client_that_violates_the_protocol_is_disconnected_and_its_will_published(
+    handle: Handle, sent: bytes
+) -> None:
     refused = handle.broker.counters.counts["protocol error"]
     with raw_mqtt.connect(handle.port, "breaker", user="tester") as raw:
         raw.sendall(sent)
@@ -159,7 +163,7 @@ def test_a_client_that_breaks_the_protocol_is_disconnected_with_its_will(handle:
     assert serves(handle)
 
 
-def test_no_stream_of_bytes_stops_the_broker(handle: Handle, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_broker_survives_any_stream_of_bytes(handle: Handle, caplog: pytest.LogCaptureFixture) -> None:
     """300 connections send packets with changed bytes; asyncio would log an exception that the broker lets out."""
     generator = random.Random(7)
     proper = [
@@ -188,14 +192,14 @@ def test_no_stream_of_bytes_stops_the_broker(handle: Handle, caplog: pytest.LogC
 # Its own limits
 
 
-def test_connections_that_never_say_connect_are_closed() -> None:
+def test_connections_without_a_connect_packet_are_closed() -> None:
     with simulated.start(limits=Limits(connect_within_s=0.2)) as handle:
         with socket.create_connection(("127.0.0.1", handle.port), timeout=2) as raw:
             assert raw.recv(100) == b"", "closed"
         assert serves(handle)
 
 
-def test_sessions_subscriptions_and_retained_messages_have_an_end() -> None:
+def test_the_numbers_of_sessions_subscriptions_and_retained_messages_are_bounded() -> None:
     limits = Limits(sessions=2, subscriptions=2, retained=2)
     with simulated.start(limits=limits) as handle, Client(handle.port) as first, Client(handle.port) as second:
         assert first.connect() == 0
@@ -209,7 +213,7 @@ def test_sessions_subscriptions_and_retained_messages_have_an_end() -> None:
         assert handle.broker.counters.counts["retained full"] == 1
 
 
-def test_a_client_that_asks_a_lot_and_reads_is_served_on() -> None:
+def test_a_client_with_many_requests_that_reads_stays_connected() -> None:
     with simulated.start(limits=Limits(unread_bytes=0)) as handle:
         with raw_mqtt.connect(handle.port, "curious", "tester") as curious:
             curious.sendall(raw_mqtt.packet(0xC0, b"") * 10_000)
@@ -217,7 +221,7 @@ def test_a_client_that_asks_a_lot_and_reads_is_served_on() -> None:
         assert handle.broker.counters.counts["unread"] == 0
 
 
-def test_shared_subscriptions_are_refused(handle: Handle) -> None:
+def test_shared_subscriptions_are_rejected(handle: Handle) -> None:
     with Client(handle.port) as client:
         client.connect()
         assert client.subscribe("$share/group/a") == [0x80]
@@ -261,9 +265,7 @@ def test_the_process_prints_its_port_and_ends_within_a_second_of_sigterm(process
         (None, "cannot be read"),
     ],
 )
-def test_a_bad_access_list_ends_in_one_sentence_that_says_what_to_try(
-    tmp_path: Path, text: str | None, words: str
-) -> None:
+def test_an_invalid_access_list_is_an_error_with_a_remedy(tmp_path: Path, text: str | None, words: str) -> None:
     acl = tmp_path / "acl.conf"
     if text is not None:
         acl.write_text(text)
@@ -275,7 +277,7 @@ def test_a_bad_access_list_ends_in_one_sentence_that_says_what_to_try(
     assert done.stderr.count("\n") == 1
 
 
-def test_a_port_that_is_taken_is_said_so(handle: Handle) -> None:
+def test_a_port_in_use_is_reported(handle: Handle) -> None:
     command = [sys.executable, "-m", "broker.simulated", "--port", str(handle.port)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=10, check=False)
     assert done.returncode == 1

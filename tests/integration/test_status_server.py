@@ -1,4 +1,4 @@
-"""The HTTP and WebSocket API over real sockets on loopback; the bus is a pretended one."""
+"""The HTTP and WebSocket API over real sockets on loopback; the bus is a simulated one."""
 
 import json
 import logging
@@ -69,7 +69,7 @@ def frame(socket_: ClientConnection) -> Json:
     return found
 
 
-def test_the_state_holds_the_newest_of_everything(server: Running) -> None:
+def test_the_state_holds_the_newest_message_of_each_topic(server: Running) -> None:
     state = get(server, "/api/state")
     assert state["vehicle"] == "truck-07"
     assert state["origin"]["kind"] == "simulated"
@@ -81,7 +81,7 @@ def test_the_state_holds_the_newest_of_everything(server: Running) -> None:
     assert state["topics"]["gnss/fix"]["age_s"] < 3.0
 
 
-def test_answers_are_json_that_is_not_kept(server: Running) -> None:
+def test_answers_are_json_and_not_cached(server: Running) -> None:
     for path in (
         "/api/state",
         "/api/health",
@@ -104,13 +104,13 @@ def test_a_topic_is_shown_with_its_rate_and_size(server: Running) -> None:
     assert topic["bytes"] > 100
 
 
-def test_an_unknown_topic_is_404_and_says_where_to_look(server: Running) -> None:
+def test_an_unknown_topic_is_404_with_a_remedy(server: Running) -> None:
     answer = ask(server, "/api/topics/gnss/colour")
     assert answer.status_code == 404
     assert "/api/state" in answer.json()["detail"]
 
 
-def test_the_history_gives_the_fields_that_were_asked_for(server: Running) -> None:
+def test_the_history_holds_the_requested_fields(server: Running) -> None:
     eventually(lambda: len(get(server, "/api/history?seconds=60&fields=speed_fused_m_s")["time_ns"]) > 4)
     history = get(server, "/api/history?seconds=60&fields=speed_fused_m_s,position_error_m")
     assert set(history["fields"]) == {"speed_fused_m_s", "position_error_m"}
@@ -129,15 +129,15 @@ def test_the_history_gives_the_fields_that_were_asked_for(server: Running) -> No
         (f"fields={'a,' * 300}", 422),
     ],
 )
-def test_questions_out_of_bounds_are_refused(server: Running, query: str, status: int) -> None:
+def test_requests_out_of_bounds_are_rejected(server: Running, query: str, status: int) -> None:
     assert ask(server, f"/api/history?{query}").status_code == status
 
 
-def test_a_long_topic_name_is_refused(server: Running) -> None:
+def test_a_long_topic_name_is_rejected(server: Running) -> None:
     assert ask(server, f"/api/topics/{'x' * 500}").status_code == 422
 
 
-def test_nothing_but_attacks_can_be_commanded_over_the_web(server: Running) -> None:
+def test_only_attacks_can_be_commanded_over_http(server: Running) -> None:
     for path in ("/", "/api/state", "/api/topics/gnss/fix", "/ws"):
         for method in ("POST", "PUT", "DELETE", "PATCH"):
             assert httpx.request(method, server.address + path, timeout=5.0).status_code in (404, 405)
@@ -159,20 +159,20 @@ def test_every_answer_carries_the_security_headers(server: Running) -> None:
         assert "server" not in headers
 
 
-def test_a_page_elsewhere_cannot_listen_in(server: Running) -> None:
-    with pytest.raises(InvalidStatus) as refused:
+def test_a_websocket_of_another_origin_is_rejected(server: Running) -> None:
+    with pytest.raises(InvalidStatus) as rejected:
         watch(server, Origin="http://attacker.example")
-    assert refused.value.response.status_code == 403
+    assert rejected.value.response.status_code == 403
 
 
-def test_a_stranger_s_name_for_this_unit_is_refused(server: Running) -> None:
+def test_an_unknown_host_name_is_rejected(server: Running) -> None:
     assert ask(server, "/api/state", Host="attacker.example").status_code == 421
-    with pytest.raises(InvalidStatus) as refused:
+    with pytest.raises(InvalidStatus) as rejected:
         connect(server.address.replace("http", "ws") + "/ws", additional_headers={"Host": "attacker.example"})
-    assert refused.value.response.status_code in (400, 421)
+    assert rejected.value.response.status_code in (400, 421)
 
 
-def test_the_socket_gives_a_snapshot_and_then_what_changed(server: Running) -> None:
+def test_the_websocket_sends_a_snapshot_and_then_changes(server: Running) -> None:
     with watch(server) as first:
         snapshot = frame(first)
         assert snapshot["kind"] == "snapshot"
@@ -184,14 +184,14 @@ def test_the_socket_gives_a_snapshot_and_then_what_changed(server: Running) -> N
             assert (change["kind"], change["sequence"]) == ("difference", sequence + 1)
             state, sequence = merge(state, change["state"]), sequence + 1
         with watch(server) as second:
-            told = frame(second)
-            while sequence < told["sequence"]:
+            whole = frame(second)
+            while sequence < whole["sequence"]:
                 change = frame(first)
                 state, sequence = merge(state, change["state"]), change["sequence"]
-    assert state == told["state"], "who followed the differences knows what a newcomer is told"
+    assert state == whole["state"], "all differences give the snapshot of a new client"
 
 
-def test_all_browsers_are_given_the_same_frame_five_times_a_second(server: Running) -> None:
+def test_all_browsers_receive_the_same_frame_five_times_a_second(server: Running) -> None:
     with watch(server) as one, watch(server) as two:
         frame(one), frame(two)
         started, size = time.monotonic(), 0
@@ -227,7 +227,7 @@ def test_the_verdict_its_monitors_and_their_history_are_one_answer(server: Runni
     assert ask(server, "/api/trust?seconds=-1").status_code == 422
 
 
-def test_a_bad_message_is_counted_and_the_server_goes_on(server: Running) -> None:
+def test_an_invalid_message_is_counted_and_the_server_continues(server: Running) -> None:
     before = server.bus.rejects["payload"]
     server.bus.feed_bytes("mode/state", b'{"mode": "flying"}', "controller.mode")
     server.bus.feed_bytes("gnss/raw", b'{"received_ns":1,"source":"y","data":"!"}', "sensors.gnss")
@@ -246,7 +246,7 @@ def test_a_lost_broker_is_the_only_reason_for_503(server: Running) -> None:
 
 
 @needs_libraries
-def test_pages_are_compressed_and_not_sent_twice(server: Running) -> None:
+def test_pages_are_compressed_and_unchanged_ones_are_304(server: Running) -> None:
     first = ask(server, "/main.js", **{"Accept-Encoding": "gzip"})
     assert first.headers["content-encoding"] == "gzip"
     assert first.text.startswith("//")
@@ -260,12 +260,12 @@ def test_pages_are_compressed_and_not_sent_twice(server: Running) -> None:
 @pytest.mark.parametrize(
     "path", ["/lib/../package.json", "/package.json", "/lib/package.json", "/%2e%2e/process.py", "/.npmrc"]
 )
-def test_only_what_is_on_the_list_is_given_away(server: Running, path: str) -> None:
+def test_only_listed_files_are_served(server: Running, path: str) -> None:
     assert ask(server, path).status_code == 404
 
 
 @needs_libraries
-def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
+def test_the_page_of_the_api_loads_no_external_resources(server: Running) -> None:
     page = ask(server, "/docs")
     assert page.status_code == 200
     for asset in re.findall(r'(?:src|href)="([^"]+)"', page.text):
@@ -279,7 +279,7 @@ def test_the_description_of_the_api_comes_from_here(server: Running) -> None:
     }  # fmt: skip
 
 
-def test_a_folder_without_libraries_says_what_to_do(tmp_path: Path) -> None:
+def test_missing_libraries_are_reported_with_a_remedy(tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text("<html></html>")
     with status_server(tmp_path, unit=False, static_dir=str(tmp_path)) as server:
         answer = ask(server, "/")
@@ -289,14 +289,14 @@ def test_a_folder_without_libraries_says_what_to_do(tmp_path: Path) -> None:
         assert ask(server, "/api/state").status_code == 200
 
 
-def test_one_viewer_too_many_is_refused_with_their_number_and_no_line_in_the_log(
+def test_a_viewer_above_the_limit_is_rejected_with_their_number_and_not_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with status_server(tmp_path, unit=False, clients_maximum=1) as server, watch(server) as first:
         frame(first)
-        with watch(server) as second, pytest.raises(ConnectionClosed) as refused:
+        with watch(server) as second, pytest.raises(ConnectionClosed) as rejected:
             second.recv(timeout=5.0)
-        assert refused.value.rcvd == Close(1013, "too many viewers: 1 are connected; try again")
+        assert rejected.value.rcvd == Close(1013, "too many viewers: 1 are connected; try again")
         assert get(server, "/api/viewers") == {"connected": 1, "events": 0, "maximum": 1}
         charts = server.address.replace("http", "ws") + "/ws/series?fields=gnss/fix:hdop"
         with connect(charts), connect(charts) as other:
@@ -364,7 +364,7 @@ def test_events_give_the_verdict_when_it_changes_the_solution_each_second_and_he
         eventually(lambda: get(server, "/api/viewers")["events"] == 0)
 
 
-def test_an_outage_is_an_event_when_it_begins_and_when_it_ends(tmp_path: Path) -> None:
+def test_the_begin_and_the_end_of_an_outage_are_events(tmp_path: Path) -> None:
     with status_server(tmp_path) as server:
         unit = server.unit
         assert unit is not None
@@ -383,7 +383,7 @@ def test_an_outage_is_an_event_when_it_begins_and_when_it_ends(tmp_path: Path) -
         assert seen[0]["until_ns"] is None
 
 
-def test_the_solution_is_json_or_geojson_as_asked(server: Running) -> None:
+def test_the_solution_is_json_or_geojson_as_requested(server: Running) -> None:
     flat = get(server, "/api/solution")
     assert flat["live"] and flat["verdict_known"] and flat["age_s"] < 2.0
     for answer in (
@@ -397,8 +397,8 @@ def test_the_solution_is_json_or_geojson_as_asked(server: Running) -> None:
         assert latitude == pytest.approx(flat["latitude_deg"], abs=1e-3)
         assert height == pytest.approx(flat["height_ellipsoid_m"], abs=1.0)
         assert feature["properties"]["state"] == "safe"
-    asked = ask(server, "/api/solution?format=json", Accept="application/geo+json")
-    assert asked.headers["content-type"] == "application/json"
+    chosen = ask(server, "/api/solution?format=json", Accept="application/geo+json")
+    assert chosen.headers["content-type"] == "application/json"
     assert ask(server, "/api/solution?format=kml").status_code == 422
 
 
@@ -433,7 +433,7 @@ ANSWERS: dict[str, type[answers.Answer]] = {
 
 
 @pytest.mark.parametrize("path", ANSWERS)
-def test_every_answer_is_what_its_schema_says(server: Running, path: str) -> None:
+def test_every_answer_is_valid_by_its_schema(server: Running, path: str) -> None:
     body = ask(server, path).content
     ANSWERS[path].model_validate_json(body)
 
@@ -452,11 +452,11 @@ def test_the_description_of_the_api_is_openapi_with_a_tag_and_a_schema_for_every
 
 
 @pytest.mark.parametrize("model", answers.EXAMPLES)
-def test_every_example_keeps_to_its_schema(model: type[answers.Answer]) -> None:
+def test_every_example_is_valid_by_its_schema(model: type[answers.Answer]) -> None:
     model.model_validate_json(json.dumps(answers.EXAMPLES[model]))
 
 
-def test_a_port_that_is_taken_is_explained(tmp_path: Path) -> None:
+def test_a_port_in_use_is_reported_with_a_remedy(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UserError, match=rf"port {port}.*\[monitoring.status\]"):
@@ -476,7 +476,7 @@ def test_the_end_is_quick_and_leaves_no_address_behind(tmp_path: Path) -> None:
                 browser.recv(timeout=2.0)
 
 
-def test_a_foreign_name_in_the_settings_is_answered(tmp_path: Path) -> None:
+def test_a_host_name_of_the_settings_is_accepted(tmp_path: Path) -> None:
     with status_server(tmp_path, unit=False, allowed_hosts=["truck.example"]) as server:
         assert ask(server, "/api/state", Host="truck.example").status_code == 200
 
@@ -493,7 +493,7 @@ Process(Config(port=0)).run(bus)
 """
 
 
-def test_the_process_fits_into_60_mib(tmp_path: Path) -> None:
+def test_the_process_has_less_than_60_mib(tmp_path: Path) -> None:
     command = [sys.executable, "-c", MEMORY, str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, stdin=subprocess.PIPE, env=environment, cwd=ROOT) as process:
@@ -510,7 +510,7 @@ def test_the_process_fits_into_60_mib(tmp_path: Path) -> None:
         process.stdin.close()
         assert process.wait(timeout=8.0) == 0
     resident_kb = re.search(r"VmRSS:\s+(\d+)", status)
-    # 51 MiB of it are imports, 1 MiB is the pretended unit, 1.2 MiB are the last hour of the charts
+    # 51 MiB of it are imports, 1 MiB is the simulated unit, 1.2 MiB are the last hour of the charts
     assert resident_kb and int(resident_kb[1]) < 60 * 1024
 
 
@@ -543,7 +543,7 @@ def test_an_attack_is_started_and_stopped_and_its_answer_is_shown(server: Runnin
         ({"command": "start", "attack": "jam", "x": "y" * 4000}, 413, "at most 2048 bytes"),
     ],
 )
-def test_a_command_that_cannot_be_executed_is_refused(server: Running, body: object, status: int, detail: str) -> None:
+def test_a_command_that_cannot_be_executed_is_rejected(server: Running, body: object, status: int, detail: str) -> None:
     before = len(server.bus.published)
     answer = command(server, body)
     assert answer.status_code == status
@@ -551,11 +551,11 @@ def test_a_command_that_cannot_be_executed_is_refused(server: Running, body: obj
     assert len(server.bus.published) == before
 
 
-def test_a_page_elsewhere_cannot_start_an_attack(server: Running) -> None:
+def test_a_command_of_another_origin_is_rejected(server: Running) -> None:
     assert command(server, {"command": "stop"}, Origin="http://evil.example").status_code == 403
 
 
-def test_a_unit_that_is_not_simulated_refuses_attacks(tmp_path: Path) -> None:
+def test_a_unit_that_is_not_simulated_rejects_attacks(tmp_path: Path) -> None:
     with status_server(tmp_path, unit=False) as real:
         assert command(real, {"command": "stop"}).status_code == 409, "no origin is known"
         real.bus.feed(Origin(now_ns=real.bus.now_ns(), kind=OriginKind.LIVE, name="truck"), "sensors.gnss")
@@ -568,7 +568,7 @@ def test_a_unit_that_is_not_simulated_refuses_attacks(tmp_path: Path) -> None:
         assert not real.bus.published and get(real, "/api/state")["simulation"] is None
 
 
-def test_any_numeric_field_is_a_series_and_a_field_that_cannot_be_is_refused(server: Running) -> None:
+def test_any_numeric_field_is_a_series_and_another_field_is_rejected(server: Running) -> None:
     listed = {field["path"]: field for field in get(server, "/api/fields/navigation/aiding")["fields"]}
     assert listed["test_ratio"]["name"].startswith("navigation/aiding[gnss_")
     assert get(server, "/api/fields/gnss/fix")["fields"][-1]["path"] == "@latency_s"
@@ -602,8 +602,8 @@ def test_series_are_continued_over_a_websocket_without_a_gap_or_a_repetition(ser
     assert "write topic:field" in refused["reason"]
 
 
-def test_the_past_of_charts_is_read_from_the_recording_after_a_restart(tmp_path: Path) -> None:
-    start_ns = 1_795_000_000 * 10**9  # of the pretended unit
+def test_the_history_of_charts_is_read_from_the_recording_after_a_restart(tmp_path: Path) -> None:
+    start_ns = 1_795_000_000 * 10**9  # of the simulated unit
     folder = RecordingFolder(tmp_path / "recordings")
     folder.stored()
     folder.open("drive", vehicle="truck-07", vehicle_toml="", chunk_bytes=4096)
@@ -613,13 +613,13 @@ def test_the_past_of_charts_is_read_from_the_recording_after_a_restart(tmp_path:
         for n, ns in enumerate(stamps)
     ]
     folder.write([sent(fix, fix.sampled_ns + 1_000_000, "parsers.gnss") for fix in fixes])
-    folder.flush()  # it is not closed: the recorder still writes it
+    folder.flush()  # not closed, as while the recorder writes
     with status_server(tmp_path, unit=False) as running:
         address = "/api/series?fields=gnss/fix:hdop,gnss/fix:satellites_used&seconds=1100"
         eventually(lambda: known(get(running, address), "gnss/fix:hdop") > 1000, within_s=20.0)
         found = [value for value in get(running, address)["values"]["gnss/fix:hdop"] if value is not None]
         assert found == sorted(found) and found[-1] == pytest.approx(2.199)
-        chosen = "/api/series?fields=gnss/fix:@latency_s&seconds=1100"  # nobody has asked for it before the restart
+        chosen = "/api/series?fields=gnss/fix:@latency_s&seconds=1100"  # not requested before the restart
         eventually(lambda: known(get(running, chosen), "gnss/fix:@latency_s") > 1000, within_s=20.0)
         assert next(v for v in get(running, chosen)["values"]["gnss/fix:@latency_s"] if v) == pytest.approx(1e-3)
     folder.close()

@@ -26,7 +26,7 @@ def child(demo: subprocess.Popen[str], name: str) -> psutil.Process | None:
     return None
 
 
-def test_killed_processes_charge_nobody_twice_and_each_charge_is_derived_again(tmp_path: Path) -> None:
+def test_with_killed_processes_no_vehicle_is_charged_twice_and_each_charge_is_recomputed(tmp_path: Path) -> None:
     demo = subprocess.Popen(
         [sys.executable, "-m", "cli", "demo", "--role", "rsu", "--vehicles", "60", "--duration", str(DURATION_S),
          "--port", "0", "--json"],

@@ -1,4 +1,4 @@
-"""The V2X processes as they run in a unit: each a process of its own, a broker with the unit's access list between."""
+"""The V2X processes of a unit, connected by a broker with the access list of the unit."""
 
 import os
 import socket
@@ -69,7 +69,7 @@ def until(found: Callable[[], bool], what: str) -> None:
         assert time.monotonic() < deadline, f"{what} within {LIMIT_S} s"
 
 
-def test_a_frame_of_the_radio_becomes_a_cam_on_the_bus_and_garbage_a_counted_reject(
+def test_a_radio_frame_is_published_as_cam_and_invalid_bytes_are_counted(
     unit: tuple[int, int], radio: socket.socket, tmp_path: Path
 ) -> None:
     broker_port, port = unit
@@ -97,7 +97,9 @@ def test_a_frame_of_the_radio_becomes_a_cam_on_the_bus_and_garbage_a_counted_rej
     assert abs(found.received_ns - found.sampled_ns) < 2e9
 
 
-def test_an_own_cam_on_the_bus_leaves_by_the_radio(unit: tuple[int, int], radio: socket.socket, tmp_path: Path) -> None:
+def test_an_own_cam_on_the_bus_is_sent_by_the_radio(
+    unit: tuple[int, int], radio: socket.socket, tmp_path: Path
+) -> None:
     broker_port, _ = unit
     controller = bus("controller.cam", [], broker_port, tmp_path)
     sent: list[bytes] = []

@@ -1,4 +1,4 @@
-"""A whole unit whose parts fail: what `monitoring.health` finds and `monitoring.status` shows, and what goes on.
+"""Failures of parts of a unit: what `monitoring.health` reports, `monitoring.status` shows, and what continues.
 
 A unit on each broker runs as `make demo` starts it, under its supervisor. Every failure is one outage with one root
 cause, and nothing else is accused. Both units fail at the same time, which halves the time of these tests.
@@ -30,7 +30,7 @@ from tests.support.bus import mqtt
 pytestmark = [pytest.mark.whole_unit, pytest.mark.broker]
 
 BROKER_PROCESS = {"mosquitto": "mosquitto.conf", "simulated": "broker.simulated"}
-SHOWN_S = 15.0  # deadlines are 2 s, but a busy machine answers late
+SHOWN_S = 15.0  # deadlines are 2 s, but answers of a loaded machine are late
 # 19 s to align anew, and up to 30 s at a red light, where no heading is known; 60 s until core.trust readmits GNSS that
 # was accused while there is no solution to compare it with.
 RECOVERY_S = 120.0
@@ -50,8 +50,8 @@ class Unit:
     states: dict[str, float] = field(default_factory=dict)  # of the banner, with the time until it was first shown [s]
     failed_s: float = 0.0
 
-    def look(self) -> dict[str, object]:
-        """Ask the API once, and remember what it says."""
+    def poll(self) -> dict[str, object]:
+        """Request the state once, and store it."""
         health = self.demo.get("/api/health")
         if health:
             position = health["position"]
@@ -64,7 +64,7 @@ class Unit:
         return health
 
     def fail(self, mark: str, number: signal.Signals) -> psutil.Process:
-        """Send a signal to one of the unit's processes, and forget what was shown before."""
+        """Send a signal to one of the unit's processes, and discard what was shown before."""
         [child] = self.fail_together([mark], number)
         return child
 
@@ -88,9 +88,9 @@ class Unit:
             child.send_signal(signal.SIGCONT)
 
     def until(self, condition: Callable[[dict[str, object]], bool], what: str, limit_s: float = SHOWN_S) -> None:
-        """Look five times a second until something is shown."""
+        """Poll the API five times a second until a condition holds."""
         deadline = time.monotonic() + limit_s
-        while not condition(self.look()):
+        while not condition(self.poll()):
             late = time.monotonic() > deadline
             assert not late, f"{self.kind}: not within {limit_s} s: {what}; {self.problems} {self.outages()}"
             time.sleep(0.2)
@@ -157,7 +157,7 @@ def on_each(units: list[Unit], test: Callable[[Unit], None]) -> None:
         list(pool.map(test, units))
 
 
-GARBAGE = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)
+INVALID = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)
 SPEAKERS = {
     "gnss/fix": "parsers.gnss", "imu/sample": "parsers.imu", "navigation/last_position": "controller.mode",
     "gnss/raw": "sensors.simulator", "imu/raw": "sensors.simulator", "can/raw": "sensors.simulator",
@@ -165,28 +165,28 @@ SPEAKERS = {
 }  # fmt: skip
 
 
-def test_garbage_on_the_bus_is_counted_and_ends_nothing(units: list[Unit]) -> None:
+def test_invalid_payloads_on_the_bus_are_counted_and_end_no_process(units: list[Unit]) -> None:
     on_each(units, lambda unit: send_garbage(unit.demo))
 
 
 def send_garbage(demo: Demo) -> None:
-    """Publish garbage in the name of each speaker."""
+    """Publish invalid payloads in the name of each producer."""
     address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
     children = {child.pid for child in psutil.Process(demo.process.pid).children()}
     sender = b'{"sender":{"process":"x","incarnation":1,"sequence":1},'
     for name, speaker in SPEAKERS.items():
         with mqtt.Client(address.port, user=speaker) as client:
             client.connect()
-            for payload in GARBAGE:
+            for payload in INVALID:
                 client.publish(f"obu/demo/{name}", payload)
                 client.publish(f"obu/demo/{name}", sender + payload[1:])
     time.sleep(2.0)
-    demo.wait(demo.all_ready, 5.0, "every process goes on")
+    demo.wait(demo.all_ready, 5.0, "every process is ready")
     assert {child.pid for child in psutil.Process(demo.process.pid).children()} == children
     assert demo.process.poll() is None
 
 
-def test_a_killed_filter_goes_on_within_two_seconds_and_is_the_cause_until_it_publishes_again(
+def test_a_killed_filter_publishes_again_within_two_seconds_and_is_the_cause_until_then(
     units: list[Unit], tmp_path: Path
 ) -> None:
     def test(unit: Unit) -> None:
@@ -199,19 +199,21 @@ def test_a_killed_filter_goes_on_within_two_seconds_and_is_the_cause_until_it_pu
         unit.assert_one_outage("core.fusion", lost, "navigation/solution", "navigation/state")
         again = {text for text in unit.problems if text.startswith("core.fusion was restarted and is starting again")}
         assert unit.problems <= {lost, *again}, "a warm start may be over before the second text is polled"
-        explained = [said for said in unit.sentences if said.startswith("No position: ") and "(core." in said]
+        explained = [
+            sentence for sentence in unit.sentences if sentence.startswith("No position: ") and "(core." in sentence
+        ]
         assert all("core.fusion was" in sentence for sentence in explained), explained
 
     on_each(units, test)
 
 
 def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Path) -> None:
-    """Kill the filter: solutions go on with the retained state, and with an honest uncertainty, within two seconds."""
+    """Kill the filter: within two seconds solutions continue from the retained state with a consistent covariance."""
     address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
     bus = Bus("observer", "demo", address,
               [t for t in TOPICS if t.name in ("navigation/solution", "navigation/state", "truth/state")],
               folder, observer=True)  # fmt: skip
-    solutions: dict[int, list[tuple[float, NavigationSolution]]] = {}  # by the life of their producer
+    solutions: dict[int, list[tuple[float, NavigationSolution]]] = {}  # by the incarnation of their producer
     truth: dict[int, TruthState] = {}
     reasons: list[str] = []
 
@@ -288,7 +290,7 @@ def test_a_simulator_that_hangs_is_the_cause_of_everything_downstream(units: lis
         cause = "sensors.simulator is stale: connected, but without heartbeat; it hangs or is overloaded"
         with unit.suspend("run sensors.simulator"):
             unit.until(
-                lambda _: any(said.startswith("No position: ") and f"({cause})" in said for said in unit.sentences),
+                lambda _: any(one.startswith("No position: ") and f"({cause})" in one for one in unit.sentences),
                 "the banner names the cause",
             )
         unit.until_well()
@@ -303,7 +305,7 @@ def test_a_hung_broker_is_one_outage(units: list[Unit]) -> None:
         with unit.suspend(BROKER_PROCESS[unit.kind]):
             stopped = time.monotonic()
             unit.until(lambda _: f"Nothing is known: {hangs}." in unit.sentences, "the banner names the broker")
-            health = unit.look()
+            health = unit.poll()
             assert (health["state"], health["topics"]) == ("failed", {})
             assert unit.states["broker_lost"] >= 1.9, "two seconds without the own heartbeat"
             assert {entry["status"] for entry in health["processes"].values()} == {"unknown"}  # type: ignore[attr-defined]
@@ -388,8 +390,8 @@ def test_a_hung_watchdog_leaves_the_rest_unknown_and_the_position_shown(units: l
     def test(unit: Unit) -> None:
         text = "monitoring.health does not report, so the state of processes and topics is unknown"
         with unit.suspend("run monitoring.health"):
-            unit.until(lambda _: text in unit.problems, "the page says that the watchdog is silent")
-            state = unit.look()["position"]["state"]  # type: ignore[index]
+            unit.until(lambda _: text in unit.problems, "the page shows that the watchdog is silent")
+            state = unit.poll()["position"]["state"]  # type: ignore[index]
             assert state not in ("starting", "stale", "broker_lost"), "the verdict of core.trust is shown as before"
         unit.until_well()
         assert unit.causes == {"monitoring.health"}
@@ -397,7 +399,7 @@ def test_a_hung_watchdog_leaves_the_rest_unknown_and_the_position_shown(units: l
     on_each(units, test)
 
 
-def test_sigterm_ends_everything_within_five_seconds(units: list[Unit]) -> None:
+def test_sigterm_ends_all_processes_within_five_seconds(units: list[Unit]) -> None:
     """The last test: it ends the units."""
     for unit in units:
         end(unit.demo)

@@ -48,7 +48,7 @@ def first_minutes(folder: Path, out: Path, until_s: float) -> Path:
     return out
 
 
-def test_increments_of_an_integrating_sensor_give_centimetres_with_rtk(tmp_path: Path) -> None:
+def test_delta_angles_and_velocities_with_rtk_give_centimetres(tmp_path: Path) -> None:
     cut = first_minutes(recording("rtk_drive_57min") / "mems_rtk_200hz", tmp_path, 330.0)
     found = solved(imported("rtk_drive_57min", cut, tmp_path), Aiding.ODOMETER, score_from=200.0)
     assert found["fixes_recorded"] == 329 and found["filter_resets"] == 0
@@ -57,14 +57,14 @@ def test_increments_of_an_integrating_sensor_give_centimetres_with_rtk(tmp_path:
     assert degrees(found["yaw_rmse_rad"]) <= 0.3, "three minutes after the car set off"
 
 
-def test_gnss_that_is_a_second_late_and_a_tilted_sensor_need_no_special_case(tmp_path: Path) -> None:
+def test_with_a_gnss_delay_of_a_second_and_a_tilted_imu_innovations_are_below_8_m(tmp_path: Path) -> None:
     name = "2014-03-26-000-Data.csv"
     lines = (recording("balzer82_car") / name).read_text().splitlines()[:3001]
     (tmp_path / name).write_text("\n".join(lines) + "\n")
     found = solved(imported("balzer82_car", tmp_path, tmp_path))
     assert found["duration_s"] == pytest.approx(60.0, abs=0.1) and found["alignment_s"] < 10.0
-    # The receiver smooths: its speed is 0.35 s older than its position, metres at the speed of this car. Measured were
-    # 64 refused fixes and one reset, and none of either without `gnss.time_correlated_errors`.
+    # The velocity of the receiver is 0.35 s older than its position, metres at the speed of this car. Measured were
+    # 64 rejected fixes and one reset, and none of either without `gnss.time_correlated_errors`.
     assert found["fixes_used"] > 450 and found["fixes_rejected"] < 100 and found["filter_resets"] <= 1
     assert found["innovation_horizontal_rms_m"] < 8.0
 
@@ -82,7 +82,7 @@ def test_with_rtk_a_whole_drive_is_as_accurate_as_that_of_the_best_peer(aiding: 
 
 
 @pytest.mark.slow
-def test_with_errors_that_last_a_minute_velocity_and_outages_are_as_good_as_the_best_peers(tmp_path: Path) -> None:
+def test_with_errors_correlated_over_a_minute_velocity_and_outages_equal_the_best_peer(tmp_path: Path) -> None:
     drive = imported("rtk_drive_57min", recording("rtk_drive_57min") / "mems_spp_100hz", tmp_path)
     found = solved(drive, Aiding.ODOMETER, score_from=350.0)
     assert found["velocity_horizontal_rmse_m_s"] <= 0.022, "the goal"
@@ -91,7 +91,7 @@ def test_with_errors_that_last_a_minute_velocity_and_outages_are_as_good_as_the_
 
 
 @pytest.mark.slow
-def test_a_mounting_is_estimated_and_makes_long_outages_far_better(tmp_path: Path) -> None:
+def test_estimating_the_mounting_reduces_errors_in_long_outages(tmp_path: Path) -> None:
     drive = imported("navmatlab_car", recording("navmatlab_car"), tmp_path)
     free, nhc = (solved(drive, aiding, "60/180@240") for aiding in (Aiding.FREE, Aiding.NHC))
     assert nhc["outage_count"] == free["outage_count"] == 4

@@ -1,4 +1,4 @@
-"""Recordings with delays that are known, imported as they were recorded: what is estimated of them while driving.
+"""Recordings with known delays, imported as they were recorded: the delays that the filter estimates.
 
 ================  ==============================  =====================================================
 drive             by hand                         estimated, with its standard deviation
@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.recording, pytest.mark.slow]
 
 
 def as_recorded(name: str, folder: Path, out: Path) -> Path:
-    """Import a drive without what its mapping knows of delays."""
+    """Import a drive without the delays of its mapping."""
     folder_of_mappings = REPOSITORY / "benchmarks" / "recordings"
     lines = (
         (folder_of_mappings / "mappings" / f"{name}.toml")
@@ -49,7 +49,7 @@ def last_state(drive: Path, until_s: float, **settings: object) -> NavigationSta
     return states[-1]
 
 
-def test_gnss_that_is_a_second_late_is_found_and_its_velocity_is_later_still(tmp_path: Path) -> None:
+def test_a_gnss_delay_of_a_second_is_estimated_and_velocity_is_delayed_more_than_position(tmp_path: Path) -> None:
     drive = as_recorded("balzer82_car", recording("balzer82_car"), tmp_path)
     found = last_state(drive, 110.0, **{"imu.gyroscope_bias_sd_rad_s": 0.05, "non_holonomic.mounting_sd_rad": 0.17})
     assert found.gnss_delay_s is not None and found.gnss_velocity_delay_s is not None

@@ -1,4 +1,4 @@
-"""Stored device bytes through the whole unit give the stored result; `make golden` writes it anew, for review.
+"""Stored device bytes through the whole unit give the stored result; `make golden` rewrites it for review.
 
 The tolerances are far below what a user could see and far above what another processor's rounding makes of the same
 program: the filter amplifies the last bits of its inputs to some 1e-9 of its outputs in these 30 s.

@@ -54,7 +54,7 @@ def station() -> Station:
     return epochs, store, np.array(position)
 
 
-def test_a_surveyed_station_is_where_it_was_surveyed(station: Station) -> None:
+def test_the_position_of_a_surveyed_station_is_within_its_accuracy(station: Station) -> None:
     epochs, store, truth = station
     place = geodetic_from_ecef((truth[0], truth[1], truth[2]))
     to_ned, monitor = ned_from_ecef(place.latitude, place.longitude), SatelliteMonitor()
@@ -73,7 +73,7 @@ def test_a_surveyed_station_is_where_it_was_surveyed(station: Station) -> None:
 def pushes(
     station: Station, bias_m: float
 ) -> Iterator[tuple[SatelliteVerdict, SatelliteId, float | None, float | None]]:
-    """Push each satellite of every fourth epoch; yields the verdict, the satellite, and its MDB and MIB before."""
+    """Add a pseudorange error to each satellite of every fourth epoch; yield verdict, satellite, MDB and MIB."""
     epochs, store, _ = station
     for epoch in epochs[::4]:
         clean = SatelliteMonitor().evaluate(epoch, store)
@@ -87,7 +87,9 @@ def pushes(
 
 
 @pytest.mark.parametrize("bias_m", [50.0, -50.0])
-def test_a_push_of_50_m_is_excluded_in_its_epoch_where_it_can_be_attributed(station: Station, bias_m: float) -> None:
+def test_a_pseudorange_error_of_50_m_is_excluded_in_its_epoch_where_it_is_identifiable(
+    station: Station, bias_m: float
+) -> None:
     tried = 0
     for verdict, satellite, _, identifiable in pushes(station, bias_m):
         if identifiable is not None and identifiable < 50.0:
@@ -97,8 +99,10 @@ def test_a_push_of_50_m_is_excluded_in_its_epoch_where_it_can_be_attributed(stat
 
 
 @pytest.mark.parametrize("bias_m", [50.0, -50.0])
-def test_a_push_of_50_m_is_never_taken_for_gone_while_it_is_in_use(station: Station, bias_m: float) -> None:
-    """Where two satellites cannot be separated the other one may be excluded: then the verdict says so."""
+def test_a_detectable_pseudorange_error_is_accused_and_its_satellite_excluded_or_suspected(
+    station: Station, bias_m: float
+) -> None:
+    """Where two satellites cannot be separated the other one may be excluded: then both are suspects."""
     wrong = tried = 0
     for verdict, satellite, detectable, _ in pushes(station, bias_m):
         if detectable is not None and detectable < 50.0:
@@ -110,7 +114,7 @@ def test_a_push_of_50_m_is_never_taken_for_gone_while_it_is_in_use(station: Stat
     assert tried > 150 and wrong < 0.04 * tried
 
 
-def test_the_base_station_of_an_rtcm_stream_is_where_it_says() -> None:
+def test_the_solution_of_an_rtcm_stream_is_the_stated_position_of_its_base_station() -> None:
     """The stream is of a base station (its message 1006), 318 m from the receiver whose NAV-PVT is in the same log.
 
     Without coefficients of the ionosphere, which RTCM does not have; it is an hour after midnight there.
@@ -138,7 +142,7 @@ def test_the_base_station_of_an_rtcm_stream_is_where_it_says() -> None:
 
 
 @pytest.mark.slow
-def test_galileo_ephemerides_of_a_receiver_put_satellites_where_it_says() -> None:
+def test_galileo_ephemerides_give_the_directions_that_the_receiver_states() -> None:
     path = recording("osnma") / "ublox" / "ublox_2026_03.ubx"
     store, model, now_ns = EphemerisStore(), ErrorModel(), 0
     here: np.ndarray | None = None

@@ -1,4 +1,4 @@
-"""Real drives, imported by the mappings of the repository and solved: how far off is the unit on the road?
+"""Real drives, imported by the mappings of the repository and solved: errors against their references.
 
 The truth of these drives is their own RTK. A position at a fix that the filter has used says how well it follows, the
 innovation how well it predicts one fix ahead, and an outage how far it drifts alone. The measured values are printed
@@ -39,7 +39,7 @@ def rtk_car(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return imported("rtkexp_drive", recording("rtkexp_drive"), tmp_path_factory.mktemp("rtkexp"))
 
 
-def test_a_car_with_rtk_is_where_rtk_says(rtk_car: Path) -> None:
+def test_positions_of_a_car_with_rtk_agree_with_rtk(rtk_car: Path) -> None:
     found = solved(rtk_car)
     assert found["fixes_recorded"] == 2197 and found["distance_m"] == pytest.approx(4050.0, rel=0.02)
     assert found["horizontal_rmse_m"] <= 0.30, "the goal"
@@ -48,7 +48,7 @@ def test_a_car_with_rtk_is_where_rtk_says(rtk_car: Path) -> None:
     assert found["within_3_sigma_fraction"] > 0.98
 
 
-def test_a_car_without_gnss_for_ten_seconds_drifts_by_a_few_metres(rtk_car: Path) -> None:
+def test_the_drift_of_a_car_in_outages_of_ten_seconds_is_a_few_metres(rtk_car: Path) -> None:
     found = solved(rtk_car, "10/30")
     assert found["outage_count"] >= 16
     assert found["outage_end_error_median_m"] <= 2.5, "the goal with wheels that do not slide"
@@ -57,14 +57,14 @@ def test_a_car_without_gnss_for_ten_seconds_drifts_by_a_few_metres(rtk_car: Path
 
 
 @pytest.mark.slow
-def test_a_car_without_gnss_for_fifteen_seconds_is_held_by_its_wheels(rtk_car: Path) -> None:
+def test_wheel_speeds_limit_the_drift_of_a_car_in_outages_of_fifteen_seconds(rtk_car: Path) -> None:
     found = solved(rtk_car, "15/45")
     assert found["outage_count"] == 11
     assert found["outage_largest_error_rms_m"] <= 3.5, "the goal, and 3.3 m the best peer"
 
 
 @pytest.mark.parametrize("trial", ["08", *(pytest.param(trial, marks=pytest.mark.slow) for trial in ("02", "10"))])
-def test_a_car_with_a_tactical_imu_drifts_by_less_than_a_metre_and_a_half(trial: str, tmp_path: Path) -> None:
+def test_a_car_with_a_tactical_imu_drifts_by_less_than_1_5_m(trial: str, tmp_path: Path) -> None:
     drive = imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path)
     whole, cut = solved(drive), solved(drive, "10/30")
     assert whole["horizontal_rmse_m"] <= 0.05 and whole["fixes_rejected"] == 0
@@ -74,24 +74,24 @@ def test_a_car_with_a_tactical_imu_drifts_by_less_than_a_metre_and_a_half(trial:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("trial", ["03", "07"])
-def test_jumps_of_metres_among_houses_are_rejected_and_do_not_stop_the_filter(trial: str, tmp_path: Path) -> None:
+def test_jumps_of_metres_in_a_city_are_rejected_with_at_most_one_reset(trial: str, tmp_path: Path) -> None:
     found = solved(imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path))
     assert 20 < found["fixes_rejected"] < 0.4 * found["fixes_used"]
     assert found["filter_resets"] <= 1
-    # These fixes are their own truth, and it jumps by up to 4.9 m.
+    # The fixes are used as truth and have jumps of up to 4.9 m.
     assert found["horizontal_rmse_m"] < 1.0
 
 
-def test_a_truck_knows_attitude_and_velocity_as_a_reference_of_higher_grade_does(tmp_path: Path) -> None:
+def test_attitude_and_velocity_of_a_truck_agree_with_a_reference_of_higher_grade(tmp_path: Path) -> None:
     found = solved(imported("auburn_truck", recording("auburn_truck") / "turn", tmp_path))
-    # The IMU sits turned by several degrees against the reference, and the cab leans on its springs.
+    # The IMU is rotated by several degrees against the reference, and the cab moves on its suspension.
     assert found["yaw_sd_rad"] <= radians(1.0), "the goal, another filter reached 1.3"
     assert found["roll_rmse_rad"] < 0.05 and found["pitch_rmse_rad"] < 0.05
     assert found["velocity_rmse_m_s"] < 0.4, "the antenna is several metres from the IMU, and how many is not known"
     assert found["horizontal_rmse_m"] is None, "the reference does not know the position to better than 3 m"
 
 
-def test_a_truck_that_stands_all_the_time_has_no_heading(tmp_path: Path) -> None:
+def test_a_parked_truck_has_no_heading(tmp_path: Path) -> None:
     drive = imported("auburn_truck", recording("auburn_truck") / "static", tmp_path)
     with pytest.raises(UserError, match="no heading yet"):
         solved(drive)

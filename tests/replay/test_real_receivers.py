@@ -1,4 +1,4 @@
-"""Real single-point receivers: the fused position is not worse than what went in, and no error is above its level."""
+"""Real single-point receivers: fused positions are not worse than the fixes, and no error is above its level."""
 
 import json
 from pathlib import Path
@@ -25,13 +25,13 @@ def solved(name: str, out: Path) -> dict[str, float]:
     [
         ("comma_segment", 0.44),
         pytest.param("navmatlab_car", 0.65, marks=pytest.mark.slow),
-        pytest.param("navmatlab_car_0327", 1.17, marks=pytest.mark.slow),
+        pytest.param("navmatlab_car_0327", 1.05, marks=pytest.mark.slow),
     ],
 )
 def test_fusion_of_a_single_point_receiver_is_not_worse_than_the_receiver(
     name: str, most_m: float, tmp_path: Path
 ) -> None:
-    """Alone they have 0.44, 0.69 and 1.17 m; fused 0.43, 0.57 and 1.08 m were measured."""
+    """Measured: 0.44, 0.69 and 1.17 m for the receivers, 0.43, 0.57 and 0.94 m fused."""
     found = solved(name, tmp_path)
     assert found["horizontal_rmse_m"] <= most_m
     assert found["protection_horizontal_misleading_fraction"] <= 0.001

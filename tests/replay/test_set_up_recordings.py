@@ -1,4 +1,4 @@
-"""The set-up of real drives: nothing is found wrong with them as they are, and what is spoiled is found by name."""
+"""Checks of the set-up on real drives: no finding as recorded, and each injected fault is reported by its check."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ from cli.solve.solve import solve
 from services.core.fusion.set_up.findings import Verdict
 from services.core.fusion.settings import Settings
 from tests.support.data import REPOSITORY, recording
-from tests.support.drives.set_up import Recorded, Spoiled, recorded
+from tests.support.drives.set_up import Faults, Recorded, recorded
 
 MAPPINGS = REPOSITORY / "benchmarks" / "recordings" / "mappings"
 pytestmark = pytest.mark.recording
@@ -26,49 +26,49 @@ def messages_of(mapping: str, folder: Path, out: Path, settings: Settings) -> Re
         return recorded(list(inputs_of(opened).messages()), settings)
 
 
-def accused(drive: Recorded, spoiled: Spoiled, settings: Settings) -> set[str]:
-    return {name for name, check in spoiled.checks(drive, settings).items() if check.verdict is Verdict.CONTRADICTS}
+def contradicted(drive: Recorded, faults: Faults, settings: Settings) -> set[str]:
+    return {name for name, check in faults.checks(drive, settings).items() if check.verdict is Verdict.CONTRADICTS}
 
 
-SPOILED = {
-    "imu_axes": Spoiled(axes=("y", "x", "z")),
-    "imu_upright": Spoiled(axes=("x", "-y", "-z")),
-    "gyroscope_axes": Spoiled(gyroscope_axes=("x", "y", "-z")),
-    "gnss_height": Spoiled(height_sign=-1.0),
-    "gnss_delay": Spoiled(late_s=0.5),
+FAULTS = {
+    "imu_axes": Faults(axes=("y", "x", "z")),
+    "imu_upright": Faults(axes=("x", "-y", "-z")),
+    "gyroscope_axes": Faults(gyroscope_axes=("x", "y", "-z")),
+    "gnss_height": Faults(height_sign=-1.0),
+    "gnss_delay": Faults(late_s=0.5),
 }
 
 
-def test_a_drive_with_wheels_and_centimetres_is_accused_of_nothing_but_what_is_wrong(tmp_path: Path) -> None:
+def test_the_checks_of_a_drive_with_wheel_speeds_and_rtk_report_only_injected_faults(tmp_path: Path) -> None:
     settings = Settings()
     drive = messages_of("wid_car", recording("wid_car") / "trial02", tmp_path, settings)
-    assert not accused(drive, Spoiled(), settings)
-    assert accused(drive, Spoiled(odometer=1.2), settings) == {"odometer_scale"}
-    for name, spoiled in SPOILED.items():
-        assert name in accused(drive, spoiled, settings)
+    assert not contradicted(drive, Faults(), settings)
+    assert contradicted(drive, Faults(odometer=1.2), settings) == {"odometer_scale"}
+    for name, faults in FAULTS.items():
+        assert name in contradicted(drive, faults, settings)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("trial", ["01", "03", "04", "07", "08", "10"])
-def test_jumps_and_gaps_of_gnss_are_no_fault_of_the_set_up(trial: str, tmp_path: Path) -> None:
+def test_jumps_and_gaps_of_gnss_are_no_findings_of_the_set_up(trial: str, tmp_path: Path) -> None:
     settings = Settings()
     drive = messages_of("wid_car", recording("wid_car") / f"trial{trial}", tmp_path, settings)
-    assert not accused(drive, Spoiled(), settings)
+    assert not contradicted(drive, Faults(), settings)
 
 
 @pytest.mark.slow
 def test_a_hilly_drive_shows_signs_of_velocity_and_height(tmp_path: Path) -> None:
     settings = Settings().with_values({"gnss.velocity_delay_s": 0.125})
     drive = messages_of("rtkexp_drive", recording("rtkexp_drive"), tmp_path, settings)
-    assert not accused(drive, Spoiled(), settings)
-    assert accused(drive, Spoiled(velocity_axes=("x", "y", "-z")), settings) == {"gnss_vertical_velocity"}
-    assert accused(drive, Spoiled(velocity_axes=("y", "x", "z")), settings) == {"gnss_velocity_axes"}
-    for name, spoiled in SPOILED.items():
-        assert name in accused(drive, spoiled, settings)
+    assert not contradicted(drive, Faults(), settings)
+    assert contradicted(drive, Faults(velocity_axes=("x", "y", "-z")), settings) == {"gnss_vertical_velocity"}
+    assert contradicted(drive, Faults(velocity_axes=("y", "x", "z")), settings) == {"gnss_velocity_axes"}
+    for name, faults in FAULTS.items():
+        assert name in contradicted(drive, faults, settings)
 
 
-def test_a_phone_with_a_bias_of_four_degrees_a_second_finds_its_heading(tmp_path: Path) -> None:
-    """The start is on the move, and nothing is set for the gyroscope."""
+def test_a_phone_with_a_gyroscope_bias_of_four_degrees_a_second_aligns_its_heading(tmp_path: Path) -> None:
+    """A start in motion with default settings of the gyroscope."""
     path = tmp_path / "comma.mcap"
     import_drive(MAPPINGS / "comma_segment.toml", recording("comma_segment"), path)
     assert solve(path, score_from=8.0, out=tmp_path / "out") == 0

@@ -1,4 +1,4 @@
-"""Real drives, smoothed: outages are bridged from both ends, and attitude follows the reference more closely.
+"""Real drives, smoothed: errors in outages, and attitude against the reference.
 
 Horizontal error within outages, at every truth: median, largest [m]; measured with the vehicle files in `deploy`:
 
@@ -27,7 +27,7 @@ from tests.support.data import REPOSITORY, recording
 
 Metrics = dict[str, float]
 pytestmark = pytest.mark.recording
-LONE_FIX_M = 0.1  # one fix of wid_car 08, which is its truth, lies 0.096 m beside those before and after it
+LONE_FIX_M = 0.1  # [m] one fix of wid_car 08, used as truth, deviates by 0.096 m from its neighbours
 
 
 def smoothed(mapping: str, folder: Path, out: Path, outage: str | None = None) -> Metrics:
@@ -44,7 +44,7 @@ def assert_bridged(found: Metrics) -> None:
 
 
 @pytest.mark.slow
-def test_the_outages_of_a_car_with_rtk_are_bridged(tmp_path: Path) -> None:
+def test_smoothed_errors_in_outages_of_a_car_with_rtk_meet_the_goals(tmp_path: Path) -> None:
     found = smoothed("rtkexp_drive", recording("rtkexp_drive"), tmp_path, "15/45")
     assert_bridged(found)
     assert found["smoothed_outage_inside_median_m"] <= 0.15 and found["smoothed_outage_inside_max_m"] <= 0.8
@@ -53,13 +53,13 @@ def test_the_outages_of_a_car_with_rtk_are_bridged(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("trial", ["08", *(pytest.param(trial, marks=pytest.mark.slow) for trial in ("02", "10"))])
-def test_the_outages_of_a_car_with_a_tactical_imu_are_bridged(trial: str, tmp_path: Path) -> None:
+def test_smoothed_errors_in_outages_of_a_car_with_a_tactical_imu_meet_the_goals(trial: str, tmp_path: Path) -> None:
     found = smoothed("wid_car", recording("wid_car") / f"trial{trial}", tmp_path, "10/30")
     assert_bridged(found)
     assert found["smoothed_outage_inside_max_m"] <= 0.25 and found["smoothed_within_3_sigma_fraction"] > 0.98
 
 
-def test_the_attitude_of_a_truck_is_closer_to_its_reference(tmp_path: Path) -> None:
+def test_the_smoothed_attitude_of_a_truck_is_closer_to_its_reference(tmp_path: Path) -> None:
     found = smoothed("auburn_truck", recording("auburn_truck") / "turn", tmp_path)
     for axis in ("roll", "pitch", "yaw"):
         assert found[f"smoothed_{axis}_rmse_mounted_rad"] < 0.95 * found[f"{axis}_rmse_mounted_rad"], axis

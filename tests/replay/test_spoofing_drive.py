@@ -1,4 +1,4 @@
-"""A real drive with a low-cost IMU and RTK: no lasting alarm, and a drag-off that is added to it is accused.
+"""A real drive with a low-cost IMU and RTK: no permanent alarm, and an added drag-off is accused.
 
 The profile is learned from the first half, as `obu calibrate spoofing` does; the IMU's grade is in the settings.
 """
@@ -130,8 +130,8 @@ def test_a_drag_off_of_0_3_m_s2_on_the_recording_is_accused(drive: RealDrive, co
     assert found and 0.0 < min(found) <= 30.0, "17.5 s were measured"
 
 
-def test_a_minute_of_another_car_raises_no_lasting_alarm(tmp_path: Path) -> None:
-    """The recording does not say how old its fixes are: from 0.05 to 0.15 s there is no alarm, at 0 s the long one."""
+def test_a_minute_of_another_car_raises_no_permanent_alarm(tmp_path: Path) -> None:
+    """The age of the fixes is not recorded: for 0.05 to 0.15 s there is no alarm, for 0 s that of the long window."""
     drive = real_drive("comma_segment", "comma_segment", tmp_path)
     delay_s = 0.1
     config = Config().with_values(
@@ -146,10 +146,10 @@ def test_a_minute_of_another_car_raises_no_lasting_alarm(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_car_whose_receiver_is_half_a_second_late_raises_no_lasting_alarm_once_its_delays_are_set(
+def test_a_receiver_with_a_configured_delay_of_half_a_second_raises_no_permanent_alarm(
     tmp_path: Path,
 ) -> None:
-    """`navmatlab_car_0327`: positions 0.5 s and velocities 0.62 s old, as the check of the set-up says on the drive."""
+    """`navmatlab_car_0327`: positions 0.5 s and velocities 0.62 s old by the check of the set-up."""
     drive = real_drive("navmatlab_car_0327", "navmatlab_car", tmp_path)
     config = Config().with_values(
         LOW_COST_IMU | {"gnss.lever_arm_body_m": (0.0, 0.0, 0.0), "gnss.velocity_delay_s": 0.62}

@@ -1,4 +1,4 @@
-"""Starts with gyroscope biases of up to 5 degrees a second about each axis, and nothing set for them."""
+"""Starts with gyroscope biases of up to 5 degrees a second about each axis, with default settings."""
 
 from dataclasses import replace
 from math import degrees, radians
@@ -15,15 +15,15 @@ WARM_S, LONG_S = 5.0, 15.0  # after the speed has exceeded 3 m/s
 
 
 def heading_errors(seed: int, at_s: float, yaw: float = 0.0, pitch: float = 0.0) -> tuple[list[float], list[float]]:
-    """Errors of the heading [rad] and over its standard deviation, from 5 s above 3 m/s on; the IMU may be askew."""
+    """Heading errors [rad] and normalised ones, from 5 s after exceeding 3 m/s, for a mounting of the IMU."""
     car = drive("parking_lot", seed, 120.0)
     rng = np.random.default_rng((seed, 5))
     body_from_vehicle = ned_from_body(0.0, pitch, yaw).T
     bias = rng.uniform(-LARGEST, LARGEST, 3)
-    spoiled = replace(car, force_b=car.force_b @ body_from_vehicle.T, rate_b=car.rate_b @ body_from_vehicle.T + bias)
+    biased = replace(car, force_b=car.force_b @ body_from_vehicle.T, rate_b=car.rate_b @ body_from_vehicle.T + bias)
     start = Start(car, Receiver(rate_hz=4), at_s, 0.0, seed)
     fast_s, errors, pulls = None, [], []
-    for i, made in replace(start, drive=spoiled).run(at_s + LONG_S if at_s else 40.0):
+    for i, made in replace(start, drive=biased).run(at_s + LONG_S if at_s else 40.0):
         now_s = float(car.t_ns[i]) * 1e-9
         if fast_s is None and np.hypot(*car.velocity_n[i, :2]) > 3.0:
             fast_s = now_s
@@ -37,19 +37,19 @@ def heading_errors(seed: int, at_s: float, yaw: float = 0.0, pitch: float = 0.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
-def test_a_start_at_rest_measures_the_bias(seed: int) -> None:
+def test_after_a_start_at_standstill_the_heading_error_is_below_2_degrees(seed: int) -> None:
     errors, pulls = heading_errors(seed, 0.0)
     assert degrees(np.abs(errors).max()) < 2.0
     assert np.mean(np.square(pulls)) < 3.0
 
 
-def test_a_start_on_the_move_estimates_the_bias_and_states_what_is_left() -> None:
+def test_after_a_start_in_motion_normalised_heading_errors_squared_are_below_3_5() -> None:
     """Mean of the squared errors over their variances, over starts with other biases."""
     pulls = np.concatenate([heading_errors(seed, MOVING_S)[1] for seed in (0, 1, 3)])
     assert np.mean(np.square(pulls)) < 3.5
 
 
-def test_an_imu_askew_by_twenty_degrees_starts_at_rest_as_well() -> None:
+def test_with_an_imu_mounted_at_20_degrees_the_heading_error_is_below_3_degrees() -> None:
     errors, pulls = heading_errors(1, 0.0, yaw=radians(20.0), pitch=radians(15.0))
     assert degrees(np.abs(errors).max()) < 3.0
     assert np.mean(np.square(pulls)) < 3.0

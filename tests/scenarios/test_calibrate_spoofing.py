@@ -25,7 +25,7 @@ DURATIONS_S = {"monday": 110.0, "tuesday": 110.0, "later": 80.0}
 
 @dataclass(frozen=True)
 class Learned:
-    """A folder with three recordings, and the profile learned from two of them."""
+    """A folder with three recordings, and the profile estimated from two of them."""
 
     folder: Path
     profile: Path
@@ -53,7 +53,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> Learned:
 
 
 def statements(learned: Learned, vehicle: VehicleFile) -> list[TrustMonitor]:
-    """What core.spoofing says of the 5 s metrics in a drive that it was not learned from."""
+    """Statements of core.spoofing on the 5 s metrics in a drive that is not part of the profile."""
     with Recording(learned.folder / "later.mcap") as opened:
         inputs = inputs_of(opened)
     said = OfflineUnit(vehicle, PROCESSES).run(inputs.messages())
@@ -70,7 +70,7 @@ def test_the_profile_names_its_recordings_and_is_read_by_core_spoofing(learned: 
     assert all(0.0 < sigma < 2.0 for values in config.profile.sigma.values() for sigma in values)
 
 
-def test_a_drive_without_attack_is_judged_by_the_profile_and_not_accused(learned: Learned) -> None:
+def test_a_drive_without_attack_is_tested_with_the_profile_and_not_accused(learned: Learned) -> None:
     vehicle = learned.vehicle(VEHICLE)
     profile = vehicle.section("core.spoofing", Config).profile
     judged = [s for s in statements(learned, vehicle) if s.outcome is not MonitorOutcome.NOT_EVALUATED]

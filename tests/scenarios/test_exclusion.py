@@ -1,4 +1,4 @@
-"""From an accusation to dead reckoning and back: fusion, monitors and verdict on a drive whose GNSS is dragged off."""
+"""Exclusion and readmission of GNSS: fusion, monitors and verdict on a drive with a drag-off."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ BEGIN_S, END_S, DURATION_S = 100.0, 130.0, 180.0
 
 @dataclass(frozen=True)
 class Errors:
-    """Solutions against the truth."""
+    """Errors and protection levels of solutions."""
 
     time_s: npt.NDArray[np.float64]
     horizontal_m: npt.NDArray[np.float64]
@@ -92,7 +92,7 @@ def test_the_verdict_is_safe_unsafe_dead_reckoning_and_safe_again(published: lis
     assert {one.row for one in states if one.state is TrustLevel.DEAD_RECKONING} == {7, 8}
 
 
-def test_the_position_after_the_roll_back_is_that_of_dead_reckoning_within_its_level(
+def test_position_errors_after_the_roll_back_are_below_3_m_and_within_the_levels(
     drive: Drive, errors: Errors, chain: Chain
 ) -> None:
     free = errors.excluded
@@ -117,30 +117,33 @@ def test_excluded_fixes_are_published_with_the_reason_and_counted(published: lis
     assert states[-1].fixes_excluded > 40 and states[-1].resets == 0
 
 
-def test_readmission_says_how_far_gnss_is_from_dead_reckoning(published: list[Message], errors: Errors) -> None:
-    said = [one for one in published if isinstance(one, NavigationState) and "GNSS is used again" in one.reason]
-    assert said and "from dead reckoning" in said[0].reason
-    assert errors.worst_m(said[0].sampled_ns / SECOND_NS + 10.0, DURATION_S) < 2.0
+def test_the_reason_of_readmission_states_the_distance_from_dead_reckoning(
+    published: list[Message], errors: Errors
+) -> None:
+    reasons = [one for one in published if isinstance(one, NavigationState) and "GNSS is used again" in one.reason]
+    assert reasons and "from dead reckoning" in reasons[0].reason
+    assert errors.worst_m(reasons[0].sampled_ns / SECOND_NS + 10.0, DURATION_S) < 2.0
     used = [
         one
         for one in published
         if isinstance(one, AidingUpdate)
         and one.kind is AidingKind.GNSS_POSITION
-        and one.sampled_ns > said[0].sampled_ns
+        and one.sampled_ns > reasons[0].sampled_ns
     ]
     assert len(used) > 3 and all(one.used for one in used)
 
 
-def test_fusion_repeats_its_words_from_what_it_consumed_in_that_order(chain: Chain, published: list[Message]) -> None:
-    lever = {"gnss.lever_arm_body_m": chain.processes["core.fusion"]._navigator.settings.gnss.lever_arm_body_m}
-    fusion = Process(Config().with_values(lever))
-    again = [said for one in chain.consumed for said in fusion.handle(one)]  # type: ignore[arg-type]
-    kinds = tuple({type(said) for said in again})
+def test_fusion_publishes_the_same_from_its_recorded_inputs(
+    drive: Drive, chain: Chain, published: list[Message]
+) -> None:
+    fusion = Process(Config().with_values({"gnss.lever_arm_body_m": tuple(drive.lever_arm_b)}))
+    again = [output for one in chain.consumed for output in fusion.handle(one)]  # type: ignore[arg-type]
+    kinds = tuple({type(output) for output in again})
     assert len(kinds) == 5 and again == [one for one in published if isinstance(one, kinds)]
 
 
-def test_an_attack_that_holds_its_offset_is_not_readmitted_for_its_velocity(drive: Drive) -> None:
-    """30 s of drag-off to 3 m/s, then authentic velocities on positions that stay off."""
+def test_a_constant_offset_with_authentic_velocity_is_not_readmitted(drive: Drive) -> None:
+    """30 s of drag-off to 3 m/s, then authentic velocities and positions with a constant offset."""
     held = list(Chain(attacked(drive, BEGIN_S, END_S, 0.3, 3.0, held=True)).run())
     last = verdicts(held)[-1]
     passing = {one.monitor for one in last.monitors if one.outcome.value == "pass"}
@@ -153,10 +156,10 @@ def test_an_attack_that_holds_its_offset_is_not_readmitted_for_its_velocity(driv
 @pytest.mark.parametrize(
     "failure",
     [{"dead": (78.0, 86.0)}, {"dead": (78.0, 81.0)}, {"gap": (93.0, 96.0)}],
-    ids=["a restart that aligns anew", "a warm start", "no inertial samples for 3 s"],
+    ids=["restart with alignment", "warm start", "no inertial samples for 3 s"],
 )
-def test_nobody_is_accused_after_a_gap_or_a_restart(failure: dict[str, tuple[float, float]]) -> None:
-    """Solutions of a filter that has just aligned are wrong by degrees, which is no evidence on GNSS."""
+def test_no_sensor_is_accused_after_a_gap_or_a_restart(failure: dict[str, tuple[float, float]]) -> None:
+    """Solutions just after an alignment have heading errors of degrees, which are no evidence against GNSS."""
     found = verdicts(list(Chain(simulate("urban", 1, 130.0)).run(**failure)))
     assert not any(one.gnss_excluded or one.row in (4, 5, 6, 7) for one in found)
     assert found[-1].state is TrustLevel.SAFE

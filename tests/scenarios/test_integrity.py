@@ -1,4 +1,4 @@
-"""A small campaign of protection levels: each kind of simulated drive once; `make integrity` is the large one."""
+"""A small campaign of protection levels with each kind of simulated drive; `make integrity` is the large one."""
 
 import json
 from pathlib import Path
@@ -14,28 +14,28 @@ def judged() -> list[Judged]:
     return list(judge_all(len(CASES), workers=2, first_seed=5000))
 
 
-def test_errors_stay_below_their_levels_whatever_the_errors_of_gnss_are_like(judged: list[Judged]) -> None:
+def test_at_most_1e_3_of_the_errors_are_above_their_protection_levels(judged: list[Judged]) -> None:
     whole = report.row_of("all", judged)
     assert whole.runs == len(CASES) and whole.epochs > 2000
     assert max(whole.above) <= 1e-3
 
 
-def test_levels_are_of_the_size_of_the_errors(judged: list[Judged]) -> None:
-    """Median ratio, horizontal and vertical: 6 is the goal of the large campaign, of which these runs are a sample."""
+def test_the_median_ratio_of_levels_to_errors_is_below_10(judged: list[Judged]) -> None:
+    """Median ratio, horizontal and vertical: the goal of the large campaign is 6."""
     assert max(report.row_of("all", judged).ratio) < 10.0
 
 
-def test_in_outages_the_levels_grow(judged: list[Judged]) -> None:
+def test_levels_grow_by_half_in_outages(judged: list[Judged]) -> None:
     for one in judged:
         assert one.level_m[:, 0].max() > 1.5 * one.level_m[:, 0].min(), one.case
 
 
-def test_the_table_holds_every_case_and_what_falls_short(
+def test_the_table_has_every_case_and_exceeded_levels_fail_the_command(
     judged: list[Judged], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(report, "RESULTS", tmp_path)
-    misled = [Judged(one.case, one.seed, 3.0 * one.level_m, one.level_m) for one in judged]
-    monkeypatch.setattr(report, "judge_all", lambda *_: iter(misled))
+    exceeded = [Judged(one.case, one.seed, 3.0 * one.level_m, one.level_m) for one in judged]
+    monkeypatch.setattr(report, "judge_all", lambda *_: iter(exceeded))
     assert report.main(["--runs", str(len(CASES))]) == 1
     printed = capsys.readouterr().out
     assert all(case.name in printed for case in CASES) and "100 / 100" in printed

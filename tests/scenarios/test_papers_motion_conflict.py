@@ -17,7 +17,7 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:
         return reproduce(1, progress=False)
 
 
-def test_the_published_break_points_come_about_and_nothing_is_detected_without_a_fault(paper: Paper) -> None:
+def test_the_published_break_points_are_reproduced_and_nothing_is_detected_without_a_fault(paper: Paper) -> None:
     assert paper.deviations == []
     drives = paper.document["drives"]
     assert isinstance(drives, dict) and set(drives) == {"highway", "urban"}
@@ -28,7 +28,7 @@ def test_the_published_break_points_come_about_and_nothing_is_detected_without_a
     assert drives["urban"]["detections"]["delay 10 s"]["median_above"] > 0
 
 
-def test_a_recording_that_is_not_there_is_skipped_with_what_to_do(paper: Paper) -> None:
+def test_an_absent_recording_is_skipped_with_a_remedy(paper: Paper) -> None:
     assert len(paper.skipped) == 3
     assert all("set OBU_DATA" in text for text in paper.skipped)
 

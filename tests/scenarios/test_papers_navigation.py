@@ -43,7 +43,7 @@ def test_the_ratio_of_fused_to_gnss_errors_is_close_to_that_of_the_paper(results
 def test_velocity_errors_meet_the_limits_of_a_correct_filter(
     results: list[drives.Result], with_wheels: dict[str, drives.Result]
 ) -> None:
-    """Reference: 0.024 m/s with zero velocities at rest, 0.016 m/s with an odometer as well."""
+    """Reference: 0.024 m/s with zero velocities at standstill, 0.016 m/s with an odometer as well."""
     assert np.sqrt(np.mean([result.velocity for result in results])) < 0.03
     assert np.sqrt(np.mean([result.velocity for result in with_wheels.values()])) < 0.025
 

@@ -30,7 +30,7 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:
         return reproduce(9, progress=False)
 
 
-def test_the_acceptance_limits_hold_and_recordings_that_are_not_there_are_skipped(paper: Paper) -> None:
+def test_the_acceptance_limits_hold_and_absent_recordings_are_skipped(paper: Paper) -> None:
     """The paper's thresholds: at most 1 % a metric and 5 % any; replays, climb and drag-off with the gyroscope."""
     assert paper.deviations == []
     assert len(paper.skipped) == 1 and "set OBU_DATA" in paper.skipped[0]
@@ -76,7 +76,7 @@ def test_the_cut_off_changes_the_metric_only_where_both_sides_are_filtered(paper
     assert sigma["matched", 0.24] < 0.2 * sigma["matched", 0.03]
 
 
-def test_the_same_seed_gives_the_same_drive_and_a_false_sigma_is_noticed() -> None:
+def test_the_same_seed_gives_the_same_drive_and_a_wrong_sigma_is_detected() -> None:
     drive = measure(3)
     again = measure(3)
     assert (drive.velocity == again.velocity).all()
@@ -102,7 +102,7 @@ def test_limits_that_are_exceeded_are_deviations() -> None:
     assert len(deviations({Mode.PAPER_RAW: poor, Mode.GYROSCOPE: poor})) == 5
 
 
-def test_numbers_beyond_a_quarter_of_the_reference_are_named() -> None:
+def test_numbers_more_than_a_quarter_off_the_reference_are_named() -> None:
     exact = dict(zip(COLUMNS, REFERENCE_FALSE[Mode.PAPER_RAW], strict=True))
     shares = {name: Detection([1] * row[0], 100) for name, row in REFERENCE_DETECTED.items()}
     assert outside_tolerance({Mode.PAPER_RAW: ModeResult({}, exact, 3.5, 0.0, shares)}) == []
@@ -112,7 +112,7 @@ def test_numbers_beyond_a_quarter_of_the_reference_are_named() -> None:
 
 
 @pytest.mark.recording
-def test_a_phones_gyroscope_follows_the_course_and_its_compass_does_not() -> None:
+def test_the_gyroscope_of_a_phone_agrees_with_the_course_and_its_compass_does_not() -> None:
     from cli.papers.spoofing.campaign import differences
     from cli.papers.spoofing.recorded import RECORDING, phone_drives
     from tests.support.data import recording

@@ -1,4 +1,4 @@
-"""Positions that freeze or drift away: what the filter alone can do is to tell, and to widen its levels."""
+"""Positions that freeze or drift: rejections and protection levels of the filter alone."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import FloatArray, Geodetic, geodetic_from_ned_difference, ned_track
 
 BEGIN_S, END_S, DURATION_S = 60, 90, 100.0
-Wrong = Callable[[Drive, int], None]  # spoils a fix
+Wrong = Callable[[Drive, int], None]  # falsifies a fix
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Horizontal errors and levels [m] since the begin, twice a second, and what was told."""
+    """Horizontal errors and levels [m] since the begin of the fault, twice a second, and the counters."""
 
     error: FloatArray
     level: FloatArray
@@ -49,7 +49,7 @@ def drive_with(wrong: Wrong, scenario: str = "urban", seed: int = 3) -> Seen:
 
 
 def frozen(drive: Drive, k: int) -> None:
-    """Repeat the last position, with the velocity that is true."""
+    """Repeat the last position, with the true velocity."""
     drive.fix_position[k] = drive.fix_position[k - 1]
 
 
@@ -60,7 +60,7 @@ def held(drive: Drive, k: int) -> None:
 
 
 def drifting(rate: float) -> Wrong:
-    """Let positions drift to the east [m/s], with the velocity that is true."""
+    """Let positions drift to the east [m/s], with the true velocity."""
 
     def drift(drive: Drive, k: int) -> None:
         east = rate * (drive.fix_ns[k] * 1e-9 - BEGIN_S)
@@ -71,33 +71,33 @@ def drifting(rate: float) -> Wrong:
 
 
 @pytest.mark.parametrize("scenario", ["urban", "highway"])
-def test_a_position_that_freezes_is_refused_and_the_level_stays_above_the_error(scenario: str) -> None:
-    """Even after the filter has given way to it, and begun again at the wrong place: who was right is not known."""
+def test_frozen_positions_are_rejected_and_the_level_stays_above_the_error(scenario: str) -> None:
+    """Also after the filter was reset to the frozen position."""
     seen = drive_with(frozen, scenario)
-    assert seen.counts.fixes_rejected - seen.before.fixes_rejected >= 10 and seen.counts.resets > 0, "it is told"
-    assert seen.error.max() > 50.0, "and it is a grave one"
+    assert seen.counts.fixes_rejected - seen.before.fixes_rejected >= 10 and seen.counts.resets > 0
+    assert seen.error.max() > 50.0
     assert (seen.error <= seen.level).all()
 
 
-def test_an_epoch_that_is_held_is_left_out_for_ten_seconds_and_then_refused() -> None:
+def test_repeated_epochs_are_not_used_for_ten_seconds_and_then_rejected() -> None:
     seen = drive_with(held, "highway")
     assert seen.counts.epochs_repeated >= 10 and seen.counts.fixes_rejected >= 10
     assert (seen.error > seen.level).mean() < 0.1
-    assert seen.error[:20].max() < 3.0, "ten seconds without GNSS, and not 300 m"
+    assert seen.error[:20].max() < 3.0, "[m] ten seconds without GNSS; the frozen position is 300 m off"
 
 
-def test_a_position_that_drifts_by_a_metre_a_second_is_told_within_seconds() -> None:
+def test_positions_drifting_at_1_m_s_are_rejected_and_the_largest_level_is_above_the_error() -> None:
     seen = drive_with(drifting(1.0))
     assert seen.counts.fixes_rejected - seen.before.fixes_rejected >= 10
     assert seen.level.max() > seen.error.max()
 
 
-def test_a_position_that_drifts_slowly_is_followed_and_told_when_it_returns() -> None:
-    """0.1 m/s is within every gate; the level is not made for it: see docs/explanation/protection-levels.md."""
+def test_a_drift_of_0_1_m_s_causes_no_larger_error_than_its_offset() -> None:
+    """0.1 m/s passes every gate, and the level need not cover it: see docs/explanation/protection-levels.md."""
     seen = drive_with(drifting(0.1))
-    assert 1.0 < seen.error.max() < 0.1 * (END_S - BEGIN_S) + 1.5, "no farther than it was dragged"
+    assert 1.0 < seen.error.max() < 0.1 * (END_S - BEGIN_S) + 1.5, "at most the offset of the fixes"
 
 
-def test_who_gave_way_is_unsure_of_it_for_minutes() -> None:
+def test_ten_seconds_after_frozen_positions_the_level_is_still_above_30_m() -> None:
     seen = drive_with(frozen)
-    assert seen.level[-1] > 30.0, "ten seconds after everything is right again"
+    assert seen.level[-1] > 30.0, "ten seconds after the fault"

@@ -9,7 +9,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def recording(name: str) -> Path:
-    """Find a recording by the name of its folder, or skip the test with a message that says what to do."""
+    """Find a recording by the name of its folder, or skip the test with a message that states a remedy."""
     root = Path(os.environ.get("OBU_DATA", REPOSITORY.parent / "shared" / "data"))
     path = root / name
     if not path.exists():

@@ -1,4 +1,4 @@
-"""The judgement of `monitoring.health` for a pretended unit: envelopes in, its messages out."""
+"""`monitoring.health` for a simulated unit: envelopes in, its messages out."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ class Watchdog:
         self._next_report_ns = now_ns
 
     def take(self, envelope: Envelope, message: Message | None) -> None:
-        """Note one message, decoded where it can be read."""
+        """Receive one message, decoded if it is valid."""
         self.watch.take(
             envelope.topic, envelope.payload,
             producer=envelope.producer, received_ns=envelope.received_ns, retained=envelope.retained,
@@ -29,7 +29,7 @@ class Watchdog:
             self.watch.take_recording(message)
 
     def step(self, now_ns: int, *, connected: bool) -> list[Message]:
-        """Let time pass; return what `monitoring.health` publishes."""
+        """Advance the time; return what `monitoring.health` publishes."""
         messages: list[Message] = [*self.watch.step(now_ns, connected=connected)]
         if connected and self.watch.answering and now_ns >= self._next_report_ns:
             self._next_report_ns = now_ns + REPORT_NS

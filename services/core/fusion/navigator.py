@@ -29,6 +29,7 @@ from .plausibility.measurements import Devices, implausible
 from .settings import Settings
 from .smoothing.history import HistoryRecorder
 from .solution import Solution, UncertaintyCache, solution_of
+from .timing.delay_compensation import SuspectedDelay
 from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
 from .timing.out_of_sequence import OutOfSequenceEngine, key_of
 from .timing.roll_back import RollBack
@@ -42,6 +43,7 @@ HELD_LIMIT = 1000  # largest number of measurements that are held back
 SPEED_PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
 FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another one is expected
 FAULT_FREE_WAIT_NS = 1_000_000_000  # time for which the receiver's own fix waits for it
+NEW_DELAY_S = 0.1  # change of a suspected delay that matters
 
 
 class Navigator:
@@ -61,6 +63,7 @@ class Navigator:
         self._clock: Clock | None = None  # while samples are rejected for their stamps
         self._repeats: Repeats | None = None
         self._newest: dict[tuple[str, type], int] = {}  # newest stamp that was used, by device and kind
+        self._suspected = 0.0, 0.0  # [s] delays of GNSS
         self._devices = Devices(self.rejects, self._now_ns)
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
         self._held: list[tuple[int, int, str, Measurement]] = []  # (released by, stamp, source, measurement)
@@ -231,6 +234,16 @@ class Navigator:
         """Exclude GNSS from a suspect time on (None: GNSS is used), and the odometer, as decided by core.trust."""
         self._roll_back.follow(gnss_suspect_since_ns, odometer_excluded=odometer_excluded)
 
+    def suspect_delay(self, position_s: float, velocity_s: float) -> None:
+        """Allow for delays [s] of GNSS positions and velocities that no setting corrects, from now on; 0 ends it."""
+        newest, (old_s, old_velocity_s) = self._oosm.newest, self._suspected
+        changes = abs(position_s - old_s), abs(velocity_s - old_velocity_s)
+        if newest is None or self.settings.estimate_delays or max(changes) < NEW_DELAY_S:
+            return
+        self._suspected = position_s, velocity_s
+        grown_s = max(0.0, abs(velocity_s) - abs(old_velocity_s))
+        self._roll_back.insert(SuspectedDelay(newest.time_ns + 1, position_s, velocity_s, grown_s))
+
     @property
     def _oosm(self) -> OutOfSequenceEngine:
         return self._roll_back.engine
@@ -329,6 +342,7 @@ class Navigator:
         if clock.goes_back(sample.time_ns, known=self._oosm.is_known(sample)):
             self._roll_back.restart("the inertial clock went back")
             self._clock, self._repeats, self._newest = None, None, {}
+            self._suspected = 0.0, 0.0
         return "sample doubled or out of order"
 
     def _end_clock_fault(self, time_ns: int, lost_s: float) -> None:

@@ -89,6 +89,7 @@ class Process:
             self._set_up.sample(sampled_ns, force, rate)
         if self._set_up.is_due(self._sampled_ns):
             self._set_up.evaluate(self._sampled_ns, messages.arm_error(self._navigator))
+            self._navigator.suspect_delay(*self._set_up.delays)
             yield messages.set_up_message(self._set_up, self._sampled_ns)
         messages.use_environment(self._navigator, batch)
 

@@ -68,10 +68,12 @@ class UncertaintyCache:
         if self._key is None or self._key[0] is not navigation.P or self._key[1] is not watch:
             time_ns, _, velocity, _ = navigation.inertial
             P = navigation.P
-            covariances = P[em.POSITION, em.POSITION], P[em.VELOCITY, em.VELOCITY], P[em.ATTITUDE, em.ATTITUDE]
+            position_cov = P[em.POSITION, em.POSITION]
+            way = np.multiply(watch.late_s, velocity)  # driven in a delay that is not corrected
+            covariances = position_cov + np.outer(way, way), P[em.VELOCITY, em.VELOCITY], P[em.ATTITUDE, em.ATTITUDE]
             rows = [covariance.tolist() for covariance in covariances]
             levels = protection_levels(
-                rows[0],
+                position_cov.tolist(),
                 velocity,
                 time_ns,
                 watch,

@@ -20,11 +20,11 @@ class RunningBroker(Protocol):
         """End it in an orderly way; may be called again."""
 
     def restart(self) -> None:
-        """End it where it still runs, and start it again on the same port with what it has saved."""
+        """End it if it runs, and start it again on the same port with its saved messages."""
 
 
 def start(kind: str, folder: Path, acl: str | None = None) -> RunningBroker:
-    """Start a broker that keeps its files in `folder`, with the unit's access list or with the text of another."""
+    """Start a broker with its files in `folder`, with the access list of the unit or a given text."""
     from tests.support.bus import mosquitto, simulated
 
     return simulated.start(folder, acl) if kind == SIMULATED else mosquitto.start(folder, acl)

@@ -1,4 +1,4 @@
-"""Messages as they travel, with a sender of the test's choice."""
+"""Messages as they are delivered, with a sender that the test chooses."""
 
 from shared.bus import codec
 from shared.bus.envelope import Envelope
@@ -18,6 +18,6 @@ def sent_bytes(
     topic: str, body: bytes, received_ns: int, producer: str = "x", incarnation: int = 1, sequence: int = 1,
     *, retained: bool = False,
 ) -> Envelope:  # fmt: skip
-    """Make what the bus delivers of a body that may break the contract, from a proper sender."""
+    """Make what the bus delivers for a body that may violate the contract, from a valid sender."""
     payload = codec.signed(body, Sender(process=producer, incarnation=incarnation, sequence=sequence))
     return Envelope(topic, payload, received_ns, producer, incarnation, sequence, retained)

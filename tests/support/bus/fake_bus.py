@@ -1,4 +1,4 @@
-"""A bus without a broker, for the loops of processes that own theirs: time passes only by `receive`."""
+"""A bus without a broker, for the loops of processes that own theirs: time advances in `receive` only."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from shared.messages.base import Message
 
 
 class FakeBus:
-    """Feeds what a script says and keeps what was published; ends when the script does.
+    """Delivers the messages of a script and stores what was published; ends with the script.
 
     The script is called once a `receive` with the number of the call and returns the envelopes to
     deliver, or None to stop the process.
@@ -50,5 +50,5 @@ class FakeBus:
         return delivered
 
     def as_bus(self) -> Bus:
-        """Pass for a bus where one is asked for."""
+        """Return the bus for a process that opens one."""
         return cast(Bus, self)

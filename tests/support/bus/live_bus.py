@@ -1,4 +1,4 @@
-"""A bus without a broker that lives in real time, for the drivers of devices; run in a thread beside the test."""
+"""A bus without a broker in real time, for device drivers that run in a thread beside the test."""
 
 import threading
 import time
@@ -15,7 +15,7 @@ M = TypeVar("M", bound=Message)
 
 
 class LiveBus:
-    """Keeps what a driver publishes and delivers what `deliver` was given."""
+    """Stores what a driver publishes, and delivers the messages passed to `deliver`."""
 
     def __init__(self) -> None:
         self.vehicle, self.process = "car", "test"
@@ -45,6 +45,10 @@ class LiveBus:
     def deliver(self, message: Message) -> None:
         self._inbox.append(sent(message, self.now_ns()))
 
+    def all_received(self) -> bool:
+        """Whether the driver has received every delivered message."""
+        return not self._inbox
+
     def of(self, kind: type[M]) -> list[M]:
         return [message for message in list(self.published) if isinstance(message, kind)]
 
@@ -54,7 +58,7 @@ class LiveBus:
 
 @contextmanager
 def running(run: Callable[[Bus], None]) -> Iterator[LiveBus]:
-    """Run a driver's loop in a thread; a fault in it fails the test."""
+    """Run a driver's loop in a thread; an exception in it fails the test."""
     bus = LiveBus()
     faults: list[BaseException] = []
 
@@ -77,7 +81,7 @@ def running(run: Callable[[Bus], None]) -> Iterator[LiveBus]:
 
 
 def eventually(condition: Callable[[], bool], within_s: float = 3.0) -> None:
-    """Wait for something to become true."""
+    """Wait until a condition holds."""
     deadline = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"

@@ -25,7 +25,7 @@ class Mosquitto:
         self._process = self._run()
 
     def stop(self) -> None:
-        """End it as the system does at power-off; it saves what it keeps."""
+        """End it by SIGTERM; it saves its retained messages."""
         if self._process.poll() is None:
             self._process.terminate()
         self._process.wait(READY_WITHIN_S)
@@ -50,7 +50,7 @@ class Mosquitto:
 
 
 def start(folder: Path, acl: str | None = None) -> Mosquitto:
-    """Start one, or skip the test where there is none."""
+    """Start Mosquitto, or skip the test where it is not installed."""
     executable = local_config.executable()
     if executable is None:
         pytest.skip("no mosquitto on this machine: `apt install mosquitto` brings it")

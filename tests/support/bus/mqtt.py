@@ -13,7 +13,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 PATIENCE_S = 5.0
-QUIET_S = 0.1  # on a loopback, what has not come by then was not sent
+QUIET_S = 0.1  # [s] on a loopback, longer than any delivery takes
 
 
 class Client:
@@ -53,11 +53,11 @@ class Client:
         return self.connack
 
     def will(self, topic: str, payload: str, *, qos: int = 1, retain: bool = False) -> None:
-        """Leave a will; before `connect`."""
+        """Set the will; before `connect`."""
         self.paho.will_set(topic, payload, qos, retain)
 
     def subscribe(self, *patterns: str, qos: int = 1) -> list[int]:
-        """Subscribe and return the QoS granted to each filter, 0x80 for one that is refused."""
+        """Subscribe and return the QoS granted to each filter, 0x80 for a rejected one."""
         return self._suback(self.paho.subscribe([(pattern, qos) for pattern in patterns])[1])
 
     def unsubscribe(self, pattern: str) -> None:
@@ -70,17 +70,17 @@ class Client:
         self.until(lambda: packet_id in self._pubacks if qos else not self.paho.want_write())
 
     def take(self, count: int = 1, within_s: float = PATIENCE_S) -> list[paho.MQTTMessage]:
-        """Wait for messages and hand them over."""
+        """Wait for messages and return them."""
         self.until(lambda: len(self.messages) >= count, within_s)
         taken, self.messages = self.messages, []
         return taken
 
     def payloads(self, count: int = 1, within_s: float = PATIENCE_S) -> list[str]:
-        """Wait for messages and hand over their payloads."""
+        """Wait for messages and return their payloads."""
         return [message.payload.decode() for message in self.take(count, within_s)]
 
-    def hears_nothing(self) -> bool:
-        """Whether no message waits or comes while one listens for a moment."""
+    def receives_nothing(self) -> bool:
+        """Whether no message is queued or received within `QUIET_S`."""
         self.spin(QUIET_S)
         return not self.messages
 
@@ -89,7 +89,7 @@ class Client:
         self.until(lambda: self.ended, within_s)
 
     def kill(self) -> None:
-        """Lose the connection without a farewell."""
+        """Close the socket without DISCONNECT."""
         sock = self.paho.socket()
         assert isinstance(sock, socket.socket)
         sock.shutdown(socket.SHUT_RDWR)

@@ -1,4 +1,4 @@
-"""An MQTT 3.1.1 client of bare bytes, for what a proper client would not do."""
+"""An MQTT 3.1.1 client of bare bytes, for packets that a valid client does not send."""
 
 import socket
 
@@ -27,7 +27,7 @@ def subscribe(pattern: str, qos: int = 0) -> bytes:
 
 
 def connect(port: int, client_id: str, user: str) -> socket.socket:
-    """Connect and read the broker's consent."""
+    """Connect and read the CONNACK of the broker."""
     raw = socket.create_connection(("127.0.0.1", port), timeout=2)
     raw.sendall(connect_packet(client_id, user))
     answer = raw.recv(200)

@@ -7,7 +7,7 @@ from tests.support.bus import brokers
 
 
 class Simulated:
-    """The simulated broker; what it keeps is lost when it stops."""
+    """The simulated broker; retained messages are lost when it stops."""
 
     kind = brokers.SIMULATED
 

@@ -1,4 +1,4 @@
-"""A pretended on-board unit: a bus without a broker, on which a vehicle drives a circle.
+"""A simulated on-board unit: a bus without a broker, on which a vehicle drives a circle.
 
 It exists so that the web pages can be tested in states that a real unit takes minutes to reach. Its
 messages are made by the contract's own types and codec; what it says of the world is arithmetic.
@@ -82,7 +82,7 @@ class FakePlaza(Protocol):
 
 
 class FakeBus:
-    """Has the face of `shared.bus.bus.Bus`; what is fed is what is received."""
+    """Has the interface of `shared.bus.bus.Bus`; published messages are received."""
 
     def __init__(self, state_dir: Path, vehicle: str = "truck-07") -> None:
         self.state_dir, self.vehicle, self.vehicle_toml = state_dir, vehicle, VEHICLE_TOML
@@ -109,7 +109,7 @@ class FakeBus:
             self.unit.watchdog.take(envelope, message)
 
     def feed_bytes(self, topic: str, body: bytes, producer: str, *, delay_s: float = 0) -> Envelope:
-        """Put any payload onto the bus, a bad one as well."""
+        """Put any payload onto the bus, also an invalid one."""
         with self._lock:
             self._sequence += 1
             now_ns = self.now_ns() + int(delay_s * 1e9)
@@ -124,7 +124,7 @@ class FakeBus:
             self.unit.command(message)
 
     def receive(self, timeout_s: float) -> list[Envelope]:
-        """Hand over what is due."""
+        """Return the messages that are due."""
         time.sleep(min(timeout_s, 0.01))
         if self.unit is not None:
             self.unit.step()
@@ -143,7 +143,7 @@ def heartbeat(process: str, now_ns: int) -> ProcessHealth:
 
 
 class FakeUnit:
-    """Feeds what a whole unit says, at its rates; its attributes break it."""
+    """Publishes the messages of a whole unit at their rates; attributes inject faults."""
 
     def __init__(self, bus: FakeBus) -> None:
         self.bus, self.started_ns = bus, bus.now_ns()
@@ -161,7 +161,7 @@ class FakeUnit:
         bus.unit = self
 
     def step(self) -> None:
-        """Say everything that is due now."""
+        """Publish everything that is due now."""
         now_ns = self.bus.now_ns()
         for plan in [plan for plan in self._plans if plan[0] <= now_ns]:
             self._plans.remove(plan)
@@ -217,7 +217,7 @@ class FakeUnit:
         self._plans.append((self.started_ns + int(seconds * 1e9), lambda: self.kill(process)))
 
     def kill(self, process: str) -> None:
-        """End a process without a farewell, as the broker's last will tells it."""
+        """End a process without a regular end, with its last will."""
         self.lost.add(process)
         now_ns = self.bus.now_ns()
         will = ProcessHealth(process=process, state=ProcessState.LOST, incarnation=LIFE, sent_ns=now_ns)
@@ -455,7 +455,7 @@ class FakeUnit:
         return GnssSatellites(sampled_ns=now_ns - 80_000_000, received_ns=now_ns, source="gnss0", satellites=satellites)
 
     def _receiver(self, now_ns: int) -> Iterator[tuple[str, Message]]:
-        """Measurements of two signals of GPS and Galileo, what the receiver says of interference, and how it is set."""
+        """Measurements of two signals of GPS and Galileo, interference state and configuration of the receiver."""
         measurements = tuple(
             RawMeasurement(constellation=s.constellation, number=s.number, signal=signal, cn0_db_hz=s.cn0_db_hz - less)
             for s in self._satellites(now_ns).satellites

@@ -1,4 +1,4 @@
-"""The status process as it is, on a free port, fed by the pretended unit instead of a broker."""
+"""The status process as it is, on a free port, with the simulated unit instead of a broker."""
 
 import threading
 import time

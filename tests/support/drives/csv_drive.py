@@ -1,4 +1,4 @@
-"""A simulated drive as a stranger would hand it over: CSV files in other units and axes, and their mapping."""
+"""A simulated drive as CSV files in other units and axes, and their mapping."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The golden drive: 30 s of device bytes of the simulator, and what the unit makes of them.
+"""The golden drive: 30 s of device bytes of the simulator, and the messages that the unit publishes for them.
 
 `make golden` writes `tests/golden/` anew: the bytes of each device as any tool reads them (`gnss.ubx`, `imu.xbus`,
 `can.log`), how they were cut and when each piece arrived (`arrivals.csv`), and the result (`expected.jsonl`).
@@ -26,7 +26,7 @@ FOLDER = REPOSITORY / "tests" / "golden"
 VEHICLE = REPOSITORY / "deploy" / "vehicles" / "simulated.toml"
 SCENARIO, SEED, DURATION_S = "urban", 1, 30.0
 FILES: dict[str, type[RawBytes]] = {"gnss.ubx": GnssRaw, "imu.xbus": ImuRaw, "can.log": CanRaw}
-# One message of so many is kept, of each type that comes often; of all others, every message.
+# One of this many messages is compared for each frequent type; of all other types every message.
 EVERY = {
     "AidingUpdate": 5, "FilterState": 10, "GnssNavigationBits": 20, "GnssRawEpoch": 10, "GnssSatellites": 10,
     "GnssSignals": 30, "ImuSamples": 100, "NavigationSolution": 10, "TrustMonitor": 20, "TrustState": 10,
@@ -94,7 +94,7 @@ def write_device_bytes(folder: Path = FOLDER) -> None:
 
 
 def main() -> None:
-    """Write the stored result anew, and with `--bytes` the bytes of the devices as well."""
+    """Rewrite the stored result, and with `--bytes` the bytes of the devices as well."""
     FOLDER.mkdir(exist_ok=True)
     if "--bytes" in sys.argv[1:]:
         write_device_bytes()

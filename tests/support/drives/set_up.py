@@ -1,4 +1,4 @@
-"""A drive as a monitor of the set-up sees it, with axes, signs, stamps and scales spoiled on the way."""
+"""Inputs of the set-up monitor from a drive, with faults of axes, signs, stamps and scales."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,8 +43,8 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class Spoiled:
-    """What is done to a good recording before it is checked."""
+class Faults:
+    """Faults that are applied to a correct recording."""
 
     axes: tuple[str, str, str] = ("x", "y", "z")  # published axes by those of the vehicle
     gyroscope_axes: tuple[str, str, str] | None = None  # if they differ
@@ -58,7 +58,7 @@ class Spoiled:
     arm: ArmError | None = None
 
     def checks(self, drive: Recorded, settings: Settings | None = None) -> dict[str, Check]:
-        """Evaluate all checks on the spoiled drive."""
+        """Evaluate all checks on the drive with the faults."""
         settings = settings or Settings()
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         skew = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])

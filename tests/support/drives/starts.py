@@ -1,4 +1,4 @@
-"""Drives that the simulator's roads do not have, for starts."""
+"""Manoeuvres that the simulator's roads do not have, for tests of the alignment."""
 
 from dataclasses import replace
 
@@ -15,12 +15,12 @@ Leg = tuple[float, float, float]  # [s], [m/s²], [1/m]
 
 
 def manoeuvre(legs: tuple[Leg, ...], seed: int = 0, yaw: float = 0.0) -> Drive:
-    """Drive legs of (duration [s], acceleration [m/s²], curvature [1/m]) from rest; a speed below zero is backwards."""
+    """Drive legs of (duration [s], acceleration [m/s²], curvature [1/m]) from standstill, also backwards."""
     durations, accelerations, curvatures = np.array(legs).T
     counts = np.round(durations / STEP_S).astype(int)
     speed = np.concatenate([[0.0], np.cumsum(np.repeat(accelerations, counts)) * STEP_S])
     curve = np.concatenate([[0.0], np.repeat(curvatures, counts)])
-    smooth = np.ones(30) / 30.0  # nobody jerks so hard
+    smooth = np.ones(30) / 30.0  # limits the jerk
     speed = np.convolve(np.pad(speed, 30, mode="edge"), smooth, mode="same")[30:-30]
     curve = np.convolve(np.pad(curve, 30, mode="edge"), smooth, mode="same")[30:-30]
     heading = yaw + np.cumsum(speed * curve) * STEP_S

@@ -1,4 +1,4 @@
-"""Solutions and truths of a vehicle whose path is known in closed form, for tests of what judges solutions."""
+"""Solutions and truths of a vehicle whose path is known in closed form, for tests of error metrics."""
 
 from collections.abc import Iterable
 from math import cos, degrees, pi, sin

@@ -45,7 +45,7 @@ def packets(path: Path) -> list[tuple[int, bytes]]:
 
 
 class Dissection:
-    """What tshark shows of one frame: the values of a field by its name, wherever it stands."""
+    """The fields of one frame dissected by tshark: values by the name of the field, at any depth."""
 
     def __init__(self, layers: object) -> None:
         self._layers = layers

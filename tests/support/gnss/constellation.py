@@ -59,7 +59,7 @@ def filled_store() -> EphemerisStore:
 
 
 def sight_of(one: Ephemeris, position_e: FloatArray, gps_time_ns: int) -> tuple[float, Sight]:
-    """Geometric range [m] with the Earth turning while the signal is under way, and the satellite as it was seen."""
+    """Geometric range [m] with the rotation of the Earth during transmission, and the apparent satellite position."""
     flight = 0.07
     for _ in range(6):
         state = satellite_state(one, gps_time_ns, flight)
@@ -95,7 +95,7 @@ def raw_epoch(
             continue
         own = clock_m if one.satellite.constellation == Constellation.GPS else galileo_clock_m
         state = satellite_state(one, gps_time_ns, distance / SPEED_OF_LIGHT)
-        # The time tag is the receiver's: it is late by its clock, and so is the transmission it measures from.
+        # The time tag has the clock error of the receiver, and so has the transmission time derived from it.
         pseudorange = distance + own - SPEED_OF_LIGHT * state.clock_s + float(geometry.delay[0])
         sight_e = geometry.ned_from_ecef.T @ geometry.line_of_sight_n[0]
         satellite_e = geometry.ned_from_ecef.T @ geometry.satellite_velocity_n[0]
@@ -104,7 +104,7 @@ def raw_epoch(
             pseudorange += float(geometry.sd[0]) * rng.standard_normal()
             rate += model.range_rate_sd_m_s * rng.standard_normal()
         measurements.append(Measurement(one.satellite, pseudorange, -rate * L1_FREQUENCY / SPEED_OF_LIGHT, 48.0))
-    # what the receiver stamps runs ahead by its clock
+    # receiver stamps are ahead by its clock error
     return RawEpoch(gps_time_ns + round(clock_m / SPEED_OF_LIGHT * 1e9), tuple(measurements))
 
 
@@ -120,7 +120,7 @@ def pushed(epoch: RawEpoch, satellite: SatelliteId, bias_m: float) -> RawEpoch:
 
 
 def elements(one: Ephemeris) -> Elements:
-    """What the simulated satellite broadcasts of an ephemeris."""
+    """Navigation words that the simulated satellite broadcasts for an ephemeris."""
     names = (field.name for field in fields(Elements) if field.name != "number")
     return Elements(number=one.satellite.number, **{name: getattr(one, name) for name in names})
 

@@ -1,4 +1,4 @@
-"""What pyubx2 and pynmea2 make of bytes: they give messages their attributes at run time, hence `Any`."""
+"""Parsing by pyubx2 and pynmea2, which set the attributes of messages at run time, hence `Any`."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""A road-side unit that pretends: what its processes publish, at their rates, for the dashboard."""
+"""A simulated road-side unit for the dashboard: the messages of its processes at their rates."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ SECOND_NS = NS
 
 @dataclass
 class FakePlaza:
-    """Feeds a plaza with four vehicles; its attributes break it."""
+    """Publishes the messages of a plaza with four vehicles; attributes inject faults."""
 
     empty: bool = False  # nothing but heartbeats
     silent_after_s: float | None = None  # core.toll and the ledger publish nothing from then on
@@ -47,7 +47,7 @@ class FakePlaza:
         bus.vehicle, bus.vehicle_toml, bus.unit = "plaza-1", VEHICLE_TOML, self
 
     def step(self) -> None:
-        """Feed everything that is due now."""
+        """Publish everything that is due now."""
         now_ns = self.bus.now_ns()
         for name, period_ns, make in (
             ("beat", NS // 2, self._heartbeats),

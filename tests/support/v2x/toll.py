@@ -10,7 +10,7 @@ import numpy as np
 from services.core.toll.core import Core
 from services.core.toll.settings import Settings
 from shared.messages.gnss import FixType, GnssFix
-from shared.messages.toll import GateCommand, OpenPassages, TollPassage, TollRegistration
+from shared.messages.toll import GateCommand, OpenPassages, TollDelta, TollPassage, TollRegistration
 from shared.messages.v2x import Cam, StationType
 from shared.toll.plaza import Lane, Plaza, along, parse_plaza
 
@@ -126,9 +126,11 @@ class Plant:
     def __init__(self, error: tuple[float, float] | None = None, settings: Settings | None = None) -> None:
         self.plaza, self.settings = example_plaza(), settings or Settings()
         self.error = error
-        self.said: list[TollPassage | GateCommand] = []
+        self.statements: list[TollPassage | GateCommand] = []
         self.clock_s = -30.0
         self.registered: list[int] = []
+        self.fixes: list[GnssFix] = []
+        self.deltas: list[TollDelta] = []
         self.core = self.new_core()
         while self.clock_s < 0.0:
             self.second()
@@ -141,6 +143,14 @@ class Plant:
             core.register(registration(station_id))
         return core
 
+    def restart(self, *, answered: bool = True) -> None:
+        """Restart the process; it receives the fixes and deltas again, and `answered` by the ledger."""
+        self.core = self.new_core() if answered else Core(self.plaza, self.settings)
+        for one in self.fixes:
+            self.core.fix(one)
+        for delta in self.deltas:
+            self.core.use_delta(delta)
+
     def register(self, *station_ids: int) -> None:
         self.registered += station_ids
         for station_id in station_ids:
@@ -149,10 +159,12 @@ class Plant:
     def second(self) -> None:
         """A tick with a fix of the unit's receiver."""
         if self.error:
-            self.core.fix(fix(self.plaza, self.clock_s, *self.error))
+            self.fixes.append(fix(self.plaza, self.clock_s, *self.error))
+            self.core.fix(self.fixes[-1])
         now_ns = START_NS + round(self.clock_s * 1e9)
-        self.core.use_delta(self.core.estimate_delta(now_ns))
-        self.said += self.core.tick(now_ns)
+        self.deltas.append(self.core.estimate_delta(now_ns))
+        self.core.use_delta(self.deltas[-1])
+        self.statements += self.core.tick(now_ns)
         self.clock_s += 1.0
 
     def drive(self, *vehicles: Vehicle, until: float, since: float = 0.0) -> None:
@@ -161,12 +173,12 @@ class Plant:
             t = k / 10.0
             if t >= self.clock_s:
                 self.second()
-            self.said += self.core.use([vehicle.cam(self.plaza, t) for vehicle in vehicles])
+            self.statements += self.core.use([vehicle.cam(self.plaza, t) for vehicle in vehicles])
 
     @property
     def passages(self) -> list[TollPassage]:
         """Changes of state."""
-        return [one for one in self.said if isinstance(one, TollPassage) and not one.checkpoint]
+        return [one for one in self.statements if isinstance(one, TollPassage) and not one.checkpoint]
 
     @property
     def states(self) -> list[str]:
@@ -174,4 +186,4 @@ class Plant:
 
     @property
     def gates(self) -> list[GateCommand]:
-        return [one for one in self.said if isinstance(one, GateCommand)]
+        return [one for one in self.statements if isinstance(one, GateCommand)]

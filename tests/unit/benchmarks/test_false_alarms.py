@@ -7,7 +7,7 @@ from scipy.stats import binomtest
 from benchmarks.false_alarms import Count, campaign, counted, inertial, motion_at
 
 
-def test_overlapping_windows_are_one_episode_and_what_is_not_evaluated_does_not_count() -> None:
+def test_overlapping_windows_are_one_episode_and_only_evaluated_ones_count() -> None:
     accuses = [None, False, True, True, False, True, None, True]
     (count,) = counted([("test", 1e-3, one)] for one in accuses)
     assert count == Count("test", 1e-3, 6, 3, 4)
@@ -28,7 +28,7 @@ def test_the_verdict_compares_the_design_rate_with_the_interval() -> None:
     assert Count("test", None, 100_000, 0, 0).verdict == "none"
 
 
-def test_drawn_alarms_of_the_design_rate_are_inside_their_interval_as_often_as_it_says() -> None:
+def test_the_interval_covers_the_design_rate_with_its_confidence() -> None:
     counts = np.random.default_rng(1).binomial(20_000, 1e-3, 400)
     inside = np.mean([Count("test", 1e-3, 20_000, int(count), int(count)).verdict == "inside" for count in counts])
     assert 0.93 <= inside <= 0.99, "an exact interval covers at least 95 %"
@@ -42,7 +42,7 @@ def test_a_short_campaign_of_the_motion_monitor_evaluates_every_test_without_too
     assert not [count for count in counts if count.verdict == "too many"]
 
 
-def test_a_wide_open_fast_test_raises_alarms() -> None:
+def test_a_fast_test_with_a_low_threshold_raises_alarms() -> None:
     (fast,) = [count for count in motion_at(3, 700, 0.3) if count.test == "fast"]
     assert fast.episodes > 3
 

@@ -1,4 +1,4 @@
-"""The benchmark on drives: what it pools and prints, and that peers get the files that their makers document."""
+"""The benchmark on drives: pooled metrics, printed tables, and the documented input files of peers."""
 
 import json
 import stat
@@ -28,7 +28,7 @@ def test_every_row_names_a_case_and_a_metric_and_every_drive_a_mapping() -> None
     assert {case.drive for case in CASES.values()} <= set(DRIVES)
 
 
-def test_outages_of_shifted_runs_are_judged_as_one_set() -> None:
+def test_outages_of_shifted_runs_are_evaluated_as_one_set() -> None:
     runs = [
         [{"end_error_m": 3.0, "largest_error_m": 4.0, "distance_m": 300.0}],
         [{"end_error_m": 1.0, "largest_error_m": 2.0, "distance_m": 5.0}],
@@ -49,7 +49,7 @@ def test_a_case_is_one_run_or_one_an_outage_pattern() -> None:
     assert len({job.folder for job in shifted}) == 3
 
 
-def test_a_missed_goal_is_said_and_units_are_those_of_the_row() -> None:
+def test_a_missed_goal_is_reported_in_the_units_of_its_row() -> None:
     assert report.shown(Row("a", "yaw", "yaw_rmse_rad", "deg"), {"yaw_rmse_rad": np.pi / 180}) == pytest.approx(1.0)
     assert report.shown(Row("a", "share", "outage_end_error_share_median", "%"),
                         {"outage_end_error_share_median": 0.02}) == pytest.approx(2.0)  # fmt: skip
@@ -66,7 +66,7 @@ def test_a_missed_goal_is_said_and_units_are_those_of_the_row() -> None:
     assert "| ours | rtk | 7.12 | 50 |" in text and "KF-GINS: not run. OBU_KF_GINS names no program." in text
 
 
-def test_the_page_in_the_documentation_is_that_of_the_last_run() -> None:
+def test_the_documented_table_is_that_of_the_last_run() -> None:
     kept = REPOSITORY / "benchmarks" / "results" / "navigation.json"
     printed = (REPOSITORY / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
     assert printed == report.HEAD + report.page(json.loads(kept.read_text(encoding="utf-8"))), "run `make drives`"
@@ -149,7 +149,7 @@ def test_fixes_are_carried_to_the_whole_second_that_ob_gins_wants(small_set: Giv
     assert len(at_whole_seconds(fast)) == 0, "fixes between seconds are left out"
 
 
-def test_a_result_that_is_the_truth_has_no_error(small_set: Given) -> None:
+def test_a_result_equal_to_the_truth_has_no_error(small_set: Given) -> None:
     time_s = np.arange(456300.0, 456719.0, 0.005)
     lat = np.degrees(PLACE[0] + (time_s - 456250.0) * 10.0 / 6_352_000.0)
     rows = np.column_stack([time_s, lat, np.full_like(lat, 114.4), np.full_like(lat, 20.0), np.zeros((len(lat), 6))])
@@ -178,7 +178,7 @@ np.savetxt(Path(config["outputpath"]) / "KF_GINS_Navresult.nav", out, fmt="%.10f
 """
 
 
-def test_a_peer_is_fed_by_its_documented_files_and_judged_by_what_it_writes(
+def test_a_peer_reads_its_documented_files_and_is_compared_by_its_output(
     small_set: Given, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program = tmp_path / "KF-GINS"
@@ -194,7 +194,7 @@ def test_a_peer_is_fed_by_its_documented_files_and_judged_by_what_it_writes(
     assert result["us_per_sample"] > 0.0 and result["peak_mb"] > 5.0
 
 
-def test_a_peer_that_is_absent_or_fails_is_said_in_a_sentence(
+def test_an_absent_or_failing_peer_is_reported_in_one_sentence(
     small_set: Given, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for peer in PEERS:

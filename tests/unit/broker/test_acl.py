@@ -1,4 +1,4 @@
-"""The access list: its format, and that the printed one gives each process exactly its row of the contract."""
+"""The access list: its format, and the printed list against the rows of the contract."""
 
 import itertools
 
@@ -14,7 +14,7 @@ PRINTED = parse(access_list())
 
 
 @pytest.mark.parametrize("row", PROCESSES, ids=NAMES)
-def test_a_process_may_do_what_its_row_says_and_no_more(row: ProcessRow) -> None:
+def test_a_process_may_read_and_write_the_topics_of_its_row_only(row: ProcessRow) -> None:
     for topic, owner in itertools.product(TOPICS, NAMES):
         name = "obu/any-vehicle/" + topic.name.replace("+", owner)
         reads = row.observes_all or row.name in topic.consumers
@@ -23,8 +23,8 @@ def test_a_process_may_do_what_its_row_says_and_no_more(row: ProcessRow) -> None
         assert PRINTED.may_write(row.name, name) is writes
 
 
-@pytest.mark.parametrize("user", [None, "stranger", "core"])
-def test_anyone_else_may_do_nothing(user: str | None) -> None:
+@pytest.mark.parametrize("user", [None, "unknown", "core"])
+def test_an_unknown_user_may_neither_read_nor_write(user: str | None) -> None:
     assert not PRINTED.may_subscribe(user, "#")
     assert not PRINTED.may_write(user, "obu/v/gnss/raw")
 
@@ -35,20 +35,20 @@ def test_an_observer_reads_everything_and_writes_nothing() -> None:
     assert not any(PRINTED.may_write("observer", name) for name in names)
 
 
-def test_the_list_can_be_printed_for_one_vehicle_alone() -> None:
+def test_the_access_list_can_be_limited_to_one_vehicle() -> None:
     acl = parse(access_list("car-7"))
     assert acl.may_write("core.fusion", "obu/car-7/navigation/solution")
     assert not acl.may_write("core.fusion", "obu/car-8/navigation/solution")
 
 
-def test_clients_without_a_name_may_be_let_read() -> None:
+def test_anonymous_clients_may_be_allowed_to_read() -> None:
     acl = parse(access_list(nameless_read=True))
     assert acl.may_read(None, "obu/v/navigation/solution")
     assert not acl.may_write(None, "obu/v/navigation/solution")
-    assert not acl.may_read("stranger", "obu/v/navigation/solution")
+    assert not acl.may_read("unknown", "obu/v/navigation/solution")
 
 
-def test_topic_lines_mean_what_they_mean_to_mosquitto() -> None:
+def test_topic_lines_have_the_meaning_of_mosquitto() -> None:
     acl = parse("topic read all/#\n\n# a comment\nuser a b\ntopic mine/#\ntopic deny mine/secret\ntopic write read\n")
     assert acl.may_read(None, "all/x")
     assert not acl.may_read("a b", "all/x")
@@ -59,6 +59,6 @@ def test_topic_lines_mean_what_they_mean_to_mosquitto() -> None:
 
 
 @pytest.mark.parametrize("line", ["pattern read %c/#", "user", "topic", "topic read a/#/b", "password x"])
-def test_a_line_that_is_not_understood_is_named(line: str) -> None:
+def test_an_invalid_line_is_named_in_the_error(line: str) -> None:
     with pytest.raises(AclError, match="line 2"):
         parse(f"user a\n{line}\n")

@@ -13,7 +13,7 @@ MESSAGE = raw_mqtt.packet(0x32, raw_mqtt.string("t") + b"\0\1\0x")  # of QoS 1, 
 
 
 class Transport(asyncio.Transport):
-    """Keeps what is written."""
+    """Stores what is written."""
 
     def __init__(self, raw: socket.socket) -> None:
         super().__init__({"socket": raw})
@@ -54,7 +54,7 @@ async def _ask(broker: Broker, packet: bytes, *, reads: bool) -> Transport:
         return transport
 
 
-def test_a_client_that_asks_and_does_not_read_is_let_go() -> None:
+def test_a_client_that_sends_packets_and_does_not_read_is_disconnected() -> None:
     for packet in (PING, MESSAGE, raw_mqtt.subscribe("a")):
         broker = Broker(limits=Limits(unread_bytes=100))
         transport = asyncio.run(_ask(broker, packet, reads=False))
@@ -64,7 +64,7 @@ def test_a_client_that_asks_and_does_not_read_is_let_go() -> None:
         assert not broker.sessions
 
 
-def test_a_client_that_reads_now_and_then_may_ask_for_ever() -> None:
+def test_a_client_that_reads_at_times_stays_connected() -> None:
     broker = Broker(limits=Limits(unread_bytes=100))
     transport = asyncio.run(_ask(broker, PING, reads=True))
     assert transport.written == raw_mqtt.packet(0xD0, b"") * 200

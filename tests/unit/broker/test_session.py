@@ -12,7 +12,7 @@ from broker.simulated.session import Limits, Session
 
 
 class Wire:
-    """A connection that keeps what is written; `writable` as the test wants it."""
+    """A connection that stores what is written; the test sets `writable`."""
 
     def __init__(self) -> None:
         self.writable = True
@@ -53,7 +53,7 @@ class World:
         self.broker.receive(Publish("t", payload, qos, retain, packet_id=qos), self.source)
 
 
-def test_a_full_queue_forgets_its_oldest_message_of_qos_0_and_counts_it() -> None:
+def test_a_full_queue_drops_and_counts_its_oldest_message_of_qos_0() -> None:
     world = World(Limits(queue_messages=4))
     world.wire.writable = False
     for payload, qos in ((b"a", 1), (b"b", 0), (b"c", 0), (b"d", 1), (b"e", 0), (b"f", 1)):
@@ -64,7 +64,7 @@ def test_a_full_queue_forgets_its_oldest_message_of_qos_0_and_counts_it() -> Non
     assert world.broker.counters.counts["dropped"] == 2
 
 
-def test_a_full_queue_of_qos_1_forgets_its_oldest_and_keeps_the_newest() -> None:
+def test_a_full_queue_of_qos_1_drops_its_oldest_and_keeps_the_newest() -> None:
     world = World(Limits(queue_messages=3))
     world.wire.writable = False
     for number in range(5):
@@ -73,10 +73,10 @@ def test_a_full_queue_of_qos_1_forgets_its_oldest_and_keeps_the_newest() -> None
 
 
 @given(st.lists(st.tuples(st.integers(0, 1), st.integers(0, 60)), max_size=60))
-def test_a_queue_never_holds_more_messages_or_bytes_than_its_bounds(said: list[tuple[int, int]]) -> None:
+def test_a_queue_never_holds_more_messages_or_bytes_than_its_bounds(published: list[tuple[int, int]]) -> None:
     world = World(Limits(queue_messages=10, queue_bytes=200))
     world.wire.writable = False
-    for qos, size in said:
+    for qos, size in published:
         world.say(bytes(size), qos=qos)
         sizes = [len(waiting.payload) for waiting in world.sink.queue]
         assert len(sizes) <= 10
@@ -84,8 +84,8 @@ def test_a_queue_never_holds_more_messages_or_bytes_than_its_bounds(said: list[t
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 1), st.booleans()), max_size=40))
-def test_messages_keep_their_order_whatever_waits(steps: list[tuple[bool, int, bool]]) -> None:
-    """The client reads now and then, and acknowledges now and then; QoS 0 never overtakes QoS 1."""
+def test_messages_are_sent_in_order_after_any_wait(steps: list[tuple[bool, int, bool]]) -> None:
+    """The client reads and acknowledges at random; QoS 0 never overtakes QoS 1."""
     world = World(Limits(in_flight=2))
     for number, (reads, qos, acknowledges) in enumerate(steps):
         world.wire.writable = reads
@@ -99,7 +99,7 @@ def test_messages_keep_their_order_whatever_waits(steps: list[tuple[bool, int, b
     assert world.wire.payloads() == [b"%03d" % number for number in range(len(steps))]
 
 
-def test_packet_identifiers_go_round_and_skip_those_in_flight() -> None:
+def test_packet_identifiers_wrap_and_skip_those_in_flight() -> None:
     world = World()
     world.say(b"never acknowledged", qos=1)
     world.sink.packet_id = 65_534
@@ -108,7 +108,7 @@ def test_packet_identifiers_go_round_and_skip_those_in_flight() -> None:
     assert [message.packet_id for message in world.wire.written] == [1, 65_535, 2, 3]
 
 
-def test_an_acknowledgement_that_nobody_waits_for_changes_nothing() -> None:
+def test_an_unexpected_acknowledgement_changes_nothing() -> None:
     world = World()
     world.say(b"x", qos=1)
     acknowledgement = packets.decode(0x40, b"\0\x63")
@@ -128,7 +128,7 @@ def test_a_session_of_the_same_name_takes_over_and_the_will_of_the_old_one_is_se
     assert world.wire.payloads() == [b"lost", b"for nobody"]
 
 
-def test_a_retained_will_without_a_place_is_sent_and_counted_and_not_kept() -> None:
+def test_a_retained_will_beyond_the_limit_is_sent_and_counted_and_not_stored() -> None:
     world = World(Limits(retained=1))
     world.say(b"kept", retain=True)
     doomed, _ = world.join("doomed", will=Publish("w", b"lost", 1, True))

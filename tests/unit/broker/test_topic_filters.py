@@ -1,4 +1,4 @@
-"""Filters against paho's own matcher, and against every topic of a small world."""
+"""Filters against paho's own matcher, and against all topics of a small set."""
 
 import itertools
 
@@ -32,33 +32,33 @@ SMALL_FILTERS = [
 
 
 @given(filters, names)
-def test_a_filter_takes_what_pahos_matcher_takes(pattern: str, topic: str) -> None:
+def test_a_filter_matches_the_topics_that_paho_matches(pattern: str, topic: str) -> None:
     assert matches(pattern, topic) == topic_matches_sub(pattern, topic)
 
 
-def test_two_filters_overlap_where_a_topic_is_taken_by_both() -> None:
+def test_two_filters_overlap_if_a_topic_matches_both() -> None:
     taken = {pattern: {name for name in EVERY_NAME if matches(pattern, name)} for pattern in SMALL_FILTERS}
     for one, other in itertools.product(SMALL_FILTERS, repeat=2):
         assert overlap(one, other) == bool(taken[one] & taken[other]), (one, other)
 
 
 @pytest.mark.parametrize("pattern", ["#", "+", "a", "/", "a/#", "+/+", "a/+/b", "$SYS/#", "a//b"])
-def test_proper_filters_are_accepted(pattern: str) -> None:
+def test_valid_filters_are_accepted(pattern: str) -> None:
     assert is_filter(pattern)
 
 
 @pytest.mark.parametrize("pattern", ["", "a#", "#/a", "a/#/b", "a+", "+a/b", "a/b+"])
-def test_improper_filters_are_refused(pattern: str) -> None:
+def test_invalid_filters_are_rejected(pattern: str) -> None:
     assert not is_filter(pattern)
 
 
 @given(filters)
-def test_a_name_is_a_filter_without_wildcards(pattern: str) -> None:
+def test_a_topic_name_is_a_filter_without_wildcards(pattern: str) -> None:
     assert is_name(pattern) == (is_filter(pattern) and not {"+", "#"} & set(pattern.split("/")))
 
 
 @pytest.mark.parametrize(("levels", "accepted"), [(200, True), (201, False)])
-def test_topics_of_very_many_levels_are_refused(levels: int, accepted: bool) -> None:
+def test_topics_with_too_many_levels_are_rejected(levels: int, accepted: bool) -> None:
     topic = "/".join(["a"] * levels)
     assert is_name(topic) is accepted
     assert is_filter(topic) is accepted

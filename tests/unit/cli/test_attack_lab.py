@@ -104,7 +104,7 @@ def test_a_drag_off_along_the_track_moves_position_by_the_integral_of_its_veloci
     np.testing.assert_allclose(np.gradient(position, steps, axis=0)[2:-2], velocity[2:-2], atol=0.01)
 
 
-def test_a_jump_is_aside_by_its_distance_and_leaves_the_velocity() -> None:
+def test_a_jump_is_lateral_by_its_distance_and_keeps_the_velocity() -> None:
     north, east, _ = offset_n("position_jump(distance=100)@10", 20)
     assert (north, east) == pytest.approx((-100.0, 0.0), abs=0.05)
     after = [m for m in attacked(fixes(30), schedule("position_jump@10"), 0) if isinstance(m, GnssFix)][20]
@@ -119,7 +119,7 @@ def test_a_climb_rises_and_a_static_replay_stays() -> None:
     assert found[30] == fixes(60)[30], "the attack has ended"
 
 
-def test_a_tunnel_takes_position_and_velocity_away_and_keeps_the_stamps() -> None:
+def test_a_tunnel_removes_position_and_velocity_and_keeps_the_stamps() -> None:
     found = [m for m in attacked(fixes(30), schedule("tunnel@10"), 0) if isinstance(m, GnssFix)][15]
     assert (found.fix_type, found.latitude_deg, found.velocity_ned_m_s) == (FixType.NONE, None, None)
     assert found.sampled_ns == 15 * NS
@@ -142,13 +142,13 @@ def test_inertial_samples_which_have_a_stamp_each_stay_as_they_are() -> None:
     assert list(attacked([one], schedule("odometer_scale@10"), 0)) == [one]
 
 
-def test_faults_of_satellites_are_refused_on_recordings_with_what_is_possible() -> None:
+def test_satellite_faults_on_recordings_are_an_error_that_lists_the_possible_attacks() -> None:
     assert AttackName.SATELLITE_STEP not in POSSIBLE
     with pytest.raises(UserError, match="on recordings: tunnel"):
         list(attacked(fixes(5), schedule("satellite_step@1"), 0))
 
 
-def test_a_fix_without_a_position_stays_without_one_when_it_is_moved() -> None:
+def test_a_moved_fix_without_a_position_has_none() -> None:
     bare = GnssFix(sampled_ns=0, received_ns=0, source="gnss0", fix_type=FixType.NONE)
     assert moved(bare, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0)) == bare
 
@@ -205,7 +205,7 @@ def test_intervals_are_those_of_clopper_and_pearson_and_of_poisson() -> None:
     assert poisson_interval(1, 2.0) == pytest.approx((0.0253178 / 2, 5.571643 / 2), abs=1e-5)
 
 
-def test_the_report_has_every_attack_and_needs_nothing_from_elsewhere() -> None:
+def test_the_report_has_every_attack_and_no_external_resources() -> None:
     case = Case("urban", 1, 300.0, ScheduledAttack(AttackName.JAM, 100.0, 60.0, {"power": 30.0, "rise": 6.0}))
     runs = [(case, timeline([(0.0, SAFE), (107.0, UNSAFE)], {"motion": [(105.0, 130.0)]}))]
     card = document(runs)
@@ -215,7 +215,7 @@ def test_the_report_has_every_attack_and_needs_nothing_from_elsewhere() -> None:
     assert hypot(*poisson_interval(0, 0.0)) == np.inf
 
 
-def test_runs_come_in_the_order_of_the_plan_with_verdicts_and_true_errors() -> None:
+def test_runs_are_in_the_order_of_the_plan_with_verdicts_and_true_errors() -> None:
     cases = [Case("urban", seed, 30.0, schedule("jam@25:2")) for seed in (1, 2)]
     runs = run_all(cases, 2, Console(stderr=True))
     assert [case for case, _ in runs] == cases

@@ -1,4 +1,4 @@
-"""`obu verify-toll`: a charge is derived again from its evidence, and any change of the evidence is found."""
+"""`obu verify-toll`: charges are recomputed from their evidence, and changes of the evidence are found."""
 
 from pathlib import Path
 
@@ -11,16 +11,16 @@ from shared.errors import UserError
 
 @pytest.fixture(scope="module")
 def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make a ledger of some charges at the simulated plaza, without kills."""
+    """A ledger of at least three charges at the simulated plaza, without kills."""
     folder = tmp_path_factory.mktemp("toll")
     made = Campaign(folder, 1, 40, float("inf"))
-    made.run(25)
+    made.run(12)
     assert made.store is not None
     made.store.close()
     return made.path
 
 
-def test_every_charge_is_derived_again_bit_for_bit(ledger: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_charge_is_recomputed_bit_for_bit(ledger: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert verify_toll([ledger]) == 0
     *_, last = capsys.readouterr().out.splitlines()
     number = int(last.split()[0])
@@ -53,20 +53,20 @@ def test_a_change_of_the_evidence_is_found(ledger: Path, change: str) -> None:
     assert differences_of(evidence, forged)
 
 
-def test_a_pack_that_is_not_the_one_of_the_transaction_is_named(ledger: Path) -> None:
+def test_a_pack_that_differs_from_that_of_the_transaction_is_reported(ledger: Path) -> None:
     evidence = next(iter(read(ledger)))
     other = type(evidence)(evidence.name, evidence.pack + b" ", evidence.transaction)
     assert differences_of(other, parse(evidence))[0] == "the pack is not the one of the transaction"
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"SQLite format 3\0garbage"])
-def test_what_is_no_evidence_is_one_sentence(tmp_path: Path, content: bytes) -> None:
+def test_a_file_without_evidence_is_a_user_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
     with pytest.raises(UserError, match="file"):
         verify_toll([path])
 
 
-def test_a_passage_that_is_not_there_is_named(ledger: Path) -> None:
+def test_an_unknown_passage_is_a_user_error(ledger: Path) -> None:
     with pytest.raises(UserError, match="no evidence of ffffffffff"):
         verify_toll([ledger], "ffffffffff")

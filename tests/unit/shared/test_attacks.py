@@ -34,6 +34,6 @@ def test_an_attack_is_read_from_its_notation() -> None:
         ("freeze(speed=1)@60", "its parameters: none"),
     ],
 )
-def test_what_is_no_attack_is_refused_with_what_is_possible(text: str, reason: str) -> None:
+def test_an_unknown_attack_is_an_error_that_lists_the_known_ones(text: str, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         schedule(text)

@@ -1,13 +1,14 @@
 """Error-state Kalman filter (ESKF): inertial state, IMU errors and parameters, with the covariance of their errors."""
 
-from math import inf, isfinite, sqrt
+from math import exp, inf, isfinite, sqrt
 from operator import sub
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.errors import FilterDiverged
-from shared.maths.earth import Geodetic
+from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.maths.kalman import Correction, correct, predict
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
@@ -36,8 +37,35 @@ FloatArray = npt.NDArray[np.float64]
 SCALE_PSD = 1e-8  # [1/s] 0.6 % in an hour
 MOUNTING_PSD = 1e-9  # [rad²/s] 0.1 degrees in an hour
 DELAY_PSD = 1e-6  # [s] 1 ms in a second, 60 ms in an hour
+MOVED_SHARE = 0.75  # [-] of the way by which a suspected delay moves the position: delays that are found scatter so
 NO_ERRORS = ImuErrors()
 NO_PARAMETERS = (0.0,) * (em.SIZE - em.DRIVING)
+
+
+class Late(NamedTuple):
+    """Delays [s] of GNSS that no setting corrects, and the velocity [m/s, NED] of the longer one ago.
+
+    The velocity is that of a first-order lag. What a stamp is off by is the receiver's error or that of the inertial
+    clock: the position stays on the receiver's, attitude and velocity on the other.
+    """
+
+    position_s: float
+    velocity_s: float
+    velocity: Vector
+
+    @property
+    def longest_s(self) -> float:
+        """The longer of the two, or the earlier if they are negative [s]."""
+        return max(abs(self.position_s), abs(self.velocity_s))
+
+    def change(self, velocity: Vector) -> Vector:
+        """Change of the velocity [m/s, NED] in that time."""
+        return minus(velocity, [*self.velocity])
+
+    def velocity_cov(self, velocity: Vector) -> FloatArray:
+        """Covariance [m²/s²] of a late GNSS velocity by its delay, shape (3, 3)."""
+        error = self.velocity_s / self.longest_s * np.array(self.change(velocity))
+        return np.outer(error, error)
 
 
 class ErrorStateFilter:
@@ -78,6 +106,7 @@ class ErrorStateFilter:
         self.gnss_errors = gnss_errors
         self.velocity_errors = gnss_velocity_errors.UNKNOWN
         self.position_correction: Vector = ZERO  # [m, NED] sum of all corrections
+        self.late: Late | None = None  # fixes that seem to be older than their stamps
         self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
         self._settings = settings
         self._has_sample = False
@@ -100,6 +129,16 @@ class ErrorStateFilter:
         """Attitude, velocity and position."""
         state = self.state
         return InertialState(state.time_ns, state.quaternion, state.velocity, Geodetic(*state.position))
+
+    @inertial.setter
+    def inertial(self, inertial: InertialState) -> None:
+        _, quaternion, velocity, (latitude, longitude, height) = inertial
+        self.state = self.state._replace(
+            quaternion=quaternion,
+            velocity=velocity,
+            position=(latitude, longitude, height),
+            earth=local_earth(latitude),
+        )
 
     @property
     def time_ns(self) -> int:
@@ -214,6 +253,8 @@ class ErrorStateFilter:
         velocity_decay = Phi.item(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.start)
         self._set_parameters(em.GNSS_VELOCITY_ERROR, velocity_decay * self.gnss_velocity_error)
         self.state = state._replace(span_s=0.0, velocity_gain_n=ZERO, rotation_b=ZERO)
+        if self.late is not None:
+            self._lag(self.late, span_s)
         self._check()
         if self.recorder is not None:
             self.recorder.record_step(self, F, span_s, (gnss_decay, velocity_decay))
@@ -230,6 +271,27 @@ class ErrorStateFilter:
             self.recorder.record_rescaling(self.time_ns, place, ratios, self.P[place])
         self.P = rescaled(self.P, place, ratios)
         self._set_parameters(place, self.gnss_error / ratios)
+
+    def suspect_delay(self, position_s: float, velocity_s: float) -> None:
+        """Keep the position on the clock of a receiver whose fixes seem to be older than their stamps.
+
+        A velocity that is in time ends it: positions that lag alone are smoothed, by nobody knows what.
+        """
+        self.late = Late(position_s, velocity_s, self.velocity) if velocity_s else None
+
+    def _lag(self, late: Late, span_s: float) -> None:
+        """Move the position by the velocity of the delay ago in place of the present one.
+
+        Its variance grows by (d_p c)² in the delay T: neither that nor the first-order lag is known well.
+        """
+        change, share = late.change(self.velocity), late.position_s / late.longest_s
+        self.inflate_along(em.POSITION, share * sqrt(late.longest_s * span_s) * np.array(change))
+        share *= -MOVED_SHARE * span_s
+        north, east, down = (share * part for part in change)
+        here = geodetic_from_ned_difference((north, east, down), self.position)
+        self.inertial = self.inertial._replace(position=here)
+        left = exp(-span_s / late.longest_s)
+        self.late = late._replace(velocity=minus(self.velocity, [left * part for part in change]))
 
     def begin_standstill(self) -> None:
         """Begin a new interval between two zero-velocity updates."""
@@ -303,16 +365,10 @@ class ErrorStateFilter:
             minus(self.imu.accelerometer_scale, x[em.ACCELEROMETER_SCALE]),
             minus(self.imu.gyroscope_scale, x[em.GYROSCOPE_SCALE]),
         )
-        _, quaternion, velocity, (latitude, longitude, height) = corrected(self.inertial, x[: em.MOVING])
+        self.inertial = corrected(self.inertial, x[: em.MOVING])
         rx, ry, rz = self.state.rate_b
         bx, by, bz = x[em.GYROSCOPE_BIAS]
-        self.state = self.state._replace(
-            quaternion=quaternion,
-            velocity=velocity,
-            position=(latitude, longitude, height),
-            earth=local_earth(latitude),
-            rate_b=(rx + bx, ry + by, rz + bz),
-        )
+        self.state = self.state._replace(rate_b=(rx + bx, ry + by, rz + bz))
         self.parameters = tuple(map(sub, self.parameters, x[em.PARAMETERS]))
         self._check()
 

@@ -30,6 +30,7 @@ class Watch:
     contested: tuple[float, float] = (0.0, 0.0)  # [m] by which a position or a height was refused, until one is used
     followed: tuple[float, float] = (0.0, 0.0)  # [m²] variance of errors of positions that the filter follows
     yielded: tuple[float, float] = (0.0, 0.0)  # [m] the same when the filter gave way to them; it fades
+    late_s: float = 0.0  # by which positions seem to be older than their stamps, which is not corrected
 
     def begun(self, time_ns: int, started: ErrorStateFilter) -> "Watch":
         """Begin with a filter, but keep what is known of the receiver.
@@ -41,9 +42,8 @@ class Watch:
             more += hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9  # it went on since
         given_up = (level + more, upright + higher)
         anchored = block(started)
-        return Watch(
-            self.position, self.velocity, self.estimated, time_ns, anchored, followed=self.followed, yielded=given_up
-        )
+        fresh = Watch(self.position, self.velocity, self.estimated, time_ns, anchored)
+        return replace(fresh, followed=self.followed, yielded=given_up, late_s=self.late_s)
 
     def after(
         self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float, *, estimated: bool
@@ -104,7 +104,8 @@ class Watch:
         fading = exp(-max(0, outcome.time_ns - self.used_ns) * 1e-9 / MEMORY_S)
         yielded = fading * self.yielded[0], fading * self.yielded[1] + given_way
         contested = 0.0, 0.0 if len(outcome.innovation) == 3 else upright
-        return Watch(seen, self.velocity, estimated, outcome.time_ns, now, pulled, contested, self.followed, yielded)
+        used = Watch(seen, self.velocity, estimated, outcome.time_ns, now, pulled, contested, self.followed, yielded)
+        return replace(used, late_s=self.late_s)
 
     @cached_property
     def disputed(self) -> tuple[float, float]:

@@ -130,7 +130,8 @@ def protection_levels(
 
         Σ = s² (1 + (g - 1) (1 - tr P₀ / tr P)) P + L + stamp      g = (1 + 2 (1 - exp(-t/10 s))) overstatement
 
-    The stamp's part is what P lacks of (v σ_t)² along the velocity.
+    The stamp's part is what P lacks of (v σ_t)² along the velocity. The way driven in a delay that is known and not
+    corrected is no random error: it is added to the level.
     """
     (nn, ne, _), (_, ee, _), (_, _, dd) = position_cov
     age_s = (time_ns - watch.used_ns) * 1e-9
@@ -150,8 +151,9 @@ def protection_levels(
     if not isfinite(sum(cov) + variance):
         return Levels(LARGEST_M, LARGEST_M, risk)  # of numbers that have broken down nothing is known
     (fault_h, fault_v), (disputed_h, disputed_v) = watch.pulled, watch.disputed
-    horizontal = disputed_h + horizontal_level_with_fault(cov, fault_h, risk)
-    vertical = disputed_v + vertical_level_with_fault(variance, fault_v, risk)
+    late_h, late_v = watch.late_s * sqrt(speed2), watch.late_s * abs(velocity[2])
+    horizontal = disputed_h + late_h + horizontal_level_with_fault(cov, fault_h, risk)
+    vertical = disputed_v + late_v + vertical_level_with_fault(variance, fault_v, risk)
     return Levels(min(horizontal, LARGEST_M), min(vertical, LARGEST_M), risk)
 
 

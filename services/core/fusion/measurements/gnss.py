@@ -145,7 +145,9 @@ class GnssVelocity:
             z -= navigation.gnss_velocity_error
             H[:, em.GNSS_VELOCITY_ERROR] = -em.UNIT
         n = self.axes
-        return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], self.cov[:n, :n])
+        late = navigation.late
+        R = self.cov if late is None else self.cov + late.velocity_cov(navigation.velocity)
+        return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], R[:n, :n])
 
     def teach(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
         """Update the model of velocity errors of the filter that has used it; a standstill shows nothing of them."""

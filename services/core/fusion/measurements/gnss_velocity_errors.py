@@ -25,8 +25,10 @@ POWER_MEMORY_S = 60.0  # of the residuals' mean square
 INDEPENDENT_S = 0.5  # between velocities that count in full: more of them in that time count as one
 CERTAIN = 10.0  # largest logarithm of a likelihood ratio: what was learned is unlearned in minutes
 LARGEST = 3.0  # [-] standard deviations at which a residual is clipped
-SETTLING_S = 10.0  # from the first velocity: residuals repeat while heading and biases of the start are corrected
-BREAK_S = 2.0  # after it two velocities are no neighbours
+SETTLING_S = (
+    10.0  # from the first velocity, and from the first after a gap: residuals repeat while the filter converges
+)
+BREAK_S = 2.0  # longest interval between successive velocities: a longer one is a gap
 
 
 @dataclass(frozen=True)
@@ -38,15 +40,15 @@ class GnssVelocityErrors:
     last: FloatArray  # [-] residual over the root of that
     variance: FloatArray  # [m²/s²] of the time-correlated error
     time_ns: int = 0
-    since_ns: int = 0  # stamp of the first
-    count: int = 0
+    since_ns: int = 0  # stamp of the first, or of the first after a gap
+    count: int = 0  # of those in the mean square
     prior: float = WHITE_PRIOR[0]
     follows: bool = False  # positions are followed, for velocity errors are not white
 
     @cached_property
     def white(self) -> float:
         """Probability that velocity errors are white; one while no velocity is known."""
-        if not self.count:
+        if not self.time_ns:
             return 1.0
         others = (1.0 - self.prior) * float(np.exp(self.evidence).mean())
         return self.prior / (self.prior + others)
@@ -61,21 +63,22 @@ class GnssVelocityErrors:
             log p(u_k | u_k-1, r) / p(u_k | white) = (u_k² - (u_k - r u_k-1)² / (1 - r²) - log(1 - r²)) / 2
         """
         n, step_s = len(residual), (time_ns - self.time_ns) * 1e-9
-        weight = max(1.0 / (self.count + 1), 1.0 - exp(-max(step_s, 0.0) / POWER_MEMORY_S))
-        power, last, variance = self.power.copy(), self.last.copy(), np.zeros(3)
-        power[:n] += weight * (residual**2 - power[:n])
-        last[:n] = np.clip(residual / np.sqrt(power[:n] + 1e-12), -LARGEST, LARGEST)
-        evidence, since_ns = self.evidence, self.since_ns if self.count else time_ns
+        since_ns = self.since_ns if step_s <= BREAK_S else time_ns
         settled = time_ns - since_ns > SETTLING_S * 1e9
-        if settled and 0.0 < step_s <= BREAK_S:
+        power, last, variance, evidence = self.power.copy(), self.last.copy(), np.zeros(3), self.evidence
+        if settled:
+            weight = max(1.0 / (self.count + 1), 1.0 - exp(-max(step_s, 0.0) / POWER_MEMORY_S))
+            power[:n] += weight * (residual**2 - power[:n])
+        last[:n] = np.clip(residual / np.sqrt(power[:n] + 1e-12), -LARGEST, LARGEST)
+        if settled and self.count and step_s > 0.0:
             rest = 1.0 - CORRELATIONS**2
             apart = last[:n] - CORRELATIONS[:, np.newaxis] * self.last[:n]
             ratio = 0.5 * (last[:n] ** 2 - apart**2 / rest[:, np.newaxis] - np.log(rest)[:, np.newaxis])
             counted = min(1.0, step_s / INDEPENDENT_S) * ratio.sum(axis=1)
             evidence = np.clip(exp(-step_s / MEMORY_S) * evidence + counted, -CERTAIN, CERTAIN)
         prior = WHITE_PRIOR[0] if stated else WHITE_PRIOR[1]
-        learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, since_ns, self.count + 1, prior)
-        follows = learned.white < (1.0 - SURE if self.follows else SURE) or not (self.count or stated)
+        learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, since_ns, self.count + settled, prior)
+        follows = learned.white < (1.0 - SURE if self.follows else SURE) or not (self.time_ns or stated)
         variance[:n] = SHARE * variances if follows else 0.0
         return replace(learned, follows=follows)
 

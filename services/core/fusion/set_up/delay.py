@@ -53,6 +53,7 @@ def check_delay(name: str, what: str, motion: Motion, velocities: Velocities, se
     key, present_s = setting
     sense = "older" if lag_s > 0.0 else "newer"
     text = f"{what} is {abs(lag_s):.2f} ± {sd_s:.2f} s {sense} than its stamps and the settings say"
+    text += "; until that is set, the filter allows for it"
     return Check(name, Verdict.CONTRADICTS, text, *values, f"{key} = {present_s + lag_s:.2f}")
 
 

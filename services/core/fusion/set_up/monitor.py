@@ -15,6 +15,7 @@ from .odometer import check_odometer_scale
 
 PERIOD_NS = 10_000_000_000
 FEWEST_VELOCITIES = 20
+DELAYS = "gnss_delay", "gnss_velocity_delay"  # checks
 
 
 class ArmError(NamedTuple):
@@ -62,6 +63,17 @@ class SetUpMonitor:
             return
         for check in evaluate(self._settings, motion, arm):
             self._adopt(check, time_ns)
+
+    @property
+    def delays(self) -> tuple[float, float]:
+        """Delays [s] of positions and of velocities that contradict the settings; 0 where none does."""
+        known = (self.checks[name][0] for name in DELAYS if name in self.checks)
+        found = [
+            check.statistic or 0.0 if check.verdict is Verdict.CONTRADICTS else 0.0
+            for check in known
+            if check.verdict is not Verdict.UNKNOWN
+        ] or [0.0]
+        return found[0], found[-1]
 
     def _adopt(self, check: Check, time_ns: int) -> None:
         """Keep what is known: a finding needs two evaluations in a row, and ignorance replaces nothing."""

@@ -29,6 +29,7 @@ AHEAD_NS = 2_500_000_000  # stamps in use are less far ahead of the inertial sam
 BEYOND_S = 0.15  # difference from which the search replaces the linear estimate of the filter
 KEPT = 8  # corrections; older ones concern stamps before the oldest snapshot
 VELOCITY_SD_S = 0.1  # of the difference between the delays of position and velocity
+TURN_RATE, ACCELERATION, SPEED = 0.1, 2.0, 15.0  # [rad/s, m/s², m/s] of a car: what a wrong delay errs by, per second
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,23 @@ class FoundDelay(FilterEvent):
         P[em.GNSS_DELAY, em.GNSS_VELOCITY_DELAY] = P[em.GNSS_VELOCITY_DELAY, em.GNSS_DELAY] = -(VELOCITY_SD_S**2)
         navigation.P = P
         wrong_s = abs(self.change_s)
-        navigation.inflate(attitude_sd=0.1 * wrong_s, velocity_sd=2.0 * wrong_s, position_sd=15.0 * wrong_s)
+        navigation.inflate(
+            attitude_sd=TURN_RATE * wrong_s, velocity_sd=ACCELERATION * wrong_s, position_sd=SPEED * wrong_s
+        )
+
+
+@dataclass(frozen=True)
+class SuspectedDelay(FilterEvent):
+    """Delays of GNSS [s] that the check of the set-up has found and no setting corrects; zero ends them."""
+
+    position_s: float
+    velocity_s: float
+    change_s: float
+
+    def apply(self, navigation: "ErrorStateFilter") -> None:
+        """Allow for late fixes from now on, and inflate the covariance for what earlier ones have done."""
+        navigation.suspect_delay(self.position_s, self.velocity_s)
+        navigation.inflate(attitude_sd=TURN_RATE * self.change_s, velocity_sd=ACCELERATION * self.change_s)
 
 
 class Timing:

@@ -15,7 +15,7 @@ from ..measurements.magnetometer import CompassCheck, MagneticHeading
 from ..measurements.odometer import WheelSpeed
 from ..plausibility.zero_speeds import ZeroSpeeds
 from ..settings import Settings
-from ..timing.delay_compensation import FoundDelay
+from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .duplicate_epochs import Epochs
 from .gating import Gate
 from .standstill_detector import Limits, limits_of
@@ -35,7 +35,7 @@ class Aids:
         self._zeros = ZeroSpeeds()  # of the odometer in use
         self._compass = CompassCheck()
         self._epochs = Epochs()
-        self._delay: FoundDelay | None = None  # newest delay, for filters that start later
+        self._delay: FoundDelay | SuspectedDelay | None = None  # newest delay, for filters that start later
 
     def copy(self) -> "Aids":
         """Independent copy."""
@@ -50,9 +50,11 @@ class Aids:
         self.gate.restart(comparison)
         self.watch = self.watch.begun(time_ns, started)
 
-    def keep(self, delay: FoundDelay) -> None:
+    def keep(self, delay: FoundDelay | SuspectedDelay) -> None:
         """Keep a found delay for filters that start later."""
         self._delay = delay
+        if isinstance(delay, SuspectedDelay):
+            self.watch = replace(self.watch, late_s=abs(delay.position_s))
 
     def is_duplicate(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a measurement repeats an earlier one of its receiver."""

@@ -25,7 +25,7 @@ from ..measurements.zupt import Standstill
 from ..plausibility.imu_faults import Sample, mean
 from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
-from ..timing.delay_compensation import FoundDelay
+from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .aiding import Aids
 from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, OdometerExclusion
 from .imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
@@ -36,6 +36,7 @@ LONGEST_BRIDGED_S = 1.0  # a longer gap ends the solution; attitude and biases a
 LONGEST_ATTITUDE_S = 5.0  # a longer gap ends the attitude as well
 KEPT_HEADING = Heading(0.0, radians(20.0), "heading kept")
 BEFORE_ALL_NS = -(2**64)
+Event = FoundDelay | SuspectedDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion  # no measurements
 
 
 class Engine:
@@ -249,7 +250,7 @@ class Engine:
 
     def _use(self, measurement: Measurement) -> list[Outcome]:
         """Use a measurement in the filter, or in the alignment."""
-        if isinstance(measurement, FoundDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion):
+        if isinstance(measurement, Event):
             self._apply(measurement)
             return []
         if (reason := self.exclusions.reason(measurement)) is not None:
@@ -273,14 +274,14 @@ class Engine:
             self._align(measurement)
         return outcomes
 
-    def _apply(self, event: FoundDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion) -> None:
+    def _apply(self, event: Event) -> None:
         """Apply an event that is no measurement.
 
         The scale of an excluded odometer is reset. The covariance of a state that contains suspect GNSS is inflated by
         its largest effect.
         """
-        if isinstance(event, FoundDelay | LostTime):
-            if isinstance(event, FoundDelay):
+        if isinstance(event, FoundDelay | SuspectedDelay | LostTime):
+            if not isinstance(event, LostTime):
                 self.aids.keep(event)
             self._try(event.apply)
             return

@@ -1,4 +1,4 @@
-"""The demo's balance counts solutions whose error is above what they promised."""
+"""The balance of the demo counts solutions whose error is above their protection level."""
 
 import pytest
 

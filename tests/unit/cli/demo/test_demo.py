@@ -1,4 +1,4 @@
-"""What the demo says before it starts anything."""
+"""What the demo prints before it starts any process."""
 
 import json
 import logging
@@ -21,7 +21,7 @@ def options(scenario: str = "urban", port: int = 0) -> DemoOptions:
     return DemoOptions(scenario, seed=1, duration_s=1.0, json_output=True, http_port=port, broker="simulated")
 
 
-def test_a_scenario_that_does_not_exist_is_told_before_anything_is_started(
+def test_an_unknown_scenario_is_reported_before_any_process_is_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OBU_STATE", str(tmp_path))
@@ -30,14 +30,14 @@ def test_a_scenario_that_does_not_exist_is_told_before_anything_is_started(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_free_port_is_taken_without_a_word() -> None:
+def test_a_free_port_is_used_without_a_message() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     assert port_or_free(port) == (port, None)
 
 
-def test_a_port_in_use_is_told_with_the_one_that_is_used_instead(
+def test_a_port_in_use_is_reported_with_the_port_used_instead(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("OBU_STATE", str(tmp_path))
@@ -56,7 +56,7 @@ def test_a_port_in_use_is_told_with_the_one_that_is_used_instead(
     assert f"not healthy: 0 of {EXPECTED} processes were alive at the end: see the logs" in err
 
 
-def test_the_end_says_where_the_drive_is_kept_until_the_next(
+def test_the_last_line_states_where_the_recording_is_kept_until_the_next_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*_: object) -> None:
@@ -68,6 +68,6 @@ def test_the_end_says_where_the_drive_is_kept_until_the_next(
     monkeypatch.setattr(demo, "_watch", interrupted)
     with pytest.raises(KeyboardInterrupt):
         demo.run(options())
-    said = " ".join(capfd.readouterr().err.split())
-    assert f"recorded: {tmp_path}/demo/recordings/drive.mcap (copy it: the next demo removes it)" in said
-    assert logging.getLogger("shared").isEnabledFor(logging.WARNING), "its silence ends with it"
+    printed = " ".join(capfd.readouterr().err.split())
+    assert f"recorded: {tmp_path}/demo/recordings/drive.mcap (copy it: the next demo removes it)" in printed
+    assert logging.getLogger("shared").isEnabledFor(logging.WARNING), "the log level is restored"

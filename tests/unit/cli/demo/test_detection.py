@@ -1,4 +1,4 @@
-"""What counts as the detection of an attack, and how the time in each state of the verdict is added up."""
+"""Detections of an attack, and the time in each state of the verdict."""
 
 import pytest
 
@@ -47,24 +47,24 @@ def test_an_exclusion_an_alarm_and_an_accusation_are_detections(sign: str, state
     ],
     ids=["less than an alarm", "alarm from before", "after the end", "a neighbour"],
 )
-def test_what_does_not_come_from_the_attack_is_no_detection(states: list[TrustState]) -> None:
+def test_signs_without_relation_to_the_attack_are_no_detection(states: list[TrustState]) -> None:
     (found,) = summarise([run(100.0)], states, 0)
     assert found.detected_after_s is None and not found.detected_by
 
 
-def test_an_accused_neighbour_is_the_detection_of_a_lying_one() -> None:
+def test_an_accused_neighbour_is_the_detection_of_a_false_one() -> None:
     lie = run().model_copy(update={"attack": AttackName.NEIGHBOUR_LIE})
     (found,) = summarise([lie], [verdict(59.0), verdict(62.0, monitors=(monitor(1, "satellites", **NEIGHBOUR),))], 0)
     assert found.detected_by == ("satellites accuses neighbour 7",)
 
 
-def test_a_sign_from_before_counts_again_once_it_has_gone() -> None:
+def test_a_sign_present_before_the_attack_counts_once_it_has_ended_and_recurred() -> None:
     states = [verdict(59.0, TrustLevel.UNSAFE), verdict(61.0), verdict(64.0, TrustLevel.UNSAFE)]
     (found,) = summarise([run()], states, 0)
     assert found.detected_after_s == 4.0
 
 
-def test_each_state_lasts_until_the_next_but_a_silence_is_not_counted() -> None:
+def test_each_state_counts_until_the_next_one_and_missing_states_do_not() -> None:
     states = [verdict(0.0), verdict(1.0), verdict(1.5, TrustLevel.UNSAFE), verdict(100.0)]
     seconds = seconds_in_states(states)
     assert seconds["safe"] == 1.5 and seconds["unsafe"] == 2.0

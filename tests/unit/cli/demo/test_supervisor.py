@@ -28,7 +28,7 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
 
 
 def watch_until(supervisor: Supervisor, condition: Callable[[], bool], limit_s: float = 10.0) -> float:
-    """Watch until something is true; the time just before the last look."""
+    """Poll until a condition holds; return the time before the last poll."""
     last_look = time.monotonic()
     deadline = last_look + limit_s
     while not condition():

@@ -51,7 +51,7 @@ def test_csv_has_a_row_for_each_message_and_a_column_for_each_element(drive: Pat
     assert int(rows[15]["sampled_ns"]) == BEGIN_NS + 15 * SECOND // 10
     assert float(rows[15]["latitude_deg"]) == latitude_at(1.5)
     assert float(rows[0]["velocity_ned_m_s.0"]) == NORTH_M_S
-    assert rows[0]["protection_level_horizontal_m"] == "", "what is unknown is empty"
+    assert rows[0]["protection_level_horizontal_m"] == "", "unknown values are empty"
     fixes = list(csv.DictReader(exported(drive, Format.CSV, tmp_path, topic="gnss/fix").read_text().splitlines()))
     assert [fix["satellites_used"] for fix in fixes] == ["9"] * SECONDS
 
@@ -158,16 +158,16 @@ def test_rinex_has_every_observation_in_its_columns(tmp_path: Path) -> None:
     assert float(galileo[0][19:33]) == -7.25
 
 
-def test_what_a_recording_does_not_hold_is_named_with_what_to_try(drive: Path, tmp_path: Path) -> None:
+def test_missing_content_of_a_recording_is_named_with_a_remedy(drive: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"holds no raw measurements; .*--format nmea"):
         exported(drive, Format.RINEX, tmp_path)
     with pytest.raises(UserError, match=r"holds no imu/sample; it holds .*gnss/fix.*--topic"):
         exported(drive, Format.CSV, tmp_path, topic="imu/sample")
     with pytest.raises(UserError, match="gpx is made of positions: give --topic navigation/solution"):
         exported(drive, Format.GPX, tmp_path, topic="trust/state")
-    assert not list(tmp_path.iterdir()), "nothing is left of a file that could not be written"
+    assert not list(tmp_path.iterdir()), "no incomplete file"
 
 
-def test_a_recording_that_was_not_closed_is_exported_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_a_recording_that_was_not_closed_is_exported_up_to_its_end(tmp_path: Path) -> None:
     cut = record(tmp_path / "cut.mcap", 3, close=False)
     assert len(exported(cut, Format.CSV, tmp_path).read_text().splitlines()) == 31

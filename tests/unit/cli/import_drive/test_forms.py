@@ -152,7 +152,7 @@ def test_accelerometer_and_gyroscope_in_two_files_are_joined_at_the_stamps_of_th
     assert len(samples) == 40 + 38, "until 0.395 s, and from 0.605 to 0.975 s"
 
 
-def test_a_matlab_file_of_structures_and_lying_arrays_is_read(tmp_path: Path) -> None:
+def test_a_matlab_file_of_structures_and_row_vectors_is_read(tmp_path: Path) -> None:
     t = np.arange(100) * 0.01
     force = np.tile([[0.0], [0.0], [-9.8]], (1, 100))
     savemat(tmp_path / "log.mat", {"imu": {"t": t, "acc": force, "gyr": np.zeros((100, 3))}, "note": "a text"})

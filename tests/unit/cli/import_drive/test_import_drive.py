@@ -154,7 +154,7 @@ def test_arrays_and_whitespace_separated_tables_are_imported(arrays: Path) -> No
     with Recording(arrays / "out.mcap") as recording:
         messages = [envelope.decode() for envelope in recording]
     batches = [m for m in messages if isinstance(m, ImuSamples)]
-    assert sum(len(m.sampled_ns) for m in batches) == 39, "the row that is no number is left out"
+    assert sum(len(m.sampled_ns) for m in batches) == 39, "without the row that is no number"
     assert batches[0].specific_force_body_m_s2[0] == pytest.approx((0.0, 0.0, -9.8), rel=1e-6)
     assert batches[0].angular_rate_body_rad_s[0] == pytest.approx((0.0, 0.0, 0.2))
     assert [m.speed_m_s for m in messages if isinstance(m, VehicleSpeed)] == [1.0, 1.5]

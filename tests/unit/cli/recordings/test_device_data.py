@@ -18,13 +18,13 @@ def moved(message: Message) -> Message:
     return shifted(sent(message, THEN_NS), SHIFT_NS)
 
 
-def test_bytes_of_devices_are_played_and_not_what_follows_from_them() -> None:
+def test_device_bytes_are_replayed_and_messages_derived_from_them_are_not() -> None:
     everything = {"gnss/raw", "gnss/fix", "gnss/satellites", "imu/raw", "imu/sample", "navigation/solution"}
 
     assert inputs_among(everything) == {"gnss/raw", "imu/raw"}
 
 
-def test_measurements_are_played_where_their_bytes_are_missing() -> None:
+def test_measurements_are_replayed_where_their_bytes_are_missing() -> None:
     assert inputs_among({"imu/sample", "gnss/raw", "gnss/fix", "vehicle/speed"}) == {
         "imu/sample",
         "gnss/raw",
@@ -32,21 +32,21 @@ def test_measurements_are_played_where_their_bytes_are_missing() -> None:
     }
 
 
-def test_neither_states_nor_solutions_nor_commands_are_played() -> None:
+def test_states_solutions_and_commands_are_not_replayed() -> None:
     assert inputs_among({"mode/state", "navigation/solution", "gnss/configure", "gnss/write", "origin/state"}) == set()
 
 
-def test_the_truth_of_a_simulation_is_played() -> None:
+def test_the_truth_of_a_simulation_is_replayed() -> None:
     assert inputs_among({"truth/state"}) == {"truth/state"}
 
 
-def test_bytes_stay_and_their_stamp_moves() -> None:
+def test_bytes_are_unchanged_and_their_stamp_is_shifted() -> None:
     raw = ImuRaw(received_ns=THEN_NS, source="imu0", data=b"\xfa\xff\0(1.2)")
 
     assert moved(raw) == raw.model_copy(update={"received_ns": THEN_NS + SHIFT_NS})
 
 
-def test_every_stamp_of_a_measurement_moves_and_the_time_of_the_satellites_stays() -> None:
+def test_all_stamps_of_a_measurement_are_shifted_and_gnss_time_is_unchanged() -> None:
     fix = GnssFix(
         sampled_ns=THEN_NS - 5, received_ns=THEN_NS, source="a", fix_type=FixType.THREE_D, gps_time_ns=7, utc_ns=THEN_NS
     )
@@ -77,13 +77,13 @@ def test_every_stamp_of_a_measurement_moves_and_the_time_of_the_satellites_stays
         (b"(1600000000.9) a 1#\n(1600000001.0) b 2#\n", b"(1790000001.023456) a 1#\n(1790000001.123456) b 2#\n"),
     ],
 )
-def test_the_times_inside_a_candump_log_move_with_it(before: bytes, after: bytes) -> None:
+def test_the_times_in_a_candump_log_are_shifted(before: bytes, after: bytes) -> None:
     message = moved(CanRaw(received_ns=THEN_NS, source="can0", data=before))
 
     assert isinstance(message, CanRaw)
     assert message.data == after
 
 
-def test_a_message_that_cannot_be_read_is_refused() -> None:
+def test_an_undecodable_message_is_rejected() -> None:
     with pytest.raises(BadPayload):
         shifted(Envelope("gnss/fix", b"{", THEN_NS), SHIFT_NS)

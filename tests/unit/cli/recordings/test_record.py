@@ -28,7 +28,7 @@ def cut_recording(path: Path, lost_bytes: int = 40) -> list[Envelope]:
     return messages
 
 
-def test_a_cut_recording_becomes_one_that_every_tool_opens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_repaired_recording_is_opened_by_the_mcap_reader(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     messages = cut_recording(tmp_path / "cut.mcap", lost_bytes=900)
 
     assert repair(tmp_path / "cut.mcap", tmp_path / "whole.mcap") == 0
@@ -45,32 +45,32 @@ def test_a_cut_recording_becomes_one_that_every_tool_opens(tmp_path: Path, capsy
     assert "the recording was not closed" in captured.err
 
 
-def test_a_repair_never_overwrites(tmp_path: Path) -> None:
+def test_a_repair_does_not_overwrite_a_file(tmp_path: Path) -> None:
     cut_recording(tmp_path / "cut.mcap")
     with pytest.raises(UserError, match=r"cut\.mcap exists already; name another"):
         repair(tmp_path / "cut.mcap", tmp_path / "cut.mcap")
 
 
-def test_a_file_without_messages_is_refused_and_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_file_without_messages_is_an_error_and_no_output_is_left(tmp_path: Path) -> None:
     RecordingWriter(tmp_path / "silent.mcap").close()
     with pytest.raises(UserError, match="holds no message that can be read"):
         repair(tmp_path / "silent.mcap", tmp_path / "whole.mcap")
     assert not (tmp_path / "whole.mcap").exists()
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported(tmp_path: Path) -> None:
     cut_recording(tmp_path / "cut.mcap")
     with pytest.raises(UserError, match=r"cannot create .*: No such file or directory"):
         repair(tmp_path / "cut.mcap", tmp_path / "no" / "such" / "folder.mcap")
 
 
-def test_a_file_of_something_else_is_called_that(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_reported_as_such(tmp_path: Path) -> None:
     (tmp_path / "noise.mcap").write_bytes(random.Random(1).randbytes(100_000))
     with pytest.raises(UserError, match=r"noise\.mcap is no recording, not even a damaged one; .*`obu import`"):
         open_recording(tmp_path / "noise.mcap")
 
 
-def test_a_recording_that_lost_its_beginning_is_still_one(tmp_path: Path) -> None:
+def test_a_recording_without_its_beginning_is_repaired(tmp_path: Path) -> None:
     messages = cut_recording(tmp_path / "cut.mcap")
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "cut.mcap").read_bytes()[20:])
     with open_recording(tmp_path / "cut.mcap") as recording:

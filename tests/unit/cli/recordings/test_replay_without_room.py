@@ -1,4 +1,4 @@
-"""`obu replay` of a recording without solutions needs room for them."""
+"""`obu replay` of a recording without solutions on a full disk."""
 
 import resource
 import subprocess
@@ -11,7 +11,7 @@ from tests.support.drives.golden import record_golden_drive
 ROOM = 500  # bytes of the largest file that may be written
 
 
-def test_a_full_disk_is_said_in_one_sentence_that_ends_in_what_to_do(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_with_a_remedy(tmp_path: Path) -> None:
     drive = record_golden_drive(tmp_path / "drive.mcap")
     environment = {"OBU_STATE": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}  # half a file would stay behind
     done = subprocess.run(

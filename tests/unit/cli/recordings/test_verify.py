@@ -92,7 +92,7 @@ class Recorded:
         self.envelopes.append(sent(message, self.now_ns, producer, INCARNATION, self._sequences[producer]))
 
     def repeat(self, process: Reactor) -> Repetition:
-        """Repeat the incarnation from what was recorded."""
+        """Repeat the incarnation from the recorded inputs."""
         store = {(e.topic, e.producer, e.incarnation, e.sequence): e for e in self.envelopes}
         repetition = Repetition(self.name, INCARNATION, process, store.get)
         for envelope in self.envelopes:
@@ -353,7 +353,7 @@ def test_a_retained_message_is_found_by_an_incarnation_that_begins_much_later(tm
     assert verify([tmp_path / "a.mcap"], "core.fusion", None) == 0
 
 
-def test_mistakes_of_the_user_raise_one_sentence(tmp_path: Path) -> None:
+def test_user_errors_are_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"cannot read .*missing\.mcap"):
         verify([tmp_path / "missing.mcap"], None, None)
     with pytest.raises(UserError, match=r"'sensors.imu' cannot be repeated; name one of controller.cam"):

@@ -24,7 +24,7 @@ def test_all_records_are_returned_newest_first(tmp_path: Path) -> None:
             records.push(Start(k))
         assert len(records) == 57
         assert stamps(records) == list(reversed(range(57)))
-        assert stamps(records) == list(reversed(range(57))), "as often as it is asked"
+        assert stamps(records) == list(reversed(range(57))), "on each call"
 
 
 @pytest.mark.parametrize("count", [57, 51, 42, 41, 40, 13, 1, 0])

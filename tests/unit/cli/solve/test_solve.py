@@ -2,6 +2,9 @@
 
 import csv
 import json
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,7 @@ from cli.import_drive.import_drive import import_drive
 from cli.solve.files import HEADER
 from cli.solve.metrics.metrics import METRICS, TIMINGS
 from cli.solve.overrides import Aiding
+from cli.solve.report.drawing import Figure
 from cli.solve.smoothing import SMOOTHED_METRICS
 from cli.solve.solve import solve
 from services.sensors.simulator.drive import simulate
@@ -43,6 +47,35 @@ def solution(recording: Path) -> Path:
     return recording.parent / "whole"
 
 
+@pytest.fixture(scope="module")
+def smoothed(recording: Path) -> Path:
+    assert solve(recording, out=recording.parent / "smoothed", smooth=True) == 0
+    return recording.parent / "smoothed"
+
+
+@dataclass(frozen=True)
+class Printed:
+    """Output folder of `obu solve --json`, and what it printed."""
+
+    folder: Path
+    out: str
+
+
+@pytest.fixture(scope="module")
+def with_outages(recording: Path) -> Printed:
+    """Three outages of 5 s, filtered and smoothed."""
+    out, folder = StringIO(), recording.parent / "cut"
+    with redirect_stdout(out):
+        assert solve(recording, outage="5/15", smooth=True, out=folder, as_json=True) == 0
+    return Printed(folder, out.getvalue())
+
+
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put one empty figure into the report: drawing takes most of the time of a short recording."""
+    monkeypatch.setattr("cli.solve.report.plots.figures_of", lambda *_: [Figure("Trajectory", "", "<svg></svg>")])
+
+
 def metrics_in(folder: Path) -> Metrics:
     found: Metrics = json.loads((folder / "metrics.json").read_text())
     return found
@@ -69,22 +102,17 @@ def test_the_solution_is_close_to_the_truth_of_the_simulation(solution: Path) ->
     assert list(found) == list(METRICS)
 
 
-def test_outages_remove_fixes_and_their_metrics_are_printed(
-    recording: Path, solution: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert solve(recording, outage="5/15", out=tmp_path, as_json=True) == 0
-    printed = capsys.readouterr()
-    whole, cut = metrics_in(solution), metrics_in(tmp_path)
+def test_outages_remove_fixes_and_their_metrics_are_printed(solution: Path, with_outages: Printed) -> None:
+    whole, cut = metrics_in(solution), metrics_in(with_outages.folder)
     assert cut["outage_count"] == 3
     assert 15 <= cut["fixes_removed"] <= 21, "1 Hz: five or six fixes in each gap, evaluated or not"
     assert cut["fixes_used"] == pytest.approx(whole["fixes_used"] - cut["fixes_removed"], abs=2)
     # 10 s of inertial navigation with an MTi-630 end within 0.6 m of the error before (0.9 m for 95 %).
     assert cut["outage_end_error_max_m"] < whole["horizontal_max_m"] + 1.0
-    found = json.loads(printed.out)
-    assert list(found) == [*METRICS, *TIMINGS]
-    assert {name: found[name] for name in METRICS} == cut
+    found = json.loads(with_outages.out)
+    assert list(found) == [*METRICS, *SMOOTHED_METRICS, *TIMINGS]
+    assert {name: found[name] for name in (*METRICS, *SMOOTHED_METRICS)} == cut
     assert found["realtime_factor"] > 5.0
-    assert printed.err == "", "no progress bar without a terminal"
 
 
 def test_outages_at_fixed_times_are_listed_and_settings_override_those_of_the_vehicle(
@@ -102,8 +130,11 @@ def test_outages_at_fixed_times_are_listed_and_settings_override_those_of_the_ve
         solve(recording, settings=["core.fusion.odometr=true"], out=tmp_path)
 
 
-def test_the_same_recording_gives_the_same_files(recording: Path, solution: Path, tmp_path: Path) -> None:
+def test_the_same_recording_gives_the_same_files(
+    recording: Path, solution: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     solve(recording, out=tmp_path)
+    assert capsys.readouterr().err == "", "no progress bar without a terminal"
     files = sorted(path.name for path in solution.iterdir())
     assert files == ["metrics.json", "report.html", "solution.csv", "solution.kml"]
     for name in files:
@@ -116,6 +147,7 @@ def test_the_csv_has_one_line_per_solution(solution: Path) -> None:
     assert tuple(rows[0]) == HEADER and len(rows) == metrics_in(solution)["solution_count"] + 1
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_solution_file_is_accepted_as_truth(recording: Path, solution: Path, tmp_path: Path) -> None:
     solve(recording, truth=str(solution / "solution.csv"), out=tmp_path)
     found = metrics_in(tmp_path)
@@ -123,6 +155,7 @@ def test_a_solution_file_is_accepted_as_truth(recording: Path, solution: Path, t
     assert found["horizontal_rmse_m"] < 1e-3 and found["yaw_rmse_rad"] < 1e-6, "up to the rounding of the file"
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_recording_of_raw_bytes_is_parsed_and_solved(tmp_path: Path) -> None:
     toml = '[vehicle]\nname = "raw"\n\n[core.fusion.gnss]\nlever_arm_body_m = [0.3, 0.0, -1.2]\n'
     writer = RecordingWriter(tmp_path / "raw.mcap", vehicle="raw", vehicle_toml=toml)
@@ -175,6 +208,7 @@ def test_the_error_for_a_parked_vehicle_states_the_missing_alignment(tmp_path: P
         solve(tmp_path / "drive.mcap", out=tmp_path / "out")
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_truncated_recording_is_solved_up_to_its_end(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -185,32 +219,31 @@ def test_a_truncated_recording_is_solved_up_to_its_end(
     assert 30.0 < metrics_in(tmp_path / "out")["duration_s"] < DURATION_S
 
 
-def test_the_smoothed_drive_is_written_and_more_accurate_than_the_filtered_one(
-    recording: Path, solution: Path, tmp_path: Path
-) -> None:
-    assert solve(recording, out=tmp_path, smooth=True) == 0
-    assert (tmp_path / "solution.csv").read_bytes() == (solution / "solution.csv").read_bytes(), (
-        "the filter is the same"
-    )
-    found = metrics_in(tmp_path)
+def test_the_smoothed_drive_is_written_and_more_accurate_than_the_filtered_one(solution: Path, smoothed: Path) -> None:
+    assert (smoothed / "solution.csv").read_bytes() == (solution / "solution.csv").read_bytes(), "the filtered track"
+    found = metrics_in(smoothed)
     assert list(found) == [*METRICS, *SMOOTHED_METRICS]
     for name in ("horizontal_rmse_m", "vertical_rmse_m", "velocity_rmse_m_s", "yaw_rmse_rad"):
         assert found[f"smoothed_{name}"] < found[name], name
-    assert (tmp_path / "solution_smoothed.kml").read_text().count("<gx:Track>") == 1
-    report = (tmp_path / "report.html").read_text()
+    assert (smoothed / "solution_smoothed.kml").read_text().count("<gx:Track>") == 1
+    report = (smoothed / "report.html").read_text()
     assert "Position errors, filtered and smoothed" in report and "Smoothed: " in report
     assert "smoothed_horizontal_rmse_m" in report
-    assert not [path.name for path in tmp_path.iterdir() if path.stem.startswith("tmp")]
+    assert not [path.name for path in smoothed.iterdir() if path.stem.startswith("tmp")]
 
 
-def test_the_smoothed_drive_has_smaller_outage_errors_and_is_accepted_as_truth(recording: Path, tmp_path: Path) -> None:
-    assert solve(recording, outage="5/15", out=tmp_path / "cut", smooth=True) == 0
-    found = metrics_in(tmp_path / "cut")
+def test_the_smoothed_drive_has_smaller_outage_errors(with_outages: Printed) -> None:
+    found = metrics_in(with_outages.folder)
     assert found["smoothed_outage_inside_max_m"] < found["outage_inside_max_m"]
     assert found["smoothed_outage_largest_error_rms_m"] < found["outage_largest_error_rms_m"]
-    assert solve(recording, out=tmp_path / "reference", smooth=True) == 0
-    truth = str(tmp_path / "reference" / "solution_smoothed.csv")
-    assert solve(recording, truth=truth, outage="5/15", out=tmp_path / "compared") == 0
-    compared = metrics_in(tmp_path / "compared")
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_a_smoothed_solution_is_accepted_as_truth(
+    recording: Path, smoothed: Path, with_outages: Printed, tmp_path: Path
+) -> None:
+    found = metrics_in(with_outages.folder)
+    assert solve(recording, truth=str(smoothed / "solution_smoothed.csv"), outage="5/15", out=tmp_path) == 0
+    compared = metrics_in(tmp_path)
     assert compared["truth_count"] > 400
     assert compared["outage_end_error_max_m"] == pytest.approx(found["outage_end_error_max_m"], abs=0.5)

@@ -132,7 +132,7 @@ def test_the_yaw_rate_of_an_inclined_vehicle_is_that_of_its_heading() -> None:
     assert found.yaw_rate_rad_s == pytest.approx(-0.2 * math.cos(math.radians(60.0)))
 
 
-def test_the_heading_is_that_of_the_movement_backward_too_and_of_the_body_at_rest() -> None:
+def test_the_heading_is_that_of_the_motion_and_at_standstill_that_of_the_body() -> None:
     forward = one(solution(velocity_ned_m_s=(0.0, 5.0, 0.0), yaw_rad=math.pi / 2))
     backward = one(solution(velocity_ned_m_s=(0.0, -5.0, 0.0), yaw_rad=math.pi / 2))
     resting = one(solution(velocity_ned_m_s=(0.0, -0.05, 0.0), yaw_rad=math.pi / 2))
@@ -187,7 +187,7 @@ def test_without_a_recent_verdict_the_position_confidence_is_unavailable() -> No
         assert not found.position_out_of_range
 
 
-def test_an_unsafe_unit_still_sends_and_another_station_reads_that_it_is_not_to_be_trusted() -> None:
+def test_an_unsafe_unit_sends_cams_with_an_untrusted_position() -> None:
     own = one(solution(velocity_ned_m_s=(10.0, 0.0, 0.0)), TrustLevel.UNSAFE)
     (frame,) = Parser(ParserConfig()).handle(own)
     assert isinstance(frame, V2xSend)
@@ -219,7 +219,7 @@ def test_the_longitudinal_acceleration_is_that_of_the_last_half_second() -> None
 
 
 def test_a_drive_is_sent_by_the_generation_rules() -> None:
-    """10 s at rest, then 10 s with 1.5 m/s2: 1 Hz, and then as often as 0.5 m/s or 4 m demand."""
+    """10 s at standstill at 1 Hz, then 10 s with 1.5 m/s² with a CAM for each 0.5 m/s or 4 m."""
     drive = [
         solution(START_NS + step * 100 * MS, velocity_ned_m_s=(max(0.0, 0.15 * (step - 100)), 0.0, 0.0))
         for step in range(200)
@@ -264,7 +264,7 @@ def test_the_path_ends_where_it_is_old_or_not_continuous() -> None:
     assert history.points(10**9, here)[0].delta_longitude_deg == 0.0, "the time went back"
 
 
-def test_tshark_dissects_the_frame_that_this_unit_sends_as_its_solution_means_it(tmp_path: Path) -> None:
+def test_tshark_dissects_a_sent_frame_to_the_values_of_the_solution(tmp_path: Path) -> None:
     """To the north-east with 10 m/s in a right turn of 0.1 rad/s, worked out by hand in the units of TS 102 894-2.
 
     The front is 2 m ahead of the IMU, 0.1 m to the right and 0.7 m below: v = (9.99, 0.2) m/s forward and right,

@@ -1,4 +1,4 @@
-"""A log solved at once, compiled or not, is what its samples are one by one."""
+"""A log solved as one batch equals its samples processed one by one, compiled or not."""
 
 import hashlib
 import os
@@ -40,7 +40,7 @@ class Collector(Navigator):
 
 @cache
 def drive() -> Drive:
-    """Two minutes in a town, with stops; GNSS is away from 60 s to 75 s."""
+    """Two minutes in a town, with stops; GNSS is missing from 60 s to 75 s."""
     return simulate("urban", seed=4, duration_s=120.0)
 
 
@@ -61,7 +61,7 @@ def fresh(**changes: object) -> Navigator:
 
 @cache
 def measurements() -> list[Measurement]:
-    """Fixes between the samples, and speeds of the wheels."""
+    """Fixes with stamps between the samples, and wheel speeds."""
     d, collector = drive(), Collector(settings())
     collector.collected = []
     for k in np.flatnonzero(d.fix_valid & ~((d.fix_ns > 60e9) & (d.fix_ns < 75e9))).tolist():
@@ -79,7 +79,7 @@ def measurements() -> list[Measurement]:
 
 
 def log() -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """Samples of the drive, of which some are missing, doubled, swapped and mad."""
+    """Samples of the drive, of which some are missing, doubled, swapped, not finite or impossible."""
     d = drive()
     stamps, samples = d.t_ns.copy(), np.column_stack([d.force_b, d.rate_b])
     keep = np.ones(len(stamps), dtype=bool)
@@ -90,19 +90,20 @@ def log() -> tuple[npt.NDArray[np.int64], FloatArray]:
     return stamps[keep], samples[keep]
 
 
+@cache
 def at_once(**changes: object) -> tuple[Navigator, list[Solution]]:
     navigator = fresh(**changes)
     return navigator, list(solve(navigator, *log(), measurements(), every_ns=TENTH_NS))
 
 
 def digest() -> str:
-    """Of all that a drive leads to."""
+    """Hash of the solutions of the drive."""
     content = [(s.position, s.velocity, s.yaw, s.rate, s.position_cov.tolist()) for s in at_once()[1]]
     return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
 def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
-    """Each sample alone, and with it what was true since the last; a solution in the first sample of each tenth."""
+    """Each sample alone, with the measurements since the last one; a solution at the first sample of each 0.1 s."""
     navigator, solutions, place, tenth = fresh(**changes), [], 0, 0
     pending = sorted(measurements(), key=lambda m: (m.time_ns, m.received_ns, m.source))
     newest = -1
@@ -122,8 +123,8 @@ def one_by_one(**changes: object) -> tuple[Navigator, list[Solution]]:
 
 
 @pytest.mark.parametrize("aided", [True, False])
-def test_a_log_solved_at_once_is_to_the_last_bit_what_its_samples_are_one_by_one(aided: bool) -> None:
-    """Stops, turns, an outage, gaps and samples that are refused: nothing makes a difference."""
+def test_a_batch_equals_single_samples_to_the_last_bit(aided: bool) -> None:
+    """With stops, turns, an outage, a gap and rejected samples."""
     switches = {"standstill.enabled": aided, "non_holonomic.enabled": aided}
     whole, solutions = at_once(**switches)
     single, expected = one_by_one(**switches)
@@ -138,8 +139,10 @@ def test_a_log_solved_at_once_is_to_the_last_bit_what_its_samples_are_one_by_one
     assert whole.samples_rejected == single.samples_rejected == 4
 
 
-def as_they_come(given: list[Measurement], late_ns: int = 0, **changes: object) -> tuple[Navigator, list[Solution]]:
-    """Each sample alone, and with it the measurements that were true `late_ns` before; a solution each tenth."""
+def received_one_by_one(
+    given: list[Measurement], late_ns: int = 0, **changes: object
+) -> tuple[Navigator, list[Solution]]:
+    """Each sample alone, with measurements that are received `late_ns` after their stamps; a solution each 0.1 s."""
     navigator, solutions, place, newest = fresh(merge_delay_s=0.0, **changes), [], 0, -1
     pending = sorted(given, key=lambda m: (m.time_ns, m.received_ns, m.source))
     for stamp, row in zip(log()[0].tolist(), log()[1].tolist(), strict=True):
@@ -163,11 +166,11 @@ def test_compiled_and_plain_python_give_the_same_bits() -> None:
 
 
 @pytest.mark.parametrize("aided", [True, False])
-def test_samples_as_they_come_are_to_the_last_bit_what_they_are_at_once(aided: bool) -> None:
-    """Whoever looks every tenth of a second, or never, and whenever a measurement arrives: all is the same."""
+def test_received_samples_and_measurements_equal_a_batch_to_the_last_bit(aided: bool) -> None:
+    """Through the interface of the navigator, polled every 0.1 s."""
     switches = {"standstill.enabled": aided, "non_holonomic.enabled": aided}
     whole, expected = at_once(**switches)
-    single, solutions = as_they_come(measurements(), **switches)
+    single, solutions = received_one_by_one(measurements(), **switches)
     assert len(solutions) == len(expected) > 1100
     for ours, theirs in zip(solutions, expected, strict=True):
         for name in ("time_ns", "phase", "position", "velocity", "yaw", "rate", "stationary", "gnss_age_s"):
@@ -177,11 +180,13 @@ def test_samples_as_they_come_are_to_the_last_bit_what_they_are_at_once(aided: b
     assert (single.samples_used, single.samples_rejected) == (whole.samples_used, whole.samples_rejected)
 
 
-def test_what_comes_late_leaves_samples_the_same_to_the_last_bit() -> None:
-    """Fixes come a second from each other; once one has arrived, it makes no difference how late that was."""
+def test_solutions_after_a_late_fix_equal_those_after_a_fix_in_time_to_the_last_bit() -> None:
+    """Fixes at 1 Hz, 0.31 s late; compared wherever all of them were received."""
     late_ns = 310_000_000
     fixes = [measurement for measurement in measurements() if not isinstance(measurement, WheelSpeed)]
-    in_time, late = ({solution.time_ns: solution for solution in as_they_come(fixes, ns)[1]} for ns in (0, late_ns))
+    in_time, late = (
+        {solution.time_ns: solution for solution in received_one_by_one(fixes, ns)[1]} for ns in (0, late_ns)
+    )
     waiting = np.array([fix.time_ns for fix in fixes])
     arrived = [
         stamp for stamp in in_time.keys() & late.keys() if not ((stamp - late_ns < waiting) & (waiting <= stamp)).any()
@@ -192,8 +197,8 @@ def test_what_comes_late_leaves_samples_the_same_to_the_last_bit() -> None:
         assert np.array_equal(in_time[stamp].position_cov, late[stamp].position_cov)
 
 
-def test_a_whole_log_is_doubted_as_its_samples_are() -> None:
-    """Each axis repeats itself for times about the limits, at rest and fast; one never changes."""
+def test_faults_found_in_a_batch_are_those_found_sample_by_sample() -> None:
+    """Each axis repeats its value for times around the limits; one axis is constant."""
     rng = np.random.default_rng(1)
     samples = rng.standard_normal((20_000, 6))
     for begin in range(0, 19_800, 200):
@@ -203,9 +208,9 @@ def test_a_whole_log_is_doubted_as_its_samples_are() -> None:
     stamps = np.cumsum(rng.integers(4_000_000, 6_000_000, 20_000))
     first = stamps[0], tuple(samples[0])
     repeats = Repeats(int(first[0]), first[1])
-    told = [repeats.fault(int(stamp), tuple(row)) for stamp, row in zip(stamps, samples, strict=True)]
-    assert faults(stamps, samples) == {place: doubt for place, doubt in enumerate(told) if doubt}
-    assert {None, "accelerometer stuck", "gyroscope saturated"} == set(told)
+    single = [repeats.fault(int(stamp), tuple(row)) for stamp, row in zip(stamps, samples, strict=True)]
+    assert faults(stamps, samples) == {place: fault for place, fault in enumerate(single) if fault}
+    assert {None, "accelerometer stuck", "gyroscope saturated"} == set(single)
 
 
 def test_an_empty_log_has_no_solution() -> None:

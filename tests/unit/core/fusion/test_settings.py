@@ -1,4 +1,4 @@
-"""Sections of the settings of core.fusion, and what is said of the keys of earlier versions."""
+"""Sections of the settings of core.fusion, and the errors for keys of earlier versions."""
 
 import tomllib
 from pathlib import Path
@@ -11,7 +11,7 @@ from shared.runtime.config import Section, dotted_keys, load_vehicle, parse_vehi
 
 
 @pytest.mark.parametrize("old", Settings.renamed)
-def test_an_old_key_is_refused_with_a_sentence_that_names_the_new_one(old: str) -> None:
+def test_an_old_key_is_an_error_that_names_the_new_one(old: str) -> None:
     section, _, key = Settings.renamed[old].rpartition(".")
     with pytest.raises(ConfigError, match=rf"'{old}'; it is '{key}' in \[core\.fusion\.{section}\] now$"):
         parse_vehicle(f"[core.fusion]\n{old} = 1").section("core.fusion", Settings)
@@ -59,6 +59,6 @@ def test_every_setting_has_a_description() -> None:
 
 
 @pytest.mark.parametrize("path", sorted(Path().glob("*/vehicles/*.toml")) + sorted(Path().glob("*/*/vehicles/*.toml")))
-def test_the_files_of_vehicles_are_read(path: Path) -> None:
+def test_every_vehicle_file_of_the_repository_is_valid(path: Path) -> None:
     assert load_vehicle(path).section("core.fusion", Settings)
     assert tomllib.loads(path.read_text(encoding="utf-8"))["vehicle"]["name"]

@@ -144,13 +144,12 @@ def test_a_restart_in_a_queue_does_not_give_a_passage_to_the_vehicle_behind() ->
     follower = replace(leader, station_id=8, start=-206.0)
     plant.drive(leader, follower, until=3.0)
     (stored,) = plant.passages
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=())))
     plant.drive(follower, since=4.5, until=4.6)
     plant.drive(follower, leader, since=4.6, until=6.0)
     assert [one.station_ids for one in plant.passages] == [(7,)]
-    newest = [one for one in plant.said if isinstance(one, TollPassage)][-1]
+    newest = [one for one in plant.statements if isinstance(one, TollPassage)][-1]
     assert (newest.passage_id, newest.station_ids) == (stored.passage_id, (7,))
 
 
@@ -159,10 +158,9 @@ def test_a_restart_while_the_vehicle_waits_on_the_line_loses_no_charge() -> None
     plant = Plant(COMMON)
     plant.register(7)
     plant.drive(replace(CAR, start=-199.4, acceleration=-1.0), until=25.0)
-    stored = next(one for one in reversed(plant.said) if isinstance(one, TollPassage))
+    stored = next(one for one in reversed(plant.statements) if isinstance(one, TollPassage))
     assert stored.state is PassageState.OPEN and stored.crossing_ns is None
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=())))
     plant.drive(replace(CAR, start=0.6, speed=0.0, acceleration=2.0, since=26.0), since=26.0, until=40.0)
     assert plant.states == ["open", "crossed", "charged"]
@@ -228,14 +226,14 @@ def test_a_final_statement_is_repeated_until_it_is_settled() -> None:
     plant.register(7)
     plant.drive(CAR, until=20.0)
     charged = plant.passages[-1]
-    plant.said.clear()
+    plant.statements.clear()
     plant.second()
-    assert [one.passage_id for one in plant.said if isinstance(one, TollPassage)] == [charged.passage_id]
+    assert [one.passage_id for one in plant.statements if isinstance(one, TollPassage)] == [charged.passage_id]
     settled = OpenPassages(sampled_ns=START_NS, passages=(), settled=(charged.passage_id,))
     list(plant.core.continue_passages(settled))
-    plant.said.clear()
+    plant.statements.clear()
     plant.second()
-    assert not plant.said
+    assert not plant.statements
 
 
 @pytest.mark.parametrize("kill", [2.4, 5.0, 11.1, 11.8, 12.6, 13.3])
@@ -245,11 +243,10 @@ def test_a_restart_at_any_time_continues_the_passage(kill: float, renamed: bool)
     plant = Plant(COMMON)
     plant.register(7, 70)
     plant.drive(CAR, until=kill)
-    said = [one for one in plant.said if isinstance(one, TollPassage)]
-    finals = {one.passage_id for one in said if one.state.is_final}
-    newest = {one.passage_id: one for one in said if one.passage_id not in finals}
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    statements = [one for one in plant.statements if isinstance(one, TollPassage)]
+    finals = {one.passage_id for one in statements if one.state.is_final}
+    newest = {one.passage_id: one for one in statements if one.passage_id not in finals}
+    plant.restart()
     stored = tuple(one.model_copy(update={"evidence": None}) for one in newest.values())
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=stored, settled=tuple(finals))))
     plant.drive(CAR.named(70) if renamed else CAR, since=kill + 1.5, until=22.0)
@@ -263,12 +260,11 @@ def test_after_a_restart_a_renamed_vehicle_continues_its_own_passage_and_not_tha
     plant.register(7, 8, 80)
     second = replace(CAR, station_id=8, start=CAR.start - 15.0)
     plant.drive(CAR, second, until=6.0)
-    stored = {one.station_ids: one for one in plant.said if isinstance(one, TollPassage)}
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    stored = {one.station_ids: one for one in plant.statements if isinstance(one, TollPassage)}
+    plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=tuple(stored.values()), settled=())))
     plant.drive(second.named(80), since=7.0, until=10.0)
-    newest = [one for one in plant.said if isinstance(one, TollPassage)][-1]
+    newest = [one for one in plant.statements if isinstance(one, TollPassage)][-1]
     assert (newest.passage_id, newest.station_ids) == (stored[(8,)].passage_id, (8, 80))
 
 
@@ -277,10 +273,9 @@ def test_the_ledgers_answer_may_come_after_the_vehicle() -> None:
     plant.register(7)
     plant.drive(CAR, until=5.0)
     stored = plant.passages[-1]
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart()
     plant.drive(CAR, since=5.5, until=8.0)
-    plant.said += plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=()))
+    plant.statements += plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=()))
     plant.drive(CAR, since=8.0, until=20.0)
     assert plant.states == ["open", "open", "void", "crossed", "charged"]
     assert plant.passages[-1].passage_id == stored.passage_id
@@ -289,8 +284,7 @@ def test_the_ledgers_answer_may_come_after_the_vehicle() -> None:
 
 def test_no_passage_is_opened_before_the_ledger_answered_or_the_wait_is_over() -> None:
     plant = Plant(COMMON)
-    fixes, plant.core = plant.core, type(plant.core)(plant.plaza, plant.settings)
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    plant.restart(answered=False)
     plant.drive(replace(CAR, start=-200.0), until=2.9)
     assert not plant.passages
     plant.drive(replace(CAR, start=-200.0), since=2.9, until=5.0)
@@ -344,7 +338,7 @@ def test_loss_repetition_and_reordering_neither_lose_nor_double_a_charge() -> No
     for cam in sorted(arrivals, key=lambda one: one.received_ns):
         if cam.received_ns >= START_NS + round(plant.clock_s * 1e9):
             plant.second()
-        plant.said += plant.core.use([cam])
+        plant.statements += plant.core.use([cam])
     charged = [one.station_ids for one in plant.passages if one.state is PassageState.CHARGED]
     undecided = [one.station_ids for one in plant.passages if one.state is PassageState.UNDECIDED]
     assert len(set(charged)) == len(charged)
@@ -474,18 +468,18 @@ def test_a_station_id_that_jumps_to_and_fro_leaves_nothing_behind() -> None:
 
 
 def test_a_batch_with_several_cam_of_a_vehicle_gives_the_statements_of_single_cam() -> None:
-    said = []
+    statements = []
     for size in (1, 4):
         plant = Plant(COMMON)
         plant.register(7)
         cams = [CAR.cam(plant.plaza, k / 10.0, latency_s=0.5 - k % 4 / 10.0) for k in range(200)]
         plant.core.tick(START_NS)
-        said.append([
+        statements.append([
             one for k in range(0, 200, size) for one in plant.core.use(cams[k : k + size])
             if isinstance(one, TollPassage)
         ])  # fmt: skip
-    assert said[0] == said[1]
-    assert any(one.state is PassageState.CROSSED for one in said[0])
+    assert statements[0] == statements[1]
+    assert any(one.state is PassageState.CROSSED for one in statements[0])
 
 
 SLOW = replace(CAR, speed=10.0)
@@ -525,9 +519,8 @@ def test_a_contradiction_is_known_after_a_restart() -> None:
     plant.drive(since=8.0, until=15.0)
     again = replace(CAR, since=15.0)
     plant.drive(again, since=15.0, until=20.0)
-    newest = {one.passage_id: one for one in plant.said if isinstance(one, TollPassage)}
-    fixes, plant.core = plant.core, plant.new_core()
-    plant.core._estimator, plant.core._deltas = fixes._estimator, fixes._deltas
+    newest = {one.passage_id: one for one in plant.statements if isinstance(one, TollPassage)}
+    plant.restart()
     list(plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=tuple(newest.values()), settled=())))
     plant.drive(again, since=21.0, until=31.0)
     assert plant.states.count("suspect") == 1
@@ -538,10 +531,10 @@ def test_an_answer_of_the_ledger_on_a_vehicle_elsewhere_does_not_end_the_younger
     plant = Plant(COMMON)
     plant.register(7)
     plant.drive(CAR, until=8.0)
-    stored = [one for one in plant.said if isinstance(one, TollPassage)][-1]
+    stored = [one for one in plant.statements if isinstance(one, TollPassage)][-1]
     plant.core = plant.new_core()
     plant.drive(replace(CAR, since=9.0), since=9.0, until=14.0)
-    plant.said += plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=()))
+    plant.statements += plant.core.continue_passages(OpenPassages(sampled_ns=0, passages=(stored,), settled=()))
     plant.drive(replace(CAR, since=9.0), since=14.0, until=25.0)
     assert plant.states == ["open", "open", "suspect"]
 
@@ -551,10 +544,10 @@ def test_a_silence_of_more_than_five_seconds_between_two_ticks_continues_the_pas
     plant = Plant(COMMON)
     plant.register(7)
     cams = [SLOW.cam(plant.plaza, k / 10.0) for k in range(300)]
-    said = [*plant.core.use(cams[:80]), *plant.core.use(cams[132:])]
-    ends = [one for one in said if isinstance(one, TollPassage) and one.state.is_final and not one.checkpoint]
+    statements = [*plant.core.use(cams[:80]), *plant.core.use(cams[132:])]
+    ends = [one for one in statements if isinstance(one, TollPassage) and one.state.is_final and not one.checkpoint]
     assert len(ends) == 1
-    assert len({one.passage_id for one in said if isinstance(one, TollPassage)}) == 1
+    assert len({one.passage_id for one in statements if isinstance(one, TollPassage)}) == 1
 
 
 def test_a_passage_has_a_bounded_number_of_station_ids() -> None:
@@ -562,7 +555,7 @@ def test_a_passage_has_a_bounded_number_of_station_ids() -> None:
     crawl = replace(CAR, speed=2.0, start=-140.0)
     for k in range(STATION_IDS + 3):
         plant.drive(crawl.named(100 + k), since=3.4 * k, until=3.4 * k + 3.3)
-    assert max(len(one.station_ids) for one in plant.said if isinstance(one, TollPassage)) == STATION_IDS
+    assert max(len(one.station_ids) for one in plant.statements if isinstance(one, TollPassage)) == STATION_IDS
 
 
 def test_two_stations_at_one_place_that_arrive_in_one_batch_leave_both_tracks() -> None:
@@ -598,7 +591,8 @@ def test_a_retained_delta_of_a_later_time_does_not_keep_out_those_of_now() -> No
     plant = Plant(COMMON)
     ours = plant.core.estimate_delta(START_NS)
     core = type(plant.core)(plant.plaza, plant.settings)
-    core._estimator = plant.core._estimator
+    for one in plant.fixes:
+        core.fix(one)
     core.use_delta(ours.model_copy(update={"sampled_ns": START_NS + 10**15}))
     core.use_delta(core.estimate_delta(START_NS))
     assert [one.sampled_ns for one in core._deltas] == [ours.sampled_ns]
@@ -621,7 +615,7 @@ def test_a_vehicle_beside_a_slow_one_that_is_silent_for_a_moment_does_not_contin
     crawl, beside = replace(CAR, lane="n3", speed=1.0, start=-60.0), replace(CAR, lane="n2", speed=10.0, start=-150.0)
     for second in range(20):
         if second % 4 != 3:
-            plant.said += plant.core.use([crawl.cam(plant.plaza, float(second))])
+            plant.statements += plant.core.use([crawl.cam(plant.plaza, float(second))])
         plant.drive(beside.named(8), since=max(float(second), 9.2), until=second + 1.0)
     assert {track.station_id for track in plant.core.tracks(START_NS + 20 * 10**9).tracks} == {7, 8}
     assert all(len(one.station_ids) == 1 and not one.reason.startswith("passage") for one in plant.passages)

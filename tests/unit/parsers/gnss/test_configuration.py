@@ -202,7 +202,7 @@ def test_granted_optional_messages_are_reported_with_the_others() -> None:
     assert result.messages == ("NAV-PVT", "NAV-COV", "RXM-RAWX", "RXM-SFRBX")
 
 
-def test_an_optional_message_that_the_receiver_lacks_does_not_cost_the_other() -> None:
+def test_an_unsupported_optional_message_does_not_prevent_the_other() -> None:
     process = Process(Config())
     send_request(process, WITH_RAW)
     refused = acknowledge(0x8A, good=False) + acknowledge(0x8B, good=False)
@@ -212,7 +212,7 @@ def test_an_optional_message_that_the_receiver_lacks_does_not_cost_the_other() -
 
 
 @pytest.mark.parametrize("refusals", [(0x8A, 0x8B) * 2, (0x8A,), (0x8B,), ()])
-def test_a_receiver_that_refuses_the_optional_messages_keeps_the_others(refusals: tuple[int, ...]) -> None:
+def test_with_rejected_optional_messages_the_others_are_kept(refusals: tuple[int, ...]) -> None:
     process = Process(Config())
     send_request(process, WITH_RAW)
     assert not feed(process, b"".join(acknowledge(one, good=False) for one in refusals))
@@ -231,7 +231,7 @@ def test_version_elevation_mask_and_dynamic_model_are_reported_as_read_back() ->
 
 
 @pytest.mark.parametrize("refused", [b"", acknowledge(0x8B, good=False)])
-def test_a_receiver_that_states_neither_is_configured_all_the_same(refused: bytes) -> None:
+def test_a_receiver_that_states_neither_is_configured_as_well(refused: bytes) -> None:
     process = Process(Config())
     send_request(process)
     result = result_of(feed(process, refused + acknowledge(0x8A) + values()))

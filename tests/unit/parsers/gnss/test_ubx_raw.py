@@ -1,4 +1,4 @@
-"""RXM-RAWX and RXM-SFRBX against pyubx2 as an independent reader, and against bytes that cannot be."""
+"""RXM-RAWX and RXM-SFRBX against pyubx2 as an independent reader, and against impossible values."""
 
 import math
 import struct
@@ -145,14 +145,14 @@ def test_signals_have_the_observation_codes_of_rinex() -> None:
         ({"doppler": 1e9}, "doppler_hz", "ubx_doppler"),
     ],
 )
-def test_a_value_that_cannot_be_is_counted_and_missing(values: dict[str, float], field: str, reject: str) -> None:
+def test_an_impossible_value_is_counted_and_none(values: dict[str, float], field: str, reject: str) -> None:
     rejects: Counter[str] = Counter()
     bad, good = ubx_raw.decode_raw(rawx(changed(**values), GOOD), rejects).measurements
     assert getattr(bad, field) is None and getattr(good, field) is not None
     assert rejects == {reject: 1}
 
 
-def test_what_the_receiver_does_not_call_valid_is_missing_and_not_counted() -> None:
+def test_a_value_not_marked_valid_is_none_and_not_counted() -> None:
     rejects: Counter[str] = Counter()
     payload = rawx(changed(code=0.0, cycles=0.0, cn0=0, status=0), status=0)
     found = ubx_raw.decode_raw(payload, rejects)
@@ -174,7 +174,7 @@ def test_what_the_receiver_does_not_call_valid_is_missing_and_not_counted() -> N
         (rawx(GOOD, week=65535), "week"),
     ],
 )
-def test_an_epoch_that_cannot_be_is_refused(payload: bytes, reason: str) -> None:
+def test_an_impossible_epoch_is_rejected(payload: bytes, reason: str) -> None:
     with pytest.raises(UbxError, match=reason):
         ubx_raw.decode_raw(payload, Counter())
 
@@ -183,7 +183,7 @@ def sfrbx(system: int, number: int, words: tuple[int, ...], signal: int = 0) -> 
     return struct.pack(f"<8B{len(words)}I", system, number, signal, 0, len(words), 3, 2, 0, *words)
 
 
-def test_words_of_gps_and_galileo_are_what_pyubx2_reads_and_others_are_left_out() -> None:
+def test_words_of_gps_and_galileo_equal_those_of_pyubx2_and_others_are_omitted() -> None:
     gps, galileo = tuple(range(0xFFFFFFF0, 0xFFFFFFFA)), tuple(range(8))
     for payload in (sfrbx(0, 5, gps), sfrbx(2, 11, galileo, signal=1)):
         found, read = ubx_raw.decode_navigation_bits(payload), independently("RXM-SFRBX", payload)
@@ -198,13 +198,13 @@ def test_words_of_gps_and_galileo_are_what_pyubx2_reads_and_others_are_left_out(
     ("payload", "reason"),
     [(sfrbx(0, 5, (0,) * 9), "navigation_words"), (sfrbx(0, 5, (0,) * 10)[:-1], "short"), (b"\0" * 7, "short")],
 )
-def test_words_that_cannot_be_are_refused(payload: bytes, reason: str) -> None:
+def test_invalid_words_are_rejected(payload: bytes, reason: str) -> None:
     with pytest.raises(UbxError, match=reason):
         ubx_raw.decode_navigation_bits(payload)
 
 
 @given(st.binary(max_size=200), st.sampled_from([0x13, 0x15]))
-def test_any_payload_is_decoded_or_refused(payload: bytes, kind: int) -> None:
+def test_any_payload_is_decoded_or_rejected(payload: bytes, kind: int) -> None:
     process = Process(Config())
     published = list(process.handle(GnssRaw(received_ns=NS, source="gnss0", data=frame(kind, payload))))
     published += list(process.handle(GnssRaw(received_ns=2 * NS, source="gnss0", data=frame(0x15, rawx(GOOD)))))
@@ -212,7 +212,7 @@ def test_any_payload_is_decoded_or_refused(payload: bytes, kind: int) -> None:
 
 
 @given(st.lists(st.binary(min_size=32, max_size=32), max_size=5), st.binary(min_size=16, max_size=16))
-def test_measurements_of_any_content_are_decoded_or_refused(parts: list[bytes], head: bytes) -> None:
+def test_measurements_of_any_content_are_decoded_or_rejected(parts: list[bytes], head: bytes) -> None:
     payload = head[:11] + bytes((len(parts),)) + head[12:] + b"".join(parts)
     process = Process(Config())
     for k in range(2):  # the first waits for the stamp of its epoch

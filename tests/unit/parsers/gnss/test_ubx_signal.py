@@ -53,7 +53,7 @@ def radio(*jamming: int) -> bytes:
 
 
 def security(jamming: int = 3, spoofing: int = 3) -> bytes:
-    """Version 1: bit 0 is "enabled", the state stands above it."""
+    """Version 1: bit 0 is "enabled", the state is in the bits above it."""
     return struct.pack("<B3xB3xB3x", 1, jamming, spoofing)
 
 
@@ -193,7 +193,7 @@ def test_an_unknown_version_or_a_truncated_message_is_rejected_and_counted(
     assert process.rejects == Counter({f"ubx_{reason}": 1})
 
 
-def test_a_detector_that_is_off_says_unknown_whatever_its_state() -> None:
+def test_a_disabled_detector_is_unknown_for_any_state() -> None:
     off = ubx_signal.decode("SIG", security(jamming=6, spoofing=6))
     assert off == SignalFlags(jamming=UNKNOWN, spoofing=UNKNOWN)
 

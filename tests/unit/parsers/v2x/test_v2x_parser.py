@@ -65,7 +65,7 @@ def test_bare_uper_is_decoded_as_well() -> None:
     assert found.frame == payload
 
 
-def test_what_cannot_be_used_is_counted_by_reason_and_the_rest_of_the_batch_is_decoded() -> None:
+def test_unusable_frames_are_counted_by_reason_and_the_rest_of_the_batch_is_decoded() -> None:
     process, good = Process(Config()), packet()
     bad = [
         b"",
@@ -94,7 +94,7 @@ def test_what_cannot_be_used_is_counted_by_reason_and_the_rest_of_the_batch_is_d
     )
 
 
-def test_a_batch_that_breaks_off_is_counted_and_its_first_frames_are_used() -> None:
+def test_a_truncated_batch_is_counted_and_its_complete_frames_are_used() -> None:
     process = Process(Config())
     batch = cams.batch([packet(), packet()], NOW_NS)
     assert len(decoded(process, batch.model_copy(update={"data": batch.data[:-1]}))) == 1
@@ -103,7 +103,7 @@ def test_a_batch_that_breaks_off_is_counted_and_its_first_frames_are_used() -> N
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=2000), st.sampled_from(Encapsulation))
-def test_random_batches_end_in_counted_rejects_and_never_in_more(data: bytes, encapsulation: Encapsulation) -> None:
+def test_random_batches_are_counted_rejects(data: bytes, encapsulation: Encapsulation) -> None:
     process = Process(Config())
     batch = CamFrames(received_ns=NOW_NS, source="v2x0", encapsulation=encapsulation, data=data)
     found = decoded(process, batch)
@@ -112,7 +112,7 @@ def test_random_batches_end_in_counted_rejects_and_never_in_more(data: bytes, en
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), min_size=1, max_size=10))
-def test_damaged_packets_end_in_cams_that_the_bus_carries_or_in_counted_rejects(damage: list[tuple[int, int]]) -> None:
+def test_damaged_packets_are_valid_cams_or_counted_rejects(damage: list[tuple[int, int]]) -> None:
     process, damaged = Process(Config()), bytearray(packet())
     for place, value in damage:
         damaged[place % len(damaged)] = value
@@ -200,7 +200,7 @@ def test_an_own_cam_without_a_position_is_counted_and_not_sent() -> None:
     assert process.rejects == Counter({"own_position": 1})
 
 
-def test_a_road_side_units_cam_says_that_it_is_not_mobile() -> None:
+def test_the_cam_of_a_road_side_unit_is_marked_not_mobile() -> None:
     unit = OWN.model_copy(update={"station_type": StationType.ROAD_SIDE_UNIT})
     (sent,) = Process(Config()).handle(unit)
     assert isinstance(sent, V2xSend)

@@ -13,7 +13,7 @@ def test_frames_are_published_in_batches_of_at_most_0_07_s_and_none_is_lost() ->
     started_s, sent = time.monotonic(), 0
     with running(Process(Config(device="virtual://batches")).run) as bus, can.Bus("batches", "virtual") as far:
         while len(bus.of(CanRaw)) < 4:
-            assert time.monotonic() - started_s < 10.0, "no batch ended while frames kept coming"
+            assert time.monotonic() - started_s < 10.0, "a batch ends while frames are received"
             far.send(can.Message(arbitration_id=0x100, is_extended_id=False, data=sent.to_bytes(2)))
             sent += 1
             time.sleep(0.004)

@@ -118,7 +118,7 @@ def test_a_replayed_drive_is_another_motion_from_the_same_place() -> None:
     pairs = both(during("replay_drive"))
     assert moved(*pairs[0])[0] == pytest.approx(np.zeros(3), abs=0.01)
     assert max(np.linalg.norm(moved(*pair)[1]) for pair in pairs) > 2.0
-    assert max(fix.ground_speed_m_s or 0.0 for fix, _ in pairs) > 3.0, "the other drive does not stand"
+    assert max(fix.ground_speed_m_s or 0.0 for fix, _ in pairs) > 3.0, "the other drive is in motion"
 
 
 def test_meaconing_is_a_longer_signal_a_late_clock_and_the_place_of_the_rebroadcaster() -> None:
@@ -302,7 +302,7 @@ def test_an_attack_with_a_duration_ends_by_itself_and_a_second_start_replaces_th
         (stop(AttackName.JAM), "jam is not active"),
     ],
 )
-def test_a_command_that_cannot_be_executed_is_refused_with_its_reason(command: SimulationAttack, reason: str) -> None:
+def test_a_command_that_cannot_be_executed_is_rejected_with_its_reason(command: SimulationAttack, reason: str) -> None:
     (answer,) = commanded((3.0, command))
     assert answer.refused is not None and answer.refused.startswith(reason)
     assert not answer.attacks

@@ -1,4 +1,4 @@
-"""Neighbours of the simulated vehicle: their motion is consistent, and so is what the radio measures of them."""
+"""Neighbours of the simulated vehicle: consistency of their motion and of the radio measurements."""
 
 from itertools import islice, pairwise
 
@@ -63,16 +63,20 @@ def test_without_noise_the_offset_gives_the_range_rate_back_once_the_oscillators
     for k, one in enumerate(states, 1):
         here = Geodetic(*motion.position[100 * k].tolist())
         cars: tuple[Car, ...] = traffic.at(100 * k * world.step_ns * 1e-9)
-        for car, said in zip(cars, one.neighbours, strict=True):
-            assert car.station_id == said.station_id and said.cfo_hz is not None and said.oscillator_offset is not None
-            measured = range_rate_from_cfo(said.cfo_hz, said.oscillator_offset, 0.0)
+        for car, neighbour in zip(cars, one.neighbours, strict=True):
+            assert (
+                car.station_id == neighbour.station_id
+                and neighbour.cfo_hz is not None
+                and neighbour.oscillator_offset is not None
+            )
+            measured = range_rate_from_cfo(neighbour.cfo_hz, neighbour.oscillator_offset, 0.0)
             common.append(measured - range_rate(car, here, antenna_at(motion, 100 * k)))  # c y_r and noise
     spread = float(np.diff(np.array(common).reshape(-1, 6)[:, :2]).std() / np.sqrt(2.0))
     assert len(states) > 100 and abs(spread - CFO_SD_HZ * 0.0508) < 0.15
 
 
 @pytest.mark.parametrize("count", [0, 2, 6])
-def test_so_many_neighbours_as_are_asked_for_are_near(count: int) -> None:
+def test_the_configured_number_of_neighbours_is_near(count: int) -> None:
     world = World(BY_NAME["highway"], 1, DEFAULT_START_NS, Equipment(neighbours=count))
     truth: TruthState | None = None
     for _, message in islice(world, 20_000):
@@ -88,7 +92,7 @@ def test_the_same_seed_gives_the_same_neighbours_and_another_one_others() -> Non
     assert received("urban") == received("urban") != received("urban", seed=2)
 
 
-def test_neighbours_leave_the_bytes_of_the_devices_as_they_are() -> None:
+def test_neighbours_do_not_change_the_bytes_of_the_devices() -> None:
     def rest(count: int) -> list[Message]:
         world = World(BY_NAME["urban"], 1, DEFAULT_START_NS, Equipment(neighbours=count))
         return [m for _, m in islice(world, 5000) if not isinstance(m, NeighbourStates)][:4800]
@@ -96,13 +100,13 @@ def test_neighbours_leave_the_bytes_of_the_devices_as_they_are() -> None:
     assert rest(0) == rest(6)
 
 
-def test_liars_add_the_same_to_what_they_publish_and_to_nothing_else() -> None:
-    honest, lying = received("urban", seconds=5), []
+def test_false_neighbours_add_one_offset_to_their_published_states_only() -> None:
+    true_states, false_states = received("urban", seconds=5), []
     lie = schedule("neighbour_collusion(neighbours=2,speed=3)@0")
     world = World(BY_NAME["urban"], 1, DEFAULT_START_NS, Equipment(neighbours=4), [lie])
-    lying = list(islice((message for _, message in world if isinstance(message, NeighbourStates)), 5))
-    for true, told in zip(honest, lying, strict=True):
-        pairs: list[tuple[Neighbour, Neighbour]] = list(zip(true.neighbours, told.neighbours, strict=True))
+    false_states = list(islice((message for _, message in world if isinstance(message, NeighbourStates)), 5))
+    for true, published in zip(true_states, false_states, strict=True):
+        pairs: list[tuple[Neighbour, Neighbour]] = list(zip(true.neighbours, published.neighbours, strict=True))
         for number, (a, b) in enumerate(pairs):
             added = np.subtract(b.velocity_ned_m_s, a.velocity_ned_m_s)
             assert np.isclose(np.linalg.norm(added), 3.0 if number < 2 else 0.0)

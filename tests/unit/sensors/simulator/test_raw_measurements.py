@@ -29,7 +29,7 @@ Parsed = list[GnssFix | GnssRawEpoch | GnssNavigationBits]
 
 
 def parsed(scenario: str, seed: int, duration_s: float) -> Parsed:
-    """What parsers.gnss makes of the simulator's bytes."""
+    """Messages of parsers.gnss for the bytes of the simulator."""
     process = Process(Config())
     raw = (one for one in messages(scenario, seed, duration_s) if isinstance(one, GnssRaw))
     found = [message for one in raw for message in process.handle(one)]
@@ -64,7 +64,7 @@ def pairs(stream: Parsed) -> Iterator[tuple[GnssFix, GnssRawEpoch]]:
 
 @pytest.mark.parametrize(("scenario", "seed"), [("parking_lot", 1), ("urban", 2), ("degraded", 3)])
 def test_least_squares_of_the_measurements_are_the_fix(scenario: str, seed: int) -> None:
-    """Within 2 mm, and 1 cm/s: the monitor's range-rate leaves out the flight time's own change, 2 to 4 mm/s."""
+    """Within 2 mm, and 1 cm/s: the range-rate of the monitor neglects the change of the flight time, 2 to 4 mm/s."""
     stream = parsed(scenario, seed, 60.0)
     both = list(pairs(stream))
     assert len(both) > 50
@@ -96,7 +96,7 @@ def test_least_squares_of_the_measurements_are_the_fix(scenario: str, seed: int)
     assert solved > 20
 
 
-def test_satellites_are_where_their_words_say() -> None:
+def test_satellite_positions_follow_from_their_navigation_words() -> None:
     model, gps_s = SkyModel(("gps", "galileo"), (1,)), 1.474e9 + 1234.5
     stream = parsed("parking_lot", 1, 40.0)
     (first, *_) = (one for one in stream if isinstance(one, GnssRawEpoch))
@@ -146,7 +146,7 @@ def test_the_ionosphere_is_broadcast_every_twelve_and_a_half_minutes() -> None:
     assert not store.rejected
 
 
-def test_a_second_of_everything_fits_the_serial_line() -> None:
+def test_one_second_of_all_messages_fits_the_serial_line() -> None:
     """11,520 bytes/s at 115,200 baud; UBX and NMEA together, with four constellations."""
     sent: dict[int, int] = {}
     for one in messages("parking_lot", 1, 60.0):

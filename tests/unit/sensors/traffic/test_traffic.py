@@ -1,4 +1,4 @@
-"""The simulated plaza: errors and generation rules as they are stated, and a channel that loses what it should."""
+"""The simulated plaza: errors and generation rules as they are stated, and a channel with the stated losses."""
 
 from collections import Counter
 from itertools import pairwise, takewhile
@@ -168,7 +168,7 @@ def test_vehicles_that_turn_around_do_not_cross_the_gate() -> None:
     assert max(path.pose(s, 0.0).curvature for s in np.arange(0.0, path.length, 1.0)) > 0.1
 
 
-def test_who_is_not_equipped_sends_nothing_and_who_is_not_registered_has_no_contract() -> None:
+def test_vehicles_without_equipment_send_nothing_and_unregistered_ones_have_no_contract() -> None:
     events = driven(30.0, mix={"unequipped": 1.0})
     assert not [item for _, item in events if isinstance(item, (Frame, TollRegistration))]
     events = driven(30.0, mix={"unequipped": 0.0, "unregistered": 1.0})
@@ -185,7 +185,7 @@ def test_a_new_station_id_is_registered_with_the_same_contract() -> None:
     assert sum(len(ids) == 2 for ids in stations.values()) > 15
 
 
-def test_a_free_road_is_accelerated_on_and_a_standing_obstacle_is_braked_for() -> None:
+def test_vehicles_accelerate_on_a_free_road_and_brake_before_a_standing_obstacle() -> None:
     assert acceleration(10.0, 20.0, None, 0.0) > 1.0
     assert acceleration(20.0, 20.0, None, 0.0) == pytest.approx(0.0)
     assert acceleration(15.0, 20.0, 25.0, 15.0) < -2.0
@@ -202,7 +202,7 @@ def test_a_path_is_as_long_as_its_lane_and_offsets_are_to_the_right() -> None:
     assert centre.curvature == 0.0
 
 
-def test_the_operator_books_once_and_always_answers(tmp_path: Path) -> None:
+def test_the_operator_books_a_transaction_once_and_answers_each_message(tmp_path: Path) -> None:
     ledger, store = ledger_at(tmp_path / "ledger.sqlite")
     vehicle = Vehicle()
     ledger.register(vehicle.registration(), START_NS)
@@ -215,9 +215,7 @@ def test_the_operator_books_once_and_always_answers(tmp_path: Path) -> None:
     store.close()
 
 
-def test_the_operator_remembers_a_bounded_number_of_transactions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_operator_stores_a_bounded_number_of_transactions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ledger, store = ledger_at(tmp_path / "ledger.sqlite")
     ledger.register(Vehicle().registration(), START_NS)
     ledger.passage(Vehicle().says(PassageState.CHARGED), START_NS + 30 * NS)

@@ -1,4 +1,4 @@
-"""What travels on the bus comes back as it was, or is refused with a reason."""
+"""Encoded messages are decoded unchanged, or rejected with a reason."""
 
 import base64
 import json
@@ -28,18 +28,18 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 vector = st.tuples(finite, finite, finite)
 
 
-def test_a_message_comes_back_as_it_was() -> None:
+def test_a_decoded_message_equals_the_encoded_one() -> None:
     payload = codec.encode(FIX)
     assert codec.decode("gnss/fix", payload) == FIX
 
 
-def test_what_is_missing_is_left_out() -> None:
+def test_missing_values_are_omitted() -> None:
     payload = codec.encode(FIX)
     assert "height_ellipsoid_m" not in json.loads(payload)
 
 
 def test_a_solution_of_an_older_unit_opens_without_protection_levels() -> None:
-    """Recordings from before they were computed: what is missing is unknown, and not a level of zero."""
+    """In recordings of earlier versions protection levels are None, and not zero."""
     old = solution(0)
     payload = codec.encode(old)
     assert (
@@ -52,21 +52,21 @@ def test_a_solution_of_an_older_unit_opens_without_protection_levels() -> None:
 
 
 @given(st.binary(max_size=300))
-def test_raw_bytes_travel_as_base64_beside_their_stamp(data: bytes) -> None:
+def test_raw_bytes_are_encoded_as_base64_with_their_stamp(data: bytes) -> None:
     message = GnssRaw(received_ns=5, source="gnss", data=data)
     payload = codec.encode(message)
     assert json.loads(payload) == {"received_ns": 5, "source": "gnss", "data": base64.b64encode(data).decode()}
     assert codec.decode("gnss/raw", payload) == message
 
 
-def test_a_message_of_a_process_carries_the_process_in_its_topic() -> None:
+def test_the_topic_of_a_process_message_names_the_process() -> None:
     health = ProcessHealth(process="core.fusion", state=ProcessState.READY, incarnation=1, sent_ns=2)
     assert codec.topic_name(health) == "health/core.fusion"
     assert codec.decode("health/core.fusion", codec.encode(health)) == health
 
 
 @given(st.lists(st.tuples(st.integers(0, 2**62), vector, vector), min_size=1, max_size=20))
-def test_inertial_samples_lose_no_digit(rows: list[tuple[int, Vector3, Vector3]]) -> None:
+def test_inertial_samples_are_encoded_without_rounding(rows: list[tuple[int, Vector3, Vector3]]) -> None:
     stamps, forces, rates = zip(*rows, strict=True)
     samples = ImuSamples(
         received_ns=1, source="imu", sampled_ns=stamps, specific_force_body_m_s2=forces, angular_rate_body_rad_s=rates
@@ -86,7 +86,7 @@ def test_inertial_samples_lose_no_digit(rows: list[tuple[int, Vector3, Vector3]]
         b'{"sampled_ns":1,"received_ns":2,"source":"g","fix_type":"four_d"}',
     ],
 )  # fmt: skip
-def test_a_payload_that_breaks_the_contract_is_refused(payload: bytes) -> None:
+def test_a_payload_that_violates_the_contract_is_rejected(payload: bytes) -> None:
     with pytest.raises(BadPayload):
         codec.decode("gnss/fix", payload)
 
@@ -106,14 +106,14 @@ def test_a_field_of_a_newer_producer_is_ignored() -> None:
         {"source": 49 * "c"},
     ],
 )  # fmt: skip
-def test_raw_bytes_that_break_the_contract_are_refused(change: dict[str, object]) -> None:
+def test_raw_bytes_that_violate_the_contract_are_rejected(change: dict[str, object]) -> None:
     good = {"received_ns": 1, "source": "can", "data": "AAAA"}
     assert isinstance(codec.decode("can/raw", json.dumps(good).encode()), CanRaw)
     with pytest.raises(BadPayload):
         codec.decode("can/raw", json.dumps(good | change).encode())
 
 
-def test_an_unknown_topic_and_an_oversized_payload_are_refused() -> None:
+def test_an_unknown_topic_and_an_oversized_payload_are_rejected() -> None:
     with pytest.raises(BadPayload, match="no topic"):
         codec.decode("gnss/secret", b"{}")
     with pytest.raises(BadPayload, match="bytes"):
@@ -121,14 +121,14 @@ def test_an_unknown_topic_and_an_oversized_payload_are_refused() -> None:
 
 
 @given(st.sampled_from([t.name.replace("+", "core.fusion") for t in TOPICS]), st.binary(max_size=300))
-def test_noise_is_refused_and_nothing_else_happens(name: str, noise: bytes) -> None:
+def test_random_bytes_are_rejected(name: str, noise: bytes) -> None:
     with pytest.raises(BadPayload):
         codec.decode(name, noise)
     with pytest.raises(BadPayload):
         Envelope.of(name, noise, 1)
 
 
-def test_a_payload_says_who_sent_it_and_holds_the_message_unchanged() -> None:
+def test_a_payload_holds_its_sender_and_the_unchanged_message() -> None:
     payload = codec.signed(codec.encode(FIX), SENDER)
     assert json.loads(payload) == {"sender": SENDER.model_dump(exclude_none=True), **json.loads(codec.encode(FIX))}
     envelope = Envelope.of("gnss/fix", payload, 1)
@@ -143,13 +143,13 @@ def test_a_payload_says_who_sent_it_and_holds_the_message_unchanged() -> None:
         {"sequence": 1.5}, {"sequence": int(310 * "9")},
     ],
 )  # fmt: skip
-def test_a_payload_without_a_proper_sender_is_refused(change: dict[str, object]) -> None:
+def test_a_payload_without_a_valid_sender_is_rejected(change: dict[str, object]) -> None:
     body = {"sender": SENDER.model_dump() | change, "sampled_ns": 1}
     with pytest.raises(BadPayload, match="sender: "):
         Envelope.of("gnss/fix", json.dumps(body, separators=(",", ":")).encode(), 1)
 
 
-def test_a_payload_that_is_deep_long_or_of_no_topic_is_refused() -> None:
+def test_a_payload_that_is_nested_long_or_of_no_topic_is_rejected() -> None:
     payload = codec.signed(codec.encode(FIX), SENDER)
     for topic, hostile in (
         ("gnss/secret", payload), ("gnss/fix", payload + b" " * codec.MAXIMUM_PAYLOAD),
@@ -160,12 +160,12 @@ def test_a_payload_that_is_deep_long_or_of_no_topic_is_refused() -> None:
             Envelope.of(topic, hostile, 1).decode()
 
 
-def test_not_a_number_cannot_be_put_into_a_message() -> None:
+def test_nan_is_rejected_in_a_message() -> None:
     with pytest.raises(ValueError, match="finite"):
         GnssFix(sampled_ns=1, received_ns=2, source="g", fix_type=FixType.NONE, hdop=math.nan)
 
 
-def test_a_process_cannot_speak_for_another() -> None:
+def test_a_process_cannot_publish_for_another() -> None:
     health = ProcessHealth(process="core.fusion", state=ProcessState.READY, incarnation=1, sent_ns=2)
     with pytest.raises(BadPayload, match="carries a message of"):
         codec.decode("health/parsers.gnss", codec.encode(health))
@@ -179,7 +179,7 @@ def test_a_process_cannot_speak_for_another() -> None:
         {"velocity_sd_ned_m_s": [-1.0, 1.0, 1.0]}, {"ground_speed_m_s": 1e300},
     ],
 )  # fmt: skip
-def test_numbers_that_no_sensor_can_say_are_refused_at_the_door(change: dict[str, object]) -> None:
+def test_implausible_values_of_a_sensor_are_rejected_on_decoding(change: dict[str, object]) -> None:
     document = json.loads(codec.encode(FIX)) | change
     with pytest.raises(BadPayload):
         codec.decode("gnss/fix", json.dumps(document).encode())

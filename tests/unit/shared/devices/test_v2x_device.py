@@ -33,7 +33,7 @@ def port(broker: brokers.RunningBroker) -> int:
 
 @pytest.fixture
 def far(port: int) -> Iterator[mqtt.Client]:
-    """What stands for the modem behind the broker; it keeps what was published for it."""
+    """Client in place of the modem at the broker; it stores what was published for it."""
     client = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv311, userdata=[])
     client.on_connect = lambda c, *_: c.subscribe("plaza/send")
     client.on_message = lambda _c, kept, message: kept.append(message.payload)
@@ -80,7 +80,7 @@ def test_bare_cams_arrive_with_their_ages_and_frames_that_are_too_long_are_count
     radio.close()
 
 
-def test_a_sender_of_frames_that_are_rejected_does_not_hold_a_reading(port: int, far: mqtt.Client) -> None:
+def test_rejected_frames_do_not_block_a_read(port: int, far: mqtt.Client) -> None:
     rejects: Counter[str] = Counter()
     radio = connected(port, far, rejects)
     for _ in range(50):
@@ -107,9 +107,7 @@ def test_a_packet_is_sent_as_bare_cam(port: int, far: mqtt.Client) -> None:
     radio.close()
 
 
-def test_a_broker_that_goes_away_or_is_not_there_is_a_lost_device(
-    broker: brokers.RunningBroker, far: mqtt.Client
-) -> None:
+def test_a_lost_or_absent_broker_raises_device_lost(broker: brokers.RunningBroker, far: mqtt.Client) -> None:
     radio = connected(broker.port, far, Counter())
     far.loop_stop()
     far.disconnect()

@@ -1,4 +1,4 @@
-"""Ionosphere and troposphere against values that others have published."""
+"""Ionosphere and troposphere against published values."""
 
 from math import pi, radians
 

@@ -13,7 +13,7 @@ def random_covariance(rng: np.random.Generator, n: int) -> FloatArray:
     return root @ root.T + 0.1 * np.eye(n)
 
 
-def test_a_prediction_is_the_covariance_of_what_the_transition_makes_of_errors() -> None:
+def test_a_predicted_covariance_is_phi_p_phi_transposed_plus_noise() -> None:
     rng = np.random.default_rng(1)
     P, Phi, Q = random_covariance(rng, 6), rng.standard_normal((6, 6)), random_covariance(rng, 6)
     predicted = predict(P, Phi, Q)
@@ -51,7 +51,7 @@ def test_a_stack_of_filters_is_predicted_and_corrected_as_each_of_them() -> None
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_what_is_no_covariance_has_no_root(place: int) -> None:
+def test_a_matrix_that_is_no_covariance_raises_an_error(place: int) -> None:
     for wrong in (-1.0, 0.0, np.nan, np.inf):
         S = np.eye(3)
         S[place, place] = wrong
@@ -71,7 +71,7 @@ def test_a_nearly_perfect_measurement_leaves_a_positive_covariance() -> None:
         assert np.linalg.eigvalsh(P)[0] > 0.0
 
 
-def test_a_breakdown_has_a_name() -> None:
+def test_a_numerical_breakdown_raises_a_named_error() -> None:
     with pytest.raises(FilterDiverged, match="positive definite"):
         correct(-np.eye(3), np.zeros(3), np.eye(3), np.zeros((3, 3)))
     with pytest.raises(FilterDiverged, match="finite"):

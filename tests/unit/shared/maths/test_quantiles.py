@@ -50,5 +50,5 @@ def test_at_the_nodes_of_the_table_the_risk_is_met(risk: float) -> None:
         assert found == pytest.approx(risk, rel=2e-6)
 
 
-def test_of_a_risk_of_one_nothing_has_to_be_covered() -> None:
+def test_at_a_risk_of_one_the_factor_is_zero() -> None:
     assert line_factor(1.0) == circle_factor(0.5, 1.0) == 0.0

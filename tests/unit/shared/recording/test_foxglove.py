@@ -1,4 +1,4 @@
-"""What Foxglove draws of a recording, read by the MCAP library's own reader."""
+"""Messages of a recording for Foxglove, read by the reader of the MCAP library."""
 
 import json
 from math import atan2, cos, pi, sin
@@ -74,11 +74,11 @@ def test_the_attitude_between_the_frames_of_ros_is_that_of_rotation_matrices(
     assert atan2(forward[1], forward[0]) == pytest.approx(atan2(sin(pi / 2 - yaw), cos(pi / 2 - yaw)))
 
 
-def test_our_own_reader_leaves_them_out(drive: Path) -> None:
+def test_the_recording_reader_omits_foxglove_messages(drive: Path) -> None:
     with Recording(drive) as recording:
         assert len(list(recording)) == len(messages(10))
         assert not recording.problems
 
 
-def test_the_channels_of_raw_bytes_name_what_they_hold() -> None:
+def test_the_channels_of_raw_bytes_name_their_content() -> None:
     assert set(RAW_FORMATS) == {topic.name for topic in TOPICS if topic.is_raw}

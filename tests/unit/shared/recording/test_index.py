@@ -16,7 +16,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("at_s", [-1.0, 0.0, 0.05, 17.35, 59.9, 1000.0])
-def test_the_newest_of_each_topic_is_that_of_a_reading_of_everything(drive: Path, at_s: float) -> None:
+def test_the_newest_message_of_each_topic_equals_that_of_a_full_read(drive: Path, at_s: float) -> None:
     at_ns = BEGIN_NS + round(at_s * SECOND)
     with Recording(drive) as recording:
         wanted = {e.topic: e.payload for e in recording if e.received_ns <= at_ns}
@@ -25,7 +25,7 @@ def test_the_newest_of_each_topic_is_that_of_a_reading_of_everything(drive: Path
 
 
 @pytest.mark.parametrize(("after_s", "until_s"), [(-1.0, 0.0), (3.0, 3.1), (12.04, 31.77), (59.0, 99.0), (5.0, 5.0)])
-def test_a_span_is_that_of_a_reading_of_everything(drive: Path, after_s: float, until_s: float) -> None:
+def test_a_span_equals_that_of_a_full_read(drive: Path, after_s: float, until_s: float) -> None:
     after_ns, until_ns = (BEGIN_NS + round(s * SECOND) for s in (after_s, until_s))
     with Recording(drive) as recording:
         everything = [e for e in recording if after_ns < e.received_ns <= until_ns]

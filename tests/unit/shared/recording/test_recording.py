@@ -60,7 +60,7 @@ def chunk_ends(data: bytes, path: Path) -> list[int]:
     return [index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes]
 
 
-def test_every_envelope_comes_back_equal_and_in_order(tmp_path: Path) -> None:
+def test_all_envelopes_are_read_equal_and_in_order(tmp_path: Path) -> None:
     messages = envelopes(200)
     record(tmp_path / "a.mcap", messages)
 
@@ -68,7 +68,7 @@ def test_every_envelope_comes_back_equal_and_in_order(tmp_path: Path) -> None:
 
 
 def test_a_recording_of_version_0_1_opens_with_its_senders_and_devices(tmp_path: Path) -> None:
-    """It kept sender, and device and stamp of raw bytes, on the channel; what fitted on none had one of its own."""
+    """Version 0.1 had the sender, and the device and stamp of raw bytes, in the channel."""
     state = ModeState(sampled_ns=START_NS, mode=Mode.BOOT, since_ns=0, reason="test")
     raw = GnssRaw(received_ns=START_NS - 5, source="gnss0", data=b"\xb5\x62")
     with (tmp_path / "old.mcap").open("wb") as file:
@@ -90,7 +90,7 @@ def test_a_recording_of_version_0_1_opens_with_its_senders_and_devices(tmp_path:
     assert len(problems) == 1
 
 
-def test_a_full_chunk_is_written_without_being_asked(tmp_path: Path) -> None:
+def test_a_full_chunk_is_written_without_a_flush(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "a.mcap", chunk_bytes=4096)
     for envelope in envelopes(200):
         writer.write(envelope)
@@ -184,7 +184,7 @@ def test_a_cut_inside_a_large_chunk_still_gives_its_first_blocks(tmp_path: Path)
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 500), st.integers(0, 1000))
-def test_garbage_in_the_middle_costs_only_the_chunks_that_it_hits(
+def test_invalid_bytes_in_the_middle_lose_only_the_chunks_that_they_overwrite(
     tmp_path_factory: pytest.TempPathFactory, where: int, length: int, seed: int
 ) -> None:
     folder = tmp_path_factory.mktemp("garbage")
@@ -205,7 +205,7 @@ def test_garbage_in_the_middle_costs_only_the_chunks_that_it_hits(
     assert [m for m in messages if m in found] == found
 
 
-def test_inserted_garbage_is_skipped_and_counted(tmp_path: Path) -> None:
+def test_inserted_bytes_are_skipped_and_counted(tmp_path: Path) -> None:
     messages = envelopes(100)
     data = record(tmp_path / "a.mcap", messages, every=20)
     middle = chunk_ends(data, tmp_path / "a.mcap")[1]
@@ -218,7 +218,7 @@ def test_inserted_garbage_is_skipped_and_counted(tmp_path: Path) -> None:
     assert problems[0].startswith(f"damage: skipped the bytes {middle} to ")
 
 
-def test_zeros_after_a_power_cut_cost_nothing_before_them(tmp_path: Path) -> None:
+def test_zeros_after_a_power_cut_lose_no_message_before_them(tmp_path: Path) -> None:
     messages = envelopes(60)
     data = record(tmp_path / "a.mcap", messages, every=20, close=False)
     (tmp_path / "a.mcap").write_bytes(data + bytes(8192))
@@ -229,7 +229,7 @@ def test_zeros_after_a_power_cut_cost_nothing_before_them(tmp_path: Path) -> Non
     assert problems == [f"the recording was not closed: it ends at byte {len(data) + 8192}"]
 
 
-def test_a_lost_first_chunk_does_not_take_the_others_with_it(tmp_path: Path) -> None:
+def test_without_the_first_chunk_the_others_are_read(tmp_path: Path) -> None:
     messages = envelopes(60)
     data = bytearray(record(tmp_path / "a.mcap", messages, every=20))
     end = chunk_ends(bytes(data), tmp_path / "a.mcap")[0]
@@ -239,7 +239,7 @@ def test_a_lost_first_chunk_does_not_take_the_others_with_it(tmp_path: Path) -> 
     assert read(tmp_path / "a.mcap")[0] == messages[20:]
 
 
-def test_a_file_of_something_else_gives_a_problem_and_no_message(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_gives_a_problem_and_no_message(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"\x06\x07 not a recording" * 1000)
 
     found, problems = read(tmp_path / "a.mcap")
@@ -267,7 +267,7 @@ def test_a_second_recording_never_overwrites_the_first(tmp_path: Path) -> None:
 
 
 class FullDisk:
-    """A file that takes so many bytes and then, like a full disk, a part of a write and no more."""
+    """A file with room for some bytes, whose last write is partial, as on a full disk."""
 
     def __init__(self, path: Path, room: int) -> None:
         self._file = path.open("xb", buffering=0)
@@ -310,7 +310,7 @@ def test_a_full_disk_leaves_the_chunks_before_it_and_no_part_of_the_next(tmp_pat
     assert (tmp_path / "a.mcap").stat().st_size == writer.bytes_written
 
 
-def test_provenance_comes_back_as_it_was_given(tmp_path: Path) -> None:
+def test_provenance_is_read_as_it_was_written(tmp_path: Path) -> None:
     provenance = {"name": "a drive", "mapping": "# of\ntwo lines"}
     RecordingWriter(tmp_path / "a.mcap", vehicle="car", provenance=provenance).close()
     with Recording(tmp_path / "a.mcap") as recording:
@@ -319,7 +319,7 @@ def test_provenance_comes_back_as_it_was_given(tmp_path: Path) -> None:
         assert {record.name for record in make_reader(file).iter_metadata()} == {"obu", "provenance"}
 
 
-def test_what_a_full_disk_refused_is_written_as_soon_as_there_is_room(tmp_path: Path) -> None:
+def test_messages_rejected_by_a_full_disk_are_written_once_there_is_room(tmp_path: Path) -> None:
     messages = envelopes(100)
     disk: list[FullDisk] = []
 
@@ -343,7 +343,7 @@ def test_what_a_full_disk_refused_is_written_as_soon_as_there_is_room(tmp_path: 
     chunk_ends((tmp_path / "a.mcap").read_bytes(), tmp_path / "a.mcap")
 
 
-def test_without_a_summary_a_lost_chunk_takes_the_channels_with_it_that_begin_in_it(tmp_path: Path) -> None:
+def test_without_a_summary_a_lost_chunk_loses_the_channels_that_begin_in_it(tmp_path: Path) -> None:
     """mcap's writer describes a channel once, and the summary, which does so again, is missing after a power cut."""
     messages = envelopes(60)
     other = [sent_bytes("mode/state", b'{"a":1}', START_NS + k, "controller.mode", 1, k) for k in range(20)]

@@ -1,4 +1,4 @@
-"""The summary of a drive whose course is known."""
+"""The summary of a drive with a known track."""
 
 import itertools
 from pathlib import Path
@@ -45,7 +45,7 @@ def test_a_recording_without_a_message_has_none(tmp_path: Path) -> None:
         summarise(tmp_path / "empty.mcap")
 
 
-def test_a_stored_summary_holds_for_the_size_that_the_recording_had(tmp_path: Path) -> None:
+def test_a_stored_summary_is_valid_for_the_stored_file_size_only(tmp_path: Path) -> None:
     drive, output = record(tmp_path / "drive.mcap", 10), tmp_path / "summary.json"
     write_summary(drive, output)
     size = drive.stat().st_size

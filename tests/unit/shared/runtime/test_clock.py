@@ -1,4 +1,4 @@
-"""The offset of the time line: agreed once a boot, by whoever comes first."""
+"""The offset of the time line: set once a boot by the first process."""
 
 import os
 import threading
@@ -10,9 +10,7 @@ from shared.errors import UserError
 from shared.runtime import clock
 
 
-def test_processes_that_start_at_once_agree_even_if_each_is_number_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_processes_that_start_together_agree_on_the_offset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "getpid", lambda: 1)  # as in containers
     for round_ in range(30):
         folder = tmp_path / str(round_)
@@ -33,7 +31,7 @@ def test_processes_that_start_at_once_agree_even_if_each_is_number_one(
         assert [path.name for path in folder.iterdir()] == [f"clock-{clock.boot_id()}"]
 
 
-def test_what_earlier_boots_agreed_on_is_forgotten(tmp_path: Path) -> None:
+def test_the_offset_of_an_earlier_boot_is_not_used(tmp_path: Path) -> None:
     (tmp_path / "clock-of-another-boot").write_text("1")
     clock.fixed_offset_ns(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [f"clock-{clock.boot_id()}"]

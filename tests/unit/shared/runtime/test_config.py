@@ -1,4 +1,4 @@
-"""The vehicle's file: what it may say, and what is said to its author when it is wrong."""
+"""The vehicle file: its keys, and the errors for invalid ones."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ class Config(Section):
     period_s: float = 1.0
 
 
-def test_a_silent_file_gives_the_defaults() -> None:
+def test_an_empty_file_gives_the_defaults() -> None:
     assert parse_vehicle("").section("core.fusion", Config) == Config()
 
 
@@ -35,7 +35,7 @@ def test_a_value_of_the_wrong_kind_names_its_section_and_key() -> None:
 
 
 @pytest.mark.parametrize("value", ["nan", "inf"])
-def test_numbers_that_are_none_are_refused(value: str) -> None:
+def test_nan_and_infinity_are_rejected(value: str) -> None:
     with pytest.raises(UserError, match="period_s"):
         parse_vehicle(f"[core.fusion]\nperiod_s = {value}").section("core.fusion", Config)
 
@@ -50,7 +50,7 @@ def test_a_key_outside_a_section_is_an_error() -> None:
         parse_vehicle('name = "truck"')
 
 
-def test_broken_toml_is_one_sentence() -> None:
+def test_invalid_toml_is_an_error_of_one_sentence() -> None:
     with pytest.raises(UserError, match="not valid TOML"):
         parse_vehicle("[core.fusion")
 
@@ -60,7 +60,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         load_vehicle(tmp_path / "gone.toml")
 
 
-def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_text_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "noise.toml"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(UserError, match="UTF-8"):
@@ -102,16 +102,16 @@ def test_the_address_of_the_broker_is_read(url: str, expected: BrokerAddress) ->
 
 
 @pytest.mark.parametrize("url", ["http://broker", "mqtt://broker:many", "mqtt://"])
-def test_an_address_that_makes_no_sense_says_what_one_looks_like(url: str) -> None:
+def test_an_invalid_address_is_an_error_with_an_example(url: str) -> None:
     with pytest.raises(UserError, match=r"mqtt://127.0.0.1:1883"):
         BrokerAddress.parse(url)
 
 
-def test_a_password_does_not_show_in_logs() -> None:
+def test_a_password_is_not_logged() -> None:
     assert "secret" not in repr(BrokerAddress.parse("mqtt://me:secret@host"))
 
 
 @pytest.mark.parametrize("name", ["", "+", "#", "a/b", "x" * 49, "car 7"])
-def test_a_vehicle_whose_name_is_no_level_of_a_topic_is_refused(name: str) -> None:
+def test_a_vehicle_name_that_is_no_topic_level_is_rejected(name: str) -> None:
     with pytest.raises(UserError, match="name"):
         _ = parse_vehicle(f'[vehicle]\nname = "{name}"').name

@@ -19,19 +19,19 @@ def test_the_limits_follow_from_the_row_of_the_topic(topic: str, late_after_s: f
     assert limits_of(BY_NAME[topic]) == Limits(late_after_s, stale_after_s)
 
 
-def test_a_topic_without_a_rate_is_quiet_however_old_it_is() -> None:
+def test_a_topic_without_a_rate_is_quiet_at_any_age() -> None:
     assert limits_of(BY_NAME["gnss/configure"]) is None
     assert freshness_of(1e6, None) is Freshness.QUIET
 
 
-def test_an_age_is_fresh_then_late_then_stale_and_the_limit_itself_belongs_to_the_worse() -> None:
+def test_an_age_is_fresh_late_or_stale_and_a_limit_belongs_to_the_worse() -> None:
     limits = Limits(0.5, 2.0)
     assert [freshness_of(age_s, limits) for age_s in (0.0, 0.499, 0.5, 1.99, 2.0)] == [
         Freshness.FRESH, Freshness.FRESH, Freshness.LATE, Freshness.LATE, Freshness.STALE,
     ]  # fmt: skip
 
 
-def test_what_never_came_is_never_and_not_stale() -> None:
+def test_a_topic_that_was_never_received_is_never_and_not_stale() -> None:
     assert freshness_of(None, Limits(0.5, 2.0)) is Freshness.NEVER
     assert freshness_of(None, None) is Freshness.NEVER
 

@@ -1,4 +1,4 @@
-"""The live runtime: what it gives a process, and what it leaves out."""
+"""The live runtime: messages that a process receives, and those it does not."""
 
 from collections import Counter
 from pathlib import Path
@@ -29,7 +29,7 @@ def envelope(message: FilterState, life: int, number: int) -> Envelope:
 
 
 class Broker:
-    """A bus that delivers once, and keeps what is published."""
+    """A bus that delivers once, and stores what is published."""
 
     process, incarnation, connected, stopping = "core.fusion", LIFE, True, False
     state_dir = Path("nothing was saved")
@@ -54,7 +54,7 @@ class Broker:
 
 
 class Given:
-    """A process that remembers what it was given."""
+    """A process that stores what it received."""
 
     def __init__(self) -> None:
         self.messages: list[Message] = []
@@ -64,7 +64,7 @@ class Given:
         return ()
 
 
-def test_a_process_is_given_what_an_earlier_life_said_and_not_what_it_said_itself() -> None:
+def test_a_process_receives_states_of_an_earlier_incarnation_and_not_its_own() -> None:
     bus, process = Broker([envelope(state(1), OLD_LIFE, 7), envelope(state(2), LIFE, 1)]), Given()
     LiveReactor(process, cast(Bus, bus)).run()
     assert [m for m in process.messages if not isinstance(m, Tick)] == [state(1)]

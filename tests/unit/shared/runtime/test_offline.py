@@ -1,4 +1,4 @@
-"""The offline runtime: every consumer is fed, in order, with ticks between."""
+"""The offline runtime: messages and ticks in order to every consumer."""
 
 import itertools
 
@@ -19,7 +19,7 @@ from shared.topics import BY_MESSAGE
 
 
 class Echo:
-    """A process that remembers what it was given and answers a fix with a state."""
+    """A process that stores what it received and answers a fix with a state."""
 
     def __init__(self) -> None:
         self.given: list[Message] = []
@@ -52,20 +52,20 @@ def echoes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Echo]:
     return made
 
 
-def test_a_message_reaches_each_of_its_consumers_and_so_do_the_answers(echoes: dict[str, Echo]) -> None:
-    said = list(OfflineUnit(parse_vehicle("")).run([fix(1)]))
+def test_a_message_and_its_answers_are_delivered_to_each_consumer(echoes: dict[str, Echo]) -> None:
+    published = list(OfflineUnit(parse_vehicle("")).run([fix(1)]))
     running_here = {row.name for row in running(Role.OBU)}
     answers = [NavigationState] * len(
         running_here & set(BY_MESSAGE[GnssFix].consumers)
-    )  # one of each that was given the fix
+    )  # one of each process that received the fix
     assert len(answers) >= 2
-    assert [type(m) for m in said] == [GnssFix, *answers]
+    assert [type(m) for m in published] == [GnssFix, *answers]
     assert [type(m) for m in echoes["core.fusion"].given] == [GnssFix]
     assert [type(m) for m in echoes["controller.mode"].given] == [GnssFix, *answers]
     assert echoes["parsers.imu"].given == []
 
 
-def test_a_process_is_not_given_what_it_said_itself(echoes: dict[str, Echo]) -> None:
+def test_a_process_does_not_receive_its_own_messages(echoes: dict[str, Echo]) -> None:
     row = BY_MESSAGE[FilterState]
     assert row.producers == ("core.fusion",) and "core.fusion" in row.consumers
     zero = (0.0, 0.0, 0.0)
@@ -79,14 +79,14 @@ def test_a_process_is_not_given_what_it_said_itself(echoes: dict[str, Echo]) -> 
     assert echoes["core.fusion"].given == []
 
 
-def test_time_passes_once_a_second_before_what_comes_later(echoes: dict[str, Echo]) -> None:
+def test_a_tick_is_delivered_each_second_before_later_messages(echoes: dict[str, Echo]) -> None:
     list(OfflineUnit(parse_vehicle(""), ["core.fusion"]).run([fix(10**9 - 1), fix(10**9 + 5), fix(5 * 10**9)]))
     kinds = [m.now_ns if isinstance(m, Tick) else type(m) for m in echoes["core.fusion"].given]
     assert kinds == [GnssFix, 10**9, GnssFix, 5 * 10**9, GnssFix]
 
 
-def test_what_is_said_unchecked_passes_every_check() -> None:
-    """Makers on the way of an inertial sample validate nothing: their messages must be as if they did."""
+def test_unchecked_messages_are_valid() -> None:
+    """Producers on the path of an inertial sample skip validation; their messages must be valid."""
     world = World(BY_NAME["urban"], 1, 10**18, Equipment())
     driven = (message for _, message in itertools.islice(world, 4000) if not isinstance(message, TruthState))
     kinds = set()
@@ -96,6 +96,6 @@ def test_what_is_said_unchecked_passes_every_check() -> None:
     assert {ImuRaw, GnssRaw, CanRaw, ImuSamples, NavigationSolution} <= kinds
 
 
-def test_only_layers_two_to_four_are_made(echoes: dict[str, Echo]) -> None:
+def test_only_processes_of_layers_two_to_four_are_created(echoes: dict[str, Echo]) -> None:
     OfflineUnit(parse_vehicle("[sensors.simulator]"))
     assert set(echoes) == {row.name for row in running(Role.OBU) if 2 <= row.layer <= 4}

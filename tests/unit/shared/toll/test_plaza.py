@@ -1,4 +1,4 @@
-"""The plaza's file: geometry in the tangent plane, and what its author is told when it is wrong."""
+"""The plaza's file: geometry in the tangent plane, and the errors for an invalid file."""
 
 import json
 import math
@@ -72,13 +72,13 @@ def test_the_description_is_the_plaza() -> None:
         (lambda d: d.pop("plaza"), "plaza: Field required"),
     ],
 )
-def test_a_wrong_file_is_one_sentence_that_names_the_fault(change: Callable[[Document], object], text: str) -> None:
+def test_an_invalid_file_is_an_error_that_names_the_fault(change: Callable[[Document], object], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         parse_plaza(changed(change), "plaza.geojson")
 
 
 @pytest.mark.parametrize("data", [b"", b"{", b"\xff\xfe", b"[" * 5000, b"null"])
-def test_what_is_no_json_object_is_an_error_that_names_the_example(data: bytes) -> None:
+def test_a_file_without_a_json_object_is_an_error_that_names_the_example(data: bytes) -> None:
     with pytest.raises(ConfigError, match=r"example\.geojson"):
         parse_plaza(data)
 

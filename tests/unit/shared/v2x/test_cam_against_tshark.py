@@ -91,7 +91,7 @@ SILENT_CODES = {
 }
 
 
-def test_tshark_dissects_what_we_encode_as_we_meant_it(tmp_path: Path) -> None:
+def test_tshark_dissects_an_encoded_cam_to_its_values(tmp_path: Path) -> None:
     untrusted = cams.BRAKING.model_copy(update={"position_out_of_range": True})
     contents = [cams.BRAKING, cams.SILENT, untrusted]
     seen = dissect([geonetworking.encode_packet(cam.encode(c, 54321), cams.SENDER) for c in contents], tmp_path)
@@ -103,7 +103,7 @@ def test_tshark_dissects_what_we_encode_as_we_meant_it(tmp_path: Path) -> None:
     assert codes(seen[2]) == BRAKING_CODES | {"position_semi_major_m": 4094, "position_semi_minor_m": 4094}
 
 
-def test_tshark_dissects_our_low_frequency_container_as_we_meant_it(tmp_path: Path) -> None:
+def test_tshark_dissects_an_encoded_low_frequency_container_to_its_values(tmp_path: Path) -> None:
     (seen,) = dissect([geonetworking.encode_packet(cam.encode(cams.BRAKING, 0), cams.SENDER)], tmp_path)
     assert seen.number("cam.vehicleRole") == 12
     assert seen.all("cam.exteriorLights") == ["a1"]
@@ -121,7 +121,7 @@ def test_tshark_dissects_a_road_side_unit_without_motion(tmp_path: Path) -> None
     assert seen.number("geonw.ch.flags.mob") == 0
 
 
-def test_tshark_dissects_our_headers_as_we_meant_them(tmp_path: Path) -> None:
+def test_tshark_dissects_encoded_headers_to_their_values(tmp_path: Path) -> None:
     (seen,) = dissect([geonetworking.encode_packet(cam.encode(cams.BRAKING, 0), cams.SENDER)], tmp_path)
     expected = {
         "geonw.bh.version": 1,

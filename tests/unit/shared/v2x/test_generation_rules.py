@@ -1,4 +1,4 @@
-"""The rules of EN 302 637-2 clause 6.1.3 on motions whose answer follows from them."""
+"""The rules of EN 302 637-2 clause 6.1.3 on motions with a known result."""
 
 import math
 from collections.abc import Callable
@@ -51,7 +51,7 @@ def test_a_change_of_heading_of_more_than_4_degrees_is_sent() -> None:
     assert periods(turning) == {400}
 
 
-def test_a_heading_that_passes_north_is_no_great_change() -> None:
+def test_a_heading_that_passes_north_is_a_small_change() -> None:
     swinging = sent_ms(lambda t: (0.0, math.radians(0.5 if round(t * 10) % 2 else 359.5), 0.0), 10.0)
     assert periods(swinging) == {1000}
 
@@ -74,7 +74,7 @@ def test_the_rate_stays_within_1_to_10_a_second_when_the_rules_are_checked_more_
     rules, times = GenerationRules(), []
     for step in range(1000):
         now_ns = step * 13 * MS
-        speed = 50.0 * math.sin(step)  # every check sees a change
+        speed = 50.0 * math.sin(step)  # a change at every check
         if rules.check(Dynamics(now_ns, ORIGIN, 0.0, speed)):
             times.append(now_ns // MS)
     assert min(periods(times)) >= 90  # 100 ms less the tolerance for the instants of the checks
@@ -101,7 +101,7 @@ def test_the_low_frequency_container_is_in_the_first_cam_and_every_500_ms() -> N
     assert low == [0, 500, 1000, 1500, 2000, 2500, 3000]
 
 
-def test_a_time_line_that_begins_anew_does_not_silence_the_vehicle() -> None:
+def test_after_a_restart_of_the_time_line_cams_are_sent() -> None:
     rules = GenerationRules()
     assert rules.check(Dynamics(10**18, ORIGIN, 0.0, 0.0))
     assert rules.check(Dynamics(0, ORIGIN, 0.0, 0.0))

@@ -40,7 +40,7 @@ def test_the_payload_of_a_packet_is_found_and_padding_behind_it_is_not_part_of_i
         (changed(41, 0xD2), "port"),  # 2002: DENM
     ],
 )
-def test_what_is_no_unsecured_cam_packet_is_rejected_with_its_reason(packet: bytes, reason: str) -> None:
+def test_a_packet_that_is_no_unsecured_cam_is_rejected_with_its_reason(packet: bytes, reason: str) -> None:
     with pytest.raises(RejectedFrame) as rejected:
         geonetworking.decode_payload(packet)
     assert rejected.value.reason == reason
@@ -54,7 +54,7 @@ def test_the_byte_order_of_the_port_is_big_endian() -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=120), st.integers(0, 44))
-def test_random_bytes_behind_a_valid_beginning_are_decoded_or_rejected_and_never_more(tail: bytes, keep: int) -> None:
+def test_random_bytes_behind_a_valid_start_are_decoded_or_rejected(tail: bytes, keep: int) -> None:
     packet = PACKET[:keep] + tail
     try:
         assert len(geonetworking.decode_payload(packet)) <= len(packet) - geonetworking.PAYLOAD_AT

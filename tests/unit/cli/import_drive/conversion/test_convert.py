@@ -195,7 +195,7 @@ axes = ["forward", "right", "down"]
 
 
 def test_increments_are_divided_by_the_sample_interval() -> None:
-    # 100 Hz; one sample is lost between 0.02 and 0.04 s, and what was measured is then still over 10 ms.
+    # 100 Hz; one sample is lost between 0.02 and 0.04 s; the next one is a mean over 10 ms as well.
     rows = "\n".join(f"{t},0.02,0,-0.0981,0,0,0.05" for t in ("0.00", "0.01", "0.02", "0.04", "0.05"))
     messages = converted(INCREMENTS, "t,x,y,z,gx,gy,gz\n" + rows).messages
     forces = [force for m in messages if isinstance(m, ImuSamples) for force in m.specific_force_body_m_s2]

@@ -1,4 +1,4 @@
-"""Delays of stamps that are known, and what is estimated of them."""
+"""Estimates of known delays of stamps."""
 
 import math
 from operator import attrgetter

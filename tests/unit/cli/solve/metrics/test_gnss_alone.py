@@ -87,8 +87,8 @@ def test_the_metrics_and_one_sentence_say_that_fusion_is_worse() -> None:
     assert found["gnss_alone_horizontal_rmse_m"] == pytest.approx(0.3, abs=4e-3)
     assert found["at_fixes_horizontal_rmse_m"] == pytest.approx(0.4, abs=4e-3)
     assert found["gnss_alone_standstill_horizontal_rmse_m"] is None, "the circle has no standstill"
-    said = against_gnss(found)
-    assert len(said) == 2 and "Fusion is worse than GNSS alone horizontally:" in said[1]
+    sentences = against_gnss(found)
+    assert len(sentences) == 2 and "Fusion is worse than GNSS alone horizontally:" in sentences[1]
     better = metrics_of(replace(run, gnss_alone=None)) | {
         "gnss_alone_count": 28, "gnss_alone_horizontal_rmse_m": 0.5, "at_fixes_horizontal_rmse_m": 0.4,
     }  # fmt: skip

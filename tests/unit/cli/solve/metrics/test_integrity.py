@@ -67,7 +67,7 @@ def test_misleading_information_is_proven_only_beyond_the_error_of_the_reference
     for given, proven in ((reference(instants), 1.0), (stated, 0.1)):
         found = integrity_metrics(errors_against(given, track(rows), lever_arm_b=NOWHERE), LIMITS)
         for axis in ("horizontal", "vertical"):
-            assert found[f"protection_{axis}_misleading_fraction"] == 1.0, "what is above is never left out"
+            assert found[f"protection_{axis}_misleading_fraction"] == 1.0, "errors above the level are always counted"
             assert found[f"protection_{axis}_misleading_proven_fraction"] == pytest.approx(proven, abs=0.002)
 
 

@@ -130,7 +130,7 @@ def test_a_gap_without_a_truth_near_its_end_is_omitted() -> None:
 
 def test_the_reference_page_of_metrics_equals_the_code() -> None:
     printed = (REPOSITORY / "docs" / "reference" / "metrics.md").read_text(encoding="utf-8")
-    assert printed == pages()["metrics.md"], "print it anew with `make docs`"
+    assert printed == pages()["metrics.md"], "run `make docs`"
 
 
 def test_errors_before_score_from_are_excluded_from_means() -> None:

@@ -1,4 +1,4 @@
-"""A filter whose sensors err by exactly what it assumes knows how large its errors are: `make consistency`, small."""
+"""Consistency of a filter whose sensors have exactly the errors of its model: a small `make consistency`."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def runs(request: pytest.FixtureRequest) -> list[Sizes]:
     return [run(request.param, "urban", seed, 60.0) for seed in range(100, 100 + RUNS)]
 
 
-def test_errors_are_as_large_as_the_covariance_says(runs: list[Sizes]) -> None:
+def test_normalised_errors_of_a_matched_filter_lie_in_the_99_9_percent_band(runs: list[Sizes]) -> None:
     """Mean over time of every block within the 99.9 % band of a single instant, which is wider than its own."""
     row = row_of("matched", runs)
     for block, size in row.nees.items():
@@ -25,15 +25,15 @@ def test_errors_are_as_large_as_the_covariance_says(runs: list[Sizes]) -> None:
         assert low < size < high, block
 
 
-def test_innovations_are_as_large_as_expected(runs: list[Sizes]) -> None:
+def test_normalised_innovations_of_a_matched_filter_are_within_10_percent_of_one(runs: list[Sizes]) -> None:
     assert all(0.9 < size < 1.1 for size in row_of("matched", runs).innovations)
 
 
-def test_a_filter_that_is_too_sure_of_itself_is_found_out(runs: list[Sizes]) -> None:
+def test_doubled_and_halved_normalised_errors_are_outside_the_band(runs: list[Sizes]) -> None:
     doubled = [Sizes(one.time_s, 4.0 * one.errors, one.innovations) for one in runs]
     halved = [Sizes(one.time_s, 0.25 * one.errors, one.innovations) for one in runs]
-    assert not row_of("too sure", doubled).within
-    assert not row_of("too careful", halved).within
+    assert not row_of("optimistic", doubled).within
+    assert not row_of("pessimistic", halved).within
 
 
 @pytest.mark.parametrize("block", BLOCKS)

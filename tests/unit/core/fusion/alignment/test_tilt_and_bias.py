@@ -1,4 +1,4 @@
-"""A bias of the accelerometer tilts what is levelled by it, and the covariance of the start says so."""
+"""Correlation of tilt and accelerometer bias in the initial covariance after levelling."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ TILTED = ned_from_body(0.05, -0.08, 0.7)
 
 
 def started(bias: Vector) -> ErrorStateFilter:
-    """Stand on a slope for 16 s, and start with a heading that was saved."""
+    """Filter after 16 s of standstill on a slope, with a saved heading."""
     navigator = Navigator(Settings(merge_delay_s=0.0, imu=ImuSettings(accelerometer_bias_sd_m_s2=BIAS_SD)))
     x, y, z = (TILTED.T @ np.array([0.0, 0.0, -STANDARD_GRAVITY]) + bias).tolist()
     here = Geodetic(0.74, 0.23, 700.0)
@@ -32,7 +32,7 @@ def started(bias: Vector) -> ErrorStateFilter:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_the_start_knows_which_tilt_a_bias_makes(axis: int) -> None:
+def test_the_initial_covariance_of_tilt_and_bias_agrees_with_finite_differences(axis: int) -> None:
     """Finite differences of the whole start against P: E[psi x] = (d psi / d x) var(x), x being minus the bias."""
     size = 1e-3
     bias = [0.0, 0.0, 0.0]

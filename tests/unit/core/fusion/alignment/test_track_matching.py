@@ -36,7 +36,7 @@ def found(
     sd: float = 0.3,
     seed: float = 1,
 ) -> tuple[tuple[Motion, Heading] | None, Levelling, complex, float]:
-    """Rest, then drive, with fixes of the last five seconds; what was found, and true velocity and turn at the end."""
+    """Match fixes of the last five seconds of a drive after a standstill; give also the true velocity and rotation."""
     rng, levelling = np.random.default_rng(int(seed)), Levelling(Settings())
     place, yaw, points = 0j, YAW, []
     for k in range(1, round((rest_s + drive_s) / STEP_S) + 1):
@@ -57,19 +57,21 @@ def found(
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.3], ids=["straight", "bend"])
-def test_a_vehicle_without_a_rest_is_taken_to_go_where_its_nose_points(rate: float) -> None:
+def test_without_a_standstill_positions_give_the_course_over_ground(rate: float) -> None:
     result, _, velocity, turn = found(speed=8.0, rate=rate)
     assert result is not None
     motion, heading = result
     assert heading.method == "course over ground"
-    # Levelling on the move takes a part of the pull of the bend for tilt.
+    # Levelling in motion attributes a part of the centripetal acceleration to tilt.
     assert wrap_angle(heading.turn - turn) == pytest.approx(0.0, abs=radians(0.01 if rate == 0.0 else 2.0))
     assert abs(complex(*motion.velocity[:2]) - velocity) < (1e-3 if rate == 0.0 else 0.3)
 
 
 @pytest.mark.parametrize("acceleration", [1.5, -1.5], ids=["forwards", "backwards"])
 @pytest.mark.parametrize("rate", [0.0, 0.2], ids=["straight", "bend"])
-def test_after_a_rest_the_way_itself_is_matched_also_backwards(acceleration: float, rate: float) -> None:
+def test_after_a_standstill_positions_are_matched_with_the_integrated_track_forwards_and_backwards(
+    acceleration: float, rate: float
+) -> None:
     result, _, velocity, turn = found(rest_s=4.0, acceleration=acceleration, rate=rate)
     assert result is not None
     motion, heading = result
@@ -78,21 +80,21 @@ def test_after_a_rest_the_way_itself_is_matched_also_backwards(acceleration: flo
     assert abs(complex(*motion.velocity[:2]) - velocity) < 0.02
 
 
-def test_its_standard_deviation_is_that_of_its_errors() -> None:
-    """Noise of 0.5 m as stated, at 8 m/s; what the settings add for sideslip is not simulated."""
+def test_the_standard_deviation_of_the_matched_heading_is_that_of_its_errors() -> None:
+    """Noise of 0.5 m as stated, at 8 m/s; the sideslip that the settings allow for is not simulated."""
     errors, ratios = [], []
     for seed in range(100):
         result, _, _, turn = found(speed=8.0, noise=0.5, sd=0.5, seed=seed)
         assert result is not None
         errors.append(wrap_angle(result[1].turn - turn))
         ratios.append(errors[-1] / sqrt(result[1].sd ** 2 - Settings().alignment.course_yaw_sd_rad ** 2))
-    # Residuals of five positions make it larger at times, and never smaller than what is stated.
+    # Large residuals of five positions increase it at times; it is never below that of the stated accuracy.
     assert 0.65 < np.sqrt(np.mean(np.square(ratios))) < 1.1
     # Five positions 8 m apart: the sum of squares about their mean is 10 times 64 m².
     assert np.std(errors) == pytest.approx(0.5 / (8.0 * sqrt(10.0)), rel=0.2)
 
 
-def test_noise_above_what_is_stated_is_seen_in_the_residuals() -> None:
+def test_noise_above_the_stated_accuracy_increases_the_standard_deviation() -> None:
     sds = [result[1].sd for seed in range(20) if (result := found(speed=8.0, noise=1.5, sd=0.1, seed=seed)[0])]
     assert np.median(sds) > Settings().alignment.course_yaw_sd_rad * 1.15
 
@@ -101,11 +103,11 @@ def test_noise_above_what_is_stated_is_seen_in_the_residuals() -> None:
     "poor", [{"speed": 1.5}, {"speed": 3.0, "noise": 3.0, "sd": 3.0}, {"speed": 8.0, "drive_s": 1.0}],
     ids=["slow", "noisy", "one fix"],
 )  # fmt: skip
-def test_a_poor_track_gives_nothing(poor: dict[str, float]) -> None:
+def test_a_short_slow_or_noisy_track_gives_no_heading(poor: dict[str, float]) -> None:
     assert found(**poor)[0] is None
 
 
-def test_positions_that_scatter_have_not_moved() -> None:
+def test_scattered_positions_at_standstill_have_zero_velocity() -> None:
     rng = np.random.default_rng(2)
     still = [Point(fix_at(complex(*rng.standard_normal(2)), float(k), 1.0), complex(k), 0j, 0j) for k in range(6)]
     assert moved_m_s(still) == 0.0 and moved_m_s(still[:1]) == 0.0

@@ -1,4 +1,4 @@
-"""Heading from accelerations seen twice: any turn is found, tilt does not matter, and nonsense says nothing."""
+"""Rotation between the accelerations of the IMU and of GNSS: any angle, with tilt, noise and outliers."""
 
 from cmath import rect
 from math import degrees, inf, pi, radians, sqrt
@@ -22,7 +22,7 @@ PLACE = Geodetic(0.74, 0.2, 100.0)
 
 
 def compared(turn: float = TURN, *, offset: complex = 0j, noise: float = SD, n: int = 25, seed: int = 1) -> Match:
-    """A drive of turns and brakes, by inertial sensors that lean and are turned, and by GNSS."""
+    """Match a drive with turns and braking, measured by a tilted and rotated IMU and by GNSS."""
     rng, match = np.random.default_rng(seed), Match()
     inertial, seen = 3.0 + 4.0j, 10.0 + 0j
     for k in range(n):
@@ -33,19 +33,19 @@ def compared(turn: float = TURN, *, offset: complex = 0j, noise: float = SD, n: 
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, pi / 2, 3.1, -3.1])
-def test_any_turn_is_found(turn: float) -> None:
+def test_a_rotation_of_any_angle_is_estimated_within_four_sigma(turn: float) -> None:
     found, sd = compared(turn).result(1.0)
     assert abs(rect(1.0, found) - rect(1.0, turn)) < 4.0 * sd < 0.2
 
 
-def test_a_tilt_is_no_turn() -> None:
-    """Five degrees of tilt look like an acceleration of 0.85 m/s² that never ends."""
+def test_a_tilt_of_five_degrees_does_not_change_the_estimated_rotation() -> None:
+    """Five degrees of tilt are a constant acceleration of 0.85 m/s²."""
     found, sd = compared(offset=0.85 + 0j).result(1.0)
     assert found == pytest.approx(TURN, abs=4.0 * sd)
 
 
-def test_the_standard_deviation_is_honest() -> None:
-    """Errors over their standard deviations, 200 runs: it may err on the safe side by less than two."""
+def test_normalised_errors_of_the_rotation_have_a_deviation_between_0_5_and_1_1() -> None:
+    """200 runs; a pessimistic factor of less than two is allowed."""
     sizes = []
     for seed in range(200):
         found, sd = compared(seed=seed).result(1.0)
@@ -53,8 +53,8 @@ def test_the_standard_deviation_is_honest() -> None:
     assert 0.5 < np.std(sizes) < 1.1
 
 
-def test_many_quiet_intervals_do_not_make_one_manoeuvre_precise() -> None:
-    """Idling for 50 s, then 2 s at 1 m/s², in which levelling has leant the frame by another 1.5 degrees."""
+def test_intervals_without_acceleration_do_not_reduce_the_standard_deviation_of_one_manoeuvre() -> None:
+    """50 s of standstill, then 2 s at 1 m/s² in which levelling has changed the tilt by 1.5 degrees."""
     match, inertial, seen = Match(), 0j, 0j
     for k in range(52):
         a, lean = (1.0 + 0j, 0.26j) if k >= 50 else (0j, 0j)
@@ -67,7 +67,7 @@ def test_many_quiet_intervals_do_not_make_one_manoeuvre_precise() -> None:
     assert Comparison(match, offset_sd=STANDSTILL_OFFSET_SD).precise() == match.result(STANDSTILL_OFFSET_SD)
 
 
-def test_nothing_is_known_without_accelerations_or_with_a_receiver_that_does_not_move() -> None:
+def test_without_accelerations_or_with_a_frozen_receiver_the_deviation_is_infinite() -> None:
     still, frozen = Match(), Match()
     for k in range(30):
         still = still.after(k * 10**9, 20.0 + 0j, 20.0 + 0j, SD)
@@ -75,7 +75,7 @@ def test_nothing_is_known_without_accelerations_or_with_a_receiver_that_does_not
     assert still.result(1.0)[1] == frozen.result(1.0)[1] == inf
 
 
-def test_an_outlier_makes_it_unsure_and_not_wrong() -> None:
+def test_an_outlier_increases_the_standard_deviation_above_the_error() -> None:
     match = compared(0.0, n=20)
     for k, jump in enumerate((25.0 + 25.0j, 0j)):
         match = match.after((20 + k) * 10**9, match.inertial, match.gnss + jump, SD)
@@ -83,22 +83,22 @@ def test_an_outlier_makes_it_unsure_and_not_wrong() -> None:
     assert sd > radians(20.0) or abs(found) < 3.0 * sd
 
 
-def test_turning_the_view_turns_the_result() -> None:
+def test_a_rotated_match_gives_the_rotated_angle_with_the_same_deviation() -> None:
     match = compared()
     assert match.turned(TURN).result(1.0)[0] == pytest.approx(0.0, abs=4.0 * match.result(1.0)[1])
     assert match.turned(TURN).result(1.0)[1] == pytest.approx(match.result(1.0)[1])
 
 
-def test_turning_the_view_at_speed_is_no_acceleration() -> None:
-    """A filter at an even 30 m/s whose heading is corrected by a degree now and then goes on as it went."""
+def test_a_heading_correction_at_constant_speed_is_not_an_acceleration() -> None:
+    """A filter at a constant 30 m/s whose heading is corrected by a degree at times."""
     match = Match()
     for k in range(20):
         match = match.turned(radians(1.0)).after(k * 10**9, 30.0 + 0j, 30.0 + 0j, SD)
     assert match.n > 10.0 and match.aa == pytest.approx(0.0, abs=1e-12)
 
 
-def test_at_even_speed_noise_contradicts_nothing() -> None:
-    """A tilt that is being learnt looks like an acceleration of 0.1 m/s², and GNSS noise has any direction."""
+def test_at_constant_speed_noise_does_not_contradict_the_heading() -> None:
+    """A tilt that is being estimated appears as an acceleration of 0.1 m/s²; GNSS noise has any direction."""
     rng = np.random.default_rng(5)
     for _ in range(50):
         comparison = Comparison()
@@ -110,8 +110,8 @@ def test_at_even_speed_noise_contradicts_nothing() -> None:
 
 
 @pytest.mark.parametrize("velocity", [True, False])
-def test_velocities_and_positions_say_the_same(velocity: bool) -> None:
-    """A circle of 20 m at 8 m/s; inertial sensors see it turned by 150 degrees."""
+def test_velocities_and_positions_give_the_same_rotation(velocity: bool) -> None:
+    """A circle of 20 m at 8 m/s; the IMU frame is rotated by 150 degrees."""
     comparison, rate, radius, turn = Comparison(offset_sd=STANDSTILL_OFFSET_SD), 0.4, 20.0, radians(150.0)
     for k in range(60):
         time_ns, angle = k * 200_000_000, rate * k * 0.2
@@ -128,7 +128,7 @@ def test_velocities_and_positions_say_the_same(velocity: bool) -> None:
     assert comparison.contradicts(0.0) and not comparison.contradicts(turn)
 
 
-def test_a_second_receiver_is_not_mixed_in() -> None:
+def test_velocities_of_a_second_receiver_are_not_used() -> None:
     comparison = Comparison()
     for k in range(10):
         for source, shift in (("first", 0.0), ("second", 5.0)):
@@ -138,8 +138,8 @@ def test_a_second_receiver_is_not_mixed_in() -> None:
     assert comparison.velocities.g == pytest.approx(comparison.velocities.a)
 
 
-def test_what_was_corrected_is_undone() -> None:
-    """A tilt of 1 mrad about north that was taken out at 1 s makes the velocity gain as much less eastwards since."""
+def test_corrections_of_the_filter_are_removed_from_the_velocity_gain() -> None:
+    """A tilt of 1 mrad about north, corrected at 1 s, changes the velocity gain eastwards from then on."""
     corrections = Corrections(10**9).after(10**9, (1e-3, 0.0, 0.02, 0.1, -0.2))
     later = corrections.at(3 * 10**9)
     assert later.velocity == pytest.approx(complex(0.1, -0.2 + 2.0 * 1e-3 * STANDARD_GRAVITY))

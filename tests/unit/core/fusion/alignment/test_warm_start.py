@@ -1,4 +1,4 @@
-"""A filter goes on from a saved state: as sure of itself as it may be, and from no state that is not its own."""
+"""Warm start from a saved state: consistency of the covariance, and rejection of invalid states."""
 
 from collections.abc import Iterator
 from copy import copy
@@ -39,7 +39,7 @@ MOVING = slice(0, em.MOVING)
 
 @cache
 def drive() -> Drive:
-    """Town: stops, bends, and an outage of GNSS from 60 s to 75 s."""
+    """A town with stops and bends, and an outage of GNSS from 60 s to 75 s."""
     return simulate("urban", seed=4, duration_s=120.0)
 
 
@@ -52,8 +52,8 @@ def sample(i: int) -> Sample:
     return Sample(int(d.t_ns[i]), tuple(d.force_b[i].tolist()), tuple(d.rate_b[i].tolist()), None)
 
 
-def led(made: Navigator, first: int, end: int) -> Iterator[tuple[int, Navigator]]:
-    """Give a navigator the samples from the first to the last, with fixes and wheels; after each say so."""
+def fed(made: Navigator, first: int, end: int) -> Iterator[tuple[int, Navigator]]:
+    """Give a navigator a range of samples, with fixes and wheel speeds; yield after each sample."""
     d = drive()
     due = sorted(fixes_of(d, made.settings) + speeds_of(d, made.settings), key=lambda m: m.time_ns)
     due = [m for m in due if m.time_ns > d.t_ns[first]]
@@ -66,11 +66,11 @@ def led(made: Navigator, first: int, end: int) -> Iterator[tuple[int, Navigator]
 
 @cache
 def states() -> dict[int, SavedState]:
-    """What a unit that never crashes would have saved, by the number of the sample."""
+    """Saved states of an uninterrupted filter, by the index of the sample."""
     d, made = drive(), Navigator(settings())
     made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
     found = {}
-    for i, navigator in led(made, 0, len(d.t_ns)):
+    for i, navigator in fed(made, 0, len(d.t_ns)):
         if i % SAVED_EVERY == 0 and (saved := navigator.saved_state()):
             found[i] = saved
     assert len(found) > 110
@@ -78,7 +78,7 @@ def states() -> dict[int, SavedState]:
 
 
 def errors(navigation: ErrorStateFilter, i: int) -> FloatArray:
-    """Estimated minus true attitude, velocity and position, shape (9,), as the filter defines them."""
+    """Estimated minus true attitude, velocity and position, shape (9,)."""
     d = drive()
     turn = navigation.ned_from_body @ ned_from_body(*d.attitude[i].tolist()).T
     psi = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
@@ -87,41 +87,41 @@ def errors(navigation: ErrorStateFilter, i: int) -> FloatArray:
 
 
 def nees(navigation: ErrorStateFilter, i: int) -> float:
-    """Normalised estimation error squared of the motion, over its nine dimensions."""
+    """Normalised estimation error squared of attitude, velocity and position, divided by nine."""
     navigation.propagate_covariance()
     x = errors(navigation, i)
     return float(x @ np.linalg.solve(navigation.P[MOVING, MOVING], x)) / em.MOVING
 
 
 def restarted(i: int, gap: int) -> Navigator:
-    """Navigator of a process that goes on from the state of sample i with the sample `gap` later."""
+    """Navigator with the saved state of sample i whose first sample is `gap` samples later."""
     made = Navigator(settings())
     made.restore(states()[i], int(drive().t_ns[i + gap]))
     return made
 
 
-def test_a_state_that_is_restored_at_once_is_the_same_estimate() -> None:
+def test_a_state_restored_after_0_01_s_has_the_same_errors_and_covariance() -> None:
     saved = states()[5000]
     again = restored(settings(), saved, sample(5001))
     assert errors(again, 5001) == pytest.approx(errors(led_to(5002), 5001), abs=0.02)
     added = np.diag(again.P)[:9] - np.diag(covariance_of(saved))[:9]
-    assert np.sqrt(np.abs(added)).max() < 0.01, "0.01 s without samples adds next to nothing [rad, m/s, m]"
+    assert np.sqrt(np.abs(added)).max() < 0.01, "[rad, m/s, m] 0.01 s without samples"
 
 
 @cache
 def led_to(end: int) -> ErrorStateFilter:
-    """Filter of a process that never ended."""
+    """Filter without a restart."""
     d, made = drive(), Navigator(settings())
     made.use_prior(Prior(Geodetic(*d.position[0].tolist()), (1.0, 1.0, 2.0), float(d.attitude[0, 2]), radians(1.0)))
-    for _ in led(made, 0, end):
+    for _ in fed(made, 0, end):
         pass
     assert made.engine.filter is not None
     return made.engine.filter
 
 
 @pytest.mark.parametrize("gap_s", [1.0, 2.0, 3.0, 4.9])
-def test_after_a_gap_the_errors_are_as_large_as_the_filter_says(gap_s: float) -> None:
-    """NEES of attitude, velocity and position over all seconds of a drive in a town; it may be too careful."""
+def test_after_a_gap_the_mean_nees_is_at_most_1_2(gap_s: float) -> None:
+    """At all seconds of a drive in a town; a pessimistic covariance is allowed."""
     gap = round(gap_s * 100)
     found = [
         nees(restored(settings(), saved, sample(i + gap)), i + gap)
@@ -132,15 +132,15 @@ def test_after_a_gap_the_errors_are_as_large_as_the_filter_says(gap_s: float) ->
     assert np.quantile(found, 0.95) < 3.0
 
 
-def test_restarted_processes_stay_consistent_while_they_go_on() -> None:
-    """Seeded crashes at random times: the error stays within what the filter says, and is small soon."""
+def test_restarted_filters_have_a_mean_nees_below_1_5_and_a_median_error_below_2_m() -> None:
+    """Restarts at random times with a fixed seed."""
     rng, found, away_m = np.random.default_rng(11), [], []
     for i in rng.choice([i for i in states() if 500 < i < 10_000], 12, replace=False).tolist():
         gap = int(rng.integers(100, 490))
         end = i + gap + 1000
-        for k, navigator in led(restarted(i, gap), i + gap, end):
+        for k, navigator in fed(restarted(i, gap), i + gap, end):
             running = navigator.engine.filter
-            assert running is not None and navigator.counts.resets == 0, "it navigates from its first sample on"
+            assert running is not None and navigator.counts.resets == 0, "a solution from the first sample on"
             if (k - i - gap) % 200 == 0:
                 found.append(nees(copy(running), k))
             if k == end - 1:
@@ -150,7 +150,7 @@ def test_restarted_processes_stay_consistent_while_they_go_on() -> None:
     assert np.median(away_m) < 2.0
 
 
-def test_the_first_sample_has_a_solution_that_says_why() -> None:
+def test_the_first_sample_after_a_warm_start_has_a_solution_and_a_reason() -> None:
     made = restarted(3000, 150)
     made.imu(*sample(3150)[:3])
     solution = made.solution()
@@ -160,13 +160,13 @@ def test_the_first_sample_has_a_solution_that_says_why() -> None:
     assert solution.position_cov[0, 0] > 2.0 * covariance_of(states()[3000])[6, 6]
 
 
-def test_without_a_position_for_long_a_warm_start_coasts() -> None:
-    made = restarted(7000, 250)  # GNSS is away since 60 s
+def test_a_warm_start_during_an_outage_of_gnss_is_coasting() -> None:
+    made = restarted(7000, 250)  # in the outage of GNSS since 60 s
     made.imu(*sample(7250)[:3])
     assert made.phase is NavigationPhase.COASTING
 
 
-def test_what_a_filter_learned_goes_with_its_state() -> None:
+def test_biases_and_parameters_are_restored_with_the_state() -> None:
     saved, again = states()[9000], restored(settings(), states()[9000], sample(9100))
     assert again.imu.accelerometer_bias == saved.accelerometer_bias
     assert again.imu.gyroscope_bias == saved.gyroscope_bias
@@ -179,16 +179,16 @@ def test_what_a_filter_learned_goes_with_its_state() -> None:
     assert again.P[odometer] == pytest.approx(covariance_of(saved)[odometer], rel=0.02)
 
 
-def test_saving_leaves_the_filter_as_it_was() -> None:
+def test_saving_does_not_change_the_filter() -> None:
     one, other = restarted(3000, 100), restarted(3000, 100)
-    for (_, first), (_, second) in zip(led(one, 3100, 3600), led(other, 3100, 3600), strict=True):
+    for (_, first), (_, second) in zip(fed(one, 3100, 3600), fed(other, 3100, 3600), strict=True):
         first.saved_state()
         assert first.engine.filter is not None and second.engine.filter is not None
     assert np.array_equal(one.engine.filter.P, other.engine.filter.P)  # type: ignore[union-attr]
     assert one.solution().position == other.solution().position  # type: ignore[union-attr]
 
 
-def test_unmeasured_motion_is_that_of_a_sampled_walk() -> None:
+def test_the_covariance_of_unmeasured_motion_agrees_with_monte_carlo_draws() -> None:
     """Monte Carlo of the two Brownian bridges and the two constants, integrated by sums."""
     rng, span_s, n, runs = np.random.default_rng(3), 2.0, 200, 20_000
     step, g = span_s / n, np.array([-3.0, 10.0])
@@ -213,14 +213,14 @@ def test_unmeasured_motion_is_that_of_a_sampled_walk() -> None:
     assert ((sampled - expected) / scale) == pytest.approx(np.zeros((5, 5)), abs=0.04)
 
 
-def test_no_gap_adds_nothing_and_a_longer_one_adds_more() -> None:
+def test_the_added_covariance_is_zero_without_a_gap_and_grows_with_its_length() -> None:
     assert not unmeasured_motion((10.0, 3.0, 0.0), 0.0).any()
     grown = [np.diag(unmeasured_motion((10.0, 3.0, 0.0), span_s))[MOVING] for span_s in (0.5, 1.0, 2.0, 4.0)]
     assert (np.diff(grown, axis=0) > 0.0).all()
 
 
-def spoiled(name: str) -> SavedState:
-    """State of which one thing is wrong."""
+def invalid(name: str) -> SavedState:
+    """State with one invalid value."""
     saved = states()[5000]
     P = covariance_of(saved)
     if name == "indefinite":
@@ -254,8 +254,8 @@ def spoiled(name: str) -> SavedState:
         ("short", "saved state of another layout"),
     ],
 )
-def test_a_spoiled_state_is_refused_with_a_counted_reason(name: str, reason: str) -> None:
-    made, saved = Navigator(settings()), spoiled(name)
+def test_an_invalid_state_is_rejected_with_a_counted_reason(name: str, reason: str) -> None:
+    made, saved = Navigator(settings()), invalid(name)
     made.restore(saved, int(drive().t_ns[5100]))
     assert made.rejects == {reason: 1}
     made.imu(*sample(5100)[:3])
@@ -271,11 +271,11 @@ def test_a_spoiled_state_is_refused_with_a_counted_reason(name: str, reason: str
         (LONGEST_GAP_S, None),
     ],
 )
-def test_a_state_of_another_time_is_refused(age_s: float, reason: str | None) -> None:
+def test_a_state_too_old_or_from_the_future_is_rejected(age_s: float, reason: str | None) -> None:
     assert fault(states()[5000], int(drive().t_ns[5000]) + round(age_s * 1e9)) == reason
 
 
-def test_every_state_of_a_drive_can_be_used() -> None:
+def test_every_saved_state_of_a_drive_is_valid() -> None:
     assert all(fault(saved, saved.inertial.time_ns + 10**9) is None for saved in states().values())
 
 

@@ -1,4 +1,4 @@
-"""The error model against finite differences of the mechanisation, and against its own equations in matrices."""
+"""The error model against finite differences of the mechanisation, and against matrix products."""
 
 from collections.abc import Sequence
 from math import cos, hypot, sin, tan
@@ -55,7 +55,7 @@ def vector(array: FloatArray) -> Vector:
 
 
 def disturbed(state: InertialState, error: FloatArray) -> InertialState:
-    """What an estimate looks like whose error, estimated minus true, is given."""
+    """State with a given error, estimated minus true."""
     matrix = Rotation.from_rotvec(error[em.ATTITUDE]).as_matrix() @ matrix_from_quaternion(state.quaternion)
     return InertialState(
         state.time_ns,
@@ -79,7 +79,7 @@ def error_of(estimate: InertialState, truth: InertialState) -> FloatArray:
 
 @pytest.fixture
 def differences() -> FloatArray:
-    """Derivative of the first nine errors by all that drive them, with gravity of one latitude."""
+    """Derivatives of the first nine errors with respect to the driving states, with gravity of one latitude."""
     force, rate = vector(ATTITUDE.T @ np.array(FORCE_N)), RATE
 
     def propagated(state: InertialState, force: Vector, rate: Vector) -> InertialState:
@@ -135,7 +135,7 @@ def test_the_transition_is_that_of_the_matrix_exponential_to_first_order() -> No
 
 
 def test_time_correlated_errors_decay_exactly_at_any_step() -> None:
-    """Two halves are a whole, what is apart from them is left alone, and they end at variance one."""
+    """Two half steps equal one step, other states are unchanged, and the limit has variance one."""
     root = np.random.default_rng(4).standard_normal((em.SIZE, em.SIZE))
     F, no_noise, correlation_s = np.zeros((em.SIZE, em.SIZE)), np.zeros(em.SIZE), 20.0
 
@@ -150,7 +150,7 @@ def test_time_correlated_errors_decay_exactly_at_any_step() -> None:
     assert decayed(P, 1e4)[em.GNSS_ERROR, em.GNSS_ERROR] == pytest.approx(np.eye(3))
 
 
-def test_vibration_adds_what_the_settings_lack() -> None:
+def test_vibration_increases_the_process_noise_to_the_measured_psd() -> None:
     psd = em.process_noise_psd((em.ATTITUDE, 2.0), (em.VELOCITY, 3.0))
     Q = em.process_noise(psd, attitude_psd=0.5, velocity_psd=5.0, step_s=0.1)
     assert Q[em.ATTITUDE] == pytest.approx(np.full(3, 0.2))
@@ -158,7 +158,7 @@ def test_vibration_adds_what_the_settings_lack() -> None:
     assert not Q[em.POSITION.start :].any()
 
 
-def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
+def test_the_system_matrix_equals_the_matrix_products_of_its_docstring() -> None:
     F = em.system_matrix(*STATE[1:], EARTH, FORCE_N, RATE)
     latitude_scale, east_scale = curvature_radii(LATITUDE)
     m, t, tangent = latitude_scale + HEIGHT, east_scale + HEIGHT, tan(LATITUDE)
@@ -198,7 +198,7 @@ def test_the_system_matrix_is_the_products_that_its_docstring_names() -> None:
 
 
 def navigation(error: FloatArray) -> ErrorStateFilter:
-    """Filter that is wrong by an error, estimated minus true in every state."""
+    """Filter with a given error, estimated minus true, in every state."""
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
     rate = vector(np.array(RATE) - error[em.GYROSCOPE_BIAS])
     wrong.state = wrong.state._replace(rate_b=rate, smoothed_acceleration_n=ACCELERATION)
@@ -232,7 +232,7 @@ def test_the_measurement_matrices_agree_with_finite_differences(measurement: Gns
         step = np.zeros(em.SIZE)
         step[j] = 1e-4
         ahead, behind = measurement.observe(navigation(step)).z, measurement.observe(navigation(-step)).z
-        earth_rate_term = 1e-4  # of the lever arm, which H leaves out
+        earth_rate_term = 1e-4  # of the lever arm, which H neglects
         assert (ahead - behind) / 2e-4 == pytest.approx(seen.H[:, j], abs=earth_rate_term)
 
 
@@ -254,11 +254,11 @@ AXLE = vector(
     ],
     ids=["odometer", "non-holonomic"],
 )
-def test_the_matrices_of_the_wheels_agree_with_finite_differences(
+def test_odometer_and_nhc_matrices_agree_with_finite_differences(
     measurement: WheelSpeed | NonHolonomic, predicted: Sequence[float]
 ) -> None:
     seen = measurement.observe(PERFECT)
-    assert -seen.z == pytest.approx(np.array(predicted)), "a wheel that stands, and one that does not slide"
+    assert -seen.z == pytest.approx(np.array(predicted)), "zero wheel speed and zero lateral velocity"
     for j in range(em.SIZE):
         step = np.zeros(em.SIZE)
         step[j] = 1e-5
@@ -266,7 +266,7 @@ def test_the_matrices_of_the_wheels_agree_with_finite_differences(
         assert (ahead - behind) / 2e-5 == pytest.approx(seen.H[:, j], rel=1e-6, abs=1e-6)
 
 
-def test_the_noise_goes_where_its_name_says() -> None:
+def test_each_noise_setting_is_on_the_diagonal_of_its_states() -> None:
     noise = em.process_noise_psd((em.ATTITUDE, 1.0), (em.GYROSCOPE_BIAS, 4.0), (em.ODOMETER_SCALE, 5.0))
     assert noise[em.ATTITUDE].tolist() == [1.0] * 3 and noise[em.GYROSCOPE_BIAS].tolist() == [4.0] * 3
     assert noise[em.ODOMETER_SCALE] == 5.0 and noise.sum() == 20.0
@@ -278,7 +278,7 @@ def test_the_noise_of_an_mti_630_is_that_of_its_data_sheet() -> None:
     assert defaults.imu.velocity_random_walk_m_s_sqrt_s**2 == pytest.approx(3.462e-7, rel=1e-3)
 
 
-LEFT_S = 0.03  # of a delay, that no stamp was moved by
+LEFT_S = 0.03  # [s] the part of a delay by which no stamp was shifted
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ LEFT_S = 0.03  # of a delay, that no stamp was moved by
 def test_the_matrices_of_delays_agree_with_finite_differences(
     measurement: GnssPosition | GnssVelocity | WheelSpeed,
 ) -> None:
-    """All columns; those of the acceleration times what is left of a delay, some mm/s a degree, are left out of H."""
+    """All columns; H neglects the acceleration times the remaining delay, some mm/s a degree."""
     seen = measurement.observe(PERFECT)
     neglected = LEFT_S * hypot(*ACCELERATION) * 1.1
     for j in range(em.SIZE):
@@ -315,8 +315,8 @@ def test_the_matrices_of_delays_agree_with_finite_differences(
     assert seen.H[:, em.DELAYS].any(axis=0).sum() == (2 if isinstance(measurement, GnssVelocity) else 1)
 
 
-def test_a_delay_is_that_by_which_what_is_measured_is_older() -> None:
-    """Position and velocity of the antenna a moment ago agree with a filter that knows of the delay."""
+def test_a_known_delay_makes_measurements_of_an_earlier_instant_agree() -> None:
+    """Position and velocity of the antenna at an earlier instant agree with a filter that has the delay as a state."""
     then_s, v, a = 0.05, np.array(VELOCITY) + antenna_velocity(PERFECT, ARM), np.array(ACCELERATION)
     old = geodetic_from_ned_difference(vector(-then_s * v + 0.5 * then_s**2 * a), ANTENNA)
     knowing = np.zeros(em.SIZE)
@@ -325,6 +325,6 @@ def test_a_delay_is_that_by_which_what_is_measured_is_older() -> None:
     assert velocity.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=1e-9)
     knowing[em.GNSS_DELAY] = 0.05
     position = GnssPosition(0, 0, "", old, np.eye(3), 3, ARM, 0.0)
-    assert position.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=2e-4), "the Earth is round"
+    assert position.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=2e-4), "curvature of the Earth"
     moved = GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0, removed_s=0.05)
     assert moved.observe(navigation(knowing)).z == pytest.approx(np.zeros(3), abs=1e-8)

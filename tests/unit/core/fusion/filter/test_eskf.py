@@ -10,8 +10,8 @@ def random_covariance(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int,
     return root @ root.T + 0.1 * np.eye(n)
 
 
-def test_a_unit_found_later_leaves_what_it_would_have_left_from_the_beginning() -> None:
-    """Place r unknown, lasting error u of variance one, two fixes r + h u, and h = 2 found to be 0.5 after them."""
+def test_a_scale_estimated_after_two_fixes_results_in_the_covariance_of_that_scale_from_the_start() -> None:
+    """Unknown position r, time-correlated error u of variance one, two fixes r + h u; h = 2, then 0.5."""
 
     def after_two_fixes(h: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
         P, H, R = np.diag([1e8, 1.0]), np.array([[1.0, h]]), np.array([[0.01]])
@@ -23,7 +23,7 @@ def test_a_unit_found_later_leaves_what_it_would_have_left_from_the_beginning() 
     assert found == pytest.approx(after_two_fixes(0.5), rel=1e-4)
 
 
-def test_what_does_not_stem_from_an_error_is_not_rescaled_with_it() -> None:
+def test_resizing_an_error_leaves_uncorrelated_states_unchanged() -> None:
     P = random_covariance(np.random.default_rng(3), 5)
     P[:3, 3:] = P[3:, :3] = 0.0
     assert rescaled(P, slice(3, 5), np.array([0.1, 7.0])) == pytest.approx(P, rel=1e-12)

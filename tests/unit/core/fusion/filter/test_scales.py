@@ -1,4 +1,4 @@
-"""Scale errors of the IMU as states: found where the drive shows them, and let alone where nobody asks for them."""
+"""Scale errors of the IMU as states: estimated where observable, and absent by default."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ def drive() -> Drive:
     return simulate("parking_lot", seed=2, duration_s=200.0)
 
 
-def led(drive: Drive, **settings: float) -> Navigator:
-    """Lead a navigator whose gyroscope reads too much or too little; it is told the velocity as RTK tells it."""
+def navigated(drive: Drive, **settings: float) -> Navigator:
+    """Navigator after a drive with a gyroscope scale error and velocities of RTK accuracy."""
     made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
     rate_b = drive.rate_b * (1.0 + SCALE)
     for i, time_ns in enumerate(drive.t_ns.tolist()):
@@ -31,19 +31,19 @@ def led(drive: Drive, **settings: float) -> Navigator:
     return made
 
 
-def test_the_scale_of_the_gyroscope_about_the_vertical_is_found(drive: Drive) -> None:
-    navigation = led(drive, **{"imu.gyroscope_scale_sd": 0.01}).engine.filter
+def test_the_gyroscope_scale_about_the_vertical_is_estimated_within_3_5_sigma(drive: Drive) -> None:
+    navigation = navigated(drive, **{"imu.gyroscope_scale_sd": 0.01}).engine.filter
     assert navigation is not None
     sd = np.sqrt(np.diag(navigation.P)[em.GYROSCOPE_SCALE])
-    truth = 1.0 - 1.0 / (1.0 + SCALE)  # what is to be taken from a reading, as a share of it
+    truth = 1.0 - 1.0 / (1.0 + SCALE)  # correction of a reading as a share of it
     error = np.array(navigation.imu.gyroscope_scale) - truth
     assert (np.abs(error) < 3.5 * sd).all()
-    assert sd[2] < 0.003, "the vehicle has turned about the vertical"
-    assert sd[0] > 0.005 and sd[1] > 0.005, "and hardly about the other two"
+    assert sd[2] < 0.003, "rotations about the vertical"
+    assert sd[0] > 0.005 and sd[1] > 0.005, "small rotations about the other axes"
 
 
-def test_what_is_not_asked_for_is_not_estimated(drive: Drive) -> None:
-    navigation = led(drive).engine.filter
+def test_scales_are_not_estimated_by_default(drive: Drive) -> None:
+    navigation = navigated(drive).engine.filter
     assert navigation is not None
     assert navigation.imu.gyroscope_scale == navigation.imu.accelerometer_scale == (0.0, 0.0, 0.0)
     assert not navigation.P[em.SCALES].any()

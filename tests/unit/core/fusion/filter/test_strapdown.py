@@ -39,14 +39,16 @@ def propagated(state: InertialState, force: Vector, rate: Vector, time_ns: int) 
 
 
 @given(VECTORS, VECTORS)
-def test_turning_by_a_quaternion_agrees_with_scipy(turn: tuple[float, ...], vector: tuple[float, float, float]) -> None:
+def test_rotation_by_a_quaternion_agrees_with_scipy(
+    turn: tuple[float, ...], vector: tuple[float, float, float]
+) -> None:
     matrix = Rotation.from_rotvec(turn).as_matrix()
     turned = strapdown.rotate(quaternion_from_matrix(matrix), vector)
     assert turned == pytest.approx(matrix @ np.array(vector), abs=1e-13)
 
 
 @given(st.one_of(VECTORS, st.tuples(*[st.floats(-1e-4, 1e-4)] * 3)))
-def test_the_factors_of_a_turn_make_its_quaternion_and_its_average_rotation(turn: tuple[float, float, float]) -> None:
+def test_the_factors_of_a_rotation_give_its_quaternion_and_its_mean_rotation(turn: tuple[float, float, float]) -> None:
     half_cosine, scale, first, second = strapdown.rotation_series(sum(component * component for component in turn))
     quaternion = (half_cosine, *(scale * component for component in turn))
     assert quaternion == pytest.approx(quaternion_from_rotation_vector(turn), abs=1e-15)
@@ -55,7 +57,7 @@ def test_the_factors_of_a_turn_make_its_quaternion_and_its_average_rotation(turn
 
 
 @given(st.floats(-1.57, 1.57), st.floats(-500.0, 9000.0))
-def test_what_a_latitude_decides_is_what_the_earth_says_of_it(latitude: float, height: float) -> None:
+def test_terms_computed_once_a_latitude_equal_radii_and_gravity_of_wgs84(latitude: float, height: float) -> None:
     sine, cosine, meridian, transverse, surface, slope = strapdown.local_earth(latitude)
     assert (sine, cosine) == (sin(latitude), cos(latitude))
     assert (meridian, transverse) == pytest.approx(curvature_radii(latitude), rel=1e-15)
@@ -68,8 +70,8 @@ def drive() -> Drive:
     return simulate("parking_lot", seed=3)
 
 
-def test_the_mechanisation_undoes_its_inverse_over_four_minutes(drive: Drive) -> None:
-    """Ideal inertial readings of a drive of 240 s lead back to its velocity within 2e-9 m/s and its attitude."""
+def test_ideal_samples_of_four_minutes_reproduce_velocity_and_attitude(drive: Drive) -> None:
+    """Ideal samples of a drive of 240 s: velocity to 2e-9 m/s, attitude to 2e-12."""
     start = ned_from_body(*drive.attitude[0])
     state = InertialState(0, quaternion_from_matrix(start), (0.0, 0.0, 0.0), Geodetic(*drive.position[0].tolist()))
     forces, rates = drive.ideal_force_b.tolist(), drive.ideal_rate_b.tolist()
@@ -90,7 +92,7 @@ def test_the_mechanisation_undoes_its_inverse_over_four_minutes(drive: Drive) ->
 
 
 @pytest.mark.parametrize("latitude", [-1.2, 0.0, 0.74])
-def test_a_vehicle_at_rest_stays_at_rest(latitude: float) -> None:
+def test_at_standstill_velocity_and_attitude_stay_constant(latitude: float) -> None:
     attitude = ned_from_body(0.1, -0.05, 2.0)
     force = attitude.T @ np.array([0.0, 0.0, -gravity(latitude, 100.0)])
     rate = attitude.T @ np.array(earth_rate_n(latitude))
@@ -102,8 +104,8 @@ def test_a_vehicle_at_rest_stays_at_rest(latitude: float) -> None:
     assert force_n == pytest.approx((0.0, 0.0, -gravity(latitude, 100.0)), abs=1e-9)
 
 
-def test_a_gyroscope_that_ignores_the_earth_turns_with_it() -> None:
-    """A body fixed in space, seen from the turning Earth, turns against it by 15 degrees an hour."""
+def test_a_zero_rate_gyroscope_rotates_against_the_earth_at_earth_rate() -> None:
+    """A body fixed in inertial space rotates by -15 degrees an hour relative to the Earth."""
     state = InertialState(0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), Geodetic(pi / 4, 0.0, 0.0))
     for k in range(1, 101):
         state, _ = propagated(state, (0.0, 0.0, -9.8), (0.0, 0.0, 0.0), k * STEP_NS)
@@ -120,8 +122,8 @@ def test_driving_east_over_the_antimeridian_wraps_the_longitude() -> None:
 
 @settings(max_examples=30)
 @given(st.integers(1, 9))
-def test_a_step_may_be_cut_in_two(tenths: int) -> None:
-    """Cutting a step changes the result only to second order in the step: here less than a micrometre a second."""
+def test_two_part_steps_agree_with_one_step_to_second_order(tenths: int) -> None:
+    """The difference is of second order in the step: less than 1e-6 m/s."""
     attitude = quaternion_from_matrix(ned_from_body(0.02, 0.01, 1.0))
     start = InertialState(0, attitude, (10.0, 5.0, 0.0), Geodetic(0.74, 0.2, 100.0))
     force, rate = (1.0, 2.0, -9.8), (0.0, 0.0, 0.3)

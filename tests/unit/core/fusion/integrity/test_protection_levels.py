@@ -1,4 +1,4 @@
-"""Protection levels: that nothing makes a level smaller than the covariance says."""
+"""Protection levels: risk, and what increases them above those of the covariance."""
 
 from dataclasses import replace
 from math import exp, hypot, sqrt
@@ -29,7 +29,7 @@ FloatArray = npt.NDArray[np.float64]
 COV = ((4.0, 1.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 9.0))
 
 
-def test_of_a_million_draws_a_thousandth_lies_outside() -> None:
+def test_a_share_of_1e_3_of_a_million_draws_is_outside_the_horizontal_level() -> None:
     rng = np.random.default_rng(3)
     cov = np.array([[4.0, 1.8], [1.8, 1.0]])
     draws = rng.multivariate_normal(np.zeros(2), cov, size=1_000_000)
@@ -38,7 +38,7 @@ def test_of_a_million_draws_a_thousandth_lies_outside() -> None:
 
 
 @given(st.floats(0.0, 6.3), st.floats(0.01, 50.0), st.floats(0.0, 1.0))
-def test_a_level_does_not_depend_on_where_north_is(turn: float, major: float, ratio: float) -> None:
+def test_a_horizontal_level_is_invariant_to_rotation_of_the_covariance(turn: float, major: float, ratio: float) -> None:
     C = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     cov = C @ np.diag([major**2, (ratio * major) ** 2]) @ C.T
     level = horizontal_level(cov[0, 0], cov[0, 1], cov[1, 1], 1e-3)
@@ -55,8 +55,8 @@ def watch(
     pulled: tuple[float, float] = (0.0, 0.0),
     contested: tuple[float, float] = (0.0, 0.0),
 ) -> Watch:
-    """Make one that knows nothing but that a position was just used."""
-    known = learnt(white(400)) if position is None else position
+    """Watch in which a position has just been used, with optional changes."""
+    known = evidence_of(white(400)) if position is None else position
     return replace(KNOWING, position=known, anchored=anchored, pulled=pulled, contested=contested)
 
 
@@ -71,8 +71,8 @@ def correlated(count: int, correlation_s: float, seed: int = 1) -> FloatArray:
     return draws
 
 
-def learnt(innovations: FloatArray, sd: float = 2.0) -> Evidence:
-    """Learn from one innovation a second, given in units of the standard deviation that is expected."""
+def evidence_of(innovations: FloatArray, sd: float = 2.0) -> Evidence:
+    """Evidence of one innovation a second, in units of the expected standard deviation."""
     found = Evidence()
     for k, row in enumerate(innovations.tolist()):
         found = found.after((k + 1) * SECOND_NS, [sd * u for u in row], (sd, sd, sd))
@@ -81,7 +81,7 @@ def learnt(innovations: FloatArray, sd: float = 2.0) -> Evidence:
 
 def levels(seen: Watch, *, after_s: float = 0.0, cov: object = COV, velocity: float = 0.0) -> tuple[float, float]:
     found = protection_levels(
-        cov,  # type: ignore[arg-type]  # some of these are wrong on purpose
+        cov,  # type: ignore[arg-type]  # some tests pass invalid ones
         (velocity, 0.0, 0.0),
         SECOND_NS + round(after_s * 1e9),
         seen,
@@ -96,36 +96,38 @@ def levels(seen: Watch, *, after_s: float = 0.0, cov: object = COV, velocity: fl
     st.floats(0.0, 100.0),
     st.floats(0.0, 60.0),
 )
-def test_nothing_makes_a_level_smaller_than_the_covariance_says(
+def test_levels_are_at_least_those_of_the_covariance(
     innovations: list[tuple[float, float, float]], after_s: float, velocity: float
 ) -> None:
-    seen = watch(position=learnt(np.array(innovations).reshape(-1, 3)))
+    seen = watch(position=evidence_of(np.array(innovations).reshape(-1, 3)))
     horizontal, vertical = levels(seen, after_s=after_s, velocity=velocity)
     assert horizontal >= horizontal_level(4.0, 1.0, 2.0, 1e-3)
     assert vertical >= vertical_level(9.0, 1e-3)
 
 
-def test_white_innovations_add_little_and_correlated_ones_what_they_hide() -> None:
-    quiet = np.median([levels(watch(position=learnt(white(400, seed))))[0] for seed in range(20)])
+def test_white_innovations_add_less_than_30_percent_and_correlated_ones_their_common_variance() -> None:
+    quiet = np.median([levels(watch(position=evidence_of(white(400, seed))))[0] for seed in range(20)])
     assert quiet < 1.3 * horizontal_level(4.0, 1.0, 2.0, 5e-4)
-    lasting = np.array([[learnt(correlated(400, 60.0, seed)).lasting(axis) for axis in range(3)] for seed in range(5)])
-    assert lasting.mean() > 0.4 * 4.0 and lasting.max() <= 4.0, "most of (2 m)², and never more"
+    lasting = np.array(
+        [[evidence_of(correlated(400, 60.0, seed)).lasting(axis) for axis in range(3)] for seed in range(5)]
+    )
+    assert lasting.mean() > 0.4 * 4.0 and lasting.max() <= 4.0, "most of (2 m)², and at most that"
 
 
-def test_innovations_that_are_far_too_small_are_not_taken_for_a_large_error() -> None:
-    """A receiver that states metres and errs by centimetres, and the half of it that the filter may have followed."""
-    evidence = learnt(0.01 * correlated(400, 60.0))
+def test_very_small_innovations_add_less_than_0_1_m() -> None:
+    """A receiver with a stated accuracy of metres and errors of centimetres."""
+    evidence = evidence_of(0.01 * correlated(400, 60.0))
     assert evidence.lasting(0) < 0.1**2
 
 
-def test_trust_has_to_be_earned() -> None:
-    some, more = learnt(white(5)), learnt(white(100))
+def test_the_added_variance_decreases_with_the_number_of_white_innovations() -> None:
+    some, more = evidence_of(white(5)), evidence_of(white(100))
     assert some.lasting(0) > 0.3 * 4.0
     assert more.lasting(0) < 0.1 * 4.0
 
 
 def test_innovations_larger_than_expected_scale_the_covariance() -> None:
-    surprised = watch(position=learnt(2.0 * white(400)))
+    surprised = watch(position=evidence_of(2.0 * white(400)))
     assert levels(surprised)[0] > 1.6 * levels(watch())[0]
 
 
@@ -136,7 +138,7 @@ def test_in_an_outage_the_level_grows_faster_than_the_covariance() -> None:
     assert found == sorted(found) and found[-1] > 1.4 * bare
 
 
-def test_what_a_fix_may_have_done_unseen_is_the_farthest_that_the_gate_lets_it_go() -> None:
+def test_the_undetected_effect_of_a_fix_is_the_largest_within_the_gate() -> None:
     """Search over all innovations on the gate's surface for the one that moves the position most."""
     rng = np.random.default_rng(5)
     root = rng.standard_normal((9, 9))
@@ -157,7 +159,7 @@ def test_what_a_fix_may_have_done_unseen_is_the_farthest_that_the_gate_lets_it_g
 
 
 @pytest.mark.parametrize("fault", [0.0, 0.5, 2.0, 4.0, 20.0])
-def test_with_faults_as_often_as_assumed_the_vertical_level_is_exact(fault: float) -> None:
+def test_with_faults_of_the_assumed_probability_the_vertical_level_has_its_risk(fault: float) -> None:
     sd = 3.0
     level = vertical_level_with_fault(sd**2, fault * sd, 1e-3)
     moved = norm.sf(level / sd - fault) + norm.sf(level / sd + fault)
@@ -166,21 +168,21 @@ def test_with_faults_as_often_as_assumed_the_vertical_level_is_exact(fault: floa
 
 
 @pytest.mark.parametrize("fault", [0.0, 2.0, 8.0])
-def test_with_faults_as_often_as_assumed_no_more_than_a_thousandth_lies_outside(fault: float) -> None:
+def test_with_faults_of_the_assumed_probability_at_most_1e_3_are_outside_the_horizontal_level(fault: float) -> None:
     """A million draws, moved in the worst direction, along the major axis."""
     rng = np.random.default_rng(6)
     draws = rng.standard_normal((1_000_000, 2)) * (2.0, 1.0)
     draws[rng.random(1_000_000) < FAULT_PROBABILITY, 0] += fault
     level = horizontal_level_with_fault((4.0, 0.0, 1.0), fault, 1e-3)
     assert (np.hypot(*draws.T) > level).sum() < 1000 + 4.0 * sqrt(1000)
-    assert level < fault + horizontal_level(4.0, 0.0, 1.0, 5e-4), "and it is less than both together"
+    assert level < fault + horizontal_level(4.0, 0.0, 1.0, 5e-4), "less than the sum"
 
 
-def test_errors_that_come_larger_than_a_normal_number_s_count_for_a_minute() -> None:
+def test_a_rare_large_innovation_scales_the_covariance_for_a_minute() -> None:
     calm, struck = white(200), white(200)
     calm = np.clip(calm, -3.0, 3.0)
     struck = np.vstack([np.clip(struck, -3.0, 3.0), [[0.0, 0.0, 4.5]]])
-    then, before = learnt(struck), learnt(calm)
+    then, before = evidence_of(struck), evidence_of(calm)
     assert before.scale_vertical == pytest.approx(1.0, abs=0.15)
     assert then.scale_vertical == pytest.approx((4.5 / RARE) ** 2)
     assert then.scale_horizontal == before.scale_horizontal == 1.0
@@ -190,36 +192,42 @@ def test_errors_that_come_larger_than_a_normal_number_s_count_for_a_minute() -> 
     assert later.scale_vertical == 1.0
 
 
-def test_what_the_filter_estimates_is_not_taken_for_granted_besides() -> None:
+def test_time_correlated_errors_in_the_filter_are_not_assumed_a_second_time() -> None:
     first = ESTIMATED.after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0))
     assert first.lasting(0) == 0.0 < Evidence().after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0)).lasting(0)
     found = ESTIMATED
     for k, row in enumerate(correlated(100, 60.0).tolist()):
         found = found.after((k + 1) * SECOND_NS, [2.0 * u for u in row], (2.0, 2.0, 2.0))
-    assert max(found.lasting(axis) for axis in range(3)) > 0.4 * 4.0, "but it counts if it shows all the same"
+    assert max(found.lasting(axis) for axis in range(3)) > 0.4 * 4.0, "added where the innovations show it"
 
 
-def test_a_refused_position_counts_until_one_is_used_again() -> None:
-    """Either it is wrong or the solution is, and nobody knows which."""
+def test_the_innovation_of_rejected_positions_is_part_of_the_levels() -> None:
+    """Either the position or the solution is wrong."""
     assert levels(watch(contested=(30.0, 12.0)))[0] > 30.0
     assert levels(watch(contested=(30.0, 12.0)))[1] > 12.0
 
 
-def test_a_filter_that_gave_way_to_positions_is_unsure_of_them_for_minutes() -> None:
+def test_after_a_reset_to_rejected_positions_their_distance_is_part_of_the_levels() -> None:
     contested = watch(contested=(30.0, 12.0))
     given_up = replace(KNOWING, position=contested.position, yielded=contested.disputed)
     assert given_up.disputed == (30.0, 12.0)
     assert levels(given_up)[0] > 30.0 and levels(given_up)[1] > 12.0
 
 
-def test_an_error_of_the_stamp_is_an_error_along_the_road() -> None:
+def test_a_stamp_error_increases_the_level_with_speed() -> None:
     sharp = ((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 1e-6))
-    seen = watch(position=learnt(white(400), sd=1e-3), anchored=(1e-6, 0.0, 1e-6, 1e-6))
+    seen = watch(position=evidence_of(white(400), sd=1e-3), anchored=(1e-6, 0.0, 1e-6, 1e-6))
     slow, fast = levels(seen, cov=sharp)[0], levels(seen, cov=sharp, velocity=30.0)[0]
     assert fast >= line_factor(1e-3) * 0.06 > 5.0 * slow
 
 
-def test_numbers_that_have_broken_down_protect_nothing() -> None:
+def test_the_way_driven_in_a_delay_that_is_not_corrected_is_added() -> None:
+    level, upright = levels(Watch(), velocity=20.0)
+    late, late_upright = levels(replace(Watch(), late_s=0.5), velocity=20.0)
+    assert (late - level, late_upright - upright) == pytest.approx((10.0, 0.0))
+
+
+def test_a_covariance_that_is_not_finite_or_not_positive_gives_the_largest_level() -> None:
     broken = ((float("nan"), 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     assert levels(watch(), cov=broken) == (LARGEST_M, LARGEST_M)
     endless = ((1e30, 0.0, 0.0), (0.0, 1e30, 0.0), (0.0, 0.0, 1e30))

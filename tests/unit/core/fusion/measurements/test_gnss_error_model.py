@@ -1,4 +1,4 @@
-"""How GNSS errors run over time: whether the bank finds it, and what their start leaves unknown."""
+"""Estimation of the GNSS error model by a bank of hypotheses, and the initial covariance."""
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +16,8 @@ SD = np.array([3.0, 2.0, 5.0])
 ORIGIN = Geodetic(0.74, 0.23, 700.0)
 
 
-def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, size: float = 1.0) -> GnssErrorBank:
-    """What errors of a kind and size teach in n seconds, beside a track whose velocity is wrong by 3 cm/s."""
+def bank_after(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, size: float = 1.0) -> GnssErrorBank:
+    """Bank after n seconds of errors of a kind and size, on a track with a velocity error of 3 cm/s."""
     rmse = (float(SD[0]), float(SD[1]), float(SD[2]))
     drawn = position_errors(InjectedError(kind, rmse, correlation_s), n, 1.0, seed=(seed,))
     wandering = np.cumsum(0.03 * np.random.default_rng(seed).standard_normal((n, 3)), axis=0)
@@ -27,15 +27,15 @@ def learned(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 1, 
     return gnss_errors
 
 
-def test_white_errors_are_found_to_be_white() -> None:
-    gnss_errors = learned(ErrorKind.WHITE, 1.0)
+def test_white_errors_are_estimated_as_white() -> None:
+    gnss_errors = bank_after(ErrorKind.WHITE, 1.0)
     assert gnss_errors.lasting < 0.1 or gnss_errors.correlation_s < 2.5
 
 
 @pytest.mark.parametrize("correlation_s", [5.0, 20.0, 60.0])
-def test_the_correlation_time_is_found_within_a_factor_of_two(correlation_s: float) -> None:
+def test_the_correlation_time_is_estimated_within_a_factor_of_two(correlation_s: float) -> None:
     for seed in (1, 2, 3):
-        gnss_errors = learned(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
+        gnss_errors = bank_after(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
         assert gnss_errors.lasting > 0.9
         assert 0.5 < gnss_errors.correlation_s / correlation_s < 2.0
 
@@ -50,32 +50,34 @@ def test_the_correlation_time_is_found_within_a_factor_of_two(correlation_s: flo
         (ErrorKind.GAUSS_MARKOV, 5.0, 3.0),
     ],
 )
-def test_the_size_of_errors_is_found_where_they_come_and_go(kind: ErrorKind, correlation_s: float, size: float) -> None:
-    """Within a factor of 1.5 in five minutes; white ones below what is stated may have a base beside them."""
+def test_the_scale_of_changing_errors_is_estimated_within_a_factor_of_1_5(
+    kind: ErrorKind, correlation_s: float, size: float
+) -> None:
+    """In five minutes; white errors below the stated accuracy may have a constant error in addition."""
     for seed in (1, 2):
-        found = learned(kind, correlation_s, n=300, seed=seed, size=size).scale / size
+        found = bank_after(kind, correlation_s, n=300, seed=seed, size=size).scale / size
         assert (found > 1.0 / 1.5).all() and (found < 1.5).all(), found
 
 
-def test_an_error_that_hardly_changes_is_not_taken_for_a_small_one() -> None:
-    """In a tenth of its correlation time it shows a tenth of itself, and the size that is stated is believed."""
+def test_a_slowly_changing_error_keeps_at_least_half_of_the_stated_scale() -> None:
+    """Data over a tenth of the correlation time."""
     for seed in (1, 2, 3):
-        assert (learned(ErrorKind.GAUSS_MARKOV, 600.0, n=60, seed=seed).scale > 0.5).all()
+        assert (bank_after(ErrorKind.GAUSS_MARKOV, 600.0, n=60, seed=seed).scale > 0.5).all()
 
 
-def test_after_a_gap_the_way_is_unknown_and_teaches_nothing() -> None:
-    gnss_errors = learned(ErrorKind.GAUSS_MARKOV, 20.0)
+def test_after_a_gap_the_estimated_scale_is_unchanged() -> None:
+    gnss_errors = bank_after(ErrorKind.GAUSS_MARKOV, 20.0)
     later = gnss_errors.after(240 * 10**9, np.full(3, 500.0), SD, np.full(3, 0.03**2))
     assert later.scale == pytest.approx(gnss_errors.scale, rel=0.05)
 
 
-def test_fixes_that_follow_each_other_fast_teach_once_in_two_seconds() -> None:
-    gnss_errors = learned(ErrorKind.WHITE, 1.0, n=11)
+def test_fixes_within_two_seconds_do_not_change_the_error_model() -> None:
+    gnss_errors = bank_after(ErrorKind.WHITE, 1.0, n=11)
     assert gnss_errors.after(10_100_000_000, np.zeros(3), SD, np.full(3, 0.03**2)) is gnss_errors
 
 
-def test_a_bank_that_has_learned_learns_anew_where_the_sky_is_another() -> None:
-    gnss_errors = learned(ErrorKind.WHITE, 1.0)
+def test_the_error_model_adapts_to_errors_with_another_correlation_time() -> None:
+    gnss_errors = bank_after(ErrorKind.WHITE, 1.0)
     drawn = position_errors(InjectedError(ErrorKind.GAUSS_MARKOV, (3.0, 2.0, 5.0), 60.0), 300, 1.0, seed=(9,))
     for i, path in enumerate(drawn.injected):
         gnss_errors = gnss_errors.after((1000 + i) * 10**9, path, SD, np.full(3, 0.03**2))
@@ -83,32 +85,32 @@ def test_a_bank_that_has_learned_learns_anew_where_the_sky_is_another() -> None:
     assert gnss_errors.correlation_s > 20.0
 
 
-def test_one_outlier_is_no_evidence() -> None:
-    gnss_errors = learned(ErrorKind.GAUSS_MARKOV, 60.0)
+def test_one_outlier_changes_the_correlated_share_by_less_than_0_1() -> None:
+    gnss_errors = bank_after(ErrorKind.GAUSS_MARKOV, 60.0)
     struck = gnss_errors.after(180 * 10**9, np.full(3, 1e6), SD, np.full(3, 0.03**2))
     assert abs(struck.lasting - gnss_errors.lasting) < 0.1
     assert np.isfinite(struck.way).all()
 
 
-def test_a_fix_that_is_not_newer_teaches_nothing() -> None:
-    gnss_errors = learned(ErrorKind.WHITE, 1.0)
+def test_a_fix_that_is_not_newer_does_not_change_the_error_model() -> None:
+    gnss_errors = bank_after(ErrorKind.WHITE, 1.0)
     assert gnss_errors.after(0, np.zeros(3), SD, np.full(3, 0.03**2)) is gnss_errors
 
 
-def test_the_mean_of_white_errors_is_as_good_as_their_number_says() -> None:
+def test_the_mean_of_16_white_errors_has_a_sixteenth_of_their_variance() -> None:
     weights, joint = mean_at_rest(np.arange(-15.0, 1.0), 1e-6, 60.0)
     assert weights[0] == pytest.approx(np.full(16, 1 / 16), abs=1e-6)
     assert joint[0, 0] == pytest.approx(1 / 16, abs=1e-5)
 
 
-def test_the_mean_of_errors_that_last_is_hardly_better_than_one() -> None:
+def test_the_mean_of_correlated_errors_has_more_than_80_percent_of_their_variance() -> None:
     _, joint = mean_at_rest(np.arange(-15.0, 1.0), 0.99, 60.0)
     assert 0.8 < joint[0, 0] < 1.0
     assert joint[0, 1] / np.sqrt(joint[0, 0] * joint[1, 1]) < -0.9
 
 
-def test_the_covariance_of_the_start_is_that_of_its_errors() -> None:
-    """20,000 draws of the fixes of a rest, against what `mean_at_rest` says; 3 % tolerance."""
+def test_the_covariance_of_the_initial_position_agrees_with_drawn_errors() -> None:
+    """20,000 draws of fixes at standstill against `mean_at_rest`; 3 % tolerance."""
     times, lasting, correlation_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), 0.7, 6.0
     weights, joint = mean_at_rest(times, lasting, correlation_s)
     K = lasting * np.exp(-np.abs(times[:, None] - times) / correlation_s)
@@ -128,14 +130,14 @@ def rest(lasts: bool) -> list[GnssPosition]:
     ]
 
 
-def test_position_and_lasting_error_start_with_a_covariance_that_can_be() -> None:
+def test_initial_position_and_time_correlated_error_have_a_positive_covariance() -> None:
     first = first_place(rest(lasts=True), UNKNOWN)
     whole = np.block([[first.cov, first.cross_cov], [first.cross_cov.T, first.error_cov]])
     assert np.linalg.eigvalsh(whole)[0] > 0.0
     assert (np.diag(first.cross_cov) < 0.0).all()
 
 
-def test_fixes_with_corrections_start_without_a_lasting_error() -> None:
+def test_fixes_with_corrections_start_without_a_time_correlated_error() -> None:
     first = first_place(rest(lasts=False), UNKNOWN)
     assert first.error == (0.0, 0.0, 0.0)
     assert not first.cross_cov.any()

@@ -1,4 +1,4 @@
-"""Whether velocity errors are white: found, unlearned, and what follows for the positions."""
+"""Estimation of the correlation of GNSS velocity errors, and its effect on the position error model."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ COV = np.diag([4.0, 4.0, 25.0])
 
 
 def residuals(correlation: float, n: int, seed: int, size: float = 1.0) -> FloatArray:
-    """Draw residuals whose neighbours have this correlation, shape (n, 3) [m/s]."""
+    """Draw residuals with a lag-1 correlation, shape (n, 3) [m/s]."""
     drawn = np.random.default_rng(seed).standard_normal((n, 3))
     for k in range(1, n):
         drawn[k] = correlation * drawn[k - 1] + (1.0 - correlation**2) ** 0.5 * drawn[k]
@@ -26,49 +26,60 @@ def residuals(correlation: float, n: int, seed: int, size: float = 1.0) -> Float
     return scaled
 
 
-def taught(errors: GnssVelocityErrors, drawn: FloatArray, *, stated: bool = True) -> GnssVelocityErrors:
+def updated(errors: GnssVelocityErrors, drawn: FloatArray, *, stated: bool = True) -> GnssVelocityErrors:
     for residual in drawn:
         errors = errors.after(errors.time_ns + PERIOD_NS, residual, STATED, stated=stated)
     return errors
 
 
 @pytest.mark.parametrize("size", [0.2, 1.0, 3.0])
-def test_white_velocity_errors_are_found_within_two_minutes_whatever_their_size(size: float) -> None:
+def test_velocity_errors_of_any_size_are_estimated_as_white_within_two_minutes(size: float) -> None:
     for seed in range(5):
         drawn = residuals(0.0, 600, seed, size)
-        assert not taught(UNKNOWN, drawn[:1]).follows and taught(UNKNOWN, drawn[:1], stated=False).follows
-        assert not taught(UNKNOWN, drawn).follows and not taught(UNKNOWN, drawn, stated=False).follows
+        assert not updated(UNKNOWN, drawn[:1]).follows and updated(UNKNOWN, drawn[:1], stated=False).follows
+        assert not updated(UNKNOWN, drawn).follows and not updated(UNKNOWN, drawn, stated=False).follows
 
 
 @pytest.mark.parametrize("correlation", [0.3, 0.5, 0.9])
-def test_velocity_errors_that_repeat_are_found_within_a_minute(correlation: float) -> None:
+def test_correlated_velocity_errors_are_detected_within_a_minute(correlation: float) -> None:
     for seed in range(5):
-        errors = taught(UNKNOWN, residuals(correlation, 300, seed))
+        errors = updated(UNKNOWN, residuals(correlation, 300, seed))
         assert errors.follows and errors.white < 0.01
         assert errors.variance == pytest.approx(SHARE * STATED, rel=0.01)
 
 
-def test_what_was_learned_is_unlearned_within_minutes_when_the_evidence_turns() -> None:
+def test_the_estimate_changes_within_four_minutes_when_the_correlation_changes() -> None:
     for seed in range(3):
-        white = taught(UNKNOWN, residuals(0.0, 3000, seed))
-        repeating = taught(white, residuals(0.5, 600, seed + 10))
+        white = updated(UNKNOWN, residuals(0.0, 3000, seed))
+        repeating = updated(white, residuals(0.5, 600, seed + 10))
         assert not white.follows and not white.variance.any()
         assert repeating.follows
-        assert not taught(repeating, residuals(0.0, 1200, seed + 20)).follows
+        assert not updated(repeating, residuals(0.0, 1200, seed + 20)).follows
 
 
-def test_white_errors_are_hardly_ever_taken_for_others() -> None:
+def test_white_velocity_errors_are_not_estimated_as_correlated() -> None:
     for seed in range(20):
         errors = UNKNOWN
         for residual in residuals(0.0, 600, seed):
-            errors = taught(errors, residual[np.newaxis])
+            errors = updated(errors, residual[np.newaxis])
             assert not errors.follows
 
 
-def test_residuals_of_the_first_ten_seconds_are_no_evidence() -> None:
+def test_residuals_that_decay_after_an_outage_are_no_evidence() -> None:
+    for seed in range(5):
+        errors = updated(UNKNOWN, residuals(0.0, 600, seed))
+        drawn = residuals(0.0, 300, seed + 30)
+        drawn[:50] += np.array([1.0, 3.0, 0.3]) * np.exp(-np.arange(50) / 10.0)[:, np.newaxis]
+        after = errors.after(errors.time_ns + 60_000_000_000, drawn[0], STATED, stated=True)
+        for residual in drawn[1:]:
+            after = updated(after, residual[np.newaxis])
+            assert not after.follows and after.white > 0.9
+
+
+def test_residuals_of_the_first_ten_seconds_are_not_used() -> None:
     drawn = residuals(0.9, 300, 1)
-    assert taught(UNKNOWN, drawn[:50]).white == taught(UNKNOWN, drawn[:1]).white
-    assert taught(UNKNOWN, drawn).follows
+    assert updated(UNKNOWN, drawn[:50]).white == updated(UNKNOWN, drawn[:1]).white
+    assert updated(UNKNOWN, drawn).follows
 
 
 def test_without_velocities_nothing_changes() -> None:
@@ -76,13 +87,13 @@ def test_without_velocities_nothing_changes() -> None:
     assert UNKNOWN_POSITIONS.following(False) is UNKNOWN_POSITIONS
 
 
-def test_a_pause_is_no_evidence() -> None:
-    errors = taught(UNKNOWN, residuals(0.0, 300, 1))
+def test_a_pause_does_not_change_the_estimate() -> None:
+    errors = updated(UNKNOWN, residuals(0.0, 300, 1))
     later = errors.after(errors.time_ns + 3_000_000_000, errors.last * np.sqrt(errors.power), STATED, stated=True)
     assert later.white == errors.white
 
 
-def test_followed_positions_have_no_estimated_error_and_the_levels_hold_half_of_what_is_stated() -> None:
+def test_with_correlated_velocity_errors_no_position_error_is_estimated_and_levels_hold_half_of_the_stated() -> None:
     followed = UNKNOWN_POSITIONS.following(True)
     assert followed.lasting == 0.0
     assert followed.scaled(COV) == pytest.approx(FOLLOWED[0] * COV)
@@ -92,7 +103,7 @@ def test_followed_positions_have_no_estimated_error_and_the_levels_hold_half_of_
     assert UNKNOWN_POSITIONS.unestimated(COV) == (0.0, 0.0)
 
 
-def test_an_overstated_size_does_not_count_in_full_where_positions_are_followed() -> None:
+def test_with_correlated_velocity_errors_an_overstated_accuracy_is_scaled_down() -> None:
     evidence = np.zeros_like(UNKNOWN_POSITIONS.evidence)
     evidence[:, :, 0] = 100.0  # the smallest scale, an eighth
     level, _ = replace(UNKNOWN_POSITIONS, evidence=evidence, follows=True).unestimated(COV)

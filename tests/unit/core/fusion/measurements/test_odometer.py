@@ -1,6 +1,6 @@
-"""The wheels as aids: what they hold without GNSS, what is learnt of them, and when they are not believed."""
+"""Odometer and non-holonomic constraint: drift in outages, estimated parameters, and rejected speeds."""
 
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import replace
 from functools import cache
 from math import hypot, radians
@@ -43,7 +43,7 @@ ARM_B = (0.0, 0.0, 0.0)  # the simulated vehicle turns about the IMU
 
 @cache
 def drive() -> Drive:
-    """110 s of the car park, with the IMU askew."""
+    """110 s of the car park with a rotated IMU."""
     straight = simulate("parking_lot", seed=3, duration_s=OUTAGE_S[1])
     body_from_vehicle = ned_from_body(*MOUNTING).T
     force, rate = straight.force_b @ body_from_vehicle.T, straight.rate_b @ body_from_vehicle.T
@@ -63,11 +63,13 @@ def navigator(**changes: object) -> Navigator:
     return made
 
 
-def feed(made: Navigator, speeds: FloatArray | None, outage: bool = True) -> list[Outcome]:
-    """Lead a navigator through the drive."""
+def feed(
+    made: Navigator, speeds: FloatArray | None, begin: int = 0, end: int | None = None, *, outage: bool = True
+) -> list[Outcome]:
+    """Process the drive, or the samples from `begin` to `end` of it."""
     d = drive()
     outcomes: list[Outcome] = []
-    for i, time_ns in enumerate(d.t_ns.tolist()):
+    for i, time_ns in list(enumerate(d.t_ns.tolist()))[begin:end]:
         if speeds is not None and i % 10 == 9:
             made.speed(time_ns, float(speeds[(i + 1) // 10]))
         if i % 100 == 99 and not (outage and time_ns * 1e-9 >= OUTAGE_S[0]):
@@ -84,9 +86,24 @@ def error_m(made: Navigator) -> float:
 
 
 def filter_of(made: Navigator) -> ErrorStateFilter:
-    inside = made.engine.filter  # what it has learnt of the vehicle is not published
+    inside = made.engine.filter  # the vehicle parameters are not published
     assert inside is not None
     return inside
+
+
+@cache
+def unaided() -> tuple[Navigator, list[Outcome]]:
+    """Drive with odometer and NHC disabled."""
+    made = navigator(**{"odometer.enabled": False, "non_holonomic.enabled": False})
+    return made, feed(made, drive().odometer)
+
+
+@cache
+def aided_until(end: int) -> Navigator:
+    """Navigator after some samples with true wheel speeds."""
+    made = navigator()
+    feed(made, drive().odometer, end=end)
+    return made
 
 
 @cache
@@ -95,14 +112,11 @@ def aided() -> tuple[Navigator, list[Outcome]]:
     return made, feed(made, drive().odometer * 1.03)
 
 
-def test_wheels_hold_the_position_without_gnss() -> None:
-    """Half a minute without GNSS."""
-    without = navigator(**{"odometer.enabled": False, "non_holonomic.enabled": False})
-    feed(without, drive().odometer)
-    assert error_m(aided()[0]) < min(0.3, 0.5 * error_m(without))
+def test_odometer_and_nhc_halve_the_drift_in_an_outage_and_keep_it_below_0_3_m() -> None:
+    assert error_m(aided()[0]) < min(0.3, 0.5 * error_m(unaided()[0]))
 
 
-def test_scale_and_mounting_are_learnt_as_well_as_the_filter_says() -> None:
+def test_scale_and_mounting_are_estimated_within_four_sigma() -> None:
     inside = filter_of(aided()[0])
     d = drive()
     moving = d.odometer > 1.0
@@ -111,10 +125,10 @@ def test_scale_and_mounting_are_learnt_as_well_as_the_filter_says() -> None:
     sd = np.sqrt(inside.P.diagonal()[em.ODOMETER_SCALE : em.MOUNTING.stop])
     errors = np.array(inside.parameters[:3]) - (scale, MOUNTING[1], MOUNTING[2])
     assert (np.abs(errors) < 4.0 * sd).all()
-    assert sd[0] < 0.005 and (sd[1:] < radians(0.7)).all(), "much better than at switch-on"
+    assert sd[0] < 0.005 and (sd[1:] < radians(0.7)).all(), "much smaller than the initial ones"
 
 
-def test_both_aids_are_told() -> None:
+def test_odometer_and_nhc_have_outcomes_and_98_percent_are_used() -> None:
     outcomes = aided()[1]
     assert {o.kind for o in outcomes} >= {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
     wheels = [o for o in outcomes if o.kind in (AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC)]
@@ -122,19 +136,19 @@ def test_both_aids_are_told() -> None:
     assert all(o.reason == "beyond the gate" for o in wheels if not o.used)
 
 
-def test_neither_aid_is_used_if_the_settings_say_so() -> None:
-    made = navigator(**{"odometer.enabled": False, "non_holonomic.enabled": False})
-    kinds = {o.kind for o in feed(made, drive().odometer)}
+def test_disabled_odometer_and_nhc_are_not_used_and_estimate_nothing() -> None:
+    made, outcomes = unaided()
+    kinds = {o.kind for o in outcomes}
     assert not kinds & {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
     assert filter_of(made).parameters[:3] == (0.0, 0.0, 0.0)
     cross = filter_of(made).P[em.ODOMETER_SCALE : em.MOUNTING.stop, :15]
-    assert not cross.any(), "what is not measured does not touch the other fifteen states"
+    assert not cross.any(), "no correlation with the other fifteen states"
 
 
-def test_springs_give_way_more_than_tyres_do_but_in_bends() -> None:
-    """Straight on, the two standard deviations count; a bend at 10 m/s adds slip sideways, and nothing vertically."""
+def test_the_lateral_nhc_variance_grows_in_bends_and_the_vertical_one_does_not() -> None:
+    """On a straight the two configured deviations; in a bend at 10 m/s lateral slip is added."""
     settings = Settings().with_values({"non_holonomic.rear_axle_body_m": ARM_B})
-    twin = backing(-10.0, 0.1)
+    twin = reversing(-10.0, 0.1)
     twin.state = twin.state._replace(rate_b=(0.0, 0.0, 0.0))
     straight = NonHolonomic(0, settings).observe(twin).R
     assert np.diagonal(straight).tolist() == pytest.approx([10.0 * 0.05**2, 10.0 * 0.1**2])
@@ -144,28 +158,28 @@ def test_springs_give_way_more_than_tyres_do_but_in_bends() -> None:
     assert bend[1, 1] == straight[1, 1]
 
 
-def test_spinning_wheels_are_not_believed() -> None:
-    """On ice the driven wheels turn three times as fast as the car goes."""
+def test_speeds_of_spinning_wheels_are_rejected() -> None:
+    """Wheel speeds of three times the true speed, as on ice."""
     speeds = drive().odometer.copy()
     speeds[900:] *= 3.0
-    made = navigator()
-    outcomes = [o for o in feed(made, speeds) if o.kind is AidingKind.ODOMETER and o.time_ns > 91e9]
+    made = deepcopy(aided_until(8900))
+    outcomes = [o for o in feed(made, speeds, 8900) if o.kind is AidingKind.ODOMETER and o.time_ns > 91e9]
     fast = [o for o in outcomes if abs(o.innovation[0]) > 2.0]
     assert len(fast) > 20 and not any(o.used for o in fast)
 
 
-def test_another_odometer_has_a_scale_of_its_own() -> None:
+def test_a_second_odometer_is_used_once_the_first_one_is_silent() -> None:
     made = navigator()
     d = drive()
     for k, time_ns in enumerate(d.odometer_ns.tolist()):
         made.speed(time_ns, float(d.odometer[k]), source="can" if time_ns < 70e9 else "spare")
     outcomes = feed(made, None, outage=False)
     used = {name: [o.time_ns for o in outcomes if o.source == name] for name in ("can", "spare")}
-    assert max(used["can"]) < 70e9 and min(used["spare"]) > 71.9e9, "a spare waits until the other is silent"
+    assert max(used["can"]) < 70e9 and min(used["spare"]) > 71.9e9, "two seconds after the last speed of the first"
 
 
-def backing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
-    """A filter that goes backwards, and knows how fast with a standard deviation."""
+def reversing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
+    """A filter at a speed backwards, with a standard deviation of its velocity."""
     twin = copy(filter_of(aided()[0]))
     twin.propagate_covariance()
     north, east, _ = (twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([-speed_m_s, 0.0, 0.0])).tolist()
@@ -178,31 +192,31 @@ def backing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
 
 
 @pytest.mark.parametrize("speed_m_s", [0.2, 3.0])
-def test_a_speed_without_a_sign_may_be_one_backwards(speed_m_s: float) -> None:
-    twin = backing(speed_m_s, 0.05)
+def test_an_unsigned_speed_agrees_with_driving_backwards(speed_m_s: float) -> None:
+    twin = reversing(speed_m_s, 0.05)
     seen = WheelSpeed(0, 0, "", speed_m_s, 0.0, True, True, navigator().settings).observe(twin)
     assert abs(float(seen.z[0])) < 0.02 + 0.06 * speed_m_s  # the scale of the odometer is not one
 
 
-def test_where_nobody_knows_the_sign_a_speed_says_how_fast_at_most() -> None:
-    """Of +1 and -1 m/s the mean is zero and the variance one."""
-    twin = backing(0.0, 0.5)
+def test_an_unsigned_speed_at_unknown_sign_has_mean_zero_and_variance_of_its_square() -> None:
+    """The mean of +1 and -1 m/s is zero and the variance one."""
+    twin = reversing(0.0, 0.5)
     seen = WheelSpeed(0, 0, "", 1.0, 0.0, True, True, navigator().settings).observe(twin)
     assert abs(float(seen.z[0])) < 0.05
     assert 1.0 < float(seen.R[0, 0]) < 1.01
 
 
-def test_a_speed_below_zero_has_its_sign() -> None:
-    twin = backing(1.0, 0.05)
+def test_a_negative_speed_is_measured_with_its_sign() -> None:
+    twin = reversing(1.0, 0.05)
     seen = WheelSpeed(0, 0, "", -1.0, 0.0, True, True, navigator().settings).observe(twin)
     assert abs(float(seen.z[0])) < 0.05
     assert float(seen.R[0, 0]) < 0.01
 
 
-def test_wheels_that_contradict_for_long_are_heard_in_the_end() -> None:
-    """The filter is sure of a speed that is wrong by 1 m/s: it doubts after two seconds, not at once."""
+def test_speeds_rejected_for_two_seconds_are_used_in_the_end() -> None:
+    """A velocity error of 1 m/s with a small covariance, which grows after two seconds of rejections."""
     settings = navigator().settings
-    twin, gate = backing(-5.0, 0.02), Gate(settings)
+    twin, gate = reversing(-5.0, 0.02), Gate(settings)
     before = twin.P[em.VELOCITY, em.VELOCITY].copy()
     used = []
     for k in range(600):
@@ -215,38 +229,42 @@ def test_wheels_that_contradict_for_long_are_heard_in_the_end() -> None:
     assert abs(hypot(ahead[0], ahead[1]) - 6.0) < 0.4
 
 
-def rest_after(speed: float, limit: float, force: float = 0.0) -> bool:
+def stationary_after(speed: float, limit: float, force: float = 0.0) -> bool:
     rest = UNSETTLED
     for _ in range(round((SMOOTHING_S + QUIET_S) * 100) + 2):
         rest = detect(rest, (0.0, 0.0, 0.0), (force, 0.0, 0.0), speed, 0.01, Limits(limit, 1.0))
     return is_standstill(rest)
 
 
-def test_wheels_that_stand_support_the_detector_only_if_all_else_agrees() -> None:
-    """After a minute without GNSS a vehicle at rest may seem to creep at 1.5 m/s."""
-    assert not rest_after(1.5, limit=0.3)
-    assert rest_after(1.5, limit=2.0)
-    assert not rest_after(2.5, limit=2.0), "the filter is surer than that"
-    assert not rest_after(1.5, limit=2.0, force=0.5), "locked wheels on ice"
+def test_zero_wheel_speeds_widen_the_speed_limit_of_the_standstill_detector_only() -> None:
+    """After a minute without GNSS the estimated speed at standstill may be 1.5 m/s."""
+    assert not stationary_after(1.5, limit=0.3)
+    assert stationary_after(1.5, limit=2.0)
+    assert not stationary_after(2.5, limit=2.0), "above the limit"
+    assert not stationary_after(1.5, limit=2.0, force=0.5), "locked wheels on ice"
 
 
 @pytest.mark.parametrize(("speed", "supports"), [(0.0, True), (0.4, False)])
-def test_only_wheels_that_stand_now_vouch_for_a_rest(speed: float, supports: bool) -> None:
-    made = navigator()
-    feed(made, np.interp(np.arange(1101), [1000, 1050], [0.0, 1.0]) * (speed - drive().odometer) + drive().odometer)
+def test_only_current_zero_wheel_speeds_widen_the_limit_of_the_standstill_detector(
+    speed: float, supports: bool
+) -> None:
+    made, share = deepcopy(aided_until(8900)), np.interp(np.arange(1101), [1000, 1050], [0.0, 1.0])
+    feed(made, share * (speed - drive().odometer) + drive().odometer, 8900)
     aids = made.engine.aids
     inside = filter_of(made)
     inside.inflate(velocity_sd=1.0)
     limit, pace, _ = aids.standstill_limits(inside.time_ns, inside)
     assert limit > 3.0
-    assert (pace == 1.0) is supports, "without them quiet has to last"
+    assert (pace == 1.0) is supports, "otherwise a longer time below the limits is needed"
     if supports:
-        assert aids.standstill_limits(inside.time_ns + 3 * 10**9, inside).pace < 1.0, "it was too long ago"
+        assert aids.standstill_limits(inside.time_ns + 3 * 10**9, inside).pace < 1.0, (
+            "three seconds after the last zero speed"
+        )
 
 
-def test_wheels_that_stand_stop_a_slide_at_once() -> None:
-    """An outage has left 0.2 m/s to the side and downwards; the first zero takes most of it away."""
-    twin = backing(0.0, 0.3)
+def test_the_first_zero_wheel_speed_reduces_a_velocity_error_of_0_3_m_s_below_0_04_m_s() -> None:
+    """Velocity errors of 0.2 m/s to the side and downwards after an outage."""
+    twin = reversing(0.0, 0.3)
     slide = twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([0.0, 0.2, 0.2])
     twin.state = twin.state._replace(velocity=(float(slide[0]), float(slide[1]), float(slide[2])))
     twin.state = twin.state._replace(rate_b=(0.0, 0.0, 0.0))
@@ -258,20 +276,20 @@ def test_wheels_that_stand_stop_a_slide_at_once() -> None:
 
 
 @pytest.mark.parametrize("before", [None, 12.0])
-def test_a_dead_odometer_is_no_standstill(before: float | None) -> None:
-    """It never indicated motion, or fell from 12 m/s to zero in a tenth of a second, while the filter is unsure."""
+def test_zero_speeds_of_a_failed_odometer_are_rejected(before: float | None) -> None:
+    """It never indicated motion, or fell from 12 m/s to zero within 0.1 s; the velocity deviation is 2 m/s."""
     settings = navigator().settings
     zeros = ZeroSpeeds()
     if before is not None:
         zeros = zeros.after(0, before)
         assert zeros.doubt is None
     zeros = zeros.after(100_000_000, 0.0)
-    twin = backing(-5.0, 2.0)
+    twin = reversing(-5.0, 2.0)
     zero = wheels(0.0, settings, zeros.doubt)
     outcome = Gate(settings).use(twin, zero, zero.observe(twin))
     assert not outcome.used and outcome.reason == zeros.doubt
     assert hypot(*twin.velocity) > 4.5
-    assert zeros.after(200_000_000, 5.0).after(700_000_000, 0.0).doubt is None, "it moved, and braked as a vehicle does"
+    assert zeros.after(200_000_000, 5.0).after(700_000_000, 0.0).doubt is None, "a plausible deceleration"
 
 
 def wheels(speed: float, settings: Settings, doubt: str | None = None) -> WheelSpeed:
@@ -280,7 +298,7 @@ def wheels(speed: float, settings: Settings, doubt: str | None = None) -> WheelS
 
 @pytest.mark.parametrize(("period_s", "step_m_s"), [(0.1, 0.0), (1.0, 1.0 / 3.6)])
 def test_a_stop_in_an_outage_is_a_standstill_within_two_seconds(period_s: float, step_m_s: float) -> None:
-    """20 s without GNSS, then the car stops: the wheels, or OBD in steps of 1 km/h, say so; nothing slides on."""
+    """After 20 s without GNSS the car stops; wheel speeds, or OBD in steps of 1 km/h, are zero."""
     legs = (
         (12.0, 0.0, 0.0),
         (5.0, 1.6, 0.0),
@@ -293,7 +311,7 @@ def test_a_stop_in_an_outage_is_a_standstill_within_two_seconds(period_s: float,
     made = Navigator(Settings().with_values({"gnss.lever_arm_body_m": car.drive.lever_arm_b}))
     truth = np.hypot(car.drive.velocity_n[:, 0], car.drive.velocity_n[:, 1])
     every, stops = round(period_s * 100), 45.0
-    slid = []
+    speeds_at_stop = []
     for i, _ in car.lead(made, 55.0, until_s=25.0):
         if i % every == 0:
             speed = truth[i] if step_m_s == 0.0 else np.floor(truth[i] / step_m_s) * step_m_s
@@ -302,6 +320,6 @@ def test_a_stop_in_an_outage_is_a_standstill_within_two_seconds(period_s: float,
             )
         solution = made.solution()
         if solution and car.drive.t_ns[i] * 1e-9 > stops + 1.7 + period_s:
-            slid.append(hypot(*solution.velocity))
-    assert len(slid) > 500
-    assert max(slid) < 0.03
+            speeds_at_stop.append(hypot(*solution.velocity))
+    assert len(speeds_at_stop) > 500
+    assert max(speeds_at_stop) < 0.03

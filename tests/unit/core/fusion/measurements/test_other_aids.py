@@ -1,4 +1,4 @@
-"""Barometer, two antennas and compass as aids: what they add, and when they are not believed."""
+"""Barometer, dual antenna and magnetometer: effect on the solution, and rejected measurements."""
 
 from functools import cache
 from math import cos, degrees, radians, sin
@@ -44,7 +44,7 @@ OUTAGE_S = (60.0, 110.0)
 
 
 def wrong_by(error: FloatArray) -> ErrorStateFilter:
-    """Filter whose estimate minus the truth is given."""
+    """Filter with a given error, estimated minus true."""
     C = Rotation.from_rotvec(error[em.ATTITUDE]).as_matrix() @ ned_from_body(0.1, -0.2, 0.7)
     north, east, down = error[em.POSITION].tolist()
     state = STATE._replace(
@@ -87,20 +87,20 @@ def drive() -> Drive:
 
 
 def pressure_at(i: int, shift_m: float = 0.0) -> float:
-    """Pressure that the weather and the place give, with a noise of 2 Pa."""
+    """Pressure at a sample, with a noise of 2 Pa."""
     height = float(drive().position[i, 2]) + OFFSET_M + shift_m
     noise = 2.0 * float(np.random.default_rng((7, i)).standard_normal())
     return float(101_325.0 * (1.0 - 2.25577e-5 * height) ** 5.25588 + noise)
 
 
 def field_at(i: int, iron: Vector = (0.0, 0.0, 0.0)) -> Vector:
-    """Magnetic field in body axes, with iron of the vehicle."""
+    """Magnetic field in body axes, with the field of iron in the vehicle."""
     north, east, down = cos(1.0) * cos(DECLINATION), cos(1.0) * sin(DECLINATION), sin(1.0)
     x, y, z = (ned_from_body(*drive().attitude[i].tolist()).T @ (north, east, down) + iron).tolist()
     return x, y, z
 
 
-def led(
+def processed(
     *,
     pressure: bool = False,
     shifted: tuple[float, float] = (1e9, 0.0),
@@ -108,7 +108,7 @@ def led(
     outage: bool = True,
     seconds: float = OUTAGE_S[1],
 ) -> tuple[Navigator, list[Outcome]]:
-    """Lead a navigator through the drive; the height of the pressure shifts by so much from then on."""
+    """Process the drive; the pressure height has a step at a time."""
     d = drive()
     made = Navigator(
         Settings(
@@ -141,18 +141,18 @@ def height_error(made: Navigator) -> tuple[float, float]:
     return solution.position.height - float(drive().position[i, 2]), float(solution.position_cov[2, 2]) ** 0.5
 
 
-def told(outcomes: list[Outcome], kind: AidingKind) -> list[Outcome]:
+def of_kind(outcomes: list[Outcome], kind: AidingKind) -> list[Outcome]:
     return [outcome for outcome in outcomes if outcome.kind is kind]
 
 
-def test_a_barometer_holds_the_height_without_gnss() -> None:
-    """Fifty seconds without GNSS, wheels or rests."""
-    made, outcomes = led(pressure=True)
+def test_a_barometer_halves_the_height_deviation_in_an_outage() -> None:
+    """Fifty seconds without GNSS, odometer or standstill."""
+    made, outcomes = processed(pressure=True)
     error, sd = height_error(made)
-    without, without_sd = height_error(led()[0])
+    without, without_sd = height_error(processed()[0])
     assert abs(error) < 3.0 * sd and abs(without) < 3.0 * without_sd
     assert sd < 1.0 < 0.5 * without_sd
-    heights = told(outcomes, AidingKind.BAROMETRIC_HEIGHT)
+    heights = of_kind(outcomes, AidingKind.BAROMETRIC_HEIGHT)
     assert len(heights) > 80 and np.mean([o.used for o in heights]) > 0.97
     filtered = made.engine.filter
     assert filtered is not None
@@ -160,10 +160,10 @@ def test_a_barometer_holds_the_height_without_gnss() -> None:
     assert abs(filtered.parameter(em.BAROMETER_OFFSET) - OFFSET_M) < 3.0 * offset_sd < 5.0
 
 
-def test_a_window_that_opens_does_not_lift_the_vehicle() -> None:
-    made, outcomes = led(pressure=True, shifted=(OUTAGE_S[0] - 20.0, 12.0), outage=False)
-    refused = [o for o in told(outcomes, AidingKind.BAROMETRIC_HEIGHT) if o.time_ns > (OUTAGE_S[0] - 19.0) * 1e9]
-    assert refused and not refused[0].used and refused[0].reason == "beyond the gate"
+def test_a_pressure_step_is_rejected_and_the_height_stays_within_three_sigma() -> None:
+    made, outcomes = processed(pressure=True, shifted=(OUTAGE_S[0] - 20.0, 12.0), outage=False)
+    rejected = [o for o in of_kind(outcomes, AidingKind.BAROMETRIC_HEIGHT) if o.time_ns > (OUTAGE_S[0] - 19.0) * 1e9]
+    assert rejected and not rejected[0].used and rejected[0].reason == "beyond the gate"
     error, sd = height_error(made)
     assert abs(error) < 3.0 * sd < 1.5
 
@@ -175,7 +175,7 @@ def test_a_pressure_of_no_road_is_counted(pressure_pa: float) -> None:
     assert made.rejects == {"implausible pressure": 1}
 
 
-def test_two_antennas_give_the_heading_at_rest() -> None:
+def test_two_antennas_give_the_heading_at_standstill() -> None:
     d, yaw_body, sd = drive(), radians(90.0), radians(0.3)
     made = Navigator(
         Settings(gnss=GnssSettings(lever_arm_body_m=d.lever_arm_b), alignment=AlignmentSettings(levelling_s=5.0))
@@ -191,38 +191,38 @@ def test_two_antennas_give_the_heading_at_rest() -> None:
             started_ns = time_ns
             assert made.reason == "two antennas"
     solution = made.solution()
-    assert solution is not None and np.hypot(*d.velocity_n[1599, :2]) == 0.0, "it has not moved yet"
+    assert solution is not None and np.hypot(*d.velocity_n[1599, :2]) == 0.0, "at standstill"
     assert solution.yaw == pytest.approx(float(d.attitude[1599, 2]), abs=3.0 * sd)
-    assert solution.attitude_cov[2, 2] ** 0.5 < sd, "the mean of several is better than one"
+    assert solution.attitude_cov[2, 2] ** 0.5 < sd, "smaller than that of one heading"
 
 
-def test_a_heading_that_contradicts_the_drive_is_refused() -> None:
-    made, _ = led(outage=False, seconds=60.0)
+def test_a_dual_antenna_heading_that_contradicts_the_filter_is_rejected() -> None:
+    made, _ = processed(outage=False, seconds=60.0)
     d, at = drive(), int(drive().t_ns[5999])
     made.measure(BaselineHeading(at + 1, at + 1, "gnss", float(d.attitude[5999, 2]) + 0.5, 0.005, 0.0))
     outcomes: list[Outcome] = []
     for i in range(6000, 6050):
         outcomes += made.imu(int(d.t_ns[i]), d.force_b[i].tolist(), d.rate_b[i].tolist())
-    (heading,) = told(outcomes, AidingKind.BASELINE_HEADING)
+    (heading,) = of_kind(outcomes, AidingKind.BASELINE_HEADING)
     assert not heading.used and heading.reason == "beyond the gate"
 
 
-def test_a_compass_is_used_once_known_headings_have_confirmed_it() -> None:
-    outcomes = told(led(iron=(0.01, -0.01, 0.02), outage=False)[1], AidingKind.MAGNETIC_HEADING)
+def test_a_magnetometer_is_used_once_four_known_headings_have_confirmed_it() -> None:
+    outcomes = of_kind(processed(iron=(0.01, -0.01, 0.02), outage=False)[1], AidingKind.MAGNETIC_HEADING)
     first = next(i for i, o in enumerate(outcomes) if o.used)
     assert outcomes[first - 1].reason == "not yet judged by 4 known headings"
     assert np.mean([o.used for o in outcomes[first:]]) > 0.95
     assert max(abs(o.innovation[0]) for o in outcomes[first:]) < radians(10.0)
 
 
-def test_a_compass_beside_iron_is_refused_with_its_error() -> None:
-    outcomes = told(led(iron=(0.2, 0.1, 0.0), outage=False)[1], AidingKind.MAGNETIC_HEADING)
+def test_a_magnetometer_disturbed_by_iron_is_rejected_with_a_reason() -> None:
+    outcomes = of_kind(processed(iron=(0.2, 0.1, 0.0), outage=False)[1], AidingKind.MAGNETIC_HEADING)
     assert not any(o.used for o in outcomes)
     reasons = {o.reason for o in outcomes}
     assert "field of another strength than the Earth's" in reasons or any("errs by up to" in str(r) for r in reasons)
 
 
-def test_a_compass_is_judged_by_sectors_of_the_horizon() -> None:
+def test_magnetometer_errors_are_averaged_by_sectors_of_heading() -> None:
     check = CompassCheck()
     for k in range(4):
         assert check.spread is None
@@ -230,6 +230,6 @@ def test_a_compass_is_judged_by_sectors_of_the_horizon() -> None:
     assert check.spread == pytest.approx(0.04)
     assert WORST > 0.04
     shaken = check.after(0.1, 1.0)
-    assert shaken.errors[0] == pytest.approx(0.01 + 0.1 * 0.99), "one reading moves the mean by a tenth"
+    assert shaken.errors[0] == pytest.approx(0.01 + 0.1 * 0.99), "one reading has a weight of a tenth"
     seen = MagneticHeading(0, 0, "", (0.5, 0.1, 0.8), 0.0, CompassCheck((0.3, 0.3, 0.3, 0.3) + (None,) * 4))
     assert seen.unfit == f"errs by up to {degrees(0.3):.0f} degrees"

@@ -1,6 +1,7 @@
-"""A filter that is told how GNSS errors run: as one that has found it out for certain, and as good as it says."""
+"""GNSS error model given by settings: equal to a certain hypothesis of the bank, and consistent."""
 
 from dataclasses import replace
+from functools import cache
 from math import radians
 
 import numpy as np
@@ -32,26 +33,29 @@ FloatArray = npt.NDArray[np.float64]
 RMSE = (3.07, 1.99, 1.56)
 SD = np.array(RMSE)
 DURATION_S, RUNS = 60.0, 6
-PERIOD_S = scenario_of("parking_lot").duration_s  # over which a simulated walk has the mean square that is stated
+PERIOD_S = scenario_of("parking_lot").duration_s  # [s] over which a simulated random walk has the stated mean square
 TIME_S, SHARE = 5.0, 0.01  # as one of the hypotheses
 GIVEN: dict[str, float | bool] = {"gnss.correlation_time_s": TIME_S, "gnss.white_noise_share": SHARE}
 ORIGIN = Geodetic(0.74, 0.23, 700.0)
 
 
 def certain() -> GnssErrorBank:
-    """Bank in which nothing speaks against one hypothesis and one scale."""
+    """Bank with overwhelming evidence for one hypothesis and one scale."""
     evidence = np.zeros_like(UNKNOWN.evidence)
     evidence[:, HYPOTHESES.index((TIME_S, SHARE)), SCALES.tolist().index(1.0)] = 1e6
     return replace(UNKNOWN, evidence=evidence)
 
 
+@cache
 def drive_of(kind: ErrorKind, seed: int) -> Drive:
     error = InjectedError(kind, RMSE, correlation_s=TIME_S)
     return simulate(with_error(scenario_of("parking_lot"), error), seed, duration_s=DURATION_S)
 
 
-def led(drive: Drive, **settings: float | bool) -> Navigator:
+@cache
+def navigated(kind: ErrorKind, seed: int, **settings: float | bool) -> Navigator:
     """Navigator at the end of a drive."""
+    drive = drive_of(kind, seed)
     navigator = Navigator(Settings().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b, **settings}))
     navigator.use_prior(saved_heading(drive, radians(1.5)))
     navigate(drive, navigator)
@@ -59,7 +63,7 @@ def led(drive: Drive, **settings: float | bool) -> Navigator:
 
 
 def fixes_at_rest() -> list[GnssPosition]:
-    """One a second, each farther north by what is told of it."""
+    """One fix a second at given distances to the north."""
     places = [geodetic_from_ned_difference((north, 0.0, 0.0), ORIGIN) for north in (0.0, 0.4, 0.3, 0.9)]
     return [
         GnssPosition(i * 10**9, i * 10**9, "", place, np.diag(SD**2), 3, (0.0, 0.0, 0.0), 0.0, lasts=True)
@@ -67,45 +71,46 @@ def fixes_at_rest() -> list[GnssPosition]:
     ]
 
 
-def test_what_is_told_is_what_a_bank_says_that_is_certain() -> None:
-    told, bank = KnownGnssErrors(TIME_S, 1.0 - SHARE), certain()
+def test_a_stated_error_model_equals_a_bank_with_one_certain_hypothesis() -> None:
+    stated, bank = KnownGnssErrors(TIME_S, 1.0 - SHARE), certain()
     assert (bank.correlation_s, bank.lasting) == pytest.approx((TIME_S, 1.0 - SHARE))
-    assert told.unit == pytest.approx(bank.unit)
-    assert told.scaled(np.diag(SD**2)) == pytest.approx(bank.scaled(np.diag(SD**2)))
-    one, other = first_place(fixes_at_rest(), told), first_place(fixes_at_rest(), bank)
+    assert stated.unit == pytest.approx(bank.unit)
+    assert stated.scaled(np.diag(SD**2)) == pytest.approx(bank.scaled(np.diag(SD**2)))
+    one, other = first_place(fixes_at_rest(), stated), first_place(fixes_at_rest(), bank)
     assert one.position == pytest.approx(other.position, abs=1e-12)
     assert one.error == pytest.approx(other.error, abs=1e-9)
     assert one.cross_cov == pytest.approx(other.cross_cov)
 
 
-def test_a_drive_told_is_a_drive_with_a_bank_that_is_certain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To a micrometre: the bank's weights are rounded."""
-    drive = drive_of(ErrorKind.GAUSS_MARKOV, 1)
-    told = led(drive, **GIVEN).solution()
+def test_a_drive_with_a_stated_error_model_equals_one_with_a_certain_hypothesis(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """To a micrometre: the weights of the bank are rounded."""
+    stated = navigated(ErrorKind.GAUSS_MARKOV, 1, **GIVEN).solution()
     monkeypatch.setattr(alignment, "UNKNOWN", certain())
-    certainly = led(drive).solution()
-    assert told is not None and certainly is not None
-    apart = ned_from_geodetic_difference(told.position, certainly.position)
+    certainly = navigated.__wrapped__(ErrorKind.GAUSS_MARKOV, 1).solution()
+    assert stated is not None and certainly is not None
+    apart = ned_from_geodetic_difference(stated.position, certainly.position)
     assert apart == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
-    assert told.position_cov == pytest.approx(certainly.position_cov, rel=1e-6)
+    assert stated.position_cov == pytest.approx(certainly.position_cov, rel=1e-6)
 
 
-def test_what_is_not_told_is_learned() -> None:
-    filter_ = led(drive_of(ErrorKind.GAUSS_MARKOV, 1)).engine.filter
+def test_without_a_stated_error_model_it_is_estimated() -> None:
+    filter_ = navigated(ErrorKind.GAUSS_MARKOV, 1).engine.filter
     assert filter_ is not None and isinstance(filter_.gnss_errors, GnssErrorBank)
-    assert filter_.gnss_errors.time_ns is not None, "and has been taught"
-    told = led(drive_of(ErrorKind.GAUSS_MARKOV, 1), **GIVEN).engine.filter
-    assert told is not None and told.gnss_errors == KnownGnssErrors(TIME_S, 1.0 - SHARE)
+    assert filter_.gnss_errors.time_ns is not None, "updated by fixes"
+    stated = navigated(ErrorKind.GAUSS_MARKOV, 1, **GIVEN).engine.filter
+    assert stated is not None and stated.gnss_errors == KnownGnssErrors(TIME_S, 1.0 - SHARE)
 
 
-def test_an_error_that_was_never_zero_starts_as_it_did_to_the_bit() -> None:
+def test_an_error_that_was_zero_long_ago_has_the_stationary_covariance() -> None:
     times = np.array([-9.0, -5.0, -4.0, 0.0])
     for mine, known in zip(mean_at_rest(times, 0.7, 6.0), mean_at_rest(times, 0.7, 6.0, -1e6), strict=True):
-        assert (mine == known).all(), "zero for so long ago that nothing of it is left"
+        assert (mine == known).all(), "zero many correlation times ago"
 
 
-def test_the_covariance_of_a_start_from_zero_is_that_of_its_errors() -> None:
-    """20,000 draws of processes that were zero a second before the first fix; 4 % tolerance."""
+def test_the_covariance_of_errors_that_start_at_zero_agrees_with_drawn_errors() -> None:
+    """20,000 draws of processes that are zero one second before the first fix; 4 % tolerance."""
     times, zero, lasting, time_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), -10.0, 0.9, 20.0
     weights, joint = mean_at_rest(times, lasting, time_s, zero)
     rng, state, before, rows = np.random.default_rng(0), np.zeros(20_000), zero, []
@@ -119,16 +124,16 @@ def test_the_covariance_of_a_start_from_zero_is_that_of_its_errors() -> None:
     assert np.cov(wrong.T) == pytest.approx(joint, rel=0.04, abs=0.005)
 
 
-def test_a_start_from_zero_is_where_its_first_fix_is() -> None:
-    """The error that grows from there is known to grow, and the place is as good as a fix's white part."""
+def test_with_errors_that_start_at_zero_the_initial_position_is_the_first_fix() -> None:
+    """The position has the accuracy of the white part of a fix, and the error grows from there."""
     first = first_place(fixes_at_rest(), KnownGnssErrors(240.0, 1.0 - 1e-4), zero_ns=0)
     assert ned_from_geodetic_difference(first.position, ORIGIN) == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
     assert np.sqrt(np.diag(first.cov)) == pytest.approx(0.01 * SD, rel=0.05)
     assert first.error[0] * SD[0] == pytest.approx(0.9, abs=0.05)
 
 
-def test_only_the_first_alignment_starts_from_zero() -> None:
-    """When a solution was lost, errors have walked for as long as it ran."""
+def test_only_the_first_alignment_assumes_a_zero_error() -> None:
+    """After a reset the errors have grown since the first alignment."""
     settings = Settings(gnss=GnssSettings(correlation_time_s=240.0, zero_error_at_start=True))
     first, second = Alignment(settings), Alignment(settings, first=False)
     fix = fixes_at_rest()[0]
@@ -146,12 +151,14 @@ def test_only_the_first_alignment_starts_from_zero() -> None:
     ],
     ids=["5 s", "walk"],
 )
-def test_told_how_errors_run_it_is_as_good_as_it_says(kind: ErrorKind, given: dict[str, float | bool]) -> None:
+def test_with_a_stated_error_model_the_nees_is_in_the_99_percent_band(
+    kind: ErrorKind, given: dict[str, float | bool]
+) -> None:
     """Sum of normalised errors squared of six runs, in the 99 % band of chi-square of 18."""
     nees = 0.0
     for seed in range(RUNS):
         drive = drive_of(kind, seed)
-        solution = led(drive, **given).solution()
+        solution = navigated(kind, seed, **given).solution()
         assert solution is not None
         error = np.array(ned_from_geodetic_difference(solution.position, Geodetic(*drive.position[-1].tolist())))
         nees += float(error @ np.linalg.solve(solution.position_cov, error))

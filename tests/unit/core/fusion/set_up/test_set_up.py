@@ -1,4 +1,4 @@
-"""Checks of the set-up: every spoiled drive is found out by name, and no good drive is accused."""
+"""Checks of the set-up: each fault is reported by its check, and a correct set-up is not reported."""
 
 import tomllib
 from functools import cache
@@ -13,7 +13,7 @@ from services.core.fusion.set_up.motion import MotionLog
 from services.core.fusion.set_up.regression import least_squares, nearest_permutation
 from services.core.fusion.settings import Settings
 from services.sensors.simulator.drive import simulate
-from tests.support.drives.set_up import Recorded, Spoiled, matrix_of, simulated
+from tests.support.drives.set_up import Faults, Recorded, matrix_of, simulated
 
 SECONDS = 180.0
 
@@ -24,51 +24,51 @@ def town() -> Recorded:
     return simulated(simulate("urban", seed=3, duration_s=SECONDS), exact_heights=True)
 
 
-def accused(checks: dict[str, Check]) -> set[str]:
+def contradicted(checks: dict[str, Check]) -> set[str]:
     return {name for name, check in checks.items() if check.verdict is Verdict.CONTRADICTS}
 
 
-SPOILED = {
-    "axes swapped and mirrored": (Spoiled(axes=("y", "x", "z")), {"imu_axes"}),
-    "axis mirrored": (Spoiled(axes=("x", "-y", "z")), {"imu_axes"}),
-    "turned by 90 degrees": (Spoiled(axes=("y", "-x", "z")), {"imu_axes"}),
-    "backwards": (Spoiled(axes=("-x", "-y", "z")), {"imu_axes"}),
-    "upside down": (Spoiled(axes=("x", "-y", "-z")), {"imu_axes", "imu_upright"}),
-    "on its side": (Spoiled(axes=("x", "z", "-y")), {"imu_axes", "imu_upright"}),
-    "gyroscope of the wrong sense": (Spoiled(gyroscope_axes=("x", "y", "-z")), {"gyroscope_axes"}),
-    "gyroscope in other axes": (Spoiled(gyroscope_axes=("z", "y", "-x")), {"gyroscope_axes"}),
-    "forces in g": (Spoiled(accelerometer=1.0 / 9.80665), {"accelerometer_scale"}),
-    "askew by 20 degrees": (Spoiled(yaw_rad=radians(20.0)), {"imu_mounting"}),
-    "biased gyroscope": (Spoiled(bias_rad_s=(0.06, -0.17, 0.04)), {"gyroscope_bias"}),
-    "heights downwards": (Spoiled(height_sign=-1.0), {"gnss_height"}),
-    "vertical velocity upwards": (Spoiled(velocity_axes=("x", "y", "-z")), {"gnss_vertical_velocity"}),
-    "east before north": (Spoiled(velocity_axes=("y", "x", "z")), {"gnss_velocity_axes"}),
-    "stamps late": (Spoiled(late_s=0.4), {"gnss_velocity_delay"}),
-    "stamps early": (Spoiled(late_s=-0.3), {"gnss_velocity_delay"}),
-    "odometer of other tyres": (Spoiled(odometer=1.15), {"odometer_scale"}),
-    "lever arm": (Spoiled(arm=ArmError((2.0, 0.1), 12.0, wrong=True)), {"lever_arm"}),
+FAULTS = {
+    "axes swapped and mirrored": (Faults(axes=("y", "x", "z")), {"imu_axes"}),
+    "axis mirrored": (Faults(axes=("x", "-y", "z")), {"imu_axes"}),
+    "turned by 90 degrees": (Faults(axes=("y", "-x", "z")), {"imu_axes"}),
+    "backwards": (Faults(axes=("-x", "-y", "z")), {"imu_axes"}),
+    "upside down": (Faults(axes=("x", "-y", "-z")), {"imu_axes", "imu_upright"}),
+    "on its side": (Faults(axes=("x", "z", "-y")), {"imu_axes", "imu_upright"}),
+    "gyroscope of the wrong sense": (Faults(gyroscope_axes=("x", "y", "-z")), {"gyroscope_axes"}),
+    "gyroscope in other axes": (Faults(gyroscope_axes=("z", "y", "-x")), {"gyroscope_axes"}),
+    "forces in g": (Faults(accelerometer=1.0 / 9.80665), {"accelerometer_scale"}),
+    "mounted at 20 degrees": (Faults(yaw_rad=radians(20.0)), {"imu_mounting"}),
+    "biased gyroscope": (Faults(bias_rad_s=(0.06, -0.17, 0.04)), {"gyroscope_bias"}),
+    "heights downwards": (Faults(height_sign=-1.0), {"gnss_height"}),
+    "vertical velocity upwards": (Faults(velocity_axes=("x", "y", "-z")), {"gnss_vertical_velocity"}),
+    "east before north": (Faults(velocity_axes=("y", "x", "z")), {"gnss_velocity_axes"}),
+    "stamps late": (Faults(late_s=0.4), {"gnss_velocity_delay"}),
+    "stamps early": (Faults(late_s=-0.3), {"gnss_velocity_delay"}),
+    "odometer of other tyres": (Faults(odometer=1.15), {"odometer_scale"}),
+    "lever arm": (Faults(arm=ArmError((2.0, 0.1), 12.0, wrong=True)), {"lever_arm"}),
 }
 
 
-@pytest.mark.parametrize("what", SPOILED)
-def test_a_spoiled_set_up_is_found_out_by_name(what: str) -> None:
-    spoiled, expected = SPOILED[what]
-    found = accused(spoiled.checks(town()))
+@pytest.mark.parametrize("what", FAULTS)
+def test_each_wrong_setting_is_reported_by_the_check_of_its_name_alone(what: str) -> None:
+    faults, expected = FAULTS[what]
+    found = contradicted(faults.checks(town()))
     assert expected <= found
-    assert found <= expected | {"gnss_delay"}, "and nothing else is accused"
+    assert found <= expected | {"gnss_delay"}, "no other check"
 
 
-def test_what_a_check_says_corrects_the_set_up() -> None:
-    """The setting to paste turns swapped axes into those of the vehicle; delay and scale are those that were made."""
+def test_the_setting_that_a_check_proposes_corrects_the_fault() -> None:
+    """The proposed axes undo the swapped ones; delay and scale are the injected ones."""
     axes = ("y", "-x", "z")
-    setting = tomllib.loads(Spoiled(axes=axes).checks(town())["imu_axes"].setting or "")
+    setting = tomllib.loads(Faults(axes=axes).checks(town())["imu_axes"].setting or "")
     correction = np.array(setting["core"]["fusion"]["imu"]["body_from_imu"])
     assert correction @ matrix_of(axes) == pytest.approx(np.eye(3))
-    late = Spoiled(late_s=0.4).checks(town())["gnss_velocity_delay"]
+    late = Faults(late_s=0.4).checks(town())["gnss_velocity_delay"]
     assert late.statistic == pytest.approx(0.4, abs=0.06) and "delay_s = 0.4" in (late.setting or "")
-    scale = tomllib.loads(Spoiled(odometer=1.15).checks(town())["odometer_scale"].setting or "")
+    scale = tomllib.loads(Faults(odometer=1.15).checks(town())["odometer_scale"].setting or "")
     assert scale["core"]["fusion"]["odometer"]["scale"] == pytest.approx(1.0 / 1.15, rel=0.01)
-    skewed = tomllib.loads(Spoiled(yaw_rad=radians(20.0)).checks(town())["imu_mounting"].setting or "")
+    skewed = tomllib.loads(Faults(yaw_rad=radians(20.0)).checks(town())["imu_mounting"].setting or "")
     turned = np.array(skewed["core"]["fusion"]["imu"]["body_from_imu"])
     assert np.degrees(np.arctan2(-turned[0, 1], turned[0, 0])) == pytest.approx(20.0, abs=2.0)
     Settings().with_values({"imu.body_from_imu": turned.tolist()})
@@ -77,28 +77,28 @@ def test_what_a_check_says_corrects_the_set_up() -> None:
 @pytest.mark.parametrize(
     ("scenario", "seed"), [("urban", 1), ("parking_lot", 1), ("parking_lot", 2), ("degraded", 4), ("highway", 1)]
 )
-def test_a_good_drive_is_not_accused(scenario: str, seed: int) -> None:
-    checks = Spoiled(arm=ArmError((0.05, 0.05), 1.0, wrong=False)).checks(
+def test_a_correct_set_up_is_not_reported(scenario: str, seed: int) -> None:
+    checks = Faults(arm=ArmError((0.05, 0.05), 1.0, wrong=False)).checks(
         simulated(simulate(scenario, seed, duration_s=SECONDS))
     )
-    assert not accused(checks)
+    assert not contradicted(checks)
     assert checks["accelerometer_scale"].verdict is checks["imu_upright"].verdict is Verdict.AGREES
 
 
-def test_most_of_the_set_up_is_known_after_three_minutes() -> None:
-    checks = Spoiled().checks(town())
+def test_after_three_minutes_only_delay_and_lever_arm_may_be_unknown() -> None:
+    checks = Faults().checks(town())
     unknown = {name for name, check in checks.items() if check.verdict is Verdict.UNKNOWN}
     assert unknown <= {"gnss_delay", "lever_arm"}
 
 
-def test_a_standing_vehicle_shows_gravity_alone() -> None:
+def test_at_standstill_only_the_checks_of_gravity_are_decided() -> None:
     n = 3000
     still = Recorded(np.arange(1, n + 1) * 10_000_000, np.tile([0.0, 0.0, -9.81], (n, 1)), np.zeros((n, 3)), fixes=[])
-    known = {name for name, check in Spoiled().checks(still).items() if check.verdict is not Verdict.UNKNOWN}
+    known = {name for name, check in Faults().checks(still).items() if check.verdict is not Verdict.UNKNOWN}
     assert known == {"accelerometer_scale", "imu_upright"}
 
 
-def test_a_finding_needs_two_evaluations_and_outlives_ignorance() -> None:
+def test_a_finding_needs_two_evaluations_and_stays_when_later_ones_are_unknown() -> None:
     monitor = SetUpMonitor(Settings())
     wrong, right = Check("imu_axes", Verdict.CONTRADICTS), Check("imu_axes", Verdict.AGREES)
     monitor._adopt(wrong, 10)
@@ -110,7 +110,19 @@ def test_a_finding_needs_two_evaluations_and_outlives_ignorance() -> None:
     assert monitor.checks["imu_axes"] == (right, 40)
 
 
-def test_regression_has_honest_errors_and_drops_outliers() -> None:
+def test_delays_in_use_are_those_that_contradict_the_settings() -> None:
+    monitor = SetUpMonitor(Settings())
+    assert monitor.delays == (0.0, 0.0)
+    for _ in range(2):
+        monitor._adopt(Check("gnss_velocity_delay", Verdict.CONTRADICTS, statistic=0.6), 10)
+    assert monitor.delays == (0.6, 0.6), "of positions nothing is known, and they come from the same receiver"
+    monitor._adopt(Check("gnss_delay", Verdict.AGREES, statistic=0.03), 20)
+    assert monitor.delays == (0.0, 0.6), "only the velocity is smoothed"
+    monitor._adopt(Check("gnss_velocity_delay", Verdict.AGREES, statistic=0.1), 30)
+    assert monitor.delays == (0.0, 0.0)
+
+
+def test_regression_has_consistent_standard_deviations_and_excludes_outliers() -> None:
     rng = np.random.default_rng(1)
     truth = np.array([[1.0, -2.0], [0.5, 3.0]])
     pulls = []
@@ -121,18 +133,18 @@ def test_regression_has_honest_errors_and_drops_outliers() -> None:
         fit = least_squares(x, y)
         assert fit is not None
         pulls.append((fit.coefficients - truth) / fit.sd)
-    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 0.9, "rows count half: they may be correlated"
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 0.9, "rows have half weight, as they may be correlated"
     assert least_squares(np.ones((20, 2)), np.ones((20, 1))) is None
 
 
-def test_the_nearest_permutation_of_a_skewed_one_is_itself() -> None:
+def test_the_nearest_permutation_of_a_disturbed_permutation_is_that_permutation() -> None:
     rng = np.random.default_rng(2)
     true = matrix_of(("-z", "x", "y"))
     found, gap = nearest_permutation(true + 0.2 * rng.standard_normal((3, 3)))
     assert np.array_equal(found, true) and gap > 2.0
 
 
-def test_the_log_forgets_and_keeps_to_one_device() -> None:
+def test_the_log_holds_300_s_of_one_device() -> None:
     log = MotionLog()
     for k in range(40_000):
         log.sample(k * 10_000_000, (0.0, 0.0, -9.81), (0.0, 0.0, 0.0))

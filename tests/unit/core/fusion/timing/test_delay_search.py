@@ -1,4 +1,4 @@
-"""Delays that are known because they were injected: found by the search, estimated by the filter, taken out."""
+"""Injected delays: found by the search, estimated by the filter, and removed from the stamps."""
 
 from functools import cache
 from math import hypot, radians, sqrt
@@ -26,10 +26,10 @@ def town(seed: int = 4, duration_s: float = 45.0) -> Drive:
     return simulate("urban", seed, duration_s, epoch_s=0.2)
 
 
-def follow(d: Drive, delay_s: float, *, late_s: float = 0.0, quiet_s: float = 0.0, **changes: object) -> Navigator:
-    """Lead a navigator through a drive whose GNSS and odometer are older than their stamps.
+def processed(d: Drive, delay_s: float, *, late_s: float = 0.0, quiet_s: float = 0.0, **changes: object) -> Navigator:
+    """Process a drive whose GNSS and odometer are older than their stamps.
 
-    `late_s` is how much later than its stamp a fix arrives, `quiet_s` for how long in the end none is true.
+    A fix is received `late_s` after its stamp; the last `quiet_s` of the drive have none.
     """
     settings = {
         "gnss.lever_arm_body_m": d.lever_arm_b,
@@ -87,51 +87,50 @@ def searched(d: Drive, delay_s: float) -> DelaySearch:
 
 
 @pytest.mark.parametrize("delay_s", [-0.4, 0.2, 0.5, 1.1])
-def test_the_search_finds_a_delay_without_a_filter(delay_s: float) -> None:
+def test_the_delay_search_estimates_a_delay_within_three_sigma(delay_s: float) -> None:
     found = searched(town(duration_s=120.0), delay_s).result()
     assert abs(found.delay_s - delay_s) < min(0.1, 3.0 * found.sd_s)
 
 
-def test_the_search_says_nothing_of_a_delay_that_is_as_assumed_or_of_a_vehicle_that_stands() -> None:
+def test_the_deviation_is_infinite_for_an_assumed_delay_or_at_standstill() -> None:
     assert searched(town(duration_s=120.0), 0.5).result(assumed_s=0.5).sd_s == np.inf
     assert searched(town(duration_s=15.0), 0.5).result().sd_s == np.inf
 
 
 @pytest.mark.parametrize("epoch_s", [0.1, 1.0])
-def test_the_search_takes_receivers_of_one_to_ten_hertz(epoch_s: float) -> None:
+def test_the_delay_search_works_at_1_and_10_hz(epoch_s: float) -> None:
     found = searched(simulate("urban", 4, 150.0, epoch_s=epoch_s), 0.5).result()
     assert abs(found.delay_s - 0.5) < 0.15
 
 
-def test_delays_of_gnss_and_odometer_are_estimated_and_taken_out() -> None:
+def test_delays_of_gnss_and_odometer_are_estimated_and_removed() -> None:
     d = town()
-    made = follow(d, 0.2)
+    made = processed(d, 0.2)
     delay_s, sd_s = age(made)
     assert abs(delay_s - 0.2) < min(0.02, 3.5 * sd_s), "velocity against acceleration"
     delays = known_delays(made.engine.filter)
     assert delays is not None
     gnss, odometer, _ = delays
-    assert abs(gnss[0] - 0.2) < 3.0 * gnss[1] < 0.2, "a position is a poorer witness: its errors last"
+    assert abs(gnss[0] - 0.2) < 3.0 * gnss[1] < 0.2, "less accurate from positions, whose errors are time-correlated"
     assert abs(odometer[0] - ODOMETER_S) < 0.025
     removed = made._oosm._timing
-    assert removed._at(GnssVelocity, int(d.t_ns[-1])) == pytest.approx(0.2, abs=0.03), "and the stamps are moved"
+    assert removed._at(GnssVelocity, int(d.t_ns[-1])) == pytest.approx(0.2, abs=0.03), "[s] by which stamps are shifted"
     assert made.counts.resets == 0 and made.counts.fixes_rejected == 0
     assert error_m(d, made) < 1.0
 
 
-def test_fixes_that_come_late_change_nothing_to_the_last_bit() -> None:
-    """Also while delays are estimated and taken out; the last second brings no fix, so that all of them have come."""
+def test_late_fixes_with_estimated_delays_change_nothing_to_the_last_bit() -> None:
+    """The last second has no fix, so that all late ones were received."""
     d = town()
-    in_time, late = follow(d, 0.1, quiet_s=1.0), follow(d, 0.1, late_s=0.2, quiet_s=1.0)
+    in_time, late = processed(d, 0.1, quiet_s=1.0), processed(d, 0.1, late_s=0.2, quiet_s=1.0)
     first, second = in_time.solution(), late.solution()
     assert first is not None and second is not None
-    assert in_time._oosm._timing._removed == late._oosm._timing._removed != {}
     assert age(in_time) == age(late)
     assert (first.position, first.velocity, first.yaw) == (second.position, second.velocity, second.yaw)
 
 
-def test_nothing_is_estimated_unless_the_setting_says_so() -> None:
-    made = follow(town(duration_s=40.0), 0.1, estimate_delays=False)
+def test_delays_are_not_estimated_by_default() -> None:
+    made = processed(town(duration_s=40.0), 0.1, estimate_delays=False)
     running = made.engine.filter
     assert running is not None and not made.settings.estimate_delays
     assert not running.P[em.DELAYS].any()
@@ -140,21 +139,21 @@ def test_nothing_is_estimated_unless_the_setting_says_so() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [-0.4, 0.08, 0.2, 0.5, 1.1])
-def test_delays_up_to_a_second_are_recovered_to_two_hundredths(delay_s: float) -> None:
+def test_delays_up_to_1_1_s_are_estimated_to_0_02_s(delay_s: float) -> None:
     d = town(duration_s=160.0)
-    made = follow(d, delay_s)
+    made = processed(d, delay_s)
     assert abs(age(made)[0] - delay_s) < 0.02
     assert made.counts.resets == 0
     assert error_m(d, made) < 1.5
 
 
 @pytest.mark.slow
-def test_the_delay_is_as_well_known_as_the_filter_says() -> None:
+def test_normalised_delay_errors_squared_lie_in_the_99_percent_band() -> None:
     """NEES of the delays of velocity and odometer over eight drives, 99 % band of chi-square."""
     runs, nees = 8, np.zeros(2)
     for seed in range(runs):
         delay_s = 0.02 * (seed - 4)
-        made = follow(town(seed + 10, 90.0), delay_s)
+        made = processed(town(seed + 10, 90.0), delay_s)
         estimated, sd_s = age(made)
         delays = known_delays(made.engine.filter)
         assert delays is not None

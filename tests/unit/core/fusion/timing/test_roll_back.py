@@ -1,5 +1,6 @@
-"""Exclusion of GNSS and odometer: what a roll-back results in, what is not learned meanwhile, and readmission."""
+"""Exclusion of GNSS and odometer: state after a roll-back, estimates meanwhile, and readmission."""
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from math import hypot
@@ -20,7 +21,7 @@ from shared.messages.navigation import AidingKind, NavigationPhase
 
 SECOND_NS = 1_000_000_000
 SUSPECT_S, VERDICT_S, END_S = 60, 75, 90
-WARM_S = 0.2  # [s] in which measurements still wait to be merged
+STAGES_S = (0, 60, 70, 75, 80)  # times of navigators that several tests continue
 
 
 @cache
@@ -65,11 +66,29 @@ def run(
     return outcomes
 
 
-def excluded_at(verdict_s: float, suspect_s: float, end_s: float, **changes: float) -> tuple[Navigator, list[Outcome]]:
-    """A navigator that hears the verdict at a time, with changed fixes from the suspect time on."""
-    nav = navigator()
-    run(nav, 0.0, suspect_s)
-    run(nav, suspect_s, verdict_s, **changes)
+@cache
+def stage(end_s: int) -> Navigator:
+    """Fault-free navigator at one of the stages."""
+    if end_s == 0:
+        return navigator()
+    begin_s = max(earlier for earlier in STAGES_S if earlier < end_s)
+    nav = fault_free(begin_s)
+    run(nav, begin_s, end_s)
+    return nav
+
+
+def fault_free(end_s: int) -> Navigator:
+    """Copy of a fault-free navigator at one of the stages."""
+    return deepcopy(stage(end_s))
+
+
+def excluded_at(verdict_s: int, suspect_s: int, end_s: float, **changes: float) -> tuple[Navigator, list[Outcome]]:
+    """A navigator that receives the verdict at a time, with changed fixes from the suspect time on."""
+    if changes:
+        nav = fault_free(suspect_s)
+        run(nav, suspect_s, verdict_s, **changes)
+    else:
+        nav = fault_free(verdict_s)
     nav.apply_exclusions(round(suspect_s * SECOND_NS), odometer_excluded=False)
     return nav, run(nav, verdict_s, end_s, **changes)
 
@@ -86,8 +105,8 @@ def error_m(nav: Navigator) -> float:
 @cache
 def without_gnss() -> Navigator:
     """A navigator that has never received a fix after the suspect time."""
-    nav = navigator()
-    run(nav, 0.0, END_S, last_fix_s=SUSPECT_S)
+    nav = fault_free(SUSPECT_S)
+    run(nav, SUSPECT_S, END_S, last_fix_s=SUSPECT_S)
     return nav
 
 
@@ -119,7 +138,7 @@ def test_the_solution_and_the_state_confirm_the_exclusion_and_count_the_fixes() 
     assert len({(o.time_ns, o.kind) for o in gnss}) == len(gnss), "each is reported once"
 
 
-def test_nothing_is_learned_of_excluded_gnss() -> None:
+def test_excluded_gnss_does_not_change_error_model_and_vehicle_parameters() -> None:
     nav, plain = rolled_back()[0].engine, without_gnss().engine
     assert nav.filter is not None and plain.filter is not None
     assert nav.filter.gnss_errors.unit == pytest.approx(plain.filter.gnss_errors.unit)
@@ -130,18 +149,17 @@ def test_nothing_is_learned_of_excluded_gnss() -> None:
     assert nav.aids.watch.disputed == plain.aids.watch.disputed
 
 
-def test_positions_far_off_and_high_up_neither_reset_the_filter_nor_its_height() -> None:
-    nav, _ = excluded_at(61.0, 60.0, 80.0, moved_m=400.0, up_m=200.0)
+def test_excluded_positions_400_m_off_neither_reset_the_filter_nor_change_its_height() -> None:
+    nav, _ = excluded_at(61, 60, 80.0, moved_m=400.0, up_m=200.0)
     assert nav.counts.resets == 0 and error_m(nav) < 10.0
     assert nav.engine.filter is not None
     assert nav.engine.filter.position.height == pytest.approx(drive().position[8000, 2], abs=5.0)
     solution = nav.solution()
-    assert solution is not None and solution.protection_level_horizontal < 20.0, "an attacker does not inflate it"
+    assert solution is not None and solution.protection_level_horizontal < 20.0, "not increased by excluded positions"
 
 
-def test_the_state_is_replaced_when_a_replay_in_parts_has_caught_up() -> None:
-    nav = navigator()
-    run(nav, 0.0, 75.0)
+def test_the_state_is_replaced_once_the_roll_back_in_parts_has_reached_the_newest_sample() -> None:
+    nav = fault_free(75)
     nav.apply_exclusions(60 * SECOND_NS, odometer_excluded=False)
     samples = np.flatnonzero(drive().t_ns > 75 * SECOND_NS)
     confirmed = None
@@ -156,8 +174,7 @@ def test_the_state_is_replaced_when_a_replay_in_parts_has_caught_up() -> None:
 
 
 def test_an_earlier_suspect_time_rolls_back_further_and_a_later_one_does_not() -> None:
-    nav = navigator()
-    run(nav, 0.0, 80.0)
+    nav = fault_free(80)
     for since_s, expected_s in ((70, 70), (50, 50), (65, 50)):
         nav.apply_exclusions(since_s * SECOND_NS, odometer_excluded=False)
         begin_s = nav.engine.time_ns / SECOND_NS
@@ -165,12 +182,10 @@ def test_an_earlier_suspect_time_rolls_back_further_and_a_later_one_does_not() -
         assert nav.engine.exclusions.gnss_since_ns == expected_s * SECOND_NS
 
 
-def test_where_no_snapshot_reaches_back_the_largest_pull_of_gnss_is_added() -> None:
+def test_without_a_snapshot_before_the_suspect_time_the_largest_pull_of_gnss_is_added_to_the_level() -> None:
     levels = {}
     for suspect_s in (60.0, -10.0):  # the oldest snapshot is of the first sample
-        nav = navigator()
-        run(nav, 0.0, 70.0)
-        saved = nav.saved_state()
+        saved = stage(70).saved_state()
         assert saved is not None
         later = navigator()
         later.restore(saved, round(70.01 * SECOND_NS))
@@ -185,7 +200,7 @@ def test_where_no_snapshot_reaches_back_the_largest_pull_of_gnss_is_added() -> N
     assert levels[-10.0] > levels[60.0] + 10.0
 
 
-def test_a_state_that_was_saved_without_gnss_goes_on_without_it() -> None:
+def test_a_state_saved_during_an_exclusion_continues_without_gnss() -> None:
     first, _ = excluded_at(VERDICT_S, SUSPECT_S, 80.0)
     saved, before = first.saved_state(), first.solution()
     assert saved is not None and before is not None and saved.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
@@ -195,10 +210,10 @@ def test_a_state_that_was_saved_without_gnss_goes_on_without_it() -> None:
     run(second, 80.0, 81.0)
     after = second.solution()
     assert after is not None and after.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
-    assert after.protection_level_horizontal < before.protection_level_horizontal + 2.0, "no pull is added"
+    assert after.protection_level_horizontal < before.protection_level_horizontal + 2.0, "no effect of GNSS is added"
 
 
-def test_a_readmitted_receiver_is_used_at_once_and_the_difference_is_said() -> None:
+def test_a_readmitted_receiver_is_used_at_once_and_the_reason_states_it() -> None:
     nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 85.0)
     nav.apply_exclusions(None, odometer_excluded=False)
     outcomes = run(nav, 85.0, 88.0)
@@ -209,7 +224,7 @@ def test_a_readmitted_receiver_is_used_at_once_and_the_difference_is_said() -> N
     assert error_m(nav) < 3.0
 
 
-def test_a_readmitted_receiver_that_is_far_off_leads_to_a_reset_after_repeated_rejections_only() -> None:
+def test_a_readmitted_receiver_that_is_300_m_off_resets_the_filter_after_repeated_rejections_only() -> None:
     nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 80.0)
     nav.apply_exclusions(None, odometer_excluded=False)
     first = run(nav, 80.0, 86.0, moved_m=300.0)
@@ -218,12 +233,11 @@ def test_a_readmitted_receiver_that_is_far_off_leads_to_a_reset_after_repeated_r
     run(nav, 86.0, 110.0, moved_m=300.0)
     solution = nav.solution()
     assert nav.counts.resets == 1 and solution is not None
-    assert solution.protection_level_horizontal > 200.0, "nobody knows which of the two was right, for a minute"
+    assert solution.protection_level_horizontal > 200.0, "either of the two positions may be wrong, for a minute"
 
 
-def test_an_excluded_odometer_is_not_used_and_its_scale_is_estimated_anew() -> None:
-    nav = navigator()
-    run(nav, 0.0, 80.0)
+def test_an_excluded_odometer_is_not_used_and_its_scale_covariance_is_reset() -> None:
+    nav = fault_free(80)
     assert nav.engine.filter is not None
     known = nav.engine.filter.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE]
     nav.apply_exclusions(None, odometer_excluded=True)
@@ -236,7 +250,7 @@ def test_an_excluded_odometer_is_not_used_and_its_scale_is_estimated_anew() -> N
     assert again and any(o.used for o in again)
 
 
-def test_all_kinds_of_gnss_measurements_are_excluded_and_the_earlier_suspect_time_stays() -> None:
+def test_a_dual_antenna_heading_is_excluded_with_gnss_and_the_earliest_suspect_time_is_kept() -> None:
     heading = BaselineHeading(10, 10, "gnss", 0.1, 0.01, 0.0)
     begun = Exclusions().after(GnssExcluded(9, 5))
     assert begun.reason(heading) == "GNSS is excluded by core.trust"

@@ -37,38 +37,38 @@ def after(
     return rest
 
 
-def unsure(velocity_sd: float) -> Limits:
+def uncertain(velocity_sd: float) -> Limits:
     P = np.eye(SIZE) * 1e-6
     P[VELOCITY, VELOCITY] = velocity_sd**2 * np.eye(3)
     return limits_of(P)
 
 
-def test_half_a_second_of_quiet_is_a_standstill() -> None:
+def test_half_a_second_below_all_limits_is_a_standstill() -> None:
     rest = after(UNSETTLED, 0.25)  # settles
     assert not is_standstill(after(rest, 0.48))
     assert is_standstill(after(rest, 0.52))
 
 
-def test_each_condition_alone_prevents_it() -> None:
+def test_each_limit_alone_prevents_a_standstill() -> None:
     assert not is_standstill(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
     assert not is_standstill(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
     assert not is_standstill(after(UNSETTLED, 5.0, speed=0.31))
     assert is_standstill(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
 
 
-def test_it_ends_within_a_few_samples_of_the_first_motion() -> None:
-    """At 1 m/s² the smoothed acceleration passes its limit after 20 ms, and the vehicle has moved by 0.2 mm."""
+def test_a_standstill_ends_within_50_ms_of_the_first_motion() -> None:
+    """At 1 m/s² the smoothed acceleration exceeds its limit after 20 ms, when the vehicle has moved by 0.2 mm."""
     rest = after(UNSETTLED, 2.0)
     assert not is_standstill(after(rest, 0.02, acceleration=(1.0, 0.0, 0.0)))
     assert not is_standstill(after(rest, 0.05, rate=(0.0, 0.0, 0.1)))
 
 
-def test_rolling_evenly_is_no_standstill() -> None:
+def test_constant_speed_is_not_a_standstill() -> None:
     assert not is_standstill(after(UNSETTLED, 10.0, speed=10.0))
 
 
-def test_an_idling_engine_does_not_end_it() -> None:
-    """Single samples swing by 0.65 m/s² and 0.017 rad/s (1 sigma) at 27 Hz, as recorded in a car at rest."""
+def test_vibration_of_an_idling_engine_does_not_end_a_standstill() -> None:
+    """Vibration of 0.65 m/s² and 0.017 rad/s (1 sigma) at 27 Hz, as recorded in a car at standstill."""
     rest = after(UNSETTLED, 2.0)
     for k in range(2000):
         swing = 2.0**0.5 * np.sin(2.0 * np.pi * 27.0 * k * STEP_S)
@@ -76,38 +76,38 @@ def test_an_idling_engine_does_not_end_it() -> None:
         assert is_standstill(rest)
 
 
-def test_a_filter_that_does_not_know_its_speed_waits_for_two_seconds_of_quiet() -> None:
-    """After a minute without GNSS it sees 1.5 m/s at rest, and 0.1 m/s where the vehicle rolls."""
-    limits, settled = unsure(0.6), after(UNSETTLED, 0.25)
+def test_with_an_uncertain_velocity_a_standstill_needs_two_seconds() -> None:
+    """As after a minute without GNSS: an estimated speed of 1.5 m/s at standstill, and of 0.1 m/s in motion."""
+    limits, settled = uncertain(0.6), after(UNSETTLED, 0.25)
     for speed in (0.1, 1.5):
         assert not is_standstill(after(settled, UNCERTAIN_QUIET_S - 0.1, speed=speed, limits=limits))
         assert is_standstill(after(settled, UNCERTAIN_QUIET_S + 0.1, speed=speed, limits=limits))
-    assert not is_standstill(after(settled, 10.0, speed=4.0, limits=limits)), "it is surer than that"
-    assert unsure(0.05) == CERTAIN
+    assert not is_standstill(after(settled, 10.0, speed=4.0, limits=limits)), "above the limit of its covariance"
+    assert uncertain(0.05) == CERTAIN
 
 
-def test_a_wrong_tilt_hides_no_rest() -> None:
-    """Half a degree makes 0.09 m/s² of gravity; two degrees are beyond what a filter has."""
-    for limits in (CERTAIN, unsure(0.6)):
-        leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), limits=limits)  # it brakes
+def test_a_standstill_is_detected_with_a_tilt_error_of_half_a_degree() -> None:
+    """Half a degree of tilt is 0.09 m/s² of gravity; two degrees exceed the tilt errors of a filter."""
+    for limits in (CERTAIN, uncertain(0.6)):
+        leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), limits=limits)  # braking
         leaning = after(leaning, 1.0, acceleration=(0.06, 0.06, 0.0), limits=limits)
         assert not is_standstill(leaning)
         leaning = after(leaning, UNCERTAIN_QUIET_S + 0.5, acceleration=(0.06, 0.06, 0.0), limits=limits)
         assert is_standstill(leaning)
-        assert not is_standstill(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), limits=limits)), "it drives off"
+        assert not is_standstill(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), limits=limits)), "moving off"
         assert not is_standstill(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), limits=limits))
 
 
-def test_a_road_is_no_rest_however_slow_the_filter_believes_to_be() -> None:
-    """It rolls evenly at 1.5 m/s: 0.1 m/s² up and down in 2 s, as on the smoothest of the recorded streets."""
-    rest, limits = UNSETTLED, unsure(0.6)
+def test_motion_on_a_smooth_road_is_not_a_standstill_at_an_uncertain_velocity() -> None:
+    """1.5 m/s with a vertical acceleration of 0.1 m/s² and a period of 2 s, as on the smoothest recorded street."""
+    rest, limits = UNSETTLED, uncertain(0.6)
     for k in range(2000):
         rest = detect(rest, STILL, (0.1 * float(np.sin(np.pi * k * STEP_S)), 0.0, 0.0), 0.1, STEP_S, limits)
         assert not is_standstill(rest)
 
 
-def test_a_rest_tells_of_the_gyroscope_what_its_mean_is_worth() -> None:
-    """Over ten minutes, the variance of the mean of errors that last, and of others that do not, is that of R."""
+def test_the_zaru_variance_summed_over_ten_minutes_is_that_of_the_mean_rate() -> None:
+    """Variance of the mean of time-correlated and of white errors over ten minutes."""
     navigation = ErrorStateFilter(
         Settings(), InertialState(0, (1.0, 0.0, 0.0, 0.0), STILL, Geodetic(0.7, 0.2, 100.0)), np.eye(SIZE)
     )
