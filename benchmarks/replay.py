@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ PAGES = ("now", "map", "gnss", "charts", "trust", "system")
 POSITIONS, SCRUB_HZ = 50, 10.0
 NEAR_DEG = 2e-6  # 0.2 m: that the page shows this position and no other
 HOUR_FRAMES, FRAME_HZ, SPEED = 18_000, 5, 60.0
-# Gives the page every frame of a replay that plays several times, numbered anew, one after another, and drops frames
+# Gives the page every frame several times, numbered anew, one after another, and drops frames
 # that come faster than it takes them: on a slow machine they would else be measured as memory of the page.
 REPEATED = """(times) => {
   delete window.DecompressionStream;
@@ -54,7 +55,7 @@ REPEATED = """(times) => {
     set.call(this, (event) => {
       if (waiting.length > 5) return;
       const frame = JSON.parse(event.data);
-      const copies = frame.kind === "difference" && frame.state.replay?.position_ns != null ? times : 1;
+      const copies = frame.kind === "difference" ? times : 1;
       if (waiting.push({ frame, copies, handler }) === 1) port2.postMessage(0);
     });
   } });
@@ -241,15 +242,17 @@ def main() -> None:
         "opens": lambda browser: opened(browser, drive),
         "paints": lambda browser: painted(browser, drive),
         "scrubs": lambda browser: scrubbed(browser, drive),
-        "memory": lambda browser: [remembered(browser, drive, name) for name in ("now", "charts", "map")],
+        **{f"memory-{name}": partial(remembered, drive=drive, name=name) for name in ("now", "charts", "map")},
     }
-    for name in sys.argv[1:] or parts:
+    wanted = tuple(sys.argv[1:] or parts)
+    for name in filter(lambda part: part.startswith(wanted), parts):
         with chromium() as browser:  # each part with a browser that has shown nothing yet
             found[name] = parts[name](browser)
         found.setdefault("load", {})[name] = round(os.getloadavg()[0], 1)
         print(name, found[name], flush=True)
         file.write_text(json.dumps(found, indent=1) + "\n")
-    (RESULTS / "replay.md").write_text(HEAD.format(**found, cores=os.cpu_count()) + "\n".join(lines(found)) + "\n")
+        text = HEAD.format(**found, cores=os.cpu_count()) + "\n".join(lines(found)) + "\n"
+        (RESULTS / "replay.md").write_text(text)
 
 
 def lines(found: Row) -> Iterator[str]:
@@ -269,11 +272,11 @@ def lines(found: Row) -> Iterator[str]:
             f"- Scrubber dragged over {row['positions']} positions, {row['hz']:.1f} a second: {row['shown']} shown, "
             f"median {row['median_ms']:.0f} ms, 95 % within {row['p95_ms']:.0f} ms, largest {row['largest_ms']:.0f} ms."
         )
-    if found.get("memory"):
+    if rows := [row for name, row in found.items() if name.startswith("memory-")]:
         yield f"\nAn hour at {SPEED:.0f} times its speed, each frame {SPEED:.0f} times ({FRAME_HZ} a second):\n"
         yield "| page | frames | heap before, MB | heap after | private memory of its process before, MB | after |"
         yield "| --- | --- | --- | --- | --- | --- |"
-        for row in found["memory"]:
+        for row in rows:
             yield (
                 f"| {row['page']} | {row['frames']} | {row['heap_before_mb']} | {row['heap_after_mb']} "
                 f"| {row['process_before_mb']} | {row['process_after_mb']} |"

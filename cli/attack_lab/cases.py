@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 
 from services.sensors.simulator.scenarios import scenario_of
@@ -28,7 +29,7 @@ class Case:
 
     drive: str  # name of a scenario, or path of a recording
     seed: int
-    duration_s: float
+    duration_s: float  # 0 of a recording, which runs to its end
     attack: ScheduledAttack | None = None
     recorded: bool = False
 
@@ -47,8 +48,9 @@ class Case:
         """Start and end of the attack in seconds since the start of the drive; empty at its end without one."""
         if self.attack is None:
             return self.duration_s, self.duration_s
-        end_s = self.duration_s if self.attack.duration_s is None else self.attack.start_s + self.attack.duration_s
-        return self.attack.start_s, min(end_s, self.duration_s)
+        longest_s = self.duration_s or inf
+        end_s = longest_s if self.attack.duration_s is None else self.attack.start_s + self.attack.duration_s
+        return self.attack.start_s, min(end_s, longest_s)
 
 
 def plan(

@@ -100,6 +100,7 @@ class Facts:
     exclusion_confirmed: bool = False  # and the solution contains none of it
     # of the newest excluded position against the solution without GNSS: above 1 they contradict each other
     excluded_test_ratio: float | None = None
+    odometer_excluded_since_ns: int | None = None  # by the judgement before
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
     limits: Limits = field(default_factory=Limits)
 

@@ -53,6 +53,7 @@ class Process:
         self._navigation: NavigationState | None = None
         self._monitors: dict[Monitor, TrustMonitor] = {}
         self._gnss = Readmission()
+        self._odometer_since_ns: int | None = None  # while it is excluded
         self._published: TrustState | None = None
         self._saved: TrustState | None = None  # of an earlier process, until the first verdict
 
@@ -93,7 +94,8 @@ class Process:
             facts.time_ns, accused=accused, agrees=agrees, suspect_since_ns=suspect_ns, lost=is_lost(facts)
         )
         facts = self._facts(admission.suspect_since_ns)
-        found = verdict(facts)
+        found, excluded = verdict(facts), odometer_accused(facts)
+        self._odometer_since_ns = None if not excluded else self._odometer_since_ns or facts.time_ns
         before = self._published
         level = TrustLevel(found.state.value)
         horizontal_m, vertical_m = facts.solution.protection_levels_m if facts.solution else (None, None)
@@ -109,7 +111,7 @@ class Process:
             findings=tuple(finding[:REASON_LENGTH] for finding in found.findings),
             gnss_excluded=admission.excluded,
             suspect_since_ns=admission.suspect_since_ns,
-            odometer_excluded=odometer_accused(facts),
+            odometer_excluded=excluded,
             protection_level_horizontal_m=horizontal_m,
             protection_level_vertical_m=vertical_m,
             alert_limit_horizontal_m=facts.limits.horizontal_m,
@@ -151,6 +153,7 @@ class Process:
             gnss_excluded=suspect_since_ns is not None,
             exclusion_confirmed=confirmed,
             excluded_test_ratio=None if state is None else state.excluded_test_ratio,
+            odometer_excluded_since_ns=self._odometer_since_ns,
             satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
             limits=self._limits(),
         )

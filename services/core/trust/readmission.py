@@ -8,7 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from .facts import GNSS, INERTIAL, SECOND_NS, Facts, Monitor, Outcome
-from .verdict import solution_lost
+from .verdict import by_accused_odometer, solution_lost
 
 HEALTHY_S = 2.0
 SHORT_FAULT_S = 10.0
@@ -105,12 +105,15 @@ class Readmission:
 def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
     """Say whether GNSS is accused, whether the monitors agree with it, and since when it is suspect.
 
-    Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite. Agreement takes
+    Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite; by the long window
+    not where it follows from an odometer that was accused before. Agreement takes
     both inertial windows and a position that does not contradict the solution without GNSS; the satellite monitor must
     not accuse. Velocities alone cannot tell an attack that holds its offset from one that has ended. A position may be
     three times as far from a solution whose protection level is above the alert limit.
     """
     accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
+    if not facts.gnss_excluded and by_accused_odometer(facts):
+        accusing = [one for one in accusing if one.monitor is not Monitor.INERTIAL_LONG]
     passing = all(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
     ratio = facts.excluded_test_ratio
     limit = AGREES_ABOVE_LIMIT if facts.level_exceeded else AGREES

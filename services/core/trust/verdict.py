@@ -19,7 +19,9 @@ row   condition                                                                 
 14    otherwise                                                                           SAFE
 ====  ==================================================================================  ==============
 
-Row 4 matches too while trust keeps GNSS excluded after an accusation: until fusion confirms, GNSS may be in use.
+An accusation by the long window that follows from an odometer accused before (`by_accused_odometer`) is row 4 as well:
+it does not exclude GNSS. Row 4 matches too while trust keeps GNSS excluded after an accusation: until fusion confirms,
+GNSS may be in use.
 """
 
 from collections.abc import Callable
@@ -27,6 +29,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from .facts import GNSS, INERTIAL, MOTION, ODOMETER, SECOND_NS, Facts, Monitor, Outcome, Statement
+
+LEAD_NS = 3 * SECOND_NS
 
 
 class TrustState(StrEnum):
@@ -98,6 +102,8 @@ def _gnss_accused(facts: Facts) -> str | None:
     if _excluded(facts) or not (accusing or facts.gnss_excluded):
         return None
     why = _sentences(facts, accusing) if accusing else "GNSS stays excluded until it has agreed for long enough"
+    if not facts.gnss_excluded and by_accused_odometer(facts):
+        return f"{why}; it uses the odometer, which was accused before: GNSS or odometer is wrong, GNSS is not excluded"
     return f"{why}; fusion has not confirmed the exclusion of GNSS"
 
 
@@ -217,8 +223,23 @@ def findings(facts: Facts) -> tuple[str, ...]:
 
 
 def odometer_accused(facts: Facts) -> bool:
-    """Whether fusion must not use the odometer: a motion monitor accuses it and both inertial windows pass."""
-    return _odometer_accused(facts) is not None and bool(facts.accusing(MOTION, ODOMETER))
+    """Whether fusion must not use the odometer: a motion monitor accuses it and both inertial windows pass.
+
+    It stays so while the long window, which uses the odometer, accuses GNSS in turn.
+    """
+    agreed = _odometer_accused(facts) is not None and bool(facts.accusing(MOTION, ODOMETER))
+    return agreed or (not facts.gnss_excluded and by_accused_odometer(facts))
+
+
+def by_accused_odometer(facts: Facts) -> bool:
+    """Whether the long window began to accuse GNSS when the odometer had been excluded for `LEAD_NS`.
+
+    Its free propagations use the odometer, so that a wrong one contradicts a right GNSS. In a drag-off the long window
+    accuses before, or at the same time.
+    """
+    since_ns = facts.odometer_excluded_since_ns
+    began_ns = [one.since_ns for one in facts.accusing((Monitor.INERTIAL_LONG,), GNSS)]
+    return since_ns is not None and any(ns is not None and ns - since_ns >= LEAD_NS for ns in began_ns)
 
 
 def verdict(facts: Facts) -> Verdict:

@@ -88,6 +88,12 @@ def test_an_attack_that_cannot_be_read_is_an_error_with_an_example(text: str) ->
         list(plan([text], ["urban"], 1, [], 600.0))
 
 
+def test_the_interval_of_an_attack_ends_with_a_simulated_drive_and_a_recording_runs_to_its_end() -> None:
+    attack = schedule("jam@100:60")
+    assert Case("urban", 1, 130.0, attack).interval_s == (100.0, 130.0)
+    assert Case("drive.mcap", 0, 0.0, attack, recorded=True).interval_s == (100.0, 160.0)
+
+
 def test_labels_name_only_parameters_that_differ_from_their_defaults() -> None:
     assert Case("urban", 1, 300.0, schedule("drag_off(speed=1)@10")).label == "drag_off(speed=1)"
     assert Case("urban", 1, 300.0, schedule("drag_off(speed=3)@10")).label == "drag_off"

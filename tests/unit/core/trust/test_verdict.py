@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from services.core.trust.facts import SECOND_NS, Facts, Limits, Monitor, Outcome, Solution, Statement
+from services.core.trust.readmission import judge_gnss
 from services.core.trust.verdict import ROWS, TrustState, Verdict, odometer_accused, verdict
 
 NOW_NS = 1000 * SECOND_NS
@@ -200,3 +201,26 @@ def test_states_are_lower_case_words_on_the_wire() -> None:
     assert {str(state) for state in TrustState} == {
         "safe", "caution", "unsafe", "dead_reckoning", "no_fix", "initialising",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("lead_s", "accusing", "expected"),
+    [
+        (5.0, (Monitor.INERTIAL_LONG,), (True, False)),
+        (1.0, (Monitor.INERTIAL_LONG,), (False, True)),
+        (None, (Monitor.INERTIAL_LONG,), (False, True)),
+        (5.0, (Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG), (True, True)),
+    ],
+    ids=["odometer first", "at the same time, as in a drag-off", "odometer not accused", "the short window too"],
+)
+def test_a_long_window_that_accuses_gnss_after_the_odometer_was_excluded_keeps_that_out_and_gnss_in(
+    lead_s: float | None, accusing: tuple[Monitor, ...], expected: tuple[bool, bool]
+) -> None:
+    """The long window uses the odometer. The position stays UNSAFE: one of the two is wrong."""
+    since_ns = None if lead_s is None else NOW_NS - round((2.0 + lead_s) * SECOND_NS)
+    statements = [replace(accuses(monitor, "gnss"), since_ns=NOW_NS - 2 * SECOND_NS) for monitor in accusing]
+    facts = replace(with_(SAFE, MOTION_CONFLICT, *statements), odometer_excluded_since_ns=since_ns)
+    assert (odometer_accused(facts), judge_gnss(facts)[0]) == expected
+    assert verdict(facts).state is TrustState.UNSAFE
+    if expected == (True, False):
+        assert "GNSS is not excluded" in verdict(facts).reasons[0]
