@@ -73,7 +73,7 @@ def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
             navigation.propagate_covariance()
         if stamps[i] % EPOCH_NS:
             continue
-        outcomes = [o for one in fixes[stamps[i] // EPOCH_NS - 1] for o in aids.hold(navigation, one)]
+        outcomes = [o for one in fixes[stamps[i] // EPOCH_NS - 1] for o in aids.use(navigation, one)]
         navigation.propagate_covariance()
         times.append(stamps[i] * 1e-9)
         errors.append(sizes_of(navigation, error_of(navigation, drive, first + i, biases[i])))
@@ -98,8 +98,8 @@ def _started(
         (north + x[3], east + x[4], down + x[5]),
         geodetic_from_ned_difference((x[6], x[7], x[8]), Geodetic(*drive.position[first].tolist())),
     )
-    colour = KnownGnssErrors(LASTING_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN
-    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), colour=colour)
+    gnss_errors = KnownGnssErrors(LASTING_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN
+    navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), gnss_errors=gnss_errors)
     return navigation, -np.array(x[9:])  # of a filter that starts with biases of zero
 
 

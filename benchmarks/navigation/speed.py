@@ -48,7 +48,7 @@ def timed(navigator: Navigator, chunk: list[Message]) -> float:
             for stamp, force, rate in messages.samples_of(message, navigator.settings):
                 navigator.imu(stamp, force, rate, message.received_ns)
         elif isinstance(message, GnssFix | VehicleSpeed | WheelSpeeds):
-            messages.give(navigator, message)
+            messages.use(navigator, message)
     return time.process_time() - began
 
 

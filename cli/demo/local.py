@@ -35,10 +35,8 @@ def port_or_free(wanted: int) -> tuple[int, str | None]:
         try:
             probe.bind(("127.0.0.1", wanted))
         except OSError as error:
-            return (
-                free_port(),
-                "is in use" if error.errno == errno.EADDRINUSE else f"cannot be opened ({error.strerror})",
-            )
+            in_use = error.errno == errno.EADDRINUSE
+            return free_port(), "is in use" if in_use else f"cannot be opened ({error.strerror})"
         return int(probe.getsockname()[1]), None
 
 

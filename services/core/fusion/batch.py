@@ -1,4 +1,4 @@
-"""A whole log at once: all samples and measurements are there, and each is used when it was true."""
+"""Solutions of a whole log, whose samples and measurements are all available at the start."""
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -25,30 +25,30 @@ def solve(
     *,
     every_ns: int,
 ) -> Iterator[Solution]:
-    """Navigate through a log; the result is that of samples and measurements one by one, with nothing late.
+    """Solutions of a log; the same as sample by sample with measurements in time.
 
     Parameters
     ----------
     navigator : Navigator
-        New, or with a saved position.
+        A new one, possibly with a prior.
     stamps_ns : ndarray of int64, shape (n,)
-        Ends of the samples; what does not ascend is left out and counted.
+        Ends of the samples; samples out of order are rejected and counted.
     samples : ndarray, shape (n, 6)
-        [m/s², rad/s, body] Specific force and angular rate, as measured; what no sensor measures is left out as well.
+        [m/s², rad/s, body] Specific force and angular rate, as measured; implausible samples are rejected.
     measurements : sequence of Measurement
         In any order.
     every_ns : int
-        A solution is given at the first sample of each such period.
+        Period of the solutions, each at the first sample of a period.
 
     Raises
     ------
     ValueError
-        Delays shall be estimated: measurements are used at their stamps, and all of them pass the plausibility limits.
+        `estimate_delays` is set, which needs samples and measurements one by one.
 
     Yields
     ------
     Solution
-        As soon as there are any, until the last sample.
+        From the start of the filter to the last sample. Plausibility limits of measurements are not tested.
     """
     if navigator.settings.estimate_delays:
         raise ValueError("delays are estimated by a navigator that is given samples and measurements one by one")
@@ -68,7 +68,7 @@ def solve(
 
 
 def _periods(stamps_ns: IntArray, every_ns: int) -> Iterator[tuple[int, bool]]:
-    """Ends, not included, of the parts of a log that end with the first sample of a period; and the rest, if any."""
+    """Ends (exclusive) of the parts of a log, and whether a part ends with the first sample of a period."""
     ends = (np.flatnonzero(np.diff(stamps_ns // every_ns)) + 2).tolist()
     yield from ((end, True) for end in ends)
     if len(stamps_ns) > (ends[-1] if ends else 0):
@@ -76,11 +76,11 @@ def _periods(stamps_ns: IntArray, every_ns: int) -> Iterator[tuple[int, bool]]:
 
 
 def _usable(stamps_ns: IntArray, samples: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which samples a navigator would take, one by one."""
+    """Mask of the samples that a navigator uses sample by sample."""
     with np.errstate(over="ignore", invalid="ignore"):
-        size = samples * samples
-        credible: npt.NDArray[np.bool_] = size[:, :3].sum(axis=1) < FORCE_LIMIT**2
-        credible &= size[:, 3:].sum(axis=1) < RATE_LIMIT**2
+        squares = samples * samples
+        credible: npt.NDArray[np.bool_] = squares[:, :3].sum(axis=1) < FORCE_LIMIT**2
+        credible &= squares[:, 3:].sum(axis=1) < RATE_LIMIT**2
     newest = np.maximum.accumulate(np.where(credible, stamps_ns, stamps_ns.min(initial=0)))
     credible[1:] &= stamps_ns[1:] > newest[:-1]
     return credible

@@ -1,4 +1,4 @@
-"""Converts messages to the types of the navigator, and its results to messages."""
+"""Conversion of messages to measurements of the navigator, and of its results to messages."""
 
 from collections.abc import Iterator
 from math import cos, degrees, radians, sin
@@ -39,16 +39,16 @@ from .timing.delay_compensation import known_delays
 FloatArray = npt.NDArray[np.float64]
 
 USABLE = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
-COURSE_SPEED_M_S = 0.5  # below it the course of a receiver is noise
-GROUND_SPEED_SD = 0.3  # [m/s] of a speed and course that the receiver has smoothed
-UNTURNED: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+COURSE_SPEED_M_S = 0.5  # lowest speed at which the course of a receiver is used
+GROUND_SPEED_SD = 0.3  # [m/s] of speed over ground and course, which receivers smooth
+IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 LEAST_BASELINE_SD = 1e-3  # [rad]
-WORST_DOP = 1000.0  # some receivers state 99.99 for unknown
-UERE_M = 2.5  # [m] user-equivalent range error of a receiver without covariance
+WORST_DOP = 1000.0  # upper limit of a stated dilution of precision
+UERE_M = 2.5  # [m] user-equivalent range error of a receiver that states no covariance
 
 
 def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]:
-    """Make measurements of a fix: none without a position of GNSS alone."""
+    """Measurements of a fix; none if it has no position from GNSS."""
     if fix.fix_type not in USABLE or fix.latitude_deg is None or fix.longitude_deg is None:
         return []
     height = fix.height_ellipsoid_m
@@ -60,38 +60,38 @@ def measurements_from_fix(fix: GnssFix, settings: Settings) -> list[Measurement]
     return gnss_measurements(settings, stamp, position, reading, _velocity(fix), fixed=fixed)
 
 
-Given = GnssFix | VehicleSpeed | WheelSpeeds | LastPosition
+Aiding = GnssFix | VehicleSpeed | WheelSpeeds | LastPosition
 InertialSample = tuple[int, Vector3, Vector3]
 
 
 def samples_of(batch: ImuSamples, settings: Settings) -> Iterator[InertialSample]:
-    """Take a batch apart: stamp, specific force [m/s², body] and angular rate [rad/s, body] of each sample."""
+    """Stamp, specific force [m/s², body] and angular rate [rad/s, body] of each sample of a batch."""
     forces, rates = batch.specific_force_body_m_s2, batch.angular_rate_body_rad_s
-    turn = settings.imu.body_from_imu
-    if turn != UNTURNED:
-        forces, rates = turned(turn, forces), turned(turn, rates)
+    rotation = settings.imu.body_from_imu
+    if rotation != IDENTITY:
+        forces, rates = rotated(rotation, forces), rotated(rotation, rates)
     return zip(batch.sampled_ns, forces, rates, strict=True)
 
 
-def turned(matrix: Matrix3, vectors: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
+def rotated(matrix: Matrix3, vectors: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
     """Multiply each vector by a matrix."""
     return tuple((x, y, z) for x, y, z in (np.array(vectors) @ np.array(matrix).T).tolist())
 
 
-def give(navigator: Navigator, message: Given) -> bool:
-    """Pass a message other than inertial samples to the navigator; False for a fix that holds no position."""
+def use(navigator: Navigator, message: Aiding) -> bool:
+    """Use an aiding message in the navigator; False for a fix without position."""
     match message:
         case GnssFix():
-            return give_fix(navigator, message)
+            return use_fix(navigator, message)
         case LastPosition():
             navigator.use_prior(prior_from_last_position(message))
         case _:
-            give_speed(navigator, message)
+            use_speed(navigator, message)
     return True
 
 
-def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
-    """Pass a fix to the navigator; False if it holds no position."""
+def use_fix(navigator: Navigator, fix: GnssFix) -> bool:
+    """Use a fix in the navigator; False if it has no position."""
     settings = navigator.settings
     measurements = measurements_from_fix(fix, settings)
     if fix.baseline_heading_rad is not None and fix.baseline_heading_sd_rad:
@@ -110,8 +110,8 @@ def give_fix(navigator: Navigator, fix: GnssFix) -> bool:
     return bool(measurements)
 
 
-def give_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
-    """Pass a fix without the excluded satellites to the navigator, which uses it in place of the receiver's own."""
+def use_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
+    """Use a fix without the excluded satellites in place of the receiver's own."""
     stamp = Stamp(fix.sampled_ns, fix.received_ns, fix.source)
     position = Geodetic(radians(fix.latitude_deg), radians(fix.longitude_deg), fix.height_ellipsoid_m)
     velocity = fix.velocity_ned_m_s
@@ -122,14 +122,14 @@ def give_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
         navigator.measure(measurement)
 
 
-def give_verdict(navigator: Navigator, verdict: TrustState) -> None:
-    """Pass the exclusions of core.trust to the navigator."""
-    since_ns = verdict.sampled_ns if verdict.suspect_since_ns is None else verdict.suspect_since_ns
-    navigator.follow_trust(since_ns if verdict.gnss_excluded else None, odometer_excluded=verdict.odometer_excluded)
+def use_trust_state(navigator: Navigator, state: TrustState) -> None:
+    """Apply the exclusions of core.trust in the navigator."""
+    since_ns = state.sampled_ns if state.suspect_since_ns is None else state.suspect_since_ns
+    navigator.apply_exclusions(since_ns if state.gnss_excluded else None, odometer_excluded=state.odometer_excluded)
 
 
-def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
-    """Pass pressure and magnetic field of a batch of samples to the navigator."""
+def use_environment(navigator: Navigator, batch: ImuSamples) -> None:
+    """Use pressure and magnetic field of a batch of samples in the navigator."""
     sampled_ns, received_ns, source = batch.sampled_ns[-1], batch.received_ns, batch.source
     if batch.pressure_pa is not None:
         navigator.pressure(sampled_ns, batch.pressure_pa, received_ns=received_ns, source=source)
@@ -137,22 +137,22 @@ def give_environment(navigator: Navigator, batch: ImuSamples) -> None:
         navigator.magnetic_field(sampled_ns, batch.magnetic_field_body, received_ns=received_ns, source=source)
 
 
-def give_speed(navigator: Navigator, message: VehicleSpeed | WheelSpeeds) -> None:
-    """Pass a speed to the navigator."""
-    if (seen := speed_of(message, navigator.settings)) is not None:
+def use_speed(navigator: Navigator, message: VehicleSpeed | WheelSpeeds) -> None:
+    """Use a speed in the navigator."""
+    if (measured := speed_of(message, navigator.settings)) is not None:
         navigator.speed(
-            seen.time_ns,
-            seen.speed,
-            resolution=seen.resolution,
-            of_wheels=seen.of_wheels,
-            exact=seen.exact,
-            received_ns=seen.received_ns,
-            source=seen.source,
+            measured.time_ns,
+            measured.speed,
+            resolution=measured.resolution,
+            of_wheels=measured.of_wheels,
+            exact=measured.exact,
+            received_ns=measured.received_ns,
+            source=measured.source,
         )
 
 
 def speed_of(message: VehicleSpeed | WheelSpeeds, settings: Settings) -> WheelSpeed | None:
-    """Make a measurement of a speed: the mean of the rear wheels, or of all if no rear wheel is given."""
+    """Measurement of a speed: the mean of the rear wheels, or of the front wheels if there is no rear wheel."""
     if isinstance(message, VehicleSpeed):
         value, resolution, of_wheels, exact = message.speed_m_s, message.resolution_m_s or 0.0, False, False
     else:
@@ -165,8 +165,8 @@ def speed_of(message: VehicleSpeed | WheelSpeeds, settings: Settings) -> WheelSp
     return WheelSpeed(*stamp, scale * value, scale * resolution, of_wheels, exact, settings)
 
 
-def show_set_up(set_up: SetUpMonitor, message: GnssFix | VehicleSpeed | WheelSpeeds, settings: Settings) -> None:
-    """Pass a fix or a speed to the checks of the set-up, whether or not the filter uses it."""
+def check_set_up(set_up: SetUpMonitor, message: GnssFix | VehicleSpeed | WheelSpeeds, settings: Settings) -> None:
+    """Use a fix or a speed in the checks of the set-up, whether or not the filter uses it."""
     if isinstance(message, GnssFix):
         for measurement in measurements_from_fix(message, settings):
             set_up.see(measurement)
@@ -175,13 +175,13 @@ def show_set_up(set_up: SetUpMonitor, message: GnssFix | VehicleSpeed | WheelSpe
 
 
 def arm_error(navigator: Navigator) -> ArmError:
-    """Error of the lever arm by the innovations of the filter."""
-    arm = navigator.engine.aids.judge.arm
-    return ArmError(*arm.error(), arm.wrong() is not None)
+    """Error of the lever arm from the innovations of the filter."""
+    arm = navigator.engine.aids.gate.lever_arm
+    return ArmError(*arm.error(), arm.significant_error() is not None)
 
 
 def set_up_message(set_up: SetUpMonitor, sampled_ns: int) -> SetUpState:
-    """Message of the checks of the set-up."""
+    """Results of the checks of the set-up."""
     checks = (
         SetUpCheck(
             name=check.name,
@@ -227,13 +227,13 @@ def _cov(cov: Symmetric3 | None, sd: Vector3 | None) -> FloatArray | None:
 
 
 def prior_from_last_position(last: LastPosition) -> Prior:
-    """Read the saved position and heading."""
+    """Prior from the saved position and heading."""
     position = Geodetic(radians(last.latitude_deg), radians(last.longitude_deg), last.height_ellipsoid_m)
     return Prior(position, last.position_sd_ned_m, last.yaw_rad, last.yaw_sd_rad)
 
 
 def solution_message(solution: Solution) -> NavigationSolution:
-    """Message of a solution."""
+    """Solution as a message."""
     position_cov, velocity_cov, attitude_cov = solution.triangles
     return NavigationSolution(
         sampled_ns=solution.time_ns,
@@ -261,15 +261,12 @@ def solution_message(solution: Solution) -> NavigationSolution:
     )
 
 
-def filter_states(navigator: Navigator, imu: str) -> Iterator[FilterState]:
-    """The state from which another incarnation can continue; none while no filter runs."""
-    saved = navigator.saved_state()
-    if saved is None:
-        return
+def filter_state_message(saved: SavedState, settings: Settings, imu: str) -> FilterState:
+    """State of the filter for a later process."""
     time_ns, quaternion, velocity, position = saved.inertial
-    yield FilterState(
+    return FilterState(
         sampled_ns=time_ns,
-        fingerprint=fingerprint(navigator.settings),
+        fingerprint=fingerprint(settings),
         imu=imu,
         quaternion_ned_from_body=quaternion,
         velocity_ned_m_s=velocity,
@@ -289,8 +286,8 @@ def filter_states(navigator: Navigator, imu: str) -> Iterator[FilterState]:
     )
 
 
-def give_filter_state(navigator: Navigator, state: FilterState, first: ImuSamples) -> None:
-    """Restore the state of an earlier incarnation, if it is of these settings and this IMU."""
+def restore(navigator: Navigator, state: FilterState, first: ImuSamples) -> None:
+    """Restore the state of an earlier process with the first samples, if settings and IMU are the same."""
     position = Geodetic(radians(state.latitude_deg), radians(state.longitude_deg), state.height_ellipsoid_m)
     if state.fingerprint != fingerprint(navigator.settings):
         navigator.rejects["saved state of other settings"] += 1
@@ -313,7 +310,7 @@ def give_filter_state(navigator: Navigator, state: FilterState, first: ImuSample
 
 
 def aiding_message(outcome: Outcome) -> AidingUpdate:
-    """Message of the result of an observation."""
+    """Outcome of an observation as a message."""
     return AidingUpdate(
         sampled_ns=outcome.time_ns,
         source=outcome.source,
@@ -328,7 +325,7 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
 
 
 def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
-    """Message of the state of the navigator, or of the missing inertial samples since a stamp."""
+    """State of the navigator as a message, or, with `silent_since_ns`, that inertial samples are missing since then."""
     counts, exclusions = navigator.counts, navigator.engine.exclusions
     silent = silent_since_ns is not None
     estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None

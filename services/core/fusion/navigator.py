@@ -1,4 +1,4 @@
-"""The navigator: inertial samples and fixes in, solutions out, with no bus and no messages.
+"""The navigator: solutions from inertial samples and measurements, without bus and messages.
 
 navigator = Navigator(Settings(gnss=GnssSettings(lever_arm_body_m=(0.3, 0.0, -1.2))))
 navigator.fix(t_ns, position=Geodetic(...), velocity=(...))
@@ -24,11 +24,11 @@ from .measurements import barometer, magnetometer
 from .measurements.base import Counts, Measurement, Outcome
 from .measurements.gnss import GnssPosition, GnssVelocity, Reading, Stamp, gnss_measurements
 from .measurements.odometer import WheelSpeed
-from .plausibility.imu_faults import Repeats, Sample, credible, unremarkable
-from .plausibility.measurements import Devices, impossible
+from .plausibility.imu_faults import Repeats, Sample, credible
+from .plausibility.measurements import Devices, implausible
 from .settings import Settings
 from .smoothing.history import HistoryRecorder
-from .solution import Bounds, Solution, solution_of
+from .solution import Solution, UncertaintyCache, solution_of
 from .timing.delay_compensation import SuspectedDelay
 from .timing.imu_clock import FUTURE_LIMIT_NS, Clock
 from .timing.out_of_sequence import OutOfSequenceEngine, key_of
@@ -38,19 +38,18 @@ from .update.imu_gaps import LostTime
 
 FloatArray = npt.NDArray[np.float64]
 
-NEWEST_LIMIT = 256  # kinds of measurements of devices
-HELD_LIMIT = 1000  # measurements that wait for an inertial sample
-SPEED_PERIOD_NS = 95_000_000  # wheel speeds are used at most this often
-FAULT_FREE_NS = 3_000_000_000  # after a fault-free fix, in which another one is expected
-FAULT_FREE_WAIT_NS = 1_000_000_000
+NEWEST_LIMIT = 256  # largest number of pairs of device and kind of measurement
+HELD_LIMIT = 1000  # largest number of measurements that are held back
+SPEED_PERIOD_NS = 95_000_000  # shortest time between two wheel speeds that are used
+FAULT_FREE_NS = 3_000_000_000  # time after a fault-free fix in which another one is expected
+FAULT_FREE_WAIT_NS = 1_000_000_000  # time for which the receiver's own fix waits for it
 NEW_DELAY_S = 0.1  # change of a suspected delay that matters
 
 
 class Navigator:
     """Loosely coupled INS/GNSS whose result depends on stamps alone, and not on the order of arrival.
 
-    A fix waits until an inertial sample comes that was received `merge_delay_s` later, whatever the bus made of their
-    order; then it is used at the instant at which it was true.
+    A measurement is held back until an inertial sample is received `merge_delay_s` later; then it is used at its stamp.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -58,13 +57,12 @@ class Navigator:
         self.rejects: Counter[str] = Counter()
         self.samples_used = 0
         self.samples_rejected = 0
-        self.measurements_late = 0  # used at their own time, after newer ones of the same device
+        self.measurements_late = 0  # used after newer ones of the same device
         self._roll_back = RollBack(self.settings)
-        self._bounds = Bounds(self.settings)
-        self._clock: Clock | None = None  # while samples are refused for their stamps
+        self._uncertainty = UncertaintyCache(self.settings)
+        self._clock: Clock | None = None  # while samples are rejected for their stamps
         self._repeats: Repeats | None = None
-        self._remarkable = True  # the last sample was checked, and is known to `_repeats`
-        self._newest: dict[tuple[str, type], int] = {}  # stamp of what was used of a device, by kind
+        self._newest: dict[tuple[str, type], int] = {}  # newest stamp that was used, by device and kind
         self._suspected = 0.0, 0.0  # [s] delays of GNSS
         self._devices = Devices(self.rejects, self._now_ns)
         self._fault_free_ns = -FAULT_FREE_NS  # stamp of the newest fix without an excluded satellite
@@ -76,30 +74,26 @@ class Navigator:
         force: Sequence[float],
         rate: Sequence[float],
         received_ns: int | None = None,
-        *,
-        saturated: bool = False,
     ) -> list[Outcome]:
-        """Take one inertial sample, and use what has waited for it: `advance` and `release` in one.
+        """Use one inertial sample, and the measurements that are due: `advance` and `release` in one.
 
         Parameters
         ----------
         time_ns : int
-            End of the time over which the sample is the mean.
+            End of the sampling interval.
         force : sequence of three floats
-            [m/s², body] Specific force as measured.
+            [m/s², body] Mean specific force over the interval, as measured.
         rate : sequence of three floats
-            [rad/s, body] Angular rate as measured.
+            [rad/s, body] Mean angular rate over the interval, as measured.
         received_ns : int, optional
             When it arrived at the driver; `time_ns` if not given.
-        saturated : bool
-            Whether the sensor says that it was driven beyond its range.
 
         Returns
         -------
         list of Outcome
-            What became of the measurements that were used since this was asked last.
+            Outcomes of the measurements since the last call.
         """
-        self.advance(time_ns, force, rate, received_ns, saturated=saturated)
+        self.advance(time_ns, force, rate, received_ns)
         return self.release(time_ns if received_ns is None else received_ns)
 
     def advance(
@@ -111,33 +105,32 @@ class Navigator:
         *,
         saturated: bool = False,
     ) -> None:
-        """Take one inertial sample; `release` must follow, and may come after a look at the solution."""
+        """Use one inertial sample, `saturated` if the sensor says so; call `release` before the next one."""
         fx, fy, fz = force
         wx, wy, wz = rate
-        sample, last = Sample(time_ns, (fx, fy, fz), (wx, wy, wz)), self._oosm.newest
-        follows = last is not None and 0 < time_ns - last.time_ns <= FUTURE_LIMIT_NS and not (saturated or self._clock)
-        if follows and last is not None and unremarkable(sample, last):
-            self._remarkable = False
-        else:
-            if reason := self._unusable(sample, received_ns):
-                self.samples_rejected += 1
-                self.rejects[reason] += 1
-                return
-            if self._clock:
-                self._settle_clock(time_ns, self._clock.lost_s)
-            if fault := self._fault(sample, saturated=saturated):
-                self.rejects[fault] += 1
-                sample = sample._replace(fault=fault)
+        sample = Sample(time_ns, (fx, fy, fz), (wx, wy, wz))
+        if reason := self._unusable(sample, received_ns):
+            self.samples_rejected += 1
+            self.rejects[reason] += 1
+            return
+        if self._clock:
+            self._end_clock_fault(time_ns, self._clock.lost_s)
+        readings = fx, fy, fz, wx, wy, wz
+        self._repeats = self._repeats or Repeats(time_ns, readings)
+        repeat_fault = self._repeats.fault(time_ns, readings)
+        if fault := "gyroscope saturated" if saturated else repeat_fault:
+            self.rejects[fault] += 1
+            sample = sample._replace(fault=fault)
         self.samples_used += 1
         self._roll_back.add(sample)
 
     def measure(self, measurement: Measurement) -> None:
-        """Take a measurement of any kind; it is used once the bus cannot bring an earlier one any more."""
+        """Add a measurement of any kind, which is used when `merge_delay_s` has passed."""
         if measurement.time_ns > measurement.received_ns + FUTURE_LIMIT_NS:
             self.rejects["measurement from the future"] += 1
             return
-        if fault := impossible(measurement):
-            self.rejects[fault] += 1
+        if violation := implausible(measurement):
+            self.rejects[violation] += 1
             return
         if not self._devices.is_known(measurement.source):
             return
@@ -161,7 +154,7 @@ class Navigator:
         received_ns: int | None = None,
         source: str = "gnss",
     ) -> None:
-        """Take position [rad, rad, m] and velocity [m/s, NED] of the antenna, with standard deviations, at a stamp."""
+        """Add position [rad, rad, m] and velocity [m/s, NED] of the antenna, with standard deviations [m, m/s]."""
         stamp = Stamp(time_ns, time_ns if received_ns is None else received_ns, source)
         reading = Reading((0.0, 0.0, 0.0), _diagonal(position_sd))
         moving = None if velocity is None else Reading(velocity, _diagonal(velocity_sd))
@@ -179,9 +172,9 @@ class Navigator:
         received_ns: int | None = None,
         source: str = "wheels",
     ) -> None:
-        """Take a speed [m/s] of the vehicle at a stamp; ten a second of each device are enough.
+        """Add a speed [m/s] of the vehicle with its resolution [m/s]; at most ten per second and device are used.
 
-        It is `exact` if it is that of both rear wheels, and its resolution [m/s] is the step in which it comes.
+        It is `exact` if it is the mean of both rear wheels.
         """
         if not self.settings.odometer.enabled or not self._devices.is_due(source, "speed", time_ns, SPEED_PERIOD_NS):
             return
@@ -191,13 +184,13 @@ class Navigator:
     def pressure(
         self, time_ns: int, pressure_pa: float, *, received_ns: int | None = None, source: str = "barometer"
     ) -> None:
-        """Take a static pressure [Pa] at a stamp; one a second is used."""
+        """Add a static pressure [Pa]; one per second is used."""
         if not self.settings.barometer.enabled or not self._devices.is_due(
             source, "pressure", time_ns, barometer.PERIOD_NS
         ):
             return
         if not barometer.LOWEST_PA <= pressure_pa <= barometer.HIGHEST_PA:
-            self.rejects["pressure of no road"] += 1
+            self.rejects["implausible pressure"] += 1
             return
         height = barometer.pressure_height(pressure_pa)
         arrival_ns = time_ns if received_ns is None else received_ns
@@ -206,7 +199,7 @@ class Navigator:
     def magnetic_field(
         self, time_ns: int, field_b: Vector, *, received_ns: int | None = None, source: str = "compass"
     ) -> None:
-        """Take a magnetic field [body, 1 where it was calibrated] at a stamp; one a second is used."""
+        """Add a magnetic field [body, 1: that of the calibration]; one per second is used."""
         if not self.settings.magnetometer.enabled or not self._devices.is_due(
             source, "field", time_ns, magnetometer.PERIOD_NS
         ):
@@ -220,25 +213,25 @@ class Navigator:
         self._oosm.record_history(recorder)
 
     def use_prior(self, prior: Prior) -> None:
-        """Take the position and heading that were saved before the power went."""
+        """Use a position and heading saved before the unit was switched off."""
         self._oosm.use_prior(prior)
 
     def restore(self, saved: SavedState, time_ns: int) -> None:
-        """Go on from the state of an earlier process if it is sound and fresh at the stamp of the first sample."""
+        """Restore the state of an earlier process, if it is valid at the stamp of the first sample."""
         if reason := fault(saved, time_ns):
             self.rejects[reason] += 1
         else:
             self._oosm.restore(saved)
 
     def saved_state(self) -> SavedState | None:
-        """Take out what a later process can go on from; None while no filter runs."""
+        """State for a later process; None while no filter runs."""
         engine = self._oosm.engine
         if engine.filter is None or engine.last is None:
             return None
         return saved_state(engine.filter, engine.last, engine.accepted_ns, engine.exclusions.gnss_since_ns)
 
-    def follow_trust(self, gnss_suspect_since_ns: int | None, *, odometer_excluded: bool) -> None:
-        """Exclude GNSS since a suspect time, None to use it, and the odometer, as core.trust has decided."""
+    def apply_exclusions(self, gnss_suspect_since_ns: int | None, *, odometer_excluded: bool) -> None:
+        """Exclude GNSS from a suspect time on (None: GNSS is used), and the odometer, as decided by core.trust."""
         self._roll_back.follow(gnss_suspect_since_ns, odometer_excluded=odometer_excluded)
 
     def suspect_delay(self, position_s: float, velocity_s: float) -> None:
@@ -257,12 +250,12 @@ class Navigator:
 
     @property
     def engine(self) -> Engine:
-        """The estimator as of the newest sample."""
+        """Alignment or filter at the newest sample."""
         return self._oosm.engine
 
     @property
     def phase(self) -> NavigationPhase:
-        """How far the filter has come."""
+        """Phase of the solution."""
         return self._oosm.engine.phase
 
     @property
@@ -277,25 +270,25 @@ class Navigator:
 
     @property
     def counts(self) -> Counts:
-        """What was used, rejected, bridged and reset."""
+        """Counts of used and rejected positions, gaps and resets."""
         return self._oosm.engine.counts
 
     @property
     def lever_arm_error(self) -> tuple[float, float] | None:
-        """True minus assumed lever arm [m, forward and right], if GNSS contradicts the setting in turns."""
-        return self._oosm.engine.aids.judge.arm.wrong()
+        """True minus assumed lever arm, forward and right [m], if the difference is significant."""
+        return self._oosm.engine.aids.gate.lever_arm.significant_error()
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is no valid one."""
-        return solution_of(self._oosm.engine, self._bounds)
+        return solution_of(self._oosm.engine, self._uncertainty)
 
     def release(self, received_ns: int) -> list[Outcome]:
-        """Use what has waited long enough at `received_ns`, and report all outcomes since the last call."""
+        """Use the measurements that are due at `received_ns`, and return all outcomes since the last call."""
         last = self._oosm.newest
         while self._held and self._held[0][0] <= received_ns:
             measurement = self._held.pop(0)[3]
             if last is not None and measurement.time_ns > last.time_ns + FUTURE_LIMIT_NS:
-                self.rejects["measurement from the future"] += 1  # by the clock of the inertial samples
+                self.rejects["measurement from the future"] += 1  # on the clock of the inertial samples
                 continue
             if self._roll_back.insert(measurement):
                 self._count_if_late(measurement)
@@ -304,9 +297,9 @@ class Navigator:
         return self._roll_back.outcomes()
 
     def _await_fault_free(self, measurement: GnssPosition | GnssVelocity) -> int:
-        """Time [ns] for which a fix waits for the fault-free one of its epoch, while there are any.
+        """Additional time [ns] for which a fix is held back for the fault-free fix of its epoch, if one is expected.
 
-        A fault-free fix takes the place of one that waits.
+        A fault-free fix replaces the held one.
         """
         if not measurement.left_out:
             after_ns = measurement.time_ns - self._fault_free_ns
@@ -322,7 +315,7 @@ class Navigator:
     def _count_if_late(self, measurement: Measurement) -> None:
         key = measurement.source, type(measurement)
         if len(self._newest) > NEWEST_LIMIT and key not in self._newest:
-            self._newest.clear()  # devices come and go, and this counts only
+            self._newest.clear()  # bounds memory; the stamps serve a count only
         newest_ns = self._newest.setdefault(key, measurement.time_ns)
         self.measurements_late += measurement.time_ns < newest_ns
         self._newest[key] = max(newest_ns, measurement.time_ns)
@@ -331,24 +324,14 @@ class Navigator:
         """Reason for which a sample cannot be used; None if it can."""
         time_ns, force, rate, _ = sample
         if not credible(force, rate):
-            return "sample beyond any sensor" if isfinite(sum(force) + sum(rate)) else "sample not finite"
+            return "implausible sample" if isfinite(sum(force) + sum(rate)) else "sample not finite"
         last = self._oosm.newest
         if last is not None and not 0 < time_ns - last.time_ns <= FUTURE_LIMIT_NS:
-            return self._misfit(sample, last.time_ns, received_ns)
+            return self._stamp_fault(sample, last.time_ns, received_ns)
         return None
 
-    def _fault(self, sample: Sample, *, saturated: bool) -> str | None:
-        """Fault of a sample that can be used; None without one."""
-        time_ns, readings, last = sample.time_ns, (*sample.force, *sample.rate), self._oosm.newest
-        repeats = self._repeats = self._repeats or Repeats(time_ns, readings)
-        if last is not None and not self._remarkable:
-            repeats.changed(last.time_ns, (*last.force, *last.rate))
-            self._remarkable = True
-        fault = repeats.fault(time_ns, readings)
-        return "gyroscope saturated" if saturated else fault
-
-    def _misfit(self, sample: Sample, newest_ns: int, received_ns: int | None) -> str | None:
-        """Reason for which a sample does not follow the last one, or None; after many that go back begin again."""
+    def _stamp_fault(self, sample: Sample, newest_ns: int, received_ns: int | None) -> str | None:
+        """Reason for which a stamp is invalid, or None; restarts the filter if the clock went back."""
         clock = self._clock or Clock()
         if sample.time_ns > newest_ns:
             if not clock.is_ahead(sample.time_ns, newest_ns, received_ns):
@@ -358,12 +341,12 @@ class Navigator:
         self._clock = clock
         if clock.goes_back(sample.time_ns, known=self._oosm.is_known(sample)):
             self._roll_back.restart("the inertial clock went back")
-            self._clock, self._repeats, self._remarkable, self._newest = None, None, True, {}
+            self._clock, self._repeats, self._newest = None, None, {}
             self._suspected = 0.0, 0.0
         return "sample doubled or out of order"
 
-    def _settle_clock(self, time_ns: int, lost_s: float) -> None:
-        """Go on after samples that were refused for their stamps, and admit the time that was lost with them."""
+    def _end_clock_fault(self, time_ns: int, lost_s: float) -> None:
+        """Continue after samples that were rejected for their stamps, and inflate the covariance for their time."""
         self._clock = None
         if lost_s:
             self.rejects["time lost as the inertial clock went back"] += 1

@@ -22,10 +22,11 @@ from .navigator import Navigator
 from .set_up.monitor import SetUpMonitor
 from .settings import Settings
 
-STATE_PERIOD_NS, SILENT_NS = 1_000_000_000, 1_100_000_000  # an IMU is gone after a second, and what the bus may delay
+STATE_PERIOD_NS = 1_000_000_000
+SILENT_NS = 1_100_000_000  # silence of the IMU in use after which another one is used: 1 s and the bus delay
 In = ImuSamples | GnssFix | LastPosition | FilterState | VehicleSpeed | WheelSpeeds | TrustState | FaultFreeFix | Tick
-Exclusion = tuple[int | None, bool, tuple[str, ...]]  # of GNSS since a time, of the odometer, of satellites
-NOTHING: Exclusion = (None, False, ())
+Exclusion = tuple[int | None, bool, tuple[str, ...]]  # GNSS excluded since, odometer excluded, satellites left out
+NO_EXCLUSION: Exclusion = (None, False, ())
 Out = NavigationSolution | NavigationState | FilterState | AidingUpdate | SetUpState
 
 
@@ -34,36 +35,36 @@ class Config(Settings):
 
 
 class Process:
-    """Feeds the navigator from the bus, and the bus from the navigator."""
+    """Passes messages to the navigator, and publishes its solutions, states and outcomes."""
 
     def __init__(self, config: Config) -> None:
         self._navigator = Navigator(config)
         self._set_up = SetUpMonitor(config)
         self.rejects, self.record_history = self._navigator.rejects, self._navigator.record_history
         self._solution_period_ns = round(config.solution_period_s * 1e9)
-        self._last_solution, self._sampled_ns = -1, 0  # number of its period; stamp of the newest sample
+        self._last_solution, self._sampled_ns = -1, 0  # period of the last solution; stamp of the newest sample
         self._last_state: tuple[NavigationPhase, str, Exclusion, int] | None = None
         self._saved: FilterState | None = None  # of an earlier process, until the first sample
-        self._imu: str | None = None  # the one that is listened to
+        self._imu: str | None = None  # source in use
         self._imu_received_ns: int | None = None
 
     def handle(self, message: In) -> Iterator[Out]:
-        """Answer one message; time is that of the inertial samples."""
+        """Handle one message; the clock is that of the inertial samples."""
         match message:
             case ImuSamples():
                 yield from self._inertial(message)
             case GnssFix() | VehicleSpeed() | WheelSpeeds() | LastPosition():
-                if not messages.give(self._navigator, message):
+                if not messages.use(self._navigator, message):
                     self.rejects["fix without position"] += 1
                 if not isinstance(message, LastPosition):
-                    messages.show_set_up(self._set_up, message, self._navigator.settings)
+                    messages.check_set_up(self._set_up, message, self._navigator.settings)
                 if isinstance(message, GnssFix):
                     yield from self._silence(message.received_ns)
             case FaultFreeFix():
-                messages.give_fault_free_fix(self._navigator, message)
+                messages.use_fault_free_fix(self._navigator, message)
             case TrustState():
-                messages.give_verdict(self._navigator, message)
-            case FilterState() if self._imu is None:  # later ones are its own
+                messages.use_trust_state(self._navigator, message)
+            case FilterState() if self._imu is None:  # later states are of this process
                 self._saved = message
 
     def _inertial(self, batch: ImuSamples) -> Iterator[Out]:
@@ -71,54 +72,59 @@ class Process:
             self.rejects["samples of a second imu"] += 1
             return
         if self._saved is not None:
-            messages.give_filter_state(self._navigator, self._saved, batch)
+            messages.restore(self._navigator, self._saved, batch)
             self._saved = None
         self._imu, self._imu_received_ns = batch.source, batch.received_ns
         for sampled_ns, force, rate in messages.samples_of(batch, self._navigator.settings):
             due = self._is_due(sampled_ns)
             self._navigator.advance(sampled_ns, force, rate, batch.received_ns, saturated=batch.saturated)
-            if due:  # first: whoever needs it shall not wait for what is late anyway
+            if due:  # before late measurements are used, which take longer
                 yield from self._solution(sampled_ns)
             yield from map(messages.aiding_message, self._navigator.release(batch.received_ns))
             if due or sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
                 yield from self._state(sampled_ns)
             if sampled_ns // STATE_PERIOD_NS != self._sampled_ns // STATE_PERIOD_NS:
-                yield from messages.filter_states(self._navigator, batch.source)
+                yield from self._filter_state(batch.source)
             self._sampled_ns = sampled_ns
             self._set_up.sample(sampled_ns, force, rate)
         if self._set_up.is_due(self._sampled_ns):
             self._set_up.evaluate(self._sampled_ns, messages.arm_error(self._navigator))
             self._navigator.suspect_delay(*self._set_up.delays)
             yield messages.set_up_message(self._set_up, self._sampled_ns)
-        messages.give_environment(self._navigator, batch)
+        messages.use_environment(self._navigator, batch)
 
     def _is_due(self, sampled_ns: int) -> bool:
-        """Whether a sample of that time is the first of a period."""
+        """Whether a sample is the first of a solution period."""
         return sampled_ns // self._solution_period_ns != self._last_solution
 
     def _is_silent(self, now_ns: int) -> bool:
         return self._imu_received_ns is None or not 0 <= now_ns - self._imu_received_ns <= SILENT_NS
 
     def _silence(self, received_ns: int) -> Iterator[NavigationState]:
-        """Publish that there are no inertial samples, by fixes that arrived long after the last of them."""
-        current = (NavigationPhase.WAITING_FOR_IMU, "", NOTHING, received_ns // STATE_PERIOD_NS)
+        """Publish that inertial samples are missing, when a fix arrives long after the last sample."""
+        current = (NavigationPhase.WAITING_FOR_IMU, "", NO_EXCLUSION, received_ns // STATE_PERIOD_NS)
         silent = self._imu_received_ns is None or received_ns - self._imu_received_ns > SILENT_NS
         if silent and current != self._last_state:
             self._last_state = current
             yield messages.state_message(self._navigator, received_ns, self._imu_received_ns or received_ns)
 
     def _state(self, sampled_ns: int) -> Iterator[NavigationState]:
-        """Yield the state when it changes, and every second."""
-        navigator, excluded = self._navigator, self._navigator.engine.exclusions
-        exclusion = excluded.gnss_since_ns, excluded.odometer, excluded.satellites
+        """Publish the state when it changes, and every second."""
+        navigator, exclusions = self._navigator, self._navigator.engine.exclusions
+        exclusion = exclusions.gnss_since_ns, exclusions.odometer, exclusions.satellites
         current = (navigator.phase, navigator.reason, exclusion, sampled_ns // STATE_PERIOD_NS)
         if current != self._last_state:
             self._last_state = current
             yield messages.state_message(self._navigator, sampled_ns)
 
+    def _filter_state(self, imu: str) -> Iterator[FilterState]:
+        """Publish the state for a later process, while a filter runs."""
+        if (saved := self._navigator.saved_state()) is not None:
+            yield messages.filter_state_message(saved, self._navigator.settings, imu)
+
     def _solution(self, sampled_ns: int) -> Iterator[NavigationSolution]:
-        """Yield the solution."""
+        """Publish the solution."""
         solution = self._navigator.solution()
-        if solution is not None and solution.time_ns == sampled_ns:  # not of a sample that was refused
+        if solution is not None and solution.time_ns == sampled_ns:  # otherwise the sample was rejected
             self._last_solution = sampled_ns // self._solution_period_ns
             yield messages.solution_message(solution)

@@ -13,7 +13,7 @@ _GYROSCOPE_INSTABILITY = radians(8.0 / 3600.0)  # [rad/s] MTi-630 data sheet
 _ACCELEROMETER_INSTABILITY = 15e-6 * 9.80665  # [m/s²] MTi-630 data sheet
 _CORRELATION_S = 200.0
 Matrix3 = tuple[Vector3, Vector3, Vector3]
-ORTHOGONAL = 1e-3  # largest error of a rounded rotation
+ORTHOGONAL = 1e-3  # largest deviation of rows times rows from the identity, by rounding
 
 
 class ImuSettings(Section):
@@ -22,7 +22,7 @@ class ImuSettings(Section):
     body_from_imu: Matrix3 = Field(
         default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
         description="matrix from the axes of `imu/sample` to those of the vehicle (forward, right, down), row by row: "
-        "corrects a mount that is askew, and axes that are swapped or mirrored",
+        "corrects mounting angles, and axes that are swapped or mirrored",
     )
 
     @field_validator("body_from_imu")
@@ -40,7 +40,9 @@ class ImuSettings(Section):
         default=5.884e-4, gt=0.0, description="velocity random walk: root of the PSD of the accelerometers' white noise"
     )
     vibration_factor: float = Field(
-        default=1.0, ge=0.0, description="share of the measured vibration of the samples that counts as white noise"
+        default=1.0,
+        ge=0.0,
+        description="factor on the measured vibration PSD of the samples, which is used as white noise",
     )
     gyroscope_bias_psd_rad2_s3: float = Field(
         default=2.0 * _GYROSCOPE_INSTABILITY**2 / _CORRELATION_S,
@@ -55,7 +57,7 @@ class ImuSettings(Section):
     gyroscope_bias_sd_rad_s: float = Field(
         default=radians(2.5),
         gt=0.0,
-        description="standard deviation of the gyroscope biases at switch-on; a start at rest measures them",
+        description="standard deviation of the gyroscope biases at switch-on; a start at standstill measures them",
     )
     accelerometer_bias_sd_m_s2: float = Field(
         default=0.03, gt=0.0, description="standard deviation of the accelerometer biases at switch-on"
@@ -84,38 +86,38 @@ class GnssSettings(Section):
         default=0.0,
         ge=-2.0,
         le=2.0,
-        description="age of a fix beyond what its stamp says, on the clock of the IMU",
+        description="delay of fixes: by how much they are older than their stamps, on the clock of the IMU",
     )
     velocity_delay_s: float = Field(
         default=0.0,
         ge=-1.0,
         le=1.0,
-        description="age of the velocity beyond that of the position of the same fix: some receivers smooth it",
+        description="delay of the velocity beyond that of the position of the same fix, where a receiver smooths it",
     )
     time_sd_s: float = Field(
         default=0.002,
         ge=0.0,
         le=1.0,
-        description="standard deviation of the stamps of fixes; times the speed it is an error of position",
+        description="standard deviation of the stamps of fixes; times the speed it adds to the position error",
     )
     position_only: bool = Field(default=False, description="do not use the velocity that the receiver measures")
     coasting_after_s: float = Field(
         default=3.0, gt=0.0, description="time without an accepted position after which the phase is `coasting`"
     )
     position_sd_ned_m: Vector3 = Field(
-        default=(2.5, 2.5, 5.0), description="standard deviation of positions, NED, of a receiver that states none"
+        default=(2.5, 2.5, 5.0), description="standard deviation of positions, NED, where the receiver states none"
     )
     velocity_sd_ned_m_s: Vector3 = Field(
-        default=(0.2, 0.2, 0.4), description="standard deviation of velocities, NED, of a receiver that states none"
+        default=(0.2, 0.2, 0.4), description="standard deviation of velocities, NED, where the receiver states none"
     )
     position_sd_floor_m: float = Field(
-        default=0.01, gt=0.0, description="least standard deviation of a position, whatever the receiver states"
+        default=0.01, gt=0.0, description="lower limit of the standard deviation of a position"
     )
     velocity_sd_floor_m_s: float = Field(
-        default=0.03, gt=0.0, description="least standard deviation of a velocity, whatever the receiver states"
+        default=0.03, gt=0.0, description="lower limit of the standard deviation of a velocity"
     )
     position_sd_factor: float = Field(
-        default=1.0, gt=0.0, description="factor on the standard deviation that the receiver states of positions"
+        default=1.0, gt=0.0, description="factor on the standard deviations of positions that the receiver states"
     )
     time_correlated_errors: bool = Field(
         default=True,
@@ -125,17 +127,17 @@ class GnssSettings(Section):
         default=None,
         ge=0.1,
         le=1e6,
-        description="correlation time of that part if it is known, as from an Allan plot; estimated if not given",
+        description="correlation time of position errors, if known, as from an Allan plot; otherwise it is estimated",
     )
     white_noise_share: float = Field(
         default=0.01,
         ge=1e-6,
         lt=1.0,
-        description="share of white noise in the variance of positions, used where `correlation_time_s` is given",
+        description="share of white noise in the variance of positions, used if `correlation_time_s` is given",
     )
     zero_error_at_start: bool = Field(
         default=False,
-        description="the time-correlated error is zero at the first fix: the start is a known point or the origin",
+        description="set the time-correlated error to zero at the first fix: the start is a known point or the origin",
     )
 
 
@@ -146,9 +148,11 @@ class OdometerSettings(Section):
     speed_sd_m_s: float = Field(
         default=0.05, gt=0.0, description="standard deviation of a wheel speed, apart from its resolution"
     )
-    scale: float = Field(default=1.0, gt=0.0, le=10.0, description="true speed over the speed that is indicated")
+    scale: float = Field(default=1.0, gt=0.0, le=10.0, description="ratio of the true speed to the indicated speed")
     scale_sd: float = Field(
-        default=0.02, gt=0.0, description="standard deviation of the scale error at switch-on, which is estimated"
+        default=0.02,
+        gt=0.0,
+        description="standard deviation of the scale error of the odometer at switch-on; the error is estimated",
     )
 
 
@@ -162,18 +166,18 @@ class NonHolonomicSettings(Section):
     vertical_sd_m_s: float = Field(
         default=0.1,
         gt=0.0,
-        description="standard deviation of the vertical speed: a body on springs pitches and heaves",
+        description="standard deviation of the vertical speed, by pitch and heave of the suspension",
     )
     mounting_sd_rad: float = Field(
         default=radians(3.0),
         gt=0.0,
-        description="standard deviation of the mounting angles (pitch and yaw of the IMU in the vehicle), "
-        "which are estimated",
+        description="standard deviation of the mounting angles (pitch and yaw of the IMU in the vehicle) at switch-on; "
+        "they are estimated",
     )
     rear_axle_body_m: Vector3 | None = Field(
         default=None,
-        description="lever arm from the IMU to the middle of the rear axle; if not given, the constraint and the wheel "
-        "speed are weighted less in bends",
+        description="lever arm from the IMU to the middle of the rear axle: forward, right, down; if not given, the "
+        "constraint and the wheel speed are weighted less in bends",
     )
 
 
@@ -191,7 +195,9 @@ class BarometerSettings(Section):
         default=0.5, gt=0.0, description="standard deviation of the barometric height, apart from its offset"
     )
     offset_random_walk_m_sqrt_s: float = Field(
-        default=0.1, gt=0.0, description="random walk of the offset of the barometric height: weather, windows"
+        default=0.1,
+        gt=0.0,
+        description="random walk of the offset of the barometric height, by weather and open windows",
     )
 
 
@@ -199,7 +205,7 @@ class MagnetometerSettings(Section):
     """Heading from the magnetic field."""
 
     enabled: bool = Field(
-        default=False, description="aid the filter by the magnetic heading where it has agreed with known headings"
+        default=False, description="aid the filter by the magnetic heading after it has agreed with known headings"
     )
     declination_rad: float = Field(
         default=0.0, ge=-pi, le=pi, description="declination of magnetic north from true north, positive to the east"
@@ -221,15 +227,17 @@ class AlignmentSettings(Section):
     """Start of the filter: levelling and heading."""
 
     levelling_s: float = Field(
-        default=15.0, ge=1.0, description="longest standstill that levelling uses; it ends early when the vehicle moves"
+        default=15.0,
+        ge=1.0,
+        description="longest time of levelling at standstill; it ends earlier when the vehicle moves",
     )
     course_speed_m_s: float = Field(
-        default=2.0, gt=0.0, description="speed above which the course over ground gives the heading"
+        default=2.0, gt=0.0, description="lowest speed at which the course over ground gives the initial heading"
     )
     course_yaw_sd_rad: float = Field(
         default=radians(5.0),
         gt=0.0,
-        description="standard deviation of the heading against the course over ground: sideslip and mounting",
+        description="standard deviation of heading minus course over ground, by sideslip and mounting",
     )
 
 
@@ -242,7 +250,7 @@ class GatingSettings(Section):
     robust_limit: float = Field(
         default=2.0,
         ge=1.0,
-        description="multiple of the gate's NIS up to which a GNSS measurement is still used, with less weight",
+        description="multiple of the gate's limit up to which a GNSS measurement is used with less weight",
     )
     fault_after_s: float = Field(
         default=2.0, ge=0.0, description="time of continued rejection after which GNSS is excluded as faulty"
@@ -251,14 +259,18 @@ class GatingSettings(Section):
         default=1.0,
         ge=0.0,
         description="time for which all measurements of an excluded receiver must pass the gate before it is used "
-        "again; doubled by each further fault",
+        "again; doubled for each further fault",
     )
     readmission_max_s: float = Field(default=8.0, ge=0.0, description="upper limit of the time until readmission")
     reset_after_rejections: int = Field(
-        default=10, ge=1, description="number of successive rejected positions that a reset of the filter requires"
+        default=10,
+        ge=1,
+        description="number of consecutive rejected positions that triggers a filter reset (with `reset_after_s`)",
     )
     reset_after_s: float = Field(
-        default=5.0, ge=0.0, description="time without an accepted position that a reset of the filter requires"
+        default=5.0,
+        ge=0.0,
+        description="time without an accepted position that triggers a filter reset (with `reset_after_rejections`)",
     )
 
 
@@ -287,14 +299,14 @@ class Settings(Section):
         default=0.2,
         ge=0.0,
         le=1.0,
-        description="time for which a measurement is held back so that delayed samples and measurements overtake it",
+        description="time for which a measurement is held back, so that delayed ones are used in order",
     )
     history_s: float = Field(
         default=2.5, ge=0.2, le=10.0, description="largest age at which an out-of-sequence measurement is still used"
     )
     estimate_delays: bool = Field(
         default=False,
-        description="estimate the delays of GNSS position, GNSS velocity and odometer beyond those of the settings",
+        description="estimate the delays of GNSS position, GNSS velocity and odometer beyond the configured ones",
     )
     imu: ImuSettings = ImuSettings()
     gnss: GnssSettings = GnssSettings()

@@ -38,16 +38,16 @@ class Solution(NamedTuple):
     gyroscope_bias: Vector
     stationary: bool
     gnss_age_s: float | None
-    protection_level_horizontal: float  # [m] beyond which the error is with probability `integrity_risk`
-    protection_level_vertical: float  # [m] the same of the height
+    protection_level_horizontal: float  # [m] exceeded by the error with probability `integrity_risk`
+    protection_level_vertical: float  # [m] likewise, of the height
     integrity_risk: float
     triangles: tuple[Symmetric3, Symmetric3, Symmetric3]  # upper halves of the three covariances
     gyroscope_bias_sd: Vector
-    gnss_excluded_since_ns: int | None  # no GNSS with a later stamp is part of it
+    gnss_excluded_since_ns: int | None  # no GNSS with a later stamp is used
 
 
-class Spread(NamedTuple):
-    """What of a solution changes with the covariance only."""
+class Uncertainty(NamedTuple):
+    """Protection levels and covariances of a solution."""
 
     levels: Levels
     covariances: tuple[FloatArray, FloatArray, FloatArray]  # of position, velocity, attitude
@@ -55,17 +55,17 @@ class Spread(NamedTuple):
     gyroscope_bias_sd: Vector
 
 
-class Bounds:
-    """Protection levels and covariances: worked out anew when the covariance is another, or what is known beside it."""
+class UncertaintyCache:
+    """Uncertainty of the solution, which is computed when the covariance or the innovation statistics change."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._made_of: tuple[FloatArray, Watch] | None = None
-        self._spread: Spread
+        self._key: tuple[FloatArray, Watch] | None = None
+        self._uncertainty: Uncertainty
 
-    def of(self, navigation: ErrorStateFilter, watch: Watch) -> Spread:
-        """Give those of a filter; both it and the watch replace what they know, and never change it in place."""
-        if self._made_of is None or self._made_of[0] is not navigation.P or self._made_of[1] is not watch:
+    def of(self, navigation: ErrorStateFilter, watch: Watch) -> Uncertainty:
+        """Uncertainty of a filter; covariance and statistics are never changed in place, so identity is enough."""
+        if self._key is None or self._key[0] is not navigation.P or self._key[1] is not watch:
             time_ns, _, velocity, _ = navigation.inertial
             P = navigation.P
             position_cov = P[em.POSITION, em.POSITION]
@@ -81,19 +81,20 @@ class Bounds:
                 time_sd_s=self._settings.gnss.time_sd_s,
             )
             x, y, z = np.sqrt(P.diagonal()[em.GYROSCOPE_BIAS]).tolist()
-            self._spread = Spread(levels, covariances, (_upper(rows[0]), _upper(rows[1]), _upper(rows[2])), (x, y, z))
-            self._made_of = P, watch
-        return self._spread
+            triangles = _upper(rows[0]), _upper(rows[1]), _upper(rows[2])
+            self._uncertainty = Uncertainty(levels, covariances, triangles, (x, y, z))
+            self._key = P, watch
+        return self._uncertainty
 
 
-def solution_of(engine: Engine, bounds: Bounds) -> Solution | None:
+def solution_of(engine: Engine, uncertainty: UncertaintyCache) -> Solution | None:
     """State at the newest inertial sample, or None while there is no valid one."""
     navigation = engine.filter
     if navigation is None:
         return None
     time_ns, quaternion, velocity, position = navigation.inertial
     roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion)
-    levels, covariances, triangles, gyroscope_bias_sd = bounds.of(navigation, engine.aids.watch)
+    levels, covariances, triangles, gyroscope_bias_sd = uncertainty.of(navigation, engine.aids.watch)
     return Solution(
         time_ns=time_ns,
         phase=engine.phase,

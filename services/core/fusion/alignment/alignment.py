@@ -1,5 +1,6 @@
-"""From inertial samples and the first fixes to a running filter: levelling, position, heading."""
+"""Initial alignment: levelling, heading and position from inertial samples and the first fixes, and the filter."""
 
+from copy import copy
 from math import cos, hypot, sin
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.gnss_error_model import UNKNOWN, GnssErrorBank, KnownGnssErrors
 from ..settings import Settings
 from .heading import (
-    REST_RATE_SD,
+    STANDSTILL_RATE_SD,
     Heading,
     Motion,
     Prior,
@@ -29,21 +30,21 @@ from .heading import (
     saved_heading,
 )
 from .initial_position import FirstPlace, first_place
-from .levelling import FAST_M_S, Levelling, rest_gyroscope_bias
+from .levelling import MOVING_M_S, Levelling, standstill_gyroscope_bias
 from .track_matching import Point, moved_m_s, track
-from .velocity_matching import REST_OFFSET_SD, Comparison
+from .velocity_matching import STANDSTILL_OFFSET_SD, Comparison
 
 FloatArray = npt.NDArray[np.float64]
 
-VERTICAL_BIAS_SHARE = 0.4  # of the prior: gravity does not observe it, and more spoils starts on the move
-TRACK_S = 5.0  # longest time of the positions that give a course
-MOTION_AGE_S = 0.5  # a velocity older than this is not the velocity at the fix
-REST_VELOCITY_SD = 0.05  # [m/s]
-ARM_RATE_SD = 0.05  # [rad/s] by which the swing of the lever arm may be wrong
+VERTICAL_BIAS_SHARE = 0.4  # of the prior standard deviation, for starts on the move
+TRACK_S = 5.0  # longest span of the positions that give a course
+MOTION_AGE_S = 0.5  # largest age of a velocity that is used with a fix
+STANDSTILL_VELOCITY_SD = 0.05  # [m/s]
+ARM_RATE_SD = 0.05  # [rad/s] error of the rate that makes the lever-arm velocity
 DELAY_SD = (0.1, 0.1, 0.1)  # [s] of GNSS, of the odometer, and of GNSS velocity beyond that of its position
 UNKNOWN_OFFSET_SD = 300.0  # [m] of barometric height: weather and geoid
-BASELINE_AGE_S = 2.0  # up to which the heading of two antennas is one at the fix
-BASELINE_TILT_SD = 0.02  # [rad] by which a tilt that is not yet known turns it
+BASELINE_AGE_S = 2.0  # largest age of a two-antenna heading that is used with a fix
+BASELINE_TILT_SD = 0.02  # [rad] error of that heading by the tilt error
 
 
 class Alignment:
@@ -52,12 +53,12 @@ class Alignment:
     Parameters
     ----------
     settings : Settings
-        Of the filter to be.
+        Settings of the filter to be started.
     lost : ErrorStateFilter, optional
-        The filter before, whose biases are reused.
+        Filter before a reset; its biases and parameters are reused.
     kept : Heading, optional
-        Uncertainty of its attitude; without it the attitude is found anew. If its heading was wrong, tilt,
-        biases and learned parameters are found anew as well.
+        Correction of its heading, with the standard deviation; without it the attitude is not reused. If the correction
+        is not zero, biases and parameters are not reused.
     first : bool
         Whether no filter ran before; `gnss.zero_error_at_start` holds for the first fix only.
     """
@@ -70,8 +71,8 @@ class Alignment:
         *,
         first: bool = True,
     ) -> None:
-        self.how = ""  # the heading was found
-        self.seen_fix = False
+        self.method = ""  # of the heading that started the filter
+        self.has_fix = False
         self._settings = settings
         self._lost = None if kept and kept.turn else lost
         self._saved: Prior | None = None
@@ -83,23 +84,22 @@ class Alignment:
         )
         self.comparison = Comparison()
         self._from_zero = first and settings.gnss.zero_error_at_start
-        self._zero_ns: int | None = None  # stamp of a fix without time-correlated error
+        self._zero_ns: int | None = None  # stamp of the fix without time-correlated error
         self._has_velocity = False
         self._motion: Motion | None = None
         self._course: Heading | None = None
         self._baseline: tuple[int, Heading] | None = None  # stamp and heading of two antennas
         self._track: tuple[Point, ...] = ()  # newest last
-        self._fixes_at_rest: tuple[GnssPosition, ...] = ()
+        self._standstill_fixes: tuple[GnssPosition, ...] = ()
 
-    def fork(self) -> "Alignment":
+    def copy(self) -> "Alignment":
         """Independent copy."""
-        twin = Alignment.__new__(Alignment)
-        twin.__dict__.update(self.__dict__)
-        twin.levelling = self.levelling.fork()
-        return twin
+        made = copy(self)
+        made.levelling = copy(self.levelling)
+        return made
 
     def use_prior(self, prior: Prior) -> None:
-        """Use a position and heading that were saved before the power went; only the first counts."""
+        """Use a position and heading saved before the unit was switched off; only the first is used."""
         self._saved = self._saved or prior
 
     @property
@@ -107,11 +107,11 @@ class Alignment:
         """Phase of the alignment."""
         if not self.levelling.ready:
             return NavigationPhase.LEVELLING
-        return NavigationPhase.WAITING_FOR_HEADING if self.seen_fix else NavigationPhase.WAITING_FOR_GNSS
+        return NavigationPhase.WAITING_FOR_HEADING if self.has_fix else NavigationPhase.WAITING_FOR_GNSS
 
     @property
     def reason(self) -> str:
-        """Phase in words."""
+        """Reason of the phase."""
         match self.phase:
             case NavigationPhase.LEVELLING:
                 return f"levelling, up to {self._settings.alignment.levelling_s:g} s at rest"
@@ -120,101 +120,98 @@ class Alignment:
             case _:
                 return f"no heading yet: drive at more than {self._settings.alignment.course_speed_m_s:g} m/s"
 
-    def see_velocity(self, seen: GnssVelocity) -> None:
-        """Use a velocity, and the heading that follows from it."""
+    def use_velocity(self, measurement: GnssVelocity) -> None:
+        """Use a velocity for the heading and the initial velocity."""
         self._has_velocity = True
-        self.levelling.see_speed(hypot(seen.velocity[0], seen.velocity[1]))
-        north, east, down = np.sqrt(seen.cov.diagonal()).tolist()
-        sd = (north, east, down if seen.axes == 3 else 1.0)
-        swing = self._swing()
-        self._compare(seen, swing)
-        self._move(Motion(seen.time_ns, seen.velocity, sd, swing))
+        self.levelling.use_speed(hypot(measurement.velocity[0], measurement.velocity[1]))
+        north, east, down = np.sqrt(measurement.cov.diagonal()).tolist()
+        sd = (north, east, down if measurement.axes == 3 else 1.0)
+        arm_velocity = self._lever_arm_velocity()
+        self._compare(measurement, arm_velocity)
+        self._set_motion(Motion(measurement.time_ns, measurement.velocity, sd, arm_velocity))
 
-    def see_heading(self, seen: BaselineHeading) -> None:
-        """Use the heading of the line between two antennas."""
-        turn = seen.turn_from(self.levelling.quaternion)
-        self._baseline = seen.time_ns, Heading(turn, hypot(seen.sd, BASELINE_TILT_SD), "two antennas")
+    def use_heading(self, measurement: BaselineHeading) -> None:
+        """Use the heading of two antennas."""
+        turn = measurement.turn_from(self.levelling.quaternion)
+        self._baseline = measurement.time_ns, Heading(turn, hypot(measurement.sd, BASELINE_TILT_SD), "two antennas")
 
     def start_at(self, fix: GnssPosition) -> ErrorStateFilter | None:
-        """Use a position, and start the filter with it if attitude and velocity are known."""
-        if self._from_zero and not self.seen_fix:
+        """Use a position; returns the filter if attitude and velocity are known, otherwise None."""
+        if self._from_zero and not self.has_fix:
             self._zero_ns = fix.time_ns
-        self.seen_fix = True
-        self._follow(fix)
-        self._compare(fix, self._swing())
-        self._fixes_at_rest = (*self._fixes_at_rest[-99:], fix) if self.levelling.at_rest else ()
+        self.has_fix = True
+        self._add_to_track(fix)
+        self._compare(fix, self._lever_arm_velocity())
+        self._standstill_fixes = (*self._standstill_fixes[-99:], fix) if self.levelling.is_stationary else ()
         if self._motion is None or abs(fix.time_ns - self._motion.time_ns) > MOTION_AGE_S * 1e9:
-            self._move_without_velocity(fix)
+            self._set_motion_from_track(fix)
         if self._motion is None or not self.levelling.ready:
             return None
         heading = self._heading(fix)
         return self._start(fix, self._motion, heading) if heading else None
 
     def _heading(self, fix: GnssPosition) -> Heading | None:
-        """Most accurate of all headings that the motion so far does not contradict."""
+        """Most accurate of all known headings, without those that the motion contradicts."""
         drift = drift_sd(self.levelling)
         kept = self._kept and self._kept._replace(sd=self._kept.sd + drift)
         saved = saved_heading(self._saved, self.levelling, fix) if self._saved else None
-        known = [way for way in (kept, saved) if way and not self.comparison.contradicts(way.turn)]
+        known = [one for one in (kept, saved) if one and not self.comparison.contradicts(one.turn)]
         course = self._course and forwards_or_backwards(self._course, self.comparison)
         matched = heading_of_accelerations(self.comparison, self.levelling)
-        return min(
-            (way for way in (*known, course, matched, self._two_antennas(fix)) if way),
-            key=lambda way: way.sd,
-            default=None,
-        )
+        found = (one for one in (*known, course, matched, self._two_antennas(fix)) if one)
+        return min(found, key=lambda heading: heading.sd, default=None)
 
-    def _compare(self, seen: GnssPosition | GnssVelocity, swing: Vector) -> None:
-        """Compare the velocity of the antenna by inertial sensors alone with GNSS."""
-        if self.levelling.quaternion_at_rest is not None and self.comparison.offset_sd != REST_OFFSET_SD:
-            self.comparison = Comparison(offset_sd=REST_OFFSET_SD)
-        (north, east), (x, y) = self.levelling.velocity, self.levelling.before
-        self.comparison = self.comparison.after(seen, complex(north + x + swing[0], east + y + swing[1]))
+    def _compare(self, measurement: GnssPosition | GnssVelocity, arm_velocity: Vector) -> None:
+        """Compare GNSS with the velocity of the antenna by inertial sensors alone."""
+        if self.levelling.standstill_quaternion is not None and self.comparison.offset_sd != STANDSTILL_OFFSET_SD:
+            self.comparison = Comparison(offset_sd=STANDSTILL_OFFSET_SD)
+        (north, east), (x, y) = self.levelling.velocity, self.levelling.velocity_before
+        antenna = complex(north + x + arm_velocity[0], east + y + arm_velocity[1])
+        self.comparison = self.comparison.after(measurement, antenna)
 
     def _two_antennas(self, fix: GnssPosition) -> Heading | None:
-        fresh = self._baseline is not None and abs(fix.time_ns - self._baseline[0]) <= BASELINE_AGE_S * 1e9
-        return self._baseline[1] if self._baseline and fresh else None
+        recent = self._baseline is not None and abs(fix.time_ns - self._baseline[0]) <= BASELINE_AGE_S * 1e9
+        return self._baseline[1] if self._baseline and recent else None
 
-    def _follow(self, fix: GnssPosition) -> None:
-        """Update the track; without a velocity, pass the motion of the track to the levelling."""
+    def _add_to_track(self, fix: GnssPosition) -> None:
+        """Add a position to the track; without GNSS velocities, levelling uses the speed of the track."""
         level, now_ns = self.levelling, fix.time_ns
         x, y, _ = rotate(level.quaternion, self._settings.gnss.lever_arm_body_m)
         recent = (point for point in self._track if now_ns - TRACK_S * 1e9 <= point.fix.time_ns < now_ns)
-        self._track = (*tuple(recent)[-99:], Point(fix, level.ahead, level.way, complex(x, y)))
+        self._track = (*tuple(recent)[-99:], Point(fix, level.heading_integral, level.displacement, complex(x, y)))
         if self._has_velocity:
             return
-        level.see_speed(moved_m_s(self._track))
-        resting = [point for point in self._track if now_ns - point.fix.time_ns <= level.rest_s * 1e9]
-        if level.at_rest and moved_m_s(resting) > FAST_M_S:
-            level.forget_rest()
+        level.use_speed(moved_m_s(self._track))
+        recent_points = [point for point in self._track if now_ns - point.fix.time_ns <= level.standstill_s * 1e9]
+        if level.is_stationary and moved_m_s(recent_points) > MOVING_M_S:
+            level.discard_standstill()
             self.comparison = Comparison()
 
-    def _move(self, motion: Motion | None) -> None:
-        self._motion = motion
-        self._course = heading_of_motion(motion, self.levelling, self._settings) if motion else None
+    def _set_motion(self, motion: Motion) -> None:
+        self._motion, self._course = motion, heading_of_motion(motion, self.levelling, self._settings)
 
-    def _swing(self) -> Vector:
-        """Velocity of the antenna against the IMU [m/s, level frame]."""
+    def _lever_arm_velocity(self) -> Vector:
+        """Velocity of the antenna relative to the IMU [m/s, level frame]: C (w x l)."""
         x, y, z = np.cross(self.levelling.rate, self._settings.gnss.lever_arm_body_m).tolist()
         return rotate(self.levelling.quaternion, (x, y, z))
 
-    def _move_without_velocity(self, fix: GnssPosition) -> None:
-        """Find the velocity of a vehicle whose receiver states none: at rest, or from its track."""
-        if self.levelling.at_rest:
-            self._move(Motion(fix.time_ns, (0.0, 0.0, 0.0), (REST_VELOCITY_SD,) * 3, (0.0, 0.0, 0.0)))
+    def _set_motion_from_track(self, fix: GnssPosition) -> None:
+        """Velocity without GNSS velocities: zero at standstill, otherwise from the track."""
+        if self.levelling.is_stationary:
+            self._set_motion(Motion(fix.time_ns, (0.0, 0.0, 0.0), (STANDSTILL_VELOCITY_SD,) * 3, (0.0, 0.0, 0.0)))
         else:
             self._motion, self._course = track(self._track, self.levelling, self._settings) or (None, None)
 
     def _start(self, fix: GnssPosition, motion: Motion, heading: Heading) -> ErrorStateFilter:
-        """Initialise the filter at the instant of the fix."""
-        self.how, self.comparison = heading.how, self.comparison.turned(heading.turn).interrupted()
+        """Filter at the instant of the fix."""
+        self.method, self.comparison = heading.method, self.comparison.turned(heading.turn).interrupted()
         settings, arm = self._settings, self._settings.gnss.lever_arm_body_m
         north_from_level: Quaternion = (cos(0.5 * heading.turn), 0.0, 0.0, sin(0.5 * heading.turn))
         quaternion = quaternion_product(north_from_level, self.levelling.quaternion)
         arm_n = rotate(quaternion, arm)
-        swing = rotate(north_from_level, motion.swing)
         first = self._first_place(fix)
-        velocity = (motion.velocity[0] - swing[0], motion.velocity[1] - swing[1], motion.velocity[2] - swing[2])
+        (north, east, down), (x, y, z) = motion.velocity, rotate(north_from_level, motion.lever_arm_velocity)
+        velocity = north - x, east - y, down - z
         position = geodetic_from_ned_difference((-arm_n[0], -arm_n[1], -arm_n[2]), first.position)
         bias, bias_cov = self._accelerometer_bias()
         drift, drift_cov = self._gyroscope_bias(north_from_level, position.latitude)
@@ -229,32 +226,32 @@ class Alignment:
             tilt = _tilt_by_bias_error(matrix_from_quaternion(quaternion))
             P[em.ATTITUDE, em.ACCELEROMETER_BIAS] = tilt @ bias_cov
             P[em.ACCELEROMETER_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.ACCELEROMETER_BIAS].T
-        if self._lost is None and self.levelling.quaternion_at_rest is None:
+        if self._lost is None and self.levelling.standstill_quaternion is None:
             level = np.diag([1.0, 1.0, 0.0]) @ matrix_from_quaternion(quaternion)
-            P[em.ATTITUDE, em.GYROSCOPE_BIAS] = self.levelling.drift.both * level
+            P[em.ATTITUDE, em.GYROSCOPE_BIAS] = self.levelling.covariance.cross * level
             P[em.GYROSCOPE_BIAS, em.ATTITUDE] = P[em.ATTITUDE, em.GYROSCOPE_BIAS].T
         P[em.SCALES, em.SCALES] = self._scales_cov()
         P[em.PARAMETERS, em.PARAMETERS] = self._parameters_cov()
         P[em.POSITION, em.POSITION] = first.cov
         P[em.GNSS_ERROR, :] = P[:, em.GNSS_ERROR] = 0.0
         P[em.GNSS_ERROR, em.GNSS_ERROR] = first.error_cov
-        P[em.POSITION, em.GNSS_ERROR] = first.both
-        P[em.GNSS_ERROR, em.POSITION] = first.both.T
+        P[em.POSITION, em.GNSS_ERROR] = first.cross_cov
+        P[em.GNSS_ERROR, em.POSITION] = first.cross_cov.T
         inertial = InertialState(fix.time_ns, quaternion, velocity, position)
         known = self._lost.parameters if self._lost else NO_PARAMETERS
         begin, end = em.GNSS_ERROR.start - em.DRIVING, em.GNSS_ERROR.stop - em.DRIVING
         parameters = (*known[:begin], *first.error, *known[end:])
         imu = (self._lost.imu if self._lost else ImuErrors())._replace(accelerometer_bias=bias, gyroscope_bias=drift)
-        started = ErrorStateFilter(settings, inertial, P, imu, parameters, first.colour)
+        started = ErrorStateFilter(settings, inertial, P, imu, parameters, first.gnss_errors)
         if self._lost is not None:
             started.velocity_errors = self._lost.velocity_errors
         return started
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
-        """Weighted mean of the fixes of a standstill, or the one fix of a moving vehicle."""
-        rest = [other for other in self._fixes_at_rest if (other.axes, other.lasts) == (fix.axes, fix.lasts)]
-        colour = self._lost.colour.at_start() if self._lost else gnss_error_model(self._settings)
-        return first_place(rest or [fix], colour, self._zero_ns)
+        """Weighted mean of the fixes at standstill, or the newest fix on the move."""
+        fixes = [one for one in self._standstill_fixes if (one.axes, one.lasts) == (fix.axes, fix.lasts)]
+        gnss_errors = self._lost.gnss_errors.at_start() if self._lost else gnss_error_model(self._settings)
+        return first_place(fixes or [fix], gnss_errors, self._zero_ns)
 
     def _scales_cov(self) -> FloatArray:
         if self._lost is not None:
@@ -278,14 +275,14 @@ class Alignment:
         return (0.0, 0.0, 0.0), np.eye(3) * self._settings.imu.accelerometer_bias_sd_m_s2**2
 
     def _gyroscope_bias(self, north_from_level: Quaternion, latitude: float) -> tuple[Vector, FloatArray]:
-        at_rest = self.levelling.quaternion_at_rest
-        if at_rest is not None:
-            C = matrix_from_quaternion(quaternion_product(north_from_level, at_rest))
-            bias = rest_gyroscope_bias(self.levelling.rate_bias, C, earth_rate_n(latitude))
-            return bias, np.eye(3) * REST_RATE_SD**2
+        attitude = self.levelling.standstill_quaternion
+        if attitude is not None:
+            C = matrix_from_quaternion(quaternion_product(north_from_level, attitude))
+            bias = standstill_gyroscope_bias(self.levelling.rate_bias, C, earth_rate_n(latitude))
+            return bias, np.eye(3) * STANDSTILL_RATE_SD**2
         if self._lost is not None:
             return self._lost.imu.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
-        horizontal = self.levelling.drift.bias
+        horizontal = self.levelling.covariance.bias
         C = matrix_from_quaternion(self.levelling.quaternion)
         vertical = VERTICAL_BIAS_SHARE * self._settings.imu.gyroscope_bias_sd_rad_s
         cov = np.diag([horizontal, horizontal, vertical**2])
@@ -293,13 +290,13 @@ class Alignment:
 
 
 def gnss_error_model(settings: Settings) -> GnssErrorBank | KnownGnssErrors:
-    """Model of GNSS errors before any fix: by the settings, or unknown."""
+    """Statistics of GNSS errors before the first fix: those of the settings, or unknown."""
     correlation_s = settings.gnss.correlation_time_s
     return KnownGnssErrors(correlation_s, 1.0 - settings.gnss.white_noise_share) if correlation_s else UNKNOWN
 
 
 def _tilt_by_bias_error(ned_from_body: FloatArray) -> FloatArray:
-    """Matrix A [rad per m/s²] of psi = A db_a for an attitude that was levelled by the force: C f stays upright."""
-    sideways = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    tilt: FloatArray = sideways @ ned_from_body / STANDARD_GRAVITY
+    """Matrix A [rad per m/s²] of psi = A db_a for an attitude from levelling, in which C f is vertical."""
+    cross = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # e_N e_E^T - e_E e_N^T
+    tilt: FloatArray = cross @ ned_from_body / STANDARD_GRAVITY
     return tilt

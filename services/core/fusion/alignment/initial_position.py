@@ -1,4 +1,4 @@
-"""Where a filter begins: the place that the first fixes give, and what their lasting error leaves unknown of it."""
+"""Initial position and time-correlated GNSS error, with their joint covariance, from the first fixes."""
 
 from collections.abc import Sequence
 from math import sqrt
@@ -15,43 +15,52 @@ from ..measurements.gnss_error_model import GnssErrorBank, KnownGnssErrors, mean
 FloatArray = npt.NDArray[np.float64]
 
 UNKNOWN_HEIGHT_SD = 100.0  # [m]
-REST_CORRELATION_S = 5.0  # errors of a carrier phase that are closer than this are taken for one
-LEAST = 1e-6  # [-] variance of the lasting error: with none it would not be estimated
-NOWHERE = np.zeros(3)
+CARRIER_CORRELATION_S = 5.0  # correlation time of the errors of carrier-phase positions
+LEAST = 1e-6  # [-] smallest variance of the time-correlated error: with zero it would not be estimated
+NO_DRIFT = np.zeros(3)  # [m²/s²] velocity variances at standstill
 
 
 class FirstPlace(NamedTuple):
-    """Position of the antenna and lasting error of GNSS over its standard deviation, and how well they are known."""
+    """Position of the antenna, and time-correlated GNSS error over its standard deviation, with their covariance."""
 
     position: Geodetic
     cov: FloatArray  # shape (3, 3) [m², NED]
     error: tuple[float, ...]
     error_cov: FloatArray  # shape (3, 3)
-    both: FloatArray  # shape (3, 3) [m] covariance of position and error
-    colour: GnssErrorBank | KnownGnssErrors
+    cross_cov: FloatArray  # shape (3, 3) [m] of position and error
+    gnss_errors: GnssErrorBank | KnownGnssErrors
 
 
 def first_place(
-    rest: Sequence[GnssPosition], colour: GnssErrorBank | KnownGnssErrors, zero_ns: int | None = None
+    fixes: Sequence[GnssPosition], gnss_errors: GnssErrorBank | KnownGnssErrors, zero_ns: int | None = None
 ) -> FirstPlace:
-    """Weigh the fixes of a rest, newest last, by what they show of the run of their errors.
+    """Weighted mean of fixes at standstill, newest last.
 
-    An error that lasts is in all of them: the mean of many is hardly better than one, and the filter must know that
-    position and lasting error are wrong together.
+    A time-correlated error is common to all of them: the mean of many is hardly better than one fix, and the errors of
+    position and time-correlated error are correlated.
+
+    Parameters
+    ----------
+    fixes : sequence of GnssPosition
+        Of one receiver mode; the last one is the time of the result.
+    gnss_errors : GnssErrorBank or KnownGnssErrors
+        Statistics of their errors before the first of them.
+    zero_ns : int, optional
+        Stamp at which the time-correlated error is zero.
     """
-    newest = rest[-1]
+    newest = fixes[-1]
     cov = newest.cov + np.diag([0.0, 0.0, 0.0 if newest.axes == 3 else UNKNOWN_HEIGHT_SD**2])
-    offsets = np.array([ned_from_geodetic_difference(fix.position, newest.position) for fix in rest])
-    times_s = np.array([(fix.time_ns - newest.time_ns) * 1e-9 for fix in rest])
+    offsets = np.array([ned_from_geodetic_difference(fix.position, newest.position) for fix in fixes])
+    times_s = np.array([(fix.time_ns - newest.time_ns) * 1e-9 for fix in fixes])
     if not newest.lasts:
-        independent = min(float(len(rest)), 1.0 - times_s[0] / REST_CORRELATION_S)
+        independent = min(float(len(fixes)), 1.0 - times_s[0] / CARRIER_CORRELATION_S)
         place, zeros = _moved(newest.position, offsets.mean(axis=0)), np.zeros((3, 3))
-        return FirstPlace(place, cov / independent, (0.0,) * 3, np.eye(3), zeros, colour.at_start())
-    for fix, offset in zip(rest, offsets, strict=True):
-        colour = colour.after(fix.time_ns, offset, np.sqrt(fix.cov.diagonal()), NOWHERE)
-    lasting, scaled = max(colour.lasting, 1e-6), colour.scaled(newest.cov)
+        return FirstPlace(place, cov / independent, (0.0,) * 3, np.eye(3), zeros, gnss_errors.at_start())
+    for fix, offset in zip(fixes, offsets, strict=True):
+        gnss_errors = gnss_errors.after(fix.time_ns, offset, np.sqrt(fix.cov.diagonal()), NO_DRIFT)
+    lasting, scaled = max(gnss_errors.lasting, 1e-6), gnss_errors.scaled(newest.cov)
     zero_s = None if zero_ns is None else (zero_ns - newest.time_ns) * 1e-9
-    weights, joint = mean_at_rest(times_s, lasting, colour.correlation_s, zero_s)
+    weights, joint = mean_at_rest(times_s, lasting, gnss_errors.correlation_s, zero_s)
     root = np.linalg.cholesky(scaled)
     place, error = weights @ offsets
     in_sds = np.linalg.solve(root, error) / sqrt(lasting)
@@ -61,7 +70,7 @@ def first_place(
         tuple(in_sds.tolist()),
         max(joint[1, 1] / lasting, LEAST) * np.eye(3),
         joint[0, 1] / sqrt(lasting) * root,
-        colour.at_start(),
+        gnss_errors.at_start(),
     )
 
 

@@ -1,11 +1,11 @@
-"""Heading and velocity for receivers that send positions only: the track by fixes and by inertial sensors.
+"""Heading and velocity for receivers without velocity: GNSS positions against the displacement by inertial sensors.
 
-In complex numbers (north + i east), with p the antenna's positions and d the same way in the frame of `levelling`::
+In complex numbers (north + i east), with p the antenna's positions and d its displacement in the level frame::
 
-    p_i = p_0 + w d_i + noise,   arg w is the turn of the level frame to NED
+    p_i = p_0 + w d_i + noise,   arg w is the turn from the level frame to NED
 
-After a rest, d is what the inertial sensors have integrated and the swing of the lever arm, and |w| should be one. Else
-the vehicle is taken to go forwards at an even speed v, so that d = v ∫ exp(i yaw) dt and the swing.
+Shortly after a standstill d is the displacement by dead reckoning plus the lever arm, and |w| should be one. Otherwise
+forward motion at constant speed v is assumed: d = v ∫ exp(i yaw) dt, plus the lever arm.
 """
 
 from cmath import phase, rect
@@ -22,24 +22,24 @@ from .heading import COURSE, MATCH_ACCELERATION_SD, MATCH_S, Heading, Motion
 from .levelling import Levelling
 from .velocity_matching import GAIN, LARGEST_JITTER_M
 
-SHORTEST_M = 2.0  # a track that gives a heading, and
-LARGEST_TURN_SD = 0.1  # [rad] how well
-SETTLED_S = 1.0  # before it drives off, a vehicle stands: a rest takes longer to be one
-MOVED_SDS = 3.0  # of a difference of positions, beyond which the vehicle has moved
-MANY = 4  # positions that say themselves how noisy they are
+SHORTEST_M = 2.0  # shortest track that gives a heading
+LARGEST_TURN_SD = 0.1  # [rad] of a heading
+STANDSTILL_FIXES_S = 1.0  # time before the vehicle moves off of which fixes are used as well
+MOVED_SDS = 3.0  # standard deviations of a difference of positions above which the vehicle has moved
+MANY = 4  # number of positions from which their noise is estimated
 
 
 class Point(NamedTuple):
-    """A fix, and where the inertial sensors were then, in the level frame."""
+    """A fix, with the integrals of `Levelling` at its stamp, in the level frame (north + i east)."""
 
     fix: GnssPosition
-    ahead: complex  # [s] integral of the direction of the nose
-    way: complex  # [m] since the last rest
+    heading_integral: complex  # [s]
+    displacement: complex  # [m] since the last standstill
     arm: complex  # [m] from the IMU to the antenna
 
 
 class Fit(NamedTuple):
-    """w, the standard deviation of its argument [rad], and that of a position [m]."""
+    """Estimate of w, and standard deviations of its argument [rad] and of a position [m]."""
 
     w: complex
     turn_sd: float
@@ -47,43 +47,45 @@ class Fit(NamedTuple):
 
 
 def track(points: Sequence[Point], levelling: Levelling, settings: Settings) -> tuple[Motion, Heading] | None:
-    """Find velocity and heading of a vehicle that drives.
+    """Velocity and heading of a moving vehicle.
 
     Parameters
     ----------
     points : sequence of Point
-        Of the last seconds, newest last and of this instant.
+        Of the last seconds, newest last.
     levelling : Levelling
-        As of this instant.
+        At the time of the newest.
     settings : Settings
-        For the least speed of a course and its standard deviation.
+        For the lowest speed of a course and its standard deviation.
 
     Returns
     -------
     tuple or None
-        Velocity of the IMU, and the turn of the level frame; None while the track is too short for its noise.
+        Velocity of the IMU, and heading; None while the track is too short for its noise.
     """
-    rested, moving_ns = levelling.quaternion_at_rest is not None, int(levelling.moving_s * 1e9)
-    begin_ns = points[-1].fix.time_ns - moving_ns if rested else points[0].fix.time_ns
-    if rested and levelling.moving_s < MATCH_S:
-        since = [point for point in points if point.fix.time_ns >= begin_ns - int(SETTLED_S * 1e9)]
-        if found := _after_rest(since, levelling, settings):
+    had_standstill, moving_ns = levelling.standstill_quaternion is not None, int(levelling.moving_s * 1e9)
+    begin_ns = points[-1].fix.time_ns - moving_ns if had_standstill else points[0].fix.time_ns
+    if had_standstill and levelling.moving_s < MATCH_S:
+        recent = [point for point in points if point.fix.time_ns >= begin_ns - int(STANDSTILL_FIXES_S * 1e9)]
+        if found := _by_displacement(recent, levelling, settings):
             return found
-    return _forwards([point for point in points if point.fix.time_ns >= begin_ns], levelling, settings)
+    return _by_course([point for point in points if point.fix.time_ns >= begin_ns], levelling, settings)
 
 
 def moved_m_s(points: Sequence[Point]) -> float:
-    """Mean speed [m/s] from the first to the last point, or zero if it may as well be noise."""
+    """Mean speed [m/s] from the first to the last point; zero if it is not significant."""
     if len(points) < 2:
         return 0.0
     first, last = points[0].fix, points[-1].fix
-    distance, span_s = abs(_seen(points)[0]), (last.time_ns - first.time_ns) * 1e-9
+    distance, span_s = abs(_offsets(points)[0]), (last.time_ns - first.time_ns) * 1e-9
     sd = sqrt(0.5 * float((first.cov + last.cov)[:2, :2].trace()))
     return distance / span_s if distance > MOVED_SDS * sd and span_s > 0.0 else 0.0
 
 
-def _after_rest(points: Sequence[Point], levelling: Levelling, settings: Settings) -> tuple[Motion, Heading] | None:
-    fit = _fit(points, [point.way + point.arm for point in points])
+def _by_displacement(
+    points: Sequence[Point], levelling: Levelling, settings: Settings
+) -> tuple[Motion, Heading] | None:
+    fit = _fit(points, [point.displacement + point.arm for point in points])
     gained = complex(*levelling.velocity)
     if (
         fit is None
@@ -97,9 +99,9 @@ def _after_rest(points: Sequence[Point], levelling: Levelling, settings: Setting
     return _motion(points, velocity, sd), Heading(turn, turn_sd, "matched positions")
 
 
-def _forwards(points: Sequence[Point], levelling: Levelling, settings: Settings) -> tuple[Motion, Heading] | None:
-    rough = _fit(points, [point.ahead for point in points])
-    fit = rough and _fit(points, [abs(rough.w) * point.ahead + point.arm for point in points])
+def _by_course(points: Sequence[Point], levelling: Levelling, settings: Settings) -> tuple[Motion, Heading] | None:
+    rough = _fit(points, [point.heading_integral for point in points])
+    fit = rough and _fit(points, [abs(rough.w) * point.heading_integral + point.arm for point in points])
     if rough is None or fit is None or not settings.alignment.course_speed_m_s <= abs(rough.w) < FASTEST_M_S:
         return None
     turn, span_s = phase(fit.w), (points[-1].fix.time_ns - points[0].fix.time_ns) * 1e-9
@@ -110,16 +112,16 @@ def _forwards(points: Sequence[Point], levelling: Levelling, settings: Settings)
     )
 
 
-def _fit(points: Sequence[Point], ways: Sequence[complex]) -> Fit | None:
-    """Least squares for w, if the track is long enough."""
+def _fit(points: Sequence[Point], displacements: Sequence[complex]) -> Fit | None:
+    """Least-squares estimate of w; None if the track is too short."""
     n = len(points)
     if n < 2:
         return None
-    seen = _seen(points)
-    if abs(seen[0]) < SHORTEST_M:
+    positions = _offsets(points)
+    if abs(positions[0]) < SHORTEST_M:
         return None
-    mean_seen, mean_way = sum(seen) / n, sum(ways) / n
-    pairs = [(p - mean_seen, d - mean_way) for p, d in zip(seen, ways, strict=True)]
+    mean_position, mean_displacement = sum(positions) / n, sum(displacements) / n
+    pairs = [(p - mean_position, d - mean_displacement) for p, d in zip(positions, displacements, strict=True)]
     dd = sum(abs(d) ** 2 for _, d in pairs)
     if dd == 0.0:
         return None
@@ -133,8 +135,8 @@ def _fit(points: Sequence[Point], ways: Sequence[complex]) -> Fit | None:
     return Fit(w, sqrt(variance / dd) / abs(w), sqrt(variance))
 
 
-def _seen(points: Sequence[Point]) -> list[complex]:
-    """Positions [m] against the newest."""
+def _offsets(points: Sequence[Point]) -> list[complex]:
+    """Positions [m, north + i east] relative to the newest."""
     newest = points[-1].fix.position
     differences = (ned_from_geodetic_difference(point.fix.position, newest) for point in points)
     return [complex(north, east) for north, east, _ in differences]

@@ -4,7 +4,7 @@ Sign convention of every state, biases, scales and parameters included::
 
     x = estimated - true
 
-so that a correction subtracts the estimated errors from the state (`eskf.take_out`), and a measurement has
+so that a correction subtracts the estimated errors from the state (`eskf.subtract_errors`), and a measurement has
 z = measured - predicted = H x + noise with H = -d(predicted)/d(state). The attitude error psi is a small rotation
 vector in NED axes, C_estimated = (I + sk(psi)) C; the position error is in metres NED.
 
@@ -32,38 +32,31 @@ ACCELEROMETER_BIAS = slice(9, 12)  # [m/s², body]
 GYROSCOPE_BIAS = slice(12, 15)  # [rad/s, body]
 ACCELEROMETER_SCALE = slice(15, 18)  # [-]
 GYROSCOPE_SCALE = slice(18, 21)  # [-]
-SCALES = slice(15, 21)
+SCALES = slice(15, 21)  # accelerometers and gyroscopes
 ODOMETER_SCALE = 21  # [-]
 MOUNTING = slice(22, 24)  # [rad] pitch, yaw
-VEHICLE = slice(21, 24)
 GNSS_ERROR = slice(24, 27)  # [-] time-correlated error of GNSS positions over its standard deviation
-GNSS_DELAY = 27  # [s] by which GNSS is older than its stamp
+GNSS_DELAY = 27  # [s] age of GNSS at its stamp
 ODOMETER_DELAY = 28  # [s]
 BAROMETER_OFFSET = 29  # [m] of barometric height
-GNSS_VELOCITY_DELAY = 30  # [s] by which GNSS velocity is older still
+GNSS_VELOCITY_DELAY = 30  # [s] delay of GNSS velocity beyond that of GNSS position
 GNSS_VELOCITY_ERROR = slice(31, 34)  # [m/s, NED] time-correlated error of GNSS velocities
 DELAYS = np.array([GNSS_DELAY, ODOMETER_DELAY, GNSS_VELOCITY_DELAY])
 SIZE = 34
-MOVING = 9  # attitude, velocity and position, which F drives
-DRIVING = 21  # by them and the errors of the IMU
+MOVING = 9  # number of states whose derivative F gives: attitude, velocity, position
+DRIVING = 21  # number of states on which that derivative depends: these and the errors of the IMU
 PARAMETERS = slice(DRIVING, SIZE)  # of the aiding sensors
-DOWN = 2  # third axis of a block
 UNIT, UNIT_STATES = np.eye(3), np.eye(SIZE)
 
 
 @compilable
 def put(F: FloatArray, rows: slice, columns: slice, block: tuple[Vector, Vector, Vector]) -> None:
-    """F[rows, columns] = block, element by element: a third of the time of an array made of the block."""
+    """F[rows, columns] = block, element by element, which is three times as fast as through an array."""
     i, j = rows.start, columns.start
-    (
-        (F[i, j], F[i, j + 1], F[i, j + 2]),
-        (F[i + 1, j], F[i + 1, j + 1], F[i + 1, j + 2]),
-        (
-            F[i + 2, j],
-            F[i + 2, j + 1],
-            F[i + 2, j + 2],
-        ),
-    ) = block
+    first, second, third = block
+    F[i, j], F[i, j + 1], F[i, j + 2] = first
+    F[i + 1, j], F[i + 1, j + 1], F[i + 1, j + 2] = second
+    F[i + 2, j], F[i + 2, j + 1], F[i + 2, j + 2] = third
 
 
 @compilable
@@ -75,7 +68,7 @@ def system_matrix(
     Parameters
     ----------
     quaternion, velocity, position, earth
-        Where the errors are linearised, as of `strapdown.mechanise`.
+        Point of linearisation, in the forms of `strapdown.mechanise`.
     force_n : tuple of float
         [m/s², NED] Specific force f_n.
     rate_b : tuple of float
@@ -94,7 +87,7 @@ def system_matrix(
         psi' = -sk(w_ie + w_en) psi - D_v w_en dv - D_p(w_ie + w_en) dr - C (db_g + diag(w) ds_g)
         dv'  = -sk(f_n) psi + [sk(v) D_v w_en - sk(w_en + 2 w_ie)] dv
                + [sk(v) D_p(w_en + 2 w_ie) + 2 g/r in DD] dr - C (db_a + diag(f_b) ds_a)
-        dr'  = dv + [turn and stretch of the local axes] dr
+        dr'  = dv + [rotation and scale of the local axes] dr
 
     The change of the radii with latitude is neglected (0.5 % of the smallest blocks).
 
@@ -186,7 +179,7 @@ def system_matrix(
         ),
     )
     put(F, POSITION, VELOCITY, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-    # the local axes turn by w_en and stretch with height and latitude
+    # rotation of the local axes by w_en, and their scale with height and latitude
     put(F, POSITION, POSITION, ((-down * m, 0.0, -te), (-td * m / t, -(down + north * tan) * t, tn), (0.0, 0.0, 0.0)))
     return F
 
@@ -197,8 +190,8 @@ def transition_matrix(
 ) -> FloatArray:
     """Transition matrix Phi, shape (34, 34), of a short step: I + F t.
 
-    The time-correlated errors of GNSS positions and velocities decay by exp(-t/T), exact at any step because nothing
-    drives them.
+    The time-correlated errors of GNSS positions and velocities decay by exp(-t/T), exact for any step: no other state
+    acts on them.
     """
     Phi = UNIT_STATES + F * step_s
     Phi[GNSS_ERROR, GNSS_ERROR] = exp(-step_s / gnss_correlation_s) * UNIT
@@ -222,7 +215,7 @@ def process_noise_psd(*densities: tuple[int | slice | npt.NDArray[np.intp], floa
 
     References
     ----------
-    J. Zuriarrain Sosa et al., 2024, eq. A10, with the names of the two bias terms put right.
+    J. Zuriarrain Sosa et al., 2024, eq. A10, where the names of the two bias terms are swapped.
     """
     diagonal = np.zeros(SIZE)
     for place, value in densities:
@@ -239,7 +232,7 @@ def process_noise(
     Parameters
     ----------
     psd : ndarray, shape (34,)
-        [unit²/s] As of `process_noise_psd`.
+        [unit²/s] See `process_noise_psd`.
     attitude_psd, velocity_psd : float
         [rad²/s], [m²/s³] Least densities of attitude and velocity, from the measured vibration.
     step_s : float
@@ -330,7 +323,7 @@ def antenna_velocity_matrix(arm_b: Vector, rate_b: Vector, ned_from_body: FloatA
     Returns
     -------
     ndarray, shape (3, 34)
-        The small term of the Earth's rate in the prediction is neglected.
+        The term of the Earth's rate in the prediction is neglected.
 
     Notes
     -----
@@ -370,7 +363,7 @@ def axle_velocity_matrix(
     Returns
     -------
     ndarray, shape (3, 34)
-        Rows forward, right, down. The roll of the mounting is taken for zero: driving does not show it.
+        Rows forward, right, down. The roll of the mounting is zero: it is not observable.
 
     Notes
     -----
@@ -378,12 +371,12 @@ def axle_velocity_matrix(
 
         H = [ -M C^T sk(v), -M C^T, 0, 0, -M sk(l), 0, -M (e_y x u), -e_z x M u ]
     """
-    u, ahead = axle_velocity_b, M @ axle_velocity_b
+    u, Mu = axle_velocity_b, M @ axle_velocity_b
     vehicle_from_ned = M @ ned_from_body.T
     H = np.zeros((3, SIZE))
     H[:, ATTITUDE] = -vehicle_from_ned @ skew(velocity_n)
     H[:, VELOCITY] = -vehicle_from_ned
     H[:, GYROSCOPE_BIAS] = -M @ skew(arm_b)
     H[:, MOUNTING.start] = -M @ np.array([u[2], 0.0, -u[0]])
-    H[:, MOUNTING.start + 1] = ahead[1], -ahead[0], 0.0
+    H[:, MOUNTING.start + 1] = Mu[1], -Mu[0], 0.0
     return H

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from shared.errors import FilterDiverged
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
-from shared.maths.kalman import Correction, correct
+from shared.maths.kalman import Correction, correct, predict
 from shared.maths.rotation import Quaternion, Vector, matrix_from_quaternion, ned_from_body
 
 from ..measurements import gnss_velocity_errors
@@ -18,7 +18,6 @@ from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..update.standstill_detector import Limits
 from . import error_model as em
-from .kalman import predict, resized, variances
 from .propagation import (
     SMOOTHING_S,
     ZERO,
@@ -26,12 +25,12 @@ from .propagation import (
     Intervals,
     Samples,
     Stop,
-    begun,
     implausible,
+    initial_state,
     propagate,
     propagate_arrays,
 )
-from .strapdown import InertialState, local_earth, without
+from .strapdown import InertialState, corrected, local_earth
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -70,25 +69,25 @@ class Late(NamedTuple):
 
 
 class ErrorStateFilter:
-    """The state, and the covariance of its 34 errors; every correction is taken out of the state at once.
+    """The state, and the covariance of its 34 errors; estimated errors are subtracted from the state at once.
 
-    What is not estimated has neither variance nor noise, and stays as it was given. Nothing is changed in place, so
-    that a `fork` is cheap.
+    A state that is not estimated has neither variance nor noise, and keeps its value. Nothing is changed in place, so
+    that `copy.copy` gives an independent filter.
 
     Parameters
     ----------
     settings : Settings
-        Noise, periods.
+        Noise densities and initial standard deviations.
     inertial : InertialState
-        At the start.
+        Attitude, velocity and position at the start.
     P : ndarray, shape (34, 34)
         Covariance at the start, in the order of `error_model`.
     imu : ImuErrors
-        As far as known.
+        Estimated biases and scale factors at the start.
     parameters : tuple of float
-        Of the aiding sensors, in the order of `error_model.PARAMETERS`, as far as known.
-    colour : GnssErrorBank
-        Statistics of the GNSS errors, as far as known.
+        Parameters of the aiding sensors at the start, in the order of `error_model.PARAMETERS`.
+    gnss_errors : GnssErrorBank or KnownGnssErrors
+        Statistics of the errors of GNSS positions.
     """
 
     def __init__(
@@ -98,15 +97,15 @@ class ErrorStateFilter:
         P: FloatArray,
         imu: ImuErrors = NO_ERRORS,
         parameters: tuple[float, ...] = NO_PARAMETERS,
-        colour: GnssErrorBank | KnownGnssErrors = UNKNOWN,
+        gnss_errors: GnssErrorBank | KnownGnssErrors = UNKNOWN,
     ) -> None:
-        self.state = begun(inertial, ZERO, ZERO)
+        self.state = initial_state(inertial, ZERO, ZERO)
         self.P = P
         self.imu = imu
         self.parameters = parameters
-        self.colour = colour
+        self.gnss_errors = gnss_errors
         self.velocity_errors = gnss_velocity_errors.UNKNOWN
-        self.moved: Vector = ZERO  # [m, NED] by all corrections together
+        self.position_correction: Vector = ZERO  # [m, NED] sum of all corrections
         self.late: Late | None = None  # fixes that seem to be older than their stamps
         self.recorder: HistoryRecorder | None = None  # records steps and corrections for the smoother
         self._settings = settings
@@ -124,12 +123,6 @@ class ErrorStateFilter:
                 settings.barometer.offset_random_walk_m_sqrt_s**2 if settings.barometer.enabled else 0.0,
             ),
         )
-
-    def fork(self) -> "ErrorStateFilter":
-        """Copy that goes its own way."""
-        twin = ErrorStateFilter.__new__(ErrorStateFilter)
-        twin.__dict__.update(self.__dict__)
-        return twin
 
     @property
     def inertial(self) -> InertialState:
@@ -159,12 +152,12 @@ class ErrorStateFilter:
 
     @property
     def velocity(self) -> Vector:
-        """[m/s, NED]."""
+        """Velocity [m/s, NED]."""
         return self.state.velocity
 
     @property
     def position(self) -> Geodetic:
-        """Of the IMU."""
+        """Position of the IMU."""
         return Geodetic(*self.state.position)
 
     @property
@@ -174,47 +167,40 @@ class ErrorStateFilter:
 
     @property
     def rate(self) -> Vector:
-        """[rad/s, body] of the last sample, IMU errors removed."""
+        """Angular rate [rad/s, body] of the last sample, IMU errors removed."""
         return self.state.rate_b
 
     @property
     def acceleration(self) -> Vector:
-        """[m/s², NED] of the last sample."""
+        """Acceleration [m/s², NED] of the last sample."""
         return self.state.acceleration_n
 
     @property
     def smoothed_acceleration(self) -> FloatArray:
-        """Acceleration [m/s², NED] of the last tenth of a second, less the share of the vibration; shape (3,)."""
+        """Acceleration [m/s², NED] averaged over 0.1 s, times the share that is not vibration; shape (3,)."""
         a = np.array(self.state.smoothed_acceleration_n)
         size2, noise2 = float(a @ a), 1.5 * self.state.force_vibration_psd / SMOOTHING_S
         return max(0.0, 1.0 - noise2 / size2) * a if size2 > 0.0 else a
 
     def rate_noise(self, span_s: float) -> float:
-        """Standard deviation [rad/s] that vibration gives to the mean rate of a time."""
+        """Standard deviation [rad/s] of the mean angular rate over a time, due to vibration."""
         return sqrt(self.state.rate_vibration_psd / span_s)
 
     def parameter(self, place: int) -> float:
-        """Value of a parameter by the place of its error in the state."""
+        """Value of a parameter, by the index of its error in the state."""
         return self.parameters[place - em.DRIVING]
 
     @property
     def gnss_error(self) -> FloatArray:
         """Time-correlated error of GNSS positions over its standard deviation, shape (3,)."""
-        return np.array(self.parameters[em.GNSS_ERROR.start - em.DRIVING : em.GNSS_ERROR.stop - em.DRIVING])
-
-    @gnss_error.setter
-    def gnss_error(self, error: FloatArray) -> None:
-        self._set_parameters(em.GNSS_ERROR, error)
+        place = em.GNSS_ERROR
+        return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
 
     @property
     def gnss_velocity_error(self) -> FloatArray:
         """Time-correlated error of GNSS velocities [m/s, NED], shape (3,)."""
         place = em.GNSS_VELOCITY_ERROR
         return np.array(self.parameters[place.start - em.DRIVING : place.stop - em.DRIVING])
-
-    @gnss_velocity_error.setter
-    def gnss_velocity_error(self, error: FloatArray) -> None:
-        self._set_parameters(em.GNSS_VELOCITY_ERROR, error)
 
     def _set_parameters(self, place: slice, values: FloatArray) -> None:
         begin, end = place.start - em.DRIVING, place.stop - em.DRIVING
@@ -229,7 +215,7 @@ class ErrorStateFilter:
     def propagate(
         self, samples: Samples, begin: int, end: int, limits: Limits, intervals: Intervals
     ) -> tuple[int, Stop]:
-        """Propagate the state over samples: how many were taken, and why no more; see `propagation.propagate`."""
+        """Propagate the state over samples; returns how many, and why it stopped: see `propagation.propagate`."""
         times_ns, rows, _ = samples
         if not self._has_sample and begin < end:
             fx, fy, fz, wx, wy, wz = map(float, rows[begin])
@@ -256,16 +242,16 @@ class ErrorStateFilter:
             self._noise_psd,
             factor * state.rate_vibration_psd,
             factor * state.force_vibration_psd,
-            self.colour.correlation_s if estimated else inf,
+            self.gnss_errors.correlation_s if estimated else inf,
             gnss_velocity_errors.CORRELATION_S,
             self.velocity_errors.variance,
         )
-        self.P = predict(self.P, Phi, Q)
+        self.P = predict(self.P, Phi, np.diag(Q))
         gnss_decay = Phi.item(em.GNSS_ERROR.start, em.GNSS_ERROR.start)
         if gnss_decay != 1.0:
-            self.gnss_error = gnss_decay * self.gnss_error
+            self._set_parameters(em.GNSS_ERROR, gnss_decay * self.gnss_error)
         velocity_decay = Phi.item(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.start)
-        self.gnss_velocity_error = velocity_decay * self.gnss_velocity_error
+        self._set_parameters(em.GNSS_VELOCITY_ERROR, velocity_decay * self.gnss_velocity_error)
         self.state = state._replace(span_s=0.0, velocity_gain_n=ZERO, rotation_b=ZERO)
         if self.late is not None:
             self._lag(self.late, span_s)
@@ -273,18 +259,18 @@ class ErrorStateFilter:
         if self.recorder is not None:
             self.recorder.record_step(self, F, span_s, (gnss_decay, velocity_decay))
 
-    def learn(self, colour: GnssErrorBank | KnownGnssErrors) -> None:
-        """Take over new statistics of GNSS errors: the estimate of the error [m] stays, and its variance follows."""
-        if colour is self.colour:
+    def set_gnss_errors(self, gnss_errors: GnssErrorBank | KnownGnssErrors) -> None:
+        """Use new statistics of GNSS errors; the estimate of the error [m] is kept, and its variance is scaled."""
+        if gnss_errors is self.gnss_errors:
             return
-        ratios, place = colour.unit / self.colour.unit, em.GNSS_ERROR
-        self.colour = colour
+        ratios, place = gnss_errors.unit / self.gnss_errors.unit, em.GNSS_ERROR
+        self.gnss_errors = gnss_errors
         if self.P[place.start, place.start] == 0.0 or (ratios == 1.0).all():
             return
         if self.recorder is not None:
             self.recorder.record_rescaling(self.time_ns, place, ratios, self.P[place])
-        self.P = resized(self.P, place.start, place.stop, ratios)
-        self.gnss_error = self.gnss_error / ratios
+        self.P = rescaled(self.P, place, ratios)
+        self._set_parameters(place, self.gnss_error / ratios)
 
     def suspect_delay(self, position_s: float, velocity_s: float) -> None:
         """Keep the position on the clock of a receiver whose fixes seem to be older than their stamps.
@@ -318,7 +304,7 @@ class ErrorStateFilter:
     def inflate(
         self, *, attitude_sd: float = 0.0, velocity_sd: float = 0.0, position_sd: float = 0.0, height_sd: float = 0.0
     ) -> None:
-        """Add variances to P: standard deviations [rad, m/s, m] of errors beyond the model."""
+        """Add variances to P: standard deviations [rad, m/s, m] of errors that the error model does not contain."""
         self.propagate_covariance()
         inflated = self.P.copy()
         diagonal = np.einsum("ii->i", inflated)
@@ -333,22 +319,22 @@ class ErrorStateFilter:
         self.P = self.P.copy()
         self.P[block, block] += np.outer(error, error)
 
-    def forget_odometer(self) -> None:
-        """Begin the scale factor of the odometer anew: it is another odometer."""
+    def reset_odometer_scale(self) -> None:
+        """Reset the scale factor of the odometer and its variance, for another odometer."""
         self.set_parameter(em.ODOMETER_SCALE, 0.0, self._settings.odometer.scale_sd)
 
-    def forget_gnss_error(self) -> None:
-        """Begin the time-correlated GNSS error anew: it is another error."""
+    def reset_gnss_error(self) -> None:
+        """Reset the time-correlated GNSS error to zero with unit variance, independent of the error before."""
         for place in range(em.GNSS_ERROR.start, em.GNSS_ERROR.stop):
             self.set_parameter(place, 0.0, 1.0)
 
-    def forget_gnss_velocity_error(self) -> None:
-        """End the estimate of the time-correlated error of GNSS velocities: it is zero."""
+    def zero_gnss_velocity_error(self) -> None:
+        """Set the time-correlated error of GNSS velocities to zero, and its variance too."""
         for place in range(em.GNSS_VELOCITY_ERROR.start, em.GNSS_VELOCITY_ERROR.stop):
             self.set_parameter(place, 0.0, 0.0)
 
     def set_parameter(self, place: int, value: float, sd: float) -> None:
-        """Begin a parameter anew, independent of what was estimated before."""
+        """Set a parameter and its variance, independent of the estimate before."""
         own = place - em.DRIVING
         self.parameters = (*self.parameters[:own], value, *self.parameters[own + 1 :])
         self.P = self.P.copy()
@@ -358,28 +344,28 @@ class ErrorStateFilter:
             self.recorder.record_reset(self.time_ns, place)
 
     def innovate(self, z: FloatArray, H: FloatArray, R: FloatArray) -> Correction:
-        """Compute the correction by a measurement z = H x + noise of covariance R, without applying it."""
+        """Compute the correction by a measurement z = H x + noise of covariance R; the state is not changed."""
         self.propagate_covariance()
         return correct(self.P, z, H, R)
 
     def apply(self, correction: Correction) -> None:
-        """Take the estimated errors out of the state, where they are zero from then on."""
-        self.take_out(correction.x, correction.P)
+        """Subtract the estimated errors from the state, after which their estimate is zero."""
+        self.subtract_errors(correction.x, correction.P)
         if self.recorder is not None:
             self.recorder.record_correction(self.time_ns, correction)
 
-    def take_out(self, errors: FloatArray, P: FloatArray) -> None:
-        """Subtract errors, shape (34,), that leave the covariance P: true = estimated - x."""
+    def subtract_errors(self, errors: FloatArray, P: FloatArray) -> None:
+        """Subtract errors x, shape (34,), from the state, true = estimated - x, and set the covariance P after it."""
         x: list[float] = errors.tolist()
         self.P = P
-        self.inertial = without(self.inertial, x[: em.MOVING])
-        self.moved = minus(self.moved, x[em.POSITION])
+        self.position_correction = minus(self.position_correction, x[em.POSITION])
         self.imu = ImuErrors(
             minus(self.imu.accelerometer_bias, x[em.ACCELEROMETER_BIAS]),
             minus(self.imu.gyroscope_bias, x[em.GYROSCOPE_BIAS]),
             minus(self.imu.accelerometer_scale, x[em.ACCELEROMETER_SCALE]),
             minus(self.imu.gyroscope_scale, x[em.GYROSCOPE_SCALE]),
         )
+        self.inertial = corrected(self.inertial, x[: em.MOVING])
         rx, ry, rz = self.state.rate_b
         bx, by, bz = x[em.GYROSCOPE_BIAS]
         self.state = self.state._replace(rate_b=(rx + bx, ry + by, rz + bz))
@@ -387,14 +373,48 @@ class ErrorStateFilter:
         self._check()
 
     def _check(self) -> None:
-        """Raise `FilterDiverged` where the numbers are no longer those of a vehicle and its covariance."""
-        total, least = variances(self.P, em.ACCELEROMETER_SCALE.start)
-        if not (isfinite(total) and least > 0.0):
-            raise FilterDiverged("the covariance is no longer positive")
-        if (why := implausible(self.state)) is not None:
-            raise FilterDiverged(why)
+        """Raise `FilterDiverged` if P is not finite with positive variances, or the state is implausible."""
+        variances = self.P.diagonal().tolist()
+        if not (isfinite(sum(variances)) and min(variances[: em.ACCELEROMETER_SCALE.start]) > 0.0):
+            raise FilterDiverged("the covariance is not positive")
+        if (violation := implausible(self.state)) is not None:
+            raise FilterDiverged(violation)
 
 
 def minus(old: Vector, errors: list[float]) -> Vector:
-    """Vector less its errors."""
+    """Difference of a vector and its errors."""
     return old[0] - errors[0], old[1] - errors[1], old[2] - errors[2]
+
+
+def rescaled(P: FloatArray, place: slice, ratios: FloatArray) -> FloatArray:
+    """Covariance after a change of unit of some errors u, whose numerical values and variances are kept.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance before.
+    place : slice
+        Indices of u; all of these errors have a variance above zero.
+    ratios : ndarray, shape (m,)
+        [-] New unit of each error over the old one.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        The part of the other errors x that is correlated with u is scaled by the ratios, as if the new unit had been
+        used from the start; the uncorrelated part is kept.
+
+    Notes
+    -----
+    With P_xu, P_uu the blocks of P and D = diag(ratios)::
+
+        A = P_xu P_uu^-1,  x = A u + rest  ->  A D u + rest,  P+ = (I + W) P (I + W)^T  with  W = A (D - I)
+    """
+    A = P[:, place].dot(np.linalg.inv(P[place, place]))
+    A[place] = 0.0
+    W = A * (ratios - 1.0)
+    half = P + W.dot(P[place])
+    after = half + half[:, place].dot(W.T)
+    symmetric: FloatArray = after + after.T
+    symmetric *= 0.5
+    return symmetric

@@ -1,8 +1,8 @@
-"""The propagation loop: takes IMU samples one after the other until one of them needs more than propagation.
+"""The propagation loop over IMU samples.
 
-Between two steps of the covariance a sample carries the strapdown mechanisation on, adds to the mean specific force and
-rate that the covariance needs, measures the vibration, and feeds the standstill detector. Whatever else is due ends the
-loop with a `Stop` before the next sample, and the engine deals with it: a solution is there right after its sample.
+Each sample is mechanised, added to the integrals of specific force and rate that the covariance step needs, compared
+with the sample before (vibration PSD), and passed to the standstill detector. When something else is due the loop ends
+before the next sample and returns a `Stop`, which the engine handles then; so no solution waits for it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,20 +16,20 @@ import numpy.typing as npt
 from shared.maths.compiled import COMPILED, compilable, compiled
 from shared.maths.rotation import Quaternion, Vector
 
-from ..update.standstill_detector import UNSETTLED, Limits, Quiet, detect, norm, stands
+from ..update.standstill_detector import UNSETTLED, Limits, Quiet, detect, is_standstill, norm
 from .strapdown import InertialState, LocalEarth, local_earth, mechanise
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 ZERO: Vector = (0.0, 0.0, 0.0)
-GAP_S = 0.05  # a longer step between two samples is a gap
+GAP_S = 0.05  # longest step between two samples; a longer one is a gap
 VIBRATION_S = 1.0  # time constant of the measured vibration
 SMOOTHING_S = 0.1  # time constant of the smoothed acceleration
-COMPILED_FROM = 4  # samples
-NEARLY = 0.99  # of an interval after which it is over, for sums of sampling periods jitter
-FASTEST_M_S = 500.0
-HIGHEST_LATITUDE = 0.4999 * pi  # the NED frame has no north at the pole; 2 km from it this filter ends
+COMPILED_FROM = 4  # smallest number of samples for compiled code
+NEARLY = 0.99  # share of an interval after which it has ended: sums of sampling periods jitter
+FASTEST_M_S = 500.0  # plausible speed
+HIGHEST_LATITUDE = 0.4999 * pi  # [rad] 2 km from the pole, where NED is singular
 
 
 class Stop(IntEnum):
@@ -43,7 +43,7 @@ class Stop(IntEnum):
 
 
 class Intervals(NamedTuple):
-    """Times [s] after which the loop ends; infinite for what is switched off."""
+    """Times [s] after which the loop ends; infinite for an update that is switched off."""
 
     covariance_s: float
     zero_velocity_s: float = inf
@@ -61,7 +61,7 @@ class ImuErrors(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the propagation loop carries from sample to sample."""
+    """State of the propagation loop between two samples."""
 
     time_ns: int
     quaternion: Quaternion  # NED from body
@@ -85,28 +85,28 @@ class State(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Contiguous IMU samples, as arrays for compiled code, else as lists, which Python reads faster."""
+    """Contiguous IMU samples: arrays for compiled code, lists for Python, which reads them faster."""
 
     times_ns: Sequence[int] | IntArray  # ends of the sampling intervals, shape (n,)
     rows: Sequence[Sequence[float]] | FloatArray  # [m/s², rad/s, body] mean force and rate, shape (n, 6)
-    faults: Mapping[int, str]  # by row: what is wrong with a suspect sample
+    faults: Mapping[int, str]  # fault of each suspect sample, by row
 
     def part(self, begin: int, end: int) -> "Samples":
-        """Take the samples from one row to before another."""
+        """Samples from row `begin` to before row `end`."""
         faults = {k - begin: self.faults[k] for k in range(begin, end) if k in self.faults} if self.faults else {}
         return Samples(self.times_ns[begin:end], self.rows[begin:end], faults)
 
 
 def samples_of(times_ns: Sequence[int] | IntArray, rows: npt.ArrayLike, faults: Mapping[int, str]) -> Samples:
-    """Put samples into the form that `propagate` takes; few are not worth a call of compiled code."""
+    """Samples as arrays for compiled code, or as lists where they are too few for it."""
     if COMPILED and len(times_ns) >= COMPILED_FROM:
         return Samples(np.asarray(times_ns, np.int64), np.ascontiguousarray(rows, np.float64), faults)
     times_ns = times_ns.tolist() if isinstance(times_ns, np.ndarray) else times_ns
     return Samples(times_ns, rows.tolist() if isinstance(rows, np.ndarray) else rows, faults)  # type: ignore[arg-type]
 
 
-def begun(inertial: InertialState, force: Vector, rate: Vector) -> State:
-    """State of a filter that starts at an instant, with the sample [m/s², rad/s, body; as measured] of that time."""
+def initial_state(inertial: InertialState, force: Vector, rate: Vector) -> State:
+    """State at the start of a filter, with the newest sample [m/s², rad/s, body; as measured]."""
     time_ns, quaternion, velocity, (latitude, longitude, height) = inertial
     return State(time_ns, quaternion, velocity, (latitude, longitude, height), local_earth(latitude), force, rate)
 
@@ -129,26 +129,26 @@ def propagate(  # noqa: PLR0915  # one loop
     state : State
         At the end of the sample before.
     times_ns : ndarray of int64, shape (n,), or list
-        Ends of the samples; one that does not come after the state is skipped.
+        Ends of the samples; a sample that is not newer than the state is skipped.
     rows : ndarray, shape (n, 6), or list
         [m/s², rad/s, body] Mean specific force and angular rate over the samples, as measured.
     begin, end : int
-        Which of them: from `begin` to before `end`.
+        Rows to propagate over: from `begin` to before `end`.
     errors : ImuErrors
-        To be removed from the samples.
+        Subtracted from the samples.
     limits : Limits
         Of the standstill detector.
     intervals : Intervals
-        When something is due.
+        Intervals of the updates.
 
     Returns
     -------
     State
         At the end of the last sample that was taken.
     int
-        How many were taken.
+        Number of samples that were used.
     int
-        Why no more were: a `Stop`, as a number because compiled code takes long to make a member of an enumeration.
+        The `Stop`, as a number: compiled code is slow at making members of an enumeration.
 
     Notes
     -----
@@ -209,7 +209,7 @@ def propagate(  # noqa: PLR0915  # one loop
         sn, se, sd = sn + share * (an - sn), se + share * (ae - se), sd + share * (ad - sd)
 
         quiet = detect(quiet, rate_b, acceleration_n, norm(velocity), step, limits)
-        if stands(quiet):
+        if is_standstill(quiet):
             standstill_s += step
             zx, zy, zz = zx + rate_b[0] * step, zy + rate_b[1] * step, zz + rate_b[2] * step
         else:
@@ -239,25 +239,13 @@ def propagate(  # noqa: PLR0915  # one loop
     return after, k - begin, stop.value
 
 
-@compiled
-def propagate_arrays(
-    state: State,
-    times_ns: Sequence[int] | IntArray,
-    rows: Sequence[Sequence[float]] | FloatArray,
-    begin: int,
-    end: int,
-    errors: ImuErrors,
-    limits: Limits,
-    intervals: Intervals,
-) -> tuple[State, int, int]:
-    """Do the same by compiled code, which takes arrays."""
-    return propagate(state, times_ns, rows, begin, end, errors, limits, intervals)
+propagate_arrays = compiled(propagate)  # for arrays
 
 
 def implausible(state: State) -> str | None:
-    """Say why a state can no longer be one of a vehicle, if so."""
+    """Reason why a state violates the plausibility limits, or None."""
     if not isfinite(sum(state.quaternion) + sum(state.velocity) + sum(state.position)):
-        return "the state is no longer finite"
+        return "the state is not finite"
     if norm(state.velocity) >= FASTEST_M_S:
-        return "the velocity is beyond any vehicle's"
+        return "the velocity is implausible"
     return "the position is too near a pole" if abs(state.position[0]) >= HIGHEST_LATITUDE else None

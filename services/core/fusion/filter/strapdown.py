@@ -2,7 +2,8 @@
 
 v' = C f + g - (2 w_ie + w_en) x v,    C' = C sk(w_ib) - sk(w_ie + w_en) C
 
-It runs for every sample: plain floats and tuples, which Python handles faster than small arrays and Numba compiles.
+It runs for every sample, with plain floats and tuples: Python handles them faster than small arrays, and Numba
+compiles them.
 """
 
 from collections.abc import Sequence
@@ -51,7 +52,7 @@ class LocalEarth(NamedTuple):
 
 @compilable
 def local_earth(latitude: float) -> LocalEarth:
-    """Compute what a latitude [rad] determines, by the formulae of `shared.maths.earth`."""
+    """Radii and gravity of the ellipsoid at a latitude [rad], by the formulae of `shared.maths.earth`."""
     sine = sin(latitude)
     sin2 = sine * sine
     s = 1.0 - ECCENTRICITY_SQUARED * sin2
@@ -142,8 +143,8 @@ def mechanise(
         lon+ = lon + t/2 [v_E/((R_E + h) cos L) + v_E+/((R_E+ + h+) cos L+)]
         q+   = exp(-(w_ie + (w_en + w_en+)/2) t) q exp(a)
 
-    The first exponential, of a few microradians, is 1 minus half its vector, and q+ is brought back to unit length by
-    a Newton step of 1/sqrt: both are exact to rounding.
+    The first exponential, of a few microradians, is 1 minus half its vector, and q+ is normalised by one Newton step
+    of 1/sqrt: both are exact to rounding.
 
     References
     ----------
@@ -217,20 +218,20 @@ def rotated(quaternion: Quaternion, turn: Quaternion, bn: float, be: float, bd: 
 
 
 def normalised(quaternion: Quaternion) -> Quaternion:
-    """Bring a quaternion back to unit length, from which rounding takes it."""
+    """Scale a quaternion to unit length."""
     w, x, y, z = quaternion
     scale = 1.0 / sqrt(w * w + x * x + y * y + z * z)
     return w * scale, x * scale, y * scale, z * scale
 
 
-def without(state: InertialState, errors: Sequence[float]) -> InertialState:
-    """Take errors of attitude [rad, NED], velocity [m/s] and position [m, NED] out of a state: the first nine."""
+def corrected(state: InertialState, errors: Sequence[float]) -> InertialState:
+    """Subtract errors of attitude [rad, NED], velocity [m/s, NED] and position [m, NED], nine in all, from a state."""
     a, b, c, u, v, w, north, east, down = errors
     time_ns, quaternion, velocity, position = state
-    back = quaternion_from_rotation_vector((-a, -b, -c))  # exp(-sk(psi)) C, exactly
+    inverse_error = quaternion_from_rotation_vector((-a, -b, -c))  # of exp(-sk(psi)) C
     return InertialState(
         time_ns,
-        normalised(quaternion_product(back, quaternion)),
+        normalised(quaternion_product(inverse_error, quaternion)),
         (velocity[0] - u, velocity[1] - v, velocity[2] - w),
         geodetic_from_ned_difference((-north, -east, -down), position),
     )

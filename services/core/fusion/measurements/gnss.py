@@ -18,7 +18,7 @@ from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..filter.strapdown import rotate
 from ..settings import Settings
-from ..update.standstill_detector import stands
+from ..update.standstill_detector import is_standstill
 from .base import Measurement, Observation
 from .gnss_error_model import KnownGnssErrors
 
@@ -76,8 +76,8 @@ class GnssPosition:
             H[:, em.GNSS_DELAY] -= left_s * navigation.smoothed_acceleration
             H -= left_s * em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         along = np.multiply(velocity, self.time_sd_s)  # what an error of the stamp does
-        lasting = max(navigation.colour.lasting, 1e-6) if self.lasts else 0.0
-        cov = navigation.colour.scaled(self.cov) if self.lasts else self.cov
+        lasting = max(navigation.gnss_errors.lasting, 1e-6) if self.lasts else 0.0
+        cov = navigation.gnss_errors.scaled(self.cov) if self.lasts else self.cov
         R = (1.0 - lasting) * cov + along * along[:, np.newaxis]
         if lasting > 0.0:
             root = sqrt(lasting) * root_of(cov, "a measurement")
@@ -88,15 +88,17 @@ class GnssPosition:
 
     def followed_variances(self, navigation: ErrorStateFilter) -> tuple[float, float]:
         """Variances [m²] on ground and up of its error that the filter follows, and its covariance lacks."""
-        return navigation.colour.unestimated(self.cov) if self.lasts else (0.0, 0.0)
+        return navigation.gnss_errors.unestimated(self.cov) if self.lasts else (0.0, 0.0)
 
     def teach(self, navigation: ErrorStateFilter, _innovation: tuple[float, ...]) -> None:
         """Update the model of GNSS errors of the filter that has used it."""
-        if self.lasts and self.axes == 3 and navigation.colour.is_due(self.time_ns):
+        if self.lasts and self.axes == 3 and navigation.gnss_errors.is_due(self.time_ns):
             arm_n = rotate(navigation.quaternion, self.lever_arm)
-            path = self._beside(navigation, arm_n) + navigation.moved
+            path = self._beside(navigation, arm_n) + navigation.position_correction
             variances = navigation.P.diagonal()[em.VELOCITY]
-            navigation.learn(navigation.colour.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances))
+            navigation.set_gnss_errors(
+                navigation.gnss_errors.after(self.time_ns, path, np.sqrt(self.cov.diagonal()), variances)
+            )
 
     def _beside(self, navigation: ErrorStateFilter, arm_n: Vector) -> FloatArray:
         """Measured minus predicted antenna position [m, NED] at its time of validity."""
@@ -149,17 +151,17 @@ class GnssVelocity:
 
     def teach(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
         """Update the model of velocity errors of the filter that has used it; a standstill shows nothing of them."""
-        known = isinstance(navigation.colour, KnownGnssErrors)
-        if known or not self.lasts or stands(navigation.state.quiet):
+        known = isinstance(navigation.gnss_errors, KnownGnssErrors)
+        if known or not self.lasts or is_standstill(navigation.state.quiet):
             return
         n = self.axes
         residual = np.array(innovation) + navigation.gnss_velocity_error[:n]
         variances = self.cov.diagonal()[:n]
         errors = navigation.velocity_errors.after(self.time_ns, residual, variances, stated=self.stated)
         if navigation.velocity_errors.follows and not errors.follows:
-            navigation.forget_gnss_velocity_error()
+            navigation.zero_gnss_velocity_error()
         navigation.velocity_errors = errors
-        navigation.learn(navigation.colour.following(errors.follows))
+        navigation.set_gnss_errors(navigation.gnss_errors.following(errors.follows))
 
 
 def antenna_velocity(navigation: ErrorStateFilter, lever_arm: Vector) -> Vector:

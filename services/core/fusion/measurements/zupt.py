@@ -9,7 +9,7 @@ from shared.maths.earth import earth_rate_n
 from shared.maths.rotation import Vector
 from shared.messages.navigation import AidingKind
 
-from ..alignment.heading import REST_RATE_SD
+from ..alignment.heading import STANDSTILL_RATE_SD
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from .base import Observation
@@ -17,7 +17,7 @@ from .base import Observation
 PERIOD_S = 0.1
 VELOCITY_SD = 0.02  # [m/s]
 RATE_SD = 0.0015  # [rad/s] of one period, independent of the next
-SETTLING_S = 10.0  # for which beside it an error of `REST_RATE_SD` is correlated: no standstill is perfect
+SETTLING_S = 10.0  # for which beside it an error of `STANDSTILL_RATE_SD` is correlated: no standstill is perfect
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Standstill:
         H[:, em.GYROSCOPE_BIAS] = -np.eye(3)
         earth_n = np.array(earth_rate_n(navigation.position.latitude))
         z = np.array(self.rate) - navigation.ned_from_body.T @ earth_n
-        variance = max(self.rate_sd, RATE_SD) ** 2 + 2.0 * REST_RATE_SD**2 * SETTLING_S / PERIOD_S
+        variance = max(self.rate_sd, RATE_SD) ** 2 + 2.0 * STANDSTILL_RATE_SD**2 * SETTLING_S / PERIOD_S
         return Observation(AidingKind.ZERO_ANGULAR_RATE, z, H, variance * np.eye(3))
 
 

@@ -1,4 +1,4 @@
-"""Faults of inertial samples: a clipped gyroscope, an accelerometer without output."""
+"""Faults of inertial samples: saturated gyroscope, stuck accelerometer, implausible values."""
 
 from operator import eq
 from typing import NamedTuple
@@ -12,16 +12,15 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Readings = tuple[float, float, float, float, float, float]
 
-STUCK_S = 0.5  # noise changes the last digit of any sensor that works sooner
-FLAT_TOP_S = 0.03  # the largest value of a sensor, again and again
-FLAT_TOP_RAD_S = 1.5  # below it no gyroscope clips
+STUCK_S = 0.5  # repetition of an accelerometer reading that noise excludes
+SATURATED_S = 0.03  # repetition of a gyroscope reading at the end of its range
+SATURATED_RAD_S = 1.5  # lowest end of a range
 GYROSCOPE = (3, 4, 5)
-AXES = (*GYROSCOPE, 0, 1, 2)  # in the order in which they are asked
-LONGEST_NS = (int(STUCK_S * 1e9),) * 3 + (int(FLAT_TOP_S * 1e9),) * 3  # of a repetition
+AXES = (*GYROSCOPE, 0, 1, 2)  # in the order of the test: the first fault is reported
+LONGEST_NS = (int(STUCK_S * 1e9),) * 3 + (int(SATURATED_S * 1e9),) * 3  # plausible repetition, by axis
 FAULTS = ("accelerometer stuck",) * 3 + ("gyroscope saturated",) * 3
-ALL = (True,) * 6
-FORCE_LIMIT = 1000.0  # [m/s²] no sensor of a car measures so much
-RATE_LIMIT = 100.0  # [rad/s]
+FORCE_LIMIT = 1000.0  # [m/s²] plausible specific force
+RATE_LIMIT = 100.0  # [rad/s] plausible angular rate
 
 
 class Sample(NamedTuple):
@@ -30,25 +29,18 @@ class Sample(NamedTuple):
     time_ns: int
     force: Vector
     rate: Vector
-    fault: str | None = None  # what is wrong with it, if it is used nevertheless
+    fault: str | None = None  # of a suspect sample, which is used with an inflated covariance
 
 
 def credible(force: Vector, rate: Vector) -> bool:
-    """Whether a sensor can have measured this; not if a reading is not a number."""
+    """Whether specific force and angular rate are plausible, and no reading is NaN."""
     fx, fy, fz = force
     wx, wy, wz = rate
     return fx * fx + fy * fy + fz * fz < FORCE_LIMIT**2 and wx * wx + wy * wy + wz * wz < RATE_LIMIT**2
 
 
-def unremarkable(sample: Sample, last: Sample) -> bool:
-    """Whether a sample is credible, and none of its readings is that of the sample before."""
-    return True not in map(eq, (*sample.force, *sample.rate), (*last.force, *last.rate)) and credible(
-        sample.force, sample.rate
-    )
-
-
 class Repeats:
-    """Times for which each of six readings has been the same to the last bit, and the faults that follow.
+    """Finds faults by the times for which each of the six readings has repeated to the last bit.
 
     Parameters
     ----------
@@ -61,24 +53,20 @@ class Repeats:
     def __init__(self, time_ns: int, readings: Readings) -> None:
         self._readings = readings
         self._since_ns: tuple[int, ...] = (time_ns,) * 6
-        self._changed: tuple[bool, ...] = (False,) * 6  # whether it ever did: a constant reading is not measured at all
-
-    def changed(self, time_ns: int, readings: Readings) -> None:
-        """Add a sample that is known to differ from the previous one in every reading."""
-        self._readings, self._since_ns, self._changed = readings, (time_ns,) * 6, ALL
+        self._changed: tuple[bool, ...] = (False,) * 6  # whether a reading ever changed; if not, it is not measured
 
     def fault(self, time_ns: int, readings: Readings) -> str | None:
         """Add the next sample; returns its fault, or None."""
         old, self._readings = self._readings, readings
-        if True not in map(eq, readings, old):  # nearly always
-            self._since_ns, self._changed = (time_ns,) * 6, ALL
+        if True not in map(eq, readings, old):  # the ordinary case
+            self._since_ns, self._changed = (time_ns,) * 6, (True,) * 6
             return None
         same = tuple(map(eq, readings, old))
         since = tuple(begin if equal else time_ns for begin, equal in zip(self._since_ns, same, strict=True))
         changed = tuple(ever or not equal for ever, equal in zip(self._changed, same, strict=True))
         self._since_ns, self._changed = since, changed
         for axis in AXES:
-            if changed[axis] and time_ns - since[axis] >= LONGEST_NS[axis] and _tells(axis, readings[axis]):
+            if changed[axis] and time_ns - since[axis] >= LONGEST_NS[axis] and _is_fault(axis, readings[axis]):
                 return FAULTS[axis]
         return None
 
@@ -89,20 +77,22 @@ def mean(first: Vector, second: Vector) -> Vector:
 
 
 def faults(stamps_ns: IntArray, samples: FloatArray) -> dict[int, str]:
-    """Find the suspect samples of a whole log, and what is wrong with them, as `Repeats` does sample by sample."""
+    """Faults of the samples of a whole log, by row; the same as `Repeats` sample by sample."""
     found: dict[int, str] = {}
     for axis in AXES:
         readings = samples[:, axis]
-        begins = np.flatnonzero(readings[1:] != readings[:-1]) + 1  # of runs, but for the first: it had not changed yet
+        begins = (
+            np.flatnonzero(readings[1:] != readings[:-1]) + 1
+        )  # of repetitions, without the first, before which nothing has changed
         lasts = np.append(begins, len(readings))[1:] - 1
         for begin, last in np.column_stack([begins, lasts])[stamps_ns[lasts] - stamps_ns[begins] >= LONGEST_NS[axis]]:
-            if _tells(axis, float(readings[begin])):
+            if _is_fault(axis, float(readings[begin])):
                 late = np.searchsorted(stamps_ns[begin : last + 1], stamps_ns[begin] + LONGEST_NS[axis])
                 for place in range(int(begin + late), int(last) + 1):
                     found.setdefault(place, FAULTS[axis])
     return found
 
 
-def _tells(axis: int, reading: float) -> bool:
-    """Whether a repetition of this reading is none by chance: a gyroscope at rest may well repeat itself."""
-    return axis not in GYROSCOPE or abs(reading) > FLAT_TOP_RAD_S
+def _is_fault(axis: int, reading: float) -> bool:
+    """Whether a repetition of this reading is a fault: a gyroscope at standstill may repeat its readings."""
+    return axis not in GYROSCOPE or abs(reading) > SATURATED_RAD_S

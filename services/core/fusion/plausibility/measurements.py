@@ -1,4 +1,4 @@
-"""What no measurement of a road vehicle says, whatever its form: it is counted and does not come to the filter."""
+"""Plausibility limits for measurements; violations are counted and rejected."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -13,22 +13,22 @@ from ..measurements.magnetometer import MagneticHeading
 from ..measurements.odometer import WheelSpeed
 
 LOWEST_M, HIGHEST_M = -10_000.0, 50_000.0  # limits of heights
-STRONGEST_FIELD = 100.0  # largest field, in units of the Earth's
-LATE_PERIODS = 100  # largest age of a value after a newer one; beyond it the clock of the device was set back
+STRONGEST_FIELD = 100.0  # times that of the Earth
+LATE_PERIODS = 100  # periods by which a value may be older than the newest; more is a clock that was set back
 SILENT_NS = 3_600_000_000_000  # silence after which a device is dropped
-DEVICES = 32  # most devices of a vehicle; the state kept for each takes memory
+DEVICES = 32  # largest number of devices, which bounds memory
 
 
 class Devices:
-    """Devices whose messages are accepted: the first ones, up to a limit; others are counted in `rejects`.
+    """Devices whose messages are accepted: the first `DEVICES`; messages of others are counted in `rejects`.
 
-    A device that was silent for an hour is dropped, by the clock of the inertial samples.
+    A device that is silent for an hour, on the clock of the inertial samples, is dropped.
     """
 
     def __init__(self, rejects: Counter[str], clock: Callable[[], int]) -> None:
         self._rejects, self._clock = rejects, clock
         self._last_ns: dict[str, int] = {}  # stamp of the last message of each
-        self._used: dict[tuple[str, str], int] = {}  # period of the newest value that was taken
+        self._used: dict[tuple[str, str], int] = {}  # period of the newest value, by device and quantity
 
     def __len__(self) -> int:
         return len(self._last_ns)
@@ -39,7 +39,7 @@ class Devices:
         if source not in self._last_ns and len(self._last_ns) >= DEVICES:
             self._drop_silent(now_ns)
             if len(self._last_ns) >= DEVICES:
-                self._rejects["more devices than a vehicle has"] += 1
+                self._rejects["too many devices"] += 1
                 return False
         self._last_ns[source] = now_ns
         return True
@@ -60,23 +60,23 @@ class Devices:
         return True
 
 
-def impossible(measurement: Measurement) -> str | None:
-    """Reason why a measurement violates a plausibility limit, or None."""
+def implausible(measurement: Measurement) -> str | None:
+    """Plausibility limit that a measurement violates, or None."""
     match measurement:
         case GnssPosition():
-            return _no_place(measurement.position)
+            return _implausible_position(measurement.position)
         case GnssVelocity() if not hypot(*measurement.velocity) < FASTEST_M_S:
-            return "velocity of no vehicle"
+            return "implausible velocity"
         case WheelSpeed() if not (abs(measurement.speed) < FASTEST_M_S and abs(measurement.resolution) < FASTEST_M_S):
-            return "speed of no vehicle"
+            return "implausible speed"
         case MagneticHeading() if not hypot(*measurement.field_b) < STRONGEST_FIELD:
-            return "magnetic field of no vehicle"
+            return "implausible magnetic field"
     return None
 
 
-def _no_place(position: Geodetic) -> str | None:
+def _implausible_position(position: Geodetic) -> str | None:
     if not isfinite(sum(position)):
         return "position not finite"
     if not abs(position.latitude) < HIGHEST_LATITUDE:
         return "position too near a pole"
-    return None if LOWEST_M <= position.height <= HIGHEST_M else "height of no road"
+    return None if LOWEST_M <= position.height <= HIGHEST_M else "implausible height"

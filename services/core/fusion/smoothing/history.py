@@ -1,10 +1,11 @@
 """History of the filter for the smoother: every covariance step, every correction, and the state ten times a second.
 
-Records are in the order of the stamps: where an out-of-sequence measurement rolls the engine back, those written since
-are dropped. Process noise needs no record, for the smoother finds it in the covariance.
+Records are in the order of the stamps: where an out-of-sequence measurement rolls the engine back, newer records are
+removed. Process noise is not recorded, because it is contained in the covariance.
 """
 
 from collections.abc import Iterator
+from copy import copy
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -21,7 +22,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class Start(NamedTuple):
-    """Start of a filter, whose errors are not related to those of the filter before."""
+    """Start of a filter; its errors are independent of those of the filter before."""
 
     time_ns: int
 
@@ -29,8 +30,8 @@ class Start(NamedTuple):
 class Step(NamedTuple):
     """Covariance step x+ = Phi x + noise, with Phi = I + F t except for the time-correlated GNSS errors."""
 
-    time_ns: int  # of its end
-    Ft: FloatArray  # the part of F t that is not zero, shape (9, 21)
+    time_ns: int  # end of the step
+    Ft: FloatArray  # nonzero block of F t, shape (9, 21)
     decays: tuple[float, float]  # diagonal of Phi for the time-correlated errors of GNSS positions and velocities
 
     @property
@@ -44,17 +45,17 @@ class Step(NamedTuple):
 
 
 class CorrectionRecord(NamedTuple):
-    """Use of a measurement: the estimated errors were removed from the state."""
+    """Correction by a measurement: the estimated errors were subtracted from the state."""
 
     time_ns: int
     z: FloatArray  # measured - predicted, shape (m,)
     H: FloatArray  # shape (m, n)
     K: FloatArray  # the optimal gain, shape (n, m)
-    S_inverse: FloatArray  # of the covariance of z, shape (m, m)
+    S_inverse: FloatArray  # inverse of the covariance of z, shape (m, m)
 
 
 class ParameterReset(NamedTuple):
-    """Replacement of a parameter (another odometer, say): its error is independent of the error before."""
+    """Replacement of a parameter, such as the scale of another odometer: its error is independent of the one before."""
 
     time_ns: int
     place: int
@@ -66,7 +67,7 @@ class Rescaled(NamedTuple):
     time_ns: int
     place: slice
     ratios: FloatArray  # new unit of each over the old one
-    rows: FloatArray  # of u in P before, shape (u, n)
+    rows: FloatArray  # rows of u in P before the change, shape (u, n)
 
 
 class Knot(NamedTuple):
@@ -113,7 +114,7 @@ class HistoryRecorder:
         self._period_ns = period_ns
 
     def start(self, filter_: "ErrorStateFilter") -> None:
-        """Record a new filter, and its operations from now on."""
+        """Record the start of a filter, and its operations from now on."""
         filter_.recorder = self
         self._store.push(Start(filter_.inertial.time_ns))
         self._add_knot(filter_)
@@ -121,7 +122,7 @@ class HistoryRecorder:
     def record_step(
         self, filter_: "ErrorStateFilter", F: FloatArray, step_s: float, decays: tuple[float, float]
     ) -> None:
-        """Record a covariance step over a time, with the system matrix F [1/s] of that time."""
+        """Record a covariance step of `step_s` with the system matrix F [1/s]."""
         time_ns = filter_.time_ns
         self._store.push(Step(time_ns, F[: em.MOVING, : em.DRIVING] * step_s, decays))
         before_ns = time_ns - round(step_s * 1e9)
@@ -133,25 +134,25 @@ class HistoryRecorder:
         self._store.push(CorrectionRecord(time_ns, correction.z, correction.H, correction.K, correction.S_inverse))
 
     def record_reset(self, time_ns: int, place: int) -> None:
-        """Record that a parameter was replaced by one with an independent error."""
+        """Record the replacement of a parameter by one with an independent error."""
         self._store.push(ParameterReset(time_ns, place))
 
     def record_rescaling(self, time_ns: int, place: slice, ratios: FloatArray, rows: FloatArray) -> None:
-        """Record a change of unit; `rows` are those of P before it."""
+        """Record a change of unit, with the rows of P before it."""
         self._store.push(Rescaled(time_ns, place, ratios, rows))
 
     @property
     def size(self) -> int:
-        """Number of records, to which a roll-back can truncate."""
+        """Number of records, for `truncate`."""
         return len(self._store)
 
     def truncate(self, size: int) -> None:
-        """Remove the records after a roll-back of the engine."""
+        """Remove the newest records until `size` are left, after a roll-back of the engine."""
         self._store.cut(size)
 
     def _add_knot(self, filter_: "ErrorStateFilter") -> None:
-        twin = filter_.fork()
-        twin.recorder = None
+        knot = copy(filter_)
+        knot.recorder = None
         known = np.flatnonzero(filter_.P.diagonal())
-        twin.P = filter_.P[np.ix_(known, known)]
-        self._store.push(Knot(filter_.inertial.time_ns, twin, known))
+        knot.P = filter_.P[np.ix_(known, known)]
+        self._store.push(Knot(filter_.inertial.time_ns, knot, known))

@@ -7,6 +7,7 @@ feeds its error estimate back, so its own estimate of the errors is zero; with i
 """
 
 from collections.abc import Iterable, Iterator
+from copy import copy
 
 import numpy as np
 import numpy.typing as npt
@@ -59,7 +60,7 @@ class Backwards:
         self.information = 0.5 * (information + information.T)
 
     def correction(self, z: FloatArray, H: FloatArray, K: FloatArray, S_inverse: FloatArray) -> None:
-        """Propagate backwards over the use of a measurement."""
+        """Propagate backwards over a correction by a measurement."""
         information_K = self.information @ K
         self.adjoint = self.adjoint - H.T @ (K.T @ self.adjoint + S_inverse @ z)
         cross = information_K @ H
@@ -67,7 +68,7 @@ class Backwards:
         self.information = 0.5 * (information + information.T)
 
     def reset_parameter(self, place: int) -> None:
-        """Propagate backwards over the start of an error that is independent of the one before."""
+        """Propagate backwards over the replacement of a parameter."""
         self.adjoint, self.information = self.adjoint.copy(), self.information.copy()
         self.adjoint[place] = 0.0
         self.information[place] = self.information[:, place] = 0.0
@@ -82,32 +83,32 @@ class Backwards:
             lambda = B D^-1 lambda,    Lambda = B D^-1 Lambda D^-1 B^T + E (N - N D P_uu D N) E^T
             B = (I + E N (D - I) P_u.) (I + E (D - I) N P_u.)
 
-        so that P lambda and P - P Lambda P are the same on both sides of it.
+        so that P lambda and P - P Lambda P do not change.
         """
-        own = rows[:, place]
-        inverse = np.linalg.inv(own)
-        own_change, change = np.eye(rows.shape[1]), np.eye(rows.shape[1])
-        more = np.diag(ratios - 1.0)
-        own_change[place] += inverse @ more @ rows
-        change[place] += more @ inverse @ rows
-        change = own_change @ change
-        change[:, place] /= ratios
-        self.adjoint = change @ self.adjoint
-        information = change @ self.information @ change.T
-        information[place, place] += inverse - inverse @ (ratios[:, np.newaxis] * own * ratios) @ inverse
+        P_uu = rows[:, place]
+        N = np.linalg.inv(P_uu)
+        left, right = np.eye(rows.shape[1]), np.eye(rows.shape[1])
+        increase = np.diag(ratios - 1.0)
+        left[place] += N @ increase @ rows
+        right[place] += increase @ N @ rows
+        B = left @ right
+        B[:, place] /= ratios  # B D^-1
+        self.adjoint = B @ self.adjoint
+        information = B @ self.information @ B.T
+        information[place, place] += N - N @ (ratios[:, np.newaxis] * P_uu * ratios) @ N
         self.information = 0.5 * (information + information.T)
 
     def smoothed(self, P: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Smoothed errors, shape (n,), and their covariance, shape (n, n), where the filter has P."""
+        """Smoothed errors, shape (n,), and their covariance, shape (n, n), from the filter's covariance P."""
         reduction = P @ self.information @ P
         covariance = P - 0.5 * (reduction + reduction.T)
-        # Rounding of the difference is of the order of eps * P: variances are kept above it.
+        # The difference has rounding errors of the order of eps * P: variances are kept above them.
         np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), LEAST_SHARE * P.diagonal()))
         return -P @ self.adjoint, covariance
 
 
 def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilter]:
-    """Smooth every knot of a history; each filter from its start to the next start by itself.
+    """Smooth every knot of a history; each filter is smoothed independently of the others.
 
     Parameters
     ----------
@@ -140,13 +141,13 @@ def smoothed_filters(newest_first: Iterable[Record]) -> Iterator[ErrorStateFilte
 
 
 def _smoothed(knot: Knot, back: Backwards) -> ErrorStateFilter | None:
-    """Apply the smoothed errors to the state of a knot, as the filter applies its own."""
+    """Subtract the smoothed errors from the state of a knot."""
     P = np.zeros((em.SIZE, em.SIZE))
     P[np.ix_(knot.known, knot.known)] = knot.filter.P
     errors, covariance = back.smoothed(P)
-    moved = knot.filter.fork()
+    smoothed = copy(knot.filter)
     try:
-        moved.take_out(errors, covariance)
+        smoothed.subtract_errors(errors, covariance)
     except FilterDiverged:
         return None
-    return moved
+    return smoothed

@@ -1,7 +1,7 @@
 """Estimates the state of the IMU clock from the stamps of rejected samples."""
 
 from ..filter.propagation import GAP_S
-from ..update.engine import LOST_S
+from ..update.engine import LONGEST_BRIDGED_S
 
 FUTURE_LIMIT_NS = 2_000_000_000  # a stamp so far ahead of the arrival is wrong
 REFUSED_LIMIT = 100  # successive samples that do not follow, after which it is the clock that was set
@@ -32,7 +32,7 @@ class Clock:
         step_ns = 0 if known or self._last_ns is None else time_ns - self._last_ns
         self._lost_ns += step_ns if 0 < step_ns <= GAP_S * 1e9 else 0
         self._last_ns = None if known else time_ns
-        return self.refused > REFUSED_LIMIT or self._lost_ns > LOST_S * 1e9
+        return self.refused > REFUSED_LIMIT or self._lost_ns > LONGEST_BRIDGED_S * 1e9
 
     @property
     def lost_s(self) -> float:

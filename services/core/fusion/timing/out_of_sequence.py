@@ -101,7 +101,7 @@ class OutOfSequenceEngine:
 
     def resumed(self, snapshot: Snapshot) -> "OutOfSequenceEngine":
         """Make another engine that goes on from a snapshot; the samples since then must follow."""
-        twin = OutOfSequenceEngine(self._settings, snapshot.engine.fork())
+        twin = OutOfSequenceEngine(self._settings, snapshot.engine.copy())
         twin.newest = snapshot.engine.last
         twin._snapshots.append(snapshot)
         twin._timing = self._timing.at(snapshot.time_ns)
@@ -168,7 +168,7 @@ class OutOfSequenceEngine:
         while self._snapshots[-1].time_ns >= first_ns:
             self._snapshots.pop()
         snapshot = self._snapshots[-1]
-        self.engine, self._since_snapshot = snapshot.engine.fork(), 0
+        self.engine, self._since_snapshot = snapshot.engine.copy(), 0
         if self.engine.recorder is not None:
             self.engine.recorder.truncate(snapshot.records)
         count = len(self._samples) - bisect_right(self._samples, snapshot.time_ns, key=lambda sample: sample.time_ns)
@@ -187,7 +187,7 @@ class OutOfSequenceEngine:
         self._since_snapshot += len(samples)
         if self._since_snapshot >= PERIOD or not self._snapshots:
             records = self.engine.recorder.size if self.engine.recorder is not None else 0
-            self._snapshots.append(Snapshot(end_ns, self.engine.fork(), records))
+            self._snapshots.append(Snapshot(end_ns, self.engine.copy(), records))
             self._since_snapshot = 0
             if end_ns > self._learnt_ns:
                 self._learnt_ns = end_ns

@@ -79,9 +79,9 @@ class Replay:
         self.engine = main.resumed(snapshot)
         self._memory = memory
         self._pending = memory.since(snapshot.time_ns)
-        unreached_s = max(0.0, (snapshot.time_ns - suspect_since_ns) * 1e-9)
+        contaminated_s = max(0.0, (snapshot.time_ns - suspect_since_ns) * 1e-9)
         begin_ns = max(snapshot.time_ns, suspect_since_ns) + 1
-        self.engine.insert(GnssExcluded(begin_ns, suspect_since_ns, unreached_s))
+        self.engine.insert(GnssExcluded(begin_ns, suspect_since_ns, contaminated_s))
 
     @property
     def is_over(self) -> bool:

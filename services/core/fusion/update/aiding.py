@@ -1,6 +1,7 @@
-"""Selection among aiding sensors, and the state that is kept of each."""
+"""Aiding of the filter: selection among sensors of one kind, plausibility and integrity state of each."""
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 
 from ..alignment.velocity_matching import Comparison
@@ -8,7 +9,7 @@ from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..integrity.error_monitor import NO_BLOCK, Watch, block
 from ..integrity.pull import Pull
-from ..measurements.base import FilterEvent, Measurement, Outcome
+from ..measurements.base import Measurement, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.magnetometer import CompassCheck, MagneticHeading
 from ..measurements.odometer import WheelSpeed
@@ -16,10 +17,10 @@ from ..plausibility.zero_speeds import ZeroSpeeds
 from ..settings import Settings
 from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .duplicate_epochs import Epochs
-from .gating import Judge
+from .gating import Gate
 from .standstill_detector import Limits, limits_of
 
-ODOMETER_SILENT_NS = 2_000_000_000  # after which another odometer is used
+ODOMETER_SILENT_NS = 2_000_000_000  # silence of the odometer in use after which another one is used
 
 
 class Aids:
@@ -27,45 +28,43 @@ class Aids:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self.judge = Judge(settings)
+        self.gate = Gate(settings)
         self.watch = Watch()
         self.pull = Pull()
         self._odometer: WheelSpeed | None = None  # newest speed of the odometer in use
-        self._zeros = ZeroSpeeds()  # of the same
+        self._zeros = ZeroSpeeds()  # of the odometer in use
         self._compass = CompassCheck()
         self._epochs = Epochs()
-        self._delay: FoundDelay | SuspectedDelay | None = None  # newest one, for a filter that starts after it
+        self._delay: FoundDelay | SuspectedDelay | None = None  # newest delay, for filters that start later
 
-    def fork(self) -> "Aids":
+    def copy(self) -> "Aids":
         """Independent copy."""
-        twin = Aids.__new__(Aids)
-        twin.__dict__.update(self.__dict__)
-        twin.judge = self.judge.fork()
-        return twin
+        made = copy(self)
+        made.gate = copy(self.gate)
+        return made
 
     def begin(self, time_ns: int, started: ErrorStateFilter, comparison: Comparison) -> None:
-        """Continue with a filter that has just started, and with the comparison that found its heading."""
+        """Start with a new filter and the comparison that gave its heading."""
         if self._delay is not None and not started.parameter(em.GNSS_DELAY):
             self._delay.apply(started)
-        self.judge.acquit(comparison)
+        self.gate.restart(comparison)
         self.watch = self.watch.begun(time_ns, started)
 
-    def receive(self, event: FilterEvent) -> None:
+    def keep(self, delay: FoundDelay | SuspectedDelay) -> None:
         """Keep a found delay for filters that start later."""
-        if isinstance(event, FoundDelay | SuspectedDelay):
-            self._delay = event
-        if isinstance(event, SuspectedDelay):
-            self.watch = replace(self.watch, late_s=abs(event.position_s))
+        self._delay = delay
+        if isinstance(delay, SuspectedDelay):
+            self.watch = replace(self.watch, late_s=abs(delay.position_s))
 
     def is_duplicate(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a measurement repeats an earlier one of its receiver."""
         if not isinstance(measurement, GnssPosition | GnssVelocity):
             return False
-        self._epochs, again = self._epochs.after(measurement, navigation)
-        return again
+        self._epochs, is_duplicate = self._epochs.after(measurement, navigation)
+        return is_duplicate
 
-    def hold(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
-        """Use a measurement, unless a better device measures the same."""
+    def use(self, navigation: ErrorStateFilter, measurement: Measurement) -> Iterator[Outcome]:
+        """Use a measurement, unless a better sensor measures the same quantity; yields one outcome per observation."""
         if isinstance(measurement, WheelSpeed):
             if self._is_redundant(measurement, navigation):
                 return
@@ -77,14 +76,16 @@ class Aids:
         gating = self._settings.gating
         for observe in measurement.observers():
             before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
-            seen = observe(navigation)
+            observation = observe(navigation)
             navigation.propagate_covariance()
             P = navigation.P
-            outcome = self.judge.judge(navigation, measurement, seen)
+            outcome = self.gate.use(navigation, measurement, observation)
             if outcome.used and isinstance(measurement, GnssPosition | GnssVelocity):
-                gate = gating.false_alarm_probability, gating.robust_limit
-                self.pull = self.pull.after(outcome, P, navigation.P, gate)
-            estimated = isinstance(measurement, GnssPosition) and measurement.lasts and not navigation.colour.follows
+                limits = gating.false_alarm_probability, gating.robust_limit
+                self.pull = self.pull.after(outcome, P, navigation.P, limits)
+            estimated = (
+                isinstance(measurement, GnssPosition) and measurement.lasts and not navigation.gnss_errors.follows
+            )
             self.watch = self.watch.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated
             )
@@ -94,25 +95,25 @@ class Aids:
             if isinstance(measurement, GnssPosition | GnssVelocity) and outcome.used:
                 measurement.teach(navigation, outcome.innovation)
 
-    def leave_out(self, navigation: ErrorStateFilter, measurement: Measurement, why: str) -> Iterator[Outcome]:
-        """Compare a measurement of an excluded source with the filter; nothing is learned of it."""
+    def test_only(self, navigation: ErrorStateFilter, measurement: Measurement, reason: str) -> Iterator[Outcome]:
+        """Compare a measurement of an excluded source with the filter; the state does not change."""
         for observe in measurement.observers():
-            yield self.judge.compare_only(navigation, measurement, observe(navigation), why)
+            yield self.gate.test_only(navigation, measurement, observe(navigation), reason)
 
     def standstill_limits(self, time_ns: int, navigation: ErrorStateFilter) -> Limits:
-        """Limits of the standstill detector; wheels at zero speed replace the longer time of an uncertain filter."""
-        limits, seen = limits_of(navigation.P), self._zeros
-        zero = seen.speed == 0.0 and seen.doubt is None and time_ns - seen.time_ns <= ODOMETER_SILENT_NS
+        """Limits of the standstill detector; with wheels at zero speed, an uncertain filter needs no longer time."""
+        limits, odometer = limits_of(navigation.P), self._zeros
+        zero = odometer.speed == 0.0 and odometer.doubt is None and time_ns - odometer.time_ns <= ODOMETER_SILENT_NS
         return limits._replace(pace=1.0, tilted_pace=1.0) if zero else limits
 
     def _is_redundant(self, seen: WheelSpeed, navigation: ErrorStateFilter) -> bool:
-        """Whether another odometer is in use. When the odometer changes, its scale is estimated anew."""
+        """Whether another odometer is in use. When the odometer changes, its scale is reset."""
         used = self._odometer
         if used is not None and (used.source, used.of_wheels) != (seen.source, seen.of_wheels):
             better = seen.of_wheels and not used.of_wheels
             if not better and seen.time_ns - used.time_ns <= ODOMETER_SILENT_NS:
                 return True
-            navigation.forget_odometer()
+            navigation.reset_odometer_scale()
             self._zeros = ZeroSpeeds()
         self._odometer = seen
         return False

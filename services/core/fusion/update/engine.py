@@ -1,7 +1,8 @@
-"""The estimator: a function of IMU samples in order and of measurements in the order of their stamps."""
+"""The engine: alignment and filter as a function of IMU samples and measurements in the order of their stamps."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from math import degrees, hypot, inf, radians
@@ -28,23 +29,32 @@ from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .aiding import Aids
 from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, OdometerExclusion
 from .imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
-from .standstill_detector import stands
+from .standstill_detector import is_standstill
 
-# A step longer than `propagation.GAP_S` is a gap: bridged, and admitted in the covariance.
-LOST_S = 1.0  # a longer one ends the solution, though not the attitude
-FORGOTTEN_S = 5.0  # a still longer one ends that too
-KEPT = Heading(0.0, radians(20.0), "heading kept")
+# A step longer than `propagation.GAP_S` is a gap: the state is propagated over it, and the covariance is inflated.
+LONGEST_BRIDGED_S = 1.0  # a longer gap ends the solution; attitude and biases are kept
+LONGEST_ATTITUDE_S = 5.0  # a longer gap ends the attitude as well
+KEPT_HEADING = Heading(0.0, radians(20.0), "heading kept")
 BEFORE_ALL_NS = -(2**64)
 Event = FoundDelay | SuspectedDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion  # no measurements
 
 
 class Engine:
-    """Alignment first, then the filter with its measurements, its gaps and its resets.
+    """Alignment, then the filter with its measurements, gaps and resets.
 
-    Everything that it holds is replaced and never changed in place, so that a `fork` is cheap and stays as it was.
+    All members are replaced and never changed in place, so that a copy is cheap and independent.
+
+    Parameters
+    ----------
+    settings : Settings
+        All settings of the process.
+    counts : Counts, optional
+        Counts to continue from.
+    lost_reason : str
+        Why the solution before this engine ended; empty if there was none.
     """
 
-    def __init__(self, settings: Settings, counts: Counts | None = None, why: str = "") -> None:
+    def __init__(self, settings: Settings, counts: Counts | None = None, lost_reason: str = "") -> None:
         self._settings = settings
         self._coasting_ns = round(settings.gnss.coasting_after_s * 1e9)
         self._intervals = Intervals(
@@ -55,34 +65,32 @@ class Engine:
         self.phase, self.since_ns = NavigationPhase.WAITING_FOR_IMU, 0
         self.reason = "no inertial sample yet"
         self.counts = counts or Counts()
-        self.last: Sample | None = None  # newest sample, as far as it was taken
+        self.last: Sample | None = None  # newest sample, up to which the state is propagated
         self.filter: ErrorStateFilter | None = None
-        self.recorder: HistoryRecorder | None = None  # of whatever filter runs, for the smoother
+        self.recorder: HistoryRecorder | None = None  # of all filters, for the smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
-        self._alignment: Alignment | None = Alignment(settings, first=not why)
-        self._saved: SavedState | None = None  # to go on from with the first sample
+        self._alignment: Alignment | None = Alignment(settings, first=not lost_reason)
+        self._saved: SavedState | None = None  # to be restored with the first sample
         self.aids = Aids(settings)
         self.exclusions = Exclusions()
-        self._suspect_s = 0.0  # time of suspect samples, not yet admitted in the covariance
-        self._rejections = 0  # consecutive positions
-        self._why = why  # the solution was lost
+        self._suspect_s = 0.0  # time of suspect samples since the last inflation
+        self._rejections = 0  # number of consecutive rejected positions
+        self._lost_reason = lost_reason
 
-    def fork(self) -> "Engine":
-        """Copy that goes its own way."""
-        twin = Engine.__new__(Engine)
-        twin.__dict__.update(self.__dict__)
-        twin.filter = self.filter.fork() if self.filter else None
-        twin._alignment = self._alignment.fork() if self._alignment else None
-        twin.aids = self.aids.fork()
-        return twin
+    def copy(self) -> "Engine":
+        """Independent copy."""
+        made = copy(self)
+        made.filter, made.aids = copy(self.filter), self.aids.copy()
+        made._alignment = self._alignment.copy() if self._alignment else None
+        return made
 
     def use_prior(self, prior: Prior) -> None:
-        """Take a saved position and heading, of use until the filter runs for the first time."""
+        """Use a saved position and heading, unless a filter has started before."""
         if self._alignment is not None and self.accepted_ns is None:
             self._alignment.use_prior(prior)
 
     def restore(self, saved: SavedState) -> None:
-        """Go on from a saved state with the first sample, which must be the next."""
+        """Restore a saved state with the first sample, which must be the next."""
         self._saved = saved
 
     @property
@@ -92,32 +100,32 @@ class Engine:
 
     @property
     def stationary(self) -> bool:
-        """Whether the vehicle stands still."""
+        """Whether the vehicle is at standstill."""
         if self.filter is not None:
-            return stands(self.filter.state.quiet)
-        return self._alignment is not None and self._alignment.levelling.at_rest
+            return is_standstill(self.filter.state.quiet)
+        return self._alignment is not None and self._alignment.levelling.is_stationary
 
     def process(self, samples: Samples, measurements: Sequence[Measurement]) -> list[Outcome]:
-        """Propagate over samples, using on the way the measurements that were true until the last of them.
+        """Propagate over samples, and use the measurements up to the last of them at their stamps.
 
         Parameters
         ----------
         samples : Samples
-            Newer than all before.
+            Samples newer than all before.
         measurements : sequence of Measurement
-            In the order of their stamps. One that is older than the state was true in a gap that ended the solution,
-            and is left out.
+            Measurements in the order of their stamps. Those older than the state are left out: they are of a gap that
+            ended the solution.
 
         Returns
         -------
         list of Outcome
-            Of all observations, in the order in which they were used.
+            Outcomes of all observations, in the order in which they were used.
         """
         begin = 0
         if self.last is None and len(samples.times_ns):
             self.last, begin = _sample(samples, 0), 1
-            why = f"levelling, after {self._why}" if self._why else "measuring tilt and gyroscope bias at rest"
-            self._enter(NavigationPhase.LEVELLING, self.last.time_ns, why)
+            reason = self._with_loss("levelling") if self._lost_reason else "measuring tilt and gyroscope bias at rest"
+            self._enter(NavigationPhase.LEVELLING, self.last.time_ns, reason)
             if self._saved is not None:
                 self._start_warm(self._saved, self.last)
         return self._process(samples, begin, measurements, self._intervals)
@@ -144,7 +152,7 @@ class Engine:
         return outcomes
 
     def _use_within(self, samples: Samples, here: int, measurement: Measurement, intervals: Intervals) -> list[Outcome]:
-        """Propagate over the part of a sample up to a measurement, and use that."""
+        """Propagate over the part of a sample up to a measurement, and use the measurement."""
         outcomes: list[Outcome] = []
         if measurement.time_ns < self.time_ns:
             return outcomes
@@ -152,11 +160,11 @@ class Engine:
             faults = {0: samples.faults[here]} if here in samples.faults else {}
             part = samples_of([measurement.time_ns], [[*map(float, samples.rows[here])]], faults)
             while not self._propagate(part, 0, 1, intervals, outcomes):
-                pass  # something was due before it
+                pass  # another update was due first
         return outcomes + self._use(measurement)
 
     def _propagate(self, samples: Samples, begin: int, end: int, intervals: Intervals, outcomes: list[Outcome]) -> int:
-        """Propagate over samples until something is due, deal with that, and say how many samples were taken."""
+        """Propagate over samples until an update is due, and make the update; returns the number of samples used."""
         before_ns, navigation = self.time_ns, self.filter
         if navigation is None:
             self._level(_sample(samples, begin))
@@ -178,14 +186,14 @@ class Engine:
                 if hypot(*navigation.velocity) > odometer.SLOWEST_M_S:
                     outcomes += self._use(NonHolonomic(self.time_ns, self._settings))
             case Stop.GAP | Stop.END_OF_SAMPLES:
-                pass  # `_process` goes on
+                pass  # handled by `_process`
         if taken and begin in samples.faults:
-            self._admit_suspect((self.time_ns - before_ns) * 1e-9)
-        self._settle_phase()
+            self._inflate_for_suspect((self.time_ns - before_ns) * 1e-9)
+        self._update_phase()
         return taken
 
     def _stop(self, samples: Samples, begin: int, end: int) -> int:
-        """End of the samples that can be taken together: before a suspect one, and with the first that is coasting."""
+        """End of the samples for one propagation: before a suspect sample, and after the first that is coasting."""
         if end == begin + 1:
             return end
         faults = samples.faults
@@ -197,23 +205,23 @@ class Engine:
         return end
 
     def _level(self, sample: Sample) -> None:
-        """Give a sample to the alignment."""
+        """Use a sample in the alignment."""
         assert self._alignment is not None
         step_s = (sample.time_ns - self.time_ns) * 1e-9
         if step_s > 0.0:
             self._alignment.levelling.advance(sample.force, sample.rate, step_s)
             self.last = sample
-            self._settle_phase()
+            self._update_phase()
 
     def _bridge(self, sample: Sample, measurements: Sequence[Measurement]) -> list[Outcome]:
-        """Decide what survives a gap before a sample, and propagate over it by the mean of its two ends."""
+        """Propagate over a gap before a sample with the mean of its two ends, or end the solution."""
         assert self.last is not None
         gap_s = (sample.time_ns - self.time_ns) * 1e-9
         self.counts = self.counts._replace(imu_gaps=self.counts.imu_gaps + 1)
-        if gap_s > LOST_S:
-            kept = KEPT if gap_s <= FORGOTTEN_S else None
+        if gap_s > LONGEST_BRIDGED_S:
+            kept = KEPT_HEADING if gap_s <= LONGEST_ATTITUDE_S else None
             self.last = sample
-            self._lose(f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
+            self._end_solution(f"no inertial sample for {gap_s:.1f} s", kept, self.filter)
             return []
         self._try(partial(inflate_for_gap, span_s=gap_s))
         row = *mean(self.last.force, sample.force), *mean(self.last.rate, sample.rate)
@@ -223,17 +231,17 @@ class Engine:
         self.last = sample
         return outcomes
 
-    def _admit_suspect(self, span_s: float) -> None:
-        """Inflate the covariance for suspect samples, ten times a second."""
+    def _inflate_for_suspect(self, span_s: float) -> None:
+        """Inflate the covariance for a time of suspect samples, ten times a second."""
         self._suspect_s += span_s
         if self.filter is None or self._suspect_s < SUSPECT_PERIOD_S - 1e-3:
             return
-        self.aids.judge.comparison = Comparison()  # it would be one with wrong accelerations
+        self.aids.gate.comparison = Comparison()  # its accelerations would be wrong
         self._try(partial(inflate_for_suspect_samples, span_s=self._suspect_s))
         self._suspect_s = 0.0
 
     def _try(self, act: Callable[[ErrorStateFilter], None]) -> None:
-        """Do something to the filter, if there is one, and reset it if it diverges."""
+        """Apply a function to the filter, if there is one, and reset the filter if it diverges."""
         try:
             if self.filter is not None:
                 act(self.filter)
@@ -243,52 +251,53 @@ class Engine:
     def _use(self, measurement: Measurement) -> list[Outcome]:
         """Use a measurement in the filter, or in the alignment."""
         if isinstance(measurement, Event):
-            self._follow(measurement)
+            self._apply(measurement)
             return []
-        if (why := self.exclusions.reason(measurement)) is not None:
-            return self._leave_out(measurement, why)
+        if (reason := self.exclusions.reason(measurement)) is not None:
+            return self._use_excluded(measurement, reason)
         if self.aids.is_duplicate(measurement, self.filter):
             self.counts = self.counts._replace(epochs_repeated=self.counts.epochs_repeated + 1)
             return []
-        if self.filter is None or self._is_turned(measurement, self.filter):
+        if self.filter is None or self._is_heading_wrong(measurement, self.filter):
             self._align(measurement)
             return []
         outcomes = []
         try:
-            for outcome in self.aids.hold(self.filter, measurement):
+            for outcome in self.aids.use(self.filter, measurement):
                 outcomes.append(outcome)
                 if isinstance(measurement, GnssPosition):
                     self._count_position(outcome, measurement.left_out)
         except FilterDiverged as error:
             self._reset(str(error), kept=None)
-        if self._is_astray(measurement.time_ns):
-            self._reset(f"{self._rejections} positions in a row rejected", KEPT)
+        if self._is_reset_due(measurement.time_ns):
+            self._reset(f"{self._rejections} positions in a row rejected", KEPT_HEADING)
             self._align(measurement)
         return outcomes
 
-    def _follow(self, event: Event) -> None:
-        """Take over an event that is no measurement.
+    def _apply(self, event: Event) -> None:
+        """Apply an event that is no measurement.
 
-        The scale of an accused odometer is estimated anew. A state that contains suspect GNSS is inflated by the
-        largest pull of it.
+        The scale of an excluded odometer is reset. The covariance of a state that contains suspect GNSS is inflated by
+        its largest effect.
         """
         if isinstance(event, FoundDelay | SuspectedDelay | LostTime):
-            self.aids.receive(event)
+            if not isinstance(event, LostTime):
+                self.aids.keep(event)
             self._try(event.apply)
             return
         begins = isinstance(event, OdometerExclusion) and event.excluded and not self.exclusions.odometer
         self.exclusions = self.exclusions.after(event)
         if begins:
-            self._try(ErrorStateFilter.forget_odometer)
-        if isinstance(event, GnssExcluded) and event.unreached_s > 0.0:
-            self._try(partial(self.aids.pull.inflate, span_s=event.unreached_s))
+            self._try(ErrorStateFilter.reset_odometer_scale)
+        if isinstance(event, GnssExcluded) and event.contaminated_s > 0.0:
+            self._try(partial(self.aids.pull.inflate, span_s=event.contaminated_s))
 
-    def _leave_out(self, measurement: Measurement, why: str) -> list[Outcome]:
-        """Compare a measurement of an excluded source with the filter, and use it for nothing."""
+    def _use_excluded(self, measurement: Measurement, reason: str) -> list[Outcome]:
+        """Compare a measurement of an excluded source with the filter, without using it."""
         outcomes: list[Outcome] = []
         try:
             if self.filter is not None:
-                outcomes = list(self.aids.leave_out(self.filter, measurement, why))
+                outcomes = list(self.aids.test_only(self.filter, measurement, reason))
         except FilterDiverged as error:
             self._reset(str(error), kept=None)
         if isinstance(measurement, GnssPosition):
@@ -296,9 +305,11 @@ class Engine:
             self.exclusions = replace(self.exclusions, fixes=self.exclusions.fixes + 1, test_ratio=ratio)
         return outcomes
 
-    def _is_turned(self, seen: Measurement, navigation: ErrorStateFilter) -> bool:
-        """Watch the heading by GNSS, and reset if it is wrong by more than the filter can correct."""
-        kept = self.aids.judge.compare(seen, navigation) if isinstance(seen, GnssPosition | GnssVelocity) else None
+    def _is_heading_wrong(self, measurement: Measurement, navigation: ErrorStateFilter) -> bool:
+        """Compare the heading with GNSS, and reset a filter whose heading it cannot correct."""
+        if not isinstance(measurement, GnssPosition | GnssVelocity):
+            return False
+        kept = self.aids.gate.heading_error(measurement, navigation)
         if kept is None:
             return False
         self._reset(f"the heading was wrong by {abs(degrees(kept.turn)):.0f} degrees", kept)
@@ -308,49 +319,47 @@ class Engine:
         self.counts = self.counts.with_position(outcome.used)
         self.accepted_ns = outcome.time_ns if outcome.used else self.accepted_ns
         if outcome.used and self.exclusions.readmitted_after_s is not None:
-            north, east = outcome.innovation[:2]
-            self._readmitted(outcome.time_ns, f"{hypot(north, east):.1f} m from dead reckoning")
+            reason = f"GNSS is used again after {self.exclusions.readmitted_after_s:.0f} s"
+            distance_m = hypot(*outcome.innovation[:2])
+            self._enter(
+                NavigationPhase.NAVIGATING, outcome.time_ns, f"{reason}, {distance_m:.1f} m from dead reckoning"
+            )
+            self.exclusions = replace(self.exclusions, readmitted_after_s=None)
         if outcome.used and left_out != self.exclusions.satellites:
             self.exclusions = replace(self.exclusions, satellites=left_out)
         self._rejections = 0 if outcome.used or outcome.test_ratio <= 1.0 else self._rejections + 1
 
-    def _readmitted(self, time_ns: int, how: str) -> None:
-        """Enter NAVIGATING with the reason that GNSS is used again after an exclusion."""
-        outage_s = self.exclusions.readmitted_after_s
-        self.exclusions = replace(self.exclusions, readmitted_after_s=None)
-        self._enter(NavigationPhase.NAVIGATING, time_ns, f"GNSS is used again after {outage_s:.0f} s, {how}")
-
-    def _is_astray(self, time_ns: int) -> bool:
-        """Whether so many consecutive positions were rejected for so long that the filter must be wrong."""
+    def _is_reset_due(self, time_ns: int) -> bool:
+        """Whether enough consecutive positions were rejected for long enough."""
         enough = self._rejections >= self._settings.gating.reset_after_rejections
         return enough and time_ns - (self.accepted_ns or 0) >= self._settings.gating.reset_after_s * 1e9
 
     def _align(self, measurement: Measurement) -> None:
-        """Give a measurement to the alignment, and start the filter if it can."""
+        """Use a measurement in the alignment, and start the filter when it is complete."""
         assert self._alignment is not None
         if isinstance(measurement, GnssVelocity):
-            self._alignment.see_velocity(measurement)
+            self._alignment.use_velocity(measurement)
         elif isinstance(measurement, BaselineHeading):
-            self._alignment.see_heading(measurement)
+            self._alignment.use_heading(measurement)
         started = self._alignment.start_at(measurement) if isinstance(measurement, GnssPosition) else None
         if started is None:
             return
-        how = self._alignment.how if not self._why else f"{self._alignment.how}, after {self._why}"
+        reason = self._with_loss(self._alignment.method)
         self._start(started, measurement.time_ns, self._alignment.comparison)
         self.counts = self.counts.with_position(used=True)
         self.accepted_ns = measurement.time_ns
-        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, how)
+        self._enter(NavigationPhase.NAVIGATING, measurement.time_ns, reason)
         self.exclusions = replace(self.exclusions, readmitted_after_s=None)
 
     def _start(self, started: ErrorStateFilter, time_ns: int, comparison: Comparison) -> None:
-        """Go on with a filter that has just started."""
+        """Continue with a filter that has just started."""
         self.aids.begin(time_ns, started, comparison)
-        self.filter, self._alignment, self._why, self._rejections = started, None, "", 0
+        self.filter, self._alignment, self._lost_reason, self._rejections = started, None, "", 0
         if self.recorder is not None:
             self.recorder.start(started)
 
     def _start_warm(self, saved: SavedState, sample: Sample) -> None:
-        """Go on from a saved state, or align anew if state and sample make no sense together."""
+        """Continue from a saved state; the alignment goes on if the restored filter diverges."""
         time_ns, self._saved = sample.time_ns, None
         try:
             started = restored(self._settings, saved, sample)
@@ -359,13 +368,13 @@ class Engine:
         self._start(started, time_ns, Comparison())
         self.accepted_ns = saved.accepted_ns
         self.exclusions = replace(self.exclusions, gnss_since_ns=saved.gnss_excluded_since_ns)
-        coasts = time_ns - (saved.accepted_ns or 0) > self._coasting_ns
+        coasting = time_ns - (saved.accepted_ns or 0) > self._coasting_ns
         gap_s = (time_ns - saved.inertial.time_ns) * 1e-9
-        phase = NavigationPhase.COASTING if coasts else NavigationPhase.NAVIGATING
+        phase = NavigationPhase.COASTING if coasting else NavigationPhase.NAVIGATING
         self._enter(phase, time_ns, f"warm start from a state of {gap_s:.1f} s before")
 
-    def _settle_phase(self) -> None:
-        """Enter another phase where the situation has changed."""
+    def _update_phase(self) -> None:
+        """Enter the phase of the present state, if it is another one."""
         if self.filter is None:
             assert self._alignment is not None
             phase, reason = self._alignment.phase, self._alignment.reason
@@ -376,22 +385,27 @@ class Engine:
         else:
             phase, reason = NavigationPhase.NAVIGATING, "positions are used again"
         if phase is not self.phase:
-            self._enter(phase, self.time_ns, f"{reason}, after {self._why}" if self._why else reason)
+            self._enter(phase, self.time_ns, self._with_loss(reason))
+
+    def _with_loss(self, reason: str) -> str:
+        """Append to a reason why the last solution ended."""
+        return f"{reason}, after {self._lost_reason}" if self._lost_reason else reason
 
     def _enter(self, phase: NavigationPhase, time_ns: int, reason: str) -> None:
         self.phase, self.since_ns, self.reason = phase, time_ns, reason
 
-    def _reset(self, why: str, kept: Heading | None) -> None:
-        """Reset the filter."""
+    def _reset(self, reason: str, kept: Heading | None) -> None:
+        """End the solution and count a reset; `kept` is the heading correction if the attitude is kept."""
         self.counts = self.counts._replace(resets=self.counts.resets + 1)
-        self._lose(why, kept, self.filter if kept else None)
-        if kept and self._alignment is not None:  # in the same frame; in a gap it may have turned
-            self._alignment.comparison = self.aids.judge.comparison.interrupted()
+        self._end_solution(reason, kept, self.filter if kept else None)
+        if kept and self._alignment is not None:  # not after a gap, in which the level frame may have turned
+            self._alignment.comparison = self.aids.gate.comparison.interrupted()
 
-    def _lose(self, why: str, kept: Heading | None, lost: ErrorStateFilter | None = None) -> None:
+    def _end_solution(self, reason: str, kept: Heading | None, lost: ErrorStateFilter | None) -> None:
+        """Begin another alignment, with the attitude and the biases of the lost filter where they are kept."""
         self._alignment = Alignment(self._settings, lost, kept, first=False)
-        self.filter, self._why, self._rejections = None, why, 0
-        self._enter(self._alignment.phase, self.time_ns, f"{self._alignment.reason}, after {why}")
+        self.filter, self._lost_reason, self._rejections = None, reason, 0
+        self._enter(self._alignment.phase, self.time_ns, self._with_loss(self._alignment.reason))
 
 
 def _sample(samples: Samples, k: int) -> Sample:

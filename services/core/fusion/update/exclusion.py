@@ -1,4 +1,4 @@
-"""Exclusion of GNSS and of the odometer by the verdict of core.trust, as events in the order of the measurements."""
+"""Exclusion of GNSS and of the odometer by core.trust, as events in the order of the measurements."""
 
 from dataclasses import dataclass, replace
 
@@ -14,12 +14,12 @@ GNSS = (GnssPosition, GnssVelocity, BaselineHeading)
 class GnssExcluded(FilterEvent):
     """From this instant on GNSS is not used.
 
-    `since_ns` is the suspect time from which no GNSS is part of the state. Where the state at this instant does contain
-    GNSS since the suspect time, `unreached_s` [s] is how long.
+    `since_ns` is the suspect time; no GNSS with a later stamp is used. `contaminated_s` [s] is the time since then of
+    which GNSS is in the state already, because no snapshot is old enough for a roll-back.
     """
 
     since_ns: int
-    unreached_s: float = 0.0
+    contaminated_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -36,21 +36,21 @@ class OdometerExclusion(FilterEvent):
 
 @dataclass(frozen=True)
 class Exclusions:
-    """What is excluded at one instant; replaced and never changed."""
+    """Exclusions at one instant; replaced and never changed in place."""
 
     gnss_since_ns: int | None = None
     odometer: bool = False
-    satellites: tuple[str, ...] = ()  # left out of the newest position that was used
-    fixes: int = 0  # positions that were not used for it
-    test_ratio: float | None = None  # of the newest of them
-    readmitted_after_s: float | None = None  # how long GNSS was excluded, until the first position is used again
+    satellites: tuple[str, ...] = ()  # satellites without which the newest position was computed
+    fixes: int = 0  # number of excluded positions
+    test_ratio: float | None = None  # of the newest excluded position
+    readmitted_after_s: float | None = None  # duration of an exclusion, until the first position is used again
 
     def after(self, event: "GnssExcluded | GnssReadmitted | OdometerExclusion") -> "Exclusions":
-        """Exclusions after an event. An exclusion of GNSS that lasts keeps the earlier of the two suspect times."""
+        """Exclusions after an event; a second exclusion of GNSS keeps the earlier suspect time."""
         match event:
             case GnssExcluded():
-                known = event.since_ns if self.gnss_since_ns is None else min(event.since_ns, self.gnss_since_ns)
-                return replace(self, gnss_since_ns=known, readmitted_after_s=None)
+                since_ns = event.since_ns if self.gnss_since_ns is None else min(event.since_ns, self.gnss_since_ns)
+                return replace(self, gnss_since_ns=since_ns, readmitted_after_s=None)
             case GnssReadmitted() if self.gnss_since_ns is not None:
                 outage_s = (event.time_ns - self.gnss_since_ns) * 1e-9
                 return replace(self, gnss_since_ns=None, test_ratio=None, readmitted_after_s=outage_s)
@@ -59,7 +59,7 @@ class Exclusions:
         return self
 
     def reason(self, measurement: Measurement) -> str | None:
-        """Why a measurement is not used, None if it may be."""
+        """Reason why a measurement is excluded, or None."""
         if self.gnss_since_ns is not None and isinstance(measurement, GNSS):
             return "GNSS is excluded by core.trust"
         if self.odometer and isinstance(measurement, WheelSpeed):

@@ -1,5 +1,6 @@
-"""Gating by the normalised innovation squared, down-weighting, exclusion and readmission of devices."""
+"""Gating by the normalised innovation squared (NIS), down-weighting, exclusion and readmission of GNSS receivers."""
 
+from copy import copy
 from math import radians
 from typing import NamedTuple
 
@@ -11,206 +12,222 @@ from ..alignment.heading import Heading
 from ..alignment.velocity_matching import Comparison, Corrections
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..filter.kalman import FloatArray
 from ..measurements.base import Height, Measurement, Observation, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from ..settings import Settings
-from . import lever_arm_monitor
+from .lever_arm_monitor import FloatArray, LeverArmMonitor
 
-# Standard deviations by which the covariance is inflated at a rejected GNSS measurement [m, m/s].
-WIDENING = {
+# Standard deviations [m, m/s] by which each rejected GNSS measurement inflates the covariance.
+INFLATION = {
     AidingKind.GNSS_POSITION: {"position_sd": 0.1, "velocity_sd": 0.1},
     AidingKind.GNSS_VELOCITY: {"position_sd": 0.0, "velocity_sd": 0.1},
 }
-TURNED_SD = radians(3.0)  # smallest standard deviation of a corrected heading
-# Rejected wheel speeds inflate it as well, along the vehicle and with time: spinning wheels are rejected rightly.
-DOUBT_M_S_SQRT_S = 0.1
-DOUBT_AFTER_NS, DOUBT_STEP_NS = 2_000_000_000, 1_000_000_000
-TOLD_LIMIT = 9.0  # times the gate: innovations beyond it are no evidence on the lever arm
-FORGIVEN_S = 60.0  # without a fault, after which the ones before are forgotten
+CORRECTED_HEADING_SD = radians(3.0)  # smallest standard deviation of a corrected heading
+# Wheel speeds that are rejected for long inflate the velocity along the vehicle, once a second; for a short time wheels
+# may spin.
+SPEED_INFLATION_M_S_SQRT_S = 0.1
+SPEED_INFLATION_AFTER_NS, SPEED_INFLATION_PERIOD_NS = 2_000_000_000, 1_000_000_000
+LEVER_ARM_LIMIT = 9.0  # largest multiple of the gate up to which innovations are used for the lever arm
+FAULT_MEMORY_S = 60.0  # time without a fault after which earlier faults are not counted
 
 
-class Standing(NamedTuple):
-    """Fault status of a device for one kind of observation."""
+class FaultStatus(NamedTuple):
+    """Fault status of a receiver for one kind of observation."""
 
-    wrong_ns: int | None = None  # since when all have been rejected
-    sound_ns: int | None = None  # since when a device at fault agrees again
+    rejected_since_ns: int | None = None  # since when all observations have been rejected
+    agreeing_since_ns: int | None = None  # since when all observations of an excluded receiver have agreed
     faults: int = 0
-    fault_ns: int = 0  # when the newest began or ended
+    fault_ns: int = 0  # begin or end of the newest fault
     excluded: bool = False
 
-    def after(self, time_ns: int, agrees: bool, settings: Settings) -> "Standing":
-        """Status after an observation that was within the gate or not.
+    def after(self, time_ns: int, agrees: bool, settings: Settings) -> "FaultStatus":
+        """Status after one more observation, which is within the gate or not.
 
-        A device rejected for `gating.fault_after_s` is at fault and excluded until all its observations have
-        agreed for `gating.readmission_s`, twice as long after each further fault within a minute, but not longer than
+        A receiver that is rejected for `gating.fault_after_s` is excluded until all its observations have agreed for
+        `gating.readmission_s`, twice as long after each further fault within a minute, at most
         `gating.readmission_max_s`.
         """
         if not agrees:
-            since = time_ns if self.wrong_ns is None else self.wrong_ns
+            since = time_ns if self.rejected_since_ns is None else self.rejected_since_ns
             if self.excluded or time_ns - since < settings.gating.fault_after_s * 1e9:
-                return self._replace(wrong_ns=since, sound_ns=None)
-            recent = time_ns - self.fault_ns < FORGIVEN_S * 1e9
-            return Standing(since, None, 1 + (self.faults if recent else 0), time_ns, excluded=True)
+                return self._replace(rejected_since_ns=since, agreeing_since_ns=None)
+            recent = time_ns - self.fault_ns < FAULT_MEMORY_S * 1e9
+            return FaultStatus(since, None, 1 + (self.faults if recent else 0), time_ns, excluded=True)
         if not self.excluded:
-            return self if self.wrong_ns is None else self._replace(wrong_ns=None)
-        since = time_ns if self.sound_ns is None else self.sound_ns
+            return self if self.rejected_since_ns is None else self._replace(rejected_since_ns=None)
+        since = time_ns if self.agreeing_since_ns is None else self.agreeing_since_ns
         needed_s = min(settings.gating.readmission_s * 2.0 ** (self.faults - 1), settings.gating.readmission_max_s)
         if time_ns - since >= needed_s * 1e9:
-            return Standing(faults=self.faults, fault_ns=time_ns)
-        return self._replace(wrong_ns=None, sound_ns=since)
+            return FaultStatus(faults=self.faults, fault_ns=time_ns)
+        return self._replace(rejected_since_ns=None, agreeing_since_ns=since)
 
 
-class Judge:
-    """Tests and uses observations; its state is replaced and never changed in place."""
+class Gate:
+    """Tests observations and corrects the filter by them; its state is replaced and never changed in place."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.corrections = Corrections()
         self.comparison = Comparison()  # of the filter's heading with GNSS
-        self.arm = lever_arm_monitor.begun()
+        self.lever_arm = LeverArmMonitor()
         self._height_ns: int | None = None  # since when heights have been rejected
-        self._doubt_ns: int | None = None  # when the next inflation is due, while wheel speeds are rejected
-        self._standings: dict[tuple[str, AidingKind], Standing] = {}
+        self._inflation_ns: int | None = None  # time of the next inflation, while wheel speeds are rejected
+        self._status: dict[tuple[str, AidingKind], FaultStatus] = {}
 
-    def fork(self) -> "Judge":
-        """Copy that goes its own way."""
-        twin = Judge.__new__(Judge)
-        twin.__dict__.update(self.__dict__)
-        return twin
-
-    def acquit(self, comparison: Comparison) -> None:
-        """Start without faults of devices: the filter was wrong, and is a new one."""
-        self._standings, self.corrections, self.arm = {}, Corrections(), lever_arm_monitor.begun()
+    def restart(self, comparison: Comparison) -> None:
+        """Start with a new filter: no receiver is excluded."""
+        self._status, self.corrections, self.lever_arm = {}, Corrections(), LeverArmMonitor()
         self.comparison = comparison
 
-    def compare(self, seen: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> Heading | None:
-        """Turn by which the filter's heading is wrong; None if it is not."""
-        corrections = self.corrections.at(seen.time_ns)
-        (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, seen.lever_arm), navigation.velocity
-        self.corrections = Corrections(corrections.time_ns, corrections.velocity, corrections.lean)
-        pure = complex(an + vn, ae + ve) + corrections.velocity
-        self.comparison = self.comparison.turned(-corrections.yaw).after(seen, pure)
-        if not self.comparison.is_wrong(seen.time_ns):
+    def heading_error(self, measurement: GnssPosition | GnssVelocity, navigation: ErrorStateFilter) -> Heading | None:
+        """Turn that corrects the filter's heading where GNSS contradicts it; None if it does not."""
+        corrections = self.corrections.at(measurement.time_ns)
+        (an, ae, _), (vn, ve, _) = antenna_velocity(navigation, measurement.lever_arm), navigation.velocity
+        self.corrections = corrections._replace(yaw=0.0)
+        uncorrected = complex(an + vn, ae + ve) + corrections.velocity
+        self.comparison = self.comparison.turned(-corrections.yaw).after(measurement, uncorrected)
+        if not self.comparison.is_wrong(measurement.time_ns):
             return None
         turn, sd = self.comparison.result()
-        return Heading(turn, max(sd, TURNED_SD), "matched accelerations")
+        return Heading(turn, max(sd, CORRECTED_HEADING_SD), "matched accelerations")
 
-    def judge(self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation) -> Outcome:
-        """Use an observation if its d² is within the limit, with less weight up to `gating.robust_limit` times it.
+    def use(self, navigation: ErrorStateFilter, measurement: Measurement, observation: Observation) -> Outcome:
+        """Correct the filter by an observation whose NIS is within the gate, or up to `gating.robust_limit` times it.
 
-        A position that is beyond it, but within what the receiver states, has another time-correlated error than those
-        before. One whose height alone is beyond it is used without its height.
+        A position beyond the gate that is within it for an unknown time-correlated error resets this error. A position
+        of which only the height is beyond the gate is used without its height.
         """
-        correction, ratio = self._weigh(navigation, seen)
-        limit = self._settings.gating.robust_limit if seen.kind in WIDENING else 1.0
-        if ratio > limit and isinstance(measurement, GnssPosition) and seen.H[:, em.GNSS_ERROR].any():
-            other = navigation.fork()
+        correction, ratio = self._test(navigation, observation)
+        limit = self._settings.gating.robust_limit if observation.kind in INFLATION else 1.0
+        if ratio > limit and isinstance(measurement, GnssPosition) and observation.H[:, em.GNSS_ERROR].any():
+            other = copy(navigation)
             other.recorder = None
-            other.forget_gnss_error()
-            anew = measurement.observe(other)
-            if self._weigh(other, anew)[1] <= 1.0:
-                navigation.forget_gnss_error()
-                seen = anew
-                correction, ratio = self._weigh(navigation, seen)
-        if ratio > limit and seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3:
-            level = Observation(seen.kind, seen.z[:2], seen.H[:2], seen.R[:2, :2])
-            flat, flat_ratio = self._weigh(navigation, level)
-            if flat_ratio <= 1.0:
-                outcome = self._judge(navigation, measurement, level, flat, flat_ratio, self._height(seen))
-                taken_over = self._follow_height(navigation, seen, measurement.time_ns)
-                height = Height(float(seen.z[2]), float(correction.innovation_sd[2]), taken_over)
+            other.reset_gnss_error()
+            with_other_error = measurement.observe(other)
+            if self._test(other, with_other_error)[1] <= 1.0:
+                navigation.reset_gnss_error()
+                observation = with_other_error
+                correction, ratio = self._test(navigation, observation)
+        if ratio > limit and observation.kind is AidingKind.GNSS_POSITION and len(observation.z) == 3:
+            horizontal = Observation(observation.kind, observation.z[:2], observation.H[:2], observation.R[:2, :2])
+            tested = self._test(navigation, horizontal)
+            if tested[1] <= 1.0:
+                remark = f"height beyond the gate by {-float(observation.z[2]):.0f} m: used without it"
+                outcome = self._decide(navigation, measurement, horizontal, *tested, remark)
+                taken_over = self._reset_height(navigation, observation, measurement.time_ns)
+                height = Height(float(observation.z[2]), float(correction.innovation_sd[2]), taken_over)
                 return outcome._replace(height=height)
-        return self._judge(navigation, measurement, seen, correction, ratio, None)
+        return self._decide(navigation, measurement, observation, correction, ratio, None)
 
-    def compare_only(
-        self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation, why: str
+    def test_only(
+        self, navigation: ErrorStateFilter, measurement: Measurement, observation: Observation, reason: str
     ) -> Outcome:
-        """Test an observation and do not use it; nothing is remembered of it."""
-        correction, ratio = self._weigh(navigation, seen)
-        return _outcome(measurement, seen, correction, ratio, why, 0.0)
+        """Test an observation that is not used for a reason; the state does not change."""
+        correction, ratio = self._test(navigation, observation)
+        return _outcome(measurement, observation, correction, ratio, reason, 0.0)
 
-    def _weigh(self, navigation: ErrorStateFilter, seen: Observation) -> tuple[Correction, float]:
-        correction = navigation.innovate(seen.z, seen.H, seen.R)
-        limit = chi_square_limit(len(seen.z), self._settings.gating.false_alarm_probability)
+    def _test(self, navigation: ErrorStateFilter, observation: Observation) -> tuple[Correction, float]:
+        correction = navigation.innovate(observation.z, observation.H, observation.R)
+        limit = chi_square_limit(len(observation.z), self._settings.gating.false_alarm_probability)
         return correction, float(correction.distance2) / limit
 
-    def _height(self, seen: Observation) -> str:
-        return f"height beyond the gate by {-float(seen.z[2]):.0f} m: used without it"
-
-    def _follow_height(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int) -> bool:
-        """Reset the height to one that has been rejected for as long as a reset needs; returns whether it was."""
+    def _reset_height(self, navigation: ErrorStateFilter, observation: Observation, time_ns: int) -> bool:
+        """Inflate the height variance when heights have been rejected for `gating.reset_after_s`; returns whether."""
         self._height_ns = time_ns if self._height_ns is None else self._height_ns
         if time_ns - self._height_ns < self._settings.gating.reset_after_s * 1e9:
             return False
         self._height_ns = None
-        navigation.inflate(height_sd=abs(float(seen.z[2])))
+        navigation.inflate(height_sd=abs(float(observation.z[2])))
         return True
 
-    def _follow_speed(self, navigation: ErrorStateFilter, seen: Observation, time_ns: int, refused: bool) -> None:
-        """Inflate the velocity that wheel speeds have contradicted for long: once a second, along the vehicle only."""
-        if not refused:
-            self._doubt_ns = None
+    def _inflate_speed(
+        self, navigation: ErrorStateFilter, observation: Observation, time_ns: int, rejected: bool
+    ) -> None:
+        """Inflate the velocity along the vehicle once a second while wheel speeds are rejected for long."""
+        if not rejected:
+            self._inflation_ns = None
             return
-        if self._doubt_ns is None:
-            self._doubt_ns = time_ns + DOUBT_AFTER_NS
-        if time_ns >= self._doubt_ns:
-            self._doubt_ns = time_ns + DOUBT_STEP_NS
-            navigation.inflate_along(em.VELOCITY, DOUBT_M_S_SQRT_S * seen.H[0, em.VELOCITY])
+        if self._inflation_ns is None:
+            self._inflation_ns = time_ns + SPEED_INFLATION_AFTER_NS
+        if time_ns >= self._inflation_ns:
+            self._inflation_ns = time_ns + SPEED_INFLATION_PERIOD_NS
+            navigation.inflate_along(em.VELOCITY, SPEED_INFLATION_M_S_SQRT_S * observation.H[0, em.VELOCITY])
 
-    def _judge(
+    def _decide(
         self,
         navigation: ErrorStateFilter,
         measurement: Measurement,
-        seen: Observation,
+        observation: Observation,
         correction: Correction,
         ratio: float,
         remark: str | None,
     ) -> Outcome:
-        gnss = seen.kind in WIDENING
-        if gnss and ratio < TOLD_LIMIT:
-            self._watch_arm(navigation, measurement, seen, correction.S)
+        gnss = observation.kind in INFLATION
+        if gnss and ratio < LEVER_ARM_LIMIT:
+            self._monitor_lever_arm(navigation, measurement, observation, correction.S)
         limit = self._settings.gating.robust_limit if gnss else 1.0
-        excluded = gnss and self._is_excluded(measurement, seen.kind, ratio <= limit)
-        refused = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
-        refused = seen.unfit or refused
-        weight = 0.0 if refused else _weight(ratio, limit)
-        if not refused:
-            lighter = correction if weight == 1.0 else navigation.innovate(seen.z, seen.H, seen.R / weight)
-            navigation.apply(lighter)
-            self.corrections = self.corrections.after(measurement.time_ns, lighter.x[:5].tolist())
-        if gnss and refused and ratio > 1.0:
-            navigation.inflate(**WIDENING[seen.kind])
-        if seen.kind is AidingKind.ODOMETER:
-            self._follow_speed(navigation, seen, measurement.time_ns, refused is not None and seen.unfit is None)
-        if seen.kind is AidingKind.GNSS_POSITION and len(seen.z) == 3 and not refused:
+        excluded = gnss and self._is_excluded(measurement, observation.kind, ratio <= limit)
+        rejected = "beyond the gate" if ratio > limit else "not admitted again yet" if excluded else None
+        reason = observation.unfit or rejected
+        weight = 0.0 if reason else _weight(ratio, limit)
+        if not reason:
+            weighted = (
+                correction
+                if weight == 1.0
+                else navigation.innovate(observation.z, observation.H, observation.R / weight)
+            )
+            navigation.apply(weighted)
+            self.corrections = self.corrections.after(measurement.time_ns, weighted.x[:5].tolist())
+        if gnss and reason and ratio > 1.0:
+            navigation.inflate(**INFLATION[observation.kind])
+        if observation.kind is AidingKind.ODOMETER:
+            self._inflate_speed(
+                navigation, observation, measurement.time_ns, reason is not None and observation.unfit is None
+            )
+        if observation.kind is AidingKind.GNSS_POSITION and len(observation.z) == 3 and not reason:
             self._height_ns = None
-        return _outcome(measurement, seen, correction, ratio, refused or remark, weight)
+        return _outcome(measurement, observation, correction, ratio, reason or remark, weight)
 
-    def _watch_arm(
-        self, navigation: ErrorStateFilter, measurement: Measurement, seen: Observation, S: FloatArray
+    def _monitor_lever_arm(
+        self, navigation: ErrorStateFilter, measurement: Measurement, observation: Observation, S: FloatArray
     ) -> None:
-        gain = 1.0 - (seen.R.item(0, 0) + seen.R.item(1, 1)) / (S.item(0, 0) + S.item(1, 1))
-        position = seen.kind is AidingKind.GNSS_POSITION
-        self.arm = self.arm.after(measurement.time_ns, navigation, seen.z, S, gain=gain, position=position)
+        gain = 1.0 - (observation.R.item(0, 0) + observation.R.item(1, 1)) / (S.item(0, 0) + S.item(1, 1))
+        position = observation.kind is AidingKind.GNSS_POSITION
+        self.lever_arm = self.lever_arm.after(
+            measurement.time_ns, navigation, observation.z, S, gain=gain, position=position
+        )
 
     def _is_excluded(self, measurement: Measurement, kind: AidingKind, agrees: bool) -> bool:
         """Update the fault status of GNSS; returns whether it is excluded now."""
         key = measurement.source, kind
-        before = self._standings.get(key, Standing())
+        before = self._status.get(key, FaultStatus())
         after = before.after(measurement.time_ns, agrees, self._settings)
         if after is not before:
-            self._standings = {**self._standings, key: after}
+            self._status = {**self._status, key: after}
         return after.excluded
 
 
 def _outcome(
-    measurement: Measurement, seen: Observation, correction: Correction, ratio: float, why: str | None, weight: float
+    measurement: Measurement,
+    observation: Observation,
+    correction: Correction,
+    ratio: float,
+    reason: str | None,
+    weight: float,
 ) -> Outcome:
-    """Outcome of an observation, which was used where its weight is not zero."""
-    z, sd = tuple(seen.z.tolist()), tuple(correction.innovation_sd.tolist())
+    """Outcome of an observation, which was used if its weight is not zero."""
+    z, sd = tuple(observation.z.tolist()), tuple(correction.innovation_sd.tolist())
     return Outcome(
-        measurement.time_ns, measurement.source, seen.kind, z, sd, ratio, weight > 0.0, why, weight, type(measurement)
+        measurement.time_ns,
+        measurement.source,
+        observation.kind,
+        z,
+        sd,
+        ratio,
+        weight > 0.0,
+        reason,
+        weight,
+        type(measurement),
     )
 
 

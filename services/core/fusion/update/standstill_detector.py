@@ -1,9 +1,8 @@
-"""Standstill detector: rate, acceleration and speed that stay small for half a second.
+"""Standstill detector: angular rate, acceleration and speed below their limits for half a second.
 
-A filter whose tilt is wrong sees an acceleration where there is none, but a constant one: up to 0.2 m/s² it is enough
-that the acceleration stays within 0.06 m/s² of its value when the quiet began, for 2 s. A filter whose speed is
-uncertain cannot go by it: seen slow, the vehicle may roll evenly; seen to move, it may stand. Its limit of the speed is
-three standard deviations, and the more they are, the longer the quiet has to last, up to 2 s. In 70 minutes of
+A tilt error adds a constant acceleration: up to 0.2 m/s² it is enough that the acceleration stays within 0.06 m/s² of
+its value at the beginning, for 2 s. With an uncertain velocity the speed limit is three standard deviations; the larger
+it is, the longer the conditions must hold, up to 2 s, because the vehicle may roll at constant speed. In 70 minutes of
 driving with five cars the smoothed rate and acceleration never stayed within the limits for 1.5 s.
 """
 
@@ -18,17 +17,15 @@ from shared.maths.rotation import Vector
 
 FloatArray = npt.NDArray[np.float64]
 
-QUIET_S = 0.5  # how long all conditions must hold
-UNCERTAIN_QUIET_S = 2.0  # the same for a filter that does not know its speed or its tilt
+QUIET_S = 0.5  # time for which all conditions must hold
+UNCERTAIN_QUIET_S = 2.0  # the same for a filter with uncertain velocity or tilt
 RATE_LIMIT = 0.012  # [rad/s]
 ACCELERATION_LIMIT = 0.06  # [m/s²]
 SPEED_LIMIT = 0.3  # [m/s]
-DRIVING_M_S = 1.0  # beyond it the detector starts anew
-SPEED_SDS = 3.0  # of the velocity, within which it may be zero
-TILT_ACCELERATION_LIMIT = 0.2  # [m/s²] what a tilt that is wrong by 1.2 degrees makes of gravity
-SMOOTHING_S = (
-    0.25  # time constant of the low-pass; the vibration of an idling engine exceeds both limits in single samples
-)
+DRIVING_M_S = 1.0  # speed above which the detector is reset
+SPEED_SDS = 3.0  # standard deviations of the velocity within which it may be zero
+TILT_ACCELERATION_LIMIT = 0.2  # [m/s²] gravity times a tilt error of 1.2 degrees
+SMOOTHING_S = 0.25  # time constant of the low-pass: single samples of an idling engine exceed both limits
 SLOWEST_PACE = QUIET_S / UNCERTAIN_QUIET_S
 
 
@@ -37,14 +34,14 @@ class Quiet(NamedTuple):
 
     rate: Vector  # [rad/s, body] smoothed
     acceleration: Vector  # [m/s², NED] smoothed
-    quiet_s: float  # how long all conditions have held; negative while the low-pass settles
-    reference: Vector  # [m/s², NED] acceleration when the quiet began
+    quiet_s: float  # time for which all conditions have held; negative while the low-pass settles
+    reference: Vector  # [m/s², NED] acceleration at the beginning of that time
 
 
 class Limits(NamedTuple):
-    """Speed [m/s] below which the vehicle may stand, and pace [-] at which the time of quiet counts.
+    """Speed [m/s] below which the vehicle may be at standstill, and factor [-] on the time that is counted.
 
-    `tilted_pace` holds while a constant acceleration may be a tilt.
+    `tilted_pace` is the factor while there is a constant acceleration, which may be a tilt error.
     """
 
     speed: float
@@ -63,7 +60,7 @@ def detect(quiet: Quiet, rate: Vector, acceleration: Vector, speed: float, step:
     Parameters
     ----------
     quiet : Quiet
-        Of the samples before.
+        State after the samples before.
     rate : tuple of float
         [rad/s, body] Angular rate, bias removed.
     acceleration : tuple of float
@@ -73,13 +70,13 @@ def detect(quiet: Quiet, rate: Vector, acceleration: Vector, speed: float, step:
     step : float
         [s] Time since the sample before.
     limits : Limits
-        Of this filter.
+        Limits of this filter.
 
     Returns
     -------
     Quiet
-        |w| < 0.012 rad/s, |C f + g| < 0.06 m/s² (both smoothed) and |v| < 0.3 m/s let its time grow; the first
-        motion sets it to zero.
+        Its time grows while |w| < 0.012 rad/s, |C f + g| < 0.06 m/s² (both smoothed) and |v| < 0.3 m/s; otherwise
+        it is zero.
     """
     if speed > DRIVING_M_S and speed > limits.speed:
         return UNSETTLED
@@ -97,13 +94,13 @@ def detect(quiet: Quiet, rate: Vector, acceleration: Vector, speed: float, step:
 
 
 @compilable
-def stands(quiet: Quiet) -> bool:
-    """Whether the vehicle stands still."""
+def is_standstill(quiet: Quiet) -> bool:
+    """Whether the vehicle is at standstill."""
     return quiet.quiet_s >= QUIET_S
 
 
 def limits_of(P: FloatArray) -> Limits:
-    """Limits for a filter of this covariance."""
+    """Limits for a filter with covariance P."""
     speed = SPEED_SDS * sqrt(P.item(3, 3) + P.item(4, 4) + P.item(5, 5))
     return CERTAIN if speed <= SPEED_LIMIT else Limits(speed, max(SLOWEST_PACE, SPEED_LIMIT / speed))
 

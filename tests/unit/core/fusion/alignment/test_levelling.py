@@ -1,10 +1,11 @@
+from copy import copy
 from math import degrees, radians, sqrt
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.core.fusion.alignment.levelling import Levelling, level, rest_gyroscope_bias
+from services.core.fusion.alignment.levelling import Levelling, level, standstill_gyroscope_bias
 from services.core.fusion.settings import Settings
 from shared.maths.earth import STANDARD_GRAVITY, earth_rate_n
 from shared.maths.rotation import Vector, matrix_from_quaternion, ned_from_body
@@ -39,13 +40,13 @@ def test_the_gyroscope_bias_at_standstill_is_the_mean_rate_minus_the_earth_rate(
     attitude, bias = ned_from_body(0.1, 0.2, 2.0), np.array([1e-3, -2e-3, 5e-4])
     earth = earth_rate_n(radians(42.0))
     x, y, z = (attitude.T @ np.array(earth) + bias).tolist()
-    assert rest_gyroscope_bias((x, y, z), attitude, earth) == pytest.approx(bias, abs=1e-15)
+    assert standstill_gyroscope_bias((x, y, z), attitude, earth) == pytest.approx(bias, abs=1e-15)
 
 
 def test_a_standstill_of_fifteen_seconds_completes_the_levelling() -> None:
     levelling = Levelling(Settings())
     feed(levelling, 14.9, UP, (0.002, 0.0, -0.001))
-    assert levelling.at_rest and not levelling.ready
+    assert levelling.is_stationary and not levelling.ready
     feed(levelling, 0.2, UP, (0.002, 0.0, -0.001))
     assert levelling.ready
     assert levelling.rate_bias == pytest.approx((0.002, 0.0, -0.001), abs=1e-12)
@@ -55,7 +56,7 @@ def test_moving_off_completes_the_levelling() -> None:
     levelling = Levelling(Settings())
     feed(levelling, 3.0, UP)
     feed(levelling, 1.0, (1.5, 0.0, -STANDARD_GRAVITY))
-    assert levelling.ready and not levelling.at_rest
+    assert levelling.ready and not levelling.is_stationary
 
 
 def test_levelling_in_motion_has_tilt_errors_below_2_5_degrees_and_the_stated_deviation() -> None:
@@ -64,7 +65,7 @@ def test_levelling_in_motion_has_tilt_errors_below_2_5_degrees_and_the_stated_de
     for forward, right in ((1.5, 0.5), (0.0, 2.0), (-1.5, -0.5), (0.0, -2.0)) * 5:
         feed(levelling, 1.0, (forward, right, -STANDARD_GRAVITY))
     assert levelling.ready
-    assert levelling.quaternion_at_rest is None
+    assert levelling.standstill_quaternion is None
     roll, pitch, _ = Rotation.from_matrix(matrix_from_quaternion(levelling.quaternion)).as_euler("ZYX")[::-1]
     assert max(abs(degrees(roll)), abs(degrees(pitch))) < min(2.5, degrees(levelling.tilt_sd))
     assert levelling.tilt_sd > radians(2.0)
@@ -76,8 +77,8 @@ def test_levelling_in_motion_estimates_a_gyroscope_bias_of_4_degrees_a_second() 
     for forward, right in ((1.5, 0.5), (0.0, 1.0), (-1.5, -0.5), (0.0, -1.0)) * 15:
         for _ in range(100):
             levelling.advance((forward, right, -STANDARD_GRAVITY), (bias, 0.0, 0.0), 0.01)
-    assert levelling.rate_bias[0] == pytest.approx(bias, abs=3.0 * sqrt(levelling.drift.bias))
-    assert sqrt(levelling.drift.bias) < radians(0.7)
+    assert levelling.rate_bias[0] == pytest.approx(bias, abs=3.0 * sqrt(levelling.covariance.bias))
+    assert sqrt(levelling.covariance.bias) < radians(0.7)
     roll, pitch, _ = Rotation.from_matrix(matrix_from_quaternion(levelling.quaternion)).as_euler("ZYX")[::-1]
     assert max(abs(degrees(roll)), abs(degrees(pitch))) < 3.0 * degrees(levelling.tilt_sd)
 
@@ -86,7 +87,7 @@ def test_a_standstill_is_detected_with_an_idling_engine() -> None:
     """Vibration of 0.7 m/s² and 0.014 rad/s in single samples, as recorded in a car at standstill."""
     levelling = Levelling(Settings())
     feed(levelling, 15.0, UP, (0.001, 0.0, 0.0), shake=0.7)
-    assert levelling.at_rest
+    assert levelling.is_stationary
     assert levelling.rate_bias == pytest.approx((0.001, 0.0, 0.0), abs=2e-3)
 
 
@@ -96,25 +97,25 @@ def test_slow_even_motion_after_a_standstill_is_not_a_standstill() -> None:
     feed(levelling, 10.0, UP)
     feed(levelling, 0.5, (1.0, 0.0, -STANDARD_GRAVITY))
     feed(levelling, 3.0, UP, (0.0, 0.0, radians(0.2)))
-    assert not levelling.at_rest
+    assert not levelling.is_stationary
     assert levelling.rate_bias == pytest.approx(NOTHING, abs=1e-12)
 
 
 def test_a_motion_measured_by_gnss_ends_a_standstill() -> None:
     levelling = Levelling(Settings())
     for _ in range(10):
-        levelling.see_speed(30.0)
+        levelling.use_speed(30.0)
         feed(levelling, 1.0, UP)
-    assert not levelling.at_rest
+    assert not levelling.is_stationary
 
 
 def test_bias_and_attitude_of_a_false_standstill_are_discarded_when_gnss_measures_motion() -> None:
     """Motion at constant speed is detected as a standstill until positions change."""
     levelling = Levelling(Settings())
     feed(levelling, 4.0, UP, (0.0, 0.0, 0.01))
-    assert levelling.at_rest and levelling.rate_bias[2] == pytest.approx(0.01)
-    levelling.forget_rest()
-    assert not levelling.at_rest and levelling.quaternion_at_rest is None and levelling.yaw_at_start is None
+    assert levelling.is_stationary and levelling.rate_bias[2] == pytest.approx(0.01)
+    levelling.discard_standstill()
+    assert not levelling.is_stationary and levelling.standstill_quaternion is None and levelling.yaw_at_start is None
     assert levelling.rate_bias == NOTHING
     feed(levelling, 0.5, UP)
     assert levelling.ready, "after three seconds of motion"
@@ -140,7 +141,7 @@ def test_an_hour_of_earth_rotation_at_standstill_does_not_tilt_the_level_frame()
 def test_a_copy_of_the_levelling_is_independent() -> None:
     levelling = Levelling(Settings())
     feed(levelling, 5.0, UP)
-    twin = levelling.fork()
+    twin = copy(levelling)
     feed(levelling, 5.0, (2.0, 0.0, -STANDARD_GRAVITY))
-    assert twin.at_rest and not levelling.at_rest
+    assert twin.is_stationary and not levelling.is_stationary
     assert twin.velocity == (0.0, 0.0)

@@ -42,14 +42,16 @@ def found(
     for k in range(1, round((rest_s + drive_s) / STEP_S) + 1):
         moving = k * STEP_S > rest_s
         a, w, v = (acceleration, rate, speed) if moving else (0.0, 0.0, 0.0)
-        levelling.see_speed(abs(v))
+        levelling.use_speed(abs(v))
         levelling.advance((a, v * w, -STANDARD_GRAVITY), (0.0, 0.0, w), STEP_S)
         place += rect(v + 0.5 * a * STEP_S, yaw + 0.5 * w * STEP_S) * STEP_S
         speed, yaw = speed + a * STEP_S, yaw + w * STEP_S
         if k % 100 == 0:
             antenna = place + ARM * rect(1.0, yaw) + noise * complex(*rng.standard_normal(2))
             arm = ARM * rect(1.0, levelling.yaw)
-            points.append(Point(fix_at(antenna, k * STEP_S, sd), levelling.ahead, levelling.way, arm))
+            points.append(
+                Point(fix_at(antenna, k * STEP_S, sd), levelling.heading_integral, levelling.displacement, arm)
+            )
     result = track(points[-6:], levelling, Settings())
     return result, levelling, rect(speed, yaw), wrap_angle(yaw - levelling.yaw)
 
@@ -59,7 +61,7 @@ def test_without_a_standstill_positions_give_the_course_over_ground(rate: float)
     result, _, velocity, turn = found(speed=8.0, rate=rate)
     assert result is not None
     motion, heading = result
-    assert heading.how == "course over ground"
+    assert heading.method == "course over ground"
     # Levelling in motion attributes a part of the centripetal acceleration to tilt.
     assert wrap_angle(heading.turn - turn) == pytest.approx(0.0, abs=radians(0.01 if rate == 0.0 else 2.0))
     assert abs(complex(*motion.velocity[:2]) - velocity) < (1e-3 if rate == 0.0 else 0.3)
@@ -73,7 +75,7 @@ def test_after_a_standstill_positions_are_matched_with_the_integrated_track_forw
     result, _, velocity, turn = found(rest_s=4.0, acceleration=acceleration, rate=rate)
     assert result is not None
     motion, heading = result
-    assert heading.how == "matched positions"
+    assert heading.method == "matched positions"
     assert wrap_angle(heading.turn - turn) == pytest.approx(0.0, abs=2e-3)
     assert abs(complex(*motion.velocity[:2]) - velocity) < 0.02
 

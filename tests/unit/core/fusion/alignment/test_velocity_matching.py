@@ -8,8 +8,8 @@ import pytest
 
 from services.core.fusion.alignment.velocity_matching import (
     MOTION_OFFSET_SD,
-    REST_OFFSET_SD,
     SHIFT_SD,
+    STANDSTILL_OFFSET_SD,
     Comparison,
     Corrections,
     Match,
@@ -64,7 +64,7 @@ def test_intervals_without_acceleration_do_not_reduce_the_standard_deviation_of_
     precise, sd = Comparison(match).precise()
     assert precise == found and plain_sd < abs(found) / 3.0
     assert sd == pytest.approx(SHIFT_SD / sqrt(2.0), rel=0.2) and abs(found) < 1.5 * sd
-    assert Comparison(match, offset_sd=REST_OFFSET_SD).precise() == match.result(REST_OFFSET_SD)
+    assert Comparison(match, offset_sd=STANDSTILL_OFFSET_SD).precise() == match.result(STANDSTILL_OFFSET_SD)
 
 
 def test_without_accelerations_or_with_a_frozen_receiver_the_deviation_is_infinite() -> None:
@@ -78,7 +78,7 @@ def test_without_accelerations_or_with_a_frozen_receiver_the_deviation_is_infini
 def test_an_outlier_increases_the_standard_deviation_above_the_error() -> None:
     match = compared(0.0, n=20)
     for k, jump in enumerate((25.0 + 25.0j, 0j)):
-        match = match.after((20 + k) * 10**9, match.inertial, match.seen + jump, SD)
+        match = match.after((20 + k) * 10**9, match.inertial, match.gnss + jump, SD)
     found, sd = match.result(1.0)
     assert sd > radians(20.0) or abs(found) < 3.0 * sd
 
@@ -112,7 +112,7 @@ def test_at_constant_speed_noise_does_not_contradict_the_heading() -> None:
 @pytest.mark.parametrize("velocity", [True, False])
 def test_velocities_and_positions_give_the_same_rotation(velocity: bool) -> None:
     """A circle of 20 m at 8 m/s; the IMU frame is rotated by 150 degrees."""
-    comparison, rate, radius, turn = Comparison(offset_sd=REST_OFFSET_SD), 0.4, 20.0, radians(150.0)
+    comparison, rate, radius, turn = Comparison(offset_sd=STANDSTILL_OFFSET_SD), 0.4, 20.0, radians(150.0)
     for k in range(60):
         time_ns, angle = k * 200_000_000, rate * k * 0.2
         speed = radius * rate * rect(1.0, angle)

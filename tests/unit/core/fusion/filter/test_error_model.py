@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter import strapdown
 from services.core.fusion.filter.eskf import ErrorStateFilter
-from services.core.fusion.filter.kalman import predict
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.gnss import GnssPosition, GnssVelocity, antenna_velocity
 from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
@@ -27,6 +26,7 @@ from shared.maths.earth import (
     transport_rate_n,
 )
 from shared.maths.ellipsoid import ECCENTRICITY_SQUARED, curvature_radii
+from shared.maths.kalman import predict
 from shared.maths.rotation import (
     Vector,
     matrix_from_quaternion,
@@ -141,7 +141,7 @@ def test_time_correlated_errors_decay_exactly_at_any_step() -> None:
 
     def decayed(P: FloatArray, step_s: float) -> FloatArray:
         Phi = em.transition_matrix(F, step_s, correlation_s)
-        return predict(P, Phi, em.process_noise(no_noise, 0.0, 0.0, step_s, correlation_s))
+        return predict(P, Phi, np.diag(em.process_noise(no_noise, 0.0, 0.0, step_s, correlation_s)))
 
     P = root @ root.T
     whole = decayed(P, 20.0)
@@ -202,7 +202,8 @@ def navigation(error: FloatArray) -> ErrorStateFilter:
     wrong = ErrorStateFilter(Settings(), disturbed(STATE, error), np.eye(em.SIZE))
     rate = vector(np.array(RATE) - error[em.GYROSCOPE_BIAS])
     wrong.state = wrong.state._replace(rate_b=rate, smoothed_acceleration_n=ACCELERATION)
-    wrong.parameters = (*(np.array(VEHICLE) + error[em.VEHICLE]).tolist(), *error[em.VEHICLE.stop :].tolist())
+    vehicle = slice(em.ODOMETER_SCALE, em.MOUNTING.stop)
+    wrong.parameters = (*(np.array(VEHICLE) + error[vehicle]).tolist(), *error[vehicle.stop :].tolist())
     return wrong
 
 

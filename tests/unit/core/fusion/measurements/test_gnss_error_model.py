@@ -21,23 +21,23 @@ def bank_after(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 
     rmse = (float(SD[0]), float(SD[1]), float(SD[2]))
     drawn = position_errors(InjectedError(kind, rmse, correlation_s), n, 1.0, seed=(seed,))
     wandering = np.cumsum(0.03 * np.random.default_rng(seed).standard_normal((n, 3)), axis=0)
-    colour = UNKNOWN
+    gnss_errors = UNKNOWN
     for i, path in enumerate(size * drawn.injected + 0.02 * SD * drawn.noise + wandering + 100.0):
-        colour = colour.after(i * 10**9, path, SD, np.full(3, 0.03**2))
-    return colour
+        gnss_errors = gnss_errors.after(i * 10**9, path, SD, np.full(3, 0.03**2))
+    return gnss_errors
 
 
 def test_white_errors_are_estimated_as_white() -> None:
-    colour = bank_after(ErrorKind.WHITE, 1.0)
-    assert colour.lasting < 0.1 or colour.correlation_s < 2.5
+    gnss_errors = bank_after(ErrorKind.WHITE, 1.0)
+    assert gnss_errors.lasting < 0.1 or gnss_errors.correlation_s < 2.5
 
 
 @pytest.mark.parametrize("correlation_s", [5.0, 20.0, 60.0])
 def test_the_correlation_time_is_estimated_within_a_factor_of_two(correlation_s: float) -> None:
     for seed in (1, 2, 3):
-        colour = bank_after(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
-        assert colour.lasting > 0.9
-        assert 0.5 < colour.correlation_s / correlation_s < 2.0
+        gnss_errors = bank_after(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
+        assert gnss_errors.lasting > 0.9
+        assert 0.5 < gnss_errors.correlation_s / correlation_s < 2.0
 
 
 @pytest.mark.parametrize(
@@ -66,35 +66,35 @@ def test_a_slowly_changing_error_keeps_at_least_half_of_the_stated_scale() -> No
 
 
 def test_after_a_gap_the_estimated_scale_is_unchanged() -> None:
-    colour = bank_after(ErrorKind.GAUSS_MARKOV, 20.0)
-    later = colour.after(240 * 10**9, np.full(3, 500.0), SD, np.full(3, 0.03**2))
-    assert later.scale == pytest.approx(colour.scale, rel=0.05)
+    gnss_errors = bank_after(ErrorKind.GAUSS_MARKOV, 20.0)
+    later = gnss_errors.after(240 * 10**9, np.full(3, 500.0), SD, np.full(3, 0.03**2))
+    assert later.scale == pytest.approx(gnss_errors.scale, rel=0.05)
 
 
 def test_fixes_within_two_seconds_do_not_change_the_error_model() -> None:
-    colour = bank_after(ErrorKind.WHITE, 1.0, n=11)
-    assert colour.after(10_100_000_000, np.zeros(3), SD, np.full(3, 0.03**2)) is colour
+    gnss_errors = bank_after(ErrorKind.WHITE, 1.0, n=11)
+    assert gnss_errors.after(10_100_000_000, np.zeros(3), SD, np.full(3, 0.03**2)) is gnss_errors
 
 
 def test_the_error_model_adapts_to_errors_with_another_correlation_time() -> None:
-    colour = bank_after(ErrorKind.WHITE, 1.0)
+    gnss_errors = bank_after(ErrorKind.WHITE, 1.0)
     drawn = position_errors(InjectedError(ErrorKind.GAUSS_MARKOV, (3.0, 2.0, 5.0), 60.0), 300, 1.0, seed=(9,))
     for i, path in enumerate(drawn.injected):
-        colour = colour.after((1000 + i) * 10**9, path, SD, np.full(3, 0.03**2))
-    assert colour.lasting > 0.8
-    assert colour.correlation_s > 20.0
+        gnss_errors = gnss_errors.after((1000 + i) * 10**9, path, SD, np.full(3, 0.03**2))
+    assert gnss_errors.lasting > 0.8
+    assert gnss_errors.correlation_s > 20.0
 
 
 def test_one_outlier_changes_the_correlated_share_by_less_than_0_1() -> None:
-    colour = bank_after(ErrorKind.GAUSS_MARKOV, 60.0)
-    struck = colour.after(180 * 10**9, np.full(3, 1e6), SD, np.full(3, 0.03**2))
-    assert abs(struck.lasting - colour.lasting) < 0.1
+    gnss_errors = bank_after(ErrorKind.GAUSS_MARKOV, 60.0)
+    struck = gnss_errors.after(180 * 10**9, np.full(3, 1e6), SD, np.full(3, 0.03**2))
+    assert abs(struck.lasting - gnss_errors.lasting) < 0.1
     assert np.isfinite(struck.way).all()
 
 
 def test_a_fix_that_is_not_newer_does_not_change_the_error_model() -> None:
-    colour = bank_after(ErrorKind.WHITE, 1.0)
-    assert colour.after(0, np.zeros(3), SD, np.full(3, 0.03**2)) is colour
+    gnss_errors = bank_after(ErrorKind.WHITE, 1.0)
+    assert gnss_errors.after(0, np.zeros(3), SD, np.full(3, 0.03**2)) is gnss_errors
 
 
 def test_the_mean_of_16_white_errors_has_a_sixteenth_of_their_variance() -> None:
@@ -132,13 +132,13 @@ def rest(lasts: bool) -> list[GnssPosition]:
 
 def test_initial_position_and_time_correlated_error_have_a_positive_covariance() -> None:
     first = first_place(rest(lasts=True), UNKNOWN)
-    whole = np.block([[first.cov, first.both], [first.both.T, first.error_cov]])
+    whole = np.block([[first.cov, first.cross_cov], [first.cross_cov.T, first.error_cov]])
     assert np.linalg.eigvalsh(whole)[0] > 0.0
-    assert (np.diag(first.both) < 0.0).all()
+    assert (np.diag(first.cross_cov) < 0.0).all()
 
 
 def test_fixes_with_corrections_start_without_a_time_correlated_error() -> None:
     first = first_place(rest(lasts=False), UNKNOWN)
     assert first.error == (0.0, 0.0, 0.0)
-    assert not first.both.any()
+    assert not first.cross_cov.any()
     assert first.cov == pytest.approx(np.diag(SD**2) / 4.0)  # 15 s of errors of 5 s

@@ -1,6 +1,6 @@
 """Odometer and non-holonomic constraint: drift in outages, estimated parameters, and rejected speeds."""
 
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import replace
 from functools import cache
 from math import hypot, radians
@@ -19,8 +19,15 @@ from services.core.fusion.measurements.odometer import NonHolonomic, WheelSpeed
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.plausibility.zero_speeds import ZeroSpeeds
 from services.core.fusion.settings import Settings
-from services.core.fusion.update.gating import Judge
-from services.core.fusion.update.standstill_detector import QUIET_S, SMOOTHING_S, UNSETTLED, Limits, detect, stands
+from services.core.fusion.update.gating import Gate
+from services.core.fusion.update.standstill_detector import (
+    QUIET_S,
+    SMOOTHING_S,
+    UNSETTLED,
+    Limits,
+    detect,
+    is_standstill,
+)
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.maths.rotation import ned_from_body
@@ -115,7 +122,7 @@ def test_scale_and_mounting_are_estimated_within_four_sigma() -> None:
     moving = d.odometer > 1.0
     truth = np.hypot(d.velocity_n[:, 0], d.velocity_n[:, 1])
     scale = 1.03 * float(np.median(d.odometer[1:][moving[1:]] / truth[9::10][moving[1:]])) - 1.0
-    sd = np.sqrt(inside.P.diagonal()[em.VEHICLE])
+    sd = np.sqrt(inside.P.diagonal()[em.ODOMETER_SCALE : em.MOUNTING.stop])
     errors = np.array(inside.parameters[:3]) - (scale, MOUNTING[1], MOUNTING[2])
     assert (np.abs(errors) < 4.0 * sd).all()
     assert sd[0] < 0.005 and (sd[1:] < radians(0.7)).all(), "much smaller than the initial ones"
@@ -134,7 +141,7 @@ def test_disabled_odometer_and_nhc_are_not_used_and_estimate_nothing() -> None:
     kinds = {o.kind for o in outcomes}
     assert not kinds & {AidingKind.ODOMETER, AidingKind.NON_HOLONOMIC}
     assert filter_of(made).parameters[:3] == (0.0, 0.0, 0.0)
-    cross = filter_of(made).P[em.VEHICLE, :15]
+    cross = filter_of(made).P[em.ODOMETER_SCALE : em.MOUNTING.stop, :15]
     assert not cross.any(), "no correlation with the other fifteen states"
 
 
@@ -173,10 +180,10 @@ def test_a_second_odometer_is_used_once_the_first_one_is_silent() -> None:
 
 def reversing(speed_m_s: float, velocity_sd: float) -> ErrorStateFilter:
     """A filter at a speed backwards, with a standard deviation of its velocity."""
-    twin = filter_of(aided()[0]).fork()
+    twin = copy(filter_of(aided()[0]))
     twin.propagate_covariance()
     north, east, _ = (twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([-speed_m_s, 0.0, 0.0])).tolist()
-    twin.inertial = twin.inertial._replace(velocity=(north, east, 0.0))
+    twin.state = twin.state._replace(velocity=(north, east, 0.0))
     P = twin.P.copy()
     P[em.VELOCITY] = P[:, em.VELOCITY] = 0.0
     P[em.VELOCITY, em.VELOCITY] = velocity_sd**2 * np.eye(3)
@@ -209,12 +216,12 @@ def test_a_negative_speed_is_measured_with_its_sign() -> None:
 def test_speeds_rejected_for_two_seconds_are_used_in_the_end() -> None:
     """A velocity error of 1 m/s with a small covariance, which grows after two seconds of rejections."""
     settings = navigator().settings
-    twin, judge = reversing(-5.0, 0.02), Judge(settings)
+    twin, gate = reversing(-5.0, 0.02), Gate(settings)
     before = twin.P[em.VELOCITY, em.VELOCITY].copy()
     used = []
     for k in range(600):
         seen = WheelSpeed(k * 100_000_000, 0, "", 6.2, 0.0, True, True, settings)
-        used.append(judge.judge(twin, seen, seen.observe(twin)).used)
+        used.append(gate.use(twin, seen, seen.observe(twin)).used)
         if k == 15:
             assert (twin.P[em.VELOCITY, em.VELOCITY] == before).all()
     assert not any(used[:20]) and all(used[-50:])
@@ -226,7 +233,7 @@ def stationary_after(speed: float, limit: float, force: float = 0.0) -> bool:
     rest = UNSETTLED
     for _ in range(round((SMOOTHING_S + QUIET_S) * 100) + 2):
         rest = detect(rest, (0.0, 0.0, 0.0), (force, 0.0, 0.0), speed, 0.01, Limits(limit, 1.0))
-    return stands(rest)
+    return is_standstill(rest)
 
 
 def test_zero_wheel_speeds_widen_the_speed_limit_of_the_standstill_detector_only() -> None:
@@ -259,10 +266,10 @@ def test_the_first_zero_wheel_speed_reduces_a_velocity_error_of_0_3_m_s_below_0_
     """Velocity errors of 0.2 m/s to the side and downwards after an outage."""
     twin = reversing(0.0, 0.3)
     slide = twin.ned_from_body @ twin.vehicle_from_body.T @ np.array([0.0, 0.2, 0.2])
-    twin.inertial = twin.inertial._replace(velocity=(float(slide[0]), float(slide[1]), float(slide[2])))
+    twin.state = twin.state._replace(velocity=(float(slide[0]), float(slide[1]), float(slide[2])))
     twin.state = twin.state._replace(rate_b=(0.0, 0.0, 0.0))
     settings = navigator().settings
-    outcome = Judge(settings).judge(twin, zero := wheels(0.0, settings), zero.observe(twin))
+    outcome = Gate(settings).use(twin, zero := wheels(0.0, settings), zero.observe(twin))
     assert outcome.used and len(outcome.innovation) == 3
     assert hypot(*twin.velocity) < 0.04
     assert np.sqrt(twin.P[em.VELOCITY, em.VELOCITY].trace()) < 0.3
@@ -279,7 +286,7 @@ def test_zero_speeds_of_a_failed_odometer_are_rejected(before: float | None) -> 
     zeros = zeros.after(100_000_000, 0.0)
     twin = reversing(-5.0, 2.0)
     zero = wheels(0.0, settings, zeros.doubt)
-    outcome = Judge(settings).judge(twin, zero, zero.observe(twin))
+    outcome = Gate(settings).use(twin, zero, zero.observe(twin))
     assert not outcome.used and outcome.reason == zeros.doubt
     assert hypot(*twin.velocity) > 4.5
     assert zeros.after(200_000_000, 5.0).after(700_000_000, 0.0).doubt is None, "a plausible deceleration"

@@ -172,7 +172,7 @@ def test_a_pressure_step_is_rejected_and_the_height_stays_within_three_sigma() -
 def test_a_pressure_of_no_road_is_counted(pressure_pa: float) -> None:
     made = Navigator()
     made.pressure(1, pressure_pa)
-    assert made.rejects == {"pressure of no road": 1}
+    assert made.rejects == {"implausible pressure": 1}
 
 
 def test_two_antennas_give_the_heading_at_standstill() -> None:

@@ -79,7 +79,7 @@ def test_a_stated_error_model_equals_a_bank_with_one_certain_hypothesis() -> Non
     one, other = first_place(fixes_at_rest(), stated), first_place(fixes_at_rest(), bank)
     assert one.position == pytest.approx(other.position, abs=1e-12)
     assert one.error == pytest.approx(other.error, abs=1e-9)
-    assert one.both == pytest.approx(other.both)
+    assert one.cross_cov == pytest.approx(other.cross_cov)
 
 
 def test_a_drive_with_a_stated_error_model_equals_one_with_a_certain_hypothesis(
@@ -97,10 +97,10 @@ def test_a_drive_with_a_stated_error_model_equals_one_with_a_certain_hypothesis(
 
 def test_without_a_stated_error_model_it_is_estimated() -> None:
     filter_ = navigated(ErrorKind.GAUSS_MARKOV, 1).engine.filter
-    assert filter_ is not None and isinstance(filter_.colour, GnssErrorBank)
-    assert filter_.colour.time_ns is not None, "updated by fixes"
+    assert filter_ is not None and isinstance(filter_.gnss_errors, GnssErrorBank)
+    assert filter_.gnss_errors.time_ns is not None, "updated by fixes"
     stated = navigated(ErrorKind.GAUSS_MARKOV, 1, **GIVEN).engine.filter
-    assert stated is not None and stated.colour == KnownGnssErrors(TIME_S, 1.0 - SHARE)
+    assert stated is not None and stated.gnss_errors == KnownGnssErrors(TIME_S, 1.0 - SHARE)
 
 
 def test_an_error_that_was_zero_long_ago_has_the_stationary_covariance() -> None:

@@ -118,7 +118,8 @@ def process(
         force, rate = change(time_s, (x, y, z), (a, b, c))
         stamp_ns = time_ns + int(offset_s * 1e9)
         arrival_ns = time_ns + int(arrival_offset_s(time_s) * 1e9) + 2_000_000
-        found.outcomes += made.imu(stamp_ns, force, rate, arrival_ns, saturated=saturated(time_s))
+        made.advance(stamp_ns, force, rate, arrival_ns, saturated=saturated(time_s))
+        found.outcomes += made.release(arrival_ns)
         for j in range(i + 1 - again(time_s), i + 1):
             made.imu(int(d.t_ns[j]), d.force_b[j].tolist(), d.rate_b[j].tolist(), arrival_ns)
         solution = made.solution() if i % 10 == 9 else None
@@ -373,7 +374,7 @@ def test_a_fix_that_is_not_finite_is_counted_and_rejected(broken: float) -> None
     for odd in (place._replace(latitude=broken), place._replace(longitude=broken), place._replace(height=broken)):
         made.fix(SECOND_NS, position=odd, velocity=(broken, 0.0, 0.0), position_sd=(broken, 1.0, 1.0))
     made.fix(SECOND_NS, position=place, velocity=good, position_sd=(broken, 1.0, 1.0))
-    expected = {"position not finite": 3, "velocity of no vehicle": 3}
+    expected = {"position not finite": 3, "implausible velocity": 3}
     assert made.rejects == expected, "finite ones wait for their sample"
 
 

@@ -1,6 +1,6 @@
 """The smoother against batch least squares, the textbook form, and simulated truth."""
 
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import dataclass
 from functools import cache
 from math import radians
@@ -13,8 +13,7 @@ from scipy.stats import chi2
 
 from cli.papers.navigation import saved_heading
 from services.core.fusion.filter import error_model as em
-from services.core.fusion.filter.eskf import ErrorStateFilter
-from services.core.fusion.filter.kalman import predict, resized
+from services.core.fusion.filter.eskf import ErrorStateFilter, rescaled
 from services.core.fusion.filter.propagation import Intervals, samples_of
 from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.navigator import Navigator
@@ -26,7 +25,7 @@ from services.sensors.simulator.drive import Drive, simulate
 from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from services.sensors.simulator.scenarios import scenario_of, with_error
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
-from shared.maths.kalman import correct
+from shared.maths.kalman import correct, predict
 from shared.maths.rotation import ned_from_body, quaternion_from_matrix
 from tests.support.drives.histories import Records
 
@@ -53,7 +52,7 @@ def filtered(measured: FloatArray, P0: FloatArray, F: FloatArray, noise: FloatAr
         m, n = F.shape
         Phi = np.eye(len(P0))
         Phi[:m, :n] += 0.1 * F
-        P, state = predict(P, Phi, 0.1 * noise), Phi @ state
+        P, state = predict(P, Phi, np.diag(0.1 * noise)), Phi @ state
         H = np.zeros((1, len(P0)))
         H[0, 1 if k % 3 == 2 else 0] = 1.0
         way.predicted.append(P)
@@ -197,7 +196,7 @@ def of_filter(records: Records) -> dict[int, ErrorStateFilter]:
     found = {}
     for record in records.all:
         if isinstance(record, Knot):
-            twin = record.filter.fork()
+            twin = copy(record.filter)
             twin.P = np.zeros((em.SIZE, em.SIZE))
             twin.P[np.ix_(record.known, record.known)] = record.filter.P
             found[record.time_ns] = twin
@@ -368,7 +367,7 @@ def test_smoothed_errors_do_not_depend_on_a_change_of_scale_of_some_states() -> 
     P = root @ root.T + np.eye(n)
     units = np.ones(n)
     units[place] = ratios
-    behind = resized(P, place.start, place.stop, ratios)
+    behind = rescaled(P, place, ratios)
     back = Backwards(n)
     H = rng.standard_normal((2, n))
     S_inverse: FloatArray = np.asarray(np.linalg.inv(H @ behind @ H.T + np.eye(2)), dtype=np.float64)
@@ -436,7 +435,7 @@ def matched(seed: int) -> World:
     start = np.zeros(em.SIZE)  # GNSS velocities are not used, and their errors not drawn
     start[: em.GNSS_VELOCITY_ERROR.start] = rng.standard_normal(em.GNSS_VELOCITY_ERROR.start)
     start *= sd
-    navigation.take_out(start, np.diag(sd**2))
+    navigation.subtract_errors(start, np.diag(sd**2))
     force_bias, rate_bias = np.zeros(3), np.zeros(3)
     records = Records()
     HistoryRecorder(records, PERIOD_NS).start(navigation)

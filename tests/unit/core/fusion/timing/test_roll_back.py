@@ -89,7 +89,7 @@ def excluded_at(verdict_s: int, suspect_s: int, end_s: float, **changes: float) 
         run(nav, suspect_s, verdict_s, **changes)
     else:
         nav = fault_free(verdict_s)
-    nav.follow_trust(round(suspect_s * SECOND_NS), odometer_excluded=False)
+    nav.apply_exclusions(round(suspect_s * SECOND_NS), odometer_excluded=False)
     return nav, run(nav, verdict_s, end_s, **changes)
 
 
@@ -141,7 +141,7 @@ def test_the_solution_and_the_state_confirm_the_exclusion_and_count_the_fixes() 
 def test_excluded_gnss_does_not_change_error_model_and_vehicle_parameters() -> None:
     nav, plain = rolled_back()[0].engine, without_gnss().engine
     assert nav.filter is not None and plain.filter is not None
-    assert nav.filter.colour.unit == pytest.approx(plain.filter.colour.unit)
+    assert nav.filter.gnss_errors.unit == pytest.approx(plain.filter.gnss_errors.unit)
     assert nav.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING] == pytest.approx(
         plain.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING], abs=1e-3
     ), "scale of the odometer and mounting"
@@ -160,7 +160,7 @@ def test_excluded_positions_400_m_off_neither_reset_the_filter_nor_change_its_he
 
 def test_the_state_is_replaced_once_the_roll_back_in_parts_has_reached_the_newest_sample() -> None:
     nav = fault_free(75)
-    nav.follow_trust(60 * SECOND_NS, odometer_excluded=False)
+    nav.apply_exclusions(60 * SECOND_NS, odometer_excluded=False)
     samples = np.flatnonzero(drive().t_ns > 75 * SECOND_NS)
     confirmed = None
     for n, i in enumerate(samples[:200]):
@@ -176,7 +176,7 @@ def test_the_state_is_replaced_once_the_roll_back_in_parts_has_reached_the_newes
 def test_an_earlier_suspect_time_rolls_back_further_and_a_later_one_does_not() -> None:
     nav = fault_free(80)
     for since_s, expected_s in ((70, 70), (50, 50), (65, 50)):
-        nav.follow_trust(since_s * SECOND_NS, odometer_excluded=False)
+        nav.apply_exclusions(since_s * SECOND_NS, odometer_excluded=False)
         begin_s = nav.engine.time_ns / SECOND_NS
         run(nav, begin_s, begin_s + 2.0)
         assert nav.engine.exclusions.gnss_since_ns == expected_s * SECOND_NS
@@ -190,7 +190,7 @@ def test_without_a_snapshot_before_the_suspect_time_the_largest_pull_of_gnss_is_
         later = navigator()
         later.restore(saved, round(70.01 * SECOND_NS))
         run(later, 70.0, 75.0)
-        later.follow_trust(
+        later.apply_exclusions(
             round((70.0 + suspect_s - 60.0 if suspect_s < 0 else 73.0) * SECOND_NS), odometer_excluded=False
         )
         run(later, 75.0, 80.0)
@@ -206,7 +206,7 @@ def test_a_state_saved_during_an_exclusion_continues_without_gnss() -> None:
     assert saved is not None and before is not None and saved.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
     second = navigator()
     second.restore(saved, round(80.01 * SECOND_NS))
-    second.follow_trust(SUSPECT_S * SECOND_NS, odometer_excluded=False)
+    second.apply_exclusions(SUSPECT_S * SECOND_NS, odometer_excluded=False)
     run(second, 80.0, 81.0)
     after = second.solution()
     assert after is not None and after.gnss_excluded_since_ns == SUSPECT_S * SECOND_NS
@@ -215,7 +215,7 @@ def test_a_state_saved_during_an_exclusion_continues_without_gnss() -> None:
 
 def test_a_readmitted_receiver_is_used_at_once_and_the_reason_states_it() -> None:
     nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 85.0)
-    nav.follow_trust(None, odometer_excluded=False)
+    nav.apply_exclusions(None, odometer_excluded=False)
     outcomes = run(nav, 85.0, 88.0)
     positions = [o for o in outcomes if o.kind is AidingKind.GNSS_POSITION and o.time_ns > 85.1 * SECOND_NS]
     assert positions and all(o.used for o in positions)
@@ -226,7 +226,7 @@ def test_a_readmitted_receiver_is_used_at_once_and_the_reason_states_it() -> Non
 
 def test_a_readmitted_receiver_that_is_300_m_off_resets_the_filter_after_repeated_rejections_only() -> None:
     nav, _ = excluded_at(VERDICT_S, SUSPECT_S, 80.0)
-    nav.follow_trust(None, odometer_excluded=False)
+    nav.apply_exclusions(None, odometer_excluded=False)
     first = run(nav, 80.0, 86.0, moved_m=300.0)
     assert not any(o.used for o in first if o.kind is AidingKind.GNSS_POSITION and o.time_ns > 80.1 * SECOND_NS)
     assert nav.counts.resets == 0
@@ -240,12 +240,12 @@ def test_an_excluded_odometer_is_not_used_and_its_scale_covariance_is_reset() ->
     nav = fault_free(80)
     assert nav.engine.filter is not None
     known = nav.engine.filter.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE]
-    nav.follow_trust(None, odometer_excluded=True)
+    nav.apply_exclusions(None, odometer_excluded=True)
     outcomes = [o for o in run(nav, 80.0, 85.0, odometer=0.5) if o.kind is AidingKind.ODOMETER]
     late = [o for o in outcomes if o.time_ns > 80.1 * SECOND_NS]
     assert late and {(o.used, o.reason) for o in late} == {(False, "odometer is excluded by core.trust")}
     assert nav.engine.filter.P[em.ODOMETER_SCALE, em.ODOMETER_SCALE] > max(known, 0.9 * 0.02**2)
-    nav.follow_trust(None, odometer_excluded=False)
+    nav.apply_exclusions(None, odometer_excluded=False)
     again = [o for o in run(nav, 85.0, 88.0) if o.kind is AidingKind.ODOMETER and o.time_ns > 85.1 * SECOND_NS]
     assert again and any(o.used for o in again)
 

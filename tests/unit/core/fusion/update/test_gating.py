@@ -1,6 +1,6 @@
 """Faulty positions of a receiver: rejection, reduced weights and readmission."""
 
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
 from math import radians
@@ -17,7 +17,7 @@ from services.core.fusion.measurements.gnss import GnssPosition
 from services.core.fusion.measurements.gnss_error_model import HYPOTHESES, SCALES, UNKNOWN
 from services.core.fusion.navigator import Navigator
 from services.core.fusion.settings import AlignmentSettings, GatingSettings, GnssSettings, Settings
-from services.core.fusion.update.gating import Judge, Standing
+from services.core.fusion.update.gating import FaultStatus, Gate
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_geodetic_difference
 from shared.messages.navigation import AidingKind
@@ -132,7 +132,7 @@ def test_after_a_single_outlier_the_next_position_is_used() -> None:
 
 def test_the_time_before_readmission_doubles_with_each_fault_and_is_reset_after_a_minute() -> None:
     """Faults of 3 s: 1, 2, 4 and 8 s; after more than a minute without a fault 1 s again."""
-    second, standing, time_ns = 1_000_000_000, Standing(), 0
+    second, standing, time_ns = 1_000_000_000, FaultStatus(), 0
     needed: list[float] = []
     for pause_s in (10, 10, 10, 100, 10):
         for _ in range(30):
@@ -149,11 +149,11 @@ def test_the_time_before_readmission_doubles_with_each_fault_and_is_reset_after_
 
 
 def test_a_disagreement_before_readmission_restarts_the_time_of_agreement() -> None:
-    standing = Standing(excluded=True, faults=1)
+    standing = FaultStatus(excluded=True, faults=1)
     standing = standing.after(0, agrees=True, settings=SETTINGS)
     standing = standing.after(900_000_000, agrees=False, settings=SETTINGS)
     standing = standing.after(1_100_000_000, agrees=True, settings=SETTINGS)
-    assert standing.excluded and standing.sound_ns == 1_100_000_000
+    assert standing.excluded and standing.agreeing_since_ns == 1_100_000_000
 
 
 def test_robust_weights_have_smaller_errors_in_bursts_than_a_hard_gate_or_full_weight() -> None:
@@ -227,7 +227,7 @@ def test_after_a_height_is_accepted_the_vertical_level_decays_as_the_horizontal_
 
 def test_a_rejected_height_stays_disputed_until_a_height_is_used() -> None:
     """A horizontal position alone does not end it."""
-    twin = filter_with_long_correlation_time().fork()
+    twin = copy(filter_with_long_correlation_time())
     twin.propagate_covariance()
     made = Outcome(SECOND_NS, "gnss", AidingKind.GNSS_POSITION, (0.1, 0.1), (1.0, 1.0), 0.1, used=True)
     rejected = made._replace(height=Height(-47.0, 1.0, taken_over=False))
@@ -257,8 +257,8 @@ def filter_with_long_correlation_time() -> ErrorStateFilter:
     assert inside is not None
     evidence = UNKNOWN.evidence.copy()
     evidence[:, HYPOTHESES.index((200.0, 0.003)), SCALES.tolist().index(1.0)] = 100.0
-    twin, P = inside.fork(), inside.P.copy()
-    twin.colour = replace(UNKNOWN, evidence=evidence)
+    twin, P = copy(inside), inside.P.copy()
+    twin.gnss_errors = replace(UNKNOWN, evidence=evidence)
     twin.parameters = tuple(0.0 for _ in twin.parameters)
     for part, variance in ((em.POSITION, 0.04), (em.GNSS_ERROR, 0.01)):
         P[part], P[:, part] = 0.0, 0.0
@@ -274,23 +274,23 @@ def fix_beside(navigation: ErrorStateFilter, north_m: float) -> GnssPosition:
 
 def test_a_jump_within_the_stated_accuracy_changes_the_time_correlated_error_and_not_the_position() -> None:
     """As after a change of satellites: the fix is used with full weight."""
-    twin = filter_with_long_correlation_time().fork()
+    twin = copy(filter_with_long_correlation_time())
     fix = fix_beside(twin, 6.0)
-    outcome = Judge(SETTINGS).judge(twin, fix, fix.observe(twin))
+    outcome = Gate(SETTINGS).use(twin, fix, fix.observe(twin))
     assert outcome.used and outcome.weight == 1.0
     assert twin.gnss_error[0] == pytest.approx(2.0, rel=0.02)
-    assert abs(twin.moved[0] - filter_with_long_correlation_time().moved[0]) < 0.1
+    assert abs(twin.position_correction[0] - filter_with_long_correlation_time().position_correction[0]) < 0.1
 
 
 def test_a_jump_beyond_the_stated_accuracy_is_rejected() -> None:
-    twin = filter_with_long_correlation_time().fork()
+    twin = copy(filter_with_long_correlation_time())
     fix = fix_beside(twin, 15.0)
-    assert not Judge(SETTINGS).judge(twin, fix, fix.observe(twin)).used
+    assert not Gate(SETTINGS).use(twin, fix, fix.observe(twin)).used
     assert twin.gnss_error[0] == 0.0
 
 
 def test_the_time_before_readmission_has_a_maximum() -> None:
-    standing, time_ns = Standing(excluded=True, faults=20), 0
+    standing, time_ns = FaultStatus(excluded=True, faults=20), 0
     while standing.excluded:
         standing = standing.after(time_ns, agrees=True, settings=SETTINGS)
         time_ns += 100_000_000

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from services.core.fusion.alignment.heading import REST_RATE_SD
+from services.core.fusion.alignment.heading import STANDSTILL_RATE_SD
 from services.core.fusion.filter.error_model import SIZE, VELOCITY
 from services.core.fusion.filter.eskf import ErrorStateFilter
 from services.core.fusion.filter.strapdown import InertialState
@@ -14,8 +14,8 @@ from services.core.fusion.update.standstill_detector import (
     Limits,
     Quiet,
     detect,
+    is_standstill,
     limits_of,
-    stands,
 )
 from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
@@ -45,26 +45,26 @@ def uncertain(velocity_sd: float) -> Limits:
 
 def test_half_a_second_below_all_limits_is_a_standstill() -> None:
     rest = after(UNSETTLED, 0.25)  # settles
-    assert not stands(after(rest, 0.48))
-    assert stands(after(rest, 0.52))
+    assert not is_standstill(after(rest, 0.48))
+    assert is_standstill(after(rest, 0.52))
 
 
 def test_each_limit_alone_prevents_a_standstill() -> None:
-    assert not stands(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
-    assert not stands(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
-    assert not stands(after(UNSETTLED, 5.0, speed=0.31))
-    assert stands(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
+    assert not is_standstill(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.013)))
+    assert not is_standstill(after(UNSETTLED, 5.0, acceleration=(0.2, 0.05, 0.0)))
+    assert not is_standstill(after(UNSETTLED, 5.0, speed=0.31))
+    assert is_standstill(after(UNSETTLED, 5.0, rate=(0.0, 0.0, 0.011), acceleration=(0.04, 0.04, 0.0), speed=0.29))
 
 
 def test_a_standstill_ends_within_50_ms_of_the_first_motion() -> None:
     """At 1 m/s² the smoothed acceleration exceeds its limit after 20 ms, when the vehicle has moved by 0.2 mm."""
     rest = after(UNSETTLED, 2.0)
-    assert not stands(after(rest, 0.02, acceleration=(1.0, 0.0, 0.0)))
-    assert not stands(after(rest, 0.05, rate=(0.0, 0.0, 0.1)))
+    assert not is_standstill(after(rest, 0.02, acceleration=(1.0, 0.0, 0.0)))
+    assert not is_standstill(after(rest, 0.05, rate=(0.0, 0.0, 0.1)))
 
 
 def test_constant_speed_is_not_a_standstill() -> None:
-    assert not stands(after(UNSETTLED, 10.0, speed=10.0))
+    assert not is_standstill(after(UNSETTLED, 10.0, speed=10.0))
 
 
 def test_vibration_of_an_idling_engine_does_not_end_a_standstill() -> None:
@@ -73,16 +73,16 @@ def test_vibration_of_an_idling_engine_does_not_end_a_standstill() -> None:
     for k in range(2000):
         swing = 2.0**0.5 * np.sin(2.0 * np.pi * 27.0 * k * STEP_S)
         rest = detect(rest, (0.017 * swing, 0.0, 0.0), (0.0, 0.0, 0.65 * swing), 0.0, STEP_S, CERTAIN)
-        assert stands(rest)
+        assert is_standstill(rest)
 
 
 def test_with_an_uncertain_velocity_a_standstill_needs_two_seconds() -> None:
     """As after a minute without GNSS: an estimated speed of 1.5 m/s at standstill, and of 0.1 m/s in motion."""
     limits, settled = uncertain(0.6), after(UNSETTLED, 0.25)
     for speed in (0.1, 1.5):
-        assert not stands(after(settled, UNCERTAIN_QUIET_S - 0.1, speed=speed, limits=limits))
-        assert stands(after(settled, UNCERTAIN_QUIET_S + 0.1, speed=speed, limits=limits))
-    assert not stands(after(settled, 10.0, speed=4.0, limits=limits)), "above the limit of its covariance"
+        assert not is_standstill(after(settled, UNCERTAIN_QUIET_S - 0.1, speed=speed, limits=limits))
+        assert is_standstill(after(settled, UNCERTAIN_QUIET_S + 0.1, speed=speed, limits=limits))
+    assert not is_standstill(after(settled, 10.0, speed=4.0, limits=limits)), "above the limit of its covariance"
     assert uncertain(0.05) == CERTAIN
 
 
@@ -91,11 +91,11 @@ def test_a_standstill_is_detected_with_a_tilt_error_of_half_a_degree() -> None:
     for limits in (CERTAIN, uncertain(0.6)):
         leaning = after(UNSETTLED, 0.5, acceleration=(0.5, 0.0, 0.0), limits=limits)  # braking
         leaning = after(leaning, 1.0, acceleration=(0.06, 0.06, 0.0), limits=limits)
-        assert not stands(leaning)
+        assert not is_standstill(leaning)
         leaning = after(leaning, UNCERTAIN_QUIET_S + 0.5, acceleration=(0.06, 0.06, 0.0), limits=limits)
-        assert stands(leaning)
-        assert not stands(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), limits=limits)), "moving off"
-        assert not stands(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), limits=limits))
+        assert is_standstill(leaning)
+        assert not is_standstill(after(leaning, 0.2, acceleration=(0.3, 0.06, 0.0), limits=limits)), "moving off"
+        assert not is_standstill(after(UNSETTLED, 10.0, acceleration=(0.3, 0.0, 0.0), limits=limits))
 
 
 def test_motion_on_a_smooth_road_is_not_a_standstill_at_an_uncertain_velocity() -> None:
@@ -103,7 +103,7 @@ def test_motion_on_a_smooth_road_is_not_a_standstill_at_an_uncertain_velocity() 
     rest, limits = UNSETTLED, uncertain(0.6)
     for k in range(2000):
         rest = detect(rest, STILL, (0.1 * float(np.sin(np.pi * k * STEP_S)), 0.0, 0.0), 0.1, STEP_S, limits)
-        assert not stands(rest)
+        assert not is_standstill(rest)
 
 
 def test_the_zaru_variance_summed_over_ten_minutes_is_that_of_the_mean_rate() -> None:
@@ -115,7 +115,7 @@ def test_the_zaru_variance_summed_over_ten_minutes_is_that_of_the_mean_rate() ->
     count = 6000
     lags = np.arange(1, count)
     together = 1.0 + 2.0 * float(((1.0 - lags / count) * np.exp(-lags * PERIOD_S / SETTLING_S)).sum())
-    mean_variance = (RATE_SD**2 + REST_RATE_SD**2 * together) / count
+    mean_variance = (RATE_SD**2 + STANDSTILL_RATE_SD**2 * together) / count
     assert R[0, 0] / count == pytest.approx(mean_variance, rel=0.02)
     shaken = Standstill(0, STILL, rate_sd=0.01).observe_zero_rate(navigation).R
     assert shaken[2, 2] - R[2, 2] == pytest.approx(0.01**2 - RATE_SD**2)
