@@ -88,7 +88,7 @@ def test_a_delay_in_use_follows_the_check_and_outlives_a_filter() -> None:
     assert engine.filter is not None
     again = copy(engine.filter)
     again.late = None
-    engine.aids.begin(time_ns, again, engine.aids.judge.comparison)
+    engine.aids.begin(time_ns, again, engine.aids.gate.comparison)
     assert again.late is not None and again.late.position_s == 0.5
     assert engine.aids.watch.late_s == pytest.approx(0.5)
     assert not again.P[em.GNSS_DELAY].any(), "the delay is no state"

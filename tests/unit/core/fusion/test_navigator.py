@@ -352,11 +352,11 @@ def test_a_jump_is_rejected_and_a_permanent_one_resets_the_filter_with_a_reason(
 
 
 def test_a_covariance_that_is_not_finite_resets_the_filter_with_a_reason() -> None:
-    run = navigator_at(20.0)
+    run = feed(navigator(), samples(25.0) + fixes(24.0)).navigator  # with no fix left that leads back to a finite one
     engine = run.engine  # no input leads to such a covariance
     assert engine.filter is not None
     engine.filter.P = engine.filter.P * np.nan
-    feed(run, samples()[2000:2010])
+    feed(run, samples()[2500:2510])
     assert run.solution() is None
     assert run.counts.resets == 1
     assert "covariance" in run.reason
