@@ -10,7 +10,7 @@ from shared.processes import PROCESSES
 ROOT = Path(__file__).parents[2]
 # What a file that is not process.py may import besides its own folder: no bus, no clock, no files, no logging.
 PURE = {
-    "bisect", "cantools", "collections", "cmath", "dataclasses", "datetime", "difflib", "enum", "fractions",
+    "bisect", "cantools", "collections", "cmath", "copy", "dataclasses", "datetime", "difflib", "enum", "fractions",
     "functools", "hashlib", "heapq",
     "html", "ipaddress", "itertools", "json", "math", "operator", "random", "re", "statistics", "string", "struct",
     "types", "typing", "collections.abc", "numpy", "numpy.typing", "scipy.linalg", "scipy.special",
