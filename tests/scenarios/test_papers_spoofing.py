@@ -73,7 +73,7 @@ def test_the_cut_off_changes_the_metric_only_where_both_sides_are_filtered(paper
     assert isinstance(rows, list)
     sigma = {(row["mode"], row["cut_off_hz"]): row["acceleration_sigma_m_s2"] for row in rows}
     assert sigma["paper", 0.03] == pytest.approx(sigma["paper", 0.24], rel=0.02), "the vehicle's own acceleration"
-    assert sigma["matched", 0.24] < 0.2 * sigma["matched", 0.03]
+    assert sigma["matched", 0.24] < 0.3 * sigma["matched", 0.03]
 
 
 def test_the_same_seed_gives_the_same_drive_and_a_wrong_sigma_is_detected() -> None:
