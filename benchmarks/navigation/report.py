@@ -51,8 +51,7 @@ The odometer of `navmatlab` is made from its reference with 0.1 m/s of noise, fo
 part of the repository; docs/how-to/import-a-drive.md says how to come by a recording of your own.
 *GNSS alone* is the receiver's position against the same truth, at the antenna and at the times of the fixes given to
 the filter (docs/reference/metrics.md), with our error at the same fixes in brackets, which is compared with it: that of
-the solution before the fix is used, so that it is the largest between two fixes (on `rtk` 0.0154 m where it is 0.0129 m
-at all times). The column *ours* holds errors at all times of the truth.
+the solution before the fix is used, where it is largest. The column *ours* holds errors at all times of the truth.
 
 """
 HEAD = "<!-- Printed by `make drives` from benchmarks/results/navigation.json; a test holds it to that file. -->\n\n"
