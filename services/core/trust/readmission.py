@@ -112,7 +112,7 @@ def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
     three times as far from a solution whose protection level is above the alert limit.
     """
     accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
-    if not facts.gnss_excluded and by_accused_odometer(facts):
+    if by_accused_odometer(facts):
         accusing = [one for one in accusing if one.monitor is not Monitor.INERTIAL_LONG]
     passing = all(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
     ratio = facts.excluded_test_ratio

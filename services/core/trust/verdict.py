@@ -30,7 +30,7 @@ from enum import StrEnum
 
 from .facts import GNSS, INERTIAL, MOTION, ODOMETER, SECOND_NS, Facts, Monitor, Outcome, Statement
 
-LEAD_NS = 3 * SECOND_NS
+LEAD_NS = 3 * SECOND_NS  # from the exclusion of the odometer to an accusation that follows from it
 
 
 class TrustState(StrEnum):
@@ -102,7 +102,7 @@ def _gnss_accused(facts: Facts) -> str | None:
     if _excluded(facts) or not (accusing or facts.gnss_excluded):
         return None
     why = _sentences(facts, accusing) if accusing else "GNSS stays excluded until it has agreed for long enough"
-    if not facts.gnss_excluded and by_accused_odometer(facts):
+    if by_accused_odometer(facts):
         return f"{why}; it uses the odometer, which was accused before: GNSS or odometer is wrong, GNSS is not excluded"
     return f"{why}; fusion has not confirmed the exclusion of GNSS"
 
@@ -228,18 +228,20 @@ def odometer_accused(facts: Facts) -> bool:
     It stays so while the long window, which uses the odometer, accuses GNSS in turn.
     """
     agreed = _odometer_accused(facts) is not None and bool(facts.accusing(MOTION, ODOMETER))
-    return agreed or (not facts.gnss_excluded and by_accused_odometer(facts))
+    return agreed or by_accused_odometer(facts)
 
 
 def by_accused_odometer(facts: Facts) -> bool:
-    """Whether the long window began to accuse GNSS when the odometer had been excluded for `LEAD_NS`.
+    """Whether the long window began to accuse GNSS, not excluded so far, when the odometer had been for `LEAD_NS`.
 
     Its free propagations use the odometer, so that a wrong one contradicts a right GNSS. In a drag-off the long window
     accuses before, or at the same time.
     """
     since_ns = facts.odometer_excluded_since_ns
     began_ns = [one.since_ns for one in facts.accusing((Monitor.INERTIAL_LONG,), GNSS)]
-    return since_ns is not None and any(ns is not None and ns - since_ns >= LEAD_NS for ns in began_ns)
+    if facts.gnss_excluded or since_ns is None:
+        return False
+    return any(ns is not None and ns - since_ns >= LEAD_NS for ns in began_ns)
 
 
 def verdict(facts: Facts) -> Verdict:

@@ -25,9 +25,7 @@ POWER_MEMORY_S = 60.0  # of the residuals' mean square
 INDEPENDENT_S = 0.5  # between velocities that count in full: more of them in that time count as one
 CERTAIN = 10.0  # largest logarithm of a likelihood ratio: what was learned is unlearned in minutes
 LARGEST = 3.0  # [-] standard deviations at which a residual is clipped
-SETTLING_S = (
-    10.0  # from the first velocity, and from the first after a gap: residuals repeat while the filter converges
-)
+SETTLING_S = 10.0  # from the first velocity, and the first after a gap: residuals repeat while the filter converges
 BREAK_S = 2.0  # longest interval between successive velocities: a longer one is a gap
 
 
