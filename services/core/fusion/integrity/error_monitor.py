@@ -42,8 +42,10 @@ class Watch:
             more += hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9  # it went on since
         given_up = (level + more, upright + higher)
         anchored = block(started)
-        fresh = Watch(self.position, self.velocity, self.estimated, time_ns, anchored)
-        return replace(fresh, followed=self.followed, yielded=given_up, late_s=self.late_s)
+        return Watch(
+            self.position, self.velocity, self.estimated, time_ns, anchored,
+            followed=self.followed, yielded=given_up, late_s=self.late_s,
+        )  # fmt: skip
 
     def after(
         self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float, *, estimated: bool
@@ -104,8 +106,10 @@ class Watch:
         fading = exp(-max(0, outcome.time_ns - self.used_ns) * 1e-9 / MEMORY_S)
         yielded = fading * self.yielded[0], fading * self.yielded[1] + given_way
         contested = 0.0, 0.0 if len(outcome.innovation) == 3 else upright
-        used = Watch(seen, self.velocity, estimated, outcome.time_ns, now, pulled, contested, self.followed, yielded)
-        return replace(used, late_s=self.late_s)
+        return Watch(
+            seen, self.velocity, estimated, outcome.time_ns, now, pulled, contested, self.followed, yielded,
+            late_s=self.late_s,
+        )  # fmt: skip
 
     @cached_property
     def disputed(self) -> tuple[float, float]:
