@@ -38,7 +38,8 @@ class ProcessRow:
     """One process: its name is also its package, client id, logger, config section and container.
 
     `consumes` and `produces` name rows of shared/topics.py. Topics that end in `/+` are produced by every process and
-    are not listed; a process that observes all lists nothing that it consumes.
+    are not listed; a process that observes all lists nothing that it consumes. A process with a `pause_s` reads the bus
+    no more often than that: most of the cost of a message at 100 Hz is to wake up for it.
     """
 
     name: str
@@ -48,6 +49,7 @@ class ProcessRow:
     produces: tuple[str, ...] = ()
     observes_all: bool = False
     roles: tuple[Role, ...] = (Role.OBU,)
+    pause_s: float = 0.0  # of a process of layers 2 to 4 whose output does not depend on such a delay
 
     @property
     def layer(self) -> int:
@@ -132,6 +134,7 @@ PROCESSES = (
             "gnss/fix", "gnss/configuration", "imu/sample", "vehicle/speed", "navigation/solution", "navigation/state",
         ),
         produces=("gnss/configure", "mode/state", "navigation/last_position"),
+        pause_s=0.1,
     ),
     ProcessRow(
         "controller.cam", Kind.OPTIONAL, "decides when the vehicle sends its own CAM, and what it states",
@@ -158,6 +161,7 @@ PROCESSES = (
         "core.spoofing", Kind.STANDING, "compares GNSS with the inertial sensors over 5, 30 and 60 s",
         consumes=("imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution", "navigation/filter_state"),
         produces=("trust/monitor",),
+        pause_s=0.1,
     ),
     ProcessRow(
         "core.cooperative", Kind.STANDING, "finds the satellite whose pseudorange contradicts the others",

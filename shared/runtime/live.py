@@ -105,15 +105,15 @@ def run_process(name: str, vehicle: VehicleFile) -> None:
     if BY_NAME[name].layer in (1, 5):
         cast(Runner, process).run(bus)
     else:
-        LiveReactor(cast(Reactor, process), bus).run()
+        LiveReactor(cast(Reactor, process), bus, pause_s=BY_NAME[name].pause_s).run()
     bus.close()
 
 
 class LiveReactor:
     """Feeds a process of layers 2 to 4 from the bus, and publishes its messages."""
 
-    def __init__(self, process: Reactor, bus: Bus) -> None:
-        self._process, self._bus = process, bus
+    def __init__(self, process: Reactor, bus: Bus, *, pause_s: float = 0.0) -> None:
+        self._process, self._bus, self._pause_s = process, bus, pause_s
         self._journal = Journal(bus.process, bus.incarnation)
         self._next_tick_ns = (bus.now_ns() // TICK_NS + 1) * TICK_NS
         self._next_journal = time.monotonic() + JOURNAL_S
@@ -125,8 +125,9 @@ class LiveReactor:
             self._bus.receive(0.1)
         self._restore()
         while not self._bus.stopping:
-            until_tick_s = (self._next_tick_ns - self._bus.now_ns()) * 1e-9
-            for envelope in self._bus.receive(min(max(until_tick_s, 0.0), 0.2)):
+            if self._pause_s:
+                time.sleep(min(self._pause_s, self._until_tick_s()))
+            for envelope in self._bus.receive(min(self._until_tick_s(), 0.2)):
                 self._consume(envelope)
             self._tick()
             self._publish_journal()
@@ -135,6 +136,9 @@ class LiveReactor:
             self._publish(closing())
             self._journal.add_close()
         self._publish_journal(at_once=True)
+
+    def _until_tick_s(self) -> float:
+        return max((self._next_tick_ns - self._bus.now_ns()) * 1e-9, 0.0)
 
     def _consume(self, envelope: Envelope) -> None:
         if (envelope.producer, envelope.incarnation) == (self._bus.process, self._bus.incarnation):

@@ -21,7 +21,7 @@ from shared.messages.gnss import GnssFix, GnssRaw, GnssSatellites
 from shared.messages.toll import EvidencePack
 from shared.messages.v2x import CamContent
 from shared.processes import BY_NAME, PROCESSES, Kind, ProcessRow
-from shared.topics import TOPICS, Topic, contradictions, subscriptions
+from shared.topics import TOPICS, Topic, contradictions, hot_path, subscriptions
 
 ROOT = Path(__file__).parents[2]
 PRINTED = reference.printed(ROOT)
@@ -108,6 +108,14 @@ def test_no_process_of_layers_two_to_four_hears_the_truth() -> None:
     for row in PROCESSES:
         if row.layer in (2, 3, 4):
             assert "truth/state" not in {topic.name for topic in subscriptions(row.name)}, row.name
+
+
+def test_only_processes_beside_the_hot_path_pause_between_readings_of_the_bus() -> None:
+    pausing = [row for row in PROCESSES if row.pause_s]
+    assert pausing
+    for row in pausing:
+        assert 2 <= row.layer <= 4, f"{row.name} owns its loop, and would ignore its pause_s"
+        assert row.name not in hot_path(), f"pause_s of {row.name} would delay the solution"
 
 
 def test_states_are_retained_and_samples_are_not() -> None:

@@ -1,8 +1,11 @@
 """The live runtime: messages that a process receives, and those it does not."""
 
+import time
 from collections import Counter
 from pathlib import Path
 from typing import cast
+
+import numpy as np
 
 from shared.bus import codec
 from shared.bus.bus import Bus, Envelope
@@ -29,22 +32,25 @@ def envelope(message: FilterState, life: int, number: int) -> Envelope:
 
 
 class Broker:
-    """A bus that delivers once, and stores what is published."""
+    """A bus that delivers once, stops after a number of readings, and stores what is published."""
 
     process, incarnation, connected, stopping = "core.fusion", LIFE, True, False
     state_dir = Path("nothing was saved")
 
-    def __init__(self, inbox: list[Envelope]) -> None:
+    def __init__(self, inbox: list[Envelope], readings: int = 1) -> None:
         self.rejects: Counter[str] = Counter()
         self.published: list[Message] = []
-        self._inbox = inbox
+        self.readings_s: list[float] = []
+        self._inbox, self._readings = inbox, readings
 
     def now_ns(self) -> int:
         return 0
 
     def receive(self, _timeout_s: float) -> list[Envelope]:
-        self.stopping = True
-        return self._inbox
+        self.readings_s.append(time.monotonic())
+        self.stopping = len(self.readings_s) == self._readings
+        inbox, self._inbox = self._inbox, []
+        return inbox
 
     def publish(self, message: Message, **_at_once: bool) -> None:
         self.published.append(message)
@@ -72,3 +78,13 @@ def test_a_process_receives_states_of_an_earlier_incarnation_and_not_its_own() -
     assert [run for run in journal.runs if run[0] != "tick"] == [
         ("navigation/filter_state", "core.fusion", OLD_LIFE, 7, 1)
     ]
+
+
+def test_a_process_with_a_pause_reads_the_bus_no_more_often_than_that() -> None:
+    bus, process = Broker([envelope(state(1), OLD_LIFE, 7)], readings=4), Given()
+    started_s = time.monotonic()
+    LiveReactor(process, cast(Bus, bus), pause_s=0.05).run()
+    waits_s = np.diff([started_s, *bus.readings_s])
+    assert len(waits_s) == 4
+    assert min(waits_s) >= 0.05
+    assert state(1) in process.messages
