@@ -9,7 +9,7 @@ PORT ?= 8080
 SCENARIO ?= urban
 RUNS ?= 1000
 
-.PHONY: help setup demo test check types whole-unit slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture bench-replay clean
+.PHONY: help setup demo test check calculating running slow up down containers docs lock papers attack-lab alarms bench drives integrity consistency starts v2x golden picture bench-replay clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -54,14 +54,18 @@ test: $(VENV)/.debian ## run every check that CI runs: all but `make slow` and `
 check: | $(VENV)/.testing ## the checks alone, on what is installed
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .
-	@$(PYTHON) -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not slow and not whole_unit" --durations=30 $(PYTEST_ARGS)
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=line types whole-unit
+	@$(MAKE) --no-print-directory --jobs=2 calculating running
 
-types: # on one core, while the whole unit mostly waits on the other
-	@$(PYTHON) -m mypy
+# Tests that only calculate, and types, have the time that tests of running programs leave while they wait.
+LIVE := tests/integration tests/browser
 
-whole-unit:
-	@$(PYTHON) -m pytest -m "whole_unit and not slow" --durations=15 $(PYTEST_ARGS)
+calculating:
+	@nice -n 19 $(PYTHON) -m pytest $(LIVE:%=--ignore=%) -n auto --dist loadfile --no-loadscope-reorder -m "not slow" --durations=20 $(PYTEST_ARGS)
+	@nice -n 19 $(PYTHON) -m mypy
+
+running:
+	@$(PYTHON) -m pytest $(LIVE) -n auto --dist loadfile --no-loadscope-reorder -m "not slow and not whole_unit" --durations=20 $(PYTEST_ARGS)
+	@$(PYTHON) -m pytest $(LIVE) -m "whole_unit and not slow" --durations=15 $(PYTEST_ARGS)
 
 slow: | $(VENV)/.testing ## test with the recordings that CI leaves out (seconds; they are not part of the repository)
 	@$(PYTHON) -m pytest -m "slow and not container" $(PYTEST_ARGS)
