@@ -41,14 +41,15 @@ $(VENV)/.testing: requirements-dev.lock services/monitoring/status/dashboard/pac
 	@touch $@
 
 # The tests talk to a real Mosquitto, a real Chromium and a real gpsd; where they cannot be installed, their tests skip and say so.
-$(VENV)/.debian: | $(VENV)/.testing
+$(VENV)/.debian: | $(VENV)/bin/python
 	@deploy/install_test_programs.sh "$(SUDO)"
 	@touch $@
 
 demo: setup ## drive a simulated car here and print the dashboard's address (SCENARIO=urban SEED=1 PORT=8080)
 	@$(PYTHON) -m cli demo --scenario $(SCENARIO) --seed $(SEED) --port $(PORT)
 
-test: $(VENV)/.debian ## run every check that CI runs: all but `make slow` and `make containers`
+test: ## run every check that CI runs: all but `make slow` and `make containers`
+	@$(MAKE) --no-print-directory --jobs=2 $(VENV)/.testing $(VENV)/.debian
 	@$(MAKE) --no-print-directory check
 
 check: | $(VENV)/.testing ## the checks alone, on what is installed
@@ -100,7 +101,7 @@ alarms: setup ## count false alarms of the monitors in 100,000 fault-free epochs
 	@$(PYTHON) -m benchmarks.false_alarms
 	@$(PYTHON) -m benchmarks.false_alarms_satellites
 
-bench: $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
+bench: $(VENV)/.testing $(VENV)/.debian ## measure latency over the bus and cost of the whole unit (minutes)
 	@$(PYTHON) -m benchmarks
 
 drives: setup ## measure accuracy on the recordings of OBU_DATA beside goals and peers (half an hour)
@@ -118,13 +119,13 @@ starts: setup ## switch on anywhere in simulated drives: how soon the heading is
 v2x: setup ## measure cost and latency of receiving 2,000 CAM a second (two minutes)
 	@$(PYTHON) -m benchmarks.v2x
 
-bench-replay: $(VENV)/.debian ## measure a two-hour recording in the browser: opening, scrubber, memory (half an hour)
+bench-replay: $(VENV)/.testing $(VENV)/.debian ## measure a two-hour recording in the browser: opening, scrubber, memory (half an hour)
 	@$(PYTHON) -m benchmarks.replay
 
 golden: setup ## write the stored result of the golden drive anew (the difference is to be reviewed)
 	@$(PYTHON) -m tests.support.drives.golden
 
-picture: $(VENV)/.debian ## take the pictures of every page anew from running demos (ten minutes)
+picture: $(VENV)/.testing $(VENV)/.debian ## take the pictures of every page anew from running demos (ten minutes)
 	@$(PYTHON) -m docs.picture
 
 clean: ## remove what set-up and runs have made
