@@ -14,7 +14,6 @@ from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from services.core.spoofing import profile as learning
-from services.core.spoofing.metrics import UNITS
 from services.core.spoofing.process import Process
 from services.core.spoofing.profile import (
     FORCE_EDGES_M_S2,
@@ -24,7 +23,8 @@ from services.core.spoofing.profile import (
     Origin,
     Profile,
 )
-from services.core.spoofing.short_window import Window
+from services.core.spoofing.windows.metrics import UNITS
+from services.core.spoofing.windows.short_window import Window
 from shared.errors import UserError
 from shared.messages.base import Message
 from shared.messages.trust import TrustMonitor

@@ -19,7 +19,7 @@ from cli.papers.spoofing.paper import (
     outside_tolerance,
     reproduce,
 )
-from services.core.spoofing.metrics import Metric
+from services.core.spoofing.windows.metrics import Metric
 from shared.errors import UserError
 
 

@@ -7,8 +7,8 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
-from services.core.spoofing.metrics import CONSECUTIVE, Metric, consecutive
 from services.core.spoofing.profile import CLASSES, FORCE_EDGES_M_S2, SPEED_EDGES_M_S, SPEED_METRICS
+from services.core.spoofing.windows.metrics import CONSECUTIVE, Metric, consecutive
 from shared.maths.earth import STANDARD_GRAVITY
 
 from .method import (

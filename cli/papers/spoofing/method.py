@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
-from services.core.spoofing.compass import device_from_enu
-from services.core.spoofing.metrics import Metric
+from services.core.spoofing.inertial.compass import device_from_enu
+from services.core.spoofing.windows.metrics import Metric
 from shared.maths.earth import STANDARD_GRAVITY, wrap_angles
 
 FloatArray = npt.NDArray[np.float64]

@@ -11,8 +11,8 @@ from math import sqrt
 
 import numpy as np
 
-from services.core.spoofing.metrics import Metric
 from services.core.spoofing.profile import CLASSES, FORCE_EDGES_M_S2, SPEED_EDGES_M_S, SPEED_METRICS
+from services.core.spoofing.windows.metrics import Metric
 
 from .. import recordings
 from ..navigation import WORKERS, in_parallel

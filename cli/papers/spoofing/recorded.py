@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from services.core.spoofing.compass import barometric_height, device_from_enu
+from services.core.spoofing.inertial.compass import barometric_height, device_from_enu
 from services.core.spoofing.profile import FORCE_EDGES_M_S2
 from shared.maths.earth import STANDARD_GRAVITY
 

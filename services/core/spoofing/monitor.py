@@ -12,14 +12,14 @@ from shared.maths.earth import Geodetic
 from shared.maths.rotation import Vector
 from shared.messages.trust import MonitorOutcome
 
-from .long_window import LENGTHS_S, LongResult, LongWindow
-from .metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
-from .position_step import FALSE_ALARM_RATE, NAME, UNIT, PositionStep, position_step
+from .inertial.strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Increment
+from .inertial.tracks import Heights, OdometerSpeed, Series, VelocityFix
 from .settings import Settings
-from .short_window import Window, compare, window_of_fixes
-from .strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Increment
-from .tracks import Heights, OdometerSpeed, Series, VelocityFix
 from .verdicts import Verdict, dated
+from .windows.long_window import LENGTHS_S, LongResult, LongWindow
+from .windows.metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
+from .windows.position_step import FALSE_ALARM_RATE, NAME, UNIT, PositionStep, position_step
+from .windows.short_window import Window, compare, window_of_fixes
 
 FloatArray = npt.NDArray[np.float64]
 AnchorKind = TypeVar("AnchorKind", bound=Anchor)

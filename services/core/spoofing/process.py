@@ -22,12 +22,12 @@ from shared.messages.trust import TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import Table, VehicleFile
 
+from .inertial.strapdown import Anchor, FilterAnchor
 from .monitor import InertialMonitor
-from .position_step import UNKNOWN_SD_M
 from .profile import Origin, Profile
 from .settings import LongSettings, Settings
 from .statements import statements
-from .strapdown import Anchor, FilterAnchor
+from .windows.position_step import UNKNOWN_SD_M
 
 In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | FilterState | Tick
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)

@@ -7,8 +7,8 @@ from pydantic import Field, model_validator
 
 from shared.runtime.config import Section
 
-from .metrics import CONSECUTIVE, Metric
-from .short_window import Window
+from .windows.metrics import CONSECUTIVE, Metric
+from .windows.short_window import Window
 
 FORCE_EDGES_M_S2 = (0.3, 1.0, 2.0)  # of | |f| - g |, between the dynamics classes of accelerations
 SPEED_EDGES_M_S = (5.0, 10.0, 20.0)  # between those of heading and altitude rate

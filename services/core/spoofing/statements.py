@@ -5,9 +5,9 @@ from dataclasses import asdict
 
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 
-from .metrics import Metric
-from .position_step import NAME
 from .verdicts import Verdict
+from .windows.metrics import Metric
+from .windows.position_step import NAME
 
 REASON_LENGTH = 400  # of a message
 SHORT = (*(metric.value for metric in Metric), NAME)

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
-from services.core.spoofing.compass import barometric_pressure
+from services.core.spoofing.inertial.compass import barometric_pressure
 from services.core.spoofing.process import Config, Process
-from services.core.spoofing.short_window import Window
+from services.core.spoofing.windows.short_window import Window
 from services.sensors.simulator.drive import Drive
 from shared.maths.earth import Geodetic, geodetic_from_ned_difference
 from shared.messages.base import Tick

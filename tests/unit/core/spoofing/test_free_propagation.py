@@ -8,9 +8,9 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from services.core.spoofing.free_propagation import ATTITUDE, SIZE, VELOCITY, FreePropagation
+from services.core.spoofing.inertial.strapdown import SECOND_NS, Decimator, FilterAnchor, Increment, Strapdown
 from services.core.spoofing.settings import LongSettings
-from services.core.spoofing.strapdown import SECOND_NS, Decimator, FilterAnchor, Increment, Strapdown
+from services.core.spoofing.windows.free_propagation import ATTITUDE, SIZE, VELOCITY, FreePropagation
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.rotation import ned_from_body
 

@@ -8,12 +8,12 @@ import pytest
 from pydantic import ValidationError
 
 from cli.papers.spoofing.method import gnss_rates, metrics, paper_sigma, sensor_rates
-from services.core.spoofing.compass import barometric_pressure
-from services.core.spoofing.metrics import Metric, acceleration_differences, consecutive
+from services.core.spoofing.inertial.compass import barometric_pressure
+from services.core.spoofing.inertial.strapdown import SECOND_NS
+from services.core.spoofing.inertial.tracks import Heights, Series, VelocityFix
 from services.core.spoofing.profile import UNIT_IMU, Profile, exceeding, learn
-from services.core.spoofing.short_window import Window, window_of_fixes
-from services.core.spoofing.strapdown import SECOND_NS
-from services.core.spoofing.tracks import Heights, Series, VelocityFix
+from services.core.spoofing.windows.metrics import Metric, acceleration_differences, consecutive
+from services.core.spoofing.windows.short_window import Window, window_of_fixes
 
 FloatArray = npt.NDArray[np.float64]
 RATE_HZ = 10

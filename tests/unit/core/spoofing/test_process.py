@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from services.core.fusion.process import Config as FusionConfig
 from services.core.fusion.process import Process as Fusion
-from services.core.spoofing.metrics import Metric
-from services.core.spoofing.position_step import FALSE_ALARM_RATE, NAME
 from services.core.spoofing.process import Config, Process, filter_anchor_of, velocity_of
+from services.core.spoofing.windows.metrics import Metric
+from services.core.spoofing.windows.position_step import FALSE_ALARM_RATE, NAME
 from services.sensors.simulator.drive import Drive, simulate
 from shared.maths.rotation import ned_from_body
 from shared.messages.base import Tick

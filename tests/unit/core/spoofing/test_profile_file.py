@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.core.spoofing.metrics import Metric
 from services.core.spoofing.process import Config, Process
 from services.core.spoofing.profile import LearnedDrive, Origin, Profile, learn
-from services.core.spoofing.short_window import Window
+from services.core.spoofing.windows.metrics import Metric
+from services.core.spoofing.windows.short_window import Window
 from shared.errors import ConfigError
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix

@@ -8,7 +8,7 @@ from scipy.signal import butter, freqz_sos
 from scipy.special import ndtr
 
 from cli.papers.spoofing.method import CUT_OFF_HZ, high_pass
-from services.core.spoofing.compass import (
+from services.core.spoofing.inertial.compass import (
     barometric_height,
     barometric_pressure,
     device_from_enu,

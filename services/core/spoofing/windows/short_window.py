@@ -11,9 +11,9 @@ import numpy.typing as npt
 from shared.maths.earth import STANDARD_GRAVITY, wrap_angle
 from shared.maths.rotation import skew
 
+from ..inertial.strapdown import SECOND_NS, Anchor, Increment, Strapdown
+from ..inertial.tracks import VelocityFix
 from .metrics import WINDOW_S, Metric, acceleration_differences
-from .strapdown import SECOND_NS, Anchor, Increment, Strapdown
-from .tracks import VelocityFix
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from shared.maths.kalman import Correction, correct, predict
 from shared.maths.quantiles import chi_square_limit
 from shared.maths.rotation import matrix_from_quaternion, quaternion_from_rotation_vector, skew
 
-from .settings import LongSettings
-from .strapdown import SECOND_NS, FilterAnchor, Increment, Strapdown
+from ..inertial.strapdown import SECOND_NS, FilterAnchor, Increment, Strapdown
+from ..settings import LongSettings
 
 FloatArray = npt.NDArray[np.float64]
 

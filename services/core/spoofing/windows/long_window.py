@@ -12,11 +12,11 @@ import numpy.typing as npt
 from shared.maths.correlated_noise import mean_variance
 from shared.maths.quantiles import chi_square_limit
 
+from ..inertial.strapdown import SECOND_NS, FilterAnchor, Increment
+from ..inertial.tracks import OdometerSpeed, VelocityFix
+from ..settings import Settings
 from .free_propagation import FreePropagation
 from .metrics import WINDOW_S
-from .settings import Settings
-from .strapdown import SECOND_NS, FilterAnchor, Increment
-from .tracks import OdometerSpeed, VelocityFix
 
 FloatArray = npt.NDArray[np.float64]
 

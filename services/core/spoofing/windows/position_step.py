@@ -12,9 +12,9 @@ import numpy as np
 
 from shared.maths.earth import ned_from_geodetic_difference
 
+from ..inertial.strapdown import SECOND_NS
+from ..inertial.tracks import VelocityFix
 from .metrics import WINDOW_S
-from .strapdown import SECOND_NS
-from .tracks import VelocityFix
 
 NAME, UNIT = "position_step", "m"
 THRESHOLD = 5.0  # standard deviations

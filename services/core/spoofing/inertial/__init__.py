@@ -1,0 +1,1 @@
+"""What the tests compare: increments and their propagation, odometer and heights, the attitude of a phone."""
