@@ -96,10 +96,14 @@ class Watch:
         """Process a heartbeat, disconnect or last will.
 
         A process that is not configured is watched from its first message to its disconnect. Last wills are ignored
-        around an outage of the broker: it publishes them for connections that it dropped itself.
+        around an outage of the broker: it publishes them for connections that it dropped itself. Our own last will,
+        which we can only receive from a broker that shuts down, begins such an outage.
         """
         name = health.process
         over = health.state.is_over
+        if name == SELF and health.state is ProcessState.LOST and not retained:
+            self._judged_from_ns = received_ns + RETURN_NS
+            return
         if health.state is ProcessState.LOST and (not self.answering or received_ns < self._judged_from_ns):
             return
         if name not in self._processes:

@@ -316,6 +316,20 @@ def test_wills_for_connections_that_the_broker_dropped_itself_are_no_outage(unit
     assert unit.silent() == set()
 
 
+def test_wills_that_a_broker_sends_while_it_shuts_down_are_no_outage(unit: Unit) -> None:
+    unit.delivering = False
+    unit.say_health("monitoring.health", ProcessState.LOST)
+    unit.say_health("sensors.gnss", ProcessState.LOST)
+    unit.run(0.2)
+    unit.connected = False
+    unit.run(5)
+    unit.connected = unit.delivering = True
+    unit.run(20)
+
+    assert set(outages(unit.events)) == {"broker"}
+    assert unit.silent() == set()
+
+
 def test_a_filter_that_aligns_anew_after_a_loss_of_the_broker_belongs_to_that_outage(unit: Unit) -> None:
     unit.connected = False
     unit.run(8)
