@@ -48,6 +48,7 @@ def first_minutes(folder: Path, out: Path, until_s: float) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_delta_angles_and_velocities_with_rtk_give_centimetres(tmp_path: Path) -> None:
     cut = first_minutes(recording("rtk_drive_57min") / "mems_rtk_200hz", tmp_path, 330.0)
     found = solved(imported("rtk_drive_57min", cut, tmp_path), Aiding.ODOMETER, score_from=200.0)

@@ -39,6 +39,7 @@ def rtk_car(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return imported("rtkexp_drive", recording("rtkexp_drive"), tmp_path_factory.mktemp("rtkexp"))
 
 
+@pytest.mark.slow
 def test_positions_of_a_car_with_rtk_agree_with_rtk(rtk_car: Path) -> None:
     found = solved(rtk_car)
     assert found["fixes_recorded"] == 2197 and found["distance_m"] == pytest.approx(4050.0, rel=0.02)
@@ -48,6 +49,7 @@ def test_positions_of_a_car_with_rtk_agree_with_rtk(rtk_car: Path) -> None:
     assert found["within_3_sigma_fraction"] > 0.98
 
 
+@pytest.mark.slow
 def test_the_drift_of_a_car_in_outages_of_ten_seconds_is_a_few_metres(rtk_car: Path) -> None:
     found = solved(rtk_car, "10/30")
     assert found["outage_count"] >= 16
@@ -63,7 +65,8 @@ def test_wheel_speeds_limit_the_drift_of_a_car_in_outages_of_fifteen_seconds(rtk
     assert found["outage_largest_error_rms_m"] <= 3.5, "the goal, and 3.3 m the best peer"
 
 
-@pytest.mark.parametrize("trial", ["08", *(pytest.param(trial, marks=pytest.mark.slow) for trial in ("02", "10"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("trial", ["02", "08", "10"])
 def test_a_car_with_a_tactical_imu_drifts_by_less_than_1_5_m(trial: str, tmp_path: Path) -> None:
     drive = imported("wid_car", recording("wid_car") / f"trial{trial}", tmp_path)
     whole, cut = solved(drive), solved(drive, "10/30")

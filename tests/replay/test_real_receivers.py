@@ -20,13 +20,10 @@ def solved(name: str, out: Path) -> dict[str, float]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "most_m"),
-    [
-        ("comma_segment", 0.44),
-        pytest.param("navmatlab_car", 0.65, marks=pytest.mark.slow),
-        pytest.param("navmatlab_car_0327", 1.05, marks=pytest.mark.slow),
-    ],
+    [("comma_segment", 0.44), ("navmatlab_car", 0.65), ("navmatlab_car_0327", 1.05)],
 )
 def test_fusion_of_a_single_point_receiver_is_not_worse_than_the_receiver(
     name: str, most_m: float, tmp_path: Path

@@ -115,6 +115,7 @@ def config(drive: RealDrive) -> Config:
     return start.model_copy(update={"profile": learn(windows, threshold=6.5, provenance="first half of the drive")})
 
 
+@pytest.mark.slow
 def test_an_authentic_drive_raises_no_alarm(drive: RealDrive, config: Config) -> None:
     result = monitored(drive, config, drive.messages)
     assert result.episodes("inertial_short") == 0 and result.episodes("inertial_long") == 0
@@ -122,6 +123,7 @@ def test_an_authentic_drive_raises_no_alarm(drive: RealDrive, config: Config) ->
     assert result.share("inertial_long", MonitorOutcome.PASS) > 0.75
 
 
+@pytest.mark.slow
 def test_a_drag_off_of_0_3_m_s2_on_the_recording_is_accused(drive: RealDrive, config: Config) -> None:
     result = monitored(drive, config, dragged(drive, 0.3, 3.0))
     begin_s = drive.start_ns / SECOND_NS + ATTACK_S

@@ -19,6 +19,7 @@ from cli.papers.report import publish
 from services.core.cooperative.paper.monte_carlo import RATIOS, Rates, row
 
 
+@pytest.mark.slow
 def test_the_command_prints_every_ratio_and_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paper = reproduce(6, progress=False)
     publish(paper, json=True, out=tmp_path)

@@ -30,6 +30,7 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:
         return reproduce(9, progress=False)
 
 
+@pytest.mark.slow
 def test_the_acceptance_limits_hold_and_absent_recordings_are_skipped(paper: Paper) -> None:
     """The paper's thresholds: at most 1 % a metric and 5 % any; replays, climb and drag-off with the gyroscope."""
     assert paper.deviations == []

@@ -65,15 +65,20 @@ class Printed:
 def with_outages(recording: Path) -> Printed:
     """Three outages of 5 s, filtered and smoothed."""
     out, folder = StringIO(), recording.parent / "cut"
-    with redirect_stdout(out):
+    with redirect_stdout(out), pytest.MonkeyPatch.context() as patch:
+        one_empty_figure(patch)
         assert solve(recording, outage="5/15", smooth=True, out=folder, as_json=True) == 0
     return Printed(folder, out.getvalue())
 
 
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Put one empty figure into the report: drawing takes most of the time of a short recording."""
-    monkeypatch.setattr("cli.solve.report.plots.figures_of", lambda *_: [Figure("Trajectory", "", "<svg></svg>")])
+    one_empty_figure(monkeypatch)
+
+
+def one_empty_figure(patch: pytest.MonkeyPatch) -> None:
+    """Draw no other: drawing takes most of the time of a short recording."""
+    patch.setattr("cli.solve.report.plots.figures_of", lambda *_: [Figure("Trajectory", "", "<svg></svg>")])
 
 
 def metrics_in(folder: Path) -> Metrics:
@@ -115,6 +120,7 @@ def test_outages_remove_fixes_and_their_metrics_are_printed(solution: Path, with
     assert found["realtime_factor"] > 5.0
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_outages_at_fixed_times_are_listed_and_settings_override_those_of_the_vehicle(
     recording: Path, tmp_path: Path
 ) -> None:
@@ -194,6 +200,7 @@ def test_an_unsolvable_recording_is_reported_in_one_sentence(recording: Path, tm
         solve(recording, out=tmp_path / "file")
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_the_report_states_that_there_is_no_truth(recording: Path, tmp_path: Path) -> None:
     solve(recording, truth="none", out=tmp_path)
     found = metrics_in(tmp_path)

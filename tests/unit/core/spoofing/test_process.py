@@ -22,20 +22,28 @@ from shared.messages.trust import MonitorOutcome, TrustMonitor
 from shared.messages.vehicle import VehicleSpeed
 from tests.support.drives.spoofing import Input, Result, drag_off, inputs, monitored, run
 
-BEGIN_S = 100.0
+BEGIN_S, END_S = 75.0, 120.0
 SHORT, LONG = "inertial_short", "inertial_long"
 
 
 @pytest.fixture(scope="module")
 def drive() -> Drive:
-    return simulate("urban", 1, 150.0)
+    return simulate("urban", 1, END_S)
 
 
-def test_the_covariance_of_an_anchor_is_that_of_its_errors(drive: Drive) -> None:
-    """Velocity, attitude and biases of fusion's filter, with their correlations: the normalised error squared."""
+@pytest.fixture(scope="module")
+def fused(drive: Drive) -> list[NavigationSolution | FilterState]:
+    """What core.fusion publishes of the drive for the monitors."""
     fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
-    states = [s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m)
-              if isinstance(s, FilterState) and s.sampled_ns > 60e9]  # fmt: skip
+    found = (s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m))
+    return [s for s in found if isinstance(s, NavigationSolution | FilterState)]
+
+
+def test_the_covariance_of_an_anchor_is_that_of_its_errors(
+    drive: Drive, fused: list[NavigationSolution | FilterState]
+) -> None:
+    """Velocity, attitude and biases of fusion's filter, with their correlations: the normalised error squared."""
+    states = [s for s in fused if isinstance(s, FilterState) and s.sampled_ns > 40e9]
     bias_f, bias_w = (
         (drive.force_b - drive.ideal_force_b).mean(axis=0),
         (drive.rate_b - drive.ideal_rate_b).mean(axis=0),
@@ -51,13 +59,13 @@ def test_the_covariance_of_an_anchor_is_that_of_its_errors(drive: Drive) -> None
             bias_f - anchor.accelerometer_bias, bias_w - anchor.gyroscope_bias,
         ]  # fmt: skip
         squares.append(error @ np.linalg.solve(anchor.covariance[:12, :12], error))
-    assert len(squares) > 80 and 4.0 < np.mean(squares) < 30.0, "12 expected, of errors that last for the whole drive"
+    assert len(squares) > 70 and 4.0 < np.mean(squares) < 30.0, "12 expected, of errors that last for the whole drive"
 
 
-def test_a_filter_state_of_another_layout_is_rejected_and_counted(drive: Drive) -> None:
-    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
-    made = (s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m))
-    state = next(s for s in made if isinstance(s, FilterState))
+def test_a_filter_state_of_another_layout_is_rejected_and_counted(
+    fused: list[NavigationSolution | FilterState],
+) -> None:
+    state = next(s for s in fused if isinstance(s, FilterState))
     process = Process(Config())
     for damaged in ({"covariance": state.covariance[:-1]}, {"covariance": (1.0, 0.0, 1.0)}, {"parameters": (0.0,)}):
         assert not list(process.handle(state.model_copy(update=damaged)))
@@ -80,7 +88,7 @@ def test_a_clean_drive_passes_both_monitors_and_accuses_nobody(clean: Result) ->
 
 def test_there_is_one_statement_of_each_monitor_a_second_with_all_tests(clean: Result) -> None:
     short, long = clean.statements[SHORT][-1], clean.statements[LONG][-1]
-    assert [s.sampled_ns for s in clean.statements[SHORT]] == [k * 10**9 for k in range(1, 151)]
+    assert [s.sampled_ns for s in clean.statements[SHORT]] == [k * 10**9 for k in range(1, 121)]
     assert {test.name for test in short.tests} == {metric.value for metric in Metric} | {NAME}
     assert [(test.name, test.window_s) for test in long.tests] == [("long_30", 30.0), ("long_60", 60.0)]
     assert all(test.outcome is MonitorOutcome.PASS for test in long.tests)
@@ -100,25 +108,33 @@ def test_at_standstill_accelerations_are_compared_and_the_heading_rate_is_not(cl
         assert window.missing[Metric.HEADING_RATE] == "speed is not above 1 m/s in the whole window"
 
 
-@pytest.mark.parametrize(
-    ("acceleration", "speed", "within_s"), [(0.3, 3.0, 15.0), (0.1, 1.0, 30.0)], ids=["0.3 m/s2", "0.1 m/s2"]
-)
-def test_a_drag_off_is_accused_by_the_long_window_from_before_it_began(
-    drive: Drive, acceleration: float, speed: float, within_s: float
-) -> None:
-    result = monitored(drag_off(drive, BEGIN_S, acceleration, speed))
+@pytest.fixture(scope="module")
+def dragged(drive: Drive) -> Result:
+    """0.3 m/s2 up to 3 m/s."""
+    return monitored(drag_off(drive, BEGIN_S, 0.3, 3.0))
+
+
+def test_a_drag_off_of_0_3_m_s2_is_accused_by_the_long_window_from_before_it_began(dragged: Result) -> None:
+    assert_accused_from_before(dragged, 15.0)
+
+
+def test_a_drag_off_of_0_1_m_s2_is_accused_by_the_long_window_from_before_it_began(drive: Drive) -> None:
+    assert_accused_from_before(monitored(drag_off(drive, BEGIN_S, 0.1, 1.0)), 30.0)
+
+
+def assert_accused_from_before(result: Result, within_s: float) -> None:
     first_s = result.first_s(LONG)
     assert first_s is not None and BEGIN_S < first_s <= BEGIN_S + within_s
     accusing = [s for s in result.statements[LONG] if s.outcome is MonitorOutcome.ACCUSES]
     for statement in accusing:
         assert statement.accused == ("gnss",) and statement.suspect_since_ns is not None
-        assert 30e9 < statement.suspect_since_ns <= BEGIN_S * 1e9, "earlier than the attack"
+        assert BEGIN_S - 60.0 < statement.suspect_since_ns / 1e9 <= BEGIN_S, "earlier than the attack"
         assert statement.since_ns == first_s * 1e9
-    assert accusing[-1].sampled_ns == 150e9, "the anchors are kept from before the suspect time"
+    assert accusing[-1].sampled_ns == END_S * 1e9, "the anchors are kept from before the suspect time"
 
 
-def test_a_drag_off_of_0_3_m_s2_is_accused_by_the_short_window_as_well(drive: Drive) -> None:
-    first_s = monitored(drag_off(drive, BEGIN_S, 0.3, 3.0)).first_s(SHORT)
+def test_a_drag_off_of_0_3_m_s2_is_accused_by_the_short_window_as_well(dragged: Result) -> None:
+    first_s = dragged.first_s(SHORT)
     assert first_s is not None and first_s <= BEGIN_S + 10.0
 
 
@@ -135,8 +151,8 @@ def outcomes(statements: list[TrustMonitor], after_s: float) -> set[MonitorOutco
     return {s.outcome for s in statements if s.sampled_ns > after_s * 1e9}
 
 
-def without(drive: Drive, kind: type, after_s: float) -> Result:
-    """Both processes on a drive whose messages of a kind end."""
+def without(drive: Drive, kind: type, after_s: float, end_s: float) -> Result:
+    """Both processes on a drive whose messages of a kind end before it does."""
     fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
     process = Process(Config().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
 
@@ -144,6 +160,8 @@ def without(drive: Drive, kind: type, after_s: float) -> Result:
         now_ns = 0
         for message in inputs(drive):
             now_ns = message.now_ns if isinstance(message, Tick) else message.received_ns
+            if now_ns > end_s * 1e9:
+                return
             if now_ns <= after_s * 1e9 or not isinstance(message, kind):
                 yield message
 
@@ -154,15 +172,15 @@ def without(drive: Drive, kind: type, after_s: float) -> Result:
     ("kind", "reason"), [(ImuSamples, "no inertial samples for"), (GnssFix, "no GNSS velocity for")]
 )
 def test_without_an_input_nothing_is_evaluated_and_the_reason_names_it(drive: Drive, kind: type, reason: str) -> None:
-    result = without(drive, kind, 90.0)
+    result = without(drive, kind, 75.0, 95.0)
     for monitor in (SHORT, LONG):
-        assert outcomes(result.statements[monitor], 95.0) == {MonitorOutcome.NOT_EVALUATED}
+        assert outcomes(result.statements[monitor], 80.0) == {MonitorOutcome.NOT_EVALUATED}
         assert result.statements[monitor][-1].reason.startswith(reason)
         assert result.episodes(monitor) == 0
 
 
 def test_without_odometer_and_after_it_ends_both_monitors_go_on(drive: Drive) -> None:
-    result = without(drive, VehicleSpeed, 70.0)
+    result = without(drive, VehicleSpeed, 70.0, 110.0)
     assert outcomes(result.statements[SHORT], 75.0) == outcomes(result.statements[LONG], 75.0) == {MonitorOutcome.PASS}
 
 
@@ -179,7 +197,9 @@ def test_without_a_heading_nothing_is_evaluated() -> None:
     assert list(process.handle(waiting)) == []
 
 
-def test_bad_input_is_counted_and_changes_no_outcome(drive: Drive, clean: Result) -> None:
+def test_bad_input_is_counted_and_changes_no_outcome(
+    drive: Drive, clean: Result, fused: list[NavigationSolution | FilterState]
+) -> None:
     def spoiled() -> Iterator[Input]:
         for message in inputs(drive):
             yield message
@@ -199,13 +219,9 @@ def test_bad_input_is_counted_and_changes_no_outcome(drive: Drive, clean: Result
                 yield message.model_copy(update={"specific_force_body_m_s2": ((1e9, 0.0, 0.0),) * 10})
                 yield message.model_copy(update={"saturated": True})
 
-    fusion = Fusion(FusionConfig().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
     process = Process(Config().with_values({"gnss.lever_arm_body_m": drive.lever_arm_b}))
     # Only the monitors get what is bad: fusion has its own tests of it.
-    solutions = [s for m in inputs(drive) if not isinstance(m, Tick) for s in fusion.handle(m)]
-    queue = iter(
-        sorted((s for s in solutions if isinstance(s, NavigationSolution | FilterState)), key=lambda s: s.sampled_ns)
-    )
+    queue = iter(sorted(fused, key=lambda s: s.sampled_ns))
     following = next(queue, None)
     statements: dict[str, list[TrustMonitor]] = {SHORT: [], LONG: []}
     for message in spoiled():
@@ -218,16 +234,16 @@ def test_bad_input_is_counted_and_changes_no_outcome(drive: Drive, clean: Result
     for monitor in (SHORT, LONG):
         assert [s.outcome for s in statements[monitor]] == [s.outcome for s in clean.statements[monitor]]
     assert process.rejects == {
-        "gnss: stamp is not after the one before": 15,
-        "gnss: fix without velocity": 15,
-        "gnss: speed is above 150 m/s": 15,
-        "gnss: velocity is too inaccurate to compare": 15,
-        "GnssFix of a second source": 15,
-        "odometer: speed is not within 0 to 254 km/h": 15,
-        "odometer: stamp is not after the one before": 15,
-        "imu: stamp is not after the one before": 150,
-        "imu: value is beyond every sensor's range": 150,
-        "imu: saturated": 15,
+        "gnss: stamp is not after the one before": 12,
+        "gnss: fix without velocity": 12,
+        "gnss: speed is above 150 m/s": 12,
+        "gnss: velocity is too inaccurate to compare": 12,
+        "GnssFix of a second source": 12,
+        "odometer: speed is not within 0 to 254 km/h": 12,
+        "odometer: stamp is not after the one before": 12,
+        "imu: stamp is not after the one before": 120,
+        "imu: value is beyond every sensor's range": 120,
+        "imu: saturated": 12,
     }
 
 

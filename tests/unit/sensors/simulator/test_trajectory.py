@@ -97,7 +97,7 @@ def test_the_motion_is_independent_of_the_block_lengths() -> None:
 @pytest.mark.parametrize("name", ["parking_lot", "highway"])
 def test_integrating_the_ideal_measurements_reproduces_the_trajectory(name: str) -> None:
     """Mechanisation by eq. 12 to 19 of the paper (corrected), with rotation matrices: independent of the simulator."""
-    drive = simulate(name, seed=1, duration_s=120.0)
+    drive = simulate(name, seed=1, duration_s=40.0)
     C, v, (lat, lon, h) = attitude_matrices(drive.attitude[:1])[0], drive.velocity_n[0], drive.position[0]
     worst = 0.0
     for k in range(1, len(drive.t_ns)):

@@ -246,6 +246,7 @@ def test_the_origin_states_a_simulation_every_2_s(minute: list[Message]) -> None
     assert {b.now_ns - a.now_ns for a, b in pairwise(origins)} == {2 * NS}
 
 
+@pytest.mark.slow
 def test_the_memory_of_a_long_drive_is_bounded() -> None:
     arrivals = (message for _, message in World(BY_NAME["urban"], 1, 0))
     for _ in islice(arrivals, 4_000):

@@ -57,7 +57,10 @@ def errors(drive: Drive, solution: Solution) -> tuple[FloatArray, FloatArray, Fl
     )
 
 
-@pytest.fixture(scope="module", params=[WHITE, CORRELATED], ids=["white", "60 s"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(WHITE, id="white"), pytest.param(CORRELATED, id="60 s", marks=pytest.mark.slow)],
+)
 def sizes(request: pytest.FixtureRequest) -> FloatArray:
     """Normalised errors squared, shape (runs, instants, 3 kinds)."""
     instants = (70.0, 100.0)  # the error model has been estimated by then

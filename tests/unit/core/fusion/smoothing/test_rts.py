@@ -467,6 +467,7 @@ def matched(seed: int) -> World:
     return World(drive, records, int(drive.t_ns[first + 2000]), *biases)
 
 
+@pytest.mark.slow
 def test_normalised_smoothed_errors_squared_lie_in_the_95_percent_band_of_chi_square() -> None:
     """In the middle of an outage, over 50 runs; sums are chi-square with as many degrees as errors a run."""
     runs, parts = 50, {"all": slice(0, 15), "attitude": em.ATTITUDE, "velocity": em.VELOCITY, "position": em.POSITION}
