@@ -58,6 +58,7 @@ def test_delta_angles_and_velocities_with_rtk_give_centimetres(tmp_path: Path) -
     assert degrees(found["yaw_rmse_rad"]) <= 0.3, "three minutes after the car set off"
 
 
+@pytest.mark.slow
 def test_with_a_gnss_delay_of_a_second_and_a_tilted_imu_innovations_are_below_8_m(tmp_path: Path) -> None:
     name = "2014-03-26-000-Data.csv"
     lines = (recording("balzer82_car") / name).read_text().splitlines()[:3001]

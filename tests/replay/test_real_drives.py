@@ -85,6 +85,7 @@ def test_jumps_of_metres_in_a_city_are_rejected_with_at_most_one_reset(trial: st
     assert found["horizontal_rmse_m"] < 1.0
 
 
+@pytest.mark.slow
 def test_attitude_and_velocity_of_a_truck_agree_with_a_reference_of_higher_grade(tmp_path: Path) -> None:
     found = solved(imported("auburn_truck", recording("auburn_truck") / "turn", tmp_path))
     # The IMU is rotated by several degrees against the reference, and the cab moves on its suspension.

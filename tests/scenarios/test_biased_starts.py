@@ -43,6 +43,7 @@ def test_after_a_start_at_standstill_the_heading_error_is_below_2_degrees(seed: 
     assert np.mean(np.square(pulls)) < 3.0
 
 
+@pytest.mark.slow
 def test_after_a_start_in_motion_normalised_heading_errors_squared_are_below_3_5() -> None:
     """Mean of the squared errors over their variances, over starts with other biases."""
     pulls = np.concatenate([heading_errors(seed, MOVING_S)[1] for seed in (0, 1, 3)])

@@ -17,7 +17,6 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> Paper:
         return reproduce(1, progress=False)
 
 
-@pytest.mark.slow
 def test_the_published_break_points_are_reproduced_and_nothing_is_detected_without_a_fault(paper: Paper) -> None:
     assert paper.deviations == []
     drives = paper.document["drives"]

@@ -63,7 +63,8 @@ def test_a_dead_zone_explains_a_slow_speed_at_an_odometer_of_zero() -> None:
     assert found(2.0, 0.0) > chi_square_limit(1, 1e-5)
 
 
-@pytest.mark.parametrize("rate", [pytest.param(1e-2, marks=pytest.mark.slow), 1e-3])
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [1e-2, 1e-3])
 def test_the_false_alarm_rate_of_100_000_windows_lies_in_the_binomial_interval(rate: float) -> None:
     """Steady speeds: GNSS errors are a first-order Markov process, the odometer's rounding is constant in a window."""
     windows, samples = 100_000, 6

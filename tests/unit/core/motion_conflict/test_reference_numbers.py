@@ -81,6 +81,7 @@ def test_statistics_of_a_gap_at_speed_zero(name: str, expected: Expected) -> Non
     assert [with_gap(drive, k).median for k in range(14, 17)] == pytest.approx(expected.gap_medians, abs=0.02)
 
 
+@pytest.mark.slow
 @BOTH
 def test_break_points_of_gaps_delays_and_scales(name: str, expected: Expected) -> None:
     """An outage lasts 10 s longer if the receiver first repeats its speed."""

@@ -132,6 +132,7 @@ def test_after_a_gap_the_mean_nees_is_at_most_1_2(gap_s: float) -> None:
     assert np.quantile(found, 0.95) < 3.0
 
 
+@pytest.mark.slow
 def test_restarted_filters_have_a_mean_nees_below_1_5_and_a_median_error_below_2_m() -> None:
     """Restarts at random times with a fixed seed."""
     rng, found, away_m = np.random.default_rng(11), [], []

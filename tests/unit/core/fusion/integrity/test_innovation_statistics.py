@@ -109,6 +109,7 @@ def test_99_percent_of_position_errors_are_within_three_sigma() -> None:
     assert np.mean(inside) >= 0.99
 
 
+@pytest.mark.slow
 def test_the_covariance_period_changes_the_rmse_by_less_than_5_percent() -> None:
     """Reference: 1.04 m of RMSE with the covariance at 1 Hz, 1.05 m at 10 and at 100 Hz."""
     error = InjectedError(ErrorKind.GAUSS_MARKOV, (3.07, 1.99, 1.56), exact=True)

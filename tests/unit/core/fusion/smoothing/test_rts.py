@@ -325,7 +325,7 @@ def test_a_roll_back_over_a_gap_records_no_step_twice(begin: int) -> None:
     assert len(set(steps)) == len(steps) > 200
 
 
-RUNS = 12
+RUNS = 8
 
 
 @pytest.fixture(scope="module")

@@ -119,6 +119,7 @@ def test_delays_of_gnss_and_odometer_are_estimated_and_removed() -> None:
     assert error_m(d, made) < 1.0
 
 
+@pytest.mark.slow
 def test_late_fixes_with_estimated_delays_change_nothing_to_the_last_bit() -> None:
     """The last second has no fix, so that all late ones were received."""
     d = town()
