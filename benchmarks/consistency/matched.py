@@ -39,22 +39,22 @@ VELOCITY_SD = np.array([0.05, 0.05, 0.08])  # [m/s, NED]
 SHAKING = (MTI_630_ACCELEROMETER.vibration, MTI_630_GYROSCOPE.vibration)  # [m/s², rad/s] of each sample
 START_SD = (*np.radians([0.3, 0.3, 1.5]).tolist(), 0.1, 0.1, 0.1, *POSITION_SD.tolist())
 WHITE_SHARE = 0.003  # of the variance of an error that is said to last
-LASTING_S = 60.0
+CORRELATION_S = 60.0
 
 
 @dataclass(frozen=True)
 class Model:
     """How errors of GNSS positions run, and what the filter knows of that."""
 
-    lasts: bool = False  # for `LASTING_S`; if not, they are white
+    time_correlated: bool = False  # for `CORRELATION_S`; if not, they are white
     known: bool = True  # whether the filter is given the error model
 
 
 def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
     """Drive once, from `START` on."""
     drive = simulate(scenario, seed, duration_s)
-    lasts = model.lasts or not model.known
-    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=lasts))
+    time_correlated = model.time_correlated or not model.known
+    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=time_correlated))
     rng = np.random.default_rng((seed, STREAM))
     first = START * EPOCH_NS // STEP_NS - 1
     navigation, bias = _started(model, drive, settings, first, rng)
@@ -98,7 +98,7 @@ def _started(
         (north + x[3], east + x[4], down + x[5]),
         geodetic_from_ned_difference((x[6], x[7], x[8]), Geodetic(*drive.position[first].tolist())),
     )
-    gnss_errors = KnownGnssErrors(LASTING_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN
+    gnss_errors = KnownGnssErrors(CORRELATION_S, 1.0 - WHITE_SHARE) if model.known else UNKNOWN
     navigation = ErrorStateFilter(settings, inertial, np.diag(sd**2), gnss_errors=gnss_errors)
     return navigation, -np.array(x[9:])  # of a filter that starts with biases of zero
 
@@ -116,10 +116,10 @@ def _fixes(model: Model, drive: Drive, settings: Settings, rng: np.random.Genera
     """Velocity and position of every epoch."""
     n = len(drive.fix_ns)
     errors = rng.standard_normal((n, 3))
-    if model.lasts:
-        kind = InjectedError(ErrorKind.GAUSS_MARKOV, (1.0, 1.0, 1.0), LASTING_S)
-        lasting = position_errors(kind, n, EPOCH_NS * 1e-9, seed=(drive.seed, STREAM)).injected
-        errors = sqrt(WHITE_SHARE) * errors + sqrt(1.0 - WHITE_SHARE) * lasting
+    if model.time_correlated:
+        kind = InjectedError(ErrorKind.GAUSS_MARKOV, (1.0, 1.0, 1.0), CORRELATION_S)
+        correlated = position_errors(kind, n, EPOCH_NS * 1e-9, seed=(drive.seed, STREAM)).injected
+        errors = sqrt(WHITE_SHARE) * errors + sqrt(1.0 - WHITE_SHARE) * correlated
     late = settings.gnss.time_sd_s * rng.standard_normal((n, 1))
     velocity_errors = VELOCITY_SD * rng.standard_normal((n, 3))
     stated = Reading((0.0, 0.0, 0.0), np.diag(POSITION_SD**2))

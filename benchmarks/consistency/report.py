@@ -19,7 +19,7 @@ from services.sensors.simulator.gnss.gnss_errors import ErrorKind, InjectedError
 from shared.maths.quantiles import chi_square_limit
 
 from . import matched, whole
-from .matched import LASTING_S, POSITION_SD, Model
+from .matched import CORRELATION_S, POSITION_SD, Model
 from .sizes import BLOCKS, Sizes
 from .whole import Unit
 
@@ -27,18 +27,18 @@ RESULTS = Path(__file__).resolve().parents[1] / "results"
 SCENARIO, DURATION_S = "urban", 140.0
 BAND = 0.95
 RMSE = (float(POSITION_SD[0]), float(POSITION_SD[1]), float(POSITION_SD[2]))
-WHITE, LASTING = InjectedError(ErrorKind.WHITE, RMSE), InjectedError(ErrorKind.GAUSS_MARKOV, RMSE, LASTING_S)
+WHITE, CORRELATED = InjectedError(ErrorKind.WHITE, RMSE), InjectedError(ErrorKind.GAUSS_MARKOV, RMSE, CORRELATION_S)
 NO_LASTING = {"gnss.time_correlated_errors": False}
 FREE = {**NO_LASTING, "standstill.enabled": False, "non_holonomic.enabled": False}
 # Biases at switch-on as the simulator draws them.
 NO_MARGINS = {**FREE, "imu.accelerometer_bias_sd_m_s2": 0.0196, "imu.gyroscope_bias_sd_rad_s": 0.00175}
 CASES: dict[str, Model | Unit] = {
     "matched, white errors": Model(),
-    "matched, errors of 60 s": Model(lasts=True),
+    "matched, errors of 60 s": Model(time_correlated=True),
     "matched but for what has to be learnt: white errors": Model(known=False),
-    "matched but for what has to be learnt: errors of 60 s": Model(lasts=True, known=False),
+    "matched but for what has to be learnt: errors of 60 s": Model(time_correlated=True, known=False),
     "as delivered, white errors": Unit(WHITE),
-    "as delivered, errors of 60 s": Unit(LASTING),
+    "as delivered, errors of 60 s": Unit(CORRELATED),
     "white errors, and given as white": Unit(WHITE, NO_LASTING),
     "and neither standstill nor wheels": Unit(WHITE, FREE),
     "and biases no larger than the simulator's": Unit(WHITE, NO_MARGINS),

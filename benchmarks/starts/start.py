@@ -25,13 +25,13 @@ FAST_M_S = 3.0
 
 @dataclass(frozen=True)
 class Receiver:
-    """What a receiver says, how often, and how well: white noise, and an error that lasts minutes, each 1 sigma."""
+    """What a receiver says, how often, and how well: white noise and an error correlated over minutes (1 sigma)."""
 
     rate_hz: int = 1
     velocity: bool = True  # or else, with a course,
     course: bool = False  # ground speed and course, as NMEA has them
     white_m: float = 0.3
-    lasting_m: float = 1.5
+    correlated_m: float = 1.5
     velocity_sd_m_s: float = 0.05
 
 
@@ -61,21 +61,21 @@ class Start:
         d, receiver, rng = self.drive, self.receiver, np.random.default_rng((self.seed, 77))
         first = round(self.at_s / STEP_S)
         every, wait = round(1.0 / (receiver.rate_hz * STEP_S)), round(self.first_fix_s / STEP_S)
-        lasting = receiver.lasting_m * rng.standard_normal(3)
+        correlated = receiver.correlated_m * rng.standard_normal(3)
         for i in range(first, min(len(d.t_ns), first + round(duration_s / STEP_S))):
             if i % every == 0 and i - first >= wait and i * STEP_S < until_s:
-                self._fix(made, i, rng, lasting)
+                self._fix(made, i, rng, correlated)
             made.imu(int(d.t_ns[i]), d.force_b[i].tolist(), d.rate_b[i].tolist())
             yield i, made
 
-    def _fix(self, made: Navigator, i: int, rng: np.random.Generator, lasting: FloatArray) -> None:
+    def _fix(self, made: Navigator, i: int, rng: np.random.Generator, correlated: FloatArray) -> None:
         d, receiver = self.drive, self.receiver
         C = attitude_matrices(d.attitude[i : i + 1])[0]
-        error = lasting + receiver.white_m * rng.standard_normal(3)
+        error = correlated + receiver.white_m * rng.standard_normal(3)
         north, east, down = (C @ np.array(d.lever_arm_b) + error).tolist()
         swing = C @ np.cross(d.ideal_rate_b[i], d.lever_arm_b)
         vn, ve, vd = (d.velocity_n[i] + swing + receiver.velocity_sd_m_s * rng.standard_normal(3)).tolist()
-        sd = float(np.hypot(receiver.white_m, receiver.lasting_m))
+        sd = float(np.hypot(receiver.white_m, receiver.correlated_m))
         latitude, longitude, height = geodetic_from_ned_difference(
             (north, east, down), Geodetic(*d.position[i].tolist())
         )

@@ -249,7 +249,9 @@ class Alignment:
 
     def _first_place(self, fix: GnssPosition) -> FirstPlace:
         """Weighted mean of the fixes at standstill, or the newest fix on the move."""
-        fixes = [one for one in self._standstill_fixes if (one.axes, one.lasts) == (fix.axes, fix.lasts)]
+        fixes = [
+            one for one in self._standstill_fixes if (one.axes, one.time_correlated) == (fix.axes, fix.time_correlated)
+        ]
         gnss_errors = self._lost.gnss_errors.at_start() if self._lost else gnss_error_model(self._settings)
         return first_place(fixes or [fix], gnss_errors, self._zero_ns)
 

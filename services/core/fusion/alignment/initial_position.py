@@ -52,24 +52,24 @@ def first_place(
     cov = newest.cov + np.diag([0.0, 0.0, 0.0 if newest.axes == 3 else UNKNOWN_HEIGHT_SD**2])
     offsets = np.array([ned_from_geodetic_difference(fix.position, newest.position) for fix in fixes])
     times_s = np.array([(fix.time_ns - newest.time_ns) * 1e-9 for fix in fixes])
-    if not newest.lasts:
+    if not newest.time_correlated:
         independent = min(float(len(fixes)), 1.0 - times_s[0] / CARRIER_CORRELATION_S)
         place, zeros = _moved(newest.position, offsets.mean(axis=0)), np.zeros((3, 3))
         return FirstPlace(place, cov / independent, (0.0,) * 3, np.eye(3), zeros, gnss_errors.at_start())
     for fix, offset in zip(fixes, offsets, strict=True):
         gnss_errors = gnss_errors.after(fix.time_ns, offset, np.sqrt(fix.cov.diagonal()), NO_DRIFT)
-    lasting, scaled = max(gnss_errors.lasting, 1e-6), gnss_errors.scaled(newest.cov)
+    correlated_share, scaled = max(gnss_errors.correlated_share, 1e-6), gnss_errors.scaled(newest.cov)
     zero_s = None if zero_ns is None else (zero_ns - newest.time_ns) * 1e-9
-    weights, joint = mean_at_rest(times_s, lasting, gnss_errors.correlation_s, zero_s)
+    weights, joint = mean_at_rest(times_s, correlated_share, gnss_errors.correlation_s, zero_s)
     root = np.linalg.cholesky(scaled)
     place, error = weights @ offsets
-    in_sds = np.linalg.solve(root, error) / sqrt(lasting)
+    in_sds = np.linalg.solve(root, error) / sqrt(correlated_share)
     return FirstPlace(
         _moved(newest.position, place),
         joint[0, 0] * scaled + cov - newest.cov,
         tuple(in_sds.tolist()),
-        max(joint[1, 1] / lasting, LEAST) * np.eye(3),
-        joint[0, 1] / sqrt(lasting) * root,
+        max(joint[1, 1] / correlated_share, LEAST) * np.eye(3),
+        joint[0, 1] / sqrt(correlated_share) * root,
         gnss_errors.at_start(),
     )
 

@@ -1,4 +1,4 @@
-"""What is kept from one measurement to the next so that a solution can say how far off it may be."""
+"""What protection levels use beside the covariance: innovation statistics, largest shifts, rejected positions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +11,7 @@ from shared.messages.navigation import AidingKind
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..measurements.base import Outcome
-from .innovation_statistics import ESTIMATED, MEMORY_S, UNKNOWN, Evidence
+from .innovation_statistics import ESTIMATED, MEMORY_S, UNKNOWN, InnovationStatistics
 
 Block = tuple[float, float, float, float]  # [m²] NN, NE, EE, DD of a position's covariance
 NO_BLOCK: Block = (0.0, 0.0, 0.0, 0.0)
@@ -19,23 +19,23 @@ NO_BLOCK: Block = (0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Watch:
-    """Evidence of positions and velocities, and what the last position has done; replaced, never changed."""
+    """Statistics of positions and velocities, and the effect of the last position; immutable."""
 
-    position: Evidence = field(default_factory=Evidence)
-    velocity: Evidence = field(default_factory=Evidence)
-    estimated: bool = False  # what lasts of positions is a state of the filter
+    position: InnovationStatistics = field(default_factory=InnovationStatistics)
+    velocity: InnovationStatistics = field(default_factory=InnovationStatistics)
+    estimated: bool = False  # the time-correlated error of positions is a state of the filter
     used_ns: int = 0  # stamp of the last position that was used
     anchored: Block = NO_BLOCK  # covariance after it
-    pulled: tuple[float, float] = (0.0, 0.0)  # [m] most that it can have moved the solution unseen, on ground and up
-    contested: tuple[float, float] = (0.0, 0.0)  # [m] by which a position or a height was refused, until one is used
+    pulled: tuple[float, float] = (0.0, 0.0)  # [m] largest shift by an undetected error of it, horizontal and vertical
+    contested: tuple[float, float] = (0.0, 0.0)  # [m] innovation of a rejected position or height, until one is used
     followed: tuple[float, float] = (0.0, 0.0)  # [m²] variance of errors of positions that the filter follows
-    yielded: tuple[float, float] = (0.0, 0.0)  # [m] the same when the filter gave way to them; it fades
-    late_s: float = 0.0  # by which positions seem to be older than their stamps, which is not corrected
+    yielded: tuple[float, float] = (0.0, 0.0)  # [m] `contested` when the filter was reset to the position; it decays
+    late_s: float = 0.0  # suspected delay of positions that no setting corrects
 
     def begun(self, time_ns: int, started: ErrorStateFilter) -> "Watch":
-        """Begin with a filter, but keep what is known of the receiver.
+        """Begin with a new filter; statistics of the receiver are kept.
 
-        If the one before contradicted it until it was given up, nobody knows which of the two was right.
+        If the filter before rejected positions until it was reset, either of the two may have been wrong.
         """
         (level, upright), (more, higher) = self.yielded, self.contested
         if more > 0.0:
@@ -50,20 +50,20 @@ class Watch:
     def after(
         self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float, *, estimated: bool
     ) -> "Watch":
-        """Learn from a measurement.
+        """Add the outcome of a measurement.
 
         Parameters
         ----------
         outcome : Outcome
-            What became of it.
+            Of the measurement.
         before : Block
-            [m²] Covariance of the position before it; of no account unless it is a position.
+            [m²] Covariance of the position before it; used for a position only.
         navigation : ErrorStateFilter
             After it.
         false_alarm : float
             [-] Probability of the gate that it has passed.
         estimated : bool
-            Whether the filter has a state for what lasts of its error.
+            Whether the filter has a state for the time-correlated part of its error.
 
         Returns
         -------
@@ -86,7 +86,7 @@ class Watch:
             return self
         z, height = outcome.innovation, outcome.height
         known = self.position
-        if not known.time_ns or (self.estimated and not estimated):  # a new kind of error has to show itself anew
+        if not known.time_ns or (self.estimated and not estimated):  # statistics of another error model
             known = ESTIMATED if estimated else UNKNOWN
         sd = outcome.innovation_sd
         if height is not None:
@@ -113,18 +113,18 @@ class Watch:
 
     @cached_property
     def disputed(self) -> tuple[float, float]:
-        """How far [m, ground and up] it is off if the positions that contradict it, or did, were right, or wrong."""
+        """Largest error [m, horizontal and vertical] if the rejected positions were right, or were wrong."""
         return self.contested[0] + self.yielded[0], self.contested[1] + self.yielded[1]
 
     @cached_property
     def overstatement(self) -> float:
-        """By how much the filter overstates what it has learnt; errors of followed positions repeat by themselves."""
+        """Factor by which time-correlated errors make the filter too certain; followed ones are modelled."""
         of_positions = 1.0 if self.followed[0] > 0.0 else self.position.overstatement
         return max(of_positions, self.velocity.overstatement)
 
     @cached_property
     def scale_horizontal(self) -> float:
-        """How much larger than expected horizontal innovations are, squared."""
+        """Factor by which squared horizontal innovations exceed their variance; at least 1."""
         return max(self.position.scale_horizontal, self.velocity.scale_horizontal)
 
     @cached_property
@@ -133,16 +133,18 @@ class Watch:
         return max(self.position.scale_vertical, self.velocity.scale_vertical)
 
     @cached_property
-    def lasting_horizontal(self) -> float:
-        """Variance [m²] of an error of GNSS that lasts, along the worse axis; the start's until there is evidence."""
+    def correlated_variance_horizontal(self) -> float:
+        """Variance [m²] of a correlated error of GNSS along the worse axis; the start's until there is evidence."""
         if not self.position.time_ns:
             return max(self.anchored[0], self.anchored[2])
-        return max(self.position.lasting(0), self.position.lasting(1), self.followed[0])
+        return max(self.position.correlated_variance(0), self.position.correlated_variance(1), self.followed[0])
 
     @cached_property
-    def lasting_vertical(self) -> float:
+    def correlated_variance_vertical(self) -> float:
         """The same of the height."""
-        return max(self.position.lasting(2), self.followed[1]) if self.position.time_ns else self.anchored[3]
+        if not self.position.time_ns:
+            return self.anchored[3]
+        return max(self.position.correlated_variance(2), self.followed[1])
 
 
 def block(navigation: ErrorStateFilter) -> Block:

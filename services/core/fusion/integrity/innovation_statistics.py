@@ -1,7 +1,6 @@
-"""Errors outside the covariance, by the statistics of innovations: too large, too correlated, or implausibly small.
+"""Errors that the covariance does not hold, by the statistics of innovations: their mean square and autocovariance.
 
-All of it is normalised: u is an innovation over its standard deviation, which a filter that knows its errors makes
-white and of variance one.
+u is the normalised innovation: of a consistent filter it is white and has a variance of one.
 """
 
 from collections.abc import Sequence
@@ -9,34 +8,34 @@ from dataclasses import dataclass
 from math import exp, sqrt
 from typing import NamedTuple
 
-MEMORY_S = 60.0  # of what is learnt: long enough to tell chance from habit, short enough for another street
-MEAN_S = 10.0  # over which innovations are averaged: white noise hardly survives it
-BREAK_S = 5.0  # after it two innovations are no neighbours
-LARGEST = 5.0  # [-] of an innovation, beyond which one of them would teach for minutes
-CHANCE_SDS = 2.0  # by which noise may look like an error that lasts
-HIDDEN = 1.25  # what innovations show of an error that lasts, and a quarter as much again that the filter has followed
-TRIAL_S = 20.0  # for so long counts what was taken for granted at first
-CHANCE = 0.5  # by which `Axis.habit` scatters about one, averaged over three axes
-RARE = 3.3  # [-] what one u in a thousand is larger than: when larger ones come, the tails are not a normal number's
-ALIKE = 4.0  # an error that lasts cannot be more than four times what neighbours have in common
+MEMORY_S = 60.0  # time constant of the statistics
+MEAN_S = 10.0  # time constant of the mean innovation
+BREAK_S = 5.0  # longest interval of two innovations whose product is used in the autocovariance
+LARGEST = 5.0  # [-] limit of u, so that one outlier does not determine the statistics for minutes
+CHANCE_SDS = 2.0  # standard deviations of the sample statistics of white noise that are no evidence
+HIDDEN = 1.25  # largest time-correlated variance over the mean square of u; the filter has followed a part of it
+TRIAL_S = 20.0  # weight of the initial values, as a time of observation
+CHANCE = 0.5  # standard deviation of `Axis.mean_ratio` of white noise, averaged over three axes
+RARE = 3.3  # [-] quantile of a normal |u| at 1e-3: larger peaks show that the tails are heavier than normal
+LAG_LIMIT = 4.0  # largest time-correlated variance over the lag-1 autocovariance
 
 
 class Axis(NamedTuple):
-    """One axis of the innovations; at first all is taken to last, and whiteness has to be earned."""
+    """Statistics of one axis; the initial values are those of a fully time-correlated error."""
 
     mean: float = 0.0  # of u over `MEAN_S`
-    habit: float = 1.0  # mean of that squared, over what white u would give
-    power: float = 1.0  # mean of u²
-    alike: float = 1.0  # mean of u times the u before it
-    last: float = 0.0
-    variance: float = 0.0  # [m² or m²/s²] mean of the innovation's
-    newest: float = 0.0  # [m² or m²/s²] the newest of them
-    peak: float = 0.0  # largest u of late, which fades with `MEMORY_S`
+    mean_ratio: float = 1.0  # mean square of `mean` over its variance if u is white
+    mean_square: float = 1.0  # of u
+    lag_1: float = 1.0  # autocovariance of u at a lag of one
+    last: float = 0.0  # u
+    variance: float = 0.0  # [m² or m²/s²] mean variance of the innovation by the filter
+    newest: float = 0.0  # [m² or m²/s²] the newest of these variances
+    peak: float = 0.0  # largest |u|, which decays with `MEMORY_S`
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """Innovations of one kind of measurement, north, east and down, as far as they are remembered."""
+class InnovationStatistics:
+    """Statistics of the innovations of one kind of measurement: north, east and down."""
 
     time_ns: int = 0
     elapsed_s: float = 0.0  # since the first
@@ -44,56 +43,56 @@ class Evidence:
     mean_variance: float = 1.0  # that `Axis.mean` has if u is white
     axes: tuple[Axis, Axis, Axis] = (Axis(), Axis(), Axis())
 
-    def after(self, time_ns: int, innovation: Sequence[float], sd: Sequence[float]) -> "Evidence":
-        """Learn from an innovation and its standard deviations [m or m/s, NED], of two axes or of three."""
+    def after(self, time_ns: int, innovation: Sequence[float], sd: Sequence[float]) -> "InnovationStatistics":
+        """Add an innovation and its standard deviations [m or m/s, NED], of two axes or of three."""
         first = self.time_ns == 0
         span_s = 1.0 if first else max(0.0, (time_ns - self.time_ns) * 1e-9)
         step_s = min(span_s, MEAN_S)
         quick = 1.0 - exp(-step_s / MEAN_S)
         slow = max(1.0 - exp(-step_s / MEMORY_S), step_s / (self.elapsed_s + TRIAL_S))
         mean_variance = quick**2 if first else (1.0 - quick) ** 2 * self.mean_variance + quick**2
-        neighbours = not first and span_s <= BREAK_S
+        successive = not first and span_s <= BREAK_S
         interval_s = self.interval_s
-        if neighbours:
+        if successive:
             interval_s += 0.1 * (min(span_s, 2.0 * interval_s + 0.1) - interval_s)
-        learnt = [
-            _learnt(axis, z, s, quick, slow, mean_variance, neighbours, exp(-span_s / MEMORY_S))
+        axes = [
+            _updated(axis, z, s, quick, slow, mean_variance, successive, exp(-span_s / MEMORY_S))
             for axis, z, s in zip(self.axes, innovation, sd, strict=False)
         ]
-        north, east, down = (*learnt, *self.axes[len(learnt) :])
-        return Evidence(time_ns, self.elapsed_s + step_s, interval_s, mean_variance, (north, east, down))
+        north, east, down = (*axes, *self.axes[len(axes) :])
+        return InnovationStatistics(time_ns, self.elapsed_s + step_s, interval_s, mean_variance, (north, east, down))
 
-    def lasting(self, place: int) -> float:
-        """Variance [m² or m²/s²] of an error of the measurements that lasts, on one axis.
+    def correlated_variance(self, place: int) -> float:
+        """Variance [m² or m²/s²] of a time-correlated error of the measurements, on one axis.
 
         Notes
         -----
-        The white part of u is what neighbours do not share. Of the variance that was expected the rest, less what
-        chance may do in n independent pairs, is there and does not show, or is not there: it is taken to last, unless
-        neighbours are strangers, or innovations so small that nothing of that size can be behind them::
+        The white variance w of u is its mean square less its autocovariance at lag 1. What lacks to the variance of
+        one, less the sampling error of n independent pairs, can be a time-correlated error that the filter has
+        followed. It is capped at 1.25 times the mean square of u and at four times the autocovariance::
 
             w = E u² - max(0, E u_k u_k-1)       1 - w - 2 √(3/n),   n = 2 `MEMORY_S` / interval
             L = min( that,  1.25 E u²,  4 E u_k u_k-1 ) S
         """
         axis = self.axes[place]
-        alike = max(0.0, axis.alike)
-        unseen = 1.0 - max(0.0, axis.power - alike) - CHANCE_SDS * sqrt(1.5 * self.interval_s / MEMORY_S)
-        share = min(unseen, HIDDEN * axis.power, ALIKE * alike)
+        lag_1 = max(0.0, axis.lag_1)
+        unseen = 1.0 - max(0.0, axis.mean_square - lag_1) - CHANCE_SDS * sqrt(1.5 * self.interval_s / MEMORY_S)
+        share = min(unseen, HIDDEN * axis.mean_square, LAG_LIMIT * lag_1)
         return max(0.0, share) * min(axis.variance, axis.newest)
 
     @property
     def scale_horizontal(self) -> float:
-        """How much larger than expected, and than by chance, squared horizontal innovations are; 1 if they are not.
+        """Factor by which squared horizontal innovations exceed their variance significantly; at least 1.
 
-        On average, or the largest of late if that is more.
+        By their mean square, or by the recent peak if that gives more.
         """
-        mean = 0.5 * (self.axes[0].power + self.axes[1].power) - sqrt(0.5) * self._chance
+        mean = 0.5 * (self.axes[0].mean_square + self.axes[1].mean_square) - sqrt(0.5) * self._chance
         return max(1.0, mean, (max(self.axes[0].peak, self.axes[1].peak) / RARE) ** 2)
 
     @property
     def scale_vertical(self) -> float:
-        """The same of vertical ones."""
-        return max(1.0, self.axes[2].power - self._chance, (self.axes[2].peak / RARE) ** 2)
+        """The same for vertical innovations."""
+        return max(1.0, self.axes[2].mean_square - self._chance, (self.axes[2].peak / RARE) ** 2)
 
     @property
     def _chance(self) -> float:
@@ -102,37 +101,37 @@ class Evidence:
 
     @property
     def overstatement(self) -> float:
-        """By how much the filter overstates what it has learnt from measurements that repeat each other's errors.
+        """Factor by which time-correlated errors make the filter too certain; at least 1.
 
-        The variance of the mean over `MEAN_S` over that of as many independent ones; 1 if they are.
+        The variance of the mean innovation over `MEAN_S` over that of white innovations.
         """
-        return max(1.0, (self.axes[0].habit + self.axes[1].habit + self.axes[2].habit) / 3.0 - CHANCE)
+        return max(1.0, (self.axes[0].mean_ratio + self.axes[1].mean_ratio + self.axes[2].mean_ratio) / 3.0 - CHANCE)
 
 
-UNKNOWN = Evidence()
-ESTIMATED = Evidence(axes=(Axis(alike=0.0),) * 3)  # of errors whose lasting part is a state of the filter
+UNKNOWN = InnovationStatistics()
+ESTIMATED = InnovationStatistics(axes=(Axis(lag_1=0.0),) * 3)  # the time-correlated error is a state of the filter
 
 
-def _learnt(
+def _updated(
     axis: Axis,
     innovation: float,
     sd: float,
     quick: float,
     slow: float,
     mean_variance: float,
-    neighbours: bool,
-    fading: float,
+    successive: bool,
+    decay: float,
 ) -> Axis:
     u = min(LARGEST, max(-LARGEST, innovation / sd))
     mean = axis.mean + quick * (u - axis.mean)
     variance = sd * sd
     return Axis(
         mean,
-        axis.habit + slow * (mean * mean / mean_variance - axis.habit),
-        axis.power + slow * (u * u - axis.power),
-        axis.alike + slow * (u * axis.last - axis.alike) if neighbours else axis.alike,
+        axis.mean_ratio + slow * (mean * mean / mean_variance - axis.mean_ratio),
+        axis.mean_square + slow * (u * u - axis.mean_square),
+        axis.lag_1 + slow * (u * axis.last - axis.lag_1) if successive else axis.lag_1,
         u,
         axis.variance + slow * (variance - axis.variance) if axis.newest else variance,
         variance,
-        max(abs(u), fading * axis.peak),
+        max(abs(u), decay * axis.peak),
     )

@@ -144,10 +144,10 @@ def protection_levels(
     if speed2 > 0.0:
         along = (north * north * nn + 2.0 * north * east * ne + east * east * ee) / speed2
         stamp = max(0.0, time_sd_s**2 - along / speed2)
-    lasting = watch.lasting_horizontal
+    correlated = watch.correlated_variance_horizontal
     nn, ne, ee = wide * nn + stamp * north**2, wide * ne + stamp * north * east, wide * ee + stamp * east**2
-    cov = (nn + lasting, ne, ee + lasting)
-    variance = high * dd + watch.lasting_vertical
+    cov = (nn + correlated, ne, ee + correlated)
+    variance = high * dd + watch.correlated_variance_vertical
     if not isfinite(sum(cov) + variance):
         return Levels(LARGEST_M, LARGEST_M, risk)  # of numbers that have broken down nothing is known
     (fault_h, fault_v), (disputed_h, disputed_v) = watch.pulled, watch.disputed

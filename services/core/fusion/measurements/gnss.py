@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 
 LARGEST_SD = 1e4  # [m, m/s] upper limit of stated standard deviations
 SMALLEST_SD = 1e-6  # [m, m/s] below it a stated standard deviation is invalid
-LASTING_ABOVE_M = 0.1  # of the larger horizontal axis; errors below it are of a carrier phase
+CORRELATED_ABOVE_M = 0.1  # of the larger horizontal axis; errors below it are of a carrier phase
 SMALLEST_EIGENVALUE = 1e-3  # [-] of a valid correlation matrix
 
 
@@ -58,7 +58,7 @@ class GnssPosition:
     axes: int
     lever_arm: Vector
     time_sd_s: float
-    lasts: bool = False  # its error, in part
+    time_correlated: bool = False  # its error, in part
     removed_s: float = 0.0  # of its age, in `time_ns`
     left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
 
@@ -76,11 +76,11 @@ class GnssPosition:
             H[:, em.GNSS_DELAY] -= left_s * navigation.smoothed_acceleration
             H -= left_s * em.antenna_velocity_matrix(self.lever_arm, navigation.rate, navigation.ned_from_body)
         along = np.multiply(velocity, self.time_sd_s)  # what an error of the stamp does
-        lasting = max(navigation.gnss_errors.lasting, 1e-6) if self.lasts else 0.0
-        cov = navigation.gnss_errors.scaled(self.cov) if self.lasts else self.cov
-        R = (1.0 - lasting) * cov + along * along[:, np.newaxis]
-        if lasting > 0.0:
-            root = sqrt(lasting) * root_of(cov, "a measurement")
+        correlated_share = max(navigation.gnss_errors.correlated_share, 1e-6) if self.time_correlated else 0.0
+        cov = navigation.gnss_errors.scaled(self.cov) if self.time_correlated else self.cov
+        R = (1.0 - correlated_share) * cov + along * along[:, np.newaxis]
+        if correlated_share > 0.0:
+            root = sqrt(correlated_share) * root_of(cov, "a measurement")
             z -= root @ navigation.gnss_error
             H[:, em.GNSS_ERROR] = -root
         n = self.axes
@@ -88,11 +88,11 @@ class GnssPosition:
 
     def followed_variances(self, navigation: ErrorStateFilter) -> tuple[float, float]:
         """Variances [m²] on ground and up of its error that the filter follows, and its covariance lacks."""
-        return navigation.gnss_errors.unestimated(self.cov) if self.lasts else (0.0, 0.0)
+        return navigation.gnss_errors.unestimated(self.cov) if self.time_correlated else (0.0, 0.0)
 
-    def teach(self, navigation: ErrorStateFilter, _innovation: tuple[float, ...]) -> None:
+    def update_statistics(self, navigation: ErrorStateFilter, _innovation: tuple[float, ...]) -> None:
         """Update the model of GNSS errors of the filter that has used it."""
-        if self.lasts and self.axes == 3 and navigation.gnss_errors.is_due(self.time_ns):
+        if self.time_correlated and self.axes == 3 and navigation.gnss_errors.is_due(self.time_ns):
             arm_n = rotate(navigation.quaternion, self.lever_arm)
             path = self._beside(navigation, arm_n) + navigation.position_correction
             variances = navigation.P.diagonal()[em.VELOCITY]
@@ -123,7 +123,7 @@ class GnssVelocity:
     cov: FloatArray
     axes: int
     lever_arm: Vector
-    lasts: bool = False  # the error of the position beside it, in part
+    time_correlated: bool = False  # the error of the position beside it, in part
     stated: bool = True  # its covariance, by the receiver
     removed_s: float = 0.0  # of its age, in `time_ns`
     left_out: tuple[str, ...] = ()  # satellites; not empty of a fault-free fix
@@ -141,7 +141,7 @@ class GnssVelocity:
         age_s = navigation.parameter(em.GNSS_DELAY) + navigation.parameter(em.GNSS_VELOCITY_DELAY)
         z += (age_s - self.removed_s) * navigation.smoothed_acceleration
         H[:, em.GNSS_DELAY] = H[:, em.GNSS_VELOCITY_DELAY] = navigation.smoothed_acceleration
-        if self.lasts:
+        if self.time_correlated:
             z -= navigation.gnss_velocity_error
             H[:, em.GNSS_VELOCITY_ERROR] = -em.UNIT
         n = self.axes
@@ -149,10 +149,10 @@ class GnssVelocity:
         R = self.cov if late is None else self.cov + late.velocity_cov(navigation.velocity)
         return Observation(AidingKind.GNSS_VELOCITY, z[:n], H[:n], R[:n, :n])
 
-    def teach(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
+    def update_statistics(self, navigation: ErrorStateFilter, innovation: tuple[float, ...]) -> None:
         """Update the model of velocity errors of the filter that has used it; a standstill shows nothing of them."""
         known = isinstance(navigation.gnss_errors, KnownGnssErrors)
-        if known or not self.lasts or is_standstill(navigation.state.quiet):
+        if known or not self.time_correlated or is_standstill(navigation.state.quiet):
             return
         n = self.axes
         residual = np.array(innovation) + navigation.gnss_velocity_error[:n]
@@ -219,7 +219,9 @@ def gnss_measurements(
     true_ns = true_time_ns(settings, stamp.sampled_ns)
     floor, factor = settings.gnss.position_sd_floor_m, settings.gnss.position_sd_factor
     cov = _trusted(reading.cov, settings.gnss.position_sd_ned_m, floor, factor)
-    lasts = settings.gnss.time_correlated_errors and not fixed and bool(cov[:2, :2].max() > LASTING_ABOVE_M**2)
+    time_correlated = (
+        settings.gnss.time_correlated_errors and not fixed and bool(cov[:2, :2].max() > CORRELATED_ABOVE_M**2)
+    )
     measurements: list[Measurement] = []
     if velocity is not None and not settings.gnss.position_only:
         measurements.append(
@@ -231,7 +233,7 @@ def gnss_measurements(
                 cov=_trusted(velocity.cov, settings.gnss.velocity_sd_ned_m_s, settings.gnss.velocity_sd_floor_m_s, 1.0),
                 axes=velocity.axes,
                 lever_arm=settings.gnss.lever_arm_body_m,
-                lasts=lasts,
+                time_correlated=time_correlated,
                 stated=velocity.cov is not None,
                 left_out=left_out,
             )
@@ -246,7 +248,7 @@ def gnss_measurements(
             axes=reading.axes,
             lever_arm=settings.gnss.lever_arm_body_m,
             time_sd_s=settings.gnss.time_sd_s,
-            lasts=lasts,
+            time_correlated=time_correlated,
             left_out=left_out,
         )
     )

@@ -27,7 +27,7 @@ WHITE_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 0.7)
 HYPOTHESES = ((600.0, 0.95), *product(TIMES_S, WHITE_SHARES))
 CORRELATION_S = np.array([time for time, _ in HYPOTHESES])
 LOG_CORRELATION = np.log(CORRELATION_S)
-LASTING = np.array([1.0 - share for _, share in HYPOTHESES])
+CORRELATED_SHARES = np.array([1.0 - share for _, share in HYPOTHESES])
 WHITE_PRIOR = 0.3  # probability of the first; the other hypotheses are equally likely
 SCALES = 2.0 ** np.arange(-3.0, 2.5, 0.5)  # [-] each with each of them: how large errors are, over what is stated
 SCALE_PRIOR_SDS = 0.35, 0.7  # [-] of its logarithm, below 1 and above: an overconfident filter recovers slowly
@@ -80,16 +80,16 @@ class GnssErrorBank:
         return self._weights[0]
 
     @cached_property
-    def lasting(self) -> float:
+    def correlated_share(self) -> float:
         """Time-correlated share of the variance, the mean over all hypotheses."""
-        return 0.0 if self.follows else float(self.weight @ LASTING)
+        return 0.0 if self.follows else float(self.weight @ CORRELATED_SHARES)
 
     @cached_property
     def correlation_s(self) -> float:
         """Correlation time [s], the geometric mean over all hypotheses."""
         if self.follows:
             return FOLLOWED[1]
-        weight = self.weight * LASTING + 1e-12
+        weight = self.weight * CORRELATED_SHARES + 1e-12
         return exp(float(weight @ LOG_CORRELATION) / float(weight.sum()))
 
     @cached_property
@@ -119,7 +119,7 @@ class GnssErrorBank:
     @cached_property
     def unit(self) -> FloatArray:
         """Standard deviation of the time-correlated error over the stated one: north, east, down, shape (3,)."""
-        return self.scale * sqrt(max(self.lasting, 1e-6))
+        return self.scale * sqrt(max(self.correlated_share, 1e-6))
 
     def scaled(self, cov: FloatArray) -> FloatArray:
         """Covariance, shape (3, 3), scaled to the observed size of the errors."""
@@ -230,8 +230,8 @@ def _prior() -> FloatArray:
     return prior
 
 
-ROOTS = SCALES * np.sqrt(LASTING)[:, np.newaxis]  # [-] lasting part over what is stated
-WHITES = SCALES**2 * (1.0 - LASTING)[:, np.newaxis]  # [-] variance of the white part over it
+ROOTS = SCALES * np.sqrt(CORRELATED_SHARES)[:, np.newaxis]  # [-] time-correlated part over what is stated
+WHITES = SCALES**2 * (1.0 - CORRELATED_SHARES)[:, np.newaxis]  # [-] variance of the white part over it
 PRIOR = _prior()
 UNKNOWN = GnssErrorBank(np.zeros((2, *SHAPE[1:])), *_unknown())
 
@@ -241,7 +241,7 @@ class KnownGnssErrors:
     """Known model of GNSS errors, in place of a learned one."""
 
     correlation_s: float
-    lasting: float  # share of the variance
+    correlated_share: float  # share of the variance
 
     @property
     def scale(self) -> FloatArray:
@@ -250,8 +250,8 @@ class KnownGnssErrors:
 
     @property
     def unit(self) -> FloatArray:
-        """Of the lasting error, in what the receiver states: north, east and down, shape (3,)."""
-        return np.full(3, sqrt(self.lasting))
+        """Of the time-correlated error, in what the receiver states: north, east and down, shape (3,)."""
+        return np.full(3, sqrt(self.correlated_share))
 
     def scaled(self, cov: FloatArray) -> FloatArray:
         """Covariance as stated."""
@@ -263,7 +263,7 @@ class KnownGnssErrors:
         return False
 
     def unestimated(self, _cov: FloatArray) -> tuple[float, float]:
-        """All that lasts is estimated."""
+        """All that is time-correlated is estimated."""
         return 0.0, 0.0
 
     def following(self, _follows: bool) -> "KnownGnssErrors":
@@ -286,7 +286,7 @@ class KnownGnssErrors:
 
 
 def mean_at_rest(
-    times_s: FloatArray, lasting: float, correlation_s: float, zero_s: float | None = None
+    times_s: FloatArray, correlated_share: float, correlation_s: float, zero_s: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Weights of fixes at standstill, given their time-correlated errors.
 
@@ -294,7 +294,7 @@ def mean_at_rest(
     ----------
     times_s : ndarray, shape (n,)
         [s] When they were true, increasing.
-    lasting : float
+    correlated_share : float
         [-] Time-correlated share of their variance.
     correlation_s : float
         [s] Its correlation time.
@@ -304,15 +304,15 @@ def mean_at_rest(
     Returns
     -------
     tuple of ndarray
-        Weights of the fixes, shape (2, n), for the place and for the lasting error at the last of them; covariance
-        of the two, shape (2, 2), both in units of the standard deviation of a fix.
+        Weights of the fixes, shape (2, n), for the place and for the time-correlated error at the last of them;
+        covariance of the two, shape (2, 2), both in units of the standard deviation of a fix.
 
     Notes
     -----
     The best linear unbiased estimate: with A the fixes' covariance, b that of fixes and last error, 1 a vector of
     ones::
 
-        A_ij = lasting (exp(-|t_i - t_j|/T) - exp(-(t_i + t_j - 2 zero)/T)) + (1 - lasting) [i = j]
+        A_ij = correlated_share (exp(-|t_i - t_j|/T) - exp(-(t_i + t_j - 2 zero)/T)) + (1 - correlated_share) [i = j]
         p = A^-1 1 / (1^T A^-1 1),  e = A^-1 (b - 1 p^T b)
 
     References
@@ -324,8 +324,8 @@ def mean_at_rest(
     if zero_s is not None:
         remains = np.exp((zero_s - times_s) / correlation_s)
         alike = alike - np.outer(remains, remains)
-    A = lasting * alike + (1.0 - lasting) * np.eye(len(times_s))
-    b = lasting * alike[-1]
+    A = correlated_share * alike + (1.0 - correlated_share) * np.eye(len(times_s))
+    b = correlated_share * alike[-1]
     ones = np.ones(len(times_s))
     solved = np.linalg.solve(A, np.column_stack([ones, b]))
     place = solved[:, 0] / solved[:, 0].sum()

@@ -1,6 +1,6 @@
 """Are the errors of a receiver's velocities white? The sum of white ones grows slowly; of others nobody knows how fast.
 
-A position error that lasts is seen by the integral of velocity, which has to be better than the positions for that.
+A time-correlated position error is seen by the integral of velocity, which must be better than the positions for it.
 It is if velocity errors are white: over a time t the integral then errs by sigma √(t τ), τ being the interval between
 two of them. A receiver that smooths has errors that repeat from one velocity to the next, and then those of minutes,
 which no inertial sensor sees, may be as large. So the correlation of successive residuals decides.

@@ -84,7 +84,9 @@ class Aids:
                 limits = gating.false_alarm_probability, gating.robust_limit
                 self.pull = self.pull.after(outcome, P, navigation.P, limits)
             estimated = (
-                isinstance(measurement, GnssPosition) and measurement.lasts and not navigation.gnss_errors.follows
+                isinstance(measurement, GnssPosition)
+                and measurement.time_correlated
+                and not navigation.gnss_errors.follows
             )
             self.watch = self.watch.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated
@@ -93,7 +95,7 @@ class Aids:
                 self.watch = replace(self.watch, followed=measurement.followed_variances(navigation))
             yield outcome
             if isinstance(measurement, GnssPosition | GnssVelocity) and outcome.used:
-                measurement.teach(navigation, outcome.innovation)
+                measurement.update_statistics(navigation, outcome.innovation)
 
     def test_only(self, navigation: ErrorStateFilter, measurement: Measurement, reason: str) -> Iterator[Outcome]:
         """Compare a measurement of an excluded source with the filter; the state does not change."""

@@ -11,7 +11,7 @@ from benchmarks.consistency.sizes import BLOCKS, Sizes
 RUNS = 8
 
 
-@pytest.fixture(scope="module", params=[Model(), Model(lasts=True)], ids=["white", "60 s"])
+@pytest.fixture(scope="module", params=[Model(), Model(time_correlated=True)], ids=["white", "60 s"])
 def runs(request: pytest.FixtureRequest) -> list[Sizes]:
     return [run(request.param, "urban", seed, 60.0) for seed in range(100, 100 + RUNS)]
 

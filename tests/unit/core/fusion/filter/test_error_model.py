@@ -218,12 +218,19 @@ PERFECT = navigation(np.zeros(em.SIZE))
     "measurement",
     [
         GnssPosition(0, 0, "", ANTENNA, np.eye(3), 3, ARM, 0.0),
-        GnssPosition(0, 0, "", ANTENNA, np.diag([1.0, 4.0, 9.0]) + 0.5, 3, ARM, 0.0, lasts=True),
+        GnssPosition(0, 0, "", ANTENNA, np.diag([1.0, 4.0, 9.0]) + 0.5, 3, ARM, 0.0, time_correlated=True),
         GnssVelocity(
-            0, 0, "", vector(np.array(VELOCITY) + antenna_velocity(PERFECT, ARM)), np.eye(3), 3, ARM, lasts=True
+            0,
+            0,
+            "",
+            vector(np.array(VELOCITY) + antenna_velocity(PERFECT, ARM)),
+            np.eye(3),
+            3,
+            ARM,
+            time_correlated=True,
         ),
     ],
-    ids=["position", "position with an error that lasts", "velocity"],
+    ids=["position", "position with a time-correlated error", "velocity"],
 )
 def test_the_measurement_matrices_agree_with_finite_differences(measurement: GnssPosition | GnssVelocity) -> None:
     seen = measurement.observe(PERFECT)

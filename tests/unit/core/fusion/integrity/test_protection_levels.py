@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from services.core.fusion.integrity.error_monitor import Watch
-from services.core.fusion.integrity.innovation_statistics import ESTIMATED, RARE, Evidence
+from services.core.fusion.integrity.innovation_statistics import ESTIMATED, RARE, InnovationStatistics
 from services.core.fusion.integrity.protection_levels import (
     FAULT_PROBABILITY,
     LARGEST_M,
@@ -49,14 +49,14 @@ KNOWING = Watch(used_ns=SECOND_NS, anchored=(4.0, 1.0, 2.0, 9.0))
 
 
 def watch(
-    position: Evidence | None = None,
+    position: InnovationStatistics | None = None,
     *,
     anchored: tuple[float, float, float, float] = KNOWING.anchored,
     pulled: tuple[float, float] = (0.0, 0.0),
     contested: tuple[float, float] = (0.0, 0.0),
 ) -> Watch:
     """Watch in which a position has just been used, with optional changes."""
-    known = evidence_of(white(400)) if position is None else position
+    known = statistics_of(white(400)) if position is None else position
     return replace(KNOWING, position=known, anchored=anchored, pulled=pulled, contested=contested)
 
 
@@ -71,9 +71,9 @@ def correlated(count: int, correlation_s: float, seed: int = 1) -> FloatArray:
     return draws
 
 
-def evidence_of(innovations: FloatArray, sd: float = 2.0) -> Evidence:
-    """Evidence of one innovation a second, in units of the expected standard deviation."""
-    found = Evidence()
+def statistics_of(innovations: FloatArray, sd: float = 2.0) -> InnovationStatistics:
+    """Statistics of one innovation a second, in units of the expected standard deviation."""
+    found = InnovationStatistics()
     for k, row in enumerate(innovations.tolist()):
         found = found.after((k + 1) * SECOND_NS, [sd * u for u in row], (sd, sd, sd))
     return found
@@ -99,35 +99,38 @@ def levels(seen: Watch, *, after_s: float = 0.0, cov: object = COV, velocity: fl
 def test_levels_are_at_least_those_of_the_covariance(
     innovations: list[tuple[float, float, float]], after_s: float, velocity: float
 ) -> None:
-    seen = watch(position=evidence_of(np.array(innovations).reshape(-1, 3)))
+    seen = watch(position=statistics_of(np.array(innovations).reshape(-1, 3)))
     horizontal, vertical = levels(seen, after_s=after_s, velocity=velocity)
     assert horizontal >= horizontal_level(4.0, 1.0, 2.0, 1e-3)
     assert vertical >= vertical_level(9.0, 1e-3)
 
 
 def test_white_innovations_add_less_than_30_percent_and_correlated_ones_their_common_variance() -> None:
-    quiet = np.median([levels(watch(position=evidence_of(white(400, seed))))[0] for seed in range(20)])
+    quiet = np.median([levels(watch(position=statistics_of(white(400, seed))))[0] for seed in range(20)])
     assert quiet < 1.3 * horizontal_level(4.0, 1.0, 2.0, 5e-4)
-    lasting = np.array(
-        [[evidence_of(correlated(400, 60.0, seed)).lasting(axis) for axis in range(3)] for seed in range(5)]
+    variances = np.array(
+        [
+            [statistics_of(correlated(400, 60.0, seed)).correlated_variance(axis) for axis in range(3)]
+            for seed in range(5)
+        ]
     )
-    assert lasting.mean() > 0.4 * 4.0 and lasting.max() <= 4.0, "most of (2 m)², and at most that"
+    assert variances.mean() > 0.4 * 4.0 and variances.max() <= 4.0, "most of (2 m)², and at most that"
 
 
 def test_very_small_innovations_add_less_than_0_1_m() -> None:
     """A receiver with a stated accuracy of metres and errors of centimetres."""
-    evidence = evidence_of(0.01 * correlated(400, 60.0))
-    assert evidence.lasting(0) < 0.1**2
+    evidence = statistics_of(0.01 * correlated(400, 60.0))
+    assert evidence.correlated_variance(0) < 0.1**2
 
 
 def test_the_added_variance_decreases_with_the_number_of_white_innovations() -> None:
-    some, more = evidence_of(white(5)), evidence_of(white(100))
-    assert some.lasting(0) > 0.3 * 4.0
-    assert more.lasting(0) < 0.1 * 4.0
+    some, more = statistics_of(white(5)), statistics_of(white(100))
+    assert some.correlated_variance(0) > 0.3 * 4.0
+    assert more.correlated_variance(0) < 0.1 * 4.0
 
 
 def test_innovations_larger_than_expected_scale_the_covariance() -> None:
-    surprised = watch(position=evidence_of(2.0 * white(400)))
+    surprised = watch(position=statistics_of(2.0 * white(400)))
     assert levels(surprised)[0] > 1.6 * levels(watch())[0]
 
 
@@ -182,7 +185,7 @@ def test_a_rare_large_innovation_scales_the_covariance_for_a_minute() -> None:
     calm, struck = white(200), white(200)
     calm = np.clip(calm, -3.0, 3.0)
     struck = np.vstack([np.clip(struck, -3.0, 3.0), [[0.0, 0.0, 4.5]]])
-    then, before = evidence_of(struck), evidence_of(calm)
+    then, before = statistics_of(struck), statistics_of(calm)
     assert before.scale_vertical == pytest.approx(1.0, abs=0.15)
     assert then.scale_vertical == pytest.approx((4.5 / RARE) ** 2)
     assert then.scale_horizontal == before.scale_horizontal == 1.0
@@ -194,11 +197,12 @@ def test_a_rare_large_innovation_scales_the_covariance_for_a_minute() -> None:
 
 def test_time_correlated_errors_in_the_filter_are_not_assumed_a_second_time() -> None:
     first = ESTIMATED.after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0))
-    assert first.lasting(0) == 0.0 < Evidence().after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0)).lasting(0)
+    later = InnovationStatistics().after(SECOND_NS, [1.0, 1.0, 1.0], (2.0, 2.0, 2.0))
+    assert first.correlated_variance(0) == 0.0 < later.correlated_variance(0)
     found = ESTIMATED
     for k, row in enumerate(correlated(100, 60.0).tolist()):
         found = found.after((k + 1) * SECOND_NS, [2.0 * u for u in row], (2.0, 2.0, 2.0))
-    assert max(found.lasting(axis) for axis in range(3)) > 0.4 * 4.0, "added where the innovations show it"
+    assert max(found.correlated_variance(axis) for axis in range(3)) > 0.4 * 4.0, "added where the innovations show it"
 
 
 def test_the_innovation_of_rejected_positions_is_part_of_the_levels() -> None:
@@ -216,7 +220,7 @@ def test_after_a_reset_to_rejected_positions_their_distance_is_part_of_the_level
 
 def test_a_stamp_error_increases_the_level_with_speed() -> None:
     sharp = ((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 1e-6))
-    seen = watch(position=evidence_of(white(400), sd=1e-3), anchored=(1e-6, 0.0, 1e-6, 1e-6))
+    seen = watch(position=statistics_of(white(400), sd=1e-3), anchored=(1e-6, 0.0, 1e-6, 1e-6))
     slow, fast = levels(seen, cov=sharp)[0], levels(seen, cov=sharp, velocity=30.0)[0]
     assert fast >= line_factor(1e-3) * 0.06 > 5.0 * slow
 

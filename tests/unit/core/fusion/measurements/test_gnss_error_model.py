@@ -29,14 +29,14 @@ def bank_after(kind: ErrorKind, correlation_s: float, n: int = 180, seed: int = 
 
 def test_white_errors_are_estimated_as_white() -> None:
     gnss_errors = bank_after(ErrorKind.WHITE, 1.0)
-    assert gnss_errors.lasting < 0.1 or gnss_errors.correlation_s < 2.5
+    assert gnss_errors.correlated_share < 0.1 or gnss_errors.correlation_s < 2.5
 
 
 @pytest.mark.parametrize("correlation_s", [5.0, 20.0, 60.0])
 def test_the_correlation_time_is_estimated_within_a_factor_of_two(correlation_s: float) -> None:
     for seed in (1, 2, 3):
         gnss_errors = bank_after(ErrorKind.GAUSS_MARKOV, correlation_s, seed=seed)
-        assert gnss_errors.lasting > 0.9
+        assert gnss_errors.correlated_share > 0.9
         assert 0.5 < gnss_errors.correlation_s / correlation_s < 2.0
 
 
@@ -81,14 +81,14 @@ def test_the_error_model_adapts_to_errors_with_another_correlation_time() -> Non
     drawn = position_errors(InjectedError(ErrorKind.GAUSS_MARKOV, (3.0, 2.0, 5.0), 60.0), 300, 1.0, seed=(9,))
     for i, path in enumerate(drawn.injected):
         gnss_errors = gnss_errors.after((1000 + i) * 10**9, path, SD, np.full(3, 0.03**2))
-    assert gnss_errors.lasting > 0.8
+    assert gnss_errors.correlated_share > 0.8
     assert gnss_errors.correlation_s > 20.0
 
 
 def test_one_outlier_changes_the_correlated_share_by_less_than_0_1() -> None:
     gnss_errors = bank_after(ErrorKind.GAUSS_MARKOV, 60.0)
     struck = gnss_errors.after(180 * 10**9, np.full(3, 1e6), SD, np.full(3, 0.03**2))
-    assert abs(struck.lasting - gnss_errors.lasting) < 0.1
+    assert abs(struck.correlated_share - gnss_errors.correlated_share) < 0.1
     assert np.isfinite(struck.way).all()
 
 
@@ -111,34 +111,34 @@ def test_the_mean_of_correlated_errors_has_more_than_80_percent_of_their_varianc
 
 def test_the_covariance_of_the_initial_position_agrees_with_drawn_errors() -> None:
     """20,000 draws of fixes at standstill against `mean_at_rest`; 3 % tolerance."""
-    times, lasting, correlation_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), 0.7, 6.0
-    weights, joint = mean_at_rest(times, lasting, correlation_s)
-    K = lasting * np.exp(-np.abs(times[:, None] - times) / correlation_s)
+    times, correlated_share, correlation_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), 0.7, 6.0
+    weights, joint = mean_at_rest(times, correlated_share, correlation_s)
+    K = correlated_share * np.exp(-np.abs(times[:, None] - times) / correlation_s)
     rng = np.random.default_rng(0)
-    lasting_part = rng.standard_normal((20_000, 5)) @ np.linalg.cholesky(K).T
-    fixes = lasting_part + np.sqrt(1.0 - lasting) * rng.standard_normal((20_000, 5))
-    wrong = fixes @ weights.T - np.column_stack([np.zeros(20_000), lasting_part[:, -1]])
+    correlated_part = rng.standard_normal((20_000, 5)) @ np.linalg.cholesky(K).T
+    fixes = correlated_part + np.sqrt(1.0 - correlated_share) * rng.standard_normal((20_000, 5))
+    wrong = fixes @ weights.T - np.column_stack([np.zeros(20_000), correlated_part[:, -1]])
     assert np.cov(wrong.T) == pytest.approx(joint, rel=0.03, abs=0.01)
 
 
-def rest(lasts: bool) -> list[GnssPosition]:
+def rest(time_correlated: bool) -> list[GnssPosition]:
     rng = np.random.default_rng(3)
     shifted = (geodetic_from_ned_difference(tuple(rng.standard_normal(3) * SD), ORIGIN) for _ in range(16))
     return [
-        GnssPosition(i * 10**9, i * 10**9, "", place, np.diag(SD**2), 3, (0.0, 0.0, 0.0), 0.0, lasts)
+        GnssPosition(i * 10**9, i * 10**9, "", place, np.diag(SD**2), 3, (0.0, 0.0, 0.0), 0.0, time_correlated)
         for i, place in enumerate(shifted)
     ]
 
 
 def test_initial_position_and_time_correlated_error_have_a_positive_covariance() -> None:
-    first = first_place(rest(lasts=True), UNKNOWN)
+    first = first_place(rest(time_correlated=True), UNKNOWN)
     whole = np.block([[first.cov, first.cross_cov], [first.cross_cov.T, first.error_cov]])
     assert np.linalg.eigvalsh(whole)[0] > 0.0
     assert (np.diag(first.cross_cov) < 0.0).all()
 
 
 def test_fixes_with_corrections_start_without_a_time_correlated_error() -> None:
-    first = first_place(rest(lasts=False), UNKNOWN)
+    first = first_place(rest(time_correlated=False), UNKNOWN)
     assert first.error == (0.0, 0.0, 0.0)
     assert not first.cross_cov.any()
     assert first.cov == pytest.approx(np.diag(SD**2) / 4.0)  # 15 s of errors of 5 s

@@ -95,7 +95,7 @@ def test_a_pause_does_not_change_the_estimate() -> None:
 
 def test_with_correlated_velocity_errors_no_position_error_is_estimated_and_levels_hold_half_of_the_stated() -> None:
     followed = UNKNOWN_POSITIONS.following(True)
-    assert followed.lasting == 0.0
+    assert followed.correlated_share == 0.0
     assert followed.scaled(COV) == pytest.approx(FOLLOWED[0] * COV)
     level, upright = followed.unestimated(COV)
     assert 0.4 * COV[0, 0] < level <= LASTS * COV[0, 0]

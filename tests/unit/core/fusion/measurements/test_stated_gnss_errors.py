@@ -66,14 +66,14 @@ def fixes_at_rest() -> list[GnssPosition]:
     """One fix a second at given distances to the north."""
     places = [geodetic_from_ned_difference((north, 0.0, 0.0), ORIGIN) for north in (0.0, 0.4, 0.3, 0.9)]
     return [
-        GnssPosition(i * 10**9, i * 10**9, "", place, np.diag(SD**2), 3, (0.0, 0.0, 0.0), 0.0, lasts=True)
+        GnssPosition(i * 10**9, i * 10**9, "", place, np.diag(SD**2), 3, (0.0, 0.0, 0.0), 0.0, time_correlated=True)
         for i, place in enumerate(places)
     ]
 
 
 def test_a_stated_error_model_equals_a_bank_with_one_certain_hypothesis() -> None:
     stated, bank = KnownGnssErrors(TIME_S, 1.0 - SHARE), certain()
-    assert (bank.correlation_s, bank.lasting) == pytest.approx((TIME_S, 1.0 - SHARE))
+    assert (bank.correlation_s, bank.correlated_share) == pytest.approx((TIME_S, 1.0 - SHARE))
     assert stated.unit == pytest.approx(bank.unit)
     assert stated.scaled(np.diag(SD**2)) == pytest.approx(bank.scaled(np.diag(SD**2)))
     one, other = first_place(fixes_at_rest(), stated), first_place(fixes_at_rest(), bank)
@@ -111,15 +111,15 @@ def test_an_error_that_was_zero_long_ago_has_the_stationary_covariance() -> None
 
 def test_the_covariance_of_errors_that_start_at_zero_agrees_with_drawn_errors() -> None:
     """20,000 draws of processes that are zero one second before the first fix; 4 % tolerance."""
-    times, zero, lasting, time_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), -10.0, 0.9, 20.0
-    weights, joint = mean_at_rest(times, lasting, time_s, zero)
+    times, zero, correlated_share, time_s = np.array([-9.0, -5.0, -4.0, -1.0, 0.0]), -10.0, 0.9, 20.0
+    weights, joint = mean_at_rest(times, correlated_share, time_s, zero)
     rng, state, before, rows = np.random.default_rng(0), np.zeros(20_000), zero, []
     for time in times.tolist():
         phi = np.exp(-(time - before) / time_s)
-        state = phi * state + np.sqrt(lasting * (1.0 - phi**2)) * rng.standard_normal(20_000)
+        state = phi * state + np.sqrt(correlated_share * (1.0 - phi**2)) * rng.standard_normal(20_000)
         rows.append(state)
         before = time
-    fixes = np.array(rows).T + np.sqrt(1.0 - lasting) * rng.standard_normal((20_000, 5))
+    fixes = np.array(rows).T + np.sqrt(1.0 - correlated_share) * rng.standard_normal((20_000, 5))
     wrong = fixes @ weights.T - np.column_stack([np.zeros(20_000), rows[-1]])
     assert np.cov(wrong.T) == pytest.approx(joint, rel=0.04, abs=0.005)
 

@@ -269,7 +269,7 @@ def filter_with_long_correlation_time() -> ErrorStateFilter:
 
 def fix_beside(navigation: ErrorStateFilter, north_m: float) -> GnssPosition:
     place, now_ns = geodetic_from_ned_difference((north_m, 0.0, 0.0), navigation.inertial.position), 61 * 10**9
-    return GnssPosition(now_ns, now_ns, "gnss", place, 9.0 * np.eye(3), 3, (0.0, 0.0, 0.0), 0.0, lasts=True)
+    return GnssPosition(now_ns, now_ns, "gnss", place, 9.0 * np.eye(3), 3, (0.0, 0.0, 0.0), 0.0, time_correlated=True)
 
 
 def test_a_jump_within_the_stated_accuracy_changes_the_time_correlated_error_and_not_the_position() -> None:
