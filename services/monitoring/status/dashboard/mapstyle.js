@@ -129,7 +129,7 @@ export function makeStyle(theme, description, latitude) {
       { id: "overlay-point", type: "circle", source: "overlay", filter: ["==", ["geometry-type"], "Point"], paint: { "circle-color": overlayColour, "circle-radius": 6, "circle-stroke-width": 2, "circle-stroke-color": css("card") } },
       { id: "measure-line", type: "line", source: "measure", paint: { "line-color": css("text"), "line-width": 2.5, "line-dasharray": [3, 1.5] } },
       { id: "measure-point", type: "circle", source: "measure", filter: ["==", ["geometry-type"], "Point"], paint: { "circle-color": css("card"), "circle-radius": 6, "circle-stroke-width": 2.5, "circle-stroke-color": css("text") } },
-      text("graticule-label", "graticule", ["get", "label"], css("soft"), g.land, { layout: { "symbol-placement": "line", "text-size": 11, "symbol-spacing": 600 } }),
+      text("graticule-label", "graticule", ["get", "label"], css("soft"), g.land, { layout: { "symbol-placement": "line", "text-size": 11, "symbol-spacing": 350 } }),
       text("overlay-label", "overlay", ["coalesce", ["get", "label"], ""], css("text"), css("card"), { filter: ["==", ["geometry-type"], "Point"], layout: { "text-offset": [0, 1.2], "text-anchor": "top" } }),
       text("measure-label", "measure", ["coalesce", ["get", "label"], ""], css("text"), css("card"), { filter: ["==", ["geometry-type"], "Point"], layout: { "text-offset": [0, -1.3] } }),
     ],
