@@ -26,7 +26,7 @@ export class MapView {
     this.placed = placed;
     this.map = new library.Map({
       container: box, style: makeStyle(theme, description, latitude), attributionControl: false, locale: { "Map.Title": title }, maxZoom: 24, maxPitch: 0, dragRotate: true,
-      pitchWithRotate: false, fadeDuration: 0, ...camera,
+      pitchWithRotate: false, fadeDuration: 0, maxTileCacheSize: 0, ...camera,
     });
     this.map.addControl(new library.ScaleControl({ maxWidth: 130, unit: "metric" }));
     this.ready = new Promise((resolve) => this.map.once("load", resolve));
