@@ -78,8 +78,27 @@ function trackPath(points) {
   }).join("");
 }
 
+// Where the name of each satellite is drawn: of the places around its symbol the one that covers least of other symbols and names.
+const NAME_PLACES = [[0, -7], [0, 12.5], [13, 2.5], [-13, 2.5], [11, -5], [-11, -5], [11, 10], [-11, 10]];
+const covered = ([ax, ay, aw, ah], [bx, by, bw, bh]) => Math.max(0, Math.min(ax + aw, bx + bw) - Math.max(ax, bx)) * Math.max(0, Math.min(ay + ah, by + bh) - Math.max(ay, by));
+
+function namePlaces(points) {
+  const taken = points.map(([x, y]) => [x - 5, y - 5, 10, 10]);
+  return points.map(([x, y], own) => {
+    const choices = NAME_PLACES.map(([dx, dy]) => {
+      const box = [x + dx - 7, y + dy - 6, 14, 7.5]; // three characters of 7 px on their base line
+      return { at: [dx, dy], box, cost: taken.reduce((sum, other, i) => sum + (i === own ? 0 : covered(box, other)), 0) };
+    });
+    const best = choices.reduce((a, b) => (b.cost < a.cost ? b : a));
+    taken.push(best.box);
+    return best.at;
+  });
+}
+
 function Sky({ satellites, tracks, mask, trails }) {
   const placed = satellites.filter((s) => s.elevation_deg !== null && s.azimuth_deg !== null);
+  const points = placed.map((s) => skyPoint(s.elevation_deg, s.azimuth_deg));
+  const names = namePlaces(points);
   const count = (kind) => satellites.filter((s) => useOf(s) === kind).length;
   const told = w.skyLabel(count("used"), count("tracked"), count("excluded"));
   return html`<svg class="sky" viewBox="-118 -112 236 224" role="img" aria-label=${told}>
@@ -89,13 +108,13 @@ function Sky({ satellites, tracks, mask, trails }) {
     ${[30, 60].map((el) => html`<text class="scale-text" x="3" y=${-R * (1 - el / 90) + 8}>${el}°</text>`)}
     ${Object.entries(w.compass).map(([name, [x, y]]) => html`<text class="compass" x=${x * 108} y=${y * 107 + 4}>${name}</text>`)}
     ${trails && placed.map((s) => (tracks[s.name]?.length > 1 ? html`<path key=${`t${s.name}`} class="track-line ${useOf(s)}" d=${trackPath([...tracks[s.name], [s.elevation_deg, s.azimuth_deg]])} />` : null))}
-    ${placed.map((s) => {
-      const [x, y] = skyPoint(s.elevation_deg, s.azimuth_deg);
+    ${placed.map((s, i) => {
+      const [x, y] = points[i];
       return html`<g key=${s.name} class="satellite ${useOf(s)} ${s.constellation}" transform=${`translate(${x.toFixed(1)} ${y.toFixed(1)})`}>
         ${s.suspect && html`<circle class="suspect" r="8" />`}
-        <${Shape} constellation=${s.constellation} />${s.excluded && html`<path class="cross" d="M-7-7 7 7M7-7-7 7" />`}
-        <text y="-7">${s.name}</text></g>`;
+        <${Shape} constellation=${s.constellation} />${s.excluded && html`<path class="cross" d="M-7-7 7 7M7-7-7 7" />`}</g>`;
     })}
+    ${placed.map((s, i) => html`<text key=${`n${s.name}`} x=${points[i][0] + names[i][0]} y=${points[i][1] + names[i][1]}>${s.name}</text>`)}
   </svg>`;
 }
 

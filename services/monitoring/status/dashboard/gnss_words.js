@@ -14,7 +14,7 @@ export const gnssWords = {
   noSatellitesWhy: "The receiver sends no UBX-NAV-SAT; NMEA receivers state their satellites in GSV sentences, which are not read.",
   satellites: "Satellites",
   columns: { name: "Satellite", elevation: "Elevation", azimuth: "Azimuth", cn0: "C/N0, dBHz", residual: "Residual, m", use: "Use", why: "Reason" },
-  use: { used: "used", tracked: "not used", excluded: "excluded by RAIM" },
+  use: { used: "used", tracked: "not used", excluded: "excluded" },
   excludedBy: "excluded by core.cooperative",
   mask: (deg) => `elevation mask ${deg}°`,
   trails: "Trails of the last hour",

@@ -60,11 +60,12 @@ async function ask(path) {
 async function renewTrack() {
   const after = track?.columns.time_ns.at(-1) ?? 0;
   const answer = await ask(`/api/track?generation=${track?.generation ?? -1}&after_ns=${after}`);
-  const afresh = answer.complete;
-  const columns = afresh ? answer.columns
-    : Object.fromEntries(Object.entries(track.columns).map(([name, values]) => [name, values.concat(answer.columns[name])]));
-  track = { ...answer, columns };
-  return afresh;
+  if (!answer.complete) {
+    for (const [name, values] of Object.entries(track.columns)) values.push(...answer.columns[name]);
+    answer.columns = track.columns;
+  }
+  track = answer;
+  return answer.complete;
 }
 
 function useTheme() {
@@ -115,12 +116,14 @@ function useAnswers() {
     if (simulated) ask("/api/topics/simulation/roads").then((answer) => setNetwork(answer.message), () => {});
   }, [simulated]);
   useEffect(() => {
+    let asking = false;
     const poll = () => {
-      if (!link.value.open || (paused.value && track)) return;
+      if (asking || !link.value.open || (paused.value && track)) return;
+      asking = true;
       renewTrack().then((all) => {
         afresh.current ||= all;
         redraw((n) => n + 1);
-      }, () => {}); // asked again in a second
+      }, () => {}).finally(() => { asking = false; }); // asked again in a second
     };
     poll();
     const timer = setInterval(poll, POLL_MS);

@@ -4,7 +4,7 @@ import { ellipse, moved } from "./geo.js";
 
 const KEPT_NS = 3e9; // a station that sends no CAM for so long is gone
 const point = (coordinates, properties) => ({ type: "Feature", properties, geometry: { type: "Point", coordinates } });
-const line = (coordinates, properties) => ({ type: "Feature", properties, geometry: { type: "LineString", coordinates } });
+export const line = (coordinates, properties) => ({ type: "Feature", properties, geometry: { type: "LineString", coordinates } });
 const ring = (coordinates, properties) => ({ type: "Feature", properties, geometry: { type: "Polygon", coordinates: [coordinates] } });
 const at = (p) => [p.longitude_deg, p.latitude_deg];
 
@@ -82,7 +82,7 @@ export function sourceRuns(columns, source) {
     if (latitude === null) parts.push([]);
     else parts.at(-1).push([columns[`${source}_longitude_deg`][i], latitude]);
   });
-  return { type: "FeatureCollection", features: parts.filter((p) => p.length > 1).map((p) => line(p, {})) };
+  return { type: "FeatureCollection", features: parts.filter((p) => p.length > 1).map((p) => line(p, { kind: source })) };
 }
 
 export const LEVELS_M = [2, 5, 10, 25]; // upper ends of the classes of the protection level
@@ -109,14 +109,11 @@ export const roads = (network) => ({
   features: (network?.roads ?? []).map((r) => line(r.longitude_deg.map((longitude, i) => [longitude, r.latitude_deg[i]]), { tunnel: r.tunnel, width: r.width_m })),
 });
 
-export const uncertainty = (centre, sc) => ({
-  type: "FeatureCollection",
-  features: [
-    ...(sc.stale ? [ring(ellipse(centre, sc.withinM, sc.withinM, 0), { role: "within" })] : []),
-    ...(sc.s.protection_level_horizontal_m == null ? [] : [ring(ellipse(centre, sc.s.protection_level_horizontal_m, sc.s.protection_level_horizontal_m, 0), { role: "level" })]),
-    ring(ellipse(centre, sc.s.ellipse.semi_major_m, sc.s.ellipse.semi_minor_m, sc.s.ellipse.orientation_rad), { role: "ellipse" }),
-  ],
-});
+export const uncertainty = (centre, sc) => [
+  ...(sc.stale ? [ring(ellipse(centre, sc.withinM, sc.withinM, 0), { role: "within" })] : []),
+  ...(sc.s.protection_level_horizontal_m == null ? [] : [ring(ellipse(centre, sc.s.protection_level_horizontal_m, sc.s.protection_level_horizontal_m, 0), { role: "level" })]),
+  ring(ellipse(centre, sc.s.ellipse.semi_major_m, sc.s.ellipse.semi_minor_m, sc.s.ellipse.orientation_rad), { role: "ellipse" }),
+];
 
 export const collection = (features = []) => ({ type: "FeatureCollection", features });
 export const measureLine = (ends) => collection([...ends.map((p, i) => point(p, { role: "measure", label: "AB"[i] })), ...(ends.length > 1 ? [line(ends, { role: "measure" })] : [])]);

@@ -84,8 +84,9 @@ function baseSource(description) {
 }
 
 const EMPTY = { type: "FeatureCollection", features: [] };
-const geojson = { type: "geojson", data: EMPTY, maxzoom: 20, tolerance: 0.1, buffer: 64 };
-export const SOURCES = ["graticule", "roads", "gnss", "truth", "track", "recent", "uncertainty", "overlay", "measure"];
+// The largest zoom of the tiles of each source: what moves with the vehicle is drawn to 2 cm, all else to 8 cm, which takes fewer and smaller tiles.
+const SOURCES = { graticule: 16, roads: 16, gnss: 16, truth: 16, track: 16, recent: 16, present: 18, overlay: 16, measure: 18 };
+const geojson = (maxzoom) => ({ type: "geojson", data: EMPTY, maxzoom, tolerance: 0.1, buffer: 64 });
 
 // Everything that is drawn, from the ground up; `latitude` makes roads as wide as they are.
 export function makeStyle(theme, description, latitude) {
@@ -97,18 +98,19 @@ export function makeStyle(theme, description, latitude) {
   const scaled = ["interpolate", ["exponential", 2], ["zoom"], 0, ["*", ["get", "width"], metre], 24, ["*", ["get", "width"], metre * 2 ** 24]];
   const round = { "line-cap": "round", "line-join": "round" };
   const casing = (source) => (
-    { id: `${source}-casing`, type: "line", source, filter: ["!=", ["get", "kind"], "gap"], layout: round, paint: { "line-color": css("card"), "line-width": ["+", wide, 3], "line-opacity": 0.85 } });
+    { id: `${source}-casing`, type: "line", source, filter: ["in", ["get", "kind"], ["literal", ["aided", "dead"]]], layout: round, paint: { "line-color": css("card"), "line-width": ["+", wide, 3], "line-opacity": 0.85 } });
   const track = (source) => [
     { id: `${source}-aided`, type: "line", source, filter: ["==", ["get", "kind"], "aided"], layout: round, paint: { "line-color": colour, "line-width": wide } },
     { id: `${source}-dead`, type: "line", source, filter: ["==", ["get", "kind"], "dead"], layout: { "line-join": "round" }, paint: { "line-color": colour, "line-width": wide, "line-dasharray": [1.6, 1] } },
     { id: `${source}-gap`, type: "line", source, filter: ["==", ["get", "kind"], "gap"], paint: { "line-color": css("mark-stale"), "line-width": 2.5, "line-dasharray": [0.6, 2] } },
   ];
-  const single = (source, dash) => ({ id: source, type: "line", source, layout: { "line-join": "round" }, paint: { "line-color": css(source), "line-width": 2, "line-dasharray": dash } });
+  const single = (kind, dash) => [kind, "recent"].map((source) => (
+    { id: source === kind ? kind : `recent-${kind}`, type: "line", source, metadata: { part: kind }, filter: ["==", ["get", "kind"], kind], layout: { "line-join": "round" }, paint: { "line-color": css(kind), "line-width": 2, "line-dasharray": dash } }));
   const inRole = (role) => ["==", ["get", "role"], role];
   const overlayColour = ["match", ["get", "role"], "neighbour", css("odometer"), "gate", css("mark-unsafe"), "lane", css("edge"), css("soft")];
   return {
     version: 8,
-    sources: { ...(description ? { base: baseSource(description) } : {}), ...Object.fromEntries(SOURCES.map((name) => [name, { ...geojson }])) },
+    sources: { ...(description ? { base: baseSource(description) } : {}), ...Object.fromEntries(Object.entries(SOURCES).map(([name, zoom]) => [name, geojson(zoom)])) },
     layers: [
       { id: "ground", type: "background", paint: { "background-color": g.land } },
       ...(description ? (description.tiles === "mvt" ? vectorLayers(description, g) : [{ id: "raster", type: "raster", source: "base", paint: { "raster-brightness-max": theme === "light" ? 1 : 0.6, "raster-saturation": theme === "light" ? 0 : -0.4 } }]) : []),
@@ -116,18 +118,18 @@ export function makeStyle(theme, description, latitude) {
       { id: "road-thin", type: "line", source: "roads", layout: round, paint: { "line-color": g.casing, "line-width": 3 } },
       { id: "road-wide", type: "line", source: "roads", layout: round, filter: ["!", ["get", "tunnel"]], paint: { "line-color": theme === "light" ? "#cfd6dd" : g.road, "line-width": scaled } },
       { id: "road-tunnel", type: "line", source: "roads", filter: ["get", "tunnel"], paint: { "line-color": theme === "light" ? "#8d98a4" : "#5a6874", "line-width": 5, "line-dasharray": [0.5, 0.5] } },
-      single("truth", [1, 1.5]), single("gnss", [3, 1.5]),
-      casing("track"), casing("recent"), ...track("track"), ...track("recent"),
-      { id: "within", type: "fill", source: "uncertainty", filter: inRole("within"), paint: { "fill-color": css("stale"), "fill-opacity": 0.2 } },
-      { id: "within-edge", type: "line", source: "uncertainty", filter: inRole("within"), paint: { "line-color": css("mark-stale"), "line-width": 1.75, "line-dasharray": [4, 3] } },
-      { id: "level", type: "line", source: "uncertainty", filter: inRole("level"), paint: { "line-color": css("text"), "line-width": 1.75, "line-dasharray": [1, 2] } },
-      { id: "ellipse", type: "fill", source: "uncertainty", filter: inRole("ellipse"), paint: { "fill-color": css("fused"), "fill-opacity": 0.16 } },
-      { id: "ellipse-edge", type: "line", source: "uncertainty", filter: inRole("ellipse"), paint: { "line-color": css("fused"), "line-width": 1.5 } },
+      ...single("truth", [1, 1.5]), ...single("gnss", [3, 1.5]),
+      ...["track", "recent", "present"].map(casing), ...["track", "recent", "present"].flatMap(track),
+      { id: "within", type: "fill", source: "present", metadata: { part: "uncertainty" }, filter: inRole("within"), paint: { "fill-color": css("stale"), "fill-opacity": 0.2 } },
+      { id: "within-edge", type: "line", source: "present", metadata: { part: "uncertainty" }, filter: inRole("within"), paint: { "line-color": css("mark-stale"), "line-width": 1.75, "line-dasharray": [4, 3] } },
+      { id: "level", type: "line", source: "present", metadata: { part: "uncertainty" }, filter: inRole("level"), paint: { "line-color": css("text"), "line-width": 1.75, "line-dasharray": [1, 2] } },
+      { id: "ellipse", type: "fill", source: "present", metadata: { part: "uncertainty" }, filter: inRole("ellipse"), paint: { "fill-color": css("fused"), "fill-opacity": 0.16 } },
+      { id: "ellipse-edge", type: "line", source: "present", metadata: { part: "uncertainty" }, filter: inRole("ellipse"), paint: { "line-color": css("fused"), "line-width": 1.5 } },
       { id: "overlay-line", type: "line", source: "overlay", filter: ["!=", ["geometry-type"], "Point"], paint: { "line-color": overlayColour, "line-width": 2 } },
       { id: "overlay-point", type: "circle", source: "overlay", filter: ["==", ["geometry-type"], "Point"], paint: { "circle-color": overlayColour, "circle-radius": 6, "circle-stroke-width": 2, "circle-stroke-color": css("card") } },
       { id: "measure-line", type: "line", source: "measure", paint: { "line-color": css("text"), "line-width": 2.5, "line-dasharray": [3, 1.5] } },
       { id: "measure-point", type: "circle", source: "measure", filter: ["==", ["geometry-type"], "Point"], paint: { "circle-color": css("card"), "circle-radius": 6, "circle-stroke-width": 2.5, "circle-stroke-color": css("text") } },
-      text("graticule-label", "graticule", ["get", "label"], css("soft"), g.land, { layout: { "symbol-placement": "line", "text-size": 11, "symbol-spacing": 600 } }),
+      text("graticule-label", "graticule", ["get", "label"], css("soft"), g.land, { layout: { "symbol-placement": "line", "text-size": 11, "symbol-spacing": 350 } }),
       text("overlay-label", "overlay", ["coalesce", ["get", "label"], ""], css("text"), css("card"), { filter: ["==", ["geometry-type"], "Point"], layout: { "text-offset": [0, 1.2], "text-anchor": "top" } }),
       text("measure-label", "measure", ["coalesce", ["get", "label"], ""], css("text"), css("card"), { filter: ["==", ["geometry-type"], "Point"], layout: { "text-offset": [0, -1.3] } }),
     ],

@@ -1,10 +1,11 @@
 // Draws on a MapLibre map: sources, markers and the camera. It knows nothing of the page around it.
 import { graticule } from "./geo.js";
-import { collection, measureLine, sourceRuns, trackRuns, uncertainty } from "./maplayers.js";
+import { collection, line, measureLine, sourceRuns, trackRuns, uncertainty } from "./maplayers.js";
 import { makeStyle } from "./mapstyle.js";
 
 export const STREET_ZOOM = 17;
-const RECENT_ROWS = 300; // of the track are redrawn with every frame, all others seldom
+const RECENT_ROWS = 300; // of the track are redrawn with every new row, all others seldom
+const OTHERS = ["gnss", "truth"];
 const NEAR_PX = 24;
 const FRAME_MS = 200;
 const MARKERS = {
@@ -25,7 +26,7 @@ export class MapView {
     this.placed = placed;
     this.map = new library.Map({
       container: box, style: makeStyle(theme, description, latitude), attributionControl: false, locale: { "Map.Title": title }, maxZoom: 24, maxPitch: 0, dragRotate: true,
-      pitchWithRotate: false, fadeDuration: 0, ...camera,
+      pitchWithRotate: false, fadeDuration: 0, maxTileCacheSize: 0, ...camera,
     });
     this.map.addControl(new library.ScaleControl({ maxWidth: 130, unit: "metric" }));
     this.ready = new Promise((resolve) => this.map.once("load", resolve));
@@ -49,15 +50,20 @@ export class MapView {
     this.map.getSource(source)?.setData(data);
   }
 
+  // Beyond the view, which moves on: drawn anew only when the view has left it or its scale has changed.
   drawGrid() {
     const b = this.map.getBounds();
-    const [x, y] = [(b.getEast() - b.getWest()) / 2, (b.getNorth() - b.getSouth()) / 2]; // beyond the view, which moves on
-    this.set("graticule", graticule([[b.getWest() - x, b.getSouth() - y], [b.getEast() + x, b.getNorth() + y]], Math.max(6, this.map.getContainer().clientWidth / 75)));
+    const zoom = this.map.getZoom();
+    if (this.grid?.zoom === zoom && this.grid.contains(b.getSouthWest()) && this.grid.contains(b.getNorthEast())) return;
+    const [x, y] = [(b.getEast() - b.getWest()) / 2, (b.getNorth() - b.getSouth()) / 2];
+    const around = [[b.getWest() - x, Math.max(-90, b.getSouth() - y)], [b.getEast() + x, Math.min(90, b.getNorth() + y)]];
+    this.grid = Object.assign(new this.library.LngLatBounds(around), { zoom });
+    this.set("graticule", graticule(around, Math.max(6, this.map.getContainer().clientWidth / 75)));
   }
 
-  show(sources, visible) {
+  show(parts, visible) {
     for (const layer of this.map.getStyle().layers) {
-      if (sources.includes(layer.source)) this.map.setLayoutProperty(layer.id, "visibility", visible ? "visible" : "none");
+      if (parts.includes(layer.metadata?.part ?? layer.source)) this.map.setLayoutProperty(layer.id, "visibility", visible ? "visible" : "none");
     }
   }
 
@@ -66,13 +72,13 @@ export class MapView {
     if (afresh || rows - this.drawn > RECENT_ROWS) {
       this.drawn = rows;
       this.set("track", trackRuns(columns, key));
+      for (const source of OTHERS) this.set(source, sourceRuns(columns, source));
     }
-    this.tail = trackRuns(slice(columns, Math.max(0, this.drawn - 1)), key).features;
+    const recent = slice(columns, Math.max(0, this.drawn - 1));
+    this.set("recent", collection([...trackRuns(recent, key).features, ...OTHERS.flatMap((source) => sourceRuns(recent, source).features)]));
     const last = rows - 1;
     this.last = last >= 0 && columns.fused_latitude_deg[last] !== null
       ? { place: [columns.fused_longitude_deg[last], columns.fused_latitude_deg[last]], properties: { kind: columns.aided[last] ? "aided" : "dead", key: key(columns, last) } } : null;
-    this.set("gnss", sourceRuns(columns, "gnss"));
-    this.set("truth", sourceRuns(columns, "truth"));
   }
 
   // The present: markers, ellipse and circle, and the line from the last row to the vehicle.
@@ -80,9 +86,8 @@ export class MapView {
     this.put("fused", place, sc ? (sc.s.heading_rad * 180) / Math.PI : 0, sc?.stale);
     this.put("gnss", others.gnss, 0);
     this.put("truth", others.truth, 0);
-    this.set("uncertainty", sc ? uncertainty(place, sc) : collection());
-    const tip = this.last && place && !sc.stale ? [{ type: "Feature", properties: this.last.properties, geometry: { type: "LineString", coordinates: [this.last.place, place] } }] : [];
-    this.set("recent", collection([...(this.tail ?? []), ...tip]));
+    const tip = this.last && place && !sc.stale ? [line([this.last.place, place], this.last.properties)] : [];
+    this.set("present", collection([...(sc ? uncertainty(place, sc) : []), ...tip]));
   }
 
   put(name, place, heading, old) {
