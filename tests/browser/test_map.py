@@ -126,10 +126,10 @@ def test_distances_agree_with_chords_of_the_ellipsoid(tiled: Running, open_page:
     page = open_page(tiled.address)
     expect(page.locator("svg.closeup")).to_be_visible()
     for a, b in (([11.0, 48.0], [11.03, 48.02]), ([-70.0, -33.0], [-70.0, -33.05]), ([25.0, 68.0], [25.1, 68.0])):
-        found = page.evaluate("async ([a, b]) => (await import('/geo.js')).between(a, b)", [a, b])
+        found = page.evaluate("async ([a, b]) => (await import('/map/geodesy.js')).between(a, b)", [a, b])
         ends = [ecef_from_geodetic(Geodetic(radians(lat), radians(lon), 0.0)) for lon, lat in (a, b)]
         assert found["metres"] == pytest.approx(dist(*ends), rel=2e-6)
-        back = page.evaluate("async ([a, b]) => (await import('/geo.js')).between(b, a)", [a, b])
+        back = page.evaluate("async ([a, b]) => (await import('/map/geodesy.js')).between(b, a)", [a, b])
         assert (found["degrees"] - back["degrees"]) % 360 == pytest.approx(180.0)
 
 
@@ -141,7 +141,7 @@ def test_each_layer_draws_the_messages_of_its_topic(tiled: Running, open_page: C
         30.0, 7, scenario.start, AntennaState(scenario.start, (0.0, 0.0, 0.0), covered=False, heading=0.0)
     )
     plaza = PLAZA.description(7)
-    draw = "async ([topic, m]) => (await import('/maplayers.js')).LAYERS.find((l) => l.topic === topic).draw(m)"
+    draw = "async ([topic, m]) => (await import('/map/layers.js')).LAYERS.find((l) => l.topic === topic).draw(m)"
     for topic, message, points in (("v2x/neighbours", neighbours, 4), ("plaza/description", plaza, 1)):
         features = page.evaluate(draw, [topic, message.model_dump(mode="json")])
         assert len([f for f in features if f["geometry"]["type"] == "Point"]) == points

@@ -20,20 +20,20 @@ from shared.library.library import Library
 from shared.messages.operation import RecordingState
 from shared.runtime.config import ADDRESS_FILE, Section, parse_vehicle
 
-from .history_file import HistoryFile
+from .history.history_file import HistoryFile
 from .replay import ReplayFeed
 from .series.past import fill_from_recordings
 from .state import State
 from .views.prometheus import StateCollector, registry_of
-from .web.events import Events
-from .web.map import MapApi
+from .web.map.map import MapApi
 from .web.pages import read_pages
 from .web.recordings import Action, Job, RecordingsApi
 from .web.replay import ReplayApi
 from .web.routes import Api, Watching, make_app, make_server
 from .web.series import SeriesApi
 from .web.simulation import SimulationApi
-from .web.websocket import Stream
+from .web.stream.events import Events
+from .web.stream.websocket import Stream
 
 log = logging.getLogger(__name__)
 

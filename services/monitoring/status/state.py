@@ -30,8 +30,10 @@ from shared.runtime.freshness import STARTUP_GRACE_S, freshness_of, percentile
 from shared.topics import TOPICS, topic_of
 
 from .flow import ProcessFlow, TopicFlow
-from .gnss_history import GnssHistory, KeptFix, KeptSky
-from .history import History, TrustHistory
+from .history.columns import History, TrustHistory
+from .history.gnss_history import GnssHistory, KeptFix, KeptSky
+from .history.track import Track
+from .history.track_row import track_row
 from .judgement import (
     BROKER_SILENT_NS,
     REPORT_DEADLINE_NS,
@@ -43,8 +45,6 @@ from .judgement import (
     watchdog_problem,
 )
 from .series.store import Series
-from .track import Track
-from .track_row import track_row
 from .truth_check import TruthCheck
 from .views.banner import KNOWN, Evidence, Trust, Verdict, ratio_of, show
 from .views.geometry import ellipse_95, offset_m

@@ -11,13 +11,13 @@ const LOST_BAR_AFTER_S = 3;
 const PAGES = ["now", "map", "gnss", "charts", "trust", "toll", "recordings", "system"];
 const HIDDEN = { rsu: ["now", "gnss", "charts", "trust"], obu: ["toll"] }; // pages of the other role
 const LATER = {
-  map: () => import("./map.js").then((m) => m.MapPage),
-  gnss: () => import("./gnss.js").then((m) => m.GnssPage),
-  charts: () => import("./charts.js").then((m) => m.ChartsPage),
-  trust: () => import("./trust.js").then((m) => m.TrustPage),
+  map: () => import("./map/map.js").then((m) => m.MapPage),
+  gnss: () => import("./gnss/gnss.js").then((m) => m.GnssPage),
+  charts: () => import("./charts/charts.js").then((m) => m.ChartsPage),
+  trust: () => import("./trust/trust.js").then((m) => m.TrustPage),
   toll: () => import("./toll.js").then((m) => m.TollPage),
-  recordings: () => import("./recordings.js").then((m) => m.RecordingsPage),
-  system: () => import("./system.js").then((m) => m.SystemPage),
+  recordings: () => import("./recordings/recordings.js").then((m) => m.RecordingsPage),
+  system: () => import("./system/system.js").then((m) => m.SystemPage),
 };
 const loaded = { now: NowPage }; // the others when they are first opened
 
@@ -175,7 +175,7 @@ function Replay() {
   const [Bar, setBar] = useState(null);
   const replay = Boolean(state.value?.replay);
   useEffect(() => {
-    if (replay && !Bar) import("./replay.js").then((m) => setBar(() => m.ReplayBar), () => {}); // or when the connection is back
+    if (replay && !Bar) import("./recordings/replay.js").then((m) => setBar(() => m.ReplayBar), () => {}); // or when the connection is back
   }, [replay, link.value.open]);
   return replay && Bar ? html`<${Bar} />` : null;
 }

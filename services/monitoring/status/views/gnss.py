@@ -6,7 +6,7 @@ from math import degrees
 from shared.messages.gnss import Constellation, GnssSignal, Satellite, SignalQuality
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustState
 
-from ..gnss_history import ReceiverHistory
+from ..history.gnss_history import ReceiverHistory
 from ..state import State
 from .plain_words import plain
 

@@ -9,35 +9,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
-PAGES = (
-    "index.html",
-    "style.css",
-    "main.js",
-    "store.js",
-    "words.js",
-    "parts.js",
-    "now.js",
-    "map.js",
-    "mapstyle.js",
-    "maplayers.js",
-    "mapview.js",
-    "mapwords.js",
-    "geo.js",
-    "closeup.js",
-    "trust.js",
-    "attacks.js",
-    "toll.js",
-    "system.js",
-    "inspector.js",
-    "plot.js",
-    "series.js",
-    "charts.js",
-    "chart_words.js",
-    "gnss.js",
-    "gnss_words.js",
-    "replay.js",
-    "recordings.js",
-)
+OWN = ("html", "css", "js")  # kinds of the dashboard's own files
 LIBRARIES = {
     "preact.js": "preact/dist/preact.mjs",
     "hooks.js": "preact/hooks/dist/hooks.mjs",
@@ -85,6 +57,13 @@ class Asset:
     def plain(self) -> bytes:
         """Give the file as it is, for a client that takes no gzip."""
         return gzip.decompress(self.compressed)
+
+
+def own_files(folder: Path) -> dict[str, Path]:
+    """Find the dashboard's own files by their path on the server; the folder of the libraries is left out."""
+    folders = (folder, *(path for path in folder.iterdir() if path.is_dir() and path.name != "node_modules"))
+    files = (file for inner in folders for file in inner.iterdir() if file.suffix[1:] in OWN)
+    return {file.relative_to(folder).as_posix(): file for file in files}
 
 
 def make_asset(name: str, content: bytes) -> Asset:

@@ -29,7 +29,7 @@ class Pages:
         self._documentation, self._later = documentation, dict(later or {})
         page = files.get("index.html", b"").decode()
         self._policy = assets.security_policy(page)
-        self._complete = all(name in files for name in (*assets.PAGES, *(f"lib/{n}" for n in assets.LIBRARIES)))
+        self._complete = all(name in files for name in ("index.html", *(f"lib/{n}" for n in assets.LIBRARIES)))
         self.version = assets.fingerprint(self._assets)
 
     def router(self) -> APIRouter:
@@ -38,7 +38,7 @@ class Pages:
         router.add_api_route("/", self.index)
         router.add_api_route("/docs", self.docs)
         router.add_api_route("/lib/{name}", self.library)
-        router.add_api_route("/{name}", self.page)
+        router.add_api_route("/{name:path}", self.page)
         return router
 
     def index(self, request: Request) -> Response:
@@ -85,8 +85,7 @@ def _send(asset: Asset, request: Request, headers: Mapping[str, str]) -> Respons
 def read_pages(folder: Path) -> Pages:
     """Read what the server may give away."""
     libraries = folder / "node_modules"
-    wanted = {name: folder / name for name in assets.PAGES}
-    wanted |= {f"lib/{name}": libraries / path for name, path in assets.LIBRARIES.items()}
+    wanted = assets.own_files(folder) | {f"lib/{name}": libraries / path for name, path in assets.LIBRARIES.items()}
     large = {name: libraries / path for name, path in assets.DOCUMENTATION.items()}
     files = {name: path.read_bytes() for name, path in wanted.items() if path.is_file()}
     if "style.css" in files and (libraries / assets.LIBRARY_STYLE).is_file():

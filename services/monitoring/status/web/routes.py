@@ -19,7 +19,7 @@ from shared.library.library import Library
 from shared.messages.replay import ReplayControl
 from shared.messages.simulation import SimulationAttack
 
-from ..history import FIELDS
+from ..history.columns import FIELDS
 from ..state import State
 from ..views import position, prometheus, reports
 from . import assets, hosts
@@ -38,14 +38,14 @@ from .answers import (
     reference_to,
     schemas,
 )
-from .events import Events
-from .map import MapApi
+from .map.map import MapApi
 from .pages import Pages
 from .recordings import Command, Job, RecordingsApi
 from .replay import ReplayApi
 from .series import SeriesApi
 from .simulation import SimulationApi
-from .websocket import Stream
+from .stream.events import Events
+from .stream.websocket import Stream
 
 log = logging.getLogger(__name__)
 

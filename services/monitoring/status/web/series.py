@@ -18,8 +18,8 @@ from ..state import State
 from ..views import gnss as views
 from . import hosts
 from .answers import Fields, Receivers, Refusal, Series, described
-from .clients import Client, Clients, Frame
-from .websocket import read_until_closed, run_first_of, write_frames
+from .stream.clients import Client, Clients, Frame
+from .stream.websocket import read_until_closed, run_first_of, write_frames
 
 FIELDS_ASKED = 16  # in one question; more would take megabytes
 FIELDS_FOLLOWED = 96  # over one WebSocket

@@ -17,9 +17,12 @@ def test_an_inline_script_is_allowed_by_its_hash_and_no_other() -> None:
     assert policy.startswith("default-src 'self';")
 
 
-def test_every_file_of_the_dashboard_is_on_the_allow_list() -> None:
-    found = {path.name for path in DASHBOARD.iterdir() if path.suffix in (".html", ".css", ".js")}
-    assert found == set(assets.PAGES)
+def test_only_the_dashboards_own_files_are_given_away(tmp_path: Path) -> None:
+    for name in ("index.html", "package.json", ".npmrc", "map/view.js", "map/view.js.orig", "node_modules/other.js"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert set(assets.own_files(tmp_path)) == {"index.html", "map/view.js"}
+    assert {"index.html", "style.css", "main.js", "map/map.js"} <= set(assets.own_files(DASHBOARD))
 
 
 def test_every_module_that_is_imported_is_served() -> None:
@@ -27,15 +30,16 @@ def test_every_module_that_is_imported_is_served() -> None:
     mapped = set(re.findall(r'"(/lib/[^"]+)"', page))
     assert mapped <= {f"/lib/{name}" for name in (*assets.LIBRARIES, *assets.MAP_LIBRARIES)}
     names = set(re.findall(r'"([^"]+)": "/lib', page))
-    for path in DASHBOARD.glob("*.js"):
+    own = assets.own_files(DASHBOARD)
+    for path in own.values():
         for module in re.findall(r'from "([^"]+)"|import\("([^"]+)"\)', path.read_text()):
             target = next(part for part in module if part)
-            assert target in names or target.removeprefix("./") in assets.PAGES, f"{path.name} imports {target}"
+            assert target in names or (path.parent / target).resolve() in own.values(), f"{path.name} imports {target}"
 
 
 def test_no_page_names_another_host() -> None:
-    for name in assets.PAGES:
-        text = (DASHBOARD / name).read_text().replace("http://www.w3.org/2000/svg", "")
+    for name, path in assets.own_files(DASHBOARD).items():
+        text = path.read_text().replace("http://www.w3.org/2000/svg", "")
         assert not re.findall(r"https?://(?!\$)[^\s\"']+", text), name
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from pydantic_core import from_json, to_json
 
-from services.monitoring.status.gnss_history import (
+from services.monitoring.status.history.gnss_history import (
     SATELLITES_MAXIMUM,
     SOURCES_MAXIMUM,
     Changes,
@@ -14,7 +14,7 @@ from services.monitoring.status.gnss_history import (
     correction_of,
     kind_of,
 )
-from services.monitoring.status.history_file import HistoryFile
+from services.monitoring.status.history.history_file import HistoryFile
 from services.monitoring.status.state import State
 from services.monitoring.status.views.gnss import gnss, why_not_used
 from shared.messages.gnss import (

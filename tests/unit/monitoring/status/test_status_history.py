@@ -1,6 +1,6 @@
 import pytest
 
-from services.monitoring.status.history import CHANGES_MAXIMUM, FINE_HZ, FINE_S, History, TrustHistory
+from services.monitoring.status.history.columns import CHANGES_MAXIMUM, FINE_HZ, FINE_S, History, TrustHistory
 
 S = 10**9
 

@@ -143,7 +143,7 @@ def test_a_stamp_of_another_time_line_does_not_move_the_ring() -> None:
 
 
 def test_the_page_draws_only_fields_that_are_kept_from_the_start() -> None:
-    text = (DASHBOARD / "charts.js").read_text()
+    text = (DASHBOARD / "charts" / "charts.js").read_text()
     listed = set(re.findall(r'"((?:computed|[a-z_]+/[a-z_]+):[a-z0-9_.]+)"', text))
     groups = {name: re.findall(r'"([a-z_/0-9]+)"', block)
               for name, block in re.findall(r"const (AIDING|CONSTELLATIONS|LATENCIES) = \[(.*?)\];", text)}  # fmt: skip

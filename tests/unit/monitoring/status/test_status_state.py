@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from services.monitoring.status import history_file
-from services.monitoring.status.history_file import HistoryFile
+from services.monitoring.status.history import history_file
+from services.monitoring.status.history.history_file import HistoryFile
 from services.monitoring.status.state import State
 from services.monitoring.status.views import reports, snapshot
 from services.monitoring.status.views.banner import Trust

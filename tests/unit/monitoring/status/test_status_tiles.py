@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from services.monitoring.status.web.tiles import BadMap, describe, read_tile
+from services.monitoring.status.web.map.tiles import BadMap, describe, read_tile
 from tests.support.dashboard.tile_files import tile_at, write_mbtiles, write_pmtiles
 
 LATITUDE_DEG, LONGITUDE_DEG = 48.1351, 11.5820

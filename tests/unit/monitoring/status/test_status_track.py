@@ -3,7 +3,7 @@ from itertools import pairwise
 import pytest
 from pydantic_core import to_json
 
-from services.monitoring.status.track import (
+from services.monitoring.status.history.track import (
     METRES_PER_DEGREE,
     Place,
     Track,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from services.monitoring.status.process import Config, Process
-from services.monitoring.status.web.websocket import Stream
+from services.monitoring.status.web.stream.websocket import Stream
 from shared.bus.bus import Envelope
 from shared.errors import ObuError
 from tests.support.bus.fake_bus import FakeBus

@@ -1,11 +1,11 @@
 // The five layers, live: processes as lists, topics as lines between them, outages, and why the unit does what it does.
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
-import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "./store.js";
+import { brokerAnswers, clock, connected, contract, freshness, isOld, nowMs, state } from "../store.js";
 import {
   Age, Card, Drawer, FRESH_STATE, Row, STATUS_STATE, StateIcon, bytes, duration, fixed, html, percent, rate, seconds, timeOfDay,
-} from "./parts.js";
+} from "../parts.js";
 import { TopicDrawer } from "./inspector.js";
-import { words } from "./words.js";
+import { words } from "../words.js";
 
 const w = words.system;
 const DIP = 26; // how far a line between neighbours hangs down, in px

@@ -14,10 +14,10 @@ from pydantic_core import to_json
 
 from shared.track_files import Segment, gpx_lines, kml_lines
 
-from ..state import State
-from ..track import columns, length_m, segments
+from ...history.track import columns, length_m, segments
+from ...state import State
+from ..answers import InstalledMap, TrackRows, described, file_of
 from . import tiles
-from .answers import InstalledMap, TrackRows, described, file_of
 
 Source = Literal["fused", "gnss", "truth"]
 GZIP_FROM_BYTES = 2000

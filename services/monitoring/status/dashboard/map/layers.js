@@ -1,6 +1,6 @@
 // What can be drawn over the map: each layer names the topics that it needs and turns their newest messages into GeoJSON.
-// A further layer is one more row of LAYERS: `role` chooses its colours in mapstyle.js.
-import { ellipse, moved } from "./geo.js";
+// A further layer is one more row of LAYERS: `role` chooses its colours in style.js.
+import { ellipse, moved } from "./geodesy.js";
 
 const KEPT_NS = 3e9; // a station that sends no CAM for so long is gone
 const point = (coordinates, properties) => ({ type: "Feature", properties, geometry: { type: "Point", coordinates } });

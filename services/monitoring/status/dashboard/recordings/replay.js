@@ -1,8 +1,8 @@
 // The bar of a replay: play, pause, speed, and a scrubber over the whole drive with verdicts and outages.
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import { clock, link, nowMs, settings, state } from "./store.js";
-import { Icon, duration, html, timeOfDay } from "./parts.js";
-import { words } from "./words.js";
+import { clock, link, nowMs, settings, state } from "../store.js";
+import { Icon, duration, html, timeOfDay } from "../parts.js";
+import { words } from "../words.js";
 
 const w = words.replay;
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4, 10, 20, 50, 100];

@@ -13,9 +13,9 @@ from fastapi.responses import StreamingResponse
 from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 
-from ..state import State
-from ..views import reports
-from ..views.position import solution
+from ...state import State
+from ...views import reports
+from ...views.position import solution
 from .clients import Client, Clients, Frame
 
 PERIOD_S = 0.2

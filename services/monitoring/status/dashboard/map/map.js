@@ -1,14 +1,14 @@
 // The page Map: the track of this drive on a map that needs no internet.
 import { useEffect, useRef, useState } from "preact/hooks";
-import { clock, link, paused, remember, settings, state } from "./store.js";
-import { Age, Card, Empty, Icon, duration, html, metres, timeOfDay } from "./parts.js";
-import { CloseUp, SYMBOLS, items, scene } from "./closeup.js";
-import { words } from "./words.js";
-import { between, moved } from "./geo.js";
-import { COLOUR_KEYS, LAYERS, LEVELS_M, collection, roads, sections } from "./maplayers.js";
-import { drawable, trackColours } from "./mapstyle.js";
-import { MapView, STREET_ZOOM, boundsOf } from "./mapview.js";
-import { w } from "./mapwords.js";
+import { clock, link, paused, remember, settings, state } from "../store.js";
+import { Age, Card, Empty, Icon, duration, html, metres, timeOfDay } from "../parts.js";
+import { CloseUp, SYMBOLS, items, scene } from "../closeup.js";
+import { words } from "../words.js";
+import { between, moved } from "./geodesy.js";
+import { COLOUR_KEYS, LAYERS, LEVELS_M, collection, roads, sections } from "./layers.js";
+import { drawable, trackColours } from "./style.js";
+import { MapView, STREET_ZOOM, boundsOf } from "./view.js";
+import { w } from "./map_words.js";
 
 const POLL_MS = 1000;
 const HIDDEN = "hidden map layers";

@@ -1,8 +1,8 @@
 // The card of a simulated unit on the page Trust: starts and stops attacks, and compares the verdict with the truth.
 import { useEffect, useState } from "preact/hooks";
-import { link, nowMs, state } from "./store.js";
-import { Card, Row, StateIcon, duration, html, metres, timeOfDay } from "./parts.js";
-import { words } from "./words.js";
+import { link, nowMs, state } from "../store.js";
+import { Card, Row, StateIcon, duration, html, metres, timeOfDay } from "../parts.js";
+import { words } from "../words.js";
 
 const w = words.attacks;
 const ANSWER_MS = 5000;

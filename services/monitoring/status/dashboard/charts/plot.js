@@ -1,7 +1,7 @@
 // A chart of lines over time; all charts of a page share the cursor. Drawn by uPlot, which is loaded when it is needed.
 import { useEffect } from "preact/hooks";
 import { signal } from "@preact/signals";
-import { html, themeName, usePlot } from "./parts.js";
+import { html, themeName, usePlot } from "../parts.js";
 
 export const cursor = signal(null); // index of the sample under the cursor, in all charts
 

@@ -1,8 +1,8 @@
 // The recordings of the unit: outline, length, verdicts and outages of each drive, and what may be done with it.
 import { useEffect, useState } from "preact/hooks";
-import { link } from "./store.js";
-import { Card, Empty, bytes, duration, html, metres, timeOfDay } from "./parts.js";
-import { words } from "./words.js";
+import { link } from "../store.js";
+import { Card, Empty, bytes, duration, html, metres, timeOfDay } from "../parts.js";
+import { words } from "../words.js";
 
 const w = words.recordings;
 const ANSWER_MS = 5000;

@@ -1,12 +1,12 @@
 // The page Charts: the last minutes or hour of speeds, heights, errors, innovations, biases, latencies, signals, and of
 // any field that was chosen in the topic inspector. The unit keeps all fields named here from its start.
 import { useEffect, useState } from "preact/hooks";
-import { contract, link, paused, remember, settings, togglePause } from "./store.js";
-import { Card, Empty, html, timeOfDay } from "./parts.js";
+import { contract, link, paused, remember, settings, togglePause } from "../store.js";
+import { Card, Empty, html, timeOfDay } from "../parts.js";
 import { Key, LIMIT_STYLE, Plot, STYLES, cursor, short } from "./plot.js";
 import { follow, resumeSeries, series } from "./series.js";
 import { chartWords as w } from "./chart_words.js";
-import { words } from "./words.js";
+import { words } from "../words.js";
 
 const KMH = 3.6;
 const DEGREES = 180 / Math.PI;

@@ -1,7 +1,7 @@
 // Draws on a MapLibre map: sources, markers and the camera. It knows nothing of the page around it.
-import { graticule } from "./geo.js";
-import { collection, line, measureLine, sourceRuns, trackRuns, uncertainty } from "./maplayers.js";
-import { makeStyle } from "./mapstyle.js";
+import { graticule } from "./geodesy.js";
+import { collection, line, measureLine, sourceRuns, trackRuns, uncertainty } from "./layers.js";
+import { makeStyle } from "./style.js";
 
 export const STREET_ZOOM = 17;
 const RECENT_ROWS = 300; // of the track are redrawn with every new row, all others seldom

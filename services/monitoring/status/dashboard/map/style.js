@@ -1,5 +1,5 @@
 // The map's own style, light, dark and night: no sprite, no glyph file, nothing of another host; letters are drawn with local fonts.
-import { LEVELS_M } from "./maplayers.js";
+import { LEVELS_M } from "./layers.js";
 
 const GROUNDS = {
   light: { land: "#f1f3f0", water: "#c6ddef", green: "#dcead6", built: "#e8e6e3", building: "#d8d5d0", road: "#ffffff", casing: "#b9c1ca", rail: "#a8adb3", border: "#8f7fa8" },

@@ -1,10 +1,10 @@
 // The page GNSS: where satellites stand and how well they are received, which are used and why others are not, the kind
 // of fix and the age of its corrections over time, and how the receiver is set.
 import { useEffect, useState } from "preact/hooks";
-import { clock, freshness, nowMs, paused, remember, settings, state } from "./store.js";
-import { Age, Card, Empty, Row, StateIcon, degrees, duration, fixed, html, percent, rate, seconds } from "./parts.js";
+import { clock, freshness, nowMs, paused, remember, settings, state } from "../store.js";
+import { Age, Card, Empty, Row, StateIcon, degrees, duration, fixed, html, percent, rate, seconds } from "../parts.js";
 import { gnssWords as w } from "./gnss_words.js";
-import { words } from "./words.js";
+import { words } from "../words.js";
 
 const POLL_MS = 1000;
 const TRACKS_MS = 30_000;

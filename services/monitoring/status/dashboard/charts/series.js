@@ -1,6 +1,6 @@
 // Values of numeric fields over time: the past from the unit, then what is added, over a connection of its own.
 import { signal } from "@preact/signals";
-import { paused } from "./store.js";
+import { paused } from "../store.js";
 
 const RETRY_S = 2;
 

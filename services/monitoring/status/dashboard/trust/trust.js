@@ -1,11 +1,11 @@
 // The page Trust: the verdict and why, every monitor with its statistic against its threshold, and how both went.
 import { useEffect, useMemo, useState } from "preact/hooks";
-import { brokerAnswers, clock, link, nowMs, paused, state } from "./store.js";
+import { brokerAnswers, clock, link, nowMs, paused, state } from "../store.js";
 import {
   Band, Card, Empty, Icon, Row, SPAN_S, StateIcon, bandsOf, duration, html, metres, timeOfDay, verdict, verdictStands,
-} from "./parts.js";
+} from "../parts.js";
 import { AttacksCard } from "./attacks.js";
-import { words } from "./words.js";
+import { words } from "../words.js";
 
 const w = words.trustPage;
 const RENEW_MS = 5000;

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from shared.messages.gnss import GnssFix
 from shared.messages.navigation import NavigationSolution, TruthState
 
+from ..views.geometry import ellipse_95
 from .track import Place, TrackRow
-from .views.geometry import ellipse_95
 
 if TYPE_CHECKING:
-    from .state import State
+    from ..state import State
 
 AIDED_S = 3.0  # age of the last fix that was used; receivers give one a second
 

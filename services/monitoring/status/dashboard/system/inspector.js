@@ -1,8 +1,8 @@
 // The topic inspector: one topic's newest message as it came, its figures, and its fields, each of which can be plotted.
 import { useEffect, useState } from "preact/hooks";
-import { clock, contract, paused, remember, settings, togglePause } from "./store.js";
-import { Age, Drawer, Empty, Row, StateIcon, copyText, html, rate, seconds } from "./parts.js";
-import { words } from "./words.js";
+import { clock, contract, paused, remember, settings, togglePause } from "../store.js";
+import { Age, Drawer, Empty, Row, StateIcon, copyText, html, rate, seconds } from "../parts.js";
+import { words } from "../words.js";
 
 const FIELDS_SHOWN = 120;
 

@@ -1,0 +1,1 @@
+"""Frames to those who stay connected: WebSocket and server-sent events."""
