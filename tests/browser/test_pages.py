@@ -49,12 +49,15 @@ def faults(page: Page, *rules: str) -> list[str]:
     ]
 
 
-def judge_everywhere(page: Page, name: str) -> None:
+def judge_everywhere(page: Page, name: str, *, dark_phone: bool = True) -> None:
     """Hold the page to axe-core and to its width, wide and as on a phone, in light and in dark.
 
-    In dark only colours are judged: all else is as in light.
+    In dark only colours are judged: all else is as in light. Dark on a phone once a page is enough:
+    a state changes neither the colours of a theme nor the widths of a layout.
     """
     for theme, viewport in THEMES.items():
+        if theme == "phone-dark" and not dark_phone:
+            continue
         dark = theme.endswith("dark")
         page.emulate_media(color_scheme="dark" if dark else "light")
         page.set_viewport_size(viewport)
@@ -82,7 +85,7 @@ def test_a_page_is_right_accessible_and_asks_nobody_else(
     expect(banner.locator(".word")).to_have_text(WORDS[state], timeout=8000)
     expect(banner.locator(".sentence")).to_contain_text(SENTENCES[state], timeout=8000)
     expect(page.get_by_role("heading", level=2).first).to_be_visible()
-    judge_everywhere(page, f"{state}-{path}")
+    judge_everywhere(page, f"{state}-{path}", dark_phone=state == "normal")
     hosts = {urlsplit(url).netloc for url in requests if not url.startswith("data:")}
     assert hosts == {urlsplit(units[state].address).netloc}
 
