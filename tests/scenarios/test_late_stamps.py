@@ -80,7 +80,7 @@ def test_a_delay_in_use_follows_the_check_and_outlives_a_filter() -> None:
         filter_ = navigator.engine.filter
         assert filter_ is not None
         assert (None if filter_.late is None else filter_.late[:2]) == expected
-        assert navigator.engine.aids.watch.late_s == (expected or (0.6,))[0]
+        assert navigator.engine.aids.error_monitor.delay_s == (expected or (0.6,))[0]
     navigator.suspect_delay(0.5, 0.5)
     time_ns += 10_000_000
     navigator.imu(time_ns, force, rate)
@@ -90,5 +90,5 @@ def test_a_delay_in_use_follows_the_check_and_outlives_a_filter() -> None:
     again.late = None
     engine.aids.begin(time_ns, again, engine.aids.gate.comparison)
     assert again.late is not None and again.late.position_s == 0.5
-    assert engine.aids.watch.late_s == pytest.approx(0.5)
+    assert engine.aids.error_monitor.delay_s == pytest.approx(0.5)
     assert not again.P[em.GNSS_DELAY].any(), "the delay is no state"

@@ -12,7 +12,7 @@ from shared.messages.navigation import NavigationPhase
 
 from .filter import error_model as em
 from .filter.eskf import ErrorStateFilter
-from .integrity.error_monitor import Watch
+from .integrity.error_monitor import ErrorMonitor
 from .integrity.protection_levels import Levels, protection_levels
 from .settings import Settings
 from .update.engine import Engine
@@ -60,30 +60,30 @@ class UncertaintyCache:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._key: tuple[FloatArray, Watch] | None = None
+        self._key: tuple[FloatArray, ErrorMonitor] | None = None
         self._uncertainty: Uncertainty
 
-    def of(self, navigation: ErrorStateFilter, watch: Watch) -> Uncertainty:
+    def of(self, navigation: ErrorStateFilter, monitor: ErrorMonitor) -> Uncertainty:
         """Uncertainty of a filter; covariance and statistics are never changed in place, so identity is enough."""
-        if self._key is None or self._key[0] is not navigation.P or self._key[1] is not watch:
+        if self._key is None or self._key[0] is not navigation.P or self._key[1] is not monitor:
             time_ns, _, velocity, _ = navigation.inertial
             P = navigation.P
             position_cov = P[em.POSITION, em.POSITION]
-            way = np.multiply(watch.late_s, velocity)  # driven in a delay that is not corrected
+            way = np.multiply(monitor.delay_s, velocity)  # driven in a delay that is not corrected
             covariances = position_cov + np.outer(way, way), P[em.VELOCITY, em.VELOCITY], P[em.ATTITUDE, em.ATTITUDE]
             rows = [covariance.tolist() for covariance in covariances]
             levels = protection_levels(
                 position_cov.tolist(),
                 velocity,
                 time_ns,
-                watch,
+                monitor,
                 risk=self._settings.integrity.risk,
                 time_sd_s=self._settings.gnss.time_sd_s,
             )
             x, y, z = np.sqrt(P.diagonal()[em.GYROSCOPE_BIAS]).tolist()
             triangles = _upper(rows[0]), _upper(rows[1]), _upper(rows[2])
             self._uncertainty = Uncertainty(levels, covariances, triangles, (x, y, z))
-            self._key = P, watch
+            self._key = P, monitor
         return self._uncertainty
 
 
@@ -94,7 +94,7 @@ def solution_of(engine: Engine, uncertainty: UncertaintyCache) -> Solution | Non
         return None
     time_ns, quaternion, velocity, position = navigation.inertial
     roll, pitch, yaw = roll_pitch_yaw_of_quaternion(quaternion)
-    levels, covariances, triangles, gyroscope_bias_sd = uncertainty.of(navigation, engine.aids.watch)
+    levels, covariances, triangles, gyroscope_bias_sd = uncertainty.of(navigation, engine.aids.error_monitor)
     return Solution(
         time_ns=time_ns,
         phase=engine.phase,

@@ -1,4 +1,4 @@
-"""What protection levels use beside the covariance: innovation statistics, largest shifts, rejected positions."""
+"""What protection levels use beside the covariance: innovation statistics, undetected shifts, rejected positions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,41 +15,42 @@ from .innovation_statistics import ESTIMATED, MEMORY_S, UNKNOWN, InnovationStati
 
 Block = tuple[float, float, float, float]  # [m²] NN, NE, EE, DD of a position's covariance
 NO_BLOCK: Block = (0.0, 0.0, 0.0, 0.0)
+Pair = tuple[float, float]  # horizontal, vertical
+NONE: Pair = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Watch:
-    """Statistics of positions and velocities, and the effect of the last position; immutable."""
+class ErrorMonitor:
+    """Innovation statistics of positions and velocities, and the effect of the last position; immutable."""
 
     position: InnovationStatistics = field(default_factory=InnovationStatistics)
     velocity: InnovationStatistics = field(default_factory=InnovationStatistics)
     estimated: bool = False  # the time-correlated error of positions is a state of the filter
     used_ns: int = 0  # stamp of the last position that was used
-    anchored: Block = NO_BLOCK  # covariance after it
-    pulled: tuple[float, float] = (0.0, 0.0)  # [m] largest shift by an undetected error of it, horizontal and vertical
-    contested: tuple[float, float] = (0.0, 0.0)  # [m] innovation of a rejected position or height, until one is used
-    followed: tuple[float, float] = (0.0, 0.0)  # [m²] variance of errors of positions that the filter follows
-    yielded: tuple[float, float] = (0.0, 0.0)  # [m] `contested` when the filter was reset to the position; it decays
-    late_s: float = 0.0  # suspected delay of positions that no setting corrects
+    cov_after_fix: Block = NO_BLOCK  # covariance after it
+    fault_shift: Pair = NONE  # [m] largest shift by an undetected error of it
+    rejected_shift: Pair = NONE  # [m] innovation of a rejected position or height, until one is used
+    unestimated: Pair = NONE  # [m²] variance of position errors that are time-correlated and no state of the filter
+    reset_shift: Pair = NONE  # [m] `rejected_shift` when the filter was reset to the position; it decays
+    delay_s: float = 0.0  # suspected delay of positions that no setting corrects
 
-    def begun(self, time_ns: int, started: ErrorStateFilter) -> "Watch":
+    def restarted(self, time_ns: int, started: ErrorStateFilter) -> "ErrorMonitor":
         """Begin with a new filter; statistics of the receiver are kept.
 
         If the filter before rejected positions until it was reset, either of the two may have been wrong.
         """
-        (level, upright), (more, higher) = self.yielded, self.contested
-        if more > 0.0:
-            more += hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9  # it went on since
-        given_up = (level + more, upright + higher)
-        anchored = block(started)
-        return Watch(
-            self.position, self.velocity, self.estimated, time_ns, anchored,
-            followed=self.followed, yielded=given_up, late_s=self.late_s,
+        horizontal, vertical = self.rejected_shift
+        if horizontal > 0.0:  # the vehicle has moved since
+            horizontal += hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9
+        reset_shift = self.reset_shift[0] + horizontal, self.reset_shift[1] + vertical
+        return replace(
+            self, used_ns=time_ns, cov_after_fix=block(started), fault_shift=NONE, rejected_shift=NONE,
+            reset_shift=reset_shift,
         )  # fmt: skip
 
     def after(
         self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float, *, estimated: bool
-    ) -> "Watch":
+    ) -> "ErrorMonitor":
         """Add the outcome of a measurement.
 
         Parameters
@@ -67,7 +68,7 @@ class Watch:
 
         Returns
         -------
-        Watch
+        ErrorMonitor
 
         Notes
         -----
@@ -80,46 +81,49 @@ class Watch:
         methods", Navigation 39(3), 1992), for the innovation of a Kalman filter in place of a residual.
         """
         if outcome.kind is AidingKind.GNSS_VELOCITY:
-            seen = self.velocity.after(outcome.time_ns, outcome.innovation, outcome.innovation_sd)
-            return replace(self, velocity=seen)
+            velocity = self.velocity.after(outcome.time_ns, outcome.innovation, outcome.innovation_sd)
+            return replace(self, velocity=velocity)
         if outcome.kind is not AidingKind.GNSS_POSITION:
             return self
         z, height = outcome.innovation, outcome.height
-        known = self.position
-        if not known.time_ns or (self.estimated and not estimated):  # statistics of another error model
-            known = ESTIMATED if estimated else UNKNOWN
+        statistics = self.position
+        if not statistics.time_ns or (self.estimated and not estimated):  # they are of another error model
+            statistics = ESTIMATED if estimated else UNKNOWN
         sd = outcome.innovation_sd
         if height is not None:
             z, sd = (*z, height.innovation), (*sd, height.innovation_sd)
-        seen = known.after(outcome.time_ns, z, sd)
-        upright = self.contested[1] if len(z) < 3 else abs(z[2])  # of a height that is not used
-        given_way = 0.0
+        statistics = statistics.after(outcome.time_ns, z, sd)
+        rejected_height = self.rejected_shift[1] if len(z) < 3 else abs(z[2])
+        reset_height = 0.0
         if height is not None and height.taken_over:
-            given_way, upright = upright, 0.0
+            reset_height, rejected_height = rejected_height, 0.0
+        known = replace(self, position=statistics, estimated=estimated)
+        reset_h, reset_v = self.reset_shift
         if not outcome.used:
-            contested, yielded = (hypot(z[0], z[1]), upright), (self.yielded[0], self.yielded[1] + given_way)
-            return replace(self, position=seen, contested=contested, yielded=yielded, estimated=estimated)
+            rejected_shift = hypot(z[0], z[1]), rejected_height
+            return replace(known, rejected_shift=rejected_shift, reset_shift=(reset_h, reset_v + reset_height))
         now, limit = block(navigation), chi_square_limit(len(outcome.innovation), false_alarm)
         nn, ne, ee, dd = (old - new for old, new in zip(before, now, strict=True))
-        taken = max(0.0, 0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne))
-        pulled = (sqrt(limit * taken), sqrt(limit * max(0.0, dd)))
-        fading = exp(-max(0, outcome.time_ns - self.used_ns) * 1e-9 / MEMORY_S)
-        yielded = fading * self.yielded[0], fading * self.yielded[1] + given_way
-        contested = 0.0, 0.0 if len(outcome.innovation) == 3 else upright
-        return Watch(
-            seen, self.velocity, estimated, outcome.time_ns, now, pulled, contested, self.followed, yielded,
-            late_s=self.late_s,
-        )  # fmt: skip
+        largest = max(0.0, 0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne))  # eigenvalue
+        decay = exp(-max(0, outcome.time_ns - self.used_ns) * 1e-9 / MEMORY_S)
+        return replace(
+            known,
+            used_ns=outcome.time_ns,
+            cov_after_fix=now,
+            fault_shift=(sqrt(limit * largest), sqrt(limit * max(0.0, dd))),
+            rejected_shift=(0.0, 0.0 if len(outcome.innovation) == 3 else rejected_height),
+            reset_shift=(decay * reset_h, decay * reset_v + reset_height),
+        )
 
     @cached_property
-    def disputed(self) -> tuple[float, float]:
+    def rejection_bound(self) -> Pair:
         """Largest error [m, horizontal and vertical] if the rejected positions were right, or were wrong."""
-        return self.contested[0] + self.yielded[0], self.contested[1] + self.yielded[1]
+        return self.rejected_shift[0] + self.reset_shift[0], self.rejected_shift[1] + self.reset_shift[1]
 
     @cached_property
     def overstatement(self) -> float:
-        """Factor by which time-correlated errors make the filter too certain; followed ones are modelled."""
-        of_positions = 1.0 if self.followed[0] > 0.0 else self.position.overstatement
+        """Factor by which time-correlated errors make the filter too certain; unestimated ones are modelled."""
+        of_positions = 1.0 if self.unestimated[0] > 0.0 else self.position.overstatement
         return max(of_positions, self.velocity.overstatement)
 
     @cached_property
@@ -136,15 +140,15 @@ class Watch:
     def correlated_variance_horizontal(self) -> float:
         """Variance [m²] of a correlated error of GNSS along the worse axis; the start's until there is evidence."""
         if not self.position.time_ns:
-            return max(self.anchored[0], self.anchored[2])
-        return max(self.position.correlated_variance(0), self.position.correlated_variance(1), self.followed[0])
+            return max(self.cov_after_fix[0], self.cov_after_fix[2])
+        return max(self.position.correlated_variance(0), self.position.correlated_variance(1), self.unestimated[0])
 
     @cached_property
     def correlated_variance_vertical(self) -> float:
         """The same of the height."""
         if not self.position.time_ns:
-            return self.anchored[3]
-        return max(self.position.correlated_variance(2), self.followed[1])
+            return self.cov_after_fix[3]
+        return max(self.position.correlated_variance(2), self.unestimated[1])
 
 
 def block(navigation: ErrorStateFilter) -> Block:

@@ -2,7 +2,7 @@
 
 The covariance is where it begins; what it does not know of is added, and nothing is ever taken away::
 
-    risk = (1 - P_fault) P(|σ n| > L) + P_fault P(|σ n + fault| > L),   level = disputed + L
+    risk = (1 - P_fault) P(|σ n| > L) + P_fault P(|σ n + fault| > L),   level = rejection_bound + L
 
 with n a normal number (vertical) or a normal pair (horizontal), σ² the inflated covariance, and fault the most that
 one wrong fix can have done without the gate seeing it. docs/explanation/protection-levels.md has every term.
@@ -15,7 +15,7 @@ from typing import NamedTuple
 from shared.maths.quantiles import circle_factor, line_factor
 from shared.maths.rotation import Vector
 
-from .error_monitor import Watch
+from .error_monitor import ErrorMonitor
 
 SPLITS = (0.5, 0.75, 0.95)  # [-] shares of the risk that horizontal errors without a fault may have
 FAULT_PROBABILITY = 0.01  # that one fix is wrong by as much as the gate lets pass
@@ -96,7 +96,7 @@ def protection_levels(
     position_cov: Sequence[Sequence[float]],
     velocity: Vector,
     time_ns: int,
-    watch: Watch,
+    monitor: ErrorMonitor,
     *,
     risk: float,
     time_sd_s: float,
@@ -111,8 +111,8 @@ def protection_levels(
         [m/s, NED]
     time_ns : int
         Stamp of the solution.
-    watch : Watch
-        Statistics of the innovations: errors outside the covariance.
+    monitor : ErrorMonitor
+        Statistics of the innovations, undetected shifts and rejected positions: errors outside the covariance.
     risk : float
         [-] Probability with which the error may be beyond a level, of each of the two.
     time_sd_s : float
@@ -125,8 +125,8 @@ def protection_levels(
 
     Notes
     -----
-    With s² the scale of recent innovations, g the growth of an outage that lasts t, L the errors of GNSS that last
-    and P₀ the covariance after the last fix that was used::
+    With s² the scale of recent innovations, g the growth in an outage of t, L the variance of time-correlated errors
+    of GNSS and P₀ the covariance after the last fix that was used::
 
         Σ = s² (1 + (g - 1) (1 - tr P₀ / tr P)) P + L + stamp      g = (1 + 2 (1 - exp(-t/10 s))) overstatement
 
@@ -134,26 +134,26 @@ def protection_levels(
     corrected is no random error: it is added to the level.
     """
     (nn, ne, _), (_, ee, _), (_, _, dd) = position_cov
-    age_s = (time_ns - watch.used_ns) * 1e-9
-    growth = (1.0 + (OUTAGE_FACTOR - 1.0) * (1.0 - exp(-max(0.0, age_s) / OUTAGE_S))) * watch.overstatement
-    anchored = watch.anchored
-    wide = watch.scale_horizontal * _grown(anchored[0] + anchored[2], nn + ee, growth)
-    high = watch.scale_vertical * _grown(anchored[3], dd, growth)
+    age_s = (time_ns - monitor.used_ns) * 1e-9
+    growth = (1.0 + (OUTAGE_FACTOR - 1.0) * (1.0 - exp(-max(0.0, age_s) / OUTAGE_S))) * monitor.overstatement
+    after_fix = monitor.cov_after_fix
+    scale_h = monitor.scale_horizontal * _grown(after_fix[0] + after_fix[2], nn + ee, growth)
+    scale_v = monitor.scale_vertical * _grown(after_fix[3], dd, growth)
     north, east, speed2 = velocity[0], velocity[1], velocity[0] ** 2 + velocity[1] ** 2
     stamp = 0.0  # [s²] of which the velocity makes a covariance
     if speed2 > 0.0:
         along = (north * north * nn + 2.0 * north * east * ne + east * east * ee) / speed2
         stamp = max(0.0, time_sd_s**2 - along / speed2)
-    correlated = watch.correlated_variance_horizontal
-    nn, ne, ee = wide * nn + stamp * north**2, wide * ne + stamp * north * east, wide * ee + stamp * east**2
+    correlated = monitor.correlated_variance_horizontal
+    nn, ne, ee = scale_h * nn + stamp * north**2, scale_h * ne + stamp * north * east, scale_h * ee + stamp * east**2
     cov = (nn + correlated, ne, ee + correlated)
-    variance = high * dd + watch.correlated_variance_vertical
+    variance = scale_v * dd + monitor.correlated_variance_vertical
     if not isfinite(sum(cov) + variance):
         return Levels(LARGEST_M, LARGEST_M, risk)  # of numbers that have broken down nothing is known
-    (fault_h, fault_v), (disputed_h, disputed_v) = watch.pulled, watch.disputed
-    late_h, late_v = watch.late_s * sqrt(speed2), watch.late_s * abs(velocity[2])
-    horizontal = disputed_h + late_h + horizontal_level_with_fault(cov, fault_h, risk)
-    vertical = disputed_v + late_v + vertical_level_with_fault(variance, fault_v, risk)
+    (fault_h, fault_v), (rejected_h, rejected_v) = monitor.fault_shift, monitor.rejection_bound
+    late_h, late_v = monitor.delay_s * sqrt(speed2), monitor.delay_s * abs(velocity[2])
+    horizontal = rejected_h + late_h + horizontal_level_with_fault(cov, fault_h, risk)
+    vertical = rejected_v + late_v + vertical_level_with_fault(variance, fault_v, risk)
     return Levels(min(horizontal, LARGEST_M), min(vertical, LARGEST_M), risk)
 
 

@@ -86,7 +86,7 @@ class GnssPosition:
         n = self.axes
         return Observation(AidingKind.GNSS_POSITION, z[:n], H[:n], R[:n, :n])
 
-    def followed_variances(self, navigation: ErrorStateFilter) -> tuple[float, float]:
+    def unestimated_variances(self, navigation: ErrorStateFilter) -> tuple[float, float]:
         """Variances [m²] on ground and up of its error that the filter follows, and its covariance lacks."""
         return navigation.gnss_errors.unestimated(self.cov) if self.time_correlated else (0.0, 0.0)
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from ..alignment.velocity_matching import Comparison
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
-from ..integrity.error_monitor import NO_BLOCK, Watch, block
-from ..integrity.pull import Pull
+from ..integrity.error_monitor import NO_BLOCK, ErrorMonitor, block
+from ..integrity.undetected_shift import UndetectedShift
 from ..measurements.base import Measurement, Outcome
 from ..measurements.gnss import GnssPosition, GnssVelocity
 from ..measurements.magnetometer import CompassCheck, MagneticHeading
@@ -29,8 +29,8 @@ class Aids:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.gate = Gate(settings)
-        self.watch = Watch()
-        self.pull = Pull()
+        self.error_monitor = ErrorMonitor()
+        self.undetected_shift = UndetectedShift()
         self._odometer: WheelSpeed | None = None  # newest speed of the odometer in use
         self._zeros = ZeroSpeeds()  # of the odometer in use
         self._compass = CompassCheck()
@@ -48,13 +48,13 @@ class Aids:
         if self._delay is not None and not started.parameter(em.GNSS_DELAY):
             self._delay.apply(started)
         self.gate.restart(comparison)
-        self.watch = self.watch.begun(time_ns, started)
+        self.error_monitor = self.error_monitor.restarted(time_ns, started)
 
     def keep(self, delay: FoundDelay | SuspectedDelay) -> None:
         """Keep a found delay for filters that start later."""
         self._delay = delay
         if isinstance(delay, SuspectedDelay):
-            self.watch = replace(self.watch, late_s=abs(delay.position_s))
+            self.error_monitor = replace(self.error_monitor, delay_s=abs(delay.position_s))
 
     def is_duplicate(self, measurement: Measurement, navigation: ErrorStateFilter | None) -> bool:
         """Whether a measurement repeats an earlier one of its receiver."""
@@ -82,17 +82,19 @@ class Aids:
             outcome = self.gate.use(navigation, measurement, observation)
             if outcome.used and isinstance(measurement, GnssPosition | GnssVelocity):
                 limits = gating.false_alarm_probability, gating.robust_limit
-                self.pull = self.pull.after(outcome, P, navigation.P, limits)
+                self.undetected_shift = self.undetected_shift.after(outcome, P, navigation.P, limits)
             estimated = (
                 isinstance(measurement, GnssPosition)
                 and measurement.time_correlated
                 and not navigation.gnss_errors.follows
             )
-            self.watch = self.watch.after(
+            self.error_monitor = self.error_monitor.after(
                 outcome, before, navigation, gating.false_alarm_probability, estimated=estimated
             )
             if isinstance(measurement, GnssPosition) and outcome.used:
-                self.watch = replace(self.watch, followed=measurement.followed_variances(navigation))
+                self.error_monitor = replace(
+                    self.error_monitor, unestimated=measurement.unestimated_variances(navigation)
+                )
             yield outcome
             if isinstance(measurement, GnssPosition | GnssVelocity) and outcome.used:
                 measurement.update_statistics(navigation, outcome.innovation)

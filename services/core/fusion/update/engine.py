@@ -290,7 +290,7 @@ class Engine:
         if begins:
             self._try(ErrorStateFilter.reset_odometer_scale)
         if isinstance(event, GnssExcluded) and event.contaminated_s > 0.0:
-            self._try(partial(self.aids.pull.inflate, span_s=event.contaminated_s))
+            self._try(partial(self.aids.undetected_shift.inflate, span_s=event.contaminated_s))
 
     def _use_excluded(self, measurement: Measurement, reason: str) -> list[Outcome]:
         """Compare a measurement of an excluded source with the filter, without using it."""

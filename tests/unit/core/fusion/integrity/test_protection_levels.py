@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from services.core.fusion.integrity.error_monitor import Watch
+from services.core.fusion.integrity.error_monitor import ErrorMonitor
 from services.core.fusion.integrity.innovation_statistics import ESTIMATED, RARE, InnovationStatistics
 from services.core.fusion.integrity.protection_levels import (
     FAULT_PROBABILITY,
@@ -45,19 +45,21 @@ def test_a_horizontal_level_is_invariant_to_rotation_of_the_covariance(turn: flo
     assert level == pytest.approx(major * circle_factor(ratio, 1e-3), rel=1e-6)
 
 
-KNOWING = Watch(used_ns=SECOND_NS, anchored=(4.0, 1.0, 2.0, 9.0))
+KNOWING = ErrorMonitor(used_ns=SECOND_NS, cov_after_fix=(4.0, 1.0, 2.0, 9.0))
 
 
-def watch(
+def monitor(
     position: InnovationStatistics | None = None,
     *,
-    anchored: tuple[float, float, float, float] = KNOWING.anchored,
-    pulled: tuple[float, float] = (0.0, 0.0),
-    contested: tuple[float, float] = (0.0, 0.0),
-) -> Watch:
-    """Watch in which a position has just been used, with optional changes."""
+    cov_after_fix: tuple[float, float, float, float] = KNOWING.cov_after_fix,
+    fault_shift: tuple[float, float] = (0.0, 0.0),
+    rejected_shift: tuple[float, float] = (0.0, 0.0),
+) -> ErrorMonitor:
+    """Monitor in which a position has just been used, with optional changes."""
     known = statistics_of(white(400)) if position is None else position
-    return replace(KNOWING, position=known, anchored=anchored, pulled=pulled, contested=contested)
+    return replace(
+        KNOWING, position=known, cov_after_fix=cov_after_fix, fault_shift=fault_shift, rejected_shift=rejected_shift
+    )
 
 
 def white(count: int, seed: int = 1) -> FloatArray:
@@ -79,7 +81,9 @@ def statistics_of(innovations: FloatArray, sd: float = 2.0) -> InnovationStatist
     return found
 
 
-def levels(seen: Watch, *, after_s: float = 0.0, cov: object = COV, velocity: float = 0.0) -> tuple[float, float]:
+def levels(
+    seen: ErrorMonitor, *, after_s: float = 0.0, cov: object = COV, velocity: float = 0.0
+) -> tuple[float, float]:
     found = protection_levels(
         cov,  # type: ignore[arg-type]  # some tests pass invalid ones
         (velocity, 0.0, 0.0),
@@ -99,14 +103,14 @@ def levels(seen: Watch, *, after_s: float = 0.0, cov: object = COV, velocity: fl
 def test_levels_are_at_least_those_of_the_covariance(
     innovations: list[tuple[float, float, float]], after_s: float, velocity: float
 ) -> None:
-    seen = watch(position=statistics_of(np.array(innovations).reshape(-1, 3)))
+    seen = monitor(position=statistics_of(np.array(innovations).reshape(-1, 3)))
     horizontal, vertical = levels(seen, after_s=after_s, velocity=velocity)
     assert horizontal >= horizontal_level(4.0, 1.0, 2.0, 1e-3)
     assert vertical >= vertical_level(9.0, 1e-3)
 
 
 def test_white_innovations_add_less_than_30_percent_and_correlated_ones_their_common_variance() -> None:
-    quiet = np.median([levels(watch(position=statistics_of(white(400, seed))))[0] for seed in range(20)])
+    quiet = np.median([levels(monitor(position=statistics_of(white(400, seed))))[0] for seed in range(20)])
     assert quiet < 1.3 * horizontal_level(4.0, 1.0, 2.0, 5e-4)
     variances = np.array(
         [
@@ -130,14 +134,14 @@ def test_the_added_variance_decreases_with_the_number_of_white_innovations() -> 
 
 
 def test_innovations_larger_than_expected_scale_the_covariance() -> None:
-    surprised = watch(position=statistics_of(2.0 * white(400)))
-    assert levels(surprised)[0] > 1.6 * levels(watch())[0]
+    surprised = monitor(position=statistics_of(2.0 * white(400)))
+    assert levels(surprised)[0] > 1.6 * levels(monitor())[0]
 
 
 def test_in_an_outage_the_level_grows_faster_than_the_covariance() -> None:
     cov = ((40.0, 0.0, 0.0), (0.0, 40.0, 0.0), (0.0, 0.0, 40.0))
     bare = horizontal_level(40.0, 0.0, 40.0, 5e-4)
-    found = [levels(watch(), after_s=t, cov=cov)[0] for t in (0.0, 1.0, 5.0, 20.0, 60.0)]
+    found = [levels(monitor(), after_s=t, cov=cov)[0] for t in (0.0, 1.0, 5.0, 20.0, 60.0)]
     assert found == sorted(found) and found[-1] > 1.4 * bare
 
 
@@ -157,8 +161,8 @@ def test_the_undetected_effect_of_a_fix_is_the_largest_within_the_gate() -> None
     assert np.hypot(moves[:, 0], moves[:, 1]).max() == pytest.approx(bound, rel=5e-3)
     assert np.hypot(moves[:, 0], moves[:, 1]).max() <= bound
     assert np.abs(moves[:, 2]).max() == pytest.approx(sqrt(limit * dd), rel=5e-3)
-    pulled = watch(pulled=(bound, sqrt(limit * dd)))
-    assert levels(pulled)[0] >= bound + horizontal_level(4.0, 1.0, 2.0, 0.05)
+    shifted = monitor(fault_shift=(bound, sqrt(limit * dd)))
+    assert levels(shifted)[0] >= bound + horizontal_level(4.0, 1.0, 2.0, 0.05)
 
 
 @pytest.mark.parametrize("fault", [0.0, 0.5, 2.0, 4.0, 20.0])
@@ -207,32 +211,32 @@ def test_time_correlated_errors_in_the_filter_are_not_assumed_a_second_time() ->
 
 def test_the_innovation_of_rejected_positions_is_part_of_the_levels() -> None:
     """Either the position or the solution is wrong."""
-    assert levels(watch(contested=(30.0, 12.0)))[0] > 30.0
-    assert levels(watch(contested=(30.0, 12.0)))[1] > 12.0
+    assert levels(monitor(rejected_shift=(30.0, 12.0)))[0] > 30.0
+    assert levels(monitor(rejected_shift=(30.0, 12.0)))[1] > 12.0
 
 
 def test_after_a_reset_to_rejected_positions_their_distance_is_part_of_the_levels() -> None:
-    contested = watch(contested=(30.0, 12.0))
-    given_up = replace(KNOWING, position=contested.position, yielded=contested.disputed)
-    assert given_up.disputed == (30.0, 12.0)
-    assert levels(given_up)[0] > 30.0 and levels(given_up)[1] > 12.0
+    rejecting = monitor(rejected_shift=(30.0, 12.0))
+    restarted = replace(KNOWING, position=rejecting.position, reset_shift=rejecting.rejection_bound)
+    assert restarted.rejection_bound == (30.0, 12.0)
+    assert levels(restarted)[0] > 30.0 and levels(restarted)[1] > 12.0
 
 
 def test_a_stamp_error_increases_the_level_with_speed() -> None:
     sharp = ((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 1e-6))
-    seen = watch(position=statistics_of(white(400), sd=1e-3), anchored=(1e-6, 0.0, 1e-6, 1e-6))
+    seen = monitor(position=statistics_of(white(400), sd=1e-3), cov_after_fix=(1e-6, 0.0, 1e-6, 1e-6))
     slow, fast = levels(seen, cov=sharp)[0], levels(seen, cov=sharp, velocity=30.0)[0]
     assert fast >= line_factor(1e-3) * 0.06 > 5.0 * slow
 
 
 def test_the_way_driven_in_a_delay_that_is_not_corrected_is_added() -> None:
-    level, upright = levels(Watch(), velocity=20.0)
-    late, late_upright = levels(replace(Watch(), late_s=0.5), velocity=20.0)
+    level, upright = levels(ErrorMonitor(), velocity=20.0)
+    late, late_upright = levels(replace(ErrorMonitor(), delay_s=0.5), velocity=20.0)
     assert (late - level, late_upright - upright) == pytest.approx((10.0, 0.0))
 
 
 def test_a_covariance_that_is_not_finite_or_not_positive_gives_the_largest_level() -> None:
     broken = ((float("nan"), 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    assert levels(watch(), cov=broken) == (LARGEST_M, LARGEST_M)
+    assert levels(monitor(), cov=broken) == (LARGEST_M, LARGEST_M)
     endless = ((1e30, 0.0, 0.0), (0.0, 1e30, 0.0), (0.0, 0.0, 1e30))
-    assert levels(watch(), cov=endless) == (LARGEST_M, LARGEST_M)
+    assert levels(monitor(), cov=endless) == (LARGEST_M, LARGEST_M)

@@ -145,8 +145,11 @@ def test_excluded_gnss_does_not_change_error_model_and_vehicle_parameters() -> N
     assert nav.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING] == pytest.approx(
         plain.filter.parameters[: em.GNSS_ERROR.start - em.DRIVING], abs=1e-3
     ), "scale of the odometer and mounting"
-    assert (nav.aids.watch.position, nav.counts.resets) == (plain.aids.watch.position, plain.counts.resets)
-    assert nav.aids.watch.disputed == plain.aids.watch.disputed
+    assert (nav.aids.error_monitor.position, nav.counts.resets) == (
+        plain.aids.error_monitor.position,
+        plain.counts.resets,
+    )
+    assert nav.aids.error_monitor.rejection_bound == plain.aids.error_monitor.rejection_bound
 
 
 def test_excluded_positions_400_m_off_neither_reset_the_filter_nor_change_its_height() -> None:

@@ -11,7 +11,7 @@ import pytest
 from services.core.fusion.alignment.heading import Prior
 from services.core.fusion.filter import error_model as em
 from services.core.fusion.filter.eskf import ErrorStateFilter
-from services.core.fusion.integrity.error_monitor import Watch, block
+from services.core.fusion.integrity.error_monitor import ErrorMonitor, block
 from services.core.fusion.measurements.base import Height, Outcome
 from services.core.fusion.measurements.gnss import GnssPosition
 from services.core.fusion.measurements.gnss_error_model import HYPOTHESES, SCALES, UNKNOWN
@@ -231,15 +231,15 @@ def test_a_rejected_height_stays_disputed_until_a_height_is_used() -> None:
     twin.propagate_covariance()
     made = Outcome(SECOND_NS, "gnss", AidingKind.GNSS_POSITION, (0.1, 0.1), (1.0, 1.0), 0.1, used=True)
     rejected = made._replace(height=Height(-47.0, 1.0, taken_over=False))
-    seen = Watch().after(rejected, block(twin), twin, 1e-3, estimated=False)
-    assert seen.disputed == (0.0, 47.0)
+    seen = ErrorMonitor().after(rejected, block(twin), twin, 1e-3, estimated=False)
+    assert seen.rejection_bound == (0.0, 47.0)
     seen = seen.after(made._replace(time_ns=2 * SECOND_NS), block(twin), twin, 1e-3, estimated=False)
-    assert seen.disputed == (0.0, 47.0)
+    assert seen.rejection_bound == (0.0, 47.0)
     whole = made._replace(time_ns=3 * SECOND_NS, innovation=(0.1, 0.1, 0.1), innovation_sd=(1.0, 1.0, 1.0))
-    assert seen.after(whole, block(twin), twin, 1e-3, estimated=False).disputed == (0.0, 0.0)
+    assert seen.after(whole, block(twin), twin, 1e-3, estimated=False).rejection_bound == (0.0, 0.0)
     accepted = rejected._replace(used=False, height=Height(-47.0, 1.0, taken_over=True))
     after = seen.after(accepted, block(twin), twin, 1e-3, estimated=False)
-    assert after.yielded == (0.0, 47.0) and after.contested[1] == 0.0
+    assert after.reset_shift == (0.0, 47.0) and after.rejected_shift[1] == 0.0
 
 
 @pytest.mark.parametrize("seed_settings", [{}, {"gnss.position_only": True}], ids=["velocity", "positions only"])

@@ -15,13 +15,13 @@ from ..measurements.base import Outcome
 
 FloatArray = npt.NDArray[np.float64]
 
-PULLED = em.ACCELEROMETER_SCALE.start  # states: attitude, velocity, position and biases
+SHIFTED = em.ACCELEROMETER_SCALE.start  # states: attitude, velocity, position and biases
 UNKNOWN_LIMIT = 16.3  # [-] chi-square, 3 degrees of freedom, 1e-3
 BREAK_S = 10.0  # longest interval between two fixes of one series
 
 
 @dataclass(frozen=True)
-class FixPull:
+class FixShift:
     """Largest change of each state by one measurement within the gate, shape (15,), and the time between two."""
 
     time_ns: int
@@ -30,13 +30,15 @@ class FixPull:
 
 
 @dataclass(frozen=True)
-class Pull:
-    """Newest pull of each kind of GNSS measurement; replaced and never changed."""
+class UndetectedShift:
+    """Largest undetected shift by the newest measurement of each kind of GNSS measurement; immutable."""
 
-    kinds: Mapping[AidingKind, FixPull] = field(default_factory=dict)
+    kinds: Mapping[AidingKind, FixShift] = field(default_factory=dict)
 
-    def after(self, outcome: Outcome, before: FloatArray, now: FloatArray, gate: tuple[float, float]) -> "Pull":
-        """Pull after a measurement that was used.
+    def after(
+        self, outcome: Outcome, before: FloatArray, now: FloatArray, gate: tuple[float, float]
+    ) -> "UndetectedShift":
+        """Add a measurement that was used.
 
         Parameters
         ----------
@@ -53,12 +55,14 @@ class Pull:
         K S K' = P- - P+.
         """
         limit = gate[1] * chi_square_limit(len(outcome.innovation), gate[0])
-        taken = np.maximum(before.diagonal()[:PULLED] - now.diagonal()[:PULLED], 0.0)
+        taken = np.maximum(before.diagonal()[:SHIFTED] - now.diagonal()[:SHIFTED], 0.0)
         last = self.kinds.get(outcome.kind)
         interval_s = 0.0 if last is None else (outcome.time_ns - last.time_ns) * 1e-9
         if not 0.0 < interval_s <= BREAK_S:
             interval_s = last.interval_s if last is not None else 1.0
-        return Pull({**self.kinds, outcome.kind: FixPull(outcome.time_ns, interval_s, np.sqrt(limit * taken))})
+        return UndetectedShift(
+            {**self.kinds, outcome.kind: FixShift(outcome.time_ns, interval_s, np.sqrt(limit * taken))}
+        )
 
     def inflate(self, navigation: ErrorStateFilter, span_s: float) -> None:
         """Add to the covariance what fixes over a time may have done, as standard deviations.
@@ -71,13 +75,13 @@ class Pull:
 
         Of a filter whose fixes are not known, as after a warm start, T = 1 s and c_i = sqrt(chi2 P_ii), which no
         measurement within the gate exceeds. A protection level is at least three standard deviations; so it grows by
-        more than this largest pull.
+        more than this largest shift.
         """
         navigation.propagate_covariance()
         P = navigation.P.copy()
-        sd = np.zeros(PULLED) if self.kinds else span_s * np.sqrt(UNKNOWN_LIMIT * P.diagonal()[:PULLED])
+        sd = np.zeros(SHIFTED) if self.kinds else span_s * np.sqrt(UNKNOWN_LIMIT * P.diagonal()[:SHIFTED])
         for fix in self.kinds.values():
             sd += max(1.0, span_s / fix.interval_s) * fix.change
         sd[em.POSITION] += 0.5 * span_s * sd[em.VELOCITY]
-        np.einsum("ii->i", P)[:PULLED] += sd**2
+        np.einsum("ii->i", P)[:SHIFTED] += sd**2
         navigation.P = P
