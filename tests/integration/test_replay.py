@@ -14,7 +14,7 @@ import httpx
 import pytest
 from websockets.sync.client import connect
 
-from services.monitoring.status.views.patch import merge
+from services.monitoring.status.web.stream.patch import merge
 from shared.library.summary import SUFFIX
 from tests.support.dashboard.status_server import eventually
 from tests.support.drives.meridian import BEGIN_NS, NORTH_M_S, SECOND, record

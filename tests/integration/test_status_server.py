@@ -22,8 +22,8 @@ from websockets.frames import Close
 from websockets.sync.client import ClientConnection, connect
 
 from services.monitoring.status.process import Config, Process
-from services.monitoring.status.views.patch import merge
 from services.monitoring.status.web import answers
+from services.monitoring.status.web.stream.patch import merge
 from shared.errors import UserError
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.operation import Origin, OriginKind

@@ -15,7 +15,7 @@ from shared.messages.navigation import NavigationPhase, NavigationState
 from shared.messages.neighbours import MAX_NEIGHBOURS, Neighbour, NeighbourStates
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 from tests.support.gnss.constellation import NOW_NS, raw_epoch
-from tests.unit.core.cooperative.test_satellite_process import HERE, NS, at, bits, informed, message, said
+from tests.unit.core.cooperative.satellites.test_satellite_process import HERE, NS, at, bits, informed, message, said
 
 TO_NED = ned_from_ecef(*geodetic_from_ecef((HERE[0], HERE[1], HERE[2]))[:2])
 OWN_OFFSET = -3e-7  # [-] of the vehicle's radio

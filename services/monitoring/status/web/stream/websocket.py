@@ -13,11 +13,11 @@ from pydantic_core import to_json
 
 from ...state import State
 from ...views import snapshot
-from ...views.patch import difference
 from ...views.snapshot import Json
 from .. import hosts
 from ..replay import ReplayApi
 from .clients import Client, Clients, Frame
+from .patch import difference
 
 PERIOD_S = 0.2
 TRY_AGAIN_LATER = 1013  # registry of close codes of RFC 6455

@@ -65,6 +65,17 @@ def test_white_velocity_errors_are_not_estimated_as_correlated() -> None:
             assert not errors.follows
 
 
+def test_in_the_first_minute_at_1_hz_less_than_one_white_receiver_in_200_is_followed() -> None:
+    followed = 0
+    for seed in range(400):
+        errors, hits = UNKNOWN, False
+        for residual in residuals(0.0, 60, seed):
+            errors = errors.after(errors.time_ns + 1_000_000_000, residual, STATED, stated=True)
+            hits |= errors.follows
+        followed += hits
+    assert followed < 2
+
+
 def test_residuals_that_decay_after_an_outage_are_no_evidence() -> None:
     for seed in range(5):
         errors = updated(UNKNOWN, residuals(0.0, 600, seed))

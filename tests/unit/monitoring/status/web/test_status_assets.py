@@ -44,7 +44,7 @@ def test_no_page_names_another_host() -> None:
 
 
 def test_no_library_is_part_of_the_repository() -> None:
-    ignored = (Path(__file__).parents[4] / ".gitignore").read_text().splitlines()
+    ignored = (Path(__file__).parents[5] / ".gitignore").read_text().splitlines()
     assert "node_modules/" in ignored
 
 

@@ -19,7 +19,7 @@ from broker.simulated import Handle, Limits
 from tests.support.bus import raw_mqtt
 from tests.support.bus.mqtt import Client
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
