@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 CORRELATIONS = np.array([0.2, 0.4, 0.6, 0.8])  # [-] of successive errors that are not white
 WHITE_PRIOR = 0.5, 0.01  # probability that they are, of a receiver that states their size, and of one that does not
-SURE = 0.01  # positions are followed below this probability of white errors, until it is one less this
+FOLLOW_BELOW, UNTIL_ABOVE = 0.001, 0.9  # probability of white errors: positions are followed below one, until above
 CORRELATION_S = 60.0  # of the error of velocities that are not white
 SHARE = 0.1  # of the stated variance that it has
 MEMORY_S = 600.0  # forgetting time constant
@@ -76,7 +76,8 @@ class GnssVelocityErrors:
             evidence = np.clip(exp(-step_s / MEMORY_S) * evidence + counted, -CERTAIN, CERTAIN)
         prior = WHITE_PRIOR[0] if stated else WHITE_PRIOR[1]
         learned = GnssVelocityErrors(evidence, power, last, variance, time_ns, since_ns, self.count + settled, prior)
-        follows = learned.white < (1.0 - SURE if self.follows else SURE) or not (self.time_ns or stated)
+        limit = UNTIL_ABOVE if self.follows else FOLLOW_BELOW
+        follows = learned.white < limit or not (self.time_ns or stated)
         variance[:n] = SHARE * variances if follows else 0.0
         return replace(learned, follows=follows)
 
