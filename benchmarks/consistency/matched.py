@@ -7,7 +7,7 @@ out.
 """
 
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf, radians, sqrt
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from services.core.fusion.filter.strapdown import InertialState
 from services.core.fusion.measurements.base import Measurement
 from services.core.fusion.measurements.gnss import Reading, Stamp, gnss_measurements
 from services.core.fusion.measurements.gnss_error_model import UNKNOWN, KnownGnssErrors
-from services.core.fusion.settings import GnssSettings, Settings
+from services.core.fusion.settings import GnssSettings, ImuSettings, Settings
 from services.core.fusion.update.aiding import Aids
 from services.core.fusion.update.standstill_detector import CERTAIN
 from services.sensors.simulator.drive import EPOCH_NS, STEP_NS, Drive, simulate
@@ -48,13 +48,17 @@ class Model:
 
     time_correlated: bool = False  # for `CORRELATION_S`; if not, they are white
     known: bool = True  # whether the filter is given the error model
+    gyroscope_bias_sd: float = radians(0.2)  # [rad/s] drawn, and stated: small enough for a linear error model
 
 
 def run(model: Model, scenario: str, seed: int, duration_s: float) -> Sizes:
     """Drive once, from `START` on."""
     drive = simulate(scenario, seed, duration_s)
     time_correlated = model.time_correlated or not model.known
-    settings = Settings(gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=time_correlated))
+    settings = Settings(
+        imu=ImuSettings(gyroscope_bias_sd_rad_s=model.gyroscope_bias_sd),
+        gnss=GnssSettings(lever_arm_body_m=drive.lever_arm_b, time_correlated_errors=time_correlated),
+    )
     rng = np.random.default_rng((seed, STREAM))
     first = START * EPOCH_NS // STEP_NS - 1
     navigation, bias = _started(model, drive, settings, first, rng)

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from math import radians
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -35,6 +36,7 @@ NO_MARGINS = {**FREE, "imu.accelerometer_bias_sd_m_s2": 0.0196, "imu.gyroscope_b
 CASES: dict[str, Model | Unit] = {
     "matched, white errors": Model(),
     "matched, errors of 60 s": Model(time_correlated=True),
+    "matched, white errors, gyroscope biases of 2.5 deg/s": Model(gyroscope_bias_sd=radians(2.5)),
     "matched but for what has to be learnt: white errors": Model(known=False),
     "matched but for what has to be learnt: errors of 60 s": Model(time_correlated=True, known=False),
     "as delivered, white errors": Unit(WHITE),

@@ -100,11 +100,13 @@ class Start:
         """Error of the heading at a sample [rad]."""
         return wrap_angle(solution.yaw - float(self.drive.attitude[i, 2]))
 
-    def known_after_s(self, limit: float, duration_s: float) -> tuple[float, float, str]:
+    def known_after_s(
+        self, limit: float, duration_s: float, settings: dict[str, object] | None = None
+    ) -> tuple[float, float, str]:
         """Time [s] from exceeding 3 m/s (with a fix) until the heading stays good, worst error 5 s after, and how."""
         fast_s, settled, worst, how = inf, inf, 0.0, ""
         fix_s = self.at_s + self.first_fix_s
-        for i, made in self.run(duration_s):
+        for i, made in self.run(duration_s, settings):
             now_s = float(self.drive.t_ns[i]) * 1e-9
             if fast_s == inf and now_s >= fix_s and np.hypot(*self.drive.velocity_n[i, :2]) > FAST_M_S:
                 fast_s = now_s

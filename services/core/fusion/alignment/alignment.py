@@ -1,7 +1,7 @@
 """Initial alignment: levelling, heading and position from inertial samples and the first fixes, and the filter."""
 
 from copy import copy
-from math import cos, hypot, sin
+from math import cos, hypot, radians, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +36,7 @@ from .velocity_matching import STANDSTILL_OFFSET_SD, Comparison
 
 FloatArray = npt.NDArray[np.float64]
 
-VERTICAL_BIAS_SHARE = 0.4  # of the prior standard deviation, for starts on the move
+VERTICAL_BIAS_SD_LIMIT = radians(1.0)  # [rad/s] of the prior of a start on the move: with more, heading takes longer
 TRACK_S = 5.0  # longest span of the positions that give a course
 MOTION_AGE_S = 0.5  # largest age of a velocity that is used with a fix
 STANDSTILL_VELOCITY_SD = 0.05  # [m/s]
@@ -286,7 +286,7 @@ class Alignment:
             return self._lost.imu.gyroscope_bias, self._lost.P[em.GYROSCOPE_BIAS, em.GYROSCOPE_BIAS]
         horizontal = self.levelling.covariance.bias
         C = matrix_from_quaternion(self.levelling.quaternion)
-        vertical = VERTICAL_BIAS_SHARE * self._settings.imu.gyroscope_bias_sd_rad_s
+        vertical = min(self._settings.imu.gyroscope_bias_sd_rad_s, VERTICAL_BIAS_SD_LIMIT)
         cov = np.diag([horizontal, horizontal, vertical**2])
         return self.levelling.rate_bias, C.T @ cov @ C
 
