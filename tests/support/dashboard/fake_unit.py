@@ -214,10 +214,13 @@ class FakeUnit:
 
     def kill_after(self, seconds: float, process: str) -> None:
         """Kill a process after a while."""
-        self._plans.append((self.started_ns + int(seconds * 1e9), lambda: self.kill(process)))
+        self._plans.append((self.started_ns + int(seconds * 1e9), lambda: self._end(process)))
 
     def kill(self, process: str) -> None:
-        """End a process without a regular end, with its last will."""
+        """End a process without a regular end, from any thread; none of its messages follows its last will."""
+        self._plans.append((0, lambda: self._end(process)))
+
+    def _end(self, process: str) -> None:
         self.lost.add(process)
         now_ns = self.bus.now_ns()
         will = ProcessHealth(process=process, state=ProcessState.LOST, incarnation=LIFE, sent_ns=now_ns)
