@@ -1,6 +1,7 @@
 """A real Chromium, and a unit in each of the states that the dashboard must show well."""
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -30,21 +31,32 @@ def browser() -> Iterator[Browser]:
         yield started
 
 
+class Units(dict[str, Running]):
+    """Units in four states, each started when a test first asks for it: one that works, and three that do not."""
+
+    def __init__(self, stack: ExitStack, folder: Callable[[str], Path]) -> None:
+        super().__init__()
+        self._stack, self._folder = stack, folder
+
+    def __missing__(self, state: str) -> Running:
+        """Start the unit of a state."""
+        running = self._stack.enter_context(status_server(self._folder(state), unit=state != "empty"))
+        if state == "stale":
+            assert running.unit
+            running.unit.fall_silent_after(2.0, "core.fusion")
+        if state == "alarm":
+            assert running.unit
+            running.unit.rejecting = True
+            running.unit.fall_silent_after(2.0, "imu")
+            running.unit.kill_after(2.0, "monitoring.recorder")
+        self[state] = running
+        return running
+
+
 @pytest.fixture(scope="module")
-def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Running]]:
-    """Four units side by side: one that works, and three that do not."""
-    with (
-        status_server(tmp_path_factory.mktemp("normal")) as normal,
-        status_server(tmp_path_factory.mktemp("stale")) as stale,
-        status_server(tmp_path_factory.mktemp("alarm")) as alarm,
-        status_server(tmp_path_factory.mktemp("empty"), unit=False) as empty,
-    ):
-        assert stale.unit and alarm.unit
-        stale.unit.fall_silent_after(2.0, "core.fusion")
-        alarm.unit.rejecting = True
-        alarm.unit.fall_silent_after(2.0, "imu")
-        alarm.unit.kill_after(2.0, "monitoring.recorder")
-        yield {"normal": normal, "stale": stale, "alarm": alarm, "empty": empty}
+def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Units]:
+    with ExitStack() as stack:
+        yield Units(stack, tmp_path_factory.mktemp)
 
 
 @pytest.fixture
