@@ -2,8 +2,12 @@
 
 import json
 import os
+import signal
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Annotated
 
@@ -53,6 +57,8 @@ def attack_lab(  # one argument an option
 ) -> int:
     """Attack simulated and recorded drives; write report.html and report.json with rates of detection and false alarm.
 
+    Ctrl-C ends the campaign early; the report then has the runs that are finished, first all cases of seed 1.
+
     Examples:
     [bold]obu attack-lab --quick[/]
     [bold]obu attack-lab --attack drag_off --attack 'drag_off(acceleration=0.1,speed=1)' --seeds 10[/]
@@ -70,8 +76,11 @@ def attack_lab(  # one argument an option
     except OSError as error:
         raise UserError(f"cannot create the folder {out}: {error.strerror}; choose another one with --out") from error
     console = Console(stderr=True)
-    runs = run_all(cases, jobs or os.cpu_count() or 1, console)
-    card = document(runs)
+    with _interruptible():
+        runs = run_all(cases, jobs or os.cpu_count() or 1, console)
+    if not runs:
+        raise UserError("interrupted before the first run was finished: there is no report")
+    card = document(runs, planned=len(cases))
     write(out, card, runs)
     if as_json:
         print(json.dumps(card))
@@ -81,9 +90,9 @@ def attack_lab(  # one argument an option
 
 
 def run_all(cases: list[Case], jobs: int, console: Console) -> list[Run]:
-    """Run all cases in parallel, in the order of the plan."""
+    """Run all cases in parallel, in the order of the plan; after an interrupt those that are finished."""
     found: dict[int, Run] = {}
-    with progress_on(console) as progress, ProcessPoolExecutor(min(jobs, len(cases))) as pool:
+    with progress_on(console) as progress, ProcessPoolExecutor(min(jobs, len(cases)), initializer=_ignore) as pool:
         task = progress.add_task("attacking", total=len(cases))
         waiting = {pool.submit(run, case): number for number, case in enumerate(cases)}
         try:
@@ -92,10 +101,30 @@ def run_all(cases: list[Case], jobs: int, console: Console) -> list[Run]:
                 case = cases[number]
                 found[number] = (case, future.result())
                 progress.update(task, advance=1, description=f"{case.drive} {case.label}")
-        except (UserError, BrokenProcessPool, KeyboardInterrupt):
+        except (UserError, BrokenProcessPool):
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return [found[number] for number in range(len(cases))]
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in active_children():
+                worker.kill()
+    return [found[number] for number in sorted(found)]
+
+
+def _ignore() -> None:
+    """Leave Ctrl-C, which reaches all processes of a terminal, to the process that writes the report."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """SIGTERM ends a campaign as Ctrl-C does."""
+    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _print(runs: list[Run], card: dict[str, object], console: Console, out: Path) -> None:
@@ -110,4 +139,6 @@ def _print(runs: list[Run], card: dict[str, object], console: Console, out: Path
     share = card["safe_share_clean"]
     if isinstance(share, float):
         console.print(f"Clean drives are SAFE for {100.0 * share:.1f} % of the time after the first {WARM_UP_S:.0f} s.")
+    if len(runs) < int(str(card["planned"])):
+        console.print(f"Interrupted: the report has {len(runs)} of {card['planned']} runs.")
     console.print(f"Wrote {out / 'report.html'} and report.json.")

@@ -82,7 +82,8 @@ def plan(
             scenario_of(name, 1)
         except ValueError as error:
             raise UserError(str(error)) from error
-        for seed in range(1, seeds + 1):
+    for seed in range(1, seeds + 1):
+        for name in scenarios:
             yield Case(name, seed, clean_s)
             for attack in scheduled:
                 yield Case(name, seed, attack.start_s + (attack.duration_s or ATTACK_S) + AFTER_S, attack)

@@ -40,9 +40,10 @@ COLOURS = {
 }
 
 
-def document(runs: Sequence[Run]) -> dict[str, object]:
-    """Compute all rates; the same runs give the same document."""
+def document(runs: Sequence[Run], *, planned: int | None = None) -> dict[str, object]:
+    """Compute all rates; the same runs give the same document. `planned` is the number of runs without an interrupt."""
     return {
+        "planned": len(runs) if planned is None else planned,
         "confidence": CONFIDENCE,
         "warm_up_s": WARM_UP_S,
         "recovery_s": RECOVERY_S,
@@ -88,6 +89,9 @@ def page(card: dict[str, object], runs: Sequence[Run]) -> str:
     lead = "No clean drive was run."
     if isinstance(share, float):
         lead = f"Clean drives are SAFE for {100.0 * share:.1f} % of the time after the first {WARM_UP_S:.0f} s."
+    count = (
+        f"{len(runs)} runs." if len(runs) == card["planned"] else f"Interrupted: {len(runs)} of {card['planned']} runs."
+    )
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -100,7 +104,7 @@ table {{ font-variant-numeric: tabular-nums; font-size: .92em; }} .wide {{ overf
 <body>
 <main>
 <h1>Attack laboratory</h1>
-<p class="lead">{escape(lead)} {len(runs)} runs.</p>
+<p class="lead">{escape(lead)} {count}</p>
 <p>{escape(COLLUSION)}</p>
 <h2>Detection</h2>
 <p class="muted">Runs in which the monitor accuses, or the verdict withdraws the position (UNSAFE, DEAD RECKONING or NO

@@ -1,11 +1,16 @@
 """The attack laboratory: its plan, attacks on recorded messages, and its rates."""
 
+import os
+import signal
+import threading
+import time
 from math import hypot, radians
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from cli.attack_lab import attack_lab
 from cli.attack_lab.attack_lab import run_all
 from cli.attack_lab.cases import ATTACKS, Case, plan
 from cli.attack_lab.recorded import POSSIBLE, attacked, displacement, moved
@@ -219,6 +224,30 @@ def test_the_report_has_every_attack_and_no_external_resources() -> None:
     assert ">jam<" in text and "Stanford diagram, horizontal" in text
     assert "http://" not in text.replace("http://www.w3.org", "") and "https://" not in text
     assert hypot(*poisson_interval(0, 0.0)) == np.inf
+
+
+def first_seed_alone(case: Case) -> Timeline:
+    """Finish the runs of seed 1 at once, and no other."""
+    if case.seed > 1:
+        time.sleep(60.0)
+    return timeline([(0.0, SAFE)], {"motion": []})
+
+
+def test_an_interrupted_campaign_reports_what_is_finished_first_all_cases_of_seed_1(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(attack_lab, "run", first_seed_alone)
+    cases = list(plan(["jam", "freeze"], ["urban", "highway"], 2, [], 300.0))
+    assert [case.seed for case in cases] == [1] * 6 + [2] * 6
+    alarm = threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT))
+    alarm.start()
+    began = time.monotonic()
+    runs = run_all(cases, 2, Console(stderr=True))
+    assert time.monotonic() - began < 30.0
+    assert [case for case, _ in runs] == cases[:6]
+    card = document(runs, planned=len(cases))
+    assert card["planned"] == 12
+    assert "Interrupted: 6 of 12 runs." in page(card, runs)
 
 
 def test_runs_are_in_the_order_of_the_plan_with_verdicts_and_true_errors() -> None:
