@@ -258,21 +258,21 @@ def reference(root: Annotated[Path, typer.Argument(help="Folder of the repositor
 
 
 def _ended(function: Callable[..., int]) -> Callable[..., None]:
-    """Turn a function that returns its exit code into a command."""
+    """Turn a function that returns its exit code into a command; one that SIGTERM ends has not succeeded."""
 
     @functools.wraps(function)
     def command(**arguments: object) -> None:
-        _end_on_sigterm()
+        _end_on_sigterm(128 + signal.SIGTERM)
         raise typer.Exit(function(**arguments))
 
     return command
 
 
-def _end_on_sigterm() -> None:
+def _end_on_sigterm(status: int = 0) -> None:
     """Raise `SystemExit` on SIGTERM, so that everything started here is ended."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
-        sys.exit(0)
+        sys.exit(status)
 
     signal.signal(signal.SIGTERM, end)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from math import atan2, degrees, hypot
+from math import atan2, cos, degrees, hypot, sin
 
 from shared.messages.base import Message
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix
@@ -84,13 +84,15 @@ def of_fixes(messages: Iterable[Message], offset_ns: int) -> Iterator[Position]:
     for fix in messages:
         if not isinstance(fix, GnssFix) or fix.latitude_deg is None or fix.longitude_deg is None:
             continue
-        sd = fix.position_sd_ned_m
+        sd, velocity = fix.position_sd_ned_m, fix.velocity_ned_m_s
+        if velocity is None and fix.ground_speed_m_s is not None and fix.course_rad is not None:
+            velocity = fix.ground_speed_m_s * cos(fix.course_rad), fix.ground_speed_m_s * sin(fix.course_rad), 0.0
         position = Position(
             fix.sampled_ns + offset_ns if fix.utc_ns is None else fix.utc_ns,
             fix.latitude_deg,
             fix.longitude_deg,
             fix.height_ellipsoid_m,
-            fix.velocity_ned_m_s,
+            velocity,
             position_sd_m=hypot(*sd[:2]) if sd else None,
             dead_reckoning=fix.fix_type is FixType.DEAD_RECKONING,
             fix=fix,

@@ -166,12 +166,11 @@ class DistanceRule:
 
     def odometer(self, time_ns: int, speed: float) -> None:
         """Integrate a speed [m/s] by the trapezoidal rule."""
-        if self._last is not None:
-            elapsed_s = (time_ns - self._last[0]) / SECOND_NS
-            if elapsed_s > self.gap_s:
-                self.travelled_m = None
-            elif self.travelled_m is not None:
-                self.travelled_m += 0.5 * (speed + self._last[1]) * elapsed_s
+        before_ns = self._last[0] if self._last is not None else self._start[0] if self._start is not None else None
+        if before_ns is not None and (time_ns - before_ns) / SECOND_NS > self.gap_s:
+            self.travelled_m = None
+        elif self._last is not None and self.travelled_m is not None:
+            self.travelled_m += 0.5 * (speed + self._last[1]) * (time_ns - self._last[0]) / SECOND_NS
         self._last = (time_ns, speed)
 
     def position(self, time_ns: int, latitude: float, longitude: float) -> None:

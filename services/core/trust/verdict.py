@@ -11,7 +11,7 @@ row   condition                                                                 
 6     motion conflict, inertial monitors not wholly evaluated, GNSS not excluded          UNSAFE
 7     GNSS excluded and confirmed by fusion                                               DEAD_RECKONING
 8     no GNSS used for longer than `coasting_after_s`                                     DEAD_RECKONING
-9     motion conflict while both inertial windows pass: the odometer is accused           CAUTION
+9     motion conflict while both inertial windows pass (the odometer is accused if named)  CAUTION
 10    evidence alone                                                                      CAUTION
 11    a required monitor is silent                                                        CAUTION
 12    satellites not evaluated, or neither inertial nor motion evaluated                  CAUTION
@@ -151,6 +151,8 @@ def _odometer_accused(facts: Facts) -> str | None:
     conflict = facts.accusing(MOTION)
     if not conflict or any(facts.outcome(monitor) is not Outcome.PASS for monitor in INERTIAL):
         return None
+    if not facts.accusing(MOTION, ODOMETER):
+        return f"{_sentences(facts, conflict)}; inertial monitors agree with GNSS, nothing is excluded"
     return f"{_sentences(facts, conflict)}; inertial monitors agree with GNSS, the odometer is no longer used"
 
 

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from .candump import CanFrame
 
@@ -41,6 +41,9 @@ class WheelSpeedDecoder:
         self._period_ns = period_ns * 9 // 10
         self._last_ns: dict[tuple[str, int], int] = {}
         self._messages: dict[tuple[int, bool], tuple[Message, dict[str, tuple[str, float]]]] = {}
+        from cantools.database.errors import DecodeError
+
+        self._decode_error = DecodeError
         database = load(text)
         for wheel, signal_name in signals.items():
             self._add(database, wheel, signal_name)
@@ -55,11 +58,18 @@ class WheelSpeedDecoder:
         if len(frame.data) < message.length:
             self._rejects["dbc_frame"] += 1
             return {}
-        self._last_ns[key] = received_ns
-        values = message.decode(frame.data[: message.length], decode_choices=False)
+        try:
+            values = cast("dict[str, float]", message.decode(frame.data[: message.length], decode_choices=False))
+        except self._decode_error:  # an undefined value of the multiplexer
+            self._rejects["dbc_frame"] += 1
+            return {}
+        if wheels.keys() & values:
+            self._last_ns[key] = received_ns
         speeds: dict[str, float] = {}
         for signal_name, (wheel, unit_m_s) in wheels.items():
-            value = values[signal_name] if isinstance(values, dict) else None
+            if signal_name not in values:
+                continue  # of another value of the multiplexer
+            value = values[signal_name]
             speed_m_s = checked_speed(message.get_signal_by_name(signal_name), value, unit_m_s)
             if speed_m_s is None:
                 self._rejects["wheel_speed"] += 1

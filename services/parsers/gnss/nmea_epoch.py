@@ -21,6 +21,7 @@ from .gnss_time import DAY_NS, NS
 KNOT_M_S = 1852 / 3600  # exact
 FASTEST_M_S = 600.0
 LARGEST = 1e6  # limit of every numerical field
+MOST_GSA = 8  # of one epoch: one or two a constellation
 NOT_A_FIX = (None, 0, 7, 8)  # GGA quality: absent, no fix, manual input, simulator
 Sentence = Any  # pynmea2 creates the fields at run time; an empty or absent one is None or ""
 _WANTED = re.compile(rb"\$(?!P)\w\w(RMC|GGA|GSA|GST),")  # any talker; P marks proprietary sentences
@@ -74,7 +75,10 @@ class NmeaAssembler:
         elif self._epoch is None:
             return
         else:
-            kind += str(sum(name.startswith("GSA") for name in self._epoch.sentences))
+            number = sum(name.startswith("GSA") for name in self._epoch.sentences)
+            if number == MOST_GSA:
+                return
+            kind += str(number)
         self._epoch.sentences[kind] = parsed
         self._epoch.last_received_ns = received_ns
         if all(self._kinds_before) and set.union(*self._kinds_before) <= self._epoch.sentences.keys():

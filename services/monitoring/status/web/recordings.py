@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -103,7 +104,7 @@ class Job:
             "action": self.action,
             "name": self.name,
             "running": self.running,
-            "failed": not self.running and self._child.returncode not in (0, -15),
+            "failed": not self.running and self._child.returncode not in (0, -signal.SIGTERM, 128 + signal.SIGTERM),
             "port": int(port[1]) if port and self.running else None,
             "text": lines[-1].removeprefix("obu: ")[:300] if lines else "",
         }

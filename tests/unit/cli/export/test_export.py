@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 import subprocess
+from math import radians
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,8 +12,9 @@ import pynmea2
 import pytest
 
 from cli.export.export import Format, export
+from cli.export.positions import of_fixes
 from shared.errors import UserError
-from shared.messages.gnss import Constellation, GnssRawEpoch, RawMeasurement
+from shared.messages.gnss import Constellation, FixType, GnssFix, GnssRawEpoch, RawMeasurement
 from shared.recording import RecordingWriter
 from tests.support.bus.envelopes import sent
 from tests.support.drives.meridian import (
@@ -171,3 +173,12 @@ def test_missing_content_of_a_recording_is_named_with_a_remedy(drive: Path, tmp_
 def test_a_recording_that_was_not_closed_is_exported_up_to_its_end(tmp_path: Path) -> None:
     cut = record(tmp_path / "cut.mcap", 3, close=False)
     assert len(exported(cut, Format.CSV, tmp_path).read_text().splitlines()) == 31
+
+
+def test_speed_and_course_of_a_fix_without_a_velocity_are_exported() -> None:
+    fix = GnssFix(
+        sampled_ns=1, received_ns=1, source="nmea", fix_type=FixType.THREE_D, latitude_deg=45.0, longitude_deg=10.0,
+        ground_speed_m_s=12.0, course_rad=radians(120.0),
+    )  # fmt: skip
+    (position,) = of_fixes([fix], 0)
+    assert (position.speed_m_s, position.course_deg) == pytest.approx((12.0, 120.0))

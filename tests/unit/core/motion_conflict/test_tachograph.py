@@ -106,6 +106,15 @@ def test_an_interrupted_odometer_leaves_the_distance_unjudged() -> None:
     assert rule.compared is None
 
 
+def test_an_odometer_that_is_heard_late_leaves_the_distance_unjudged() -> None:
+    rule = DistanceRule(gap_s=2.0)
+    for t in range(0, 901):
+        if t >= 600:
+            rule.odometer(t * SECOND_NS, 30.0)
+        rule.position(t * SECOND_NS, radians(50.0 + t * 30.0 / 111_230.0), radians(10.0))
+    assert rule.compared is None
+
+
 def test_a_silent_motion_sensor_is_counted_after_five_seconds_and_forgotten_after_three_hours() -> None:
     rule = MotionSensorRule(moving_m_s=1.5, gap_s=2.0)
     for t in range(100):

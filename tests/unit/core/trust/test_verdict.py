@@ -86,6 +86,8 @@ CASES = [
                  id="8-never"),
     pytest.param(with_(SAFE, MOTION_CONFLICT), 9, "caution",
                  "inertial monitors agree with GNSS, the odometer is no longer used", id="9-odometer"),
+    pytest.param(with_(SAFE, accuses(Monitor.MOTION, "gnss")), 9, "caution",
+                 "inertial monitors agree with GNSS, nothing is excluded", id="9-gnss"),
     pytest.param(with_(SAFE, accuses(Monitor.EVIDENCE, "gnss")), 10, "caution", "monitor evidence accuses gnss",
                  id="10-evidence"),
     pytest.param(with_(SAFE, SILENT), 11, "caution",

@@ -109,6 +109,20 @@ def test_wheel_speeds_are_decoded_by_the_dbc_file_to_m_s(dbc: Path) -> None:
     assert (front.sampled_ns, front.source) == (START_NS - NS // 100, "can0")
 
 
+def test_of_a_multiplexed_message_the_wheel_speed_is_decoded_and_other_values_give_none(tmp_path: Path) -> None:
+    path = tmp_path / "multiplexed.dbc"
+    path.write_text(
+        'VERSION ""\nBU_: ECU\nBO_ 212 WHEELS: 3 ECU\n SG_ KIND M : 0|8@1+ (1,0) [0|255] "" ECU\n'
+        ' SG_ FL m1 : 8|16@1+ (0.01,0) [0|300] "km/h" ECU\n SG_ TEMPERATURE m2 : 8|8@1+ (1,0) [0|255] "degC" ECU\n'
+    )
+    process = Process(Config(dbc_file=path, wheel_speed_signals=WheelSignals(front_left="FL")))
+    assert not feed(process, line("0D4#02E803"))
+    assert not feed(process, line("0D4#07E803"))
+    assert process.rejects["dbc_frame"] == 1, "no signal has the value 7 of the multiplexer"
+    (speeds,) = feed(process, line("0D4#01E803"))
+    assert isinstance(speeds, WheelSpeeds) and speeds.front_left_m_s == pytest.approx(10 / 3.6)
+
+
 def test_wheel_speeds_are_decimated_to_the_configured_period(dbc: Path) -> None:
     process = Process(Config(dbc_file=dbc, wheel_speed_signals=WHEELS, wheel_speed_period_s=0.1))
     found = [m for k in range(200) for m in feed(process, line("0D4#E803D007B80B2800", k * 0.01), k * 0.01)]

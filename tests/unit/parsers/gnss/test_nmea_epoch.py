@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.parsers.gnss.framer import Framer, Protocol
-from services.parsers.gnss.nmea_epoch import KNOT_M_S, NmeaAssembler, NmeaError, fix_from_sentences, time_of_day_ns
+from services.parsers.gnss.nmea_epoch import (
+    KNOT_M_S,
+    MOST_GSA,
+    NmeaAssembler,
+    NmeaError,
+    fix_from_sentences,
+    time_of_day_ns,
+)
 from services.parsers.gnss.process import Config, Process
 from shared.messages.gnss import CarrierSolution, FixType, GnssFix, GnssRaw
 from tests.support.data import recording
@@ -136,6 +143,17 @@ def test_any_sentence_is_accepted_or_raises_nmea_error(body: str) -> None:
                 fix_from_sentences(epoch, sampled_ns=1, source="x", rejects=Counter())
         except NmeaError as fault:
             assert str(fault) == "nmea_time"
+
+
+def test_sentences_without_a_time_of_day_are_kept_in_bounds() -> None:
+    assembler = NmeaAssembler()
+    sentences = {}
+    for body in ("GNRMC,000000.00,A,4230.6,N,01315.3,E,,,311225,,", *["GNGSA,A,3,,,,,,,,,,,,,1.0,1.0,1.0"] * 500):
+        for epoch in assembler.take(f"${body}*00\r\n".encode(), 1):
+            sentences = epoch.sentences
+    for epoch in assembler.take(b"$GNRMC,000001.00,A,4230.6,N,01315.3,E,,,311225,,*00\r\n", 2):
+        sentences = epoch.sentences
+    assert len(sentences) == 1 + MOST_GSA
 
 
 CONTENTS = ("", "A", "1", "-1", "nan", "inf", "1e400", "9999.99", "N", "E", "4230.5", "010126", "x")

@@ -106,17 +106,22 @@ def _describe_mbtiles(path: Path) -> MapDescription:
 
 
 def read_tile(path: Path, zoom: int, x: int, y: int) -> bytes | None:
-    """Read a tile of an MBTiles file by its XYZ address; None where the map has none.
+    """Read a tile of an MBTiles file by its XYZ address; None where the map has none; raises `BadMap`.
 
     References
     ----------
     MBTiles specification 1.3: rows are counted from the south, as in the Tile Map Service specification.
     """
-    with closing(_open(path)) as database:
-        row = database.execute(
-            "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?",
-            (zoom, x, (1 << zoom) - 1 - y),
-        ).fetchone()
+    import sqlite3
+
+    try:
+        with closing(_open(path)) as database:
+            row = database.execute(
+                "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?",
+                (zoom, x, (1 << zoom) - 1 - y),
+            ).fetchone()
+    except (sqlite3.Error, OSError) as error:
+        raise BadMap(f"the map {path.name} cannot be read ({error}); {HOW}") from error
     return bytes(row[0]) if row else None
 
 

@@ -65,3 +65,12 @@ def test_bounds_of_a_hostile_database_are_refused(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(BadMap, match="cannot be read"):
         describe(tmp_path / "c.mbtiles")
+
+
+def test_a_database_without_tiles_and_one_that_is_gone_cannot_be_read(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "d.mbtiles") as database:
+        database.execute("create table metadata (name text, value text)")
+    database.close()
+    for name in ("d.mbtiles", "e.mbtiles"):
+        with pytest.raises(BadMap, match="cannot be read"):
+            read_tile(tmp_path / name, 0, 0, 0)
