@@ -3,7 +3,6 @@
 import importlib
 import inspect
 import json
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
@@ -38,13 +37,12 @@ def _tables(name: str, config: type[Section], said: str = "") -> Iterator[str]:
         if isinstance(field.annotation, type) and issubclass(field.annotation, Section)
     }
     fields = cast("dict[str, Json]", config.model_json_schema().get("properties", {}))
-    comments = _comments(config)
     rows = [
         (
             f"`{key}`",
             _kind(field),
             f"`{json.dumps(field.get('default'))}`",
-            str(field.get("description", comments.get(key, ""))),
+            str(field.get("description", "")),
         )
         for key, field in fields.items()
         if key not in inner
@@ -166,13 +164,6 @@ def write(root: Path) -> list[Path]:
     for path, text in files.items():
         path.write_text(text, encoding="utf-8")
     return list(files)
-
-
-def _comments(config: type[Section]) -> dict[str, str]:
-    """Read the comment behind each setting: it says what the name cannot."""
-    lines = inspect.getsource(config).splitlines()
-    found = (re.match(r"    (\w+):.*?\s#\s(.*)", line) for line in lines)
-    return {match[1]: match[2] for match in found if match}
 
 
 def _kind(field: Json) -> str:

@@ -159,6 +159,12 @@ def test_every_json_message_has_a_valid_schema() -> None:
             jsonschema.Draft202012Validator.check_schema(topic.message.model_json_schema())
 
 
+def test_every_setting_has_a_description() -> None:
+    rows = re.findall(r"^\| (`\w+`) \|.*\| (.*) \|$", PRINTED[ROOT / "docs/reference/configuration.md"], re.MULTILINE)
+    assert len(rows) > 200
+    assert not [name for name, meaning in rows if not meaning.strip()]
+
+
 @pytest.mark.parametrize("path", PRINTED, ids=lambda path: path.name)
 def test_what_is_printed_is_what_the_code_says(path: Path) -> None:
     assert path.read_text(encoding="utf-8") == PRINTED[path], "print it anew with `make docs`"

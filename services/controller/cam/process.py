@@ -19,15 +19,19 @@ from .content import Motion, PathHistory, Vehicle, dynamics, own_cam
 class Config(Section):
     """Settings of the vehicle's own CAM."""
 
-    station_id: int = Field(default=1, ge=0, lt=1 << 32)  # pseudonym under which the vehicle sends
-    station_type: StationType = StationType.PASSENGER_CAR  # kind of vehicle
-    role: VehicleRole = VehicleRole.DEFAULT  # role of the vehicle
+    station_id: int = Field(default=1, ge=0, lt=1 << 32, description="pseudonym under which the vehicle sends")
+    station_type: StationType = Field(default=StationType.PASSENGER_CAR, description="kind of vehicle")
+    role: VehicleRole = Field(default=VehicleRole.DEFAULT, description="role of the vehicle")
     reference_point_body_m: Vector3 = Field(
         default=(1.8, 0.0, 0.6),
         description="from the IMU to the ground below the middle of the front: forward, right, down",
     )
-    length_m: float | None = Field(default=None, gt=0.0)  # of the vehicle; without it: "unavailable"
-    width_m: float | None = Field(default=None, gt=0.0)  # of the vehicle; without it: "unavailable"
+    length_m: float | None = Field(
+        default=None, gt=0.0, description="length of the vehicle; without it `unavailable` is sent"
+    )
+    width_m: float | None = Field(
+        default=None, gt=0.0, description="width of the vehicle; without it `unavailable` is sent"
+    )
 
 
 class Process:

@@ -21,8 +21,12 @@ Output = ModeState | GnssConfigure | LastPosition
 class Config(Section):
     """Settings of the controller."""
 
-    configure_gnss: bool = True  # whether the GNSS receiver is configured; false: its configuration is left unchanged
-    navigation_period_s: float = Field(default=1.0, gt=0.0)  # navigation period requested from the GNSS receiver
+    configure_gnss: bool = Field(
+        default=True, description="whether the GNSS receiver is configured; false: its configuration is left unchanged"
+    )
+    navigation_period_s: float = Field(
+        default=1.0, gt=0.0, description="navigation period requested from the GNSS receiver"
+    )
     gnss_messages: tuple[str, ...] = Field(
         default=("NAV-PVT", "NAV-DOP", "NAV-COV", "NAV-SAT", "NAV-EOE"),
         description="UBX messages requested from the GNSS receiver",
@@ -31,7 +35,9 @@ class Config(Section):
         default=("RXM-RAWX", "RXM-SFRBX", "NAV-STATUS", "NAV-CLOCK", "MON-RF", "SEC-SIG", "NAV-SIG"),
         description="UBX messages requested besides; a receiver that rejects one of them sends the others all the same",
     )
-    last_position_period_s: float = Field(default=10.0, gt=0.0)  # period at which the last position is stored
+    last_position_period_s: float = Field(
+        default=10.0, gt=0.0, description="period at which the last position is stored"
+    )
 
 
 class Process:

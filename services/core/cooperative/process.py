@@ -49,7 +49,10 @@ class Config(Section):
         default=1e-5, gt=0.0, lt=0.5, description="per epoch, of the global test and of the test with neighbours each"
     )
     missed_detection_rate: float = Field(
-        default=1e-4, gt=0.0, lt=0.5, description="of a bias of the minimal detectable size, per epoch"
+        default=1e-4,
+        gt=0.0,
+        lt=0.5,
+        description="missed-detection rate of a bias of the minimal detectable size, per epoch",
     )
     elevation_mask_deg: float = Field(
         default=10.0, ge=0.0, lt=90.0, description="elevation below which satellites are not used"

@@ -275,16 +275,20 @@ class GatingSettings(Section):
 
 
 class IntegritySettings(Section):
-    """Protection levels and the limits that reports compare them with."""
+    """Protection levels, and the alert limits that verdict and reports compare them with."""
 
     risk: float = Field(
         default=1e-3, ge=1e-9, le=0.1, description="probability that the position error exceeds a protection level"
     )
     alert_limit_horizontal_m: float = Field(
-        default=10.0, gt=0.0, description="largest horizontal error with which a position is usable; used by reports"
+        default=10.0,
+        gt=0.0,
+        description="horizontal alert limit: a larger protection level makes the verdict UNSAFE; reports use it too",
     )
     alert_limit_vertical_m: float = Field(
-        default=20.0, gt=0.0, description="largest vertical error with which a position is usable; used by reports"
+        default=20.0,
+        gt=0.0,
+        description="vertical alert limit: a larger protection level makes the verdict UNSAFE; reports use it too",
     )
 
 

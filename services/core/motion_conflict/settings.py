@@ -21,14 +21,20 @@ class Settings(Section):
     fast_stale_after_s: float = Field(
         default=6.0, gt=0.0, description="age of the newest window at which the fast test is no longer evaluated"
     )
-    fast_false_alarm_rate: float = Field(default=1e-5, gt=0.0, lt=0.5, description="of the fast test, per window")
-    scale_false_alarm_rate: float = Field(default=1e-4, gt=0.0, lt=0.5, description="of the tests of the scale")
-    gnss_sd_m_s: float = Field(default=0.2, gt=0.0, description="of a GNSS speed that comes without accuracy")
+    fast_false_alarm_rate: float = Field(
+        default=1e-5, gt=0.0, lt=0.5, description="false-alarm rate of the fast test, per window"
+    )
+    scale_false_alarm_rate: float = Field(
+        default=1e-4, gt=0.0, lt=0.5, description="false-alarm rate of the tests of the scale"
+    )
+    gnss_sd_m_s: float = Field(
+        default=0.2, gt=0.0, description="standard deviation of a GNSS speed without stated accuracy"
+    )
     gnss_sd_floor_m_s: float = Field(default=0.05, gt=0.0, description="least standard deviation of a GNSS speed")
     gnss_correlation_s: float = Field(default=2.0, gt=0.0, description="correlation time of GNSS speed errors")
     dead_zone_m_s: float = Field(default=3.0 * KM_H, ge=0.0, description="speed below which the odometer may read zero")
     delay_limits_s: tuple[float, float] = Field(
-        default=(-1.0, 3.0), description="of the odometer's stamps against those of GNSS"
+        default=(-1.0, 3.0), description="smallest and largest delay of the odometer's stamps that is learned"
     )
     motion_sensor_moving_m_s: float = Field(
         default=5.0 * KM_H, gt=0.0, description="GNSS speed that contradicts an odometer at zero"

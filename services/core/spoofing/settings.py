@@ -39,7 +39,9 @@ class GnssSettings(Section):
 class LongSettings(Section):
     """Free propagation over 30 and 60 s."""
 
-    false_alarm_rate: float = Field(default=1e-5, gt=0.0, lt=0.5, description="of each window, per evaluation")
+    false_alarm_rate: float = Field(
+        default=1e-5, gt=0.0, lt=0.5, description="false-alarm rate of each window, per evaluation"
+    )
     velocity_random_walk_m_s_sqrt_s: float = Field(
         default=0.006, gt=0.0, description="root of the PSD of the accelerometers' noise, vibration included"
     )
@@ -47,23 +49,33 @@ class LongSettings(Section):
         default=2e-4, gt=0.0, description="root of the PSD of the gyroscopes' noise, vibration included"
     )
     accelerometer_bias_sd_m_s2: float = Field(
-        default=0.002, ge=0.0, description="of the accelerometer biases, added to the covariance of fusion's filter"
+        default=0.002,
+        ge=0.0,
+        description="standard deviation of the accelerometer biases, added to the covariance of fusion's filter",
     )
     gyroscope_bias_sd_rad_s: float = Field(
-        default=2e-5, ge=0.0, description="of the gyroscope biases, added to the covariance of fusion's filter"
+        default=2e-5,
+        ge=0.0,
+        description="standard deviation of the gyroscope biases, added to the covariance of fusion's filter",
     )
     scale_sd: float = Field(
         default=0.002, ge=0.0, description="standard deviation of scale and cross-axis errors of the inertial sensors"
     )
     attitude_sd_rad: float = Field(
-        default=2e-4, ge=0.0, description="of the attitude per axis, added to the covariance of fusion's filter"
+        default=2e-4,
+        ge=0.0,
+        description="standard deviation of the attitude per axis, added to the covariance of fusion's filter",
     )
     velocity_sd_m_s: float = Field(
-        default=0.02, ge=0.0, description="of the velocity per axis, added to the covariance of fusion's filter"
+        default=0.02,
+        ge=0.0,
+        description="standard deviation of the velocity per axis, added to the covariance of fusion's filter",
     )
     odometer_sd_m_s: float = Field(default=0.05, gt=0.0, description="standard deviation of the odometer's speed")
     odometer_scale_sd: float = Field(
-        default=0.002, ge=0.0, description="of the odometer's scale, added to the covariance of fusion's filter"
+        default=0.002,
+        ge=0.0,
+        description="standard deviation of the odometer's scale, added to the covariance of fusion's filter",
     )
     odometer_delay_s: float = Field(default=0.0, ge=-2.0, le=3.0, description="age of odometer speeds at their stamps")
     odometer_time_sd_s: float = Field(default=0.05, ge=0.0, description="standard deviation of that age")
@@ -80,7 +92,9 @@ class LongSettings(Section):
         default=1.5, ge=0.0, description="between IMU and rear axle; times the yaw rate it is a lateral velocity"
     )
     mounting_sd_rad: float = Field(
-        default=radians(0.1), ge=0.0, description="of the mounting angles, added to the covariance of fusion's filter"
+        default=radians(0.1),
+        ge=0.0,
+        description="standard deviation of the mounting angles, added to the covariance of fusion's filter",
     )
     correlation_s: float = Field(
         default=3.0, ge=1.0, description="correlation time of the errors of odometer and non-holonomic constraint"

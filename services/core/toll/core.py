@@ -309,7 +309,7 @@ class Core:
             self._inherit(journey, self._journeys.pop(update.continues.number, None), track)
         waits = journey.passage is None and self._adopt(journey, track, here)
         if journey.passage is None and not waits and self._may_open(track, here):
-            here = self._reborn(update)
+            here = self._restarted(update)
             if self._may_open(track, here):
                 yield from self._opened(journey, update, here)
         self._note(journey, here, self._settings.passage.decided)
@@ -346,7 +346,7 @@ class Core:
         inside = self._geometry.approach[here.lane] <= here.along < -self._settings.passage.crossed_m
         return is_ready and inside and here.aligned and sum(here.lanes) > ON_ROAD and track.predecessor is None
 
-    def _reborn(self, update: Update) -> Here:
+    def _restarted(self, update: Update) -> Here:
         """Begin the track anew with its newest CAM, as if it were the first one."""
         self._table.restart(update)
         return self._located([update])[0]

@@ -4,6 +4,8 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+from pydantic import Field
+
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix
 from shared.messages.toll import (
@@ -31,7 +33,10 @@ NO_FIX_NS = 2_000_000_000  # without a fix for so long, a tick publishes why the
 class Config(Settings):
     """Settings of core.toll."""
 
-    plaza_file: Path = Path("deploy/plazas/example.geojson")  # GeoJSON, relative to the working folder or repository
+    plaza_file: Path = Field(
+        default=Path("deploy/plazas/example.geojson"),
+        description="GeoJSON file of the plaza, relative to the working folder or repository",
+    )
 
 
 class Process:

@@ -54,7 +54,7 @@ class DeltaSettings(Section):
 
 
 class TrackSettings(Section):
-    """Birth, association and deletion of tracks."""
+    """Initiation, association and deletion of tracks."""
 
     range_m: float = Field(default=2000.0, gt=0.0, le=5000.0, description="distance beyond which stations are rejected")
     max_tracks: int = Field(default=500, ge=1, le=5000, description="vehicles tracked at once")
@@ -62,7 +62,9 @@ class TrackSettings(Section):
     gate_m: float = Field(
         default=8.0, gt=0.0, description="distance from the prediction, beside five standard deviations, that is used"
     )
-    jumps: int = Field(default=3, ge=1, description="consecutive CAM outside the gate after which a new track is born")
+    jumps: int = Field(
+        default=3, ge=1, description="consecutive CAM outside the gate after which a new track is initiated"
+    )
     clock_limit_s: float = Field(
         default=1.0, gt=0.0, description="age of a CAM on arrival above which the station's clock is taken as wrong"
     )
@@ -88,7 +90,7 @@ class PassageSettings(Section):
     resume_wait_s: float = Field(
         default=3.0, ge=0.0, description="time after the start in which the ledger's open passages are awaited"
     )
-    vehicle_length_m: float = Field(default=4.5, gt=0.0, description="of vehicles that do not state theirs")
+    vehicle_length_m: float = Field(default=4.5, gt=0.0, description="length assumed of vehicles that state none")
     gate_lead_s: float = Field(default=8.0, gt=0.0, description="time before the crossing at which a gate is commanded")
     gate_lead_m: float = Field(default=30.0, gt=0.0, description="the same as a distance, for slow vehicles")
 

@@ -181,27 +181,27 @@ class TrackTable:
 
     def _round(self, measured: Sequence[Measured]) -> list[Update]:
         """Use one CAM of each of several stations."""
-        known, births = [], []
+        known, new_tracks = [], []
         self._busy.clear()
         for one in map(self._on_unit_time, measured):
             track = self.by_station.get(one.cam.station_id)
             if track is None:
-                births.append(one)
+                new_tracks.append(one)
             elif one.time_ns <= track.updated_ns:
                 self.rejected["late_or_repeated"] += 1
             elif one.time_ns - track.updated_ns > self._settings.deleted_after_s * 1e9:
                 self._delete(track)
-                births.append(one)
+                new_tracks.append(one)
             else:
                 known.append((track, one))
-        updates = self._continue(known, births) if known else []
-        return updates + [update for one in births if (update := self._bear(one))]
+        updates = self._continue(known, new_tracks) if known else []
+        return updates + [update for one in new_tracks if (update := self._start_track(one))]
 
-    def _continue(self, known: Sequence[tuple[Track, Measured]], births: list[Measured]) -> list[Update]:
+    def _continue(self, known: Sequence[tuple[Track, Measured]], new_tracks: list[Measured]) -> list[Update]:
         """Use the CAM of existing tracks inside their gates.
 
         A station ID whose CAM are outside the gate several times is used by another vehicle now: its track is deleted,
-        and the CAM is added to `births`.
+        and the CAM is added to `new_tracks`.
         """
         dt = np.array([(one.time_ns - track.updated_ns) * 1e-9 for track, one in known])
         predicted = self._imm.predict(self.estimates([track for track, _ in known]), dt)
@@ -214,7 +214,7 @@ class TrackTable:
                 self.rejected["outside_gate"] += 1
                 if track.jumps >= self._settings.jumps:
                     self._delete(track)
-                    births.append(one)
+                    new_tracks.append(one)
         used = [pair for pair, is_inside in zip(known, inside, strict=True) if is_inside]
         if used:
             seen = observation([one for _, one in used], self._white_sd)
@@ -222,7 +222,7 @@ class TrackTable:
         self._busy.update(track.number for track, _ in used)
         return [self._noted(track, one, born=False) for track, one in used]
 
-    def _bear(self, one: Measured) -> Update | None:
+    def _start_track(self, one: Measured) -> Update | None:
         """Begin a track with a CAM of an unknown station."""
         if not self._free:
             self.rejected["too_many_tracks"] += 1

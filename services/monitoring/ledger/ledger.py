@@ -46,18 +46,36 @@ OUTCOMES = ("charged", "undecided", "unregistered", "suspect", "void", "missed")
 class Settings(Section):
     """How long the ledger waits, and how long it keeps what."""
 
-    registration_limit_s: float = Field(default=300.0, gt=0, le=600.0)  # longest validity of a registration
-    registration_wait_s: float = Field(default=15.0, ge=0)  # for a registration that was lost, behind the exit line
-    silence_limit_s: float = Field(default=120.0, gt=0)  # a passage without a statement for so long is settled
+    registration_limit_s: float = Field(default=300.0, gt=0, le=600.0, description="longest validity of a registration")
+    registration_wait_s: float = Field(
+        default=15.0,
+        ge=0,
+        description="time that a registration behind the exit line is waited for, because it may have been lost",
+    )
+    silence_limit_s: float = Field(
+        default=120.0, gt=0, description="time without a statement after which a passage is settled"
+    )
     uncharged_kept_s: float = Field(
-        default=300.0, gt=0, le=600.0
-    )  # how long a settled passage is known that costs nothing
-    evidence_kept_days: float = Field(default=60.0, gt=0)  # objection period
-    match_after_s: float = Field(default=150.0, gt=0)  # a detector pulse is accounted for after so long
-    match_gate_s: float = Field(default=5.0, gt=0)  # largest distance of a pulse from its crossing, or 3 sigma of that
-    detector_sd_s: float = Field(default=0.1, gt=0)  # standard deviation of a pulse's time
-    resend_first_s: float = Field(default=1.0, gt=0)  # until a transaction without receipt is sent again; doubles ...
-    resend_longest_s: float = Field(default=60.0, gt=0)  # ... up to this
+        default=300.0, gt=0, le=600.0, description="time for which a settled passage without a charge is remembered"
+    )
+    evidence_kept_days: float = Field(
+        default=60.0, gt=0, description="objection period: time for which evidence is kept"
+    )
+    match_after_s: float = Field(
+        default=150.0, gt=0, description="time after which a detector pulse without a crossing is an unmatched one"
+    )
+    match_gate_s: float = Field(
+        default=5.0,
+        gt=0,
+        description="largest time between a pulse and its crossing, or three standard deviations of that",
+    )
+    detector_sd_s: float = Field(default=0.1, gt=0, description="standard deviation of a pulse's time")
+    resend_first_s: float = Field(
+        default=1.0, gt=0, description="time until a transaction without receipt is sent again; it doubles each time"
+    )
+    resend_longest_s: float = Field(
+        default=60.0, gt=0, description="longest time between two attempts to send a transaction"
+    )
 
 
 class Ledger:

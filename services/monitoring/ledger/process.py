@@ -3,6 +3,8 @@
 import logging
 from pathlib import Path
 
+from pydantic import Field
+
 from shared.bus.bus import Bus, Envelope, decoded
 from shared.messages.base import Message
 from shared.messages.operation import Origin, OriginKind
@@ -23,8 +25,13 @@ RETRY_NS = 5_000_000_000
 class Config(Settings):
     """Settings of monitoring.ledger."""
 
-    plaza_file: Path = Path("deploy/plazas/example.geojson")  # GeoJSON, relative to the working folder or repository
-    file: Path = Path("toll/ledger.sqlite")  # the database, below the state folder unless absolute
+    plaza_file: Path = Field(
+        default=Path("deploy/plazas/example.geojson"),
+        description="GeoJSON file of the plaza, relative to the working folder or repository",
+    )
+    file: Path = Field(
+        default=Path("toll/ledger.sqlite"), description="the database, below the state folder unless absolute"
+    )
 
 
 class Process:

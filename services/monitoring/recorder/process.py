@@ -22,13 +22,26 @@ STATE_NS, RETRY_NS = 1_000_000_000, 5_000_000_000
 class Config(Section):
     """Where recordings go, how they are cut into files, and how much room they may take."""
 
-    folder: str = "recordings"  # below the state folder, unless absolute; made if what it lies in is there
-    chunk_bytes: int = Field(default=256 * 1024, gt=0, le=64 * 1024**2)
-    flush_period_s: float = Field(default=0.5, gt=0)  # what a crash of the recorder costs at most
-    rotate_bytes: int = Field(default=256 * 1024**2, gt=0)
-    rotate_period_s: float = Field(default=3600.0, gt=0)
-    maximum_total_bytes: int = Field(default=8 * 1024**3, gt=0)
-    minimum_free_bytes: int = Field(default=512 * 1024**2, ge=0)
+    folder: str = Field(
+        default="recordings",
+        description="folder of the recordings, below the state folder unless absolute; made if its parent exists",
+    )
+    chunk_bytes: int = Field(
+        default=256 * 1024, gt=0, le=64 * 1024**2, description="size of a chunk, the unit of compression and of reading"
+    )
+    flush_period_s: float = Field(
+        default=0.5,
+        gt=0,
+        description="period of passing data to the operating system: what a crash of the recorder loses at most",
+    )
+    rotate_bytes: int = Field(default=256 * 1024**2, gt=0, description="size at which a new recording is begun")
+    rotate_period_s: float = Field(default=3600.0, gt=0, description="duration after which a new recording is begun")
+    maximum_total_bytes: int = Field(
+        default=8 * 1024**3, gt=0, description="size of all recordings above which the oldest are deleted"
+    )
+    minimum_free_bytes: int = Field(
+        default=512 * 1024**2, ge=0, description="free disk space below which the oldest recordings are deleted"
+    )
 
 
 class Process:
@@ -49,7 +62,7 @@ class Process:
         while not bus.stopping:
             if bus.now_ns() >= self._state_ns:
                 self._state_ns = bus.now_ns() + STATE_NS
-                self._keep_house(bus)
+                self._enforce_limits(bus)
                 bus.publish(self._state(bus))
             self._write(bus.receive(0.1), bus.now_ns())
         self._write(bus.receive(0.0), bus.now_ns())
@@ -64,7 +77,7 @@ class Process:
         except OSError as error:
             self._stop(f"cannot write: {error.strerror}", now_ns)
 
-    def _keep_house(self, bus: Bus) -> None:
+    def _enforce_limits(self, bus: Bus) -> None:
         """Make room, and begin a file where there is none or the one in progress is long enough."""
         folder, now_ns = self._folder, bus.now_ns()
         aged = now_ns - self._opened_ns >= self._config.rotate_period_s * 1e9

@@ -47,17 +47,28 @@ LOOK_NS = 2_000_000_000  # between two looks at the folder of recordings
 class Config(Section):
     """Address of the server, and lengths of the histories."""
 
-    host: str | None = None  # "0.0.0.0" shows it to the whole network; without it OBU_HTTP_HOST, else 127.0.0.1
-    port: int = Field(default=8080, ge=0, le=65535)  # 0: any free one
-    history_s: float = Field(default=900.0, gt=0, le=86_400)
-    static_dir: str | None = None  # another dashboard than the one beside this file
-    allowed_hosts: tuple[str, ...] = ()  # further names that the unit is reached by
-    map_file: str | None = None  # .pmtiles or .mbtiles: docs/how-to/install-a-map.md
-    replay: bool = False  # the messages are those of sensors.replay: show recorded time; `obu replay` sets it
-    recordings: tuple[Literal["download", "keep", "delete", "replay", "solve"], ...] = (
-        "download",
-        "keep",
-    )  # what the page Recordings may do: download, keep, delete, replay, solve
+    host: str | None = Field(
+        default=None,
+        description="address that the page listens on; 0.0.0.0: the whole network sees it; "
+        "without it OBU_HTTP_HOST, else 127.0.0.1",
+    )
+    port: int = Field(default=8080, ge=0, le=65535, description="TCP port of the page; 0: any free one")
+    history_s: float = Field(
+        default=900.0, gt=0, le=86_400, description="length of the history that the page and /api/history hold"
+    )
+    static_dir: str | None = Field(default=None, description="folder of another dashboard than the delivered one")
+    allowed_hosts: tuple[str, ...] = Field(default=(), description="further host names by which the unit is reached")
+    map_file: str | None = Field(
+        default=None, description="map of the page Map, a .pmtiles or .mbtiles file: docs/how-to/install-a-map.md"
+    )
+    replay: bool = Field(
+        default=False,
+        description="whether messages come from sensors.replay, so that recorded time is shown; `obu replay` sets it",
+    )
+    recordings: tuple[Literal["download", "keep", "delete", "replay", "solve"], ...] = Field(
+        default=("download", "keep"),
+        description="what the page Recordings may do: download, keep, delete, replay, solve",
+    )
     clients_maximum: int = Field(
         default=100, ge=1, le=256, description="dashboards at once, and as many readers of /api/events"
     )

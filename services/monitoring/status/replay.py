@@ -22,7 +22,7 @@ class ReplayFeed:
         self.events = ReplayEvents()
         self.broken = 0  # messages that could not be read
         self.fresh = False  # a jump is complete and has not been shown yet
-        self._heard_ns = 0  # time of the host at the newest replay state
+        self._received_ns = 0  # time of the host at the newest replay state
         self._jump: list[Envelope] | None = None  # messages of a jump that is not complete
         self._context_ns = 0  # up to this arrival they say what was known, and no time passes between them
 
@@ -31,12 +31,12 @@ class ReplayFeed:
         newest = self.newest
         if newest is None:
             return host_ns
-        elapsed_ns = min(host_ns - self._heard_ns, RUNS_ON_NS) if newest.playing else 0
+        elapsed_ns = min(host_ns - self._received_ns, RUNS_ON_NS) if newest.playing else 0
         return min(newest.position_ns + round(elapsed_ns * newest.speed), newest.end_ns)
 
     def lost(self, host_ns: int) -> bool:
         """Whether the replay has not reported its position lately."""
-        return self.newest is None or host_ns - self._heard_ns > RUNS_ON_NS
+        return self.newest is None or host_ns - self._received_ns > RUNS_ON_NS
 
     def take(self, envelopes: Iterable[Envelope], host_ns: int) -> None:
         """Take what was received; the heartbeats of the processes that run the replay are not part of it."""
@@ -65,7 +65,7 @@ class ReplayFeed:
             self._jump, self._context_ns = [], state.position_ns
             return
         messages, self._jump = self._jump, None
-        self.newest, self._heard_ns = state, host_ns
+        self.newest, self._received_ns = state, host_ns
         if messages is None and not jumped:
             return
         self._state.clear(state.begin_ns)

@@ -24,10 +24,10 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 class WheelSignals(Section):
     """Name of the signal of each wheel in the DBC file."""
 
-    front_left: str | None = None
-    front_right: str | None = None
-    rear_left: str | None = None
-    rear_right: str | None = None
+    front_left: str | None = Field(default=None, description="name of the signal of the front left wheel")
+    front_right: str | None = Field(default=None, description="name of the signal of the front right wheel")
+    rear_left: str | None = Field(default=None, description="name of the signal of the rear left wheel")
+    rear_right: str | None = Field(default=None, description="name of the signal of the rear right wheel")
 
 
 class Config(Section):
@@ -36,10 +36,16 @@ class Config(Section):
     vehicle_speed_delay_s: float = Field(
         default=0.1, ge=0.0, description="delay of OBD-II and J1939 speeds from the wheels to the CAN bus"
     )
-    wheel_speed_delay_s: float = Field(default=0.02, ge=0.0)  # delay of wheel speeds from the wheels to the CAN bus
-    wheel_speed_period_s: float = Field(default=0.1, ge=0.0)  # minimum period of the published wheel speeds
-    dbc_file: Path | None = None  # path of the DBC file, relative to the working folder or to the repository
-    wheel_speed_signals: WheelSignals = WheelSignals()  # name of the wheel-speed signal of each wheel in the DBC file
+    wheel_speed_delay_s: float = Field(
+        default=0.02, ge=0.0, description="delay of wheel speeds from the wheels to the CAN bus"
+    )
+    wheel_speed_period_s: float = Field(default=0.1, ge=0.0, description="minimum period of the published wheel speeds")
+    dbc_file: Path | None = Field(
+        default=None, description="path of the DBC file, relative to the working folder or to the repository"
+    )
+    wheel_speed_signals: WheelSignals = Field(
+        default=WheelSignals(), description="name of the wheel-speed signal of each wheel in the DBC file"
+    )
 
 
 class Process:

@@ -17,7 +17,9 @@ MAX_RECEIVERS = 8
 class Config(Section):
     """Settings of the GNSS parser."""
 
-    minimum_delay_s: float = Field(default=0.05, ge=0.0)  # minimum delay from a GNSS epoch to its first received byte
+    minimum_delay_s: float = Field(
+        default=0.05, ge=0.0, description="minimum delay from a GNSS epoch to its first received byte"
+    )
 
 
 class Process:

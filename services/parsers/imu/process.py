@@ -26,7 +26,9 @@ class Config(Section):
         default=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
         description="rotation matrix from sensor axes to body axes (forward, right, down), row by row",
     )
-    minimum_delay_s: float = Field(default=0.003, ge=0.0)  # minimum delay from an inertial sample to its arrival
+    minimum_delay_s: float = Field(
+        default=0.003, ge=0.0, description="minimum delay from an inertial sample to its arrival"
+    )
 
     @field_validator("body_from_sensor")
     @classmethod

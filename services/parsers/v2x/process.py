@@ -22,7 +22,7 @@ NS_PER_MS = 1_000_000
 class Config(Section):
     """Settings of the V2X parser."""
 
-    max_age_s: float = Field(default=5.0, ge=0.0, le=32.0)  # CAM generated longer ago are rejected
+    max_age_s: float = Field(default=5.0, ge=0.0, le=32.0, description="largest age of a CAM; older ones are rejected")
     max_future_s: float = Field(
         default=2.0,
         ge=0.0,

@@ -18,9 +18,11 @@ SPEED_REQUEST = bytes.fromhex("02010D0000000000")  # SAE J1979 mode 01, PID 0D
 class Config(Section):
     """Settings of the CAN driver; `shared/devices/can_device.py` lists the kinds of device."""
 
-    device: str = "socketcan://can0"  # URL of the CAN interface
-    source: DeviceName = "can0"  # name of this CAN bus in the published messages
-    obd_period_s: float = Field(default=0.0, ge=0.0)  # period of the OBD-II speed requests; 0: nothing is transmitted
+    device: str = Field(default="socketcan://can0", description="URL of the CAN interface")
+    source: DeviceName = Field(default="can0", description="name of this CAN bus in the published messages")
+    obd_period_s: float = Field(
+        default=0.0, ge=0.0, description="period of the OBD-II speed requests; 0: nothing is transmitted"
+    )
     obd_identifier: int = Field(
         default=0x7DF,
         ge=0,

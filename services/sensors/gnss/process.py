@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+from pydantic import Field
+
 from shared.bus.bus import Bus, Envelope, decoded
 from shared.devices.device import open_device, split_url
 from shared.devices.driver import Link, run_driver
@@ -13,8 +15,8 @@ from shared.runtime.config import Section
 class Config(Section):
     """Settings of the GNSS driver; `shared/devices/device.py` lists the kinds of device."""
 
-    device: str = "serial:///dev/obu-gnss?baud=115200"  # URL of the GNSS receiver
-    source: DeviceName = "gnss0"  # name of this receiver in the published messages
+    device: str = Field(default="serial:///dev/obu-gnss?baud=115200", description="URL of the GNSS receiver")
+    source: DeviceName = Field(default="gnss0", description="name of this receiver in the published messages")
 
 
 class Process:

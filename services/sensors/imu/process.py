@@ -1,5 +1,7 @@
 """Reads the bytes of the inertial measurement unit."""
 
+from pydantic import Field
+
 from shared.bus.bus import Bus
 from shared.devices.device import open_device, split_url
 from shared.devices.driver import Link, run_driver
@@ -11,8 +13,8 @@ from shared.runtime.config import Section
 class Config(Section):
     """Settings of the IMU driver; `shared/devices/device.py` lists the kinds of device."""
 
-    device: str = "serial:///dev/obu-imu?baud=115200"  # URL of the inertial measurement unit
-    source: DeviceName = "imu0"  # name of this IMU in the published messages
+    device: str = Field(default="serial:///dev/obu-imu?baud=115200", description="URL of the inertial measurement unit")
+    source: DeviceName = Field(default="imu0", description="name of this IMU in the published messages")
 
 
 class Process:

@@ -32,9 +32,11 @@ WATCHED_NICE = 5  # of the computation of events that somebody waits for
 class Config(Section):
     """The recording and how it is played."""
 
-    file: str = ""  # recording with an index, as `obu record repair` writes it
-    speed: float = Field(default=1.0, ge=SLOWEST, le=FASTEST)  # recorded seconds per second, at the start
-    summaries: str | None = None  # folder that keeps the summary if none is beside the recording; `obu replay` sets it
+    file: str = Field(default="", description="recording with an index, as `obu record repair` writes it")
+    speed: float = Field(default=1.0, ge=SLOWEST, le=FASTEST, description="recorded seconds per second, at the start")
+    summaries: str | None = Field(
+        default=None, description="folder that keeps the summary if none is beside the recording; `obu replay` sets it"
+    )
 
 
 class Process:

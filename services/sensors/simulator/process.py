@@ -26,10 +26,14 @@ LATEST_NS = 1_000_000_000  # messages overdue by more than this are dropped (the
 class Config(Section):
     """Settings of the simulator."""
 
-    scenario: str = "parking_lot"  # name of the simulated drive
-    seed: int = 1  # seed of all random numbers; the same seed gives the same bytes
-    protocols: tuple[Literal["ubx", "nmea"], ...] = ("ubx", "nmea")  # initial output protocols of the GNSS receiver
-    mounting_rpy_deg: Vector3 = (0.0, 0.0, 0.0)  # roll, pitch, yaw of the IMU relative to the vehicle
+    scenario: str = Field(default="parking_lot", description="name of the simulated drive")
+    seed: int = Field(default=1, description="seed of all random numbers; the same seed gives the same bytes")
+    protocols: tuple[Literal["ubx", "nmea"], ...] = Field(
+        default=("ubx", "nmea"), description="initial output protocols of the GNSS receiver"
+    )
+    mounting_rpy_deg: Vector3 = Field(
+        default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU relative to the vehicle"
+    )
     second_antenna_m: float = Field(
         default=0.0, ge=0.0, le=10.0, description="distance of a second GNSS antenna ahead of the first; 0: none"
     )

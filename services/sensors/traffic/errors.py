@@ -14,13 +14,24 @@ FloatArray = npt.NDArray[np.float64]
 class ErrorModel(Section):
     """Horizontal GNSS errors, standard deviations per axis; all but white noise are first-order Gauss-Markov."""
 
-    common_sd_m: float = Field(default=3.0, ge=0.0, le=100.0)  # of all receivers: atmosphere, orbits, clocks
-    common_s: float = Field(default=600.0, gt=0.0)  # correlation time
-    multipath_sd_m: float = Field(default=0.6, ge=0.0, le=100.0)  # of each vehicle
-    multipath_s: float = Field(default=20.0, gt=0.0)
-    white_sd_m: float = Field(default=0.4, ge=0.0, le=100.0)  # of each position
-    unit_sd_m: float = Field(default=0.3, ge=0.0, le=100.0)  # multipath at the unit's antenna
-    unit_s: float = Field(default=60.0, gt=0.0)
+    common_sd_m: float = Field(
+        default=3.0,
+        ge=0.0,
+        le=100.0,
+        description="standard deviation of the error that all receivers share: atmosphere, orbits, clocks",
+    )
+    common_s: float = Field(default=600.0, gt=0.0, description="correlation time of the common error")
+    multipath_sd_m: float = Field(
+        default=0.6, ge=0.0, le=100.0, description="standard deviation of the multipath error of each vehicle"
+    )
+    multipath_s: float = Field(default=20.0, gt=0.0, description="correlation time of the multipath error")
+    white_sd_m: float = Field(
+        default=0.4, ge=0.0, le=100.0, description="standard deviation of the white error of each position"
+    )
+    unit_sd_m: float = Field(
+        default=0.3, ge=0.0, le=100.0, description="standard deviation of the multipath error of the unit's own antenna"
+    )
+    unit_s: float = Field(default=60.0, gt=0.0, description="correlation time of the error of the unit's own antenna")
 
 
 class GaussMarkov:

@@ -27,12 +27,19 @@ LATEST_NS = NS  # a frame overdue by more than this is dropped (the host was sus
 class Config(Traffic):
     """Settings of the simulated traffic."""
 
-    plaza_file: Path = Path("deploy/plazas/example.geojson")  # GeoJSON, relative to the working folder or repository
-    send_to: str = "udp://127.0.0.1:47347"  # where the V2X driver listens
-    seed: int = Field(default=1, ge=0)  # seed of all random numbers; the same seed gives the same traffic
-    answer_after_s: float = Field(default=0.2, ge=0.0, le=60.0)  # of the simulated operator
-    answers_lost: float = Field(default=0.05, ge=0.0, le=1.0)  # share of the operator's answers that do not arrive
-    pause_s: float = Field(default=1.5, ge=0.0, le=60.0)  # delay of the traffic, so that others can subscribe before it
+    plaza_file: Path = Field(
+        default=Path("deploy/plazas/example.geojson"),
+        description="GeoJSON file of the plaza, relative to the working folder or repository",
+    )
+    send_to: str = Field(default="udp://127.0.0.1:47347", description="URL at which the V2X driver receives")
+    seed: int = Field(default=1, ge=0, description="seed of all random numbers; the same seed gives the same traffic")
+    answer_after_s: float = Field(default=0.2, ge=0.0, le=60.0, description="delay of the simulated operator's answers")
+    answers_lost: float = Field(
+        default=0.05, ge=0.0, le=1.0, description="share of the operator's answers that do not arrive"
+    )
+    pause_s: float = Field(
+        default=1.5, ge=0.0, le=60.0, description="delay of the traffic, so that others can subscribe before it"
+    )
 
 
 class Process:

@@ -38,29 +38,42 @@ FROM_RECEIVER: Final = 0  # pyubx2's GET
 class Channel(Section):
     """What the radio channel does to frames."""
 
-    loss: float = Field(default=0.05, ge=0.0, le=1.0)  # share of frames that do not arrive
-    duplicates: float = Field(default=0.02, ge=0.0, le=1.0)  # share that arrives twice
-    latency_s: float = Field(default=0.03, ge=0.0, le=10.0)  # mean delay
-    reordered: float = Field(default=0.02, ge=0.0, le=1.0)  # share that is delayed further, ...
-    reorder_s: float = Field(default=1.0, ge=0.0, le=10.0)  # ... by up to this
+    loss: float = Field(default=0.05, ge=0.0, le=1.0, description="share of frames that do not arrive")
+    duplicates: float = Field(default=0.02, ge=0.0, le=1.0, description="share of frames that arrive twice")
+    latency_s: float = Field(default=0.03, ge=0.0, le=10.0, description="mean delay of frames")
+    reordered: float = Field(default=0.02, ge=0.0, le=1.0, description="share of frames with an additional delay")
+    reorder_s: float = Field(default=1.0, ge=0.0, le=10.0, description="largest additional delay of such a frame")
 
 
 class Mix(Section):
     """Share of vehicles that are not as they should be."""
 
-    unequipped: float = Field(default=0.1, ge=0.0, le=1.0)  # send no CAM
-    unregistered: float = Field(default=0.1, ge=0.0, le=1.0)  # of the equipped: no contract
-    silent: float = Field(default=0.03, ge=0.0, le=1.0)  # send no CAM for 2 to 6 s
-    new_station_id: float = Field(default=0.1, ge=0.0, le=1.0)  # change their station ID on the approach
-    corrected: float = Field(default=0.1, ge=0.0, le=1.0)  # use corrections: none of the common error
-    turning: float = Field(default=0.02, ge=0.0, le=1.0)  # turn around before the gate
+    unequipped: float = Field(default=0.1, ge=0.0, le=1.0, description="share of vehicles that send no CAM")
+    unregistered: float = Field(
+        default=0.1, ge=0.0, le=1.0, description="share of equipped vehicles without a contract"
+    )
+    silent: float = Field(default=0.03, ge=0.0, le=1.0, description="share of vehicles that send no CAM for 2 to 6 s")
+    new_station_id: float = Field(
+        default=0.1, ge=0.0, le=1.0, description="share of vehicles that change their station ID on the approach"
+    )
+    corrected: float = Field(
+        default=0.1,
+        ge=0.0,
+        le=1.0,
+        description="share of vehicles that use corrections and so have none of the common error",
+    )
+    turning: float = Field(
+        default=0.02, ge=0.0, le=1.0, description="share of vehicles that turn around before the gate"
+    )
 
 
 class Traffic(Section):
     """The simulated traffic."""
 
-    vehicles: int = Field(default=50, ge=1, le=200)  # at a time
-    speed_m_s: tuple[float, float] = (14.0, 22.0)  # desired speeds are distributed uniformly between the two
+    vehicles: int = Field(default=50, ge=1, le=200, description="number of vehicles at a time")
+    speed_m_s: tuple[float, float] = Field(
+        default=(14.0, 22.0), description="desired speeds, distributed uniformly between the two"
+    )
     errors: ErrorModel = ErrorModel()
     channel: Channel = Channel()
     mix: Mix = Mix()

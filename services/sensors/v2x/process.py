@@ -22,9 +22,11 @@ BURST_S = 0.5  # of frames at the greatest rate, after a pause
 class Config(Section):
     """Settings of the V2X driver; `shared/devices/v2x_device.py` lists the kinds of radio."""
 
-    device: str = "udp://127.0.0.1:47347"  # URL of the radio: where its frames arrive
-    send_to: str | None = None  # UDP only: URL to which frames of this unit are sent; without it none are sent
-    source: DeviceName = "v2x0"  # name of this radio in the published messages
+    device: str = Field(default="udp://127.0.0.1:47347", description="URL of the radio: where its frames arrive")
+    send_to: str | None = Field(
+        default=None, description="UDP only: URL to which frames of this unit are sent; without it none are sent"
+    )
+    source: DeviceName = Field(default="v2x0", description="name of this radio in the published messages")
     max_frames_s: int = Field(
         default=4000,
         ge=50,

@@ -16,7 +16,7 @@ def host_name(host: str | None) -> str | None:
 
 
 def host_allowed(host: str | None, allowed: Iterable[str] = ()) -> bool:
-    """Accept addresses and names that no stranger can register, and those that the settings name.
+    """Accept addresses and names that cannot be registered publicly, and those that the settings name.
 
     A page at a public name that was re-pointed to the unit (DNS rebinding) is refused by this.
     """

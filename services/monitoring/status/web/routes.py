@@ -174,7 +174,7 @@ class Api:
 
 
 class Guard:
-    """Refuses strangers' host names, and gives every answer the headers that keep a browser safe."""
+    """Rejects unknown host names, and gives every answer the headers that keep a browser safe."""
 
     def __init__(self, app: Callable[..., Any], allowed_hosts: tuple[str, ...]) -> None:
         self._app, self._allowed = app, allowed_hosts

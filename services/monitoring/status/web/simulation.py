@@ -1,4 +1,4 @@
-"""The one thing that can be changed over the web: attacks on a simulated vehicle."""
+"""Attacks on a simulated vehicle over the web."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
