@@ -157,18 +157,17 @@ def _speed(path: Path) -> Cost:
 
 def store(document: Document, *, partial: bool) -> None:
     """Print the table; keep it with all numbers behind it, if all drives were asked for."""
-    text = page(document)
-    print(text)
+    print(page(document))
     if partial:
         return
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "navigation.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    (RESULTS / "navigation.md").write_text(text, encoding="utf-8")
     write_pages(document)
 
 
 def write_pages(document: Document) -> None:
-    """Print docs/reference/drives.md, and the tables of the how-to between their marks."""
+    """Print benchmarks/results/navigation.md, docs/reference/drives.md, and the tables of the how-to."""
+    (RESULTS / "navigation.md").write_text(page(document), encoding="utf-8")
     PAGE.write_text(HEAD + page(document), encoding="utf-8")
     HOW_TO.write_text(with_tables(HOW_TO.read_text(encoding="utf-8"), document), encoding="utf-8")
 
