@@ -76,8 +76,7 @@ def attack_lab(  # one argument an option
     except OSError as error:
         raise UserError(f"cannot create the folder {out}: {error.strerror}; choose another one with --out") from error
     console = Console(stderr=True)
-    with _interruptible():
-        runs = run_all(cases, jobs or os.cpu_count() or 1, console)
+    runs = run_all(cases, jobs or os.cpu_count() or 1, console)
     if not runs:
         raise UserError("interrupted before the first run was finished: there is no report")
     card = document(runs, planned=len(cases))
@@ -92,7 +91,11 @@ def attack_lab(  # one argument an option
 def run_all(cases: list[Case], jobs: int, console: Console) -> list[Run]:
     """Run all cases in parallel, in the order of the plan; after an interrupt those that are finished."""
     found: dict[int, Run] = {}
-    with progress_on(console) as progress, ProcessPoolExecutor(min(jobs, len(cases)), initializer=_ignore) as pool:
+    with (
+        _interruptible(),
+        progress_on(console) as progress,
+        ProcessPoolExecutor(min(jobs, len(cases)), initializer=_ignore) as pool,
+    ):
         task = progress.add_task("attacking", total=len(cases))
         waiting = {pool.submit(run, case): number for number, case in enumerate(cases)}
         try:

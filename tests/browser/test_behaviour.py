@@ -396,7 +396,7 @@ def test_beyond_the_limit_a_page_says_how_many_watch_and_nothing_else(
         expect(second.locator("svg.closeup")).to_be_visible(timeout=8000)
 
 
-def test_protection_levels_are_drawn_and_told_in_plain_words(tmp_path: Path, open_page: Callable[..., Page]) -> None:
+def test_protection_levels_are_described_in_plain_words(tmp_path: Path, open_page: Callable[..., Page]) -> None:
     with status_server(tmp_path) as server:
         page = open_page(server.address)
         ring = page.locator("svg.closeup circle.level")

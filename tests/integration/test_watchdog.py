@@ -1,7 +1,7 @@
 """Failures of parts of a unit: what `monitoring.health` reports, `monitoring.status` shows, and what continues.
 
-A unit on each broker runs as `make demo` starts it, under its supervisor. Every failure is one outage with one root
-cause, and nothing else is accused. Both units fail at the same time, which halves the time of these tests.
+A unit runs as `make demo` starts it, under its supervisor. Every failure is one outage with one root cause, and nothing
+else is accused. Failures of the broker, and the end of a unit, are tested with each broker.
 """
 
 import math
@@ -9,7 +9,6 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 import psutil
 import pytest
 
+from services.core.fusion.alignment.warm_start import LONGEST_GAP_S
 from shared.bus.bus import Bus
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
@@ -138,23 +138,19 @@ def is_well(health: dict[str, object]) -> bool:
 
 
 @pytest.fixture(scope="module")
-def units(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Unit]]:
-    made = [Unit(kind, start_demo(tmp_path_factory.mktemp(kind), "--broker", kind)) for kind in KINDS]
+def unit(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Unit]:
+    kind: str = request.param
+    made = Unit(kind, start_demo(tmp_path_factory.mktemp(kind), "--broker", kind))
     try:
-        for unit in made:
-            unit.until(is_well, "the unit navigates", 150.0)
+        made.until(is_well, "the unit navigates", 150.0)
         yield made
     finally:
-        for unit in made:
-            unit.demo.process.terminate()
-        for unit in made:
-            unit.demo.process.communicate(timeout=10.0)
+        made.demo.process.terminate()
+        made.demo.process.communicate(timeout=10.0)
 
 
-def on_each(units: list[Unit], test: Callable[[Unit], None]) -> None:
-    """Carry out a test on all units at the same time."""
-    with ThreadPoolExecutor(len(units)) as pool:
-        list(pool.map(test, units))
+on_mosquitto = pytest.mark.parametrize("unit", KINDS[:1], indirect=True, scope="module")
+on_each_broker = pytest.mark.parametrize("unit", KINDS, indirect=True, scope="module")
 
 
 INVALID = (b"garbage", b"{}", b'{"sampled_ns":1e400}', b"[1,2", b"\xff" * 5000)
@@ -165,12 +161,9 @@ SPEAKERS = {
 }  # fmt: skip
 
 
-def test_invalid_payloads_on_the_bus_are_counted_and_end_no_process(units: list[Unit]) -> None:
-    on_each(units, lambda unit: send_garbage(unit.demo))
-
-
-def send_garbage(demo: Demo) -> None:
-    """Publish invalid payloads in the name of each producer."""
+@on_mosquitto
+def test_invalid_payloads_on_the_bus_are_counted_and_end_no_process(unit: Unit) -> None:
+    demo = unit.demo
     address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
     children = {child.pid for child in psutil.Process(demo.process.pid).children()}
     sender = b'{"sender":{"process":"x","incarnation":1,"sequence":1},'
@@ -186,29 +179,34 @@ def send_garbage(demo: Demo) -> None:
     assert demo.process.poll() is None
 
 
+@on_mosquitto
 def test_a_killed_filter_publishes_again_within_two_seconds_and_is_the_cause_until_then(
-    units: list[Unit], tmp_path: Path
+    unit: Unit, tmp_path: Path
 ) -> None:
-    def test(unit: Unit) -> None:
-        folder = tmp_path / unit.kind
-        folder.mkdir()
-        kill_and_compare(unit.demo, lambda: unit.fail("run core.fusion", signal.SIGKILL), folder)
-        lost = "core.fusion was lost: it crashed, was killed or lost its connection"
-        unit.until(lambda _: bool(unit.outages()), "the loss is an outage")
+    for attempt in range(3):
+        if kill_and_compare(unit.demo, lambda: unit.fail("run core.fusion", signal.SIGKILL), tmp_path / str(attempt)):
+            break
         unit.until_well()
-        unit.assert_one_outage("core.fusion", lost, "navigation/solution", "navigation/state")
-        again = {text for text in unit.problems if text.startswith("core.fusion was restarted and is starting again")}
-        assert unit.problems <= {lost, *again}, "a warm start may be over before the second text is polled"
-        explained = [
-            sentence for sentence in unit.sentences if sentence.startswith("No position: ") and "(core." in sentence
-        ]
-        assert all("core.fusion was" in sentence for sentence in explained), explained
+    else:
+        pytest.fail("three times no process was started anew within the longest gap of a warm start")
+    lost = "core.fusion was lost: it crashed, was killed or lost its connection"
+    unit.until(lambda _: bool(unit.outages()), "the loss is an outage")
+    unit.until_well()
+    unit.assert_one_outage("core.fusion", lost, "navigation/solution", "navigation/state")
+    again = {text for text in unit.problems if text.startswith("core.fusion was restarted and is starting again")}
+    assert unit.problems <= {lost, *again}, "a warm start may be over before the second text is polled"
+    explained = [
+        sentence for sentence in unit.sentences if sentence.startswith("No position: ") and "(core." in sentence
+    ]
+    assert all("core.fusion was" in sentence for sentence in explained), explained
 
-    on_each(units, test)
 
+def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Path) -> bool:
+    """Kill the filter: within two seconds solutions continue from the retained state with a consistent covariance.
 
-def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Path) -> None:
-    """Kill the filter: within two seconds solutions continue from the retained state with a consistent covariance."""
+    False on a machine that is so busy that the start takes longer than a warm start allows: nothing is compared then.
+    """
+    folder.mkdir()
     address = BrokerAddress.parse(demo.child("run core.fusion").environ()["OBU_BROKER"])
     bus = Bus("observer", "demo", address,
               [t for t in TOPICS if t.name in ("navigation/solution", "navigation/state", "truth/state")],
@@ -233,11 +231,14 @@ def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Pat
     listen(lambda: len(next(iter(solutions.values()), ())) > 30, 60.0, "the filter has aligned")
     lives = set(solutions)
     kill()
-    listen(lambda: set(solutions) > lives, 40.0, "there is a solution again")
+    listen(lambda: set(solutions) > lives, RECOVERY_S, "there is a solution again")
     started_s = demo.child("run core.fusion").create_time()
     (after,) = [solutions[life] for life in solutions if life not in lives]
     listen(lambda: len(after) > 30, 40.0, "solutions go on")
     bus.close()
+    gap_s = (after[0][1].sampled_ns - max(s.sampled_ns for life in lives for _, s in solutions[life])) * 1e-9
+    if gap_s > LONGEST_GAP_S:
+        return False
     assert after[0][0] - started_s < 2.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), "2 s of a free machine"
     assert any(reason.startswith("warm start") for reason in reasons), reasons
     known = [solution for _, solution in after if min(truth) <= solution.sampled_ns <= max(truth)]
@@ -248,6 +249,7 @@ def kill_and_compare(demo: Demo, kill: Callable[[], psutil.Process], folder: Pat
         assert math.hypot(north_m, east_m) < 3.0 * math.sqrt(nn + ee)
         assert abs(down_m) < 3.5 * math.sqrt(dd)
         assert math.hypot(north_m, east_m) < (solution.protection_level_horizontal_m or 0.0)
+    return True
 
 
 def error_ned_m(solution: NavigationSolution, truth: dict[int, TruthState]) -> tuple[float, float, float]:
@@ -263,60 +265,52 @@ def error_ned_m(solution: NavigationSolution, truth: dict[int, TruthState]) -> t
     return ned_from_geodetic_difference(here, there)
 
 
-def test_a_killed_broker_is_one_outage(units: list[Unit]) -> None:
-    def test(unit: Unit) -> None:
-        unit.fail(BROKER_PROCESS[unit.kind], signal.SIGKILL)
-        unit.until(lambda _: "broker" in unit.causes, "the loss is shown")
-        unit.until_well()
-        unit.assert_one_outage("broker", "the broker is not reachable", "imu/raw", "navigation/solution")
-
-    on_each(units, test)
+@on_each_broker
+def test_a_killed_broker_is_one_outage(unit: Unit) -> None:
+    unit.fail(BROKER_PROCESS[unit.kind], signal.SIGKILL)
+    unit.until(lambda _: "broker" in unit.causes, "the loss is shown")
+    unit.until_well()
+    unit.assert_one_outage("broker", "the broker is not reachable", "imu/raw", "navigation/solution")
 
 
-def test_a_killed_parser_is_the_cause_of_its_topics_and_of_what_depends_on_them(units: list[Unit]) -> None:
-    def test(unit: Unit) -> None:
-        unit.fail("run parsers.imu", signal.SIGKILL)
-        unit.until(lambda _: "parsers.imu" in unit.causes, "the loss is shown")
-        unit.until_well()
-        unit.assert_one_outage(
-            "parsers.imu", "parsers.imu was lost: it crashed, was killed or lost its connection", "imu/sample"
+@on_mosquitto
+def test_a_killed_parser_is_the_cause_of_its_topics_and_of_what_depends_on_them(unit: Unit) -> None:
+    unit.fail("run parsers.imu", signal.SIGKILL)
+    unit.until(lambda _: "parsers.imu" in unit.causes, "the loss is shown")
+    unit.until_well()
+    unit.assert_one_outage(
+        "parsers.imu", "parsers.imu was lost: it crashed, was killed or lost its connection", "imu/sample"
+    )
+
+
+@on_mosquitto
+def test_a_simulator_that_hangs_is_the_cause_of_everything_downstream(unit: Unit) -> None:
+    cause = "sensors.simulator is stale: connected, but without heartbeat; it hangs or is overloaded"
+    with unit.suspend("run sensors.simulator"):
+        unit.until(
+            lambda _: any(one.startswith("No position: ") and f"({cause})" in one for one in unit.sentences),
+            "the banner names the cause",
         )
-
-    on_each(units, test)
-
-
-def test_a_simulator_that_hangs_is_the_cause_of_everything_downstream(units: list[Unit]) -> None:
-    def test(unit: Unit) -> None:
-        cause = "sensors.simulator is stale: connected, but without heartbeat; it hangs or is overloaded"
-        with unit.suspend("run sensors.simulator"):
-            unit.until(
-                lambda _: any(one.startswith("No position: ") and f"({cause})" in one for one in unit.sentences),
-                "the banner names the cause",
-            )
-        unit.until_well()
-        unit.assert_one_outage("sensors.simulator", cause, "imu/raw", "imu/sample", "navigation/solution")
-
-    on_each(units, test)
+    unit.until_well()
+    unit.assert_one_outage("sensors.simulator", cause, "imu/raw", "imu/sample", "navigation/solution")
 
 
-def test_a_hung_broker_is_one_outage(units: list[Unit]) -> None:
-    def test(unit: Unit) -> None:
-        hangs = "the broker hangs: it is connected, but delivers nothing"
-        with unit.suspend(BROKER_PROCESS[unit.kind]):
-            stopped = time.monotonic()
-            unit.until(lambda _: f"Nothing is known: {hangs}." in unit.sentences, "the banner names the broker")
-            health = unit.poll()
-            assert (health["state"], health["topics"]) == ("failed", {})
-            assert unit.states["broker_lost"] >= 1.9, "two seconds without the own heartbeat"
-            assert {entry["status"] for entry in health["processes"].values()} == {"unknown"}  # type: ignore[attr-defined]
-            time.sleep(max(0.0, stopped + 8.0 - time.monotonic()))
-        unit.until_well()
-        unit.assert_one_outage("broker", hangs, "imu/raw")
-        assert "broker_lost" in unit.timeline()
-        [outage] = unit.outages()
-        assert outage["until_ns"] - outage["since_ns"] > 7 * 10**9
-
-    on_each(units, test)
+@on_each_broker
+def test_a_hung_broker_is_one_outage(unit: Unit) -> None:
+    hangs = "the broker hangs: it is connected, but delivers nothing"
+    with unit.suspend(BROKER_PROCESS[unit.kind]):
+        stopped = time.monotonic()
+        unit.until(lambda _: f"Nothing is known: {hangs}." in unit.sentences, "the banner names the broker")
+        health = unit.poll()
+        assert (health["state"], health["topics"]) == ("failed", {})
+        assert unit.states["broker_lost"] >= 1.9, "two seconds without the own heartbeat"
+        assert {entry["status"] for entry in health["processes"].values()} == {"unknown"}  # type: ignore[attr-defined]
+        time.sleep(max(0.0, stopped + 8.0 - time.monotonic()))
+    unit.until_well()
+    unit.assert_one_outage("broker", hangs, "imu/raw")
+    assert "broker_lost" in unit.timeline()
+    [outage] = unit.outages()
+    assert outage["until_ns"] - outage["since_ns"] > 7 * 10**9
 
 
 TOGETHER = (
@@ -326,87 +320,73 @@ TOGETHER = (
 NO_VERDICT = {"starting", "stale"}
 
 
+@on_mosquitto
 def test_processes_that_are_killed_together_are_an_outage_each_and_no_verdict_is_shown_without_core_trust(
-    units: list[Unit], record_property: Callable[[str, object], None]
+    unit: Unit, record_property: Callable[[str, object], None]
 ) -> None:
-    def test(unit: Unit) -> None:
-        unit.fail_together([f"run {name}" for name in TOGETHER], signal.SIGKILL)
-        unit.until(lambda _: {o["what"] for o in unit.outages()} >= set(TOGETHER), "every loss is an outage")
-        unit.until(lambda _: bool(NO_VERDICT & unit.states.keys()), "the verdict of before is withdrawn")
-        unit.until_well()
-        for outage in unit.outages():
-            if outage["what"] in TOGETHER:
-                assert outage["cause"] == f"{outage['what']} was lost: it crashed, was killed or lost its connection"
-        assert NO_VERDICT & unit.timeline()
-        record_property(f"{unit.kind}: banner after killing nine processes, s", unit.states)
-
-    on_each(units, test)
+    unit.fail_together([f"run {name}" for name in TOGETHER], signal.SIGKILL)
+    unit.until(lambda _: {o["what"] for o in unit.outages()} >= set(TOGETHER), "every loss is an outage")
+    unit.until(lambda _: bool(NO_VERDICT & unit.states.keys()), "the verdict of before is withdrawn")
+    unit.until_well()
+    for outage in unit.outages():
+        if outage["what"] in TOGETHER:
+            assert outage["cause"] == f"{outage['what']} was lost: it crashed, was killed or lost its connection"
+    assert NO_VERDICT & unit.timeline()
+    record_property(f"{unit.kind}: banner after killing nine processes, s", unit.states)
 
 
+@on_mosquitto
 def test_processes_that_hang_together_are_shown_as_stale_in_their_rows(
-    units: list[Unit], record_property: Callable[[str, object], None]
+    unit: Unit, record_property: Callable[[str, object], None]
 ) -> None:
-    def test(unit: Unit) -> None:
-        children = unit.fail_together([f"run {name}" for name in TOGETHER], signal.SIGSTOP)
-        try:
-            unit.until(lambda _: set(TOGETHER) <= stale(unit.demo.statuses()), "every row says stale")
-            rows_s = time.monotonic() - unit.failed_s
-            unit.until(lambda _: "stale" in unit.states, "no verdict is shown after the deadline of trust/state")
-        finally:
-            for child in children:
-                child.send_signal(signal.SIGCONT)
-        assert unit.states["stale"] >= 3.9, "five seconds from the last verdict, which is at most a second old"
-        unit.until_well()
-        assert "stale" in unit.timeline()
-        record_property(f"{unit.kind}: rows after {rows_s:.1f} s; banner after hanging nine processes, s", unit.states)
-
-    on_each(units, test)
+    children = unit.fail_together([f"run {name}" for name in TOGETHER], signal.SIGSTOP)
+    try:
+        unit.until(lambda _: set(TOGETHER) <= stale(unit.demo.statuses()), "every row says stale")
+        rows_s = time.monotonic() - unit.failed_s
+        unit.until(lambda _: "stale" in unit.states, "no verdict is shown after the deadline of trust/state")
+    finally:
+        for child in children:
+            child.send_signal(signal.SIGCONT)
+    assert unit.states["stale"] >= 3.9, "five seconds from the last verdict, which is at most a second old"
+    unit.until_well()
+    assert "stale" in unit.timeline()
+    record_property(f"{unit.kind}: rows after {rows_s:.1f} s; banner after hanging nine processes, s", unit.states)
 
 
 def stale(statuses: dict[str, str]) -> set[str]:
     return {name for name, status in statuses.items() if status == "stale"}
 
 
-def test_a_killed_watchdog_ends_the_outage_that_it_interrupted(units: list[Unit]) -> None:
-    def test(unit: Unit) -> None:
-        with unit.suspend("run parsers.can"):
-            unit.until(lambda _: "parsers.can" in unit.causes, "the suspended parser is shown")
-            [before] = unit.outages()
-            unit.demo.child("run monitoring.health").kill()
-        unit.until(lambda _: len(unit.outages()) == 2, "the interruption is listed")
-        unit.until_well()
-        after = {outage["what"]: outage for outage in unit.outages()}
-        assert set(after) == {"parsers.can", "monitoring.health"}
-        assert after["monitoring.health"]["cause"] == (
-            "monitoring.health was restarted; nothing was monitored in between"
-        )
-        assert after["parsers.can"]["since_ns"] == before["since_ns"]
-        assert all(outage["until_ns"] is not None for outage in after.values())
-
-    on_each(units, test)
+@on_mosquitto
+def test_a_killed_watchdog_ends_the_outage_that_it_interrupted(unit: Unit) -> None:
+    with unit.suspend("run parsers.can"):
+        unit.until(lambda _: "parsers.can" in unit.causes, "the suspended parser is shown")
+        [before] = unit.outages()
+        unit.demo.child("run monitoring.health").kill()
+    unit.until(lambda _: len(unit.outages()) == 2, "the interruption is listed")
+    unit.until_well()
+    after = {outage["what"]: outage for outage in unit.outages()}
+    assert set(after) == {"parsers.can", "monitoring.health"}
+    assert after["monitoring.health"]["cause"] == ("monitoring.health was restarted; nothing was monitored in between")
+    assert after["parsers.can"]["since_ns"] == before["since_ns"]
+    assert all(outage["until_ns"] is not None for outage in after.values())
 
 
-def test_a_hung_watchdog_leaves_the_rest_unknown_and_the_position_shown(units: list[Unit]) -> None:
-    def test(unit: Unit) -> None:
-        text = "monitoring.health does not report, so the state of processes and topics is unknown"
-        with unit.suspend("run monitoring.health"):
-            unit.until(lambda _: text in unit.problems, "the page shows that the watchdog is silent")
-            state = unit.poll()["position"]["state"]  # type: ignore[index]
-            assert state not in ("starting", "stale", "broker_lost"), "the verdict of core.trust is shown as before"
-        unit.until_well()
-        assert unit.causes == {"monitoring.health"}
-
-    on_each(units, test)
+@on_mosquitto
+def test_a_hung_watchdog_leaves_the_rest_unknown_and_the_position_shown(unit: Unit) -> None:
+    text = "monitoring.health does not report, so the state of processes and topics is unknown"
+    with unit.suspend("run monitoring.health"):
+        unit.until(lambda _: text in unit.problems, "the page shows that the watchdog is silent")
+        state = unit.poll()["position"]["state"]  # type: ignore[index]
+        assert state not in ("starting", "stale", "broker_lost"), "the verdict of core.trust is shown as before"
+    unit.until_well()
+    assert unit.causes == {"monitoring.health"}
 
 
-def test_sigterm_ends_all_processes_within_five_seconds(units: list[Unit]) -> None:
-    """The last test: it ends the units."""
-    for unit in units:
-        end(unit.demo)
-
-
-def end(demo: Demo) -> None:
-    """Stop a demo as Ctrl-C does."""
+@on_each_broker
+def test_sigterm_ends_all_processes_within_five_seconds(unit: Unit) -> None:
+    """The last test of a unit: it ends it."""
+    demo = unit.demo
     children = psutil.Process(demo.process.pid).children(recursive=True)
     started = time.monotonic()
     demo.process.terminate()

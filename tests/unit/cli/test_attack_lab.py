@@ -239,7 +239,7 @@ def test_an_interrupted_campaign_reports_what_is_finished_first_all_cases_of_see
     monkeypatch.setattr(attack_lab, "run", first_seed_alone)
     cases = list(plan(["jam", "freeze"], ["urban", "highway"], 2, [], 300.0))
     assert [case.seed for case in cases] == [1] * 6 + [2] * 6
-    alarm = threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT))
+    alarm = threading.Timer(4.0, os.kill, (os.getpid(), signal.SIGINT))
     alarm.start()
     began = time.monotonic()
     runs = run_all(cases, 2, Console(stderr=True))

@@ -46,7 +46,7 @@ function Origin() {
   return html`<p class="origin ${kind}" title=${meaning}><strong>${word}</strong>${origin && html`<span>${name(origin)}</span>`}</p>`;
 }
 
-// While some have not been heard of since the start, that nothing is down says little.
+// While some have sent nothing since the start, that nothing is down says little.
 const servicesOk = ({ ok, up, of }) => (ok && up < of ? null : ok); // null: not known
 
 function links() {

@@ -1,3 +1,7 @@
+import os
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -358,3 +362,22 @@ def test_user_errors_are_one_sentence(tmp_path: Path) -> None:
         verify([tmp_path / "missing.mcap"], None, None)
     with pytest.raises(UserError, match=r"'sensors.imu' cannot be repeated; name one of controller.cam"):
         verify([can_recording(tmp_path / "a.mcap")], "sensors.imu", None)
+
+
+def test_a_check_that_sigterm_ends_has_not_succeeded(tmp_path: Path) -> None:
+    """Of a pipe, on which it waits for bytes."""
+    pipe = tmp_path / "drive.mcap"
+    os.mkfifo(pipe)
+    process = subprocess.Popen([sys.executable, "-m", "cli", "verify", str(pipe)], stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 60.0
+    while True:
+        try:
+            writer = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+            break
+        except OSError:  # nobody reads yet
+            assert process.poll() is None and time.monotonic() < deadline
+            time.sleep(0.05)
+    process.terminate()
+    _, errors = process.communicate(timeout=30.0)
+    os.close(writer)
+    assert process.returncode == 143 and b"Traceback" not in errors

@@ -196,11 +196,11 @@ def test_reports_between_two_epochs_are_used_at_their_own_time() -> None:
 def lying(k: int, rng: np.random.Generator, liars: int, speed: float) -> tuple[NeighbourReport, ...]:
     """Reports of which the first ones add the same speed, along the road, to their velocity."""
     added = speed * (TO_NED.T @ (SPEED_N / 13.0))
-    told = []
+    reported = []
     for number, report in enumerate(neighbours(k, rng)):
         vx, vy, vz = (np.array(report.velocity_e) + (added if number < liars else 0.0)).tolist()
-        told.append(replace(report, velocity_e=(vx, vy, vz)))
-    return tuple(told)
+        reported.append(replace(report, velocity_e=(vx, vy, vz)))
+    return tuple(reported)
 
 
 @pytest.mark.parametrize("liars", [1, 2])

@@ -50,10 +50,10 @@ def by_name(statement: TrustMonitor, name: str) -> MonitorTest:
     return next(test for test in statement.tests if test.name == name)
 
 
-def run(process: Process, seconds: range, epoch: object = at, **told: object) -> list[TrustMonitor]:
+def run(process: Process, seconds: range, epoch: object = at, **changes: object) -> list[TrustMonitor]:
     found: list[TrustMonitor] = []
     for second in seconds:
-        found += said(process, neighbours(second, **told), message(epoch(second), float(second)))  # type: ignore[arg-type, operator]
+        found += said(process, neighbours(second, **changes), message(epoch(second), float(second)))  # type: ignore[arg-type, operator]
     return found
 
 

@@ -454,9 +454,9 @@ def test_what_was_never_seen_is_missing_only_after_two_minutes() -> None:
 def test_a_topic_whose_device_never_spoke_is_missing_after_two_minutes() -> None:
     unit = Unit()
     unit.mute.add("can/raw")
-    told = causes(unit.run(125))
+    named = causes(unit.run(125))
 
-    assert told == {"can/raw": "sensors.can runs, but its device sends nothing (can/raw)"}
+    assert named == {"can/raw": "sensors.can runs, but its device sends nothing (can/raw)"}
     assert {"can/raw", "vehicle/speed", "vehicle/wheel_speed"} == set(
         unit.watch.report(unit.now_ns).problems[0].affected
     )
@@ -471,9 +471,9 @@ def test_a_topic_that_the_vehicle_does_not_have_is_not_missed_beside_one_that_it
 
 def test_a_vehicle_without_sensors_misses_neither_them_nor_what_follows_from_them() -> None:
     unit = Unit(STANDING)
-    told = causes(unit.run(150))
+    named = causes(unit.run(150))
 
-    assert told == {}
+    assert named == {}
     assert {age.topic for age in unit.watch.report(unit.now_ns).topics}.isdisjoint({"gnss/raw", "can/raw"})
 
 

@@ -22,7 +22,7 @@ export const chartWords = {
   time: "Time, UTC",
   dimensionless: { innovations: "of the gate", satellites: "number", dop: "DOP" },
   noValue: "no value",
-  label: (title, told) => `${title} over time. ${told}`,
+  label: (title, described) => `${title} over time. ${described}`,
   fused: "Fused",
   gnss: "GNSS",
   odometer: "Odometer",

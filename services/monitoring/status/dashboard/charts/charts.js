@@ -94,7 +94,7 @@ function ChartCard({ chart, span }) {
   const { lines, columns } = prepared(chart);
   const unit = chart.unit ? `, ${chart.unit}` : "";
   const now = lines.map((l, i) => [l, valueAt(columns[i], l.gapS)]);
-  const told = now.map(([l, v]) => `${l.label} ${v === null ? w.noValue : `${short(v, 3)} ${chart.unit}`}`).join(", ");
+  const described = now.map(([l, v]) => `${l.label} ${v === null ? w.noValue : `${short(v, 3)} ${chart.unit}`}`).join(", ");
   const step = Math.max(1, Math.round(time.length / 30));
   const rows = time.map((_, i) => i).filter((i) => (time.length - 1 - i) % step === 0).reverse();
   const empty = lines.every((_, i) => columns[i].every((v) => v == null));
@@ -103,7 +103,7 @@ function ChartCard({ chart, span }) {
     ${empty ? html`<${Empty} title=${w.emptyField} why=${w.emptyFieldWhy} />`
       : table ? html`<div class="scroll" tabindex="0" role="group" aria-label=${chart.title}><table class="plain"><thead><tr><th scope="col">${w.time}</th>${lines.map((l) => html`<th scope="col">${l.label}${unit}</th>`)}</tr></thead>
           <tbody>${rows.map((i) => html`<tr><th scope="row">${timeOfDay(time[i] * 1000)}</th>${columns.map((column) => html`<td>${column[i] == null ? "-" : short(column[i], 4)}</td>`)}</tr>`)}</tbody></table></div>`
-      : html`<${Plot} time=${time} lines=${lines} columns=${columns} span=${span} axisLabel=${chart.unit || w.dimensionless[chart.id] || w.noUnit} label=${w.label(chart.title, told)} />`}
+      : html`<${Plot} time=${time} lines=${lines} columns=${columns} span=${span} axisLabel=${chart.unit || w.dimensionless[chart.id] || w.noUnit} label=${w.label(chart.title, described)} />`}
     <ul class="legend lines-legend">${now.map(([l, v]) => html`<li key=${l.key}><${Key} style=${l.style} /><span>${l.label}</span>
       <strong>${v === null ? "-" : short(v, 3)}</strong>${chart.unit && html`<span class="dim">${chart.unit}</span>`}
       ${l.own && html`<button class="link" onClick=${() => plot(l.field, false)} aria-label=${w.removeField(l.field)}>${w.remove}</button>`}</li>`)}</ul>

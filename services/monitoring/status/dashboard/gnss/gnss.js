@@ -100,8 +100,8 @@ function Sky({ satellites, tracks, mask, trails }) {
   const points = placed.map((s) => skyPoint(s.elevation_deg, s.azimuth_deg));
   const names = namePlaces(points);
   const count = (kind) => satellites.filter((s) => useOf(s) === kind).length;
-  const told = w.skyLabel(count("used"), count("tracked"), count("excluded"));
-  return html`<svg class="sky" viewBox="-118 -112 236 224" role="img" aria-label=${told}>
+  const described = w.skyLabel(count("used"), count("tracked"), count("excluded"));
+  return html`<svg class="sky" viewBox="-118 -112 236 224" role="img" aria-label=${described}>
     ${[0, 30, 60].map((el) => html`<circle class="ring" r=${R * (1 - el / 90)} />`)}
     <path class="ring" d=${`M${-R} 0H${R}M0 ${-R}V${R}`} />
     ${mask > 0 && html`<circle class="mask" r=${R * (1 - mask / 90)} />`}
@@ -174,11 +174,11 @@ function SignalsCard({ receiver }) {
   const satellites = receiver.satellites.filter((s) => s.cn0_db_hz !== null || s.signals.length > 0);
   const groups = ORDER.map((name) => [name, satellites.filter((s) => s.constellation === name)]).filter(([, list]) => list.length > 0);
   const strongest = groups.map(([name, list]) => [name, Math.max(...list.flatMap(signalsOf).map((g) => g.cn0_db_hz ?? 0))]);
-  const told = w.signalsLabel(strongest.map(([name, v]) => `${w.constellation[name]} ${v.toFixed(0)} dBHz`).join(", "));
+  const described = w.signalsLabel(strongest.map(([name, v]) => `${w.constellation[name]} ${v.toFixed(0)} dBHz`).join(", "));
   const all = satellites.flatMap((s) => s.signals);
   return html`<${Card} title=${w.signals} note=${w.signalsNote} id="signals" class="signals-card">
     ${groups.length === 0 ? html`<${Empty} title=${w.noSignals} why=${w.noSignalsWhy} />` : html`
-    <div class="bars" role="group" aria-label=${told}>${groups.map(([name, list]) => html`<div class="bar-group" key=${name}><h3><${ShapeKey} constellation=${name} />${w.constellation[name]}</h3>
+    <div class="bars" role="group" aria-label=${described}>${groups.map(([name, list]) => html`<div class="bar-group" key=${name}><h3><${ShapeKey} constellation=${name} />${w.constellation[name]}</h3>
       <p class="note">${bandsOf(list).join("; ")}</p>
       <ul>${list.map((s) => html`<li key=${s.name} class=${useOf(s)}><span class="sat-name">${s.name}</span>${signalsOf(s).map((g) => html`<span class="signal ${g.used ? "used" : ""}" key=${g.band}>
         <span class="signal-name">${g.band}</span><span class="level"><span class="fill" style=${{ width: `${Math.min((g.cn0_db_hz ?? 0) / FULL_DB_HZ, 1) * 100}%` }}></span></span><span class="value">${fixed(g.cn0_db_hz, 0)}</span>
@@ -194,11 +194,11 @@ function StateBand({ title, changes, names, group }) {
   const from = nowNs - SPAN_S * 1e9;
   const spans = changes.map((c, i) => ({ ...c, from: Math.max(c.since_ns, from), to: changes[i + 1]?.since_ns ?? nowNs })).filter((s) => s.to > from);
   const share = (ns) => `${((100 * ns) / (SPAN_S * 1e9)).toFixed(3)}%`;
-  const told = spans.slice(-6).map((s) => `${names[s.state] ?? s.state} ${duration((s.to - s.from) / 1e9)}`).join(", ");
+  const described = spans.slice(-6).map((s) => `${names[s.state] ?? s.state} ${duration((s.to - s.from) / 1e9)}`).join(", ");
   const now = spans.at(-1);
   const present = [...new Set(spans.map((s) => s.state))];
   return html`<div class="state-band"><p><strong>${title}</strong> <span>${now ? names[now.state] ?? now.state : w.noBand}</span>${now && html`<span class="dim"> ${words.banner.since(duration(Math.max(0, (nowNs - changes.at(-1).since_ns) / 1e9)))}</span>`}</p>
-    <div class="band" role="img" aria-label=${w.bandLabel(title, told)}>${spans.map((s) => html`<span class="segment ${group}-${s.state}" style=${{ left: share(s.from - from), width: share(s.to - s.from) }}></span>`)}</div>
+    <div class="band" role="img" aria-label=${w.bandLabel(title, described)}>${spans.map((s) => html`<span class="segment ${group}-${s.state}" style=${{ left: share(s.from - from), width: share(s.to - s.from) }}></span>`)}</div>
     <ul class="legend">${present.map((name) => html`<li><span class="bar-key ${group}-${name}"></span>${names[name] ?? name}</li>`)}</ul></div>`;
 }
 

@@ -21,7 +21,7 @@ export const gnssWords = {
   constellation: { gps: "GPS", galileo: "Galileo", glonass: "GLONASS", beidou: "BeiDou", qzss: "QZSS", sbas: "SBAS", navic: "NavIC", unknown: "Other" },
   signals: "Signals",
   signalsNote: "carrier-to-noise density C/N0, dBHz",
-  signalsLabel: (told) => `Strongest signal by constellation: ${told}`,
+  signalsLabel: (described) => `Strongest signal by constellation: ${described}`,
   noSignals: "No signal stated",
   noSignalsWhy: "C/N0 of each satellite is in UBX-NAV-SAT, of each signal in UBX-NAV-SIG and UBX-RXM-RAWX.",
   anySignal: "",
@@ -35,7 +35,7 @@ export const gnssWords = {
   fixNote: "last 15 min",
   kind: "Fix",
   noBand: "not known",
-  bandLabel: (title, told) => `${title} over the last 15 minutes: ${told}`,
+  bandLabel: (title, described) => `${title} over the last 15 minutes: ${described}`,
   kinds: {
     none: "no fix", time_only: "time only", dead_reckoning: "dead reckoning", two_d: "2-D", three_d: "3-D", differential: "3-D, differential",
     gnss_dead_reckoning: "GNSS and dead reckoning", rtk_float: "RTK float", rtk_fixed: "RTK fixed", no_data: "no message",

@@ -89,7 +89,7 @@ function placesNow() {
   return { sc, place, gnss: offset(sc.gnss), truth: offset(sc.truth) };
 }
 
-const heard = (topic) => state.value?.topics[topic]?.updated_ns != null;
+const received = (topic) => state.value?.topics[topic]?.updated_ns != null;
 
 function useHidden() {
   const [hidden, setHidden] = useState(settings.value[HIDDEN] ?? []);
@@ -111,7 +111,7 @@ function useAnswers() {
   useEffect(() => {
     if (connected && !installed) ask("/api/map").then(setInstalled, () => {});
   }, [connected, installed]);
-  const simulated = heard("simulation/roads");
+  const simulated = received("simulation/roads");
   useEffect(() => {
     if (simulated) ask("/api/topics/simulation/roads").then((answer) => setNetwork(answer.message), () => {});
   }, [simulated]);
@@ -250,7 +250,7 @@ export function MapPage() {
   const [colourBy, setColourBy] = useState("trust");
   const [table, setTable] = useState(false);
   const [ends, setEnds] = useState(null); // of the measured line; null: not measuring
-  const [told, setTold] = useState(w.hint);
+  const [message, setMessage] = useState(w.hint);
   const [missing, setMissing] = useState(() => (hasGraphics() ? null : w.noGraphics));
   const view = useRef(null);
   const live = useRef({});
@@ -263,13 +263,13 @@ export function MapPage() {
     setEnds(next);
     view.current.drawMeasure(next);
     const measured = next.length === 2 ? between(...next) : null;
-    setTold(measured ? w.measured(metres(measured.metres), `${measured.degrees.toFixed(1).padStart(5, "0")}°`) : w.measureSecond);
+    setMessage(measured ? w.measured(metres(measured.metres), `${measured.degrees.toFixed(1).padStart(5, "0")}°`) : w.measureSecond);
   };
   const inspect = (pixel) => {
     const i = track ? view.current.nearest(track.columns, pixel) : -1;
     if (i < 0) return;
     const c = track.columns;
-    setTold(w.inspect(timeOfDay(c.time_ns[i] / 1e6), words.trust[c.state[i]] ?? c.state[i], w.kinds[c.aided[i] ? "aided" : "dead"].toLowerCase(), c.level_m[i] == null ? null : metres(c.level_m[i])));
+    setMessage(w.inspect(timeOfDay(c.time_ns[i] / 1e6), words.trust[c.state[i]] ?? c.state[i], w.kinds[c.aided[i] ? "aided" : "dead"].toLowerCase(), c.level_m[i] == null ? null : metres(c.level_m[i])));
   };
   const handlers = useRef(null);
   handlers.current ??= {
@@ -286,7 +286,7 @@ export function MapPage() {
     const begin = ends === null;
     setEnds(begin ? [] : null);
     view.current?.drawMeasure([]);
-    setTold(begin ? w.measureFirst : w.hint);
+    setMessage(begin ? w.measureFirst : w.hint);
   };
   const whole = () => {
     const bounds = boundsOf(track?.columns);
@@ -300,8 +300,8 @@ export function MapPage() {
   };
 
   if (missing) return html`<div class="page map-page"><p class="note block" role="status">${missing}</p><${CloseUp} /></div>`;
-  const topics = LAYERS.filter((layer) => heard(layer.topic)).map((layer) => layer.id);
-  const ids = ["base", "grid", "gnss", ...(heard("truth/state") ? ["truth"] : []), "uncertainty", ...topics];
+  const topics = LAYERS.filter((layer) => received(layer.topic)).map((layer) => layer.id);
+  const ids = ["base", "grid", "gnss", ...(received("truth/state") ? ["truth"] : []), "uncertainty", ...topics];
   const first = track?.started_ns;
   const summary = first ? w.summary(metres(track.length_m), duration((track.now_ns - first) / 1e9)) : w.noTrack;
   const grid = installed && !installed.map && !network ? w.noMap : installed?.map && !drawable(installed.map) ? w.schema : null;
@@ -328,7 +328,7 @@ export function MapPage() {
       </div>
       ${table && html`<${Sections} columns=${track?.columns} />`}
     </div>
-    <p class="note map-told" role="status">${told}</p>
+    <p class="note map-message" role="status">${message}</p>
     ${[installed?.problem, grid].filter(Boolean).map((sentence) => html`<p class="note block">${sentence}</p>`)}
     <${Legend} colourBy=${colourBy} theme=${theme} sc=${sc} columns=${track?.columns} />
     <p class="note map-foot"><span>${w.download} <a href="/api/track.gpx" download>${w.gpx}</a> <a href="/api/track.kml" download>${w.kml}</a> ${first ? w.thinned(metres(track.spacing_m)) : ""}</span>${credit && html`<span class="push">${credit}</span>`}</p>

@@ -30,9 +30,9 @@ function edgesOf(rows) {
   for (const [topic, row] of Object.entries(rows.topics)) {
     for (const from of row.producers) {
       for (const to of row.consumers) {
-        const heard = state.value.topics[topic]?.updated_ns != null;
+        const received = state.value.topics[topic]?.updated_ns != null;
         const fitted = state.value.processes[from].status !== "absent" && state.value.processes[to].status !== "absent";
-        if (heard && fitted && from !== to) edges.push({ topic, from, to });
+        if (received && fitted && from !== to) edges.push({ topic, from, to });
       }
     }
   }
