@@ -34,7 +34,7 @@ def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
     if path == "charts" and state != "empty":
         expect(page.locator(".plot canvas").first).to_be_visible(timeout=8000)
     assert sum(sizes) <= PAGE_BYTES, sum(sizes)
-    judge_everywhere(page, f"{state}-{path}", dark_phone=state == "normal")
+    judge_everywhere(page, f"{state}-{path}", phone=state == "normal")
     assert all(url.startswith((units[state].address, "data:")) for url in requests if url != "about:blank")
 
 

@@ -42,7 +42,7 @@ def test_the_page_is_accessible_and_fits_every_screen_in_every_state(
     page = open_page(plazas[state].address, path="toll")
     expect(page.locator(".banner .word")).to_have_text(WORDS[state], timeout=12_000)
     expect(page.get_by_role("heading", level=2).first).to_be_visible()
-    judge_everywhere(page, f"{state}-toll", dark_phone=state == "normal")
+    judge_everywhere(page, f"{state}-toll", phone=state == "normal")
 
 
 def test_a_road_side_unit_opens_on_its_plaza_and_has_no_pages_of_a_vehicle(

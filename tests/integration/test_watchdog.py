@@ -19,6 +19,7 @@ import psutil
 import pytest
 
 from services.core.fusion.alignment.warm_start import LONGEST_GAP_S
+from services.monitoring.health.watch import SETTLE_NS
 from shared.bus.bus import Bus
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
@@ -111,13 +112,21 @@ class Unit:
 
     def outages(self) -> list[Outage]:
         """List the outages since the last failure, open ones as well."""
+        return [outage for outage in self.every_outage() if (outage["what"], outage["since_ns"]) not in self.before]
+
+    def every_outage(self) -> list[Outage]:
         while not (found := self.demo.get("/api/outages")):
             time.sleep(0.1)
-        every = [*listed(found["open"]), *listed(found["closed"])]
-        return [outage for outage in every if (outage["what"], outage["since_ns"]) not in self.before]
+        return [*listed(found["open"]), *listed(found["closed"])]
+
+    def until_settled(self, what: str) -> None:
+        """Wait until another failure of something is another outage."""
+        ends_ns = [outage["until_ns"] + SETTLE_NS for outage in self.every_outage() if outage["what"] == what]
+        time.sleep(max([0.0, *((end_ns - time.time_ns()) * 1e-9 for end_ns in ends_ns)]))
 
     def assert_one_outage(self, what: str, cause: str, *affected: str) -> None:
         """Assert that the failure is one outage, over by now, and that no other root cause was ever shown."""
+        self.until(lambda _: bool(self.outages()), "the outage is listed")
         outages = self.outages()
         assert [(outage["what"], outage["cause"]) for outage in outages] == [(what, cause)], self.kind
         [outage] = outages
@@ -298,6 +307,7 @@ def test_a_simulator_that_hangs_is_the_cause_of_everything_downstream(unit: Unit
 @on_each_broker
 def test_a_hung_broker_is_one_outage(unit: Unit) -> None:
     hangs = "the broker hangs: it is connected, but delivers nothing"
+    unit.until_settled("broker")
     with unit.suspend(BROKER_PROCESS[unit.kind]):
         stopped = time.monotonic()
         unit.until(lambda _: f"Nothing is known: {hangs}." in unit.sentences, "the banner names the broker")

@@ -67,6 +67,7 @@ def test_a_hilly_drive_shows_signs_of_velocity_and_height(tmp_path: Path) -> Non
         assert name in contradicted(drive, faults, settings)
 
 
+@pytest.mark.slow
 def test_a_phone_with_a_gyroscope_bias_of_four_degrees_a_second_aligns_its_heading(tmp_path: Path) -> None:
     """A start in motion with default settings of the gyroscope."""
     path = tmp_path / "comma.mcap"

@@ -60,6 +60,7 @@ def test_smoothed_errors_in_outages_of_a_car_with_a_tactical_imu_meet_the_goals(
     assert found["smoothed_outage_inside_max_m"] <= 0.25 and found["smoothed_within_3_sigma_fraction"] > 0.98
 
 
+@pytest.mark.slow
 def test_the_smoothed_attitude_of_a_truck_is_closer_to_its_reference(tmp_path: Path) -> None:
     found = smoothed("auburn_truck", recording("auburn_truck") / "turn", tmp_path)
     for axis in ("roll", "pitch", "yaw"):

@@ -11,7 +11,13 @@ READER = f"{__package__}.recorded"
 
 
 def fill_from_recordings(names: Sequence[str], folder: Path, now_ns: int) -> Iterator[tuple[str, list[float | None]]]:
-    """Read the past in another process; yield each field with its values, one a second, up to now."""
+    """Read the past in another process; yield each field with its values, one a second, up to now.
+
+    Raises
+    ------
+    OSError
+        The process cannot be started, or was ended within a line, as by a lack of memory.
+    """
     question = to_json({"folder": str(folder), "now_ns": now_ns, "names": list(names)})
     command = [sys.executable, "-m", READER]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as reader:
@@ -20,5 +26,8 @@ def fill_from_recordings(names: Sequence[str], folder: Path, now_ns: int) -> Ite
         reader.stdin.write(question)
         reader.stdin.close()
         for line in reader.stdout:
-            answer = from_json(line)
+            try:
+                answer = from_json(line)
+            except ValueError as error:
+                raise ChildProcessError("the process that reads them was ended") from error
             yield answer["name"], answer["values"]

@@ -19,7 +19,7 @@ from shared.maths.earth import Geodetic, geodetic_from_ned_difference, ned_from_
 from shared.maths.rotation import ned_from_body
 
 FloatArray = npt.NDArray[np.float64]
-RUNS = 8
+RUNS = 5
 WHITE = InjectedError(ErrorKind.WHITE, (3.07, 1.99, 1.56), exact=True)
 CORRELATED = InjectedError(ErrorKind.GAUSS_MARKOV, (3.07, 1.99, 1.56), correlation_s=60.0)
 
