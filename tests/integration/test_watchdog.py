@@ -19,7 +19,7 @@ import psutil
 import pytest
 
 from services.core.fusion.alignment.warm_start import LONGEST_GAP_S
-from services.monitoring.health.watch import SETTLE_NS
+from services.monitoring.health.watch import RETURN_NS, SETTLE_NS
 from shared.bus.bus import Bus
 from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 from shared.messages.navigation import NavigationSolution, NavigationState, TruthState
@@ -120,13 +120,15 @@ class Unit:
         return [*listed(found["open"]), *listed(found["closed"])]
 
     def until_settled(self, what: str) -> None:
-        """Wait until another failure of something is another outage."""
-        ends_ns = [outage["until_ns"] + SETTLE_NS for outage in self.every_outage() if outage["what"] == what]
+        """Wait until another failure of something is another outage; the time runs from when the end was noticed."""
+        ends_ns = [
+            outage["until_ns"] + SETTLE_NS + RETURN_NS for outage in self.every_outage() if outage["what"] == what
+        ]
         time.sleep(max([0.0, *((end_ns - time.time_ns()) * 1e-9 for end_ns in ends_ns)]))
 
     def assert_one_outage(self, what: str, cause: str, *affected: str) -> None:
         """Assert that the failure is one outage, over by now, and that no other root cause was ever shown."""
-        self.until(lambda _: bool(self.outages()), "the outage is listed")
+        self.until(lambda _: bool(self.outages()), f"the outage is listed among {self.every_outage()}")
         outages = self.outages()
         assert [(outage["what"], outage["cause"]) for outage in outages] == [(what, cause)], self.kind
         [outage] = outages

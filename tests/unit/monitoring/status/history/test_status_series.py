@@ -1,11 +1,12 @@
 """Series of numeric fields: names, units, the time grid, and its bounds."""
 
 import re
+from pathlib import Path
 
 import pytest
 
 from services.monitoring.status.process import DASHBOARD
-from services.monitoring.status.series import fields, rings, store
+from services.monitoring.status.series import fields, past, rings, store
 from services.monitoring.status.series.store import Series, SeriesFull
 from shared.messages.gnss import Constellation, FixType, GnssFix, GnssSatellites, Satellite
 from shared.messages.navigation import AidingKind, AidingUpdate, TruthState
@@ -153,3 +154,16 @@ def test_the_page_draws_only_fields_that_are_kept_from_the_start() -> None:
     listed = {f"{name}.0" if name.endswith(("bias_m_s2", "bias_rad_s")) else name for name in listed}
     assert len(listed) > 30
     assert listed <= set(store.STANDARD)
+
+
+def test_a_reader_that_ends_within_a_line_is_an_error_that_its_caller_expects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = '{"name": "a", "values": [1.0, null]}\n{"name": "b", "values": [1.0,'
+    (tmp_path / "reader.py").write_text(f"import sys\nsys.stdin.read()\nsys.stdout.write({lines!r})")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(past, "READER", "reader")
+    found = past.fill_from_recordings(["a", "b"], tmp_path, NOW_NS)
+    assert next(found) == ("a", [1.0, None])
+    with pytest.raises(OSError, match="was ended"):
+        next(found)
