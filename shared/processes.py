@@ -66,7 +66,7 @@ PROCESSES = (
     ProcessRow(
         "sensors.gnss", Kind.DEVICE_DRIVER, "reads the GNSS receiver and writes the commands to it",
         consumes=("gnss/write",),
-        produces=("gnss/raw", "origin/state"),
+        produces=("gnss/raw", "host/clock", "origin/state"),
         roles=BOTH,
     ),
     ProcessRow(
@@ -87,8 +87,8 @@ PROCESSES = (
         "sensors.simulator", Kind.SIMULATOR, "drives a simulated vehicle and sends the bytes its devices would",
         consumes=("gnss/write", "simulation/attack"),
         produces=(
-            "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "origin/state", "truth/state", "simulation/state",
-            "simulation/roads",
+            "gnss/raw", "imu/raw", "can/raw", "v2x/neighbours", "host/clock", "origin/state", "truth/state",
+            "simulation/state", "simulation/roads",
         ),
     ),
     ProcessRow(
@@ -170,7 +170,7 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.evidence", Kind.STANDING, "evaluates the receiver's evidence: jamming and spoofing flags, signals, clock",
-        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix"),
+        consumes=("gnss/signal_quality", "gnss/satellites", "gnss/fix", "host/clock"),
         produces=("trust/monitor",),
     ),
     ProcessRow(

@@ -31,7 +31,16 @@ from .messages.navigation import (
     TruthState,
 )
 from .messages.neighbours import NeighbourStates
-from .messages.operation import Consumed, DeadlineReport, ModeState, Origin, Outage, ProcessHealth, RecordingState
+from .messages.operation import (
+    Consumed,
+    DeadlineReport,
+    HostClock,
+    ModeState,
+    Origin,
+    Outage,
+    ProcessHealth,
+    RecordingState,
+)
 from .messages.replay import ReplayControl, ReplayEvents, ReplayState
 from .messages.simulation import RoadNetwork, SimulationAttack, SimulationState
 from .messages.toll import (
@@ -111,6 +120,7 @@ TOPICS = (
     Topic("gnss/fault_free_fix", FaultFreeFix, "least-squares fix of an epoch without the excluded satellites"),
     Topic("gnss/navigation_bits", GnssNavigationBits, "subframes and pages that satellites broadcast"),
     Topic("gnss/signal_quality", GnssSignalQuality, "jamming, spoofing, gain and clock as the receiver states them"),
+    Topic("host/clock", HostClock, "the host's clock beside the OBU time line, and whether NTP holds it"),
     Topic("gnss/configuration", GnssConfiguration, "configuration of the receiver, as read back", qos=1, retain=True),
     Topic("imu/sample", ImuSamples, "specific force and angular rate in body axes", rate_hz=100.0, silent_after_s=1.0),
     Topic("vehicle/speed", VehicleSpeed, "speed of the vehicle by OBD-II", rate_hz=1.0, silent_after_s=5.0),

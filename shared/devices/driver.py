@@ -9,7 +9,8 @@ from urllib.parse import urlsplit
 
 from ..bus.bus import Bus, Envelope
 from ..messages.base import Message
-from ..messages.operation import Origin, OriginKind
+from ..messages.operation import HostClock, Origin, OriginKind
+from ..runtime.clock import maximum_error_s
 from .device import Device, DeviceBusy, DeviceLost
 
 log = logging.getLogger(__name__)
@@ -18,6 +19,7 @@ BACK_OFF_S = (0.5, 1.0, 2.0, 5.0)
 WAIT_S = 0.02  # timeout of the first byte of a chunk
 CHUNK_BYTES = 16384
 ORIGIN_S = 2.0
+HOST_CLOCK_S = 10.0
 
 
 class Writable(Protocol):
@@ -139,6 +141,24 @@ class OriginPublisher:
         self._next = time.monotonic() + ORIGIN_S
         kind = OriginKind.LIVE if self._recording is None else OriginKind.REPLAY
         bus.publish(Origin(now_ns=bus.now_ns(), kind=kind, name=self._recording or bus.vehicle))
+
+
+class HostClockPublisher:
+    """Publishes every ten seconds what the host's clock shows on the OBU time line, and whether NTP holds it."""
+
+    def __init__(self) -> None:
+        self._next = 0.0
+
+    def publish_if_due(self, bus: Bus) -> None:
+        """Publish the clock if it is due."""
+        if time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + HOST_CLOCK_S
+        error_s = maximum_error_s()
+        clock = HostClock(
+            sampled_ns=bus.now_ns(), utc_ns=time.time_ns(), synchronised=error_s is not None, maximum_error_s=error_s
+        )
+        bus.publish(clock)
 
 
 def run_driver(

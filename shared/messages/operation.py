@@ -181,6 +181,15 @@ class Origin(Message):
     speed: Ratio = 1.0
 
 
+class HostClock(Message):
+    """The host's clock at one time of the OBU time line, and whether NTP or the like holds it."""
+
+    sampled_ns: Nanoseconds
+    utc_ns: Nanoseconds  # since 1970-01-01, as the host's clock shows it
+    synchronised: bool
+    maximum_error_s: float | None = None  # as the kernel states it; None of a clock that nothing holds
+
+
 class Consumed(Message):
     """The order in which a process consumed its messages, so that its work can be repeated exactly.
 

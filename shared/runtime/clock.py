@@ -1,11 +1,14 @@
 """The OBU time line: the monotonic clock of the host, offset once a boot to UTC, in nanoseconds."""
 
+import ctypes
 import os
 import time
 from pathlib import Path
 from uuid import uuid4
 
 from ..errors import UserError
+
+FAILED, UNSYNCHRONISED = -1, 5  # answers of ntp_gettime(3)
 
 
 def boot_id() -> str:
@@ -37,6 +40,27 @@ def fixed_offset_ns(state_dir: Path) -> int:
         if old != path and not old.name.startswith("clock-draft-"):
             old.unlink(missing_ok=True)
     return proposal
+
+
+class _NtpTime(ctypes.Structure):
+    """The C library's struct ntptimeval."""
+
+    _fields_ = (
+        ("seconds", ctypes.c_long), ("microseconds", ctypes.c_long), ("maximum_error_us", ctypes.c_long),
+        ("estimated_error_us", ctypes.c_long), ("tai", ctypes.c_long), ("unused", ctypes.c_long * 4),
+    )  # fmt: skip
+
+
+def maximum_error_s() -> float | None:
+    """Largest error [s] of the host's clock as the kernel states it; None while nothing synchronises it.
+
+    The kernel is told by whatever holds the clock: chrony, ntpd or systemd-timesyncd.
+    """
+    ask = getattr(ctypes.CDLL(None), "ntp_gettime", None)
+    found = _NtpTime()
+    if ask is None or ask(ctypes.byref(found)) in (FAILED, UNSYNCHRONISED):
+        return None
+    return float(found.maximum_error_us) / 1e6
 
 
 class Clock:

@@ -1,6 +1,7 @@
 """What the evidence is compared with: slow means, the clock's own prediction, and the offset of GNSS time."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import exp
 
@@ -87,9 +88,14 @@ class TimeOffset:
         self._offsets.append((received_ns, received_ns - utc_ns))
         while self._offsets[0][0] < received_ns - (RECENT_S + EARLIER_S) * NS:
             self._offsets.popleft()
-        limit_ns = received_ns - RECENT_S * NS
-        recent = [offset for time_ns, offset in self._offsets if time_ns > limit_ns]
-        earlier = [offset for time_ns, offset in self._offsets if time_ns <= limit_ns]
-        if min(len(recent), len(earlier)) < LEAST_OFFSETS:
-            return None
-        return (min(earlier) - min(recent)) / NS
+        recent, earlier = self.recent_ns(), self._least(lambda time_ns: time_ns <= received_ns - RECENT_S * NS)
+        return None if recent is None or earlier is None else (earlier - recent) / NS
+
+    def recent_ns(self) -> int | None:
+        """Least offset of the last seconds [ns], arrival minus UTC; None while there are too few."""
+        limit_ns = self._offsets[-1][0] - RECENT_S * NS if self._offsets else 0
+        return self._least(lambda time_ns: time_ns > limit_ns)
+
+    def _least(self, within: Callable[[int], bool]) -> int | None:
+        offsets = [offset_ns for time_ns, offset_ns in self._offsets if within(time_ns)]
+        return min(offsets) if len(offsets) >= LEAST_OFFSETS else None

@@ -11,6 +11,7 @@ from math import degrees
 import numpy as np
 
 from shared.messages.gnss import GnssSatellites, GnssSignalQuality, InterferenceState, RadioPath, ReceiverClock
+from shared.messages.operation import HostClock
 from shared.messages.trust import MonitorOutcome, MonitorTest
 
 from .baselines import NS, RECENT_S, ClockPrediction, SlowMean, TimeOffset
@@ -94,6 +95,7 @@ class EvidenceMonitor:
         self._gains: dict[int, SlowMean] = {}
         self._level = SlowMean(s.baseline_s, s.learning_s)
         self._clock, self._offset = ClockPrediction(), TimeOffset()
+        self._host: HostClock | None = None
         self.tests = {
             name: EvidenceTest(name, missing, count=count, latency_s=latency_s, hold_s=s.hold_s)
             for name, missing, count, latency_s in (
@@ -104,6 +106,7 @@ class EvidenceMonitor:
                 ("cn0_spread", "no C/N0 of enough satellites at different elevations", PERSISTENT, 0.0),
                 ("clock", "no two successive UBX-NAV-CLOCK", 1, 0.0),
                 ("gnss_time", "no UTC of the receiver over 20 s", 1, RECENT_S),
+                ("host_time", "no UTC of the receiver, or nothing holds the clock of the host", PERSISTENT, RECENT_S),
             )
         }
 
@@ -149,6 +152,11 @@ class EvidenceMonitor:
         step_s = self._offset.step(received_ns, utc_ns)
         if step_s is not None:
             self._use_time(received_ns, step_s)
+        self._compare_with_host(received_ns)
+
+    def host_clock(self, message: HostClock) -> None:
+        """Use a reading of the host's clock."""
+        self._host = message
 
     def results(self, time_ns: int) -> list[MonitorTest]:
         """All tests at a time."""
@@ -198,6 +206,18 @@ class EvidenceMonitor:
             f"the drift changes by {change.drift_ratio * 1e9:+.0f} ns/s, limit {s.drift_step_ratio * 1e9:.0f}"
         )
         self.tests["clock"].evaluated(Finding(time_ns, statistic, 1.0, "-", reason))
+
+    def _compare_with_host(self, time_ns: int) -> None:
+        """Compare the receiver's UTC with that of a host whose clock is held, by the arrival with the least delay."""
+        s, host, offset_ns = self.settings, self._host, self._offset.recent_ns()
+        if host is None or offset_ns is None or not host.synchronised or host.maximum_error_s is None:
+            return
+        if not -1.0 <= (time_ns - host.sampled_ns) / NS <= s.host_clock_age_s:
+            return
+        ahead_s = -(offset_ns + host.utc_ns - host.sampled_ns) / NS
+        limit_s = s.host_time_s + host.maximum_error_s
+        reason = f"GNSS time minus the host's clock is {ahead_s:+.3f} s, limit {limit_s:.3f}"
+        self.tests["host_time"].evaluated(Finding(time_ns, abs(ahead_s), limit_s, "s", reason))
 
     def _use_time(self, time_ns: int, step_s: float) -> None:
         limit_s = self.settings.time_step_s

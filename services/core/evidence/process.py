@@ -5,12 +5,13 @@ from collections.abc import Iterator
 
 from shared.messages.base import Tick
 from shared.messages.gnss import GnssFix, GnssSatellites, GnssSignalQuality
+from shared.messages.operation import HostClock
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
 
 from .monitor import EvidenceMonitor
 from .settings import Settings
 
-In = GnssSignalQuality | GnssSatellites | GnssFix | Tick
+In = GnssSignalQuality | GnssSatellites | GnssFix | HostClock | Tick
 RESTART_NS = 5_000_000_000  # by which an arrival is earlier than the newest one where a time line starts again
 SILENT_NS = 5_000_000_000  # after which another receiver takes the place of one that is silent
 OWN_TESTS = ("spoofing_flag", "jamming_flag", "gain", "cn0_level", "cn0_spread", "clock")
@@ -37,6 +38,8 @@ class Process:
         """Use a message of the receiver; publish with each tick."""
         if isinstance(message, Tick):
             yield self._statement(message.now_ns)
+        elif isinstance(message, HostClock):
+            self._monitor.host_clock(message)
         elif self._is_chosen(message.source.removesuffix("/nmea"), message.received_ns):
             match message:
                 case GnssSignalQuality():

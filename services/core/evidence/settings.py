@@ -47,6 +47,14 @@ class Settings(Section):
         description="jump of GNSS time against the OBU time line that accuses: arrivals vary by 0.1 s with the number "
         "of messages",
     )  # fmt: skip
+    host_time_s: float = Field(
+        default=2.0, gt=0.0,
+        description="distance of GNSS time from a host's clock that NTP holds which accuses, beside the error that the "
+        "host states: a receiver's message is up to 1 s late",
+    )  # fmt: skip
+    host_clock_age_s: float = Field(
+        default=60.0, gt=0.0, description="age from which a reading of the host's clock no longer counts"
+    )
     baseline_s: float = Field(default=300.0, gt=0.0, description="time constant of the means of gain and C/N0")
     learning_s: float = Field(default=60.0, gt=0.0, description="time until these means are used")
     hold_s: float = Field(default=10.0, ge=0.0, description="time for which an accusation lasts after its last cause")

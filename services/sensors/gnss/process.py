@@ -1,4 +1,4 @@
-"""Reads the bytes of the GNSS receiver and writes configuration messages to it."""
+"""Reads the bytes of the GNSS receiver, writes configuration messages to it, and states the host's clock beside it."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ from pydantic import Field
 
 from shared.bus.bus import Bus, Envelope, decoded
 from shared.devices.device import open_device, split_url
-from shared.devices.driver import Link, run_driver
+from shared.devices.driver import HostClockPublisher, Link, run_driver
 from shared.messages.base import DeviceName
 from shared.messages.gnss import GnssRaw, GnssWrite
 from shared.runtime.config import Section
@@ -29,7 +29,15 @@ class Process:
     def run(self, bus: Bus) -> None:
         """Read until the bus stops."""
         link = Link(lambda: open_device(self._config.device))
-        run_driver(bus, link, self._config.device, self._raw, lambda envelopes: self._write(bus, link, envelopes))
+        recorded = split_url(self._config.device)[0].scheme == "file"
+        clock = None if recorded else HostClockPublisher()
+
+        def handle(envelopes: Sequence[Envelope]) -> None:
+            self._write(bus, link, envelopes)
+            if clock is not None:
+                clock.publish_if_due(bus)
+
+        run_driver(bus, link, self._config.device, self._raw, handle)
 
     def _raw(self, data: bytes, received_ns: int) -> GnssRaw:
         return GnssRaw(received_ns=received_ns, source=self._config.source, data=data)

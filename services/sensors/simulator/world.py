@@ -12,7 +12,7 @@ from shared.attacks import ScheduledAttack
 from shared.maths.earth import Geodetic
 from shared.messages.base import Message
 from shared.messages.navigation import TruthState
-from shared.messages.operation import Origin, OriginKind
+from shared.messages.operation import HostClock, Origin, OriginKind
 from shared.messages.simulation import SimulationAttack, SimulationState
 
 from .attacks.attacks import Attacks
@@ -29,6 +29,8 @@ STEP_NS = 10_000_000
 BLOCK = 100  # [steps] simulated at once
 TRUTH_EVERY = 10  # steps
 ORIGIN_NS = 2 * NS
+CLOCK_NS = 10 * NS
+CLOCK_ERROR_S = 0.02  # of a host that NTP holds over a mobile network
 DEFAULT_START_NS = 1_790_000_000 * NS  # 2026-09-21T14:13:20Z
 
 
@@ -76,7 +78,7 @@ class World:
         self._heap: list[tuple[int, int, Message | Due]] = []
         self._order = count()
         self._motion: Motion | None = None
-        self._driven_ns = self._origin_ns = start_ns
+        self._driven_ns = self._origin_ns = self._clock_ns = start_ns
 
     def __iter__(self) -> Iterator[tuple[int, Message]]:
         """Yield (arrival time, message) without end."""
@@ -129,6 +131,12 @@ class World:
             )
             self._push(self._origin_ns, origin)
             self._origin_ns += ORIGIN_NS
+        while self._clock_ns < end_ns:
+            clock = HostClock(
+                sampled_ns=self._clock_ns, utc_ns=self._clock_ns, synchronised=True, maximum_error_s=CLOCK_ERROR_S
+            )
+            self._push(self._clock_ns, clock)
+            self._clock_ns += CLOCK_NS
         self._driven_ns = end_ns
 
     def _truth(self, readings: Readings) -> Iterator[tuple[int, Message]]:

@@ -12,6 +12,8 @@ from services.core.evidence.monitor import EvidenceMonitor
 from services.core.evidence.process import Config, Process
 from services.parsers.gnss.process import Config as ParserConfig
 from services.parsers.gnss.process import Process as Parser
+from services.sensors.simulator.world import DEFAULT_START_NS, messages
+from shared.attacks import schedule
 from shared.messages.base import Tick
 from shared.messages.gnss import (
     Constellation,
@@ -27,8 +29,12 @@ from shared.messages.gnss import (
     Satellite,
     SignalFlags,
 )
+from shared.messages.operation import HostClock
 from shared.messages.trust import MonitorOutcome, MonitorTest, TrustMonitor
+from shared.runtime.config import parse_vehicle
+from shared.runtime.offline import OfflineUnit
 from tests.support.data import recording
+from tests.support.drives.golden import VEHICLE
 
 NS = 1_000_000_000
 UTC_NS = 1_800_000_000 * NS
@@ -66,11 +72,21 @@ def fix(second: int, ahead_s: float = 0.0, source: str = "gnss0") -> GnssFix:
     )  # fmt: skip
 
 
-def statements(seconds: int, change: Change, begin: int, process: Process | None = None) -> Iterator[TrustMonitor]:
-    """Statements of a quiet receiver, of which one thing changes from a second on."""
+def host_clock(second: int, **changes: object) -> HostClock:
+    held = HostClock(sampled_ns=second * NS, utc_ns=UTC_NS + second * NS, synchronised=True, maximum_error_s=0.1)
+    return held.model_copy(update=changes)
+
+
+def statements(
+    seconds: int, change: Change, begin: int, process: Process | None = None,
+    read_clock: Callable[[int], HostClock | None] = host_clock,
+) -> Iterator[TrustMonitor]:  # fmt: skip
+    """Statements of a quiet receiver, of which one thing changes from a second on, beside the host's clock."""
     process = process or Process(Config())
     for k in range(1, seconds + 1):
         epoch: Epoch = (quality(k), satellites(k), fix(k))
+        if k % 10 == 1 and (reading := read_clock(k)) is not None:
+            assert not list(process.handle(reading))
         for message in change(epoch) if k >= begin else epoch:
             assert not list(process.handle(message))
         yield from process.handle(Tick(now_ns=k * NS + NS // 2))
@@ -159,7 +175,62 @@ def test_each_cause_alone_accuses_gnss_by_exactly_its_own_test(cause: str) -> No
 def test_a_quiet_receiver_passes_by_all_tests_once_the_means_are_learned() -> None:
     last = list(statements(100, unchanged, 1))[-1]
     assert last.outcome is PASS and {test.outcome for test in last.tests} == {PASS}
-    assert last.reason == "7 of 7 tests pass"
+    assert last.reason == "8 of 8 tests pass"
+
+
+def host_time(found: Iterator[TrustMonitor]) -> list[MonitorTest]:
+    return [by_name(statement)["host_time"] for statement in found]
+
+
+@pytest.mark.parametrize("ahead_s", [3600.0, 3.0, -3.0])
+def test_a_time_that_is_wrong_from_the_start_on_is_accused_by_the_clock_of_the_host(ahead_s: float) -> None:
+    found = list(statements(30, pushed(ahead_s), 1))
+    accusing = [s for s in found if s.outcome is ACCUSES]
+    assert accusing[0].sampled_ns / NS == 6.5, "two evaluations of at least five arrivals"
+    assert {test.name for s in accusing for test in s.tests if test.outcome is ACCUSES} == {"host_time"}
+    assert f"GNSS time minus the host's clock is {ahead_s - 0.08:+.3f} s, limit 2.100" in accusing[-1].reason
+
+
+def test_a_time_that_is_pushed_slowly_is_accused_by_the_clock_of_the_host_alone() -> None:
+    found = list(statements(300, lambda e: pushed(0.02 * (e[0].sampled_ns / NS - 60.0))(e), 60))
+    accused = {test.name for s in found for test in s.tests if test.outcome is ACCUSES}
+    first_s = next(s.sampled_ns / NS for s in found if s.outcome is ACCUSES)
+    assert accused == {"host_time"} and 60.0 + 105.0 < first_s < 60.0 + 125.0, "2.1 s at 0.02 s a second"
+
+
+@pytest.mark.parametrize(("attack", "accused"), [((), set()), (("time_push@35",), {"clock", "gnss_time", "host_time"})])
+def test_the_time_of_a_simulated_receiver_agrees_with_its_host_until_it_is_pushed(
+    attack: tuple[str, ...], accused: set[str]
+) -> None:
+    unit = OfflineUnit(parse_vehicle(VEHICLE.read_text()), ["parsers.gnss", "core.evidence"])
+    drive = messages("parking_lot", 1, 60.0, attacks=[schedule(text) for text in attack])
+    found = [m for m in unit.run(drive) if isinstance(m, TrustMonitor)]
+    before = [by_name(s)["host_time"].outcome for s in found if s.sampled_ns < DEFAULT_START_NS + 35 * NS]
+    assert before[-20:] == [PASS] * 20
+    assert {test.name for s in found for test in s.tests if test.outcome is ACCUSES} == accused
+
+
+def test_messages_that_are_a_second_late_do_not_contradict_the_clock_of_the_host() -> None:
+    assert {test.outcome for test in host_time(statements(60, pushed(-1.0), 1))[10:]} == {PASS}
+
+
+@pytest.mark.parametrize(
+    "read_clock",
+    [
+        lambda second: None,
+        lambda second: host_clock(second, synchronised=False, maximum_error_s=None),
+        lambda second: host_clock(second) if second == 1 else None,
+    ],
+    ids=["never", "nothing holds it", "61 s old"],
+)
+def test_without_a_clock_that_is_held_the_time_is_not_compared(read_clock: Callable[[int], HostClock | None]) -> None:
+    last = host_time(statements(70, pushed(3600.0), 1, Process(Config(hold_s=0.0)), read_clock))[-1]
+    assert last.outcome is NOT_EVALUATED and "nothing holds the clock of the host" in last.reason
+
+
+def test_the_error_that_the_host_states_widens_the_limit() -> None:
+    tests = host_time(statements(30, pushed(5.0), 1, None, lambda second: host_clock(second, maximum_error_s=16.0)))
+    assert tests[-1].outcome is PASS and tests[-1].threshold == 18.0
 
 
 def test_an_accusation_ends_ten_seconds_after_its_cause() -> None:

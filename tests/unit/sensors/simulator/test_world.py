@@ -20,7 +20,7 @@ from shared.messages.gnss import GnssRaw
 from shared.messages.imu import ImuRaw
 from shared.messages.navigation import TruthState
 from shared.messages.neighbours import NeighbourStates
-from shared.messages.operation import Origin, OriginKind
+from shared.messages.operation import HostClock, Origin, OriginKind
 from shared.messages.vehicle import CanRaw
 from shared.topics import BY_MESSAGE, publications
 from tests.support.gnss.ublox import parse_ubx, valget, valset
@@ -32,7 +32,7 @@ def stamp(message: Message) -> int:
     match message:
         case ImuRaw() | GnssRaw() | CanRaw() | NeighbourStates():
             return message.received_ns
-        case TruthState():
+        case TruthState() | HostClock():
             return message.sampled_ns
         case Origin():
             return message.now_ns
@@ -247,6 +247,13 @@ def test_the_origin_states_a_simulation_every_2_s(minute: list[Message]) -> None
 
 
 @pytest.mark.slow
+def test_the_clock_of_the_simulated_host_is_right_and_stated_every_10_s(minute: list[Message]) -> None:
+    clocks = [m for m in minute if isinstance(m, HostClock)]
+    assert len(clocks) in (6, 7)
+    assert [c.sampled_ns for c in clocks] == [DEFAULT_START_NS + 10 * k * NS for k in range(len(clocks))]
+    assert all(c.synchronised and c.utc_ns == c.sampled_ns for c in clocks)
+
+
 def test_the_memory_of_a_long_drive_is_bounded() -> None:
     arrivals = (message for _, message in World(BY_NAME["urban"], 1, 0))
     for _ in islice(arrivals, 4_000):

@@ -1,8 +1,10 @@
 """The offset of the time line: set once a boot by the first process."""
 
+import ctypes
 import os
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -47,3 +49,32 @@ def test_an_agreed_offset_is_read_without_writing(tmp_path: Path, monkeypatch: p
     assert clock.fixed_offset_ns(tmp_path) == offset
     with pytest.raises(UserError, match="OBU_STATE"):
         clock.fixed_offset_ns(tmp_path / "elsewhere")
+
+
+class Library:
+    """A C library whose ntp_gettime(3) answers and writes what a test says: a kernel cannot be asked to."""
+
+    def __init__(self, answer: int, maximum_error_us: int) -> None:
+        self._answer, self._maximum_error_us = answer, maximum_error_us
+
+    def ntp_gettime(self, reference: Any) -> int:
+        reference._obj.maximum_error_us = self._maximum_error_us
+        return self._answer
+
+
+@pytest.mark.parametrize(("answer", "error_s"), [(0, 0.025), (1, 0.025), (5, None), (-1, None)])
+def test_the_error_of_the_clock_is_known_while_the_kernel_calls_it_synchronised(
+    answer: int, error_s: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: Library(answer, 25_000))
+    assert clock.maximum_error_s() == error_s
+
+
+def test_the_kernel_of_this_machine_is_asked() -> None:
+    error_s = clock.maximum_error_s()
+    assert error_s is None or 0.0 <= error_s < 20.0, "the kernel gives up at 16 s"
+
+
+def test_a_c_library_without_the_question_holds_no_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: object())
+    assert clock.maximum_error_s() is None
