@@ -8,13 +8,13 @@ import time
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
 
 import typer
 
+from shared import VERSION
 from shared.errors import UserError
 from shared.messages.simulation import AttackName
 from shared.processes import BY_NAME, Role
@@ -72,7 +72,7 @@ class BrokerKind(StrEnum):
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"obu {version('obu')}")
+        print(f"obu {VERSION}")
         raise typer.Exit()
 
 

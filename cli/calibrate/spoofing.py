@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from hashlib import file_digest, sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -25,6 +24,7 @@ from services.core.spoofing.profile import (
 )
 from services.core.spoofing.windows.metrics import UNITS
 from services.core.spoofing.windows.short_window import Window
+from shared import VERSION
 from shared.errors import UserError
 from shared.messages.base import Message
 from shared.messages.trust import TrustMonitor
@@ -143,14 +143,10 @@ def _profile(windows: list[Window], origin: Origin, threshold: float | None) -> 
 
 def _code() -> str:
     """Version of the package, and digest of the code that the metrics come from."""
-    try:
-        release = version("obu")
-    except PackageNotFoundError:
-        release = "unknown"
     digest = sha256()
     for path in sorted(Path(learning.__file__).parent.glob("*.py")):
         digest.update(path.read_bytes())
-    return f"{release}+{digest.hexdigest()[:12]}"
+    return f"{VERSION}+{digest.hexdigest()[:12]}"
 
 
 def _print(profile: Profile, windows: list[Window], output: Path) -> None:

@@ -7,6 +7,7 @@ from typing import cast
 
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
+from .. import VERSION
 from ..messages.base import Message, Sender
 from ..processes import LAYERS, PROCESSES
 from ..topics import TOPICS, Topic, publications, subscriptions
@@ -20,7 +21,7 @@ def asyncapi() -> Json:
         "asyncapi": "3.0.0",
         "info": {
             "title": "On-board unit",
-            "version": "0.1.0",
+            "version": VERSION,
             "description": "MQTT contract of the on-board unit, derived from shared/topics.py and shared/processes.py.",
         },
         "servers": {

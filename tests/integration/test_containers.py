@@ -19,6 +19,7 @@ from typing import cast
 
 import pytest
 
+from shared import VERSION
 from shared.processes import Role, running
 
 pytestmark = [pytest.mark.container, pytest.mark.slow]
@@ -122,6 +123,10 @@ def test_every_process_starts_and_a_position_is_published(unit: Unit) -> None:
     eventually(unit.is_well, within_s=60)
     topics = cast("dict[str, dict[str, object]]", unit.get("/api/state")["topics"])
     assert topics["navigation/solution"]
+
+
+def test_the_image_knows_its_version(unit: Unit) -> None:
+    assert run("docker", "run", "--rm", "--network=none", "obu:local", "--version") == f"obu {VERSION}\n"
 
 
 def test_no_process_runs_as_root_or_with_a_capability(unit: Unit) -> None:

@@ -7,13 +7,13 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
 import uvicorn
 from pydantic import Field
 
+from shared import VERSION
 from shared.bus.bus import Bus
 from shared.errors import BadPayload, ObuError, UserError
 from shared.library.library import Library
@@ -142,7 +142,7 @@ class Process:
         folder = Path(self._config.static_dir) if self._config.static_dir else DASHBOARD
         clients = self._config.clients_maximum
         series = SeriesApi(state, lock, now_ns, clients)
-        collector = StateCollector(state, now_ns, lock, software_version())
+        collector = StateCollector(state, now_ns, lock, VERSION)
         api = Api(state, lock, now_ns, registry_of(collector), self._config.history_s)
         watching = Watching(Stream(state, lock, now_ns, clients, apis[1]), Events(state, lock, now_ns, clients))
         maps = MapApi(state, lock, now_ns, self._config.map_file)
@@ -220,11 +220,3 @@ def listen(host: str, port: int) -> socket.socket:
             f"cannot listen on {host} port {port}: {error.strerror or error}; "
             "set another port under [monitoring.status] in the vehicle's file (0 takes any free one)"
         ) from error
-
-
-def software_version() -> str:
-    """Name the installed version."""
-    try:
-        return version("obu")
-    except PackageNotFoundError:
-        return "unknown"
