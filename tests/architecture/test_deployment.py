@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from shared.processes import PROCESSES, Kind, ProcessRow, Role, running
-from shared.topics import hot_path
+from shared.topics import BY_NAME, hot_path
 
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEMD = ROOT / "deploy" / "systemd"
@@ -192,6 +192,13 @@ def test_the_hot_path_goes_first_and_drivers_reach_their_devices(row: ProcessRow
         assert not hot.exists(), f"it is not upstream of the solution: git rm '{hot.relative_to(ROOT)}'"
     device = drop_in(row.name, "device.conf")
     assert device.exists() or row not in DEVICES, f"write {device.relative_to(ROOT)} after that of sensors.gnss"
+
+
+def test_the_publisher_of_the_clock_of_the_host_may_read_it_and_not_set_it() -> None:
+    (driver,) = [name for name in BY_NAME["host/clock"].producers if "simulator" not in name]
+    text = drop_in(driver, "clock.conf").read_text()
+    assert "ProtectClock=no\n" in text and "SystemCallFilter=adjtimex clock_adjtime" in text
+    assert "CapabilityBoundingSet=\n" in (SYSTEMD / "obu@.service").read_text(), "no CAP_SYS_TIME"
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
