@@ -159,8 +159,11 @@ PROCESSES = (
     ),
     ProcessRow(
         "core.spoofing", Kind.STANDING, "compares GNSS with the inertial sensors over 5, 30 and 60 s",
-        consumes=("imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution", "navigation/filter_state"),
-        produces=("trust/monitor",),
+        consumes=(
+            "imu/sample", "gnss/fix", "vehicle/speed", "navigation/solution", "navigation/filter_state", "trust/grade",
+            "trust/state",
+        ),
+        produces=("trust/monitor", "trust/grade"),
         pause_s=0.1,
     ),
     ProcessRow(

@@ -49,7 +49,9 @@ def calibrate_spoofing(
     threshold: Annotated[
         float | None,
         typer.Option(
-            min=1.0, metavar="VALUE", help="Standard deviations; default: the least of 5 to 15 with one alarm an hour."
+            min=1.0,
+            metavar="VALUE",
+            help="Standard deviations; default: the least from 5 on with no alarm, and a quarter more.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the profile as one JSON object.")] = False,
@@ -64,12 +66,15 @@ def calibrate_spoofing(
         raise UserError(f"{output} already exists; choose another file with --output, or remove it")
     console = Console(stderr=True)
     windows: list[Window] = []
+    long: list[float] = []
+    limit = 0.0
     origins: list[Origin] = []
     learned: list[LearnedDrive] = []
     with progress_on(console) as progress:
         for path in drives:
-            drive, origin, found = _learned(path, vehicle, console, progress)
+            drive, origin, found, statistics, limit = _learned(path, vehicle, console, progress)
             windows += found
+            long += statistics
             origins.append(origin)
             learned.append(drive)
     first = origins[0]
@@ -78,7 +83,8 @@ def calibrate_spoofing(
             raise UserError(
                 f"{drive.file} is of another unit than {learned[0].file} ({'; '.join(different)}); learn one for each"
             )
-    profile = _profile(windows, first.model_copy(update={"code": _code(), "drives": tuple(learned)}), threshold)
+    profile = _profile(windows, first.model_copy(update={"code": _code(), "drives": tuple(learned)}), threshold,
+                       long, limit)  # fmt: skip
     try:
         output.write_text(profile.model_dump_json(indent=2) + "\n", encoding="utf-8")
     except OSError as error:
@@ -92,19 +98,21 @@ def calibrate_spoofing(
 
 def _learned(
     path: Path, vehicle: Path | None, console: Console, progress: Progress
-) -> tuple[LearnedDrive, Origin, list[Window]]:
-    """Run fusion and the monitors over a recording; give its windows."""
+) -> tuple[LearnedDrive, Origin, list[Window], list[float], float]:
+    """Run fusion and the monitors over a recording; give its windows, long statistics and their threshold."""
     with open_recording(path) as recording:
         inputs, file = inputs_of(recording), vehicle_of(recording, vehicle)
     print_problems(recording, console)
     unit = OfflineUnit(file, PROCESSES)
     process = cast(Process, unit.process("core.spoofing"))
     windows: list[Window] = []
+    long: list[float] = []
     task = progress.add_task(f"learning from {path.name}", total=len(inputs))
     for message in unit.run(_counted(inputs, progress, task)):
         window = process.monitor.window
         if isinstance(message, TrustMonitor) and window is not None and window not in windows[-1:]:
             windows.append(window)
+            long += process.monitor.long_statistics.values()
     origin = process.origin
     if origin is None or not windows:
         raise UserError(
@@ -118,7 +126,7 @@ def _learned(
     drive = LearnedDrive(
         file=path.name, sha256=digest, date=date, duration_s=(times_ns[1] - times_ns[0]) / 1e9, windows=len(windows)
     )
-    return drive, origin, windows
+    return drive, origin, windows, long, process.monitor.long.threshold
 
 
 def _counted(inputs: Inputs, progress: Progress, task: TaskID) -> Iterator[Message]:
@@ -128,14 +136,17 @@ def _counted(inputs: Inputs, progress: Progress, task: TaskID) -> Iterator[Messa
         yield message
 
 
-def _profile(windows: list[Window], origin: Origin, threshold: float | None) -> Profile:
+def _profile(
+    windows: list[Window], origin: Origin, threshold: float | None, long: list[float], long_threshold: float
+) -> Profile:
     duration_s = sum(drive.duration_s for drive in origin.drives)
     provenance = (
         f"{len(windows)} windows of {len(origin.drives)} recorded drives, {duration_s:.0f} s, the first of "
         f"{origin.drives[0].date}; IMU {origin.imu}, GNSS {origin.gnss}"
     )
     try:
-        profile = learning.learn(windows, threshold=threshold, provenance=provenance)
+        profile = learning.learn(windows, threshold=threshold, provenance=provenance, long_statistics=long,
+                                 long_threshold=long_threshold)  # fmt: skip
     except ValueError as error:
         raise UserError(f"{error}; give more recordings") from error
     return profile.model_copy(update={"origin": origin})
@@ -162,7 +173,8 @@ def _print(profile: Profile, windows: list[Window], output: Path) -> None:
     _, episodes = learning.alarms_of(windows, profile)
     for line in (
         f"Standard deviations; classes of {names} end at {speeds} m/s, those of accelerations at {forces} m/s2.",
-        f"Threshold {profile.threshold:g} standard deviations: {episodes} alarms in {len(windows)} windows of 5 s.",
+        f"Threshold {profile.threshold:.1f} standard deviations: {episodes} alarms in {len(windows)} windows of 5 s.",
+        f"Free propagations over 30 and 60 s: standard deviations times {profile.long_factor:.2f}.",
         f'Wrote {output}; next: put `profile = "{output.name}"` under [core.spoofing] of the vehicle file beside it.',
     ):
         console.print(line, soft_wrap=True, markup=False, highlight=False)

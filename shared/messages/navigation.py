@@ -100,6 +100,17 @@ class NavigationState(Message):
     # of the newest excluded position against the solution without GNSS: normalised innovation squared over its limit
     excluded_test_ratio: Ratio | None = None
     odometer_excluded: bool = False
+    odometer_age_s: float | None = None  # since the last speed of the odometer that was used
+    # while GNSS contradicts the other sensors there are two solutions, with GNSS and without it since the suspect time
+    conflict_since_ns: Nanoseconds | None = None
+    other_distance_m: Deviation | None = (
+        None  # horizontal, of the solution that is not published from the published one
+    )
+    other_level_m: Deviation | None = None  # horizontal protection level of the solution that is not published
+    exclusion_declined: Reason | None = None  # why the solution without GNSS is not published, or was given up
+    # difference of positions that no evidence has decided: part of the protection level until it ends
+    held_horizontal_m: Deviation = 0.0
+    held_vertical_m: Deviation = 0.0
     satellites_left_out: Annotated[tuple[Name, ...], Field(max_length=128)] = ()  # of the newest position that was used
 
 

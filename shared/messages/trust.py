@@ -3,7 +3,11 @@
 from enum import StrEnum
 from typing import Annotated
 
+from pydantic import Field, model_validator
+
 from .base import Count, Deviation, Message, Name, Nanoseconds, Ratio, Reason, unit
+
+Sigma = Annotated[float, Field(gt=0.0, le=1e6), unit("of the metric: rad/s, m/s2, m/s")]
 
 
 class MonitorOutcome(StrEnum):
@@ -45,6 +49,32 @@ class TrustMonitor(Message):
     tests: tuple[MonitorTest, ...] = ()
 
 
+class LearnedGrade(Message):
+    """What a vehicle's own drives have taught about its IMU and receiver, for the next start of core.spoofing.
+
+    Each metric has standard deviations for four classes of dynamics.
+    """
+
+    sampled_ns: Nanoseconds
+    imu: Name  # source of the inertial samples
+    gnss: Name  # source of the fixes
+    imu_rate_hz: Annotated[float, Field(gt=0.0, le=1e5)]
+    gnss_rate_hz: Annotated[float, Field(gt=0.0, le=1e3)]
+    configuration: Name  # digest of the settings that the metrics depend on
+    windows: Count  # of 5 s, one a second
+    metrics: Annotated[tuple[Name, ...], Field(max_length=16)]
+    sigma: Annotated[tuple[tuple[Sigma, Sigma, Sigma, Sigma], ...], Field(max_length=16)]  # of each metric
+    threshold: Annotated[float, Field(gt=0.0, le=100.0)]  # standard deviations
+    long_factor: Annotated[float, Field(ge=1.0, le=100.0)]  # on the deviation of the free propagations
+    false_alarm_rate: Ratio
+
+    @model_validator(mode="after")
+    def _complete(self) -> "LearnedGrade":
+        if len(self.metrics) != len(self.sigma) or len(set(self.metrics)) != len(self.metrics):
+            raise ValueError("each metric needs its own standard deviations")
+        return self
+
+
 class TrustLevel(StrEnum):
     """Whether the position can be used."""
 
@@ -65,8 +95,8 @@ class TrustState(Message):
     row: Count  # of the verdict table that decided
     reasons: tuple[Reason, ...]  # that of the deciding row first
     findings: tuple[Reason, ...] = ()  # accused or excluded sources that do not lower the verdict
-    gnss_excluded: bool = False
-    suspect_since_ns: Nanoseconds | None = None  # of the exclusion of GNSS
+    gnss_excluded: bool = False  # decided by a third source
+    suspect_since_ns: Nanoseconds | None = None  # while GNSS is in conflict with other sensors, excluded or not
     odometer_excluded: bool = False
     protection_level_horizontal_m: Deviation | None = None
     protection_level_vertical_m: Deviation | None = None

@@ -1,7 +1,7 @@
 """Conversion of messages to measurements of the navigator, and of its results to messages."""
 
 from collections.abc import Iterator
-from math import cos, degrees, radians, sin
+from math import cos, degrees, hypot, radians, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +43,7 @@ COURSE_SPEED_M_S = 0.5  # lowest speed at which the course of a receiver is used
 GROUND_SPEED_SD = 0.3  # [m/s] of speed over ground and course, which receivers smooth
 IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 LEAST_BASELINE_SD = 1e-3  # [rad]
+REASON_LENGTH = 400  # of a message
 WORST_DOP = 1000.0  # upper limit of a stated dilution of precision
 UERE_M = 2.5  # [m] user-equivalent range error of a receiver that states no covariance
 
@@ -123,9 +124,11 @@ def use_fault_free_fix(navigator: Navigator, fix: FaultFreeFix) -> None:
 
 
 def use_trust_state(navigator: Navigator, state: TrustState) -> None:
-    """Apply the exclusions of core.trust in the navigator."""
-    since_ns = state.sampled_ns if state.suspect_since_ns is None else state.suspect_since_ns
-    navigator.apply_exclusions(since_ns if state.gnss_excluded else None, odometer_excluded=state.odometer_excluded)
+    """Apply conflict and exclusions of core.trust in the navigator."""
+    since_ns = state.suspect_since_ns
+    if since_ns is None and state.gnss_excluded:
+        since_ns = state.sampled_ns
+    navigator.apply_exclusions(since_ns, exclude=state.gnss_excluded, odometer_excluded=state.odometer_excluded)
 
 
 def use_environment(navigator: Navigator, batch: ImuSamples) -> None:
@@ -326,7 +329,9 @@ def aiding_message(outcome: Outcome) -> AidingUpdate:
 
 def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | None = None) -> NavigationState:
     """State of the navigator as a message, or, with `silent_since_ns`, that inertial samples are missing since then."""
-    counts, exclusions = navigator.counts, navigator.engine.exclusions
+    counts, exclusions, roll_back = navigator.counts, navigator.engine.exclusions, navigator.roll_back
+    conflict, difference, held = roll_back.conflict, roll_back.difference(), navigator.engine.aids.error_monitor.held
+    declined = roll_back.unresolved or (conflict.declined if conflict else "")
     silent = silent_since_ns is not None
     estimated = known_delays(navigator.engine.filter) if navigator.settings.estimate_delays else None
     gnss, odometer, velocity = estimated or ((None, None),) * 3
@@ -354,7 +359,14 @@ def state_message(navigator: Navigator, sampled_ns: int, silent_since_ns: int | 
         alert_limit_vertical_m=navigator.settings.integrity.alert_limit_vertical_m,
         gnss_excluded_since_ns=exclusions.gnss_since_ns,
         fixes_excluded=exclusions.fixes,
-        excluded_test_ratio=exclusions.test_ratio,
+        excluded_test_ratio=roll_back.excluded_test_ratio,
         odometer_excluded=exclusions.odometer,
+        odometer_age_s=navigator.engine.odometer_age_s,
+        conflict_since_ns=None if conflict is None else conflict.since_ns,
+        other_distance_m=None if difference is None else hypot(*difference[0][:2]),
+        other_level_m=None if difference is None else difference[1][0],
+        exclusion_declined=declined[:REASON_LENGTH] or None,
+        held_horizontal_m=held.bound[0],
+        held_vertical_m=held.bound[1],
         satellites_left_out=exclusions.satellites,
     )

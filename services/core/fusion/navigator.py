@@ -230,9 +230,20 @@ class Navigator:
             return None
         return saved_state(engine.filter, engine.last, engine.accepted_ns, engine.exclusions.gnss_since_ns)
 
-    def apply_exclusions(self, gnss_suspect_since_ns: int | None, *, odometer_excluded: bool) -> None:
-        """Exclude GNSS from a suspect time on (None: GNSS is used), and the odometer, as decided by core.trust."""
-        self._roll_back.follow(gnss_suspect_since_ns, odometer_excluded=odometer_excluded)
+    def apply_exclusions(
+        self, gnss_suspect_since_ns: int | None, *, odometer_excluded: bool, exclude: bool = True
+    ) -> None:
+        """Follow core.trust: a conflict of GNSS since a suspect time (None: none), and who is excluded for it.
+
+        With `exclude` the solution without GNSS is published, as far as it is good; otherwise it only adds its distance
+        to the level.
+        """
+        self._roll_back.follow(gnss_suspect_since_ns, exclude=exclude, odometer_excluded=odometer_excluded)
+
+    @property
+    def roll_back(self) -> RollBack:
+        """The published solution, and the other one while there is a conflict."""
+        return self._roll_back
 
     def suspect_delay(self, position_s: float, velocity_s: float) -> None:
         """Allow for delays [s] of GNSS positions and velocities that no setting corrects, from now on; 0 ends it."""
@@ -280,7 +291,9 @@ class Navigator:
 
     def solution(self) -> Solution | None:
         """State at the newest inertial sample, or None while there is no valid one."""
-        return solution_of(self._oosm.engine, self._uncertainty)
+        solution = solution_of(self._oosm.engine, self._uncertainty)
+        difference = None if solution is None else self._roll_back.difference()
+        return solution if solution is None or difference is None else solution.reaching(*difference)
 
     def release(self, received_ns: int) -> list[Outcome]:
         """Use the measurements that are due at `received_ns`, and return all outcomes since the last call."""

@@ -1,5 +1,6 @@
 """The navigation solution: state, covariance and counts at the newest sample."""
 
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from shared.messages.navigation import NavigationPhase
 from .filter import error_model as em
 from .filter.eskf import ErrorStateFilter
 from .integrity.error_monitor import ErrorMonitor
-from .integrity.protection_levels import Levels, protection_levels
+from .integrity.protection_levels import LARGEST_M, Levels, protection_levels
 from .settings import Settings
 from .update.engine import Engine
 
@@ -45,6 +46,32 @@ class Solution(NamedTuple):
     gyroscope_bias_sd: Vector
     gnss_excluded_since_ns: int | None  # no GNSS with a later stamp is used
 
+    def reaching(self, apart_n: Vector, levels_m: tuple[float, float]) -> "Solution":
+        """Widen the levels, and the covariance with them, to another solution that may be the true one.
+
+        Parameters
+        ----------
+        apart_n : tuple of float
+            [m, NED] This position minus the other.
+        levels_m : tuple of float
+            [m] Horizontal and vertical protection level of the other.
+
+        Notes
+        -----
+        Of hypotheses that cannot be told apart, each bounds the error about its own solution::
+
+            L = max( L_this, |d| + L_other )
+        """
+        horizontal = max(self.protection_level_horizontal, hypot(apart_n[0], apart_n[1]) + levels_m[0])
+        vertical = max(self.protection_level_vertical, abs(apart_n[2]) + levels_m[1])
+        position_cov = self.position_cov + np.outer(apart_n, apart_n)
+        return self._replace(
+            protection_level_horizontal=min(horizontal, LARGEST_M),
+            protection_level_vertical=min(vertical, LARGEST_M),
+            position_cov=position_cov,
+            triangles=(_upper(position_cov.tolist()), *self.triangles[1:]),
+        )
+
 
 class Uncertainty(NamedTuple):
     """Protection levels and covariances of a solution."""
@@ -70,7 +97,12 @@ class UncertaintyCache:
             P = navigation.P
             position_cov = P[em.POSITION, em.POSITION]
             way = np.multiply(monitor.delay_s, velocity)  # driven in a delay that is not corrected
-            covariances = position_cov + np.outer(way, way), P[em.VELOCITY, em.VELOCITY], P[em.ATTITUDE, em.ATTITUDE]
+            held = monitor.held.vector_n
+            covariances = (
+                position_cov + np.outer(way, way) + np.outer(held, held),
+                P[em.VELOCITY, em.VELOCITY],
+                P[em.ATTITUDE, em.ATTITUDE],
+            )
             rows = [covariance.tolist() for covariance in covariances]
             levels = protection_levels(
                 position_cov.tolist(),

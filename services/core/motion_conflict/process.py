@@ -1,13 +1,17 @@
 """Compares the speeds of GNSS and odometer as the smart tachograph does, and faster."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import hypot
+from typing import cast
+
+from pydantic import ValidationInfo, model_validator
 
 from shared.messages.base import Tick
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.trust import TrustLevel, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
+from shared.runtime.config import VehicleFile
 
 from .monitor import MotionMonitor
 from .settings import Settings
@@ -24,13 +28,24 @@ OWN = ("motion", "motion_fast")  # statements, which accuse GNSS or the odometer
 class Config(Settings):
     """Settings of core.motion_conflict."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _as_fusion(cls, given: object, info: ValidationInfo) -> object:
+        """An odometer that the vehicle's file does not let fusion use is not compared either."""
+        vehicle = cast("Mapping[str, object]", info.context or {}).get("vehicle")
+        if not isinstance(given, dict) or not isinstance(vehicle, VehicleFile):
+            return given
+        odometer = vehicle.tables.get("core.fusion", {}).get("odometer", {})
+        disabled = isinstance(odometer, dict) and odometer.get("enabled") is False
+        return {"odometer": False, **given} if disabled else given
+
 
 class Process:
     """Publishes the statements `motion` and `motion_fast` once a second."""
 
     def __init__(self, config: Config) -> None:
         self._monitor = MotionMonitor(config)
-        self._newest_ns = 0
+        self._newest_ns, self._odometer = 0, config.odometer
 
     @property
     def rejects(self) -> Counter[str]:
@@ -43,7 +58,7 @@ class Process:
             case GnssFix():
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
                 self._use_fix(message)
-            case VehicleSpeed():
+            case VehicleSpeed() if self._odometer:
                 self._newest_ns = max(self._newest_ns, message.sampled_ns)
                 self._monitor.odometer(message.sampled_ns, message.speed_m_s, message.resolution_m_s)
             case TrustState():

@@ -10,6 +10,9 @@ from .tachograph import KM_H, WindowMode
 class Settings(Section):
     """Windows, noise, limits of what is learned, and plausibility limits."""
 
+    odometer: bool = Field(
+        default=True, description="compare the odometer; false as well where core.fusion.odometer.enabled is false"
+    )
     window: WindowMode = Field(default=WindowMode.MOVING, description="samples that count for the tachograph's tests")
     still_m_s: float = Field(default=1.0 * KM_H, ge=0.0, le=1.0, description="GNSS speed that counts as standstill")
     pairing_s: float = Field(

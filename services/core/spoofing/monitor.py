@@ -13,9 +13,9 @@ from shared.maths.rotation import Vector
 from shared.messages.trust import MonitorOutcome
 
 from .inertial.strapdown import SECOND_NS, Anchor, Decimator, FilterAnchor, Increment
-from .inertial.tracks import Heights, OdometerSpeed, Series, VelocityFix
+from .inertial.tracks import Heights, OdometerSpeed, PositionDifferences, Series, VelocityFix
 from .settings import Settings
-from .verdicts import Verdict, dated
+from .verdicts import EITHER, GNSS, Verdict, dated
 from .windows.long_window import LENGTHS_S, LongResult, LongWindow
 from .windows.metrics import CONSECUTIVE, UNITS, WINDOW_S, Metric
 from .windows.position_step import FALSE_ALARM_RATE, NAME, UNIT, PositionStep, position_step
@@ -27,7 +27,10 @@ AnchorKind = TypeVar("AnchorKind", bound=Anchor)
 MATCH_NS = 20_000_000  # between the stamp of a solution and the end of an increment
 ODOMETER_GAP_S = 2.5
 RELEASE = 10  # evaluations below the release threshold that end an accusation of a long window
-ATTITUDE_SDS = 2.0  # of the attitude's part, which must stay below the threshold of a metric
+SHORT_WARM_UP_S = (
+    20.0  # after the alignment, before the first window of 5 s, whose limits hold the anchor's uncertainty
+)
+BREAK_NS = 2_000_000_000  # without a solution, after which the filter has started again
 KEPT_S = 10  # of increments, fixes and solutions
 
 
@@ -57,6 +60,10 @@ class InertialMonitor:
         self._accusing = dict.fromkeys(LENGTHS_S, False)
         self._inconspicuous_ns: dict[int, int] = {}  # newest evaluation of each long window below the median
         self._known: dict[str, Verdict] = {}
+        self._differences = PositionDifferences()
+        self._aligned_ns: int | None = None  # since when there have been solutions without a break
+        self.learning = ""  # why nothing is evaluated, although everything could be compared
+        self.long_statistics: dict[int, float] = {}  # newest of each length
 
     def inertial(self, time_ns: int, force_b: Vector, rate_b: Vector) -> None:
         """Use an inertial sample [m/s², rad/s; body]."""
@@ -84,23 +91,33 @@ class InertialMonitor:
     ) -> None:  # fmt: skip
         """Use the GNSS velocity [m/s, NED] of the antenna and its position; None where the receiver has none."""
         g = self.settings.gnss
-        if velocity_n is None:
-            self.rejected["gnss: fix without velocity"] += 1
-            return
         if self._fix_ns is not None and time_ns <= self._fix_ns:
             self.rejected["gnss: stamp is not after the one before"] += 1
             return
-        if float(np.linalg.norm(velocity_n)) > g.largest_speed_m_s:
+        if velocity_n is not None and float(np.linalg.norm(velocity_n)) > g.largest_speed_m_s:
             self.rejected[f"gnss: speed is above {g.largest_speed_m_s:.0f} m/s"] += 1
             return
-        stated = np.array(sd_n) if sd_n is not None else np.full(3, g.velocity_sd_m_s)
-        sd = np.maximum(np.where(stated > 0.0, stated, g.velocity_sd_m_s), g.velocity_sd_floor_m_s)
         self._fix_ns = time_ns
-        if float(sd[:2].max()) > g.largest_velocity_sd_m_s:
-            self.rejected["gnss: velocity is too inaccurate to compare"] += 1
+        of_positions = None
+        if position is not None:
+            of_positions = self._differences.after(
+                time_ns - round(g.position_delay_s * SECOND_NS), position, position_sd_m
+            )
+        sd = np.full(3, np.inf)
+        if velocity_n is not None:
+            stated = np.array(sd_n) if sd_n is not None else np.full(3, g.velocity_sd_m_s)
+            sd = np.maximum(np.where(stated > 0.0, stated, g.velocity_sd_m_s), g.velocity_sd_floor_m_s)
+        if velocity_n is not None and float(sd[:2].max()) <= g.largest_velocity_sd_m_s:
+            true_ns = time_ns - round(g.velocity_delay_s * SECOND_NS)
+            fix = VelocityFix(true_ns, np.array(velocity_n), sd, position, position_sd_m)
+        elif of_positions is not None:
+            fix = replace(of_positions, sd=np.maximum(of_positions.sd, g.velocity_sd_floor_m_s))
+        else:
+            self.rejected["gnss: fix without a velocity or two positions that could be compared"] += 1
             return
-        true_ns = time_ns - round(g.velocity_delay_s * SECOND_NS)
-        self._pending.append(VelocityFix(true_ns, np.array(velocity_n), sd, position, position_sd_m))
+        newest = self._pending[-1] if self._pending else self._fixes[-1] if self._fixes else None
+        if newest is None or fix.time_ns > newest.time_ns:
+            self._pending.append(fix)
 
     def odometer(self, time_ns: int, speed: float, resolution: float | None) -> None:
         """Use the odometer's speed [m/s]; the sign of a vehicle speed does not say whether it reverses."""
@@ -118,10 +135,18 @@ class InertialMonitor:
         if self._solutions and anchor.time_ns <= self._solutions[-1].time_ns:
             self.rejected["solution: stamp is not after the one before"] += 1
             return
+        if not self._solutions or anchor.time_ns - self._solutions[-1].time_ns > BREAK_NS:
+            self._aligned_ns = anchor.time_ns
         self._solutions.append(anchor)
 
+    def _warm_for_s(self, time_ns: int) -> float:
+        """Time since the alignment [s]."""
+        return 0.0 if self._aligned_ns is None else (time_ns - self._aligned_ns) / SECOND_NS
+
     def filter_state(self, anchor: FilterAnchor) -> None:
-        """Use a state of fusion's filter, from which a free propagation may start."""
+        """Use a state of fusion's filter that has converged, from which a free propagation may start."""
+        if self._warm_for_s(anchor.time_ns) < self.settings.warm_up_s:
+            return
         if not self._states or anchor.time_ns > self._states[-1].time_ns:
             self._states.append(anchor)
 
@@ -134,6 +159,8 @@ class InertialMonitor:
         self._propagate()
         found: dict[str, Verdict] = {**self._short(time_ns)}
         found |= {f"long_{length}": self._long(time_ns, length) for length in LENGTHS_S}
+        if self.learning:
+            found = {name: _withheld(verdict, self.learning) for name, verdict in found.items()}
         self._known = {name: dated(verdict, self._known.get(name), time_ns) for name, verdict in found.items()}
         suspect = [
             verdict.suspect_since_ns
@@ -197,8 +224,9 @@ class InertialMonitor:
         window = compare(
             chosen, run, known[-1], lever_arm_b=self._lever_arm, height_rate=self._heights.rate
         )  # fmt: skip
-        self.window = window = self._comparable(window)
-        self._step = step = position_step(chosen)
+        self.window = window
+        of_positions = any(fix.of_positions for fix in chosen)  # would be compared with themselves
+        self._step = step = None if of_positions else position_step(chosen)
         self._exceeded[NAME] = self._exceeded[NAME] + 1 if step is not None and step.size > step.limit else 0
         profile = self.settings.profile
         for metric in Metric:
@@ -206,18 +234,12 @@ class InertialMonitor:
             difference = window.difference.get(metric)
             above = sigma is not None and difference is not None and abs(difference) > profile.threshold * sigma
             self._exceeded[metric] = self._exceeded[metric] + 1 if above else 0
+        self.long_statistics = {}
         for length in LENGTHS_S:
-            self._decide(length, self.long.result(length))
-
-    def _comparable(self, window: Window) -> Window:
-        """Leave out metrics for which the attitude is too uncertain, as it is after a new alignment."""
-        profile, missing = self.settings.profile, {}
-        for metric, sd in window.attitude.items():
-            sigma = profile.sigma_of(metric, window)
-            if sigma is not None and ATTITUDE_SDS * sd > profile.threshold * sigma:
-                missing[metric] = f"attitude is too uncertain: {sd:.3f} {UNITS[metric]} of the inertial acceleration"
-        left = {metric: value for metric, value in window.difference.items() if metric not in missing}
-        return replace(window, difference=left, missing={**window.missing, **missing})
+            result = self.long.result(length)
+            if result is not None:
+                self.long_statistics[length] = result.statistic
+            self._decide(length, result)
 
     def _decide(self, length: int, result: LongResult | None) -> None:
         """Accuse after two evaluations above the threshold; release after ten below a lower one."""
@@ -258,6 +280,9 @@ class InertialMonitor:
                 return f"no {name} received yet"
             if time_ns - newest_ns > stale_s * SECOND_NS:
                 return f"no {name} for {(time_ns - newest_ns) / SECOND_NS:.0f} s"
+        warm_s, needed_s = self._warm_for_s(time_ns), min(SHORT_WARM_UP_S, self.settings.warm_up_s)
+        if warm_s < needed_s:
+            return f"warming up: {warm_s:.0f} of {needed_s:.0f} s after the alignment"
         return None if self.window is not None else self._window_missing
 
     def _short(self, time_ns: int) -> dict[str, Verdict]:
@@ -266,7 +291,7 @@ class InertialMonitor:
 
     def _position(self, missing: str | None) -> Verdict:
         base = Verdict(
-            MonitorOutcome.NOT_EVALUATED, missing or "fixes without a position in the window", UNIT,
+            MonitorOutcome.NOT_EVALUATED, missing or "fixes without a position or a velocity of their own", UNIT,
             false_alarm_rate=FALSE_ALARM_RATE, window_s=WINDOW_S,
         )  # fmt: skip
         step = self._step
@@ -274,7 +299,7 @@ class InertialMonitor:
             return base
         reason = f"GNSS position {step.size:.1f} m from the integral of its velocity over 5 s, limit {step.limit:.1f} m"
         accuses = self._exceeded[NAME] >= CONSECUTIVE
-        base = replace(base, reason=reason)
+        base = replace(base, reason=reason, accused=GNSS)
         return judged(base, step.size, step.limit, accuses=accuses, suspect_since_ns=step.suspect_ns)
 
     def _metric(self, metric: Metric, missing: str | None) -> Verdict:
@@ -312,11 +337,12 @@ class InertialMonitor:
         north, east, down = result.difference_n.tolist()
         reason = (
             f"GNSS minus free propagation of {length} s: {north:+.2f} north, {east:+.2f} east, {down:+.2f} down m/s; "
-            f"chi-square {result.statistic:.1f}, limit {self.long.threshold:.1f}"
+            f"chi-square {result.statistic:.1f}, limit {self.long.threshold:.1f}, a drag of "
+            f"{_least_drag(result, self.long.threshold, length):.2g} m/s2 is the least that exceeds it"
         )
         if self.long.odometer_rejected:
             reason += "; the odometer contradicts the inertial sensors and is not used"
-        base = replace(base, reason=reason)
+        base = replace(base, reason=reason, accused=GNSS if result.decided else EITHER)
         return judged(
             base,
             result.statistic,
@@ -324,6 +350,22 @@ class InertialMonitor:
             accuses=self._accusing[length],
             suspect_since_ns=self._suspect_since_ns(length, result),
         )
+
+
+def _withheld(verdict: Verdict, why: str) -> Verdict:
+    """Verdict of a test whose threshold is not known yet; one that needs none of the inertial sensors stands."""
+    if verdict.outcome is MonitorOutcome.NOT_EVALUATED or (
+        verdict.outcome is MonitorOutcome.ACCUSES and verdict.accused == GNSS and verdict.unit == UNIT
+    ):
+        return verdict
+    return replace(
+        verdict, outcome=MonitorOutcome.NOT_EVALUATED, reason=why, statistic=None, threshold=None, suspect_since_ns=None
+    )
+
+
+def _least_drag(result: LongResult, threshold: float, length_s: int) -> float:
+    """Least acceleration [m/s²] of a drag whose velocity exceeds the threshold when a window of this length ends."""
+    return float(np.sqrt(threshold) * max(result.sd_n[0], result.sd_n[1])) / length_s
 
 
 def _at(anchors: deque[AnchorKind], time_ns: int) -> AnchorKind | None:

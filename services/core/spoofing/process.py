@@ -18,18 +18,21 @@ from shared.messages.base import Symmetric3, Tick, Vector3
 from shared.messages.gnss import FixType, GnssFix
 from shared.messages.imu import ImuSamples
 from shared.messages.navigation import FilterState, NavigationPhase, NavigationSolution
-from shared.messages.trust import TrustMonitor
+from shared.messages.trust import LearnedGrade, TrustMonitor, TrustState
 from shared.messages.vehicle import VehicleSpeed
 from shared.runtime.config import Table, VehicleFile
 
+from .grade import LONG, UNKNOWN, Grade, profile_of
 from .inertial.strapdown import Anchor, FilterAnchor
+from .lesson import Lesson, profile_of_learned
 from .monitor import InertialMonitor
 from .profile import Origin, Profile
 from .settings import LongSettings, Settings
 from .statements import statements
 from .windows.position_step import UNKNOWN_SD_M
 
-In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | FilterState | Tick
+In = ImuSamples | GnssFix | VehicleSpeed | NavigationSolution | FilterState | LearnedGrade | TrustState | Tick
+Out = TrustMonitor | LearnedGrade
 WITH_HEADING = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 MEASURED = (FixType.TWO_D, FixType.THREE_D, FixType.GNSS_DEAD_RECKONING)
 RESTART_NS = 5_000_000_000  # by which a stamp is earlier than the newest one where a time line starts again
@@ -56,11 +59,29 @@ class Config(Settings):
         vehicle = cast("Mapping[str, object]", info.context or {}).get("vehicle")
         if not isinstance(given, dict) or not isinstance(vehicle, VehicleFile):
             return given
-        sections = {"gnss": _gnss_of_fusion(vehicle), "long": _noise_of_fusion(vehicle)}
+        sections = {"gnss": _gnss_of_fusion(vehicle), "long": _long_of_fusion(vehicle)}
         values = given | {key: {**found, **given.get(key, {})} for key, found in sections.items()}
         if isinstance(name := values.get("profile"), str):
             values["profile"] = read_profile(Path(vehicle.path).parent / name)
         return values
+
+    @model_validator(mode="before")
+    @classmethod
+    def _graded(cls, given: object) -> object:
+        """Fill up with the thresholds of the stated grade, or of the lowest where none is stated."""
+        if not isinstance(given, dict) or not given.keys() >= {"grade"}:
+            return given
+        return given if given["grade"] not in list(Grade) else with_grade(given, Grade(given["grade"]))
+
+
+def with_grade(values: Mapping[str, object], grade: Grade) -> dict[str, object]:
+    """Complete the values of this section by those of a grade; what is given stands, but for a smaller random walk."""
+    long = values.get("long", {})
+    given = dict(long) if isinstance(long, Mapping) else long.model_dump(exclude_unset=True)
+    for key, value in LONG[grade].items():
+        walk = given.get(key) if "random_walk" in key else None
+        given[key] = max(value, walk) if isinstance(walk, int | float) else given.get(key, value)
+    return {"profile": profile_of(grade), **values, "long": given}
 
 
 def _gnss_of_fusion(vehicle: VehicleFile) -> Table:
@@ -70,21 +91,25 @@ def _gnss_of_fusion(vehicle: VehicleFile) -> Table:
         return {}
     found: Table = {key: gnss[key] for key in ("lever_arm_body_m",) if key in gnss}
     delays = [gnss[key] for key in ("delay_s", "velocity_delay_s") if isinstance(gnss.get(key), int | float)]
+    if isinstance(gnss.get("delay_s"), int | float):
+        found["position_delay_s"] = gnss["delay_s"]
     return found | ({"velocity_delay_s": sum(delays)} if delays else {})
 
 
-def _noise_of_fusion(vehicle: VehicleFile) -> Table:
-    """Random walks of the IMU from the section of core.fusion, where they are above the defaults of this section."""
-    imu = vehicle.tables.get("core.fusion", {}).get("imu", {})
+def _long_of_fusion(vehicle: VehicleFile) -> Table:
+    """Whether the odometer is used, and random walks of the IMU that are above the defaults of this section."""
+    fusion = vehicle.tables.get("core.fusion", {})
+    imu, odometer = fusion.get("imu", {}), fusion.get("odometer", {})
+    used: Table = {"odometer": False} if isinstance(odometer, dict) and odometer.get("enabled") is False else {}
     if not isinstance(imu, dict):
-        return {}
+        return used
     defaults = LongSettings()
     walks = {
         "angle_random_walk_rad_sqrt_s": defaults.angle_random_walk_rad_sqrt_s,
         "velocity_random_walk_m_s_sqrt_s": defaults.velocity_random_walk_m_s_sqrt_s,
     }
     given = {key: imu[key] for key in walks if isinstance(imu.get(key), int | float)}
-    return {key: max(value, walks[key]) for key, value in given.items()}
+    return used | {key: max(value, walks[key]) for key, value in given.items()}
 
 
 def read_profile(path: Path) -> Profile:
@@ -124,11 +149,15 @@ class Rate:
 
 
 class Process:
-    """Publishes the statements `inertial_short` and `inertial_long` once a second."""
+    """Publishes the statements `inertial_short` and `inertial_long` once a second, and what it learns each minute."""
 
     def __init__(self, config: Config) -> None:
-        self._config = config
-        self.monitor = InertialMonitor(config)
+        self._settings: Settings = config
+        if config.grade is None:  # also what was learned is learned over what a sensor of unknown grade may do
+            self._settings = Settings.model_validate(with_grade(config.model_dump(exclude_unset=True), UNKNOWN))
+        self.monitor = InertialMonitor(self._settings)
+        self._lesson = Lesson(self._settings.profile)
+        self._adopted: LearnedGrade | None = None  # of an earlier drive
         self._newest_ns = 0
         self._sources: dict[type, tuple[str, int]] = {}  # one of each kind, with the last time of arrival
         self._imu, self._gnss = Rate(), Rate()
@@ -139,7 +168,7 @@ class Process:
         """Rejected input by reason."""
         return self.monitor.rejected
 
-    def handle(self, message: In) -> Iterator[TrustMonitor]:
+    def handle(self, message: In) -> Iterator[Out]:
         """Use a measurement or a solution; publish with each tick."""
         match message:
             case ImuSamples() if self._is_chosen(message):
@@ -157,11 +186,22 @@ class Process:
                     self.rejects["filter state of another layout"] += 1
                 else:
                     self.monitor.filter_state(anchor)
+            case LearnedGrade() if not self._newest_ns:  # later ones are its own
+                self._adopt(message)
+            case TrustState():
+                self._lesson.heed(message)
             case Tick():
-                time_ns = max(self._newest_ns, message.now_ns)
-                if self._warning is None:
-                    self._warning = self._compare_profile()
-                yield from statements(self.monitor.verdicts(time_ns), time_ns, warning=self._warning or "")
+                yield from self._evaluated(max(self._newest_ns, message.now_ns))
+
+    def _evaluated(self, time_ns: int) -> Iterator[Out]:
+        """Publish both statements, and once a minute what this drive has taught."""
+        if self._warning is None:
+            self._warning = self._compare_profile()
+        self.monitor.learning = self._learning()
+        yield from statements(self.monitor.verdicts(time_ns), time_ns, warning=self._warning or "")
+        self._lesson.add(time_ns, self.monitor.window, self.monitor.long_statistics.values())
+        if self._lesson.is_due(time_ns) and (origin := self.origin) is not None:
+            yield self._lesson.result(time_ns, origin, self.monitor.long.threshold)
 
     @property
     def origin(self) -> Origin | None:
@@ -170,20 +210,43 @@ class Process:
             return None
         return Origin(
             imu=self._imu.source, gnss=self._gnss.source, imu_rate_hz=self._imu.hz, gnss_rate_hz=self._gnss.hz,
-            configuration=self._config.digest(), code="", drives=(),
+            configuration=self._settings.digest(), code="", drives=(),
         )  # fmt: skip
 
     def _compare_profile(self) -> str | None:
         """Warn once where the profile was learned for another device or configuration."""
-        learned, present = self._config.profile.origin, self.origin
+        learned, present = self._settings.profile.origin, self.origin
         if learned is None or present is None:
             return None
         different = learned.differences(present)
         if not different:
             return ""
+        if self._adopted is not None:  # what another device has taught is worth nothing
+            self._adopted = None
+            self._settings = self._settings.model_copy(update={"profile": profile_of(self._settings.grade or UNKNOWN)})
+            self._restart_monitor()
+            return f"what was learned is of another unit: {'; '.join(different)}"
         warning = f"the profile was learned for another unit: {'; '.join(different)}"
         log.warning("%s; learn one with `obu calibrate spoofing`", warning)
         return warning
+
+    def _adopt(self, learned: LearnedGrade) -> None:
+        """Take the thresholds that an earlier drive has taught, unless the vehicle's file names a profile."""
+        if self._settings.profile.origin is not None and self._adopted is None:
+            return
+        self._adopted = learned
+        self._settings = self._settings.model_copy(update={"profile": profile_of_learned(learned)})
+        self._restart_monitor()
+
+    def _learning(self) -> str:
+        """Why nothing is evaluated yet; empty where grade or profile are known."""
+        known = self._settings.grade is not None or self._settings.profile.origin is not None
+        return "" if known else self._lesson.progress
+
+    def _restart_monitor(self) -> None:
+        rejected = self.rejects
+        self.monitor = InertialMonitor(self._settings)
+        self.rejects.update(rejected)
 
     def _is_chosen(self, message: ImuSamples | GnssFix | VehicleSpeed) -> bool:
         """Whether a message comes from the one source of its kind that is used."""
@@ -211,9 +274,7 @@ class Process:
 
     def _restart(self, time_ns: int) -> None:
         """Start again with what was counted, because the time line has started again earlier."""
-        rejected = self.rejects
-        self.monitor = InertialMonitor(self._config)
-        self.rejects.update(rejected)
+        self._restart_monitor()
         self.rejects["time line started again"] += 1
         self._newest_ns = time_ns
 

@@ -1,6 +1,8 @@
 """Standard deviations of the metrics of an IMU in a vehicle, by dynamics, and how they are learned."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain, pairwise
+from math import sqrt
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,7 +16,11 @@ FORCE_EDGES_M_S2 = (0.3, 1.0, 2.0)  # of | |f| - g |, between the dynamics class
 SPEED_EDGES_M_S = (5.0, 10.0, 20.0)  # between those of heading and altitude rate
 CLASSES = len(FORCE_EDGES_M_S2) + 1
 LEAST_WINDOWS = 100  # of a class; with fewer it takes the largest standard deviation of all classes
-THRESHOLDS = tuple(5.0 + 0.5 * k for k in range(21))  # to choose from; 5 as for the built-in profile
+LEAST_THRESHOLD = 5.0  # [standard deviations] as of the built-in profile
+SHORT_S, LONG_S = 5.0, 60.0  # of independent windows; they are evaluated once a second
+MOST_GRADES = 3.0  # by which what is learned may exceed the stated grade
+MAD = 1.4826  # standard deviation over median magnitude of a normal variable
+MEDIAN_CHI2 = 2.366  # of a chi-square variable with 3 degrees of freedom
 SPEED_METRICS = (Metric.HEADING_RATE, Metric.ALTITUDE_RATE)
 
 
@@ -61,6 +67,9 @@ class Profile(Section):
     )
     threshold: float = Field(gt=0.0, description="number of standard deviations above which a metric accuses")
     false_alarm_rate: float = Field(ge=0.0, le=1.0, description="share of fault-free evaluations above the threshold")
+    long_factor: float = Field(
+        default=1.0, ge=1.0, description="factor on the standard deviation of the free propagations over 30 and 60 s"
+    )
     provenance: str = Field(max_length=400, description="drives, duration and date of the data that it was learned of")
     origin: Origin | None = Field(default=None, description="what `obu calibrate spoofing` learned it from")
 
@@ -70,6 +79,11 @@ class Profile(Section):
             if len(values) != CLASSES or min(values) <= 0.0:
                 raise ValueError(f"{metric} needs {CLASSES} positive standard deviations")
         return self
+
+    def times(self, factor: float, provenance: str) -> "Profile":
+        """Profile of sensors whose errors are larger by a factor."""
+        sigma = {metric: tuple(factor * value for value in values) for metric, values in self.sigma.items()}
+        return self.model_copy(update={"sigma": sigma, "provenance": provenance})
 
     def sigma_of(self, metric: Metric, window: Window) -> float | None:
         """Standard deviation of a metric in the worst dynamics class that a window visits; None without one."""
@@ -91,8 +105,9 @@ def classes_of(metric: Metric, window: Window) -> tuple[int, int]:
 
 
 def learn(
-    windows: Iterable[Window], *, threshold: float | None = None, provenance: str, floor: float = 1e-3
-) -> Profile:
+    windows: Iterable[Window], *, threshold: float | None = None, provenance: str,
+    long_statistics: Iterable[float] = (), long_threshold: float = 0.0, stated: Profile | None = None,
+) -> Profile:  # fmt: skip
     """Learn a profile of the windows of fault-free drives.
 
     Parameters
@@ -100,12 +115,17 @@ def learn(
     windows : iterable of Window
         Of recorded drives, in order; overlapping windows may be among them.
     threshold : float, optional
-        [-] Number of standard deviations above which a metric is to accuse; without it the least one of 5, 5.5, ... 15
-        with at most one alarm an hour of these drives.
+        [-] Number of standard deviations above which a metric is to accuse; without it the least of 5 and more with no
+        alarm on these drives, times a tolerance.
     provenance : str
         Which drives, of which device and configuration.
-    floor : float
-        [unit of the metric] Least standard deviation.
+    long_statistics : iterable of float
+        [-] Chi-square of the free propagations, evaluated once a second.
+    long_threshold : float
+        [-] Their threshold.
+    stated : Profile, optional
+        Profile of the stated grade: at most `MOST_GRADES` times its limits are learned, so that a slow drag during the
+        drives cannot teach the monitor to pass it.
 
     Returns
     -------
@@ -120,11 +140,15 @@ def learn(
 
     Notes
     -----
-    The variance of a class is the mean square of its windows less the known one of the GNSS velocity::
+    The scale of a class is that of `UNIT_IMU` or larger, and robust: by the median of the magnitude, less the known
+    noise of the GNSS velocity and of the attitude. A class with few windows takes the largest of the others::
 
-        sigma² = mean(C²) - mean(noise²)
+        sigma² = (1.4826 median |C|)² - mean(noise²),    f² = max( median(T) / 2.37, t² max(T) / threshold, 1 )
+
+    The tolerance t = 1 + 3 / √(2n) is three standard deviations of a scale that n independent windows have shown: ten
+    minutes are 120 of 5 s and 10 of 60 s, and no tail of 1e-5.
     """
-    known = list(windows)
+    known, long = list(windows), np.array(list(long_statistics))
     if len(known) < LEAST_WINDOWS:
         raise ValueError(f"{len(known)} windows of 5 s are too few to learn from; drive for ten minutes or more")
     sigma = {}
@@ -134,17 +158,52 @@ def learn(
             if metric in window.difference:
                 pair = (window.difference[metric], window.noise.get(metric, 0.0))
                 found[classes_of(metric, window)[1 if metric not in SPEED_METRICS else 0]].append(pair)
-        enough = [_sigma(pairs, floor) for pairs in found if len(pairs) >= LEAST_WINDOWS]
+        enough = [_sigma(pairs) for pairs in found if len(pairs) >= LEAST_WINDOWS]
+        if not enough:
+            enough = [_sigma(every) for every in [list(chain(*found))] if len(every) >= LEAST_WINDOWS]
         if enough:
-            sigma[metric] = tuple(
-                _sigma(pairs, floor) if len(pairs) >= LEAST_WINDOWS else max(enough) for pairs in found
-            )
-    for k in [threshold] if threshold is not None else THRESHOLDS:
-        draft = Profile(sigma=sigma, threshold=k, false_alarm_rate=0.0, provenance=provenance)
-        alarms, episodes = alarms_of(known, draft)
-        if episodes <= len(known) / 3600.0:
-            break
-    return draft.model_copy(update={"false_alarm_rate": (alarms + 1) / (len(known) + 1)})
+            scales = (_sigma(pairs) if len(pairs) >= LEAST_WINDOWS else max(enough) for pairs in found)
+            sigma[metric] = tuple(map(max, scales, UNIT_IMU.sigma[metric]))
+    draft = Profile(sigma=sigma, threshold=1.0, false_alarm_rate=0.0, provenance=provenance)
+    k = threshold
+    if k is None:
+        k = max(LEAST_THRESHOLD, _tolerance(len(known), SHORT_S) * _quiet(known, draft))
+    factor = 1.0
+    if len(long) and long_threshold > 0.0:
+        largest = _tolerance(len(known), LONG_S) ** 2 * long.max() / long_threshold
+        factor = float(np.sqrt(max(1.0, np.median(long) / MEDIAN_CHI2, largest)))
+    profile = draft.model_copy(update={"threshold": k, "long_factor": factor})
+    if stated is not None:
+        profile = _bounded(profile, stated)
+    alarms, _ = alarms_of(known, profile)
+    return profile.model_copy(update={"false_alarm_rate": (alarms + 1) / (len(known) + 1)})
+
+
+def _tolerance(evaluations: int, independent_s: float) -> float:
+    return 1.0 + 3.0 / sqrt(2.0 * max(1.0, evaluations / independent_s))
+
+
+def _quiet(windows: Sequence[Window], draft: Profile) -> float:
+    """Largest number of standard deviations that a metric exceeds in two successive windows."""
+    ratios = []
+    for window in windows:
+        sigmas = {metric: draft.sigma_of(metric, window) for metric in window.difference}
+        ratios.append({metric: abs(window.difference[metric]) / sd for metric, sd in sigmas.items() if sd})
+    pairs = pairwise(ratios)
+    return max((min(a[metric], b[metric]) for a, b in pairs for metric in a.keys() & b.keys()), default=0.0)
+
+
+def _bounded(profile: Profile, stated: Profile) -> Profile:
+    """Limit what was learned to `MOST_GRADES` times the limits of a stated grade."""
+    sigma = {
+        metric: tuple(
+            min(one, MOST_GRADES * stated.threshold * most / profile.threshold)
+            for one, most in zip(values, stated.sigma.get(metric, values), strict=True)
+        )
+        for metric, values in profile.sigma.items()
+    }
+    factor = min(profile.long_factor, MOST_GRADES * stated.long_factor)
+    return profile.model_copy(update={"sigma": sigma, "long_factor": factor})
 
 
 def alarms_of(windows: Iterable[Window], profile: Profile) -> tuple[int, int]:
@@ -167,9 +226,10 @@ def exceeding(window: Window, profile: Profile) -> list[Metric]:
     return found
 
 
-def _sigma(pairs: list[tuple[float, float]], floor: float) -> float:
+def _sigma(pairs: list[tuple[float, float]]) -> float:
     difference, noise = np.array(pairs).T
-    return float(np.sqrt(max(np.mean(difference**2) - np.mean(noise**2), floor**2)))
+    scale = MAD * float(np.median(np.abs(difference)))
+    return float(np.sqrt(max(scale**2 - np.mean(noise**2), 0.0)))
 
 
 # Learned values are 0.001 to 0.004 rad/s, 0.006 to 0.012 m/s² and 0.02 m/s; a real vehicle bends and shakes more.

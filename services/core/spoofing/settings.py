@@ -8,6 +8,7 @@ from pydantic import Field
 from shared.messages.base import Vector3
 from shared.runtime.config import Section
 
+from .grade import Grade
 from .profile import UNIT_IMU, Profile
 
 
@@ -20,6 +21,9 @@ class GnssSettings(Section):
     velocity_delay_s: float = Field(
         default=0.0, ge=-2.0, le=2.0, description="age of the velocity beyond what the stamp of its fix says"
     )
+    position_delay_s: float = Field(
+        default=0.0, ge=-2.0, le=2.0, description="age of the position beyond what the stamp of its fix says"
+    )
     velocity_sd_m_s: float = Field(
         default=0.2, gt=0.0, description="standard deviation of a velocity of a receiver that states none"
     )
@@ -27,7 +31,9 @@ class GnssSettings(Section):
         default=0.05, gt=0.0, description="least standard deviation of a velocity, whatever the receiver states"
     )
     largest_velocity_sd_m_s: float = Field(
-        default=1.0, gt=0.0, description="velocities with a larger horizontal standard deviation are not compared"
+        default=1.0,
+        gt=0.0,
+        description="changes of position are compared in place of velocities with a larger standard deviation",
     )
     velocity_correlation_s: float = Field(default=2.0, gt=0.0, description="correlation time of velocity errors")
     time_sd_s: float = Field(
@@ -59,7 +65,10 @@ class LongSettings(Section):
         description="standard deviation of the gyroscope biases, added to the covariance of fusion's filter",
     )
     scale_sd: float = Field(
-        default=0.002, ge=0.0, description="standard deviation of scale and cross-axis errors of the inertial sensors"
+        default=0.002, ge=0.0, description="standard deviation of scale and cross-axis errors of the accelerometers"
+    )
+    gyroscope_scale_sd: float = Field(
+        default=0.002, ge=0.0, description="standard deviation of the scale error of each gyroscope"
     )
     attitude_sd_rad: float = Field(
         default=2e-4,
@@ -70,6 +79,9 @@ class LongSettings(Section):
         default=0.02,
         ge=0.0,
         description="standard deviation of the velocity per axis, added to the covariance of fusion's filter",
+    )
+    odometer: bool = Field(
+        default=True, description="aid by the odometer; false as well where core.fusion.odometer.enabled is false"
     )
     odometer_sd_m_s: float = Field(default=0.05, gt=0.0, description="standard deviation of the odometer's speed")
     odometer_scale_sd: float = Field(
@@ -104,6 +116,16 @@ class LongSettings(Section):
 class Settings(Section):
     """Settings of both monitors."""
 
+    grade: Grade | None = Field(
+        default=None,
+        description="grade of the inertial sensors, which thresholds follow until they are learned on this vehicle: "
+        "consumer, automotive, industrial or tactical; without it nothing is evaluated until then",
+    )
+    warm_up_s: float = Field(
+        default=60.0,
+        ge=0.0,
+        description="after the alignment, before which no free propagation starts: the filter converges",
+    )
     gnss: GnssSettings = GnssSettings()
     long: LongSettings = LongSettings()
     profile: Profile = Field(default=UNIT_IMU, description="standard deviations of the 5 s metrics, and their origin")

@@ -31,11 +31,17 @@ def _statement(monitor: str, verdicts: Mapping[str, Verdict], time_ns: int) -> T
     suspect = [verdict.suspect_since_ns for verdict in verdicts.values() if verdict.suspect_since_ns is not None]
     return TrustMonitor(
         sampled_ns=time_ns, monitor=monitor, outcome=deciding.outcome, reason=deciding.reason,
-        accused=("gnss",) if deciding.outcome is MonitorOutcome.ACCUSES else (),
+        accused=_accused(verdicts),
         suspect_since_ns=min(suspect, default=None), since_ns=_since(verdicts, deciding.outcome),
         statistic=deciding.statistic, threshold=deciding.threshold, false_alarm_rate=deciding.false_alarm_rate,
         window_s=deciding.window_s, tests=tuple(_test(name, verdict) for name, verdict in verdicts.items()),
     )  # fmt: skip
+
+
+def _accused(verdicts: Mapping[str, Verdict]) -> tuple[str, ...]:
+    """GNSS alone where one of the tests can tell it from the inertial sensors."""
+    accusing = [verdict.accused for verdict in verdicts.values() if verdict.outcome is MonitorOutcome.ACCUSES]
+    return min(accusing, key=len, default=())
 
 
 def _since(verdicts: Mapping[str, Verdict], outcome: MonitorOutcome) -> int | None:
@@ -51,5 +57,5 @@ def _weight(verdict: Verdict) -> tuple[int, float]:
 
 def _test(name: str, verdict: Verdict) -> MonitorTest:
     fields = asdict(verdict)
-    del fields["suspect_since_ns"]
+    del fields["suspect_since_ns"], fields["accused"]
     return MonitorTest(name=name, **fields)

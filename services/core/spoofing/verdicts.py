@@ -4,6 +4,9 @@ from dataclasses import dataclass, replace
 
 from shared.messages.trust import MonitorOutcome
 
+EITHER = ("gnss", "imu")  # one difference of the two says the same of both
+GNSS = ("gnss",)
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -18,6 +21,7 @@ class Verdict:
     window_s: float | None = None
     suspect_since_ns: int | None = None
     since_ns: int | None = None
+    accused: tuple[str, ...] = EITHER  # where it accuses
 
 
 def dated(new: Verdict, old: Verdict | None, time_ns: int) -> Verdict:

@@ -21,7 +21,7 @@ class Monitor(StrEnum):
 
 MOTION = (Monitor.MOTION, Monitor.MOTION_FAST)
 INERTIAL = (Monitor.INERTIAL_SHORT, Monitor.INERTIAL_LONG)
-GNSS, ODOMETER = "gnss", "odometer"  # accused by name; satellites and neighbours by their IDs
+GNSS, ODOMETER, IMU = "gnss", "odometer", "imu"  # accused by name; satellites and neighbours by their IDs
 
 
 class Outcome(StrEnum):
@@ -96,10 +96,16 @@ class Facts:
     time_ns: int
     solution: Solution | None = None
     statements: Mapping[Monitor, Statement] = field(default_factory=dict)
+    conflict_open: bool = False  # GNSS contradicts other sensors, and no evidence has ended it
     gnss_excluded: bool = False  # trust has excluded it
     exclusion_confirmed: bool = False  # and the solution contains none of it
-    # of the newest excluded position against the solution without GNSS: above 1 they contradict each other
+    # of the newest position against the solution without GNSS: above 1 they contradict each other
     excluded_test_ratio: float | None = None
+    other_distance_m: float | None = None  # between the two solutions of a conflict, None without a second one
+    other_level_m: float | None = None  # horizontal protection level of the one that is not published
+    exclusion_declined: str | None = None  # fusion's reason why GNSS goes on being used
+    held_m: tuple[float, float] = (0.0, 0.0)  # difference of positions that the level holds, horizontal and vertical
+    odometer_in_use: bool = False  # by fusion
     odometer_excluded_since_ns: int | None = None  # by the judgement before
     satellites_left_out: frozenset[str] = frozenset()  # of the position in use
     limits: Limits = field(default_factory=Limits)

@@ -12,7 +12,7 @@ from shared.messages.trust import MonitorOutcome, TrustEvent, TrustLevel, TrustM
 from shared.runtime.config import Section
 
 from .facts import Facts, Limits, Monitor, Outcome, Solution, Statement
-from .readmission import Readmission, is_lost, judge_gnss
+from .readmission import Admission, Readmission, is_lost, judge_gnss
 from .verdict import odometer_accused, verdict
 
 In = TrustMonitor | NavigationSolution | NavigationState | TrustState | Tick
@@ -20,6 +20,7 @@ Out = TrustState | TrustEvent
 WITH_POSITION = (NavigationPhase.NAVIGATING, NavigationPhase.COASTING)
 RESTART_NS = 10_000_000_000  # longest time between the last verdict of a process and the first of the next
 REASON_LENGTH = 400  # of a message
+ODOMETER_SILENT_S = 3.0  # after which it decides nothing
 
 
 class Config(Section):
@@ -82,18 +83,26 @@ class Process:
     def _resume(self) -> None:
         """Go on with the exclusion of an earlier process, so that a restart readmits nothing."""
         saved, self._saved = self._saved, None
-        if saved is not None and saved.gnss_excluded and 0 <= self._time_ns - saved.sampled_ns <= RESTART_NS:
+        if (
+            saved is not None
+            and (saved.gnss_excluded or saved.suspect_since_ns is not None)
+            and 0 <= self._time_ns - saved.sampled_ns <= RESTART_NS
+        ):
             since_ns = saved.sampled_ns if saved.suspect_since_ns is None else saved.suspect_since_ns
-            self._gnss.update(saved.sampled_ns, accused=True, agrees=False, suspect_since_ns=since_ns)
+            self._gnss.update(
+                saved.sampled_ns, accused=True, agrees=False, decided=saved.gnss_excluded, suspect_since_ns=since_ns
+            )
 
     def _judge(self, *, at_once: bool) -> Iterator[Out]:
         self._resume()
-        facts = self._facts(self._gnss.suspect_since_ns)
-        accused, agrees, suspect_ns = judge_gnss(facts)
+        facts = self._facts(Admission(self._gnss.suspect_since_ns is not None, False, self._gnss.suspect_since_ns))
+        judged = judge_gnss(facts)
         admission = self._gnss.update(
-            facts.time_ns, accused=accused, agrees=agrees, suspect_since_ns=suspect_ns, lost=is_lost(facts)
-        )
-        facts = self._facts(admission.suspect_since_ns)
+            facts.time_ns, accused=judged.accused, agrees=judged.agrees, decided=judged.decided,
+            declined=facts.exclusion_declined is not None, suspect_since_ns=judged.suspect_since_ns,
+            lost=is_lost(facts),
+        )  # fmt: skip
+        facts = self._facts(admission)
         found, excluded = verdict(facts), odometer_accused(facts)
         self._odometer_since_ns = None if not excluded else self._odometer_since_ns or facts.time_ns
         before = self._published
@@ -141,8 +150,9 @@ class Process:
             window_s=used.window_s,
         )  # fmt: skip
 
-    def _facts(self, suspect_since_ns: int | None) -> Facts:
-        """Facts of now; GNSS is excluded if it is suspect since a time, and fusion confirms it by its solution."""
+    def _facts(self, admission: Admission) -> Facts:
+        """Facts of now; fusion confirms an exclusion by its solution, which has no GNSS since the suspect time."""
+        suspect_since_ns = admission.suspect_since_ns
         solution, state = _solution(self._solution), self._navigation
         excluded_ns = None if solution is None else solution.gnss_excluded_since_ns
         confirmed = excluded_ns is not None and suspect_since_ns is not None and excluded_ns <= suspect_since_ns
@@ -150,9 +160,17 @@ class Process:
             self._time_ns,
             solution,
             {monitor: _statement(monitor, message) for monitor, message in self._monitors.items()},
-            gnss_excluded=suspect_since_ns is not None,
+            conflict_open=admission.open,
+            gnss_excluded=admission.excluded,
             exclusion_confirmed=confirmed,
             excluded_test_ratio=None if state is None else state.excluded_test_ratio,
+            other_distance_m=None if state is None else state.other_distance_m,
+            other_level_m=None if state is None else state.other_level_m,
+            exclusion_declined=None if state is None else state.exclusion_declined,
+            held_m=(0.0, 0.0) if state is None else (state.held_horizontal_m, state.held_vertical_m),
+            odometer_in_use=state is not None
+            and state.odometer_age_s is not None
+            and state.odometer_age_s <= ODOMETER_SILENT_S,
             odometer_excluded_since_ns=self._odometer_since_ns,
             satellites_left_out=frozenset() if state is None else frozenset(state.satellites_left_out),
             limits=self._limits(),

@@ -1,4 +1,7 @@
-"""Excludes a source when it is accused, and readmits it after it has agreed for a minimum time.
+"""Opens a conflict of GNSS with other sensors when it is accused, and ends it after GNSS has agreed for a minimum time.
+
+GNSS is excluded only by a third source: the odometer, which agrees with the inertial sensors against it, or satellites
+with redundancy. With GNSS and inertial sensors alone one difference says the same of both.
 
 The minimum healthy time is 2 s after a first fault of under 10 s and grows for longer faults in proportion to their
 duration; each further fault within 10 minutes doubles it; it is at most 60 s.
@@ -7,7 +10,7 @@ duration; each further fault within 10 minutes doubles it; it is at most 60 s.
 from collections import deque
 from dataclasses import dataclass
 
-from .facts import GNSS, INERTIAL, SECOND_NS, Facts, Monitor, Outcome
+from .facts import GNSS, IMU, INERTIAL, SECOND_NS, Facts, Monitor, Outcome
 from .verdict import by_accused_odometer, solution_lost
 
 HEALTHY_S = 2.0
@@ -32,16 +35,17 @@ def healthy_time(fault_s: float, earlier_faults: int) -> float:
 
 @dataclass(frozen=True)
 class Admission:
-    """Whether a source is excluded, from when it is suspect, and how long it must still agree."""
+    """Whether there is a conflict, whether GNSS is excluded, since when it is suspect, how long it must agree."""
 
-    excluded: bool
+    open: bool
+    excluded: bool = False
     suspect_since_ns: int | None = None
     healthy_for_s: float = 0.0
     required_s: float = 0.0
 
 
 class Readmission:
-    """State of one source: admitted, excluded while accused, excluded until it has agreed for long enough."""
+    """State of GNSS: admitted, in conflict while accused, in conflict until it has agreed for long enough."""
 
     def __init__(self) -> None:
         self._faults: deque[int] = deque(maxlen=16)  # ends of earlier faults
@@ -49,6 +53,7 @@ class Readmission:
         self._accused_ns = 0  # last accusation of it
         self._suspect_ns: int | None = None
         self._healthy_ns: int | None = None  # since when it agrees
+        self._decided = False  # a third source decides against it
 
     @property
     def suspect_since_ns(self) -> int | None:
@@ -56,8 +61,9 @@ class Readmission:
         return self._suspect_ns
 
     def update(
-        self, time_ns: int, *, accused: bool, agrees: bool, suspect_since_ns: int | None = None, lost: bool = False
-    ) -> Admission:
+        self, time_ns: int, *, accused: bool, agrees: bool, decided: bool = False, declined: bool = False,
+        suspect_since_ns: int | None = None, lost: bool = False,
+    ) -> Admission:  # fmt: skip
         """Use the monitors' judgement of one time.
 
         Parameters
@@ -68,6 +74,10 @@ class Readmission:
             A monitor accuses the source.
         agrees : bool
             Every monitor that can judge the source passes it; "not evaluated" does not agree.
+        decided : bool
+            A third source agrees with the accusation.
+        declined : bool
+            Fusion has no good solution without the source: it is used in spite of a decision.
         suspect_since_ns : int, optional
             Earliest time from which the evidence of the accusation may be wrong.
         lost : bool
@@ -75,8 +85,9 @@ class Readmission:
         """
         if accused:
             self._accuse(time_ns, suspect_since_ns)
+            self._decided |= decided
         if self._began_ns is None:
-            return Admission(excluded=False)
+            return Admission(open=False)
         if accused or not agrees:
             self._healthy_ns = None
         elif self._healthy_ns is None:
@@ -86,8 +97,9 @@ class Readmission:
         if self._healthy_ns is not None and healthy_s >= required_s:
             self._faults.append(self._accused_ns)
             self._began_ns = self._suspect_ns = self._healthy_ns = None
-            return Admission(excluded=False)
-        return Admission(True, self._suspect_ns, healthy_s, required_s)
+            self._decided = False
+            return Admission(open=False)
+        return Admission(True, self._decided and not declined, self._suspect_ns, healthy_s, required_s)
 
     def _accuse(self, time_ns: int, suspect_since_ns: int | None) -> None:
         suspect_ns = time_ns if suspect_since_ns is None else suspect_since_ns
@@ -102,25 +114,39 @@ class Readmission:
         return healthy_time((self._accused_ns - began_ns) / SECOND_NS, earlier)
 
 
-def judge_gnss(facts: Facts) -> tuple[bool, bool, int | None]:
-    """Say whether GNSS is accused, whether the monitors agree with it, and since when it is suspect.
+@dataclass(frozen=True)
+class Judgement:
+    """What the monitors say of GNSS at one time."""
 
-    Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite; by the long window
-    not where it follows from an odometer that was accused before. Agreement takes
-    both inertial windows and a position that does not contradict the solution without GNSS; the satellite monitor must
-    not accuse. Velocities alone cannot tell an attack that holds its offset from one that has ended. A position may be
-    three times as far from a solution whose protection level is above the alert limit.
+    accused: bool
+    decided: bool  # by a third source
+    agrees: bool
+    suspect_since_ns: int | None
+
+
+def judge_gnss(facts: Facts) -> Judgement:
+    """Say whether GNSS is accused, by a third source too, whether it agrees, and since when it is suspect.
+
+    Accused: by an inertial monitor, or by the satellite monitor when it cannot name the satellite. Decided: the
+    accusation names GNSS and not the inertial sensors as well, the odometer is in use, and the accusation does not
+    follow from an odometer that was accused before; redundant satellites decide by themselves. Agreement takes an
+    inertial window that passes, none that accuses, and a position that does not contradict the solution without GNSS
+    while there is one. Velocities alone cannot tell an attack that holds its offset from one that has ended. A position
+    may be three times as far from a solution whose protection level is above the alert limit.
     """
     accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
-    if by_accused_odometer(facts):
-        accusing = [one for one in accusing if one.monitor is not Monitor.INERTIAL_LONG]
-    passing = all(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
-    ratio = facts.excluded_test_ratio
-    limit = AGREES_ABOVE_LIMIT if facts.level_exceeded else AGREES
-    contradicted = ratio is None or ratio > limit
-    agrees = not accusing and (is_lost(facts) or (passing and facts.exclusion_confirmed and not contradicted))
+    odometer = facts.odometer_in_use and not by_accused_odometer(facts)
+    decided = any(one.monitor is Monitor.SATELLITES or (odometer and IMU not in one.accused) for one in accusing)
+    passing = any(facts.outcome(monitor) is Outcome.PASS for monitor in INERTIAL)
+    ratio, level_m = facts.excluded_test_ratio, facts.other_level_m
+    # Of a state that was saved during an exclusion there is one solution only.
+    exceeded = facts.level_exceeded if level_m is None else level_m > facts.limits.horizontal_m
+    limit = AGREES_ABOVE_LIMIT if exceeded else AGREES
+    compared = ratio is not None and ratio <= limit
+    alone = facts.exclusion_declined is not None and level_m is None  # the level holds the difference
+    agrees = not accusing and (is_lost(facts) or (passing and (compared or alone)))
     suspect = [s.suspect_since_ns for s in accusing if s.suspect_since_ns is not None]
-    return bool(accusing), agrees, min(suspect) if suspect else None
+    return Judgement(bool(accusing), decided, agrees, min(suspect) if suspect else None)
 
 
 def is_lost(facts: Facts) -> bool:

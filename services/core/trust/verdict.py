@@ -6,22 +6,22 @@ row   condition                                                                 
 1     no solution yet                                                                     INITIALISING
 2     solution lost or stale                                                              NO_FIX
 3     protection level above the alert limit, horizontal or vertical                      UNSAFE
-4     an inertial monitor accuses GNSS, and fusion has not confirmed the exclusion        UNSAFE
+4     GNSS is in conflict, and fusion does not know the solution without it yet           UNSAFE
 5     a satellite fault inside the position in use                                        UNSAFE
 6     motion conflict, inertial monitors not wholly evaluated, GNSS not excluded          UNSAFE
 7     GNSS excluded and confirmed by fusion                                               DEAD_RECKONING
 8     no GNSS used for longer than `coasting_after_s`                                     DEAD_RECKONING
-9     motion conflict while both inertial windows pass (the odometer is accused if named)  CAUTION
+9     a conflict that is not decided, or decided against the odometer                     CAUTION
 10    evidence alone                                                                      CAUTION
 11    a required monitor is silent                                                        CAUTION
-12    satellites not evaluated, or neither inertial nor motion evaluated                  CAUTION
+12    no independent check: neither inertial windows nor satellites evaluated             CAUTION
 13    protection level above 0.8 of the alert limit                                       CAUTION
 14    otherwise                                                                           SAFE
 ====  ==================================================================================  ==============
 
-An accusation by the long window that follows from an odometer accused before (`by_accused_odometer`) is row 4 as well:
-it does not exclude GNSS. Row 4 matches too while trust keeps GNSS excluded after an accusation: until fusion confirms,
-GNSS may be in use.
+In a conflict the level reaches to the solution that is not published, so that row 3 decides between UNSAFE and CAUTION.
+An accusation by the long window that follows from an odometer accused before (`by_accused_odometer`) opens a conflict
+as every other, but does not exclude GNSS.
 """
 
 from collections.abc import Callable
@@ -94,17 +94,53 @@ def _levels(facts: Facts, share: float) -> str | None:
 
 
 def _above_alert_limit(facts: Facts) -> str | None:
-    return _levels(facts, 1.0)
+    found = _levels(facts, 1.0)
+    return None if found is None else found + _both_sides(facts)
 
 
-def _gnss_accused(facts: Facts) -> str | None:
+def _both_sides(facts: Facts) -> str:
+    """Say what a level holds beside the uncertainty of the solution itself."""
+    said = ""
+    if facts.other_distance_m is not None and facts.other_level_m is not None:
+        one, other = ("without", "with") if facts.exclusion_confirmed else ("with", "without")
+        said += (
+            f"; the solution {one} GNSS is {facts.other_distance_m:.1f} m from the one {other} it, whose own level is "
+            f"{facts.other_level_m:.1f} m"
+        )
+    if any(facts.held_m):
+        said += (
+            f"; the level holds a disagreement of {facts.held_m[0]:.1f} m horizontal and {facts.held_m[1]:.1f} m "
+            "vertical, which a return by the same vector or an absolute source would end"
+        )
+    return said
+
+
+def _conflict(facts: Facts) -> str | None:
+    """Row 4: a conflict of which fusion does not state both sides."""
     accusing = facts.accusing(INERTIAL, GNSS)
-    if _excluded(facts) or not (accusing or facts.gnss_excluded):
+    if _excluded(facts) or not (accusing or facts.conflict_open):
         return None
-    why = _sentences(facts, accusing) if accusing else "GNSS stays excluded until it has agreed for long enough"
+    if facts.conflict_open and (facts.other_level_m is not None or facts.exclusion_declined):
+        return None
+    why = _sentences(facts, accusing) if accusing else "GNSS has not agreed for long enough"
+    return f"{why}; fusion has not computed the solution without GNSS yet"
+
+
+def _undecided(facts: Facts) -> str | None:
+    """Row 9: both sides of a conflict are known, and nothing decides between them."""
+    if not facts.conflict_open or _excluded(facts):
+        return None
+    accusing = facts.accusing((*INERTIAL, Monitor.SATELLITES), GNSS)
+    why = _sentences(facts, accusing) if accusing else "GNSS has not agreed for long enough after a conflict"
     if by_accused_odometer(facts):
-        return f"{why}; it uses the odometer, which was accused before: GNSS or odometer is wrong, GNSS is not excluded"
-    return f"{why}; fusion has not confirmed the exclusion of GNSS"
+        why += "; it uses the odometer, which was accused before"
+    declined = f"; GNSS is used: {facts.exclusion_declined}" if facts.exclusion_declined else ""
+    return f"unresolved: {why}{declined}{_both_sides(facts)}"
+
+
+def _conflict_of_odometer_or_gnss(facts: Facts) -> str | None:
+    found = [reason for reason in (_undecided(facts), _odometer_accused(facts)) if reason is not None]
+    return "; ".join(found) or None
 
 
 def _satellite_fault(facts: Facts) -> str | None:
@@ -124,7 +160,7 @@ def _satellite_fault(facts: Facts) -> str | None:
 def _unresolved_motion_conflict(facts: Facts) -> str | None:
     conflict = facts.accusing(MOTION)
     open_ones = [monitor for monitor in INERTIAL if facts.outcome(monitor) is Outcome.NOT_EVALUATED]
-    if not conflict or not open_ones or facts.gnss_excluded:
+    if not conflict or not open_ones or facts.conflict_open:
         return None
     reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in open_ones)
     return f"{_sentences(facts, conflict)}; GNSS or odometer is wrong, and inertial monitors cannot tell ({reasons})"
@@ -135,7 +171,7 @@ def _gnss_excluded(facts: Facts) -> str | None:
         return None
     accusing = facts.accusing(INERTIAL, GNSS)
     why = f": {_sentences(facts, accusing)}" if accusing else " until it has agreed for the minimum healthy time"
-    return f"GNSS is excluded, position by dead reckoning{why}"
+    return f"GNSS is excluded, position by dead reckoning{why}{_both_sides(facts)}"
 
 
 def _coasting(facts: Facts) -> str | None:
@@ -167,19 +203,17 @@ def _silent(facts: Facts) -> str | None:
 
 
 def _not_evaluated(facts: Facts) -> str | None:
-    def none_of(monitors: tuple[Monitor, ...]) -> bool:
-        return all(facts.outcome(monitor) is Outcome.NOT_EVALUATED for monitor in monitors)
-
-    if none_of((Monitor.SATELLITES,)):
-        return f"satellites not evaluated: {facts.statement(Monitor.SATELLITES).reason}"
-    if not none_of(INERTIAL + MOTION):
+    """Row 12: the position needs one independent check, of which there are two kinds."""
+    checks = (*INERTIAL, Monitor.SATELLITES)
+    if any(facts.outcome(monitor) is not Outcome.NOT_EVALUATED for monitor in checks):
         return None
-    reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in INERTIAL + MOTION)
-    return f"neither inertial nor motion monitors evaluated: {reasons}"
+    reasons = "; ".join(f"{monitor}: {facts.statement(monitor).reason}" for monitor in checks)
+    return f"no independent check of the position is evaluated: {reasons}"
 
 
 def _near_alert_limit(facts: Facts) -> str | None:
-    return _levels(facts, facts.limits.near_share)
+    found = _levels(facts, facts.limits.near_share)
+    return None if found is None else found + _both_sides(facts)
 
 
 def _excluded(facts: Facts) -> bool:
@@ -204,12 +238,12 @@ ROWS: tuple[tuple[TrustState, Row], ...] = (
     (TrustState.INITIALISING, _no_solution),
     (TrustState.NO_FIX, solution_lost),
     (TrustState.UNSAFE, _above_alert_limit),
-    (TrustState.UNSAFE, _gnss_accused),
+    (TrustState.UNSAFE, _conflict),
     (TrustState.UNSAFE, _satellite_fault),
     (TrustState.UNSAFE, _unresolved_motion_conflict),
     (TrustState.DEAD_RECKONING, _gnss_excluded),
     (TrustState.DEAD_RECKONING, _coasting),
-    (TrustState.CAUTION, _odometer_accused),
+    (TrustState.CAUTION, _conflict_of_odometer_or_gnss),
     (TrustState.CAUTION, _evidence),
     (TrustState.CAUTION, _silent),
     (TrustState.CAUTION, _not_evaluated),
@@ -218,10 +252,19 @@ ROWS: tuple[tuple[TrustState, Row], ...] = (
 
 
 def findings(facts: Facts) -> tuple[str, ...]:
-    """Sensors, satellites and neighbours that are accused, by any monitor, and satellites that are left out."""
+    """Sensors, satellites and neighbours that are accused, satellites that are left out, and checks that are missing.
+
+    A check that is not evaluated lowers nothing while another one is.
+    """
     accused = {name for statement in facts.accusing(tuple(Monitor)) for name in statement.accused}
     named = [f"{name} is accused" for name in sorted(accused)]
-    return tuple(named + [f"satellite {name} is excluded" for name in sorted(facts.satellites_left_out)])
+    named += [f"satellite {name} is excluded" for name in sorted(facts.satellites_left_out)]
+    if any(facts.held_m):
+        named.append(_both_sides(facts).rpartition("; ")[2])
+    missing = [
+        monitor for monitor in (*INERTIAL, Monitor.SATELLITES) if facts.outcome(monitor) is Outcome.NOT_EVALUATED
+    ]
+    return tuple(named + [f"{monitor} not evaluated: {facts.statement(monitor).reason}" for monitor in missing])
 
 
 def odometer_accused(facts: Facts) -> bool:
@@ -241,7 +284,7 @@ def by_accused_odometer(facts: Facts) -> bool:
     """
     since_ns = facts.odometer_excluded_since_ns
     began_ns = [one.since_ns for one in facts.accusing((Monitor.INERTIAL_LONG,), GNSS)]
-    if facts.gnss_excluded or since_ns is None:
+    if facts.exclusion_confirmed or since_ns is None:
         return False
     return any(ns is not None and ns - since_ns >= LEAD_NS for ns in began_ns)
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import exp, hypot, sqrt
+from math import hypot, sqrt
 
 from shared.maths.quantiles import chi_square_limit
 from shared.messages.navigation import AidingKind
@@ -11,12 +11,12 @@ from shared.messages.navigation import AidingKind
 from ..filter import error_model as em
 from ..filter.eskf import ErrorStateFilter
 from ..measurements.base import Outcome
-from .innovation_statistics import ESTIMATED, MEMORY_S, UNKNOWN, InnovationStatistics
+from .disagreement import GREW_RATIO, NONE, NOTHING, STILL, Disagreement, Pair, Vector
+from .innovation_statistics import ESTIMATED, UNKNOWN, InnovationStatistics
 
 Block = tuple[float, float, float, float]  # [m²] NN, NE, EE, DD of a position's covariance
 NO_BLOCK: Block = (0.0, 0.0, 0.0, 0.0)
-Pair = tuple[float, float]  # horizontal, vertical
-NONE: Pair = (0.0, 0.0)
+OUTAGE_S = 3.0  # without a used position, after which a position is a return
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,11 @@ class ErrorMonitor:
     used_ns: int = 0  # stamp of the last position that was used
     cov_after_fix: Block = NO_BLOCK  # covariance after it
     fault_shift: Pair = NONE  # [m] largest shift by an undetected error of it
-    rejected_shift: Pair = NONE  # [m] innovation of a rejected position or height, until one is used
+    rejected_n: Vector = STILL  # [m, NED] innovation of a rejected position or height, until one is used
+    rejected_sd: Pair = NONE  # [m] of that innovation
+    rejected_grew: bool = False  # the first of these was hardly beyond the gate
     unestimated: Pair = NONE  # [m²] variance of position errors that are time-correlated and no state of the filter
-    reset_shift: Pair = NONE  # [m] `rejected_shift` when the filter was reset to the position; it decays
+    held: Disagreement = NOTHING  # what a reset to rejected positions, a return or a conflict has left open
     delay_s: float = 0.0  # suspected delay of positions that no setting corrects
 
     def restarted(self, time_ns: int, started: ErrorStateFilter) -> "ErrorMonitor":
@@ -39,18 +41,19 @@ class ErrorMonitor:
 
         If the filter before rejected positions until it was reset, either of the two may have been wrong.
         """
-        horizontal, vertical = self.rejected_shift
-        if horizontal > 0.0:  # the vehicle has moved since
-            horizontal += hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9
-        reset_shift = self.reset_shift[0] + horizontal, self.reset_shift[1] + vertical
+        held = self.held
+        if self.rejected_n != STILL:
+            moved_m = hypot(*started.velocity) * (time_ns - self.position.time_ns) * 1e-9  # by the vehicle since
+            spread = hypot(self.rejected_sd[0], moved_m), self.rejected_sd[1]
+            held = held.after(self.rejected_n, spread, time_ns, grew=self.rejected_grew)
         return replace(
-            self, used_ns=time_ns, cov_after_fix=block(started), fault_shift=NONE, rejected_shift=NONE,
-            reset_shift=reset_shift,
-        )  # fmt: skip
+            self, used_ns=time_ns, cov_after_fix=block(started), fault_shift=NONE, rejected_n=STILL, held=held
+        )
 
     def after(
-        self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float, *, estimated: bool
-    ) -> "ErrorMonitor":
+        self, outcome: Outcome, before: Block, navigation: ErrorStateFilter, false_alarm: float, *, estimated: bool,
+        limits_m: Pair,
+    ) -> "ErrorMonitor":  # fmt: skip
         """Add the outcome of a measurement.
 
         Parameters
@@ -65,6 +68,8 @@ class ErrorMonitor:
             [-] Probability of the gate that it has passed.
         estimated : bool
             Whether the filter has a state for the time-correlated part of its error.
+        limits_m : tuple of float
+            [m] Alert limits, horizontal and vertical: a return after an outage that is farther off is held.
 
         Returns
         -------
@@ -93,32 +98,42 @@ class ErrorMonitor:
         if height is not None:
             z, sd = (*z, height.innovation), (*sd, height.innovation_sd)
         statistics = statistics.after(outcome.time_ns, z, sd)
-        rejected_height = self.rejected_shift[1] if len(z) < 3 else abs(z[2])
-        reset_height = 0.0
-        if height is not None and height.taken_over:
-            reset_height, rejected_height = rejected_height, 0.0
         known = replace(self, position=statistics, estimated=estimated)
-        reset_h, reset_v = self.reset_shift
+        down = self.rejected_n[2] if len(z) < 3 else z[2]
+        sd_down = self.rejected_sd[1] if len(sd) < 3 else sd[2]
+        sds = hypot(sd[0], sd[1]), sd_down
+        held = self.held.confirmed(outcome.time_ns, used=outcome.used)
         if not outcome.used:
-            rejected_shift = hypot(z[0], z[1]), rejected_height
-            return replace(known, rejected_shift=rejected_shift, reset_shift=(reset_h, reset_v + reset_height))
+            first = self.rejected_n[:2] == STILL[:2]
+            grew = outcome.test_ratio <= GREW_RATIO if first else self.rejected_grew
+            return replace(known, rejected_n=(z[0], z[1], down), rejected_sd=sds, rejected_grew=grew, held=held)
+        left_out = 0.0 if len(outcome.innovation) == 3 else down
+        if height is not None and height.taken_over:
+            held = held.after((0.0, 0.0, left_out), (0.0, sd_down), outcome.time_ns, grew=False)
+            left_out = 0.0
+        age_s = (outcome.time_ns - self.used_ns) * 1e-9
+        far = hypot(z[0], z[1]) > limits_m[0], len(z) > 2 and left_out == 0.0 and abs(z[2]) > limits_m[1]
+        if self.used_ns and age_s > OUTAGE_S and any(far):
+            returned = (z[0], z[1]) if far[0] else (0.0, 0.0)
+            held = held.after((*returned, z[2] if far[1] else 0.0), sds, outcome.time_ns, grew=True)
         now, limit = block(navigation), chi_square_limit(len(outcome.innovation), false_alarm)
         nn, ne, ee, dd = (old - new for old, new in zip(before, now, strict=True))
         largest = max(0.0, 0.5 * (nn + ee) + hypot(0.5 * (nn - ee), ne))  # eigenvalue
-        decay = exp(-max(0, outcome.time_ns - self.used_ns) * 1e-9 / MEMORY_S)
         return replace(
             known,
             used_ns=outcome.time_ns,
             cov_after_fix=now,
             fault_shift=(sqrt(limit * largest), sqrt(limit * max(0.0, dd))),
-            rejected_shift=(0.0, 0.0 if len(outcome.innovation) == 3 else rejected_height),
-            reset_shift=(decay * reset_h, decay * reset_v + reset_height),
+            rejected_n=(0.0, 0.0, left_out),
+            rejected_sd=(0.0, sd_down if left_out else 0.0),
+            held=held,
         )
 
     @cached_property
     def rejection_bound(self) -> Pair:
         """Largest error [m, horizontal and vertical] if the rejected positions were right, or were wrong."""
-        return self.rejected_shift[0] + self.reset_shift[0], self.rejected_shift[1] + self.reset_shift[1]
+        (north, east, down), (held_h, held_v) = self.rejected_n, self.held.bound
+        return hypot(north, east) + held_h, abs(down) + held_v
 
     @cached_property
     def overstatement(self) -> float:

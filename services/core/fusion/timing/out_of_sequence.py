@@ -35,6 +35,14 @@ class Snapshot(NamedTuple):
     engine: Engine
     records: int
 
+    def unrecorded(self) -> "Snapshot":
+        """The same without a history for the smoother."""
+        engine = self.engine.copy()
+        engine.recorder = None
+        if engine.filter is not None:
+            engine.filter.recorder = None
+        return Snapshot(self.time_ns, engine, 0)
+
 
 def key_of(measurement: Measurement) -> Key:
     """Key that a measurement shares with its repetition."""

@@ -1,24 +1,35 @@
-"""Roll-back over minutes: the filter as it was before GNSS became suspect, propagated again without GNSS.
+"""Roll-back over minutes, and two solutions during a conflict: with GNSS, and without it since it became suspect.
 
 A monitor accuses GNSS 6 to 120 s after the error began. A snapshot of the engine is kept once a second for two minutes,
-with all samples and measurements since the oldest. On an exclusion a second engine starts from the last snapshot before
-the suspect time and processes everything again without GNSS, a part with each new sample, while the first goes on.
-When the second has caught up it takes the place of the first.
+with all samples and measurements since the oldest. When a conflict begins a second engine starts from the last snapshot
+before the suspect time and processes everything again without GNSS, a part with each new sample, while the first goes
+on. From then on both run, and the level of the one that is published reaches to the other. The one without GNSS is
+published only if core.trust excludes GNSS and if that solution is good: `Conflict.declined` says why not.
 """
 
 from collections import deque
+from math import hypot, sqrt
 from operator import attrgetter
 
+from shared.maths.earth import ned_from_geodetic_difference
+
+from ..integrity.disagreement import Disagreement, Pair, Vector
+from ..integrity.error_monitor import block
 from ..measurements.base import Measurement, Outcome
 from ..plausibility.imu_faults import Sample
 from ..settings import Settings
-from ..update.exclusion import GnssExcluded, GnssReadmitted, OdometerExclusion
+from ..solution import UncertaintyCache
+from ..update.engine import Engine
+from ..update.exclusion import GnssExcluded, GnssReadmitted, Held, OdometerExclusion
 from .out_of_sequence import OutOfSequenceEngine, Snapshot
 
 MEMORY_S = 120.0
 PERIOD_NS = 1_000_000_000  # between two snapshots
 PART = 40  # samples that are processed again with each new one: two minutes at 100 Hz take 3 s
 LONGEST_DELAY_NS = 3_000_000_000  # by which the stamp of a measurement may still be moved
+CONVERGED_S = 60.0  # of the filter before the suspect time, without which GNSS is not excluded
+MOST_LIMITS = 3.0  # alert limits up to which the level of the solution without GNSS may be: beyond it decides nothing
+CLOSED_SHARE = 0.5  # of the largest distance of the two, to which a position that has come back has closed it
 
 
 class Memory:
@@ -50,11 +61,15 @@ class Memory:
         if not self._snapshots or snapshot.time_ns // PERIOD_NS > self._snapshots[-1].time_ns // PERIOD_NS:
             self._snapshots.append(snapshot)
 
-    def rewind(self, time_ns: int) -> Snapshot:
-        """Drop the snapshots after a time, but not the oldest; returns the newest that is left."""
-        while len(self._snapshots) > 1 and self._snapshots[-1].time_ns > time_ns:
-            self._snapshots.pop()
-        return self._snapshots[-1]
+    def before(self, time_ns: int) -> Snapshot:
+        """Newest snapshot of a time or earlier; the oldest without one."""
+        earlier = [snapshot for snapshot in self._snapshots if snapshot.time_ns <= time_ns]
+        return earlier[-1] if earlier else self._snapshots[0]
+
+    @property
+    def oldest_ns(self) -> int:
+        """Stamp of the oldest snapshot."""
+        return self._snapshots[0].time_ns
 
     def since(self, time_ns: int) -> deque[Sample | Measurement]:
         """Samples and measurements after a time in the order of their stamps, measurements first where they agree.
@@ -75,9 +90,9 @@ class Replay:
     """An engine that processes the samples and measurements since a snapshot again, without GNSS."""
 
     def __init__(self, main: OutOfSequenceEngine, memory: Memory, suspect_since_ns: int) -> None:
-        snapshot = memory.rewind(suspect_since_ns)
+        snapshot = memory.before(suspect_since_ns).unrecorded()
         self.engine = main.resumed(snapshot)
-        self._memory = memory
+        self.converged_s = _converged_s(snapshot.engine, suspect_since_ns)
         self._pending = memory.since(snapshot.time_ns)
         contaminated_s = max(0.0, (snapshot.time_ns - suspect_since_ns) * 1e-9)
         begin_ns = max(snapshot.time_ns, suspect_since_ns) + 1
@@ -99,11 +114,15 @@ class Replay:
             one = self._pending.popleft()
             if isinstance(one, Sample):
                 self.engine.add(one)
-                self._memory.snapshot(self.engine.settled)
                 samples += 1
             else:
                 insert_if_remembered(self.engine, one)
         self.engine.outcomes()  # the late ones are used, and all were reported before
+
+
+def _converged_s(engine: Engine, time_ns: int) -> float:
+    """For how long a filter has run at a time [s]; 0 without one."""
+    return 0.0 if engine.started_ns is None else max(0.0, (time_ns - engine.started_ns) * 1e-9)
 
 
 def insert_if_remembered(engine: OutOfSequenceEngine, measurement: Measurement) -> bool:
@@ -115,73 +134,243 @@ def insert_if_remembered(engine: OutOfSequenceEngine, measurement: Measurement) 
     return True
 
 
+def distance_n(one: Engine, other: Engine) -> Vector | None:
+    """Position of one engine minus that of another [m, NED]; None while one has no filter."""
+    if one.filter is None or other.filter is None:
+        return None
+    return ned_from_geodetic_difference(one.filter.position, other.filter.position)
+
+
+class Conflict:
+    """GNSS against the other sensors since a suspect time: the solution without GNSS beside the one with it."""
+
+    def __init__(self, since_ns: int, main: OutOfSequenceEngine, memory: Memory, resets: int) -> None:
+        self.since_ns = since_ns
+        self.resets = resets  # of the engine with GNSS, when the conflict began
+        self.replay: Replay | None = Replay(main, memory, since_ns)
+        self.engine: OutOfSequenceEngine | None = None  # without GNSS, when the replay is over
+        self.converged_s = self.replay.converged_s
+        self.published = False  # whether the solution without GNSS is the published one
+        self.declined = ""  # why it is not, although core.trust excludes GNSS
+        self.farthest_m = 0.0  # largest horizontal distance of the two solutions
+
+    def take(self, one: Sample | Measurement) -> None:
+        """Pass a sample or a measurement on."""
+        if self.replay is not None:
+            self.replay.take(one)
+            if isinstance(one, Sample):
+                self.replay.advance()
+                if self.replay.is_over:
+                    self.engine, self.replay = self.replay.engine, None
+        elif self.engine is not None:
+            if isinstance(one, Sample):
+                self.engine.add(one)
+            else:
+                insert_if_remembered(self.engine, one)
+
+
 class RollBack:
-    """The engine in use, the memory of two minutes, and the replay that is to take the engine's place."""
+    """The engine with GNSS, the memory of two minutes, and the conflict with the engine without GNSS."""
 
     def __init__(self, settings: Settings) -> None:
-        self.engine = OutOfSequenceEngine(settings)
+        self._settings = settings
+        self._main = OutOfSequenceEngine(settings)
         self._memory = Memory()
-        self._replay: Replay | None = None
-        self._outcomes: list[Outcome] = []  # of an engine that was replaced, not reported yet
-        # Suspect time of excluded GNSS, and whether the odometer is excluded: as published, and as applied.
-        self._wanted: tuple[int | None, bool] | None = None
-        self._applied: tuple[int | None, bool] | None = None
+        self._of_main, self._of_other = UncertaintyCache(settings), UncertaintyCache(settings)
+        self.conflict: Conflict | None = None
+        # Suspect time, whether GNSS is excluded, and whether the odometer is: as core.trust published.
+        self._wanted: tuple[int | None, bool, bool] | None = None
+        self._odometer_excluded: bool | None = None  # as applied
+        self.unresolved = ""  # why the present conflict goes on without a second solution
+        self._decided_ns = 0  # second of the last decision
+
+    @property
+    def engine(self) -> OutOfSequenceEngine:
+        """The engine whose solution is published."""
+        conflict = self.conflict
+        return conflict.engine if conflict and conflict.published and conflict.engine else self._main
+
+    @property
+    def other(self) -> OutOfSequenceEngine | None:
+        """The other one, while there are two."""
+        conflict = self.conflict
+        if conflict is None or conflict.engine is None:
+            return None
+        return self._main if conflict.published else conflict.engine
+
+    @property
+    def excluded_test_ratio(self) -> float | None:
+        """Test ratio of the newest position against the solution without GNSS; None without one."""
+        without = self.conflict.engine if self.conflict else None
+        return (without or self._main).engine.exclusions.test_ratio
+
+    def difference(self) -> tuple[Vector, Pair] | None:
+        """Published minus other position [m, NED], and the levels of the other [m]; None without another."""
+        other = self.other
+        if other is None or other.engine.filter is None:
+            return None
+        apart = distance_n(self.engine.engine, other.engine)
+        if apart is None:
+            return None
+        return apart, self._levels(other.engine)
+
+    def _levels(self, engine: Engine) -> Pair:
+        """Protection levels of an engine with a filter."""
+        assert engine.filter is not None
+        cache = self._of_main if engine is self._main.engine else self._of_other
+        levels = cache.of(engine.filter, engine.aids.error_monitor).levels
+        return levels.horizontal, levels.vertical
 
     def restart(self, why: str) -> None:
         """Begin again from nothing, because the clock went back."""
-        self.engine = self.engine.restarted(why)
-        self._memory, self._replay, self._applied = Memory(), None, None
+        self._main = self._main.restarted(why)
+        self._memory, self.conflict, self._odometer_excluded, self.unresolved = Memory(), None, None, ""
 
     def add(self, sample: Sample) -> None:
-        """Process a sample, and a part of a replay."""
-        self.engine.add(sample)
+        """Process a sample in both engines, and a part of a replay."""
+        self._main.add(sample)
         self._memory.sample(sample)
-        if self._replay is None:
-            self._memory.snapshot(self.engine.settled)
-            if self._applied is None:
-                self._apply()
-            return
-        self._replay.take(sample)
-        self._replay.advance()
-        if self._replay.is_over:
-            self._outcomes += self.engine.outcomes()
-            self.engine, self._replay = self._replay.engine, None
+        self._memory.snapshot(self._main.settled)
+        if self.conflict is not None:
+            self.conflict.take(sample)
+            if sample.time_ns // PERIOD_NS != self._decided_ns:
+                self._decided_ns = sample.time_ns // PERIOD_NS
+                self._decide()
+        elif self._odometer_excluded is None:
+            self._apply()
 
     def insert(self, measurement: Measurement) -> bool:
         """Use a measurement at its stamp; False if it is older than the oldest snapshot."""
-        if not insert_if_remembered(self.engine, measurement):
+        if not insert_if_remembered(self._main, measurement):
             return False
         self._memory.measurement(measurement)
-        if self._replay is not None:
-            self._replay.take(measurement)
+        if self.conflict is not None:
+            self.conflict.take(measurement)
         return True
 
     def outcomes(self) -> list[Outcome]:
-        """Use late measurements, and report all outcomes since the last call, each only once."""
-        outcomes, self._outcomes = self._outcomes + self.engine.outcomes(), []
-        return outcomes
+        """Use late measurements in both engines, and report the outcomes of the published one since the last call."""
+        found, published = self._main.outcomes(), self.engine
+        if self.conflict is not None and self.conflict.engine is not None:
+            without = self.conflict.engine.outcomes()
+            found = without if self.conflict.engine is published else found
+        return found
 
-    def follow(self, gnss_since_ns: int | None, *, odometer_excluded: bool) -> None:
-        """Follow the verdict: GNSS is excluded from a suspect time on, or used, and the odometer as well."""
-        self._wanted = gnss_since_ns, odometer_excluded
+    def follow(self, gnss_since_ns: int | None, *, exclude: bool, odometer_excluded: bool) -> None:
+        """Follow the verdict.
+
+        Parameters
+        ----------
+        gnss_since_ns : int or None
+            Suspect time of a conflict of GNSS with the other sensors; None without one.
+        exclude : bool
+            Whether core.trust has decided that GNSS is wrong.
+        odometer_excluded : bool
+            Whether the odometer is not used.
+        """
+        self._wanted = gnss_since_ns, exclude, odometer_excluded
         self._apply()
 
     def _apply(self) -> None:
-        """Apply what differs from the verdict, from the newest sample on; a suspect time begins a replay.
-
-        The first engine excludes GNSS at once. A state that was saved with GNSS excluded needs no replay.
-        """
-        newest = self.engine.newest
+        """Apply what differs from the verdict, from the newest sample on."""
+        newest = self._main.newest
         if self._wanted is None or newest is None:
             return
-        exclusions = self.engine.engine.exclusions
-        known, odometer = self._applied or (exclusions.gnss_since_ns, exclusions.odometer)
-        since, now_ns = self._wanted[0], newest.time_ns + 1
-        self._applied = since if since is None or known is None else min(since, known), self._wanted[1]
-        if odometer != self._wanted[1]:
-            self.insert(OdometerExclusion(now_ns, excluded=self._wanted[1]))
-        if since is None and known is not None:
-            self.insert(GnssReadmitted(now_ns))
-        elif since is not None and (known is None or since < known):
-            self.engine.insert(GnssExcluded(now_ns, now_ns))
-            self._replay = Replay(self.engine, self._memory, since)
+        since_ns, _, odometer = self._wanted
+        known = self._main.engine.exclusions
+        if odometer != (known.odometer if self._odometer_excluded is None else self._odometer_excluded):
+            self.insert(OdometerExclusion(newest.time_ns + 1, excluded=odometer))
+        self._odometer_excluded = odometer
+        if since_ns is None:
+            self._end(newest.time_ns)
+        elif known.gnss_since_ns is None and not self.unresolved:
+            self._begin(since_ns)
+        self._decide()
+
+    def _begin(self, since_ns: int) -> None:
+        """Begin a conflict, or begin it again where its suspect time is earlier than was known."""
+        conflict = self.conflict
+        if conflict is not None and (conflict.since_ns <= since_ns or self._memory.oldest_ns > since_ns):
+            return
+        self.conflict = Conflict(since_ns, self._main, self._memory, self._main.engine.counts.resets)
+
+    def _decide(self) -> None:
+        """Choose which of the two solutions is published, once a second and with every verdict."""
+        conflict = self.conflict
+        if conflict is None or conflict.engine is None or self._wanted is None:
+            return
+        apart = distance_n(self._main.engine, conflict.engine.engine)
+        if apart is None:
+            self._leave("one of the two solutions is lost")
+            return
+        conflict.farthest_m = max(conflict.farthest_m, hypot(apart[0], apart[1]))
+        (horizontal_m, vertical_m), integrity = self._levels(conflict.engine.engine), self._settings.integrity
+        if (
+            horizontal_m > MOST_LIMITS * integrity.alert_limit_horizontal_m
+            or vertical_m > MOST_LIMITS * integrity.alert_limit_vertical_m
+        ):
+            self._leave(
+                f"without GNSS the protection levels are {horizontal_m:.0f} m horizontal and {vertical_m:.0f} m "
+                "vertical, so that this solution decides nothing any more"
+            )
+            return
+        exclude, converged_s = self._wanted[1], conflict.converged_s
+        conflict.declined = (
+            f"the filter had run for {converged_s:.0f} s before the suspect time, {CONVERGED_S:.0f} s are needed"
+            if exclude and converged_s < CONVERGED_S
+            else ""
+        )
+        conflict.published = exclude and not conflict.declined
+
+    def _leave(self, why: str) -> None:
+        """Give the solution without GNSS up: GNSS is used again, and the level holds what the two differed by."""
+        conflict, self.conflict, self.unresolved = self.conflict, None, why
+        if conflict is not None and conflict.engine is not None:
+            self._hold(conflict.engine.engine)
+
+    def _end(self, now_ns: int) -> None:
+        """End the conflict: what the two solutions still differ by is held, unless a return has closed it.
+
+        The solution with GNSS goes on, but for one that has been reset in the conflict or was not published.
+        """
+        conflict, self.conflict, self.unresolved = self.conflict, None, ""
+        main = self._main
+        if main.engine.exclusions.gnss_since_ns is not None:  # of a saved state
+            self.insert(GnssReadmitted(now_ns + 1))
+        if conflict is None or conflict.engine is None:
+            return
+        apart, without = distance_n(main.engine, conflict.engine.engine), conflict.engine
+        closed = apart is None or hypot(apart[0], apart[1]) <= max(
+            CLOSED_SHARE * conflict.farthest_m, self._levels(main.engine)[0]
+        )
+        held = main.engine.aids.error_monitor.held if closed else self._held(without.engine)
+        if conflict.published or main.engine.counts.resets > conflict.resets:
+            self._go_on_with(without)
+            self.insert(GnssReadmitted(now_ns + 1))
+            held = self._main.engine.aids.error_monitor.held if closed else held
+        if held != self._main.engine.aids.error_monitor.held:
+            self.insert(Held(now_ns + 1, held))
+
+    def _go_on_with(self, without: OutOfSequenceEngine) -> None:
+        """Continue with the engine without GNSS in place of the one with it; the smoother's history starts anew."""
+        counts, recorder = self._main.engine.counts, self._main.engine.recorder
+        self._main, engine = without, without.engine
+        engine.counts, engine.recorder = counts, recorder
+        if recorder is not None and engine.filter is not None:
+            recorder.start(engine.filter)
+        self._memory = Memory()
+        self._memory.snapshot(self._main.settled)
+
+    def _hold(self, without: Engine) -> None:
+        """Add the difference of the two solutions to what the level of the one with GNSS holds."""
+        held, main = self._held(without), self._main.engine
+        if held != main.aids.error_monitor.held:
+            self.insert(Held(main.time_ns + 1, held))
+
+    def _held(self, without: Engine) -> Disagreement:
+        main = self._main.engine
+        held, apart = main.aids.error_monitor.held, distance_n(main, without)
+        if apart is None or without.filter is None:
+            return held
+        nn, _, ee, dd = block(without.filter)
+        return held.after(apart, (sqrt(nn + ee), sqrt(dd)), main.time_ns, grew=False)

@@ -73,7 +73,7 @@ class Aids:
         if isinstance(measurement, MagneticHeading):
             self._compass = self._compass.judged(measurement, navigation)
             measurement = replace(measurement, check=self._compass)
-        gating = self._settings.gating
+        gating, integrity = self._settings.gating, self._settings.integrity
         for observe in measurement.observers():
             before = block(navigation) if isinstance(measurement, GnssPosition) else NO_BLOCK
             observation = observe(navigation)
@@ -89,8 +89,9 @@ class Aids:
                 and not navigation.gnss_errors.follows
             )
             self.error_monitor = self.error_monitor.after(
-                outcome, before, navigation, gating.false_alarm_probability, estimated=estimated
-            )
+                outcome, before, navigation, gating.false_alarm_probability, estimated=estimated,
+                limits_m=(integrity.alert_limit_horizontal_m, integrity.alert_limit_vertical_m),
+            )  # fmt: skip
             if isinstance(measurement, GnssPosition) and outcome.used:
                 self.error_monitor = replace(
                     self.error_monitor, unestimated=measurement.unestimated_variances(navigation)

@@ -8,7 +8,7 @@ from functools import partial
 from math import degrees, hypot, inf, radians
 
 from shared.errors import FilterDiverged
-from shared.messages.navigation import NavigationPhase
+from shared.messages.navigation import AidingKind, NavigationPhase
 
 from ..alignment.alignment import Alignment
 from ..alignment.heading import Heading, Prior
@@ -27,7 +27,7 @@ from ..settings import Settings
 from ..smoothing.history import HistoryRecorder
 from ..timing.delay_compensation import FoundDelay, SuspectedDelay
 from .aiding import Aids
-from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, OdometerExclusion
+from .exclusion import Exclusions, GnssExcluded, GnssReadmitted, Held, OdometerExclusion
 from .imu_gaps import SUSPECT_PERIOD_S, LostTime, inflate_for_gap, inflate_for_suspect_samples
 from .standstill_detector import is_standstill
 
@@ -36,7 +36,8 @@ LONGEST_BRIDGED_S = 1.0  # a longer gap ends the solution; attitude and biases a
 LONGEST_ATTITUDE_S = 5.0  # a longer gap ends the attitude as well
 KEPT_HEADING = Heading(0.0, radians(20.0), "heading kept")
 BEFORE_ALL_NS = -(2**64)
-Event = FoundDelay | SuspectedDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion  # no measurements
+# No measurements.
+Event = FoundDelay | SuspectedDelay | LostTime | GnssExcluded | GnssReadmitted | OdometerExclusion | Held
 
 
 class Engine:
@@ -69,6 +70,8 @@ class Engine:
         self.filter: ErrorStateFilter | None = None
         self.recorder: HistoryRecorder | None = None  # of all filters, for the smoother
         self.accepted_ns: int | None = None  # stamp of the last position that was used
+        self.started_ns: int | None = None  # of the filter
+        self._odometer_ns: int | None = None  # stamp of the last speed of the odometer that was used
         self._alignment: Alignment | None = Alignment(settings, first=not lost_reason)
         self._saved: SavedState | None = None  # to be restored with the first sample
         self.aids = Aids(settings)
@@ -97,6 +100,11 @@ class Engine:
     def time_ns(self) -> int:
         """Instant of the state."""
         return self.last.time_ns if self.last is not None else BEFORE_ALL_NS
+
+    @property
+    def odometer_age_s(self) -> float | None:
+        """Time since the last speed of the odometer that was used [s]; None without one."""
+        return None if self._odometer_ns is None else (self.time_ns - self._odometer_ns) * 1e-9
 
     @property
     def stationary(self) -> bool:
@@ -265,6 +273,8 @@ class Engine:
         try:
             for outcome in self.aids.use(self.filter, measurement):
                 outcomes.append(outcome)
+                if outcome.used and outcome.kind is AidingKind.ODOMETER:
+                    self._odometer_ns = outcome.time_ns
                 if isinstance(measurement, GnssPosition):
                     self._count_position(outcome, measurement.left_out)
         except FilterDiverged as error:
@@ -280,6 +290,9 @@ class Engine:
         The scale of an excluded odometer is reset. The covariance of a state that contains suspect GNSS is inflated by
         its largest effect.
         """
+        if isinstance(event, Held):
+            self.aids.error_monitor = replace(self.aids.error_monitor, held=event.disagreement)
+            return
         if isinstance(event, FoundDelay | SuspectedDelay | LostTime):
             if not isinstance(event, LostTime):
                 self.aids.keep(event)
@@ -354,6 +367,7 @@ class Engine:
     def _start(self, started: ErrorStateFilter, time_ns: int, comparison: Comparison) -> None:
         """Continue with a filter that has just started."""
         self.aids.begin(time_ns, started, comparison)
+        self.started_ns = time_ns
         self.filter, self._alignment, self._lost_reason, self._rejections = started, None, "", 0
         if self.recorder is not None:
             self.recorder.start(started)

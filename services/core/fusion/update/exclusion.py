@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+from ..integrity.disagreement import Disagreement
 from ..measurements.base import FilterEvent, Measurement
 from ..measurements.dual_antenna import BaselineHeading
 from ..measurements.gnss import GnssPosition, GnssVelocity
@@ -32,6 +33,13 @@ class OdometerExclusion(FilterEvent):
     """From this instant on the odometer is excluded, or used again."""
 
     excluded: bool
+
+
+@dataclass(frozen=True)
+class Held(FilterEvent):
+    """From this instant on the level holds a disagreement of two solutions."""
+
+    disagreement: Disagreement
 
 
 @dataclass(frozen=True)

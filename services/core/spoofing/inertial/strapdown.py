@@ -121,7 +121,8 @@ class Strapdown:
 
     Notes
     -----
-    With C from body to NED, f dt and R the increment's force and rotation, b the biases of the anchor::
+    With C from body to NED, f dt and R the increment's force and rotation, b the biases, that of the gyroscopes with the
+    part of their scale error::
 
         v+ = v + C (f dt - b_a dt) + (g - (2 w_ie + w_en) x v) dt
         C+ = (I - sk(w_ie + w_en) dt) C R (I - sk(b_g) dt)
@@ -137,6 +138,7 @@ class Strapdown:
         self.time_ns = anchor.time_ns
         self.ned_from_body, self.velocity = anchor.ned_from_body.copy(), anchor.velocity_n.copy()
         self.accelerometer_bias, self.gyroscope_bias = anchor.accelerometer_bias.copy(), anchor.gyroscope_bias.copy()
+        self.gyroscope_scale = np.zeros(3)  # [-] measured over true rate, minus one
         self._latitude, self._height = anchor.latitude, anchor.height
         self._gravity = np.array([0.0, 0.0, gravity(anchor.latitude, anchor.height)])
         self._earth_rate = np.array(earth_rate_n(anchor.latitude))
@@ -150,7 +152,8 @@ class Strapdown:
         coriolis = skew(2.0 * self._earth_rate + transport) @ v
         self.velocity = v + force_n + (self._gravity - coriolis) * step
         turned = C @ increment.rotation
-        turned = turned - turned @ skew(self.gyroscope_bias * step)
+        error_b = self.gyroscope_bias + self.gyroscope_scale * increment.rate_b
+        turned = turned - turned @ skew(error_b * step)
         self.ned_from_body = turned - skew((self._earth_rate + transport) * step) @ turned
         self.time_ns = increment.end_ns
         return force_n

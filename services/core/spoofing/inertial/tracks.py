@@ -8,13 +8,15 @@ from math import isfinite
 import numpy as np
 import numpy.typing as npt
 
-from shared.maths.earth import Geodetic
+from shared.maths.earth import Geodetic, ned_from_geodetic_difference
 
 from .compass import barometric_height
 from .strapdown import SECOND_NS
 
 FloatArray = npt.NDArray[np.float64]
 
+LEAST_DIFFERENCE_S, LONGEST_DIFFERENCE_S = 0.9, 1.6  # between two positions that make a velocity
+UNKNOWN_VERTICAL_SD = 10.0  # [m/s] of a vehicle
 BIN_NS = 200_000_000  # of heights, whose newest mean is complete that much later
 
 
@@ -27,11 +29,42 @@ class VelocityFix:
     sd: FloatArray  # shape (3,) [m/s, NED]
     position: Geodetic | None = None
     position_sd: float = 0.0  # [m] horizontal
+    of_positions: bool = False  # the velocity is a difference of positions
 
     @property
     def speed(self) -> float:
         """Horizontal speed [m/s]."""
         return float(np.hypot(self.velocity_n[0], self.velocity_n[1]))
+
+
+class PositionDifferences:
+    """Velocities from positions about a second apart, for a receiver that measures none that could be compared."""
+
+    def __init__(self) -> None:
+        self._known: deque[tuple[int, Geodetic, float]] = deque(maxlen=50)
+
+    def after(self, time_ns: int, position: Geodetic, sd: float) -> VelocityFix | None:
+        """Add a position with its horizontal standard deviation [m]; the velocity holds half-way between the two.
+
+        Notes
+        -----
+        v = (p_2 - p_1) / dt, with the standard deviation of independent errors: sqrt(s_1² + s_2²) / dt. The vertical
+        velocity is unknown.
+        """
+        found = None
+        for then_ns, before, before_sd in reversed(self._known):
+            span_s = (time_ns - then_ns) / SECOND_NS
+            if span_s > LONGEST_DIFFERENCE_S:
+                break
+            if span_s >= LEAST_DIFFERENCE_S:
+                moved = ned_from_geodetic_difference(position, before)
+                speed_sd = float(np.hypot(sd, before_sd)) / span_s
+                velocity = np.array([moved[0] / span_s, moved[1] / span_s, 0.0])
+                sds = np.array([speed_sd, speed_sd, UNKNOWN_VERTICAL_SD])
+                found = VelocityFix((time_ns + then_ns) // 2, velocity, sds, position, sd, of_positions=True)
+                break
+        self._known.append((time_ns, position, sd))
+        return found
 
 
 @dataclass(frozen=True)

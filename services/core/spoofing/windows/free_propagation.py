@@ -1,7 +1,8 @@
 """Velocity by inertial sensors, odometer and non-holonomic constraint from an anchor on, without GNSS.
 
-Error state, 15 elements: velocity and attitude (NED), accelerometer and gyroscope bias (body), scale of the odometer,
-and yaw and pitch of the forward axis in the body frame. An estimate is corrected at once: x_true = x + error, and for
+Error state, 18 elements: velocity and attitude (NED), accelerometer and gyroscope bias (body), scale of the odometer,
+yaw and pitch of the forward axis in the body frame, and scale of the gyroscopes: its error is a share of the total turn
+and no random walk. An estimate is corrected at once: x_true = x + error, and for
 the attitude C_true = (I + sk(psi)) C.
 """
 
@@ -19,11 +20,14 @@ FloatArray = npt.NDArray[np.float64]
 
 VELOCITY, ATTITUDE, ACCELEROMETER, GYROSCOPE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 SCALE, YAW, PITCH = 12, 13, 14
-SIZE = 15
+GYROSCOPE_SCALE = slice(15, 18)
+ANCHORED = slice(0, 15)  # states that fusion's filter has as well
+SIZE = 18
 STANDSTILL_SD = 0.02  # [m/s]
 # [m/s] of the forward speed, above which the non-holonomic constraint is not used: the products of the errors of speed
 # and direction, which its linear form leaves out, are then as large as its own noise.
 LARGEST_SPEED_SD = 2.0
+LEAST_ODOMETER = 10  # speeds that aid a propagation, before it speaks for the odometer
 ODOMETER_REJECTIONS = 3  # in a row, after which this propagation no longer uses it
 
 
@@ -35,19 +39,27 @@ class FreePropagation:
         self.nominal = Strapdown(anchor)
         self.scale, self.yaw, self.pitch = anchor.scale, anchor.yaw, anchor.pitch
         self.odometer_rejections = 0
+        self.odometer_updates = 0
         self.acceleration = np.zeros(3)  # [m/s², NED] mean of the last second
         s = settings
         added = np.repeat(
             [s.velocity_sd_m_s, s.attitude_sd_rad, s.accelerometer_bias_sd_m_s2, s.gyroscope_bias_sd_rad_s], 3
         )
         added = np.r_[added, s.odometer_scale_sd, s.mounting_sd_rad, s.mounting_sd_rad]
-        self.P = anchor.covariance + np.diag(added**2)
+        self.P = np.zeros((SIZE, SIZE))
+        self.P[ANCHORED, ANCHORED] = anchor.covariance + np.diag(added**2)
+        self.P[GYROSCOPE_SCALE, GYROSCOPE_SCALE] = np.eye(3) * s.gyroscope_scale_sd**2
         self._gate = chi_square_limit(1, s.odometer_gate)
         self._begin()
 
     def age_s(self, time_ns: int) -> float:
         """Time since the anchor [s]."""
         return (time_ns - self.anchor.time_ns) / SECOND_NS
+
+    @property
+    def odometer_agrees(self) -> bool:
+        """Whether the odometer has aided this propagation, and does not contradict it."""
+        return self.odometer_updates >= LEAST_ODOMETER and self.odometer_rejections == 0
 
     def advance(self, increment: Increment) -> None:
         """Propagate attitude and velocity by one increment."""
@@ -61,18 +73,19 @@ class FreePropagation:
 
         Notes
         -----
-        With dv the integral of the specific force (NED), C the mean attitude, T the time::
+        With dv the integral of the specific force (NED), C the mean attitude, T the time, a the turn (body)::
 
-            dv_err' = -sk(dv) psi - C T db_a,    psi' = -C T db_g,    Phi = I + F + F²/2
+            dv_err' = -sk(dv) psi - C T db_a,    psi' = -C T db_g - C diag(a) dk_g,    Phi = I + F + F²/2
         """
         s, T = self._settings, self._elapsed
         F = np.zeros((SIZE, SIZE))
         F[VELOCITY, ATTITUDE] = -skew(self._force)
         F[VELOCITY, ACCELEROMETER] = F[ATTITUDE, GYROSCOPE] = -self._attitude
+        F[ATTITUDE, GYROSCOPE_SCALE] = -self._attitude * self._angle / T
         Phi = np.eye(SIZE) + F + 0.5 * F @ F
         level = self._force + np.array([0.0, 0.0, 9.80665 * T])
         force_variance = s.velocity_random_walk_m_s_sqrt_s**2 * T + (s.scale_sd**2) * float(level @ level)
-        angle_variance = s.angle_random_walk_rad_sqrt_s**2 * T + (s.scale_sd**2) * float(self._angle @ self._angle)
+        angle_variance = s.angle_random_walk_rad_sqrt_s**2 * T
         Q = np.zeros((SIZE, SIZE))
         Q[VELOCITY, VELOCITY], Q[ATTITUDE, ATTITUDE] = np.eye(3) * force_variance, np.eye(3) * angle_variance
         self.P = predict(self.P, Phi, Q)
@@ -112,6 +125,7 @@ class FreePropagation:
             used = bool(found.distance2 <= self._gate)
             self.odometer_rejections = 0 if used else self.odometer_rejections + 1
             if used:
+                self.odometer_updates += 1
                 self._apply(found)
         forward, H_forward = self.body_row(0)
         if s.non_holonomic and H_forward @ self.P @ H_forward <= LARGEST_SPEED_SD**2:
@@ -129,7 +143,7 @@ class FreePropagation:
         self._apply(correct(self.P, -self.nominal.velocity, H, np.eye(3) * STANDSTILL_SD**2))
 
     def body_row(self, axis: int) -> tuple[float, FloatArray]:
-        """Velocity [m/s] along a body axis, and its derivatives by the error state, shape (15,)."""
+        """Velocity [m/s] along a body axis, and its derivatives by the error state, shape (18,)."""
         C, v = self.nominal.ned_from_body, self.nominal.velocity
         H = np.zeros(SIZE)
         H[VELOCITY] = C[:, axis]
@@ -146,6 +160,7 @@ class FreePropagation:
         nominal.ned_from_body = turn @ nominal.ned_from_body
         nominal.accelerometer_bias = nominal.accelerometer_bias + error[ACCELEROMETER]
         nominal.gyroscope_bias = nominal.gyroscope_bias + error[GYROSCOPE]
+        nominal.gyroscope_scale = nominal.gyroscope_scale + error[GYROSCOPE_SCALE]
         self.scale += float(error[SCALE])
         self.yaw += float(error[YAW])
         self.pitch += float(error[PITCH])

@@ -26,6 +26,7 @@ FROZEN_S = 180  # age up to which a propagation is kept, if none younger takes i
 RELEASE_RATE = 0.01  # of fault-free evaluations above the threshold of release
 LEAST_FIXES = 4  # of a mean over 5 s
 DIMENSIONS = 3
+LEAST_SPEED = 2.0  # [m/s] of a comparison of speeds
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class LongResult:
     difference_n: FloatArray  # shape (3,) [m/s, NED] GNSS minus free propagation
     sd_n: FloatArray  # shape (3,) [m/s, NED]
     anchor_ns: int
+    decided: bool = False  # the speeds differ, and the odometer agrees with the free propagation: GNSS is wrong
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class FreeRun:
         self._settings = settings
         self._nodes: list[_Node] = []
         self._compared: list[_Comparison] = []
+        self._speed_limit = chi_square_limit(1, settings.long.false_alarm_rate)
 
     @property
     def anchor_ns(self) -> int:
@@ -91,7 +94,13 @@ class FreeRun:
         With d the mean difference, P_k the covariance of the free velocity at fix k, R that of the mean of n fixes
         whose errors are correlated over time, a the mean acceleration and s_t the standard deviation of stamps::
 
-            T = d' S^-1 d,    S = 1/n sum P_k + R + s_t² a a'
+            T = d' S^-1 d,    S = f² (1/n sum P_k + R + s_t² a a')
+
+        With f the factor that was learned on this vehicle. Changes of position add up over the window, so that R is
+        then that of its two ends. A wrong heading turns the velocity and does not change the speed, which the odometer
+        measures as well: where speeds differ, GNSS is wrong and not the IMU; u is the direction of free velocity::
+
+            (|v| - |v_free|)² / (u' S u) > limit with one degree of freedom
 
         The covariance of a mean is at most the mean of the covariances, whatever the correlation of the errors.
         """
@@ -104,10 +113,24 @@ class FreeRun:
         sd = np.array([fix.sd for fix in fixes])
         d = np.mean(np.array([fix.velocity_n for fix in fixes]) - free, axis=0)
         R = np.diag([mean_variance(times, sd[:, axis], gnss.velocity_correlation_s) for axis in range(DIMENSIONS)])
+        if any(fix.of_positions for fix in fixes):
+            ends = fixes[0].position_sd, fixes[-1].position_sd
+            R[0, 0] = R[1, 1] = (ends[0] ** 2 + ends[1] ** 2) / max(times[-1], 1.0) ** 2
         acceleration = (free[-1] - free[0]) / times[-1]
         P = np.mean([compared.P for compared in self._compared], axis=0)
         S = P + R + gnss.time_sd_s**2 * np.outer(acceleration, acceleration)
-        return LongResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), self.anchor_ns)
+        S = self._settings.profile.long_factor**2 * S
+        mean = np.mean(free, axis=0)
+        decided = self.free.odometer_agrees and self._speeds_differ(mean, mean + d, S)
+        return LongResult(float(d @ np.linalg.solve(S, d)), d, np.sqrt(np.diag(S)), self.anchor_ns, decided)
+
+    def _speeds_differ(self, free_n: FloatArray, gnss_n: FloatArray, S: FloatArray) -> bool:
+        speed = float(np.hypot(free_n[0], free_n[1]))
+        if speed < LEAST_SPEED:
+            return False
+        along = free_n[:2] / speed
+        difference = float(np.hypot(gnss_n[0], gnss_n[1])) - speed
+        return difference**2 > self._speed_limit * float(along @ S[:2, :2] @ along)
 
 
 class LongWindow:
@@ -177,7 +200,7 @@ class LongWindow:
             if stationary:
                 run.free.stand()
             else:
-                self._aid(run.free, odometer, yaw_rate)
+                self._aid(run.free, odometer if self._settings.long.odometer else None, yaw_rate)
 
     def _aid(self, free: FreePropagation, odometer: OdometerSpeed | None, yaw_rate: float) -> None:
         s = self._settings.long

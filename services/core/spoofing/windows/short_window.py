@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -30,11 +30,11 @@ class Window:
     start_ns: int
     end_ns: int
     difference: dict[Metric, float]
-    noise: dict[Metric, float] = field(default_factory=dict)  # standard deviation from the velocity's stated accuracy
+    # standard deviation from the velocity's stated accuracy, and from attitude and gyroscope biases of the anchor
+    noise: dict[Metric, float] = field(default_factory=dict)
     speed_m_s: tuple[float, float] = (0.0, 0.0)  # least and largest
     force_m_s2: float = 0.0  # largest | |f| - g |
     missing: dict[Metric, str] = field(default_factory=dict)  # why a metric was not evaluated
-    attitude: dict[Metric, float] = field(default_factory=dict)  # standard deviation from that of the anchor's attitude
 
 
 def window_of_fixes(fixes: Sequence[VelocityFix]) -> list[VelocityFix] | str:
@@ -109,7 +109,7 @@ def compare(
     if slowest > LEAST_SPEED or inertial_speed > MOVING_SPEED:
         turned = float(np.interp(ends[1], times, yaw) - np.interp(ends[0], times, yaw))
         difference[Metric.HEADING_RATE] = (_course_change(fixes) - turned) / duration
-        noise[Metric.HEADING_RATE] = horizontal / max(slowest, LEAST_SPEED)
+        noise[Metric.HEADING_RATE] = horizontal / max(slowest, LEAST_SPEED)  # of two courses, over the window
     else:
         missing[Metric.HEADING_RATE] = "speed is not above 1 m/s in the whole window"
     rate = height_rate(start_ns, end_ns)
@@ -123,13 +123,16 @@ def compare(
     speeds = (min(slowest, inertial_speed), max(fix.speed for fix in fixes))
     tilted = _attitude_part(anchor, (free[1] - free[0]) / duration, float(ends.mean()))
     north, east, up = tilted.tolist()
-    attitude = {
+    turn_sd = float(np.sqrt(anchor.ned_from_body[2] ** 2 @ anchor.gyroscope_bias_sd**2))
+    of_anchor = {
         Metric.ACCELERATION_NORTH: north,
         Metric.ACCELERATION_EAST: east,
         Metric.ACCELERATION_UP: up,
         Metric.ACCELERATION: max(north, east),
+        Metric.HEADING_RATE: turn_sd,
     }
-    return Window(start_ns, end_ns, difference, noise, speeds, force, missing, attitude)
+    noise = {metric: hypot(sd, of_anchor.get(metric, 0.0)) for metric, sd in noise.items()}
+    return Window(start_ns, end_ns, difference, noise, speeds, force, missing)
 
 
 def _attitude_part(anchor: Anchor, acceleration_n: FloatArray, middle_s: float) -> FloatArray:

@@ -1,5 +1,7 @@
 from collections.abc import Iterable
 
+import pytest
+
 from services.core.trust.facts import Monitor
 from services.core.trust.process import Config, Process
 from shared.messages.base import Message, Tick
@@ -25,7 +27,7 @@ def navigation_state(time_ns: int, horizontal_m: float) -> NavigationState:
     return NavigationState(
         sampled_ns=time_ns, phase=NavigationPhase.NAVIGATING, since_ns=0, reason="positions are used", fixes_used=1,
         fixes_rejected=0, samples_used=100, samples_rejected=0, imu_gaps=0, resets=0,
-        alert_limit_horizontal_m=horizontal_m, alert_limit_vertical_m=20.0,
+        alert_limit_horizontal_m=horizontal_m, alert_limit_vertical_m=20.0, odometer_age_s=0.1,
     )  # fmt: skip
 
 
@@ -72,14 +74,33 @@ def test_all_monitors_passing_give_safe_and_one_event() -> None:
 
 def test_an_accusation_of_gnss_is_unsafe_at_once_and_names_the_monitor() -> None:
     process = Process(Config())
-    second(process, SECOND_NS, passing(SECOND_NS))
+    second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
     accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
     published = list(process.handle(accusing))
     assert states(published) == [TrustLevel.UNSAFE]
     state = next(message for message in published if isinstance(message, TrustState))
-    assert state.gnss_excluded
+    assert state.gnss_excluded, "the odometer is in use and decides"
     assert state.suspect_since_ns == -8 * SECOND_NS
     assert "inertial_long" in state.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("accused", "odometer_age_s", "declined"),
+    [(("gnss", "imu"), 0.1, None), (("gnss",), None, None), (("gnss",), 9.0, None), (("gnss",), 0.1, "level of 92 m")],
+    ids=["the inertial sensors may be wrong", "no odometer", "a silent odometer", "fusion declines"],
+)
+def test_without_a_third_source_or_a_good_solution_a_conflict_is_open_and_nothing_is_excluded(
+    accused: tuple[str, ...], odometer_age_s: float | None, declined: str | None
+) -> None:
+    process = Process(Config())
+    known = navigation_state(SECOND_NS, 10.0).model_copy(
+        update={"odometer_age_s": odometer_age_s, "exclusion_declined": declined}
+    )
+    second(process, SECOND_NS, [known, *passing(SECOND_NS)])
+    accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, accused)
+    [state] = [one for one in process.handle(accusing) if isinstance(one, TrustState)]
+    assert not state.gnss_excluded and state.suspect_since_ns == -8 * SECOND_NS
+    assert state.state in (TrustLevel.UNSAFE, TrustLevel.CAUTION)
 
 
 def test_a_silent_monitor_gives_caution_within_its_deadline_and_is_listed_as_not_evaluated() -> None:
@@ -114,13 +135,13 @@ def test_an_unknown_monitor_is_counted_and_rejected() -> None:
 
 
 def test_a_restart_goes_on_with_the_exclusion_of_the_process_before_and_not_with_an_old_one() -> None:
-    first = Process(Config())
-    second(first, SECOND_NS, passing(SECOND_NS))
+    first, known = Process(Config()), navigation_state(SECOND_NS, 10.0)
+    second(first, SECOND_NS, [known, *passing(SECOND_NS)])
     accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
     [saved] = [one for one in first.handle(accusing) if isinstance(one, TrustState)]
     for after_s, excluded in ((4, True), (14, False)):
         restarted = Process(Config())
-        assert list(restarted.handle(saved)) == []
+        assert list(restarted.handle(saved)) == [] and list(restarted.handle(known)) == []
         published = second(restarted, after_s * SECOND_NS, passing(after_s * SECOND_NS))
         found = [one for one in published if isinstance(one, TrustState)]
         assert {one.gnss_excluded for one in found} == {excluded}
@@ -129,7 +150,7 @@ def test_a_restart_goes_on_with_the_exclusion_of_the_process_before_and_not_with
 
 def test_fusion_confirms_by_a_solution_without_gnss_since_the_suspect_time() -> None:
     process = Process(Config())
-    second(process, SECOND_NS, passing(SECOND_NS))
+    second(process, SECOND_NS, [navigation_state(SECOND_NS, 10.0), *passing(SECOND_NS)])
     accusing = statement(Monitor.INERTIAL_LONG, 2 * SECOND_NS, MonitorOutcome.ACCUSES, ("gnss",))
     list(process.handle(accusing))
     rows = []

@@ -1,11 +1,11 @@
-"""Exclusion and readmission: minimum healthy time, doubled for each further fault, at most a minute."""
+"""Conflict, decision and end of a conflict: minimum healthy time, doubled for each further fault, at most a minute."""
 
 from dataclasses import replace
 
 import pytest
 
 from services.core.trust.facts import SECOND_NS, Facts, Monitor, Outcome, Solution, Statement
-from services.core.trust.readmission import Admission, Readmission, healthy_time, is_lost, judge_gnss
+from services.core.trust.readmission import Admission, Judgement, Readmission, healthy_time, is_lost, judge_gnss
 
 
 class Source:
@@ -15,7 +15,7 @@ class Source:
         self.readmission, self.time_s = Readmission(), 0.0
 
     def update(self, duration_s: float, *, accused: bool = False, agrees: bool = True) -> Admission:
-        last = Admission(excluded=False)
+        last = Admission(open=False)
         for _ in range(round(10.0 * duration_s)):
             self.time_s += 0.1
             time_ns = round(self.time_s * SECOND_NS)
@@ -27,7 +27,7 @@ class Source:
     def readmitted_after(self) -> float:
         """Time [s] of agreement until it is admitted again."""
         start_s = self.time_s
-        while self.update(0.1).excluded:
+        while self.update(0.1).open:
             pass
         return self.time_s - start_s
 
@@ -43,14 +43,14 @@ def test_minimum_healthy_time(fault_s: float, earlier: int, required_s: float) -
 
 def test_a_source_that_is_not_accused_is_admitted_whether_it_can_be_judged_or_not() -> None:
     source = Source()
-    assert source.update(10.0) == Admission(excluded=False)
-    assert source.update(10.0, agrees=False) == Admission(excluded=False)
+    assert source.update(10.0) == Admission(open=False)
+    assert source.update(10.0, agrees=False) == Admission(open=False)
 
 
 def test_a_short_fault_excludes_at_once_and_is_over_after_two_seconds_of_agreement() -> None:
     source = Source()
     source.update(10.0)
-    assert source.update(0.1, accused=True).excluded
+    assert source.update(0.1, accused=True).open
     source.update(5.0, accused=True)
     assert source.readmitted_after() == pytest.approx(2.1, abs=0.11)
 
@@ -83,10 +83,20 @@ def test_a_long_fault_takes_a_fifth_of_its_duration() -> None:
 def test_what_is_not_evaluated_does_not_agree_and_begins_the_healthy_time_anew() -> None:
     source = Source()
     source.update(3.0, accused=True)
-    assert source.update(1.8).excluded
-    assert source.update(100.0, agrees=False).excluded
-    assert source.update(1.8).excluded
-    assert not source.update(0.5).excluded
+    assert source.update(1.8).open
+    assert source.update(100.0, agrees=False).open
+    assert source.update(1.8).open
+    assert not source.update(0.5).open
+
+
+def test_gnss_is_excluded_from_a_decision_on_until_the_conflict_ends_unless_fusion_declines() -> None:
+    readmission = Readmission()
+    found = [
+        readmission.update(k * SECOND_NS, accused=True, agrees=False, decided=decided, declined=declined)
+        for k, (decided, declined) in enumerate([(False, False), (True, False), (False, False), (False, True)])
+    ]
+    assert [one.excluded for one in found] == [False, True, True, False]
+    assert all(one.open for one in found)
 
 
 def test_an_accusation_during_the_healthy_time_continues_the_same_fault() -> None:
@@ -113,47 +123,55 @@ def facts(**outcomes: tuple[Outcome, tuple[str, ...]]) -> Facts:
     for monitor in Monitor:
         outcome, accused = outcomes.get(monitor.value, (Outcome.PASS, ()))
         statements[monitor] = Statement(monitor, outcome, 0, "", accused, suspect_since_ns=len(monitor))
-    return Facts(0, DEAD_RECKONING, statements, gnss_excluded=True, exclusion_confirmed=True, excluded_test_ratio=0.5)
+    return Facts(0, DEAD_RECKONING, statements, conflict_open=True, gnss_excluded=True, exclusion_confirmed=True,
+                 excluded_test_ratio=0.5, odometer_in_use=True)  # fmt: skip
 
 
-ACCUSED = (Outcome.ACCUSES, ("gnss",))
+ACCUSED, EITHER = (Outcome.ACCUSES, ("gnss",)), (Outcome.ACCUSES, ("gnss", "imu"))
 
 
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (facts(), (False, True, None)),
-        (facts(inertial_short=ACCUSED), (True, False, 14)),
-        (facts(inertial_short=ACCUSED, inertial_long=ACCUSED), (True, False, 13)),
-        (facts(satellites=ACCUSED), (True, False, 10)),
-        (facts(satellites=(Outcome.ACCUSES, ("G05",))), (False, True, None)),
-        (facts(motion=(Outcome.ACCUSES, ("gnss", "odometer"))), (False, True, None)),
-        (facts(evidence=ACCUSED), (False, True, None)),
-        (facts(inertial_long=(Outcome.NOT_EVALUATED, ())), (False, False, None)),
+        (facts(), (False, False, True, None)),
+        (facts(inertial_short=ACCUSED), (True, True, False, 14)),
+        (facts(inertial_short=ACCUSED, inertial_long=ACCUSED), (True, True, False, 13)),
+        (facts(inertial_short=EITHER, inertial_long=ACCUSED), (True, True, False, 13)),
+        (facts(inertial_short=EITHER), (True, False, False, 14)),
+        (replace(facts(inertial_long=ACCUSED), odometer_in_use=False), (True, False, False, 13)),
+        (replace(facts(satellites=ACCUSED), odometer_in_use=False), (True, True, False, 10)),
+        (facts(satellites=(Outcome.ACCUSES, ("G05",))), (False, False, True, None)),
+        (facts(motion=(Outcome.ACCUSES, ("gnss", "odometer"))), (False, False, True, None)),
+        (facts(evidence=ACCUSED), (False, False, True, None)),
+        (facts(inertial_long=(Outcome.NOT_EVALUATED, ())), (False, False, True, None)),
+        (facts(inertial_long=(Outcome.NOT_EVALUATED, ()), inertial_short=(Outcome.NOT_EVALUATED, ())),
+         (False, False, False, None)),
     ],
 )
-def test_gnss_is_excluded_by_inertial_monitors_and_by_unidentified_satellite_faults_alone(
-    given: Facts, expected: tuple[bool, bool, int | None]
+def test_inertial_monitors_and_unidentified_satellite_faults_accuse_and_a_third_source_decides(
+    given: Facts, expected: tuple[bool, bool, bool, int | None]
 ) -> None:
-    assert judge_gnss(given) == expected
+    assert judge_gnss(given) == Judgement(*expected)
 
 
-def test_a_dead_inertial_monitor_keeps_gnss_excluded() -> None:
+def test_dead_inertial_monitors_keep_a_conflict_open() -> None:
     now_ns = 100 * SECOND_NS
-    dead = replace(facts(inertial_long=ACCUSED), time_ns=now_ns, solution=replace(DEAD_RECKONING, sampled_ns=now_ns))
+    dead = replace(facts(inertial_long=ACCUSED, inertial_short=ACCUSED), time_ns=now_ns, solution=replace(DEAD_RECKONING, sampled_ns=now_ns))
     readmission = Readmission()
     readmission.update(0, accused=True, agrees=False)
     for time_s in range(1, 100):
-        accused, agrees, suspect = judge_gnss(dead)
-        admission = readmission.update(time_s * SECOND_NS, accused=accused, agrees=agrees, suspect_since_ns=suspect)
-        assert admission.excluded
+        judged = judge_gnss(dead)
+        admission = readmission.update(time_s * SECOND_NS, accused=judged.accused, agrees=judged.agrees)
+        assert admission.open
 
 
 @pytest.mark.parametrize(
     ("changes", "agrees"),
     [
         ({}, True),
-        ({"exclusion_confirmed": False}, False),
+        ({"excluded_test_ratio": 1.2, "other_level_m": 11.0}, True),
+        ({"excluded_test_ratio": 1.2, "other_level_m": 9.0}, False),
+        ({"excluded_test_ratio": None, "exclusion_declined": "given up"}, True),
         ({"excluded_test_ratio": 1.2}, False),
         ({"excluded_test_ratio": None}, False),
         ({"excluded_test_ratio": 1.2, "solution": replace(DEAD_RECKONING, protection_level_horizontal_m=10.1)}, True),
@@ -167,7 +185,7 @@ def test_a_dead_inertial_monitor_keeps_gnss_excluded() -> None:
 def test_positions_that_contradict_the_solution_without_gnss_do_not_agree(
     changes: dict[str, object], agrees: bool
 ) -> None:
-    assert judge_gnss(replace(facts(), **changes))[1] is agrees  # type: ignore[arg-type]
+    assert judge_gnss(replace(facts(), **changes)).agrees is agrees  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("changes", [{"navigating": False}, {"sampled_ns": -3 * SECOND_NS}])
@@ -184,7 +202,9 @@ def test_gnss_is_readmitted_after_a_minute_without_accusation_where_the_solution
     readmission.update(0, accused=True, agrees=False)
     excluded = []
     for time_s in range(1, 70):
-        accused, agrees, _ = judge_gnss(lost)
-        admission = readmission.update(time_s * SECOND_NS, accused=accused, agrees=agrees, lost=is_lost(lost))
-        excluded.append(admission.excluded)
+        judged = judge_gnss(lost)
+        admission = readmission.update(
+            time_s * SECOND_NS, accused=judged.accused, agrees=judged.agrees, lost=is_lost(lost)
+        )
+        excluded.append(admission.open)
     assert excluded.count(True) == 60

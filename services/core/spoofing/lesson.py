@@ -1,0 +1,99 @@
+"""What a vehicle teaches about its own sensors: windows of a drive, and the profile that the next one starts with.
+
+Inertial noise against GNSS is learned only while another source vouches for GNSS (redundant satellites, or the
+odometer), and never in a conflict: a slow drag would otherwise teach the monitor to pass it. It is adopted at the next
+start.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+
+from shared.messages.trust import LearnedGrade, MonitorOutcome, TrustState
+
+from .inertial.strapdown import SECOND_NS
+from .profile import LearnedDrive, Origin, Profile, learn
+from .windows.metrics import Metric
+from .windows.short_window import Window
+
+NEEDED_S = 600  # of windows, one a second
+KEPT = 3600  # windows
+PERIOD_NS = 60 * SECOND_NS
+VOUCHING = ("satellites", "motion", "motion_fast")
+
+
+class Lesson:
+    """Collects the windows of a drive that is free of conflicts."""
+
+    def __init__(self, stated: Profile) -> None:
+        self._stated = stated
+        self._windows: deque[Window] = deque(maxlen=KEPT)
+        self._long: deque[float] = deque(maxlen=2 * KEPT)
+        self._published_ns: int | None = None
+        self._quiet = self._vouched = False
+
+    def heed(self, state: TrustState) -> None:
+        """Use the verdict: whether there is a conflict, and whether another source vouches for GNSS."""
+        accusing = any(one.outcome is MonitorOutcome.ACCUSES for one in state.monitors)
+        self._quiet = state.suspect_since_ns is None and not accusing
+        self._vouched = any(one.monitor in VOUCHING and one.outcome is MonitorOutcome.PASS for one in state.monitors)
+
+    def add(self, time_ns: int, window: Window | None, long_statistics: Iterable[float]) -> None:
+        """Keep a window, once, if it can be learned from."""
+        if self._published_ns is None:
+            self._published_ns = time_ns
+        known = bool(self._windows) and window is self._windows[-1]
+        if window is not None and not known and self._quiet and self._vouched:
+            self._windows.append(window)
+            self._long += long_statistics
+
+    @property
+    def progress(self) -> str:
+        """How far the lesson is, for people."""
+        minutes = len(self._windows) / 60.0
+        if minutes >= NEEDED_S / 60.0:
+            return f"learning: {minutes:.0f} min are learned, used from the next start on"
+        what = f"learning the grade of this IMU: {minutes:.0f} of {NEEDED_S // 60} min"
+        if not self._vouched:
+            what += (
+                "; this needs an odometer or raw measurements that vouch for GNSS, or `grade` in [core.spoofing], or "
+                "`obu calibrate spoofing`"
+            )
+        return what
+
+    def is_due(self, time_ns: int) -> bool:
+        """Whether there is enough, and a minute has passed since the last result."""
+        if len(self._windows) < NEEDED_S or time_ns - (self._published_ns or 0) < PERIOD_NS:
+            return False
+        self._published_ns = time_ns
+        return True
+
+    def result(self, time_ns: int, origin: Origin, long_threshold: float) -> LearnedGrade:
+        """What has been learned of this device."""
+        profile = learn(
+            self._windows, provenance="this drive", long_statistics=self._long, long_threshold=long_threshold,
+            stated=self._stated,
+        )  # fmt: skip
+        return LearnedGrade(
+            sampled_ns=time_ns, imu=origin.imu, gnss=origin.gnss, imu_rate_hz=origin.imu_rate_hz,
+            gnss_rate_hz=origin.gnss_rate_hz, configuration=origin.configuration, windows=len(self._windows),
+            metrics=tuple(metric.value for metric in profile.sigma), sigma=tuple(profile.sigma.values()),
+            threshold=profile.threshold, long_factor=profile.long_factor, false_alarm_rate=profile.false_alarm_rate,
+        )  # fmt: skip
+
+
+def profile_of_learned(learned: LearnedGrade) -> Profile:
+    """Profile of a message of an earlier drive."""
+    drive = LearnedDrive(
+        file="earlier drive", sha256="0" * 64, date=str(learned.sampled_ns), duration_s=float(learned.windows),
+        windows=learned.windows,
+    )  # fmt: skip
+    origin = Origin(
+        imu=learned.imu, gnss=learned.gnss, imu_rate_hz=learned.imu_rate_hz, gnss_rate_hz=learned.gnss_rate_hz,
+        configuration=learned.configuration, code="", drives=(drive,),
+    )  # fmt: skip
+    sigma = {Metric(name): values for name, values in zip(learned.metrics, learned.sigma, strict=True)}
+    return Profile(
+        sigma=sigma, threshold=learned.threshold, long_factor=learned.long_factor,
+        false_alarm_rate=learned.false_alarm_rate, provenance=f"learned by this unit in {learned.windows} s of driving",
+        origin=origin,
+    )  # fmt: skip
