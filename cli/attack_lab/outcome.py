@@ -41,6 +41,7 @@ class Outcome:
     safe_error_m: Pair  # largest while SAFE
     detected: bool  # by a monitor or by the verdict, between start and end of the attack
     accused: tuple[str, ...]  # by a statement that began between start and end of the attack, in the order of time
+    accused_after: tuple[str, ...]  # by one that began later, when every source is healthy
     right: bool  # a source at fault is accused, and no healthy one is excluded
     healthy_excluded: tuple[str, ...]  # sources that the attack does not touch
     healthy_excluded_s: float  # the longest time without a pause
@@ -66,6 +67,7 @@ class Answer:
     right: int
     right_interval: tuple[float, float]
     accused: tuple[str, ...]  # in any run
+    accused_after: tuple[str, ...]
     healthy_excluded: tuple[str, ...]
     safe_s: float
     safe_above_level_s: float
@@ -120,6 +122,7 @@ def outcome(case: Case, timeline: Timeline) -> Outcome:
             detected_after_s(case, timeline, name) is not None for name in (*timeline.accused_s, VERDICT)
         ),
         accused=accused,
+        accused_after=_accused(timeline, np.nextafter(end_s, np.inf), timeline.duration_s),
         right=_is_right(row, accused) and not excluded,
         healthy_excluded=tuple(excluded),
         healthy_excluded_s=max(excluded.values(), default=0.0),
@@ -151,7 +154,8 @@ def _answer(attack: str, group: Sequence[Run]) -> Answer:
     return Answer(
         attack, " or ".join((row.accused or "nobody", *row.also)), len(found),
         detected, binomial_interval(detected, len(found)), right, binomial_interval(right, len(found)),
-        _all(one.accused for one in found), _all(one.healthy_excluded for one in found),
+        _all(one.accused for one in found), _all(one.accused_after for one in found),
+        _all(one.healthy_excluded for one in found),
         sum(one.safe_s for one in found), sum(one.safe_above_level_s for one in found),
         sum(one.safe_above_limit_s for one in found), float(np.mean(shares)) if shares else None,
         (_worst(one.safe_error_m[0] for one in found), _worst(one.safe_error_m[1] for one in found)),

@@ -194,10 +194,10 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def answer_rows(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of answers: one row an attack."""
     head = [
-        "attack", "runs", "detected", "accused rightly", "should be accused", "accused", "SAFE above level",
-        "SAFE above limit", "errors above level", "largest error while SAFE", "healthy source excluded",
-        "attacked source excluded after", "not SAFE after", "usable again after", "error at the end",
-        "level at the end",
+        "attack", "runs", "detected", "accused rightly", "should be accused", "accused", "accused after the end",
+        "SAFE above level", "SAFE above limit", "errors above level", "largest error while SAFE",
+        "healthy source excluded", "attacked source excluded after", "not SAFE after", "usable again after",
+        "error at the end", "level at the end",
     ]  # fmt: skip
     return head, [_answer_row(row) for row in answers(runs)]
 
@@ -210,6 +210,7 @@ def _answer_row(row: Answer) -> list[str]:
     return [
         row.attack, str(row.runs), rate_text(row.detected, row.runs, row.detected_interval),
         rate_text(row.right, row.runs, row.right_interval), row.expected, ", ".join(row.accused) or "nobody",
+        ", ".join(row.accused_after) or "nobody",
         f"{row.safe_above_level_s:.0f} s" if known else "unknown",
         f"{row.safe_above_limit_s:.0f} s" if known else "unknown",
         "unknown" if row.above_level_fraction is None else f"{100.0 * row.above_level_fraction:.1f} %",

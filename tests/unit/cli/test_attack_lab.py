@@ -287,6 +287,16 @@ def test_an_accusation_counts_only_if_it_begins_during_the_attack(interval: Inte
     assert not answer_to("drag_off", named={"gnss": [interval]})[0]
 
 
+def test_a_source_that_is_accused_after_the_attack_is_told_apart() -> None:
+    case = Case("urban", 1, 300.0, schedule("drag_off@100:60"))
+    found = outcome(
+        case, timeline([(0.0, SAFE)], {}, named={"gnss": [(160.0, 161.0), (170.0, 180.0)], "imu": [(90.0, 200.0)]})
+    )
+    assert (found.accused, found.accused_after) == (("gnss",), ("gnss",))
+    late = outcome(case, timeline([(0.0, SAFE)], {}, named={"gnss": [(160.1, 180.0)]}))
+    assert (late.accused, late.accused_after, late.right) == ((), ("gnss",), False)
+
+
 def test_a_healthy_source_that_is_excluded_makes_the_answer_wrong() -> None:
     named: dict[str, list[Interval]] = {"imu": IN_TIME, "gnss": IN_TIME, "odometer": IN_TIME}
     gnss: dict[str, list[Interval]] = {"gnss": [(110.0, 120.0), (150.0, 290.0)]}
